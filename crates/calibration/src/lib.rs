@@ -38,14 +38,14 @@ pub use cost::residual::quad_err;
 pub use cost::solver::Solver;
 pub use cost::worker::serve_if_worker;
 pub use data::{
-    ClockChange, CsvRequest, Data, DateError, PairUnit, Series, TimeColumn, Unit, UnitConversion, UnitError,
-    clock_change, date_seconds, find_column,
+    ClockChange, CsvRequest, Data, DateError, PairUnit, ParameterSet, Series, TimeColumn, Unit,
+    UnitConversion, UnitError, clock_change, date_seconds, find_column,
 };
 pub use dfo;
 pub use dfo::Kind;
 pub use error::CalibrationError;
 pub use export::{FitDocument, FmuExport, SavedFit, Table};
-pub use findings::finding::{Finding, Severity};
+pub use findings::finding::{Finding, Origin, Severity};
 pub use findings::hidden_characters::visible;
 pub use fit::live::LiveFit;
 pub use fit::output_fit::OutputFit;
@@ -74,7 +74,7 @@ pub use problem::warning::{SETUP_LOG_TARGET, SetupWarning};
 pub use report::{ExperimentCurves, OutputCurves, Signal, plot};
 pub use uncertainty::active_bounds::BoundSide;
 pub use uncertainty::estimate::{
-    Effect, Estimator, Omitted, PartConflict, Parts, PriorConflict, ResidualCheck, Uncertainty,
+    Effect, Estimator, Omitted, PartConflict, Parts, PriorConflict, ResidualCheck, Roughness, Uncertainty,
     UncertaintyOptions, Unmodelled, UnmodelledKind,
 };
 pub use uncertainty::preflight::{ParameterCheck, Preflight, PreflightOptions};

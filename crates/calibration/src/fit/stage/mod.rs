@@ -2,6 +2,7 @@
 
 mod assessment;
 mod external_simulations;
+mod misfit;
 mod noise;
 mod options;
 mod reproducibility;

@@ -4,7 +4,7 @@ use super::chance::{BY_CHANCE, OfIndependent, chance_of_outliers, distances};
 use super::digits::digits;
 use super::unmodelled::Unmodelled;
 use crate::error::CalibrationError;
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::{Finding, Origin, Severity};
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
 use crate::uncertainty::row_blocks::go_on;
 use base::RunContext;
@@ -136,7 +136,7 @@ impl ResidualCheck {
             };
             check.findings(&name, has_loss, has_errors)
         };
-        checks.iter().flat_map(of).collect()
+        checks.iter().flat_map(of).map(|finding| finding.of(Origin::Residuals)).collect()
     }
 
     fn findings(&self, name: &str, has_loss: bool, has_errors: bool) -> Vec<Finding> {

@@ -1,5 +1,6 @@
 //! The numbers of the uncertainty of a fit, confidence intervals, and how they are printed.
 
+use super::differences::Roughness;
 use super::digits::digits;
 use super::omitted::Omitted;
 use super::parts::PartConflict;
@@ -146,6 +147,12 @@ pub struct Uncertainty {
     /// IEEE Trans. Power Systems 14, 1999) that has relative standard errors below 50 % and no correlation of
     /// 0.9 or more, the others held.
     pub identifiable: Vec<usize>,
+    /// Changes of the residuals below this part of them are errors of the simulations.
+    #[serde(default)]
+    pub simulation_noise: f64,
+    /// The residuals bend as no smooth model lets them: standard errors do not hold.
+    #[serde(default)]
+    pub roughness: Option<Roughness>,
     /// Findings about the uncertainty, the residuals and the cost.
     pub findings: Vec<Finding>,
     /// The cost, as the fit has it.
