@@ -38,14 +38,14 @@ pub use cost::solver_comparison::{
     ComparedSolver, ComparisonOutcome, ComparisonTask, SolverComparison, Verdict, compare_solvers,
 };
 pub use data::{
-    ClockChange, CsvRequest, Data, DateError, PairUnit, Series, TimeColumn, Unit, UnitConversion, UnitError,
-    clock_change, date_seconds, find_column,
+    ClockChange, CsvRequest, Data, DateError, PairUnit, ParameterSet, Series, TimeColumn, Unit,
+    UnitConversion, UnitError, clock_change, date_seconds, find_column,
 };
 pub use dfo;
 pub use dfo::ParameterKind;
 pub use error::CalibrationError;
 pub use export::{FitDocument, FmuExport, SavedFit, Table};
-pub use findings::finding::{Finding, Severity};
+pub use findings::finding::{Finding, Origin, Severity};
 pub use findings::shown_text::visible;
 pub use fit::live::LiveFit;
 pub use fit::one_stage::{
@@ -81,6 +81,7 @@ pub use uncertainty::diagnostics::parameter_constancy::{DataSplit, PartConflict}
 pub use uncertainty::diagnostics::prior_check::PriorConflict;
 pub use uncertainty::diagnostics::residual_check::ResidualCheck;
 pub use uncertainty::diagnostics::score_test::{Omitted, OmittedKind};
+pub use uncertainty::differences::Roughness;
 pub use uncertainty::preflight::{ParameterCheck, Preflight, PreflightOptions};
 pub use uncertainty::result::{Estimator, Uncertainty, UncertaintyOptions};
 pub use uncertainty::stuck_parameters::BoundSide;

@@ -38,6 +38,8 @@ pub struct Fmu {
     inner: Arc<Inner>,
     /// The path it was opened by; other clones may have been opened by others.
     path: Arc<Path>,
+    /// The description with units that the file does not state; `None`: that of the file.
+    with_units: Option<Arc<ModelDescription>>,
 }
 
 /// The libraries are dropped before the folder.
@@ -101,7 +103,7 @@ impl Fmu {
         /// The path it was opened by.
         pub path(self) -> &Path = &self.path;
         /// The model description.
-        pub description(self) -> &ModelDescription = &self.inner.description;
+        pub description(self) -> &ModelDescription = self.with_units.as_deref().unwrap_or(&self.inner.description);
         /// Options with which it was opened.
         pub options(self) -> &OpenOptions = &self.inner.options;
         /// True if only its description is available, see [`absent`](Self::absent).
@@ -156,7 +158,7 @@ impl Fmu {
             options: OpenOptions { cancel: CancelRequest::default(), ..options.clone() },
             archive: Arc::new(archive),
         };
-        Ok(Fmu { inner: Arc::new(inner), path: path.into() })
+        Ok(Fmu { inner: Arc::new(inner), path: path.into(), with_units: None })
     }
 
     /// The FMU that was at `path` with this content, of which only `modelDescription.xml` is at hand: it can
@@ -186,7 +188,33 @@ impl Fmu {
 
     /// The same FMU, opened by another path.
     pub(crate) fn at(&self, path: &Path) -> Fmu {
-        Fmu { inner: Arc::clone(&self.inner), path: path.into() }
+        Fmu { path: path.into(), ..self.clone() }
+    }
+
+    /// The same FMU with units of variables of which its description states none, by name. They change no
+    /// simulation; who reads the description finds them.
+    ///
+    /// # Errors
+    /// There is no such variable, or it has another unit.
+    pub fn with_units<'a>(&self, units: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<Fmu> {
+        let mut description = self.description().clone();
+        for (name, unit) in units {
+            let Some(variable) = description.variables.iter().position(|variable| variable.name == name)
+            else {
+                let nearest = description.nearest_names(name, 3).into_iter().map(str::to_owned).collect();
+                return Err(FmiError::UnknownVariable { name: name.to_owned(), nearest });
+            };
+            let variable = &mut description.variables[variable];
+            match variable.unit.as_deref() {
+                Some(stated) if !stated.trim().is_empty() && stated != unit => {
+                    return Err(FmiError::BadSetting(format!(
+                        "units: '{name}' is in '{stated}', as the model states, not in '{unit}'"
+                    )));
+                }
+                _ => variable.unit = Some(unit.to_owned()),
+            }
+        }
+        Ok(Fmu { with_units: Some(Arc::new(description)), ..self.clone() })
     }
 
     /// True if both share one state: a library loaded by one is loaded for the other.

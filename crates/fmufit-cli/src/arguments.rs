@@ -19,6 +19,7 @@ use std::path::PathBuf;
         0    all went well\n  \
         1    the work was done, and did not succeed\n  \
         2    arguments, files or values that cannot be used\n  \
+        3    the fit ran, and its result is not to be used: the findings that are errors say why\n  \
         130  Ctrl-C, SIGTERM or the button of --watch; of a fit the best point is printed and saved"
 )]
 pub(crate) struct CommandLine {
@@ -63,7 +64,8 @@ pub(crate) enum Command {
             fmufit fit furuta.fmu furuta.csv --output armJoint.phi=phi --parameter armFriction=0.012:0:0.022\n  \
             fmufit fit problem.toml --option method=de --option max_time=60 --setting solver=radau5\n\n\
             Ctrl-C ends the fit with the best point, which is printed and saved (exit code 130).\n\
-            Exits with 1 if the fit did not succeed.")]
+            Exits with 1 if the search did not converge, with 3 if it did and the result is not to be used: the simulation is\n\
+            worse than a constant.")]
     Fit(Fit),
     /// Continue a fit from its checkpoint
     #[command(
@@ -144,8 +146,9 @@ pub(crate) struct Validate {
 pub(crate) struct Simulate {
     /// An .fmu file, or an unpacked folder
     pub(crate) model: PathBuf,
-    /// Value of a parameter, or start value of a variable; may be given several times
-    #[arg(long = "set", value_name = "NAME=VALUE")]
+    /// Value of a parameter, or start value of a variable, or all those of an SSP parameter file; may be
+    /// given several times
+    #[arg(long = "set", value_name = "NAME=VALUE | @FILE.ssv")]
     pub(crate) values: Vec<String>,
     /// A CSV file with a column `time`, and one for each input that is called as its column
     #[arg(long, value_name = "FILE.csv")]
@@ -153,6 +156,9 @@ pub(crate) struct Simulate {
     /// Name of its column of times, where it is not `time`
     #[arg(long, value_name = "COLUMN", requires = "input")]
     pub(crate) time: Option<String>,
+    /// The unit of an input of which the model states none; may be given several times
+    #[arg(long, value_name = "VARIABLE=UNIT", requires = "input")]
+    pub(crate) unit: Vec<String>,
     /// File of the table; default, and -: the standard output
     #[arg(short, long, value_name = "FILE.csv")]
     pub(crate) output: Option<PathBuf>,
@@ -256,6 +262,9 @@ pub(crate) struct Problem {
     /// With a model: name of the column of times, where it is not `time`
     #[arg(long, value_name = "COLUMN", requires = "data")]
     pub(crate) time: Option<String>,
+    /// The unit of a variable of which the model states none; may be given several times
+    #[arg(long, value_name = "VARIABLE=UNIT")]
+    pub(crate) unit: Vec<String>,
     /// A setting of the simulations, as in [settings]; may be given several times
     #[arg(short = 'S', long, value_name = "NAME=VALUE")]
     pub(crate) setting: Vec<String>,

@@ -16,6 +16,8 @@ pub(crate) enum Exit {
     NoSuccess,
     /// Arguments, files or values that cannot be used.
     WrongInput,
+    /// A fit ran to its end, and its result is not to be used.
+    NotUsable,
     /// Ended by Ctrl-C.
     Interrupted,
 }
@@ -27,6 +29,7 @@ impl Exit {
             Self::Success => 0,
             Self::NoSuccess => 1,
             Self::WrongInput => 2,
+            Self::NotUsable => 3,
             Self::Interrupted => 130,
         }
     }

@@ -24,7 +24,8 @@ use std::ffi::OsString;
 
 /// Runs the command that these arguments, the first of which is the name of the program, ask for. Returns the
 /// exit code: 0 if all went well; 1 if the work was done and did not succeed (a fit that did not converge, an
-/// FMU that cannot be simulated); 2 for arguments, files and values that cannot be used; 130 after Ctrl-C.
+/// FMU that cannot be simulated); 2 for arguments, files and values that cannot be used; 3 for a fit that ran
+/// and whose result is not to be used; 130 after Ctrl-C.
 pub fn main(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> u8 {
     let arguments = match CommandLine::try_parse_from(arguments) {
         Ok(arguments) => arguments,

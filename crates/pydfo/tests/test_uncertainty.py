@@ -120,8 +120,8 @@ def test_what_cannot_be_told_is_said(furuta):
     assert copy.findings == fit.uncertainty.findings and repr(copy) == repr(fit.uncertainty) and copy.covariance.tobytes() == fit.cov.tobytes()
     before = calibration.preflight()
     assert [check.has_effect for check in before.parameters] == [False, True] and before.n_simulations == 4
-    assert "e moves no output" in before.messages[0] and "moves no output" in repr(before) and before.cost == calibration.cost()
-    assert calibration.fit(preflight=True).preflight.messages == before.messages and fit.preflight is None
+    assert "e moves no output" in before.findings[0].sentence and "moves no output" in repr(before) and before.cost == calibration.cost()
+    assert calibration.fit(preflight=True).preflight.findings == before.findings and fit.preflight is None
     conditional = calibration.uncertainty(fit.x, parameters=["g"])
     assert conditional.held == ["e"] and conditional.undetermined == []
     without = calibration.fit(covariance=None)

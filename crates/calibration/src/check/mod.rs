@@ -23,7 +23,7 @@ pub use result::Check;
 
 use crate::cost::residual::PointResiduals;
 use crate::error::CalibrationError;
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::{Finding, Severity, sort};
 use crate::loaded::calibration::Calibration;
 use base::RunContext;
 use checked_experiment::ExperimentSubject;
@@ -78,7 +78,7 @@ impl Calibration {
         }
         let squares = at_start.as_ref().map(|at: &PointResiduals| (at.residuals.as_slice(), Place::Start));
         findings.extend(scales::finding(self, squares));
-        findings.sort_by_key(|finding| finding.severity);
+        sort(&mut findings);
         Ok(Check { findings, n_evaluations: evaluations.n })
     }
 

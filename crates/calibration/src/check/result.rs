@@ -4,7 +4,7 @@ use crate::findings::finding::{Finding, Severity, counts, table};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Findings of a check, the most severe first. Its `Display` is a table.
+/// Findings of a check, the most severe first, notes last. Its `Display` is a table.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]

@@ -1,5 +1,5 @@
-//! Checks of the simulated course of an output against the measured one: wrong sign, worse than a constant,
-//! frozen, wrapped at a full turn.
+//! Checks of the simulated course of an output against the measured one: wrong sign, frozen,
+//! wrapped at a full turn.
 
 use super::checked_experiment::ExperimentSubject;
 use super::columns::{FEW_VALUES, SHORTEST_CLIPPED, longest_run, n_distinct};
@@ -17,9 +17,6 @@ const FEWEST: usize = 10;
 
 /// Measured and simulated values with a correlation below this go opposite ways.
 const OPPOSITE: f64 = -0.5;
-
-/// Residuals that are larger than the deviation of the measurements by this factor are no chance.
-const WORSE: f64 = 1.1;
 
 /// A measured value that stays for this part of the rows, and so many, while the simulation moves by this
 /// part of the range.
@@ -52,7 +49,7 @@ pub(super) fn findings(subjects: &[ExperimentSubject<'_>], outputs: &Outputs<'_>
         find(wrapped(series, subject));
         if outputs.place() == Place::Fitted {
             find(clipped(series).or_else(|| frozen(series)));
-            find(opposite(series).or_else(|| worse_than_a_constant(series)));
+            find(opposite(series));
             find(coarse(series));
         }
     }
@@ -79,21 +76,6 @@ fn opposite(series: &Series<'_>) -> Option<(String, &'static str)> {
             Number(rounded(correlation))
         );
         (sentence, "is the sign of the column the model's? Is it the right column?")
-    })
-}
-
-fn worse_than_a_constant(series: &Series<'_>) -> Option<(String, &'static str)> {
-    let measured = &series.of.measured;
-    let (rms, sd) = (size_of_difference(measured, series.simulated.iter().copied()), deviation(measured));
-    let by_chance = 4.0 * (2.0 / measured.len() as f64).sqrt();
-    let is_worse = sd > 0.0 && rms > WORSE * sd && (rms / sd).powi(2) > 1.0 + by_chance;
-    is_worse.then(|| {
-        let sentence = format!(
-            "the fit is worse than a constant: its residuals have an RMS of {}, the measurements a standard deviation of {}",
-            Number(rounded(rms)),
-            Number(rounded(sd))
-        );
-        (sentence, "is it the right column, in the right unit, with the initial state of this recording?")
     })
 }
 

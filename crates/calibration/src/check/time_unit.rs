@@ -130,7 +130,7 @@ pub(super) fn findings(
     evaluations: &mut Evaluations<'_>,
 ) -> Result<Vec<Finding>, CalibrationError> {
     let as_given = unexplained(&outputs.at_start);
-    if as_given < UNEXPLAINED {
+    if as_given < UNEXPLAINED || subjects.iter().any(|subject| subject.experiment.data.has_dates()) {
         return Ok(Vec::new());
     }
     let fitted = outputs.fitted.as_ref().map(|fitted| unexplained(fitted));

@@ -14,6 +14,9 @@ const DAY: f64 = 24.0 * 3600.0;
 
 /// The unit in which a recording is exactly as long as the experiment that the model suggests in s.
 pub(super) fn unit_by_duration(subject: &ExperimentSubject<'_>) -> Option<&'static str> {
+    if subject.experiment.data.has_dates() {
+        return None;
+    }
     let (duration, asked) = subject.durations()?;
     let interval = sampling_interval(subject.experiment.data.time())?;
     let units = [(1e3, "ms"), (1e6, "us"), (1.0 / 60.0, "min"), (1.0 / 3600.0, "h")];

@@ -51,6 +51,11 @@ impl LoadedProblem {
         mut problem: Problem,
         lender: Option<&Remote>,
     ) -> Result<Self, CalibrationError> {
+        let fmu = problem.settings.with_units(fmu)?;
+        for k in 0..problem.experiments.len() {
+            let taken = problem.experiments[k].take_parameter_set(fmu.description(), &problem.parameters);
+            taken.map_err(|error| problem.error_in(k, error))?;
+        }
         let mut warnings = problem.check(fmu.description())?;
         warnings.extend(convert_columns(&mut problem, fmu.description())?);
         let elements = problem.elements()?;

@@ -173,7 +173,7 @@ impl Data {
         let (time, mut is_kept) = (columns.remove(at), is_kept.into_iter());
         let (columns, others): (Vec<_>, Vec<_>) =
             columns.into_iter().partition(|_| is_kept.next() == Some(true));
-        let mut clock_change = None;
+        let (mut clock_change, has_dates) = (None, time.text.is_some());
         if let Some((line, text)) = &time.text {
             if dates.len() != n_rows {
                 return Err(bad(format!(
@@ -191,7 +191,7 @@ impl Data {
         }
         times.iter_mut().for_each(|t| *t = time_column.seconds(*t));
         let place = |row| format!("line {}", line_of(row));
-        let data = Self::new(source_name.to_owned(), time.name, times, columns, place)?;
+        let data = Self::new(source_name.to_owned(), time.name, times, columns, place)?.with_dates(has_dates);
         Ok(data.left_out(others.into_iter().map(|column| column.name)).with_clock_change(clock_change))
     }
 }

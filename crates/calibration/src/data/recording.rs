@@ -21,6 +21,9 @@ pub struct Data {
     pub(super) columns: Vec<Column>,
     /// Names of columns that were left out.
     pub(super) left_out: Vec<String>,
+    /// The times were dates or durations: they have no other unit.
+    #[serde(default)]
+    has_dates: bool,
     /// An hour that is missing in times without a zone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     clock_change: Option<ClockChange>,
@@ -101,6 +104,17 @@ impl Data {
         self
     }
 
+    /// The times were dates or durations, of which the unit is known.
+    #[must_use]
+    pub fn with_dates(self, has_dates: bool) -> Self {
+        Self { has_dates, ..self }
+    }
+
+    /// True if the times were dates or durations.
+    pub(crate) fn has_dates(&self) -> bool {
+        self.has_dates
+    }
+
     /// An hour that is missing in the times.
     pub(crate) fn clock_change(&self) -> Option<&ClockChange> {
         self.clock_change.as_ref()
@@ -179,6 +193,7 @@ impl Data {
             time,
             columns,
             left_out: Vec::new(),
+            has_dates: false,
             clock_change: None,
             resampling: None,
         })

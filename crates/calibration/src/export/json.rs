@@ -82,6 +82,7 @@ impl Fit {
             tolerance: self.tolerance,
             uncertainty,
             success: self.is_success(),
+            usable: self.is_usable(),
             termination: report.termination.name(),
             message: &report.message,
             findings: self.findings(),
@@ -119,7 +120,10 @@ pub struct FitDocument<'f> {
     /// Uncertainty of the parameters, where it was estimated, with a verdict in a sentence.
     #[cfg_attr(feature = "schema", schemars(with = "Option<BTreeMap<String, Json>>"))]
     uncertainty: Json,
+    /// How the search ended.
     success: bool,
+    /// No finding is an error: the values may be used, with what the warnings say about them.
+    usable: bool,
     /// Why the search ended, in a word.
     termination: &'f str,
     /// The same in a sentence.

@@ -9,7 +9,7 @@ use std::fmt;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Severity {
-    /// Nothing can be fitted as it is.
+    /// Nothing can be fitted as it is, or the result of a fit is not to be used.
     Error,
     /// It is likely not what is meant, or a value is not to be relied on.
     Warning,
@@ -28,6 +28,21 @@ impl Severity {
     }
 }
 
+/// What a finding is about, in the order in which findings explain each other: a wrong unit leaves a
+/// parameter at its bound, and both leave residuals that last.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum Origin {
+    /// The model, a recording, a unit, a setting.
+    #[default]
+    Problem,
+    /// The parameters: where they ended, which of them the data determine, how the search ended.
+    Search,
+    /// Residuals and standard errors.
+    Residuals,
+}
+
 /// Something that a check has found, or that is to be said of the result of a fit.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -41,6 +56,9 @@ pub struct Finding {
     pub sentence: String,
     /// Remedy; may be empty.
     pub remedy: String,
+    /// What the finding is about.
+    #[serde(default)]
+    pub origin: Origin,
 }
 
 impl Finding {
@@ -50,7 +68,13 @@ impl Finding {
         sentence: impl Into<String>,
         remedy: impl Into<String>,
     ) -> Self {
-        Self { severity, subject: subject.into(), sentence: sentence.into(), remedy: remedy.into() }
+        let origin = Origin::Problem;
+        Self { severity, subject: subject.into(), sentence: sentence.into(), remedy: remedy.into(), origin }
+    }
+
+    /// The same with another origin.
+    pub(crate) fn of(self, origin: Origin) -> Self {
+        Self { origin, ..self }
     }
 
     pub(crate) fn warning(
@@ -87,6 +111,11 @@ impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}: {}", self.severity.name(), self.advice())
     }
+}
+
+/// Puts findings that explain others before these, errors before warnings within one origin, and notes last.
+pub(crate) fn sort(findings: &mut [Finding]) {
+    findings.sort_by_key(|finding| (finding.severity == Severity::Note, finding.origin, finding.severity));
 }
 
 /// "1 error, 2 warnings"; empty if there are none.

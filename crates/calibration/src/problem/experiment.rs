@@ -1,6 +1,6 @@
 //! One recording: which column measures which output, which drives which input, and which part of it counts.
 
-use crate::data::{Data, Series};
+use crate::data::{Data, ParameterSet, Series};
 use crate::error::CalibrationError;
 use crate::problem::input::{InputSource, SignalFunction};
 use crate::problem::parameter::Parameter;
@@ -24,6 +24,9 @@ pub struct Experiment {
     pub(crate) outputs: Vec<Measured>,
     pub(crate) inputs: Vec<(String, InputSource)>,
     pub(crate) start_values: Vec<(String, Value)>,
+    /// Those of a file, until the model is known.
+    #[serde(default)]
+    pub(crate) parameter_set: Option<ParameterSet>,
     pub(crate) initial_states: Vec<(String, InitialState)>,
     pub(crate) windows: Vec<(f64, f64)>,
     pub(crate) warm_up: Option<f64>,
@@ -291,6 +294,40 @@ impl Experiment {
     pub fn start_value(mut self, variable: impl Into<String>, value: impl Into<Value>) -> Self {
         self.start_values.push((variable.into(), value.into()));
         self
+    }
+
+    /// Start values of variables from an SSP parameter file; not of those that are fitted or driven, nor of
+    /// those that have another [start value](Self::start_value).
+    #[must_use]
+    pub fn parameter_set(mut self, set: ParameterSet) -> Self {
+        self.parameter_set = Some(set);
+        self
+    }
+
+    /// Takes the values of its parameter set as start values.
+    ///
+    /// # Errors
+    /// As [`ParameterSet::values`].
+    pub(crate) fn take_parameter_set(
+        &mut self,
+        description: &ModelDescription,
+        parameters: &[Parameter],
+    ) -> Result<(), CalibrationError> {
+        let Some(set) = self.parameter_set.take() else { return Ok(()) };
+        let reference = |name: &str| description.variable(name).map(|v| (v.kind, v.value_reference));
+        let fitted = parameters.iter().flat_map(|parameter| parameter.variable_names());
+        let others = (self.inputs.iter().map(|(name, _)| name))
+            .chain(self.start_values.iter().map(|(name, _)| name))
+            .chain(self.initial_states.iter().map(|(name, _)| name));
+        let given: Vec<&String> = fitted.chain(others).collect();
+        let is_given = |name: &String| {
+            let own = reference(name);
+            given.iter().any(|other| *other == name || own.is_some() && reference(other) == own)
+        };
+        let values = set.values(description)?;
+        let values: Vec<_> = values.into_iter().filter(|(name, _)| !is_given(name)).collect();
+        self.start_values.extend(values);
+        Ok(())
     }
 
     /// Sets the initial value of a state of the model: a value, the first measurement, or a parameter of this

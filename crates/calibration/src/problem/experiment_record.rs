@@ -1,12 +1,12 @@
 //! Experiments as users describe them by name: one record for files and the command line, in which a
 //! recording is the path of a CSV file.
 
-use crate::data::{CsvRequest, Data};
+use crate::data::{CsvRequest, Data, ParameterSet};
 use crate::error::CalibrationError;
 use crate::problem::experiment::{Experiment, InitialState, OutputScale, Weight};
 use crate::problem::parameter::Parameter;
 #[cfg(feature = "schema")]
-use crate::problem::schema::{InitialStateRecord, ModelValue, NumberOr, Pairs, Weights};
+use crate::problem::schema::{InitialStateRecord, NumberOr, Pairs, StartValues, Weights};
 use base::RunContext;
 use dfo::{Record, RecordError, Value, read_record};
 use serde::Deserialize;
@@ -34,8 +34,9 @@ pub struct ExperimentRecord {
     /// The column that drives each input, or its constant value.
     #[cfg_attr(feature = "schema", schemars(with = "Pairs<NumberOr<String>>"))]
     inputs: Value,
-    /// Values of other parameters, and start values of variables.
-    #[cfg_attr(feature = "schema", schemars(with = "Pairs<ModelValue>"))]
+    /// Values of other parameters, and start values of variables; or the path of an SSP parameter file
+    /// (.ssv).
+    #[cfg_attr(feature = "schema", schemars(with = "StartValues"))]
     start_values: Value,
     /// Initial values of states: a number, `measured`, or a parameter of this experiment alone.
     #[cfg_attr(feature = "schema", schemars(with = "Pairs<NumberOr<InitialStateRecord>>"))]
@@ -70,7 +71,8 @@ impl Experiment {
     ///   of them;
     /// - `inputs`: the column of a variable, or its constant value;
     /// - `initial_states`: a number, `measured`, or the record of a parameter;
-    /// - `name`, `start_values`, `windows`, `warm_up`, `start_time`, `delays`, `hold_inputs`.
+    /// - `start_values`: a value for each variable, or the path of an SSP parameter file;
+    /// - `name`, `windows`, `warm_up`, `start_time`, `delays`, `hold_inputs`.
     ///
     /// # Errors
     /// A field that there is not, or a value that it cannot have; as [`Data::read_csv`].
@@ -126,8 +128,15 @@ impl Experiment {
                 Source::Constant(value) => experiment.constant_input(input, value),
             };
         }
-        for (variable, value) in pairs(&record.start_values, "start_values")? {
-            experiment = experiment.start_value(&variable, model_value(&value, &variable)?);
+        match &record.start_values {
+            Value::Text(file) => {
+                experiment = experiment.parameter_set(ParameterSet::read(folder.join(file))?);
+            }
+            values => {
+                for (variable, value) in pairs(values, "start_values")? {
+                    experiment = experiment.start_value(&variable, model_value(&value, &variable)?);
+                }
+            }
         }
         for (state, initial) in pairs(&record.initial_states, "initial_states")? {
             experiment = experiment.initial_state(&state, initial_state(&initial, &state)?);

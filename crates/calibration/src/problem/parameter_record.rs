@@ -32,7 +32,8 @@ pub struct ParameterRecord {
     /// The variables of the model that it sets.
     variables: Option<Vec<String>>,
     /// The output or input whose delay in s it is.
-    delay_of: Option<String>,
+    #[cfg_attr(feature = "schema", schemars(with = "Option<String>"))]
+    delay_of: Value,
     /// The output or input that it is added to.
     offset_of: Option<String>,
     /// The parameter that it follows: its value is factor * value + offset.
@@ -64,7 +65,7 @@ impl Default for ParameterRecord {
             fixed: false,
             local: false,
             variables: None,
-            delay_of: None,
+            delay_of: Value::Nothing,
             offset_of: None,
             tied_to: None,
             factor: 1.0,
@@ -112,7 +113,18 @@ impl Parameter {
             .kind(asked.kind)
             .fixed(asked.fixed)
             .local(asked.local);
-        parameter = match (asked.variables, asked.delay_of, asked.offset_of) {
+        let delay_of = match asked.delay_of {
+            Value::Nothing => None,
+            Value::Text(variable) => Some(variable),
+            Value::List(_) => {
+                return bad(
+                    "delay_of names one output or input: of several that are late alike give each a parameter, all but one of them with \
+                     tied_to; delays that are known stand in delays of the recording",
+                );
+            }
+            other => return bad(&format!("delay_of must be the name of an output or input, not {other}")),
+        };
+        parameter = match (asked.variables, delay_of, asked.offset_of) {
             (None, None, None) => parameter,
             (Some(variables), None, None) => parameter.variables(variables),
             (None, Some(variable), None) => parameter.delay_of(variable),
@@ -157,7 +169,7 @@ impl Parameter {
         match self.target() {
             Target::Variables(variables) if variables.as_slice() == [self.name()] => {}
             Target::Variables(variables) => record.variables = Some(variables.clone()),
-            Target::Delay(variable) => record.delay_of = Some(variable.clone()),
+            Target::Delay(variable) => record.delay_of = Value::Text(variable.clone()),
             Target::Offset(variable) => record.offset_of = Some(variable.clone()),
         }
         match self.tie() {

@@ -31,6 +31,8 @@ untagged! {
     Weights { Scale(OutputScale), Each(Pairs<OutputWeight>) }
     /// A value of a variable of the model.
     ModelValue { Truth(bool), Number(f64), Text(String), Array(Vec<ModelValue>) }
+    /// Start values, or the path of a file that has them.
+    StartValues { File(String), Each(Pairs<ModelValue>) }
     /// Initial value of a state that is no number.
     InitialStateRecord { Word(Measured), Fitted(ParameterRecord) }
 }

@@ -1,11 +1,14 @@
 //! Settings of the simulations of a fit.
 
+use crate::data::Unit;
+use crate::error::CalibrationError;
 #[cfg(feature = "schema")]
 use crate::problem::schema;
 use dfo::{Record, RecordError, Value, read_known, read_part};
 use fmi::RunSettings;
 use fmi::worker::{Isolation, WorkerLimits};
 use serde::{Deserialize, Serialize, Serializer};
+use std::collections::BTreeMap;
 
 /// Settings of the simulations of a fit.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
@@ -25,6 +28,8 @@ pub struct SimulationSettings {
     pub memory_limit: Option<u64>,
     /// Processes of the FMU may write into their own folder only, and open no connections.
     pub sandbox: bool,
+    /// Units of variables of which the model states none, by name: recorded columns are converted to them.
+    pub units: BTreeMap<String, String>,
 }
 
 /// A field of the settings, for messages.
@@ -61,6 +66,24 @@ impl SimulationSettings {
         Ok(Self { run, ..read_known(&others, SETTING)? })
     }
 
+    /// The model with the units that are stated here.
+    ///
+    /// # Errors
+    /// A unit that is none, a variable that there is not, or that has another unit.
+    pub(crate) fn with_units(&self, fmu: fmi::Fmu) -> Result<fmi::Fmu, CalibrationError> {
+        if self.units.is_empty() {
+            return Ok(fmu);
+        }
+        let defined = &fmu.description().units;
+        for (variable, unit) in &self.units {
+            if !defined.iter().any(|known| known.name == *unit) {
+                Unit::parse(unit)
+                    .map_err(|error| CalibrationError::Setup(format!("units: '{variable}': {error}")))?;
+            }
+        }
+        Ok(fmu.with_units(self.units.iter().map(|(variable, unit)| (&variable[..], &unit[..])))?)
+    }
+
     /// Limits of the processes of the FMU.
     pub(crate) fn worker_limits(&self) -> WorkerLimits {
         let usual = WorkerLimits::default();
@@ -83,7 +106,7 @@ impl SimulationSettings {
 /// tell how many it has.
 impl Serialize for SimulationSettings {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        let Self { run, isolation, memory_limit, sandbox } = self;
+        let Self { run, isolation, memory_limit, sandbox, units } = self;
         let Ok(Value::Record(mut fields)) = Value::of(run) else {
             return Err(serde::ser::Error::custom("the settings of a run are no record"));
         };
@@ -91,6 +114,7 @@ impl Serialize for SimulationSettings {
             ("isolation", Value::of(isolation)),
             ("memory_limit", Value::of(memory_limit)),
             ("sandbox", Value::of(sandbox)),
+            ("units", Value::of(units)),
         ];
         for (name, value) in own {
             fields.insert(name.to_owned(), value.map_err(serde::ser::Error::custom)?);

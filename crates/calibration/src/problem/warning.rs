@@ -86,7 +86,11 @@ impl fmt::Display for SetupWarning {
                 write!(
                     f,
                     "{data}: column '{column}' is taken in the unit of '{variable}', without conversion: {reason}"
-                )
+                )?;
+                match reason {
+                    UnitError::NotStated { .. } => f.write_str("; the setting units states it"),
+                    _ => Ok(()),
+                }
             }
             Self::Converted { data, columns } => {
                 let one =

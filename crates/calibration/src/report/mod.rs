@@ -72,7 +72,7 @@ impl Calibration {
 
 #[cfg(test)]
 mod tests {
-    use crate::{BoundSide, Calibration, Data, Experiment, Finding, Fit, FitOptions, Parameter};
+    use crate::{BoundSide, Calibration, Data, Experiment, Finding, Fit, FitOptions, Origin, Parameter};
     use base::RunContext;
 
     /// x' = -k x with k = 2, recorded with an error of a thousandth; c has no effect.
@@ -148,8 +148,10 @@ mod tests {
         let sentence = "the data do not determine k: other values fit as well";
         let uncertainty = fit.uncertainty.as_mut().unwrap();
         uncertainty.undetermined = vec![0];
-        uncertainty.findings =
-            vec![Finding::warning("k", sentence, ""), Finding::note("", "all is well", "")];
+        uncertainty.findings = vec![
+            Finding::warning("k", sentence, "").of(Origin::Search),
+            Finding::note("", "all is well", ""),
+        ];
         fit.report.message = "f_tol reached".to_owned();
         let text = fit.to_string();
         assert!(text.contains("rate of decay  1  -> 2.0001"), "{text}");

@@ -32,7 +32,7 @@ pub(super) struct Summary {
     pub(super) is_success: bool,
     /// Sentence on the termination and the quality of the fit.
     pub(super) sentence: String,
-    /// Findings about the fit, the most severe first.
+    /// Findings about the fit, those that explain others first.
     pub(super) findings: Vec<Finding>,
     pub(super) parameters: Vec<ParameterRow>,
     pub(super) outputs: Vec<OutputRow>,
@@ -141,8 +141,9 @@ fn sentence(fit: &Fit) -> String {
         Some(resumed) => format!(" It was {resumed}."),
         None => String::new(),
     };
+    let doubt = if fit.is_usable() { "" } else { ", but its result is not to be used" };
     format!(
-        "{ended}: RMS {rms} ({before}) over {} measurements.{errors}{resumed}{counts}",
+        "{ended}{doubt}: RMS {rms} ({before}) over {} measurements.{errors}{resumed}{counts}",
         fit.n_measurements
     )
 }

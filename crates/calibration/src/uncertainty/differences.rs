@@ -12,6 +12,7 @@ use crate::problem::parameter::{Parameter, inner, outer};
 use crate::uncertainty::row_blocks::{go_on, product, triangle};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
 
 /// Steps are no longer than this part of a parameter (of its size, where it is zero; on a log scale: of its
 /// factor)...
@@ -37,6 +38,18 @@ const ROUNDS: usize = 3;
 
 /// A side of a parameter that leaves less than this part of a step is left out.
 const TOO_NARROW: f64 = 0.25;
+
+/// Residuals that bend by more than this part of their change over a step of about one standard error, while
+/// their change is at least this part of the deviation of a residual, are looked at over a step of a quarter.
+const BENT: f64 = 0.3;
+const TELLING: f64 = 0.3;
+const PART: f64 = 0.25;
+
+/// A smooth model bends over that by a quarter as much; where it is more than this part, it is not smooth.
+const STILL_BENT: f64 = 0.5;
+
+/// A bend below so many times the error of the simulations is theirs.
+const BEND_ABOVE_NOISE: f64 = 10.0;
 
 /// Rounding of a simulated value relative to what was measured.
 const ROUNDING: f64 = 1e-13;
@@ -66,6 +79,23 @@ pub(crate) struct Differences {
     pub(crate) steps: DMatrix<f64>,
     /// A combination of the changes whose norm is below this is noise.
     pub(crate) noise: f64,
+    /// By how much the residuals bend over each step that goes to both sides, `r(+) + r(-) - 2 r(0)`,
+    /// relative to their change `r(+) - r(-)`; 0 for others.
+    bends: Vec<f64>,
+    /// The residuals bend as no smooth model lets them.
+    pub(crate) roughness: Option<Roughness>,
+}
+
+/// Bends of the residuals over a step of about one standard error that do not vanish with the step, relative
+/// to their change. Those of a smooth model are proportional to the step; the relative curvature of Bates and
+/// Watts (J. R. Stat. Soc. B 42, 1980, section 2) is their limit.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Roughness {
+    /// Over about one standard error.
+    pub bend: f64,
+    /// Over a quarter of that.
+    pub bend_of_quarter: f64,
 }
 
 /// A step along an axis, in the coordinates of the search.
@@ -169,7 +199,7 @@ impl Differences {
             / (m.saturating_sub(p).max(1) as f64).sqrt();
         let noise = center.simulation_error.max(ROUNDING * center.measured);
         if p == 0 {
-            return Ok(Ok(Self { changes: DMatrix::zeros(m, 0), steps: DMatrix::zeros(0, 0), noise }));
+            return Ok(Ok(Self::of(DMatrix::zeros(m, 0), DMatrix::zeros(0, 0), noise)));
         }
         let mut guess = match jacobian {
             Some(jacobian) if jacobian.iter().all(|j| j.is_finite()) => jacobian,
@@ -209,6 +239,8 @@ impl Differences {
                 .all(|(change, predicted)| is_within(change.norm().max(noise), predicted.max(noise)));
             guess = found.jacobian(&simulations.context)?;
             if is_narrow || is_as_predicted || round == ROUNDS {
+                let roughness = found.roughness(center, (deviation, noise), simulations)?;
+                let found = Self { roughness, ..found };
                 return match are_long.contains(&true) && !is_narrow {
                     true => found.without_cubic_terms(center, &are_long, simulations),
                     false => Ok(Ok(found)),
@@ -225,6 +257,7 @@ impl Differences {
     ) -> Result<Result<Self, String>, CalibrationError> {
         let (m, p) = (center.residuals.len(), steps.len());
         let mut changes = DMatrix::from_vec(m, p, vec![0.0; m * p]);
+        let mut bends = vec![0.0; p];
         let mut open: Vec<usize> = (0..p).collect();
         let mut reason = String::new();
         // Where simulations fail on both sides, shorter steps are tried.
@@ -258,16 +291,47 @@ impl Differences {
                 let length = steps[k].length;
                 let per_length = if to.0 > from.0 { length / (to.0 - from.0) } else { 0.0 };
                 go_on(&simulations.context)?;
+                if from.0 < 0.0 && to.0 > 0.0 {
+                    bends[k] = bend(from.1, center.residuals, to.1);
+                }
                 let differences = to.1.iter().zip(from.1).map(|(b, a)| (b - a) * per_length);
                 changes.column_mut(k).iter_mut().zip(differences).for_each(|(to, change)| *to = change);
             }
             open = left;
             if open.is_empty() {
                 let columns: Vec<DVector<f64>> = steps.iter().map(|s| &s.direction * s.length).collect();
-                return Ok(Ok(Self { changes, steps: DMatrix::from_columns(&columns), noise: 0.0 }));
+                return Ok(Ok(Self { bends, ..Self::of(changes, DMatrix::from_columns(&columns), 0.0) }));
             }
         }
         Ok(Err(reason))
+    }
+
+    /// Changes over steps that nothing else is known of.
+    pub(crate) fn of(changes: DMatrix<f64>, steps: DMatrix<f64>, noise: f64) -> Self {
+        Self { changes, steps, noise, bends: Vec::new(), roughness: None }
+    }
+
+    /// Looks at a quarter of the step over which the residuals bend most, where that is much.
+    fn roughness(
+        &self,
+        center: &Center<'_>,
+        (deviation, noise): (f64, f64),
+        simulations: &mut Simulations<'_>,
+    ) -> Result<Option<Roughness>, CalibrationError> {
+        let is_bent = |k: &usize| {
+            let change = self.changes.column(*k).norm();
+            let is_telling = change >= TELLING * deviation;
+            is_telling && self.bends[*k] > BENT && 2.0 * change * self.bends[*k] > BEND_ABOVE_NOISE * noise
+        };
+        let bent = (0..self.bends.len()).filter(is_bent);
+        let Some(k) = bent.max_by(|a, b| self.bends[*a].total_cmp(&self.bends[*b])) else { return Ok(None) };
+        let quarter = Step { direction: self.steps.column(k).into_owned(), length: PART };
+        let Ok(quarter) = Self::measured(center, vec![quarter], simulations)? else { return Ok(None) };
+        let found = Roughness { bend: self.bends[k], bend_of_quarter: quarter.bends[0] };
+        let is_of_noise =
+            2.0 * quarter.changes.column(0).norm() * found.bend_of_quarter <= BEND_ABOVE_NOISE * noise;
+        let is_rough = found.bend_of_quarter > STILL_BENT * found.bend && !is_of_noise;
+        Ok(is_rough.then_some(found))
     }
 
     /// Steps that were made long, so that changes stand out from the noise, are made half as long as well:
@@ -310,6 +374,13 @@ impl Differences {
             None => Ok(DMatrix::zeros(self.changes.nrows(), self.steps.ncols())),
         }
     }
+}
+
+/// The norm of `a + b - 2 c` over that of `b - a`; 0 where nothing changes.
+fn bend(a: &[f64], c: &[f64], b: &[f64]) -> f64 {
+    let norm = |of: &dyn Fn(usize) -> f64| (0..c.len()).map(|i| of(i).powi(2)).sum::<f64>().sqrt();
+    let (change, bend) = (norm(&|i| b[i] - a[i]), norm(&|i| a[i] + b[i] - 2.0 * c[i]));
+    if change > 0.0 { bend / change } else { 0.0 }
 }
 
 fn is_within(a: f64, b: f64) -> bool {

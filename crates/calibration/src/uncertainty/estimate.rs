@@ -246,7 +246,7 @@ impl Calibration {
         let differences = Differences::around(&center, guess, simulations)?
             .map_err(|message| self.failed_at(x, format!("around this point: {message}"), None))?;
         let jacobian = differences.jacobian(context)?;
-        let differences_noise = differences.noise;
+        let (differences_noise, roughness) = (differences.noise, differences.roughness);
         let outputs = groups(layout, residuals, estimator, known.criterion);
         let working = Working::new(known.criterion, layout, residuals, &outputs, free.len());
         let differences = differences.weighted(&working.roots);
@@ -287,6 +287,11 @@ impl Calibration {
             is_exact,
             accurate_cost: accurate.as_deref().map(cost),
             left_to_gain: gain.part,
+            roughness,
+            simulation_noise: match (at_center.simulation_error > 0.0, sum_of_squares(residuals).sqrt()) {
+                (true, size) if size > 0.0 => differences_noise / size,
+                _ => 0.0,
+            },
             is_at_failures: gain.is_at_failures,
             prior_conflicts: prior_conflicts.transpose()?.unwrap_or_default(),
             has_loss: !is_linear && known.criterion != Criterion::Likelihood,

@@ -5,6 +5,7 @@ use crate::cost::accuracy::Accuracy;
 use crate::cost::residual::sum_of_squares;
 use crate::cost::solver::AtStart;
 use crate::error::CalibrationError;
+use crate::findings::finding::{Finding, Origin, sort, table};
 use crate::findings::shown_text::digits;
 use crate::loaded::calibration::Calibration;
 use crate::loaded::simulations_around::{Point, Simulations};
@@ -74,8 +75,8 @@ pub struct Preflight {
     pub expected_seconds: f64,
     /// Evaluations that may run at once.
     pub workers: usize,
-    /// Findings in sentences; empty if there are none.
-    pub messages: Vec<String>,
+    /// Findings, those that explain others first; empty if there are none.
+    pub findings: Vec<Finding>,
     /// Points that were simulated.
     pub n_simulations: usize,
 }
@@ -207,10 +208,10 @@ impl Calibration {
             expected_evaluations,
             expected_seconds: seconds_per_evaluation * expected_evaluations as f64,
             workers,
-            messages: Vec::new(),
+            findings: Vec::new(),
             n_simulations: simulations.n,
         };
-        preflight.messages = preflight.sentences();
+        preflight.findings = preflight.judged();
         Ok(preflight)
     }
 
@@ -275,38 +276,48 @@ fn confounded(columns: &[(usize, Vec<f64>)]) -> Vec<(usize, usize, f64)> {
 }
 
 impl Preflight {
-    fn sentences(&self) -> Vec<String> {
+    fn judged(&self) -> Vec<Finding> {
         let mut said = Vec::new();
         for check in &self.parameters {
             let ParameterCheck { name, moved_to, failure, has_effect, .. } = check;
             let Some(to) = moved_to else { continue };
             match failure {
                 Some(reason) => {
-                    said.push(format!("the simulation with {name} = {} fails: {reason}", digits(*to)));
+                    let sentence = format!("the simulation with {name} = {} fails: {reason}", digits(*to));
+                    said.push(Finding::warning(name, sentence, ""));
                 }
-                None if !has_effect => said.push(format!(
-                    "{name} moves no output that was measured: a fit cannot find it from here; fix it, or measure what it moves"
-                )),
+                None if !has_effect => said.push(
+                    Finding::warning(
+                        name,
+                        format!("{name} moves no output that was measured: a fit cannot find it from here"),
+                        "fix it, or measure what it moves",
+                    )
+                    .of(Origin::Search),
+                ),
                 None => {}
             }
         }
         for (i, j, correlation) in &self.confounded {
             let (a, b) = (&self.parameters[*i].name, &self.parameters[*j].name);
-            said.push(format!(
-                "{a} and {b} move the outputs the same way at the start: correlation {correlation:.2}; fix one or fit in two stages"
-            ));
+            let sentence = format!(
+                "{a} and {b} move the outputs the same way at the start: correlation {correlation:.2}"
+            );
+            let finding = Finding::warning(format!("{a} and {b}"), sentence, "fix one or fit in two stages");
+            said.push(finding.of(Origin::Search));
         }
         if self.noise > 1e-3 {
             let remedy = match self.is_step_halved {
                 true => "give a smaller step_size, or a solver that chooses its steps",
                 false => "give a smaller relative_tolerance, or f_tol above that",
             };
-            said.push(format!(
-                "the cost at the start changes by {} of its value with {}: {remedy}",
+            let sentence = format!(
+                "the cost at the start changes by {} of its value with {}",
                 digits(self.noise),
                 Accuracy::words(self.is_step_halved)
-            ));
+            );
+            said.push(Finding::warning("cost", sentence, remedy));
         }
+        sort(&mut said);
         said
     }
 
@@ -342,6 +353,9 @@ impl fmt::Display for Preflight {
             digits(self.expected_seconds),
             self.workers
         )?;
-        self.messages.iter().try_for_each(|said| writeln!(f, "- {said}"))
+        match self.findings.is_empty() {
+            true => Ok(()),
+            false => writeln!(f, "{}", table(&self.findings).trim_start()),
+        }
     }
 }

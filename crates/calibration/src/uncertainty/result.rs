@@ -8,6 +8,7 @@ use crate::uncertainty::diagnostics::parameter_constancy::PartConflict;
 use crate::uncertainty::diagnostics::prior_check::PriorConflict;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
 use crate::uncertainty::diagnostics::score_test::Omitted;
+use crate::uncertainty::differences::Roughness;
 use crate::uncertainty::scores::Criterion;
 use base::Number;
 use dfo::RobustLoss;
@@ -146,6 +147,12 @@ pub struct Uncertainty {
     /// IEEE Trans. Power Systems 14, 1999) that has relative standard errors below 50 % and no correlation of
     /// 0.9 or more, the others held.
     pub identifiable: Vec<usize>,
+    /// Changes of the residuals below this part of them are errors of the simulations.
+    #[serde(default)]
+    pub simulation_noise: f64,
+    /// The residuals bend as no smooth model lets them: standard errors do not hold.
+    #[serde(default)]
+    pub roughness: Option<Roughness>,
     /// Findings about the uncertainty, the residuals and the cost.
     pub findings: Vec<Finding>,
     /// The cost, as the fit has it.

@@ -379,7 +379,10 @@ fn a_preflight_says_what_would_spoil_the_fit() {
     let found = ball.preflight(&PreflightOptions::default(), &RunContext::new()).unwrap();
     let effects: Vec<_> = found.parameters.iter().map(|p| (p.has_effect, p.moved_to.is_some())).collect();
     assert_eq!(effects, [(false, true), (true, true), (false, false)]);
-    assert!(found.messages.len() == 1 && found.messages[0].starts_with("e moves no output"), "{found}");
+    assert!(
+        found.findings.len() == 1 && found.findings[0].sentence.starts_with("e moves no output"),
+        "{found}"
+    );
     // h falls with g t^2 / 2; the size of g is the width of its bounds.
     let by_g = time.iter().map(|t| (0.5 * t * t).powi(2)).sum::<f64>() / 40.0;
     near(found.parameters[1].sensitivity.unwrap(), 10.0 * by_g.sqrt() / (0.5 * 9.81 * 0.39 * 0.39), 1e-3);
@@ -388,7 +391,7 @@ fn a_preflight_says_what_would_spoil_the_fit() {
         assert!(found.to_string().contains(said), "{found}");
     }
     let fit = ball.fit(FitOptions { preflight: true, ..FitOptions::default() }).unwrap();
-    assert_eq!(fit.preflight.unwrap().messages, found.messages);
+    assert_eq!(fit.preflight.unwrap().findings, found.findings);
     assert!(ball.preflight(&PreflightOptions::default(), &RunContext::new().asking(&|| true)).is_err());
 }
 

@@ -160,6 +160,12 @@ fn check_storage(record: &Record, is_folder: bool, limits: &ArchiveLimits) -> Re
     Ok(())
 }
 
+/// The description of a system of models (SSP standard 1.0, section 4.3).
+const SYSTEM_STRUCTURE: &str = "SystemStructure.ssd";
+
+/// So many FMUs of such an archive are named.
+const MOST_NAMED: usize = 8;
+
 /// The model description is a file at the root; if it is one folder down, the message says so.
 fn check_root(path: &Path, listed: &[Listed]) -> Result<()> {
     if listed.iter().any(|entry| entry.name == MODEL_DESCRIPTION && !entry.is_folder) {
@@ -168,6 +174,15 @@ fn check_root(path: &Path, listed: &[Listed]) -> Result<()> {
     if listed.iter().any(|entry| entry.name == MODEL_DESCRIPTION) {
         let hint = Some(": what has that name there is a folder".to_owned());
         return Err(FmiError::NoModelDescription { path: path.to_owned(), hint });
+    }
+    if listed.iter().any(|entry| entry.name == SYSTEM_STRUCTURE) {
+        let fmus = listed.iter().map(|entry| entry.name.as_str()).filter(|name| name.ends_with(".fmu"));
+        let fmus: Vec<&str> = fmus.take(MOST_NAMED).collect();
+        let hint = format!(
+            ": it is an SSP archive, a system of models, of which none is simulated as a whole; unzip it and take one of its FMUs{}",
+            if fmus.is_empty() { String::new() } else { format!(" ({})", fmus.join(", ")) }
+        );
+        return Err(FmiError::NoModelDescription { path: path.to_owned(), hint: Some(hint) });
     }
     let elsewhere = listed.iter().map(|entry| entry.name.as_str()).find(|name| {
         let file = name.rsplit('/').next().unwrap_or(name);

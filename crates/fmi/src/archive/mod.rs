@@ -107,6 +107,13 @@ impl Archive {
         let metadata = path.metadata().map_err(FmiError::io("open", path))?;
         let content = match metadata.is_dir() {
             true => Content::Folder(Folder::open(path, limits)?),
+            false if path.extension().is_some_and(|suffix| suffix.eq_ignore_ascii_case("ssd")) => {
+                let hint = ": an .ssd describes a system of models, of which none is simulated as a whole; give one of its FMUs";
+                return Err(FmiError::NoModelDescription {
+                    path: path.to_owned(),
+                    hint: Some(hint.to_owned()),
+                });
+            }
             false => Content::Packed(Packed::open(path, limits, cancel)?),
         };
         Ok(Archive { content, content_hash: OnceLock::new() })

@@ -10,7 +10,8 @@ use ode::{CallError, CallResult, StepAction};
 /// something has changed since the sample before, to be trusted in the rest of the run.
 const GOOD_SAMPLES: u32 = 8;
 
-/// Ends of steps at which variables have to be the same before and after, while they change.
+/// Ends of steps at which variables have to be the same before and after, while they change. One that did not
+/// change then is looked at again from the row on at which it does.
 const GOOD_STEPS: u32 = 3;
 
 /// Time at which the model computes its variables: when they are read, as the standard demands, or only
@@ -33,6 +34,8 @@ enum Freshness {
 enum RowPoints {
     /// So many ends of steps went well.
     Open(u32),
+    /// Anywhere for all variables but those that have not changed at so many ends of steps.
+    Watched,
     Any,
     CompletedSteps,
 }
@@ -48,6 +51,10 @@ impl Default for Freshness {
 pub(crate) struct OutputReader {
     freshness: Freshness,
     row_points: RowPoints,
+    /// The numbers that have to change at more ends of steps, and at how many they have.
+    unseen: Vec<(usize, u32)>,
+    /// One of these has changed since it was last compared.
+    has_moved: bool,
     /// The answers to steps completed at rows, for the end of the step.
     row_actions: StepAction,
     /// The derivatives were computed at the point last set.
@@ -61,6 +68,8 @@ impl OutputReader {
         Self {
             freshness: Freshness::default(),
             row_points: RowPoints::Open(0),
+            unseen: Vec::new(),
+            has_moved: false,
             row_actions: StepAction::default(),
             is_evaluated: false,
             unused: vec![0.0; n_states],
@@ -75,6 +84,9 @@ impl OutputReader {
             true => RowPoints::CompletedSteps,
             false => RowPoints::Open(0),
         };
+        self.unseen.clear();
+        self.unseen.extend((0..running.buffers.n_numbers()).map(|number| (number, 0)));
+        self.has_moved = false;
     }
 
     /// Computes the derivatives, for what the model computes along with them. A point without derivatives is
@@ -100,20 +112,34 @@ impl OutputReader {
             self.row_actions.event |= action.event;
             self.row_actions.terminate |= action.terminate;
         }
+        let is_watched = matches!(self.row_points, RowPoints::Watched);
+        if is_watched {
+            running.buffers.keep();
+        }
         match self.freshness {
-            _ if self.is_evaluated => running.read_outputs(),
-            Freshness::WhenRead => running.read_outputs(),
+            _ if self.is_evaluated => running.read_outputs()?,
+            Freshness::WhenRead => running.read_outputs()?,
             Freshness::WithDerivatives => {
                 self.evaluate(running)?;
-                running.read_outputs()
+                running.read_outputs()?;
             }
-            Freshness::Open(good) => self.compare(running, good),
+            Freshness::Open(good) => return self.compare(running, good),
         }
+        if is_watched {
+            self.watch(running);
+        }
+        Ok(())
+    }
+
+    /// Notes if a variable has changed that is not known to be the same before and after the end of a step.
+    fn watch(&mut self, running: &Running) {
+        self.has_moved |= self.unseen.iter().any(|(number, _)| !running.buffers.is_as_kept(*number));
     }
 
     /// Reads the outputs, computes the derivatives and reads them again.
     fn compare(&mut self, running: &mut Running, good: u32) -> CallResult<()> {
         let has_changed = reads_other(running)?;
+        self.watch(running);
         self.evaluate(running)?;
         if reads_other(running)? {
             self.freshness = Freshness::WithDerivatives;
@@ -132,6 +158,9 @@ impl OutputReader {
             RowPoints::Open(good) if running.plan.outputs().needs_fmu() && !self.unused.is_empty() => {
                 self.complete_and_compare(running, good)?
             }
+            RowPoints::Watched if std::mem::take(&mut self.has_moved) => {
+                self.complete_and_compare(running, GOOD_STEPS)?
+            }
             _ => completed(running)?,
         };
         Ok(StepAction {
@@ -145,6 +174,11 @@ impl OutputReader {
             self.evaluate(running)?;
         }
         let has_changed = compared(reads_other(running))?;
+        if has_changed == Some(true) {
+            let buffers = &running.buffers;
+            let moved = self.unseen.iter_mut().filter(|(number, _)| !buffers.is_as_kept(*number));
+            moved.for_each(|(_, times)| *times += 1);
+        }
         let action = completed(running)?;
         if action.event || action.terminate || has_changed.is_none() {
             return Ok(action);
@@ -155,7 +189,12 @@ impl OutputReader {
             return Err(CallError::failed(FmiError::ReadBetweenSteps));
         }
         if has_changed == Some(true) {
-            self.row_points = if good + 1 < GOOD_STEPS { RowPoints::Open(good + 1) } else { RowPoints::Any };
+            self.unseen.retain(|(_, times)| *times < GOOD_STEPS);
+            self.row_points = match (good + 1 < GOOD_STEPS, self.unseen.is_empty()) {
+                (true, _) => RowPoints::Open(good + 1),
+                (false, true) => RowPoints::Any,
+                (false, false) => RowPoints::Watched,
+            };
         }
         Ok(action)
     }

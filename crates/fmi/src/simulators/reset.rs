@@ -75,10 +75,10 @@ impl Simulator {
     /// quirks say why.
     pub(super) fn give_up_reuse(&mut self, reuse: Reuse, reason: &str) {
         let (fmu, kind) = (self.plan.fmu(), self.plan.kind);
-        let what = match reuse {
+        let (what, instead) = match reuse {
             Reuse::Restore => {
                 fmu.reset_knowledge(kind).no_restore = true;
-                "setting a saved state"
+                ("setting a saved state", "they are reset by its function")
             }
             _ => {
                 fmu.reset_knowledge(kind).note(Reuse::Reinstantiate);
@@ -86,10 +86,12 @@ impl Simulator {
                     // FMI 1.0 has a reset function for co-simulation only.
                     return;
                 }
-                "the reset function"
+                ("the reset function", "each has a new instance, which takes longer")
             }
         };
-        let message = format!("{what} does not bring instances back to their start: {reason}");
+        let message = format!(
+            "{what} does not bring instances back to their start: {reason}. Nothing is to be done: simulations are right, {instead}"
+        );
         fmu.note_quirk(QuirkKind::Promise, message);
     }
 }

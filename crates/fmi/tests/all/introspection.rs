@@ -143,6 +143,36 @@ fn categories_of_the_log_are_asked_for_by_name() {
 }
 
 #[test]
+fn what_is_beside_a_model_is_ignored() {
+    // Layered standards and files of tools (FMI 3.0, sections 2.5.1 and 2.5.2), some of them broken.
+    let [plain, full] = [(); 2].map(|()| model_as("dahlquist", Fmi3, &[], |xml| xml));
+    for (name, text) in [
+        ("extra/org.fmi-standard.fmi-ls-xcp/fmi-ls-manifest.xml", "<fmiLayeredStandardManifest"),
+        ("extra/com.vendor/deep/er/data.bin", "\0\u{1}"),
+        ("terminalsAndIcons/icon.png", "none"),
+        ("documentation/index.html", "<html>"),
+        ("vendor/readme", "x"),
+    ] {
+        let path = full.path().join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, text).unwrap();
+    }
+    let packed = full.path().with_extension("fmu");
+    fmi::pack(full.path(), &packed).unwrap();
+    let expected = plain.open().simulate(&SimulateOptions::new().ncp(5)).unwrap();
+    for fmu in [full.open(), Fmu::open(&packed).unwrap()] {
+        assert_eq!(fmu.simulate(&SimulateOptions::new().ncp(5)).unwrap(), expected);
+        assert!(
+            fmu.description().quirks.is_empty() && fmu.quirks_seen().is_empty(),
+            "{:?}",
+            fmu.quirks_seen()
+        );
+        assert_eq!(fmu.terminals().unwrap(), []);
+    }
+    std::fs::remove_file(packed).unwrap();
+}
+
+#[test]
 fn terminals_are_read_from_archives_and_folders() {
     let folder = model_as("dahlquist", Fmi3, &[], |xml| xml);
     assert_eq!(folder.open().terminals().unwrap(), []);

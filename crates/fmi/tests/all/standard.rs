@@ -105,6 +105,22 @@ fn variables_computed_with_completed_steps_only_are_right() {
 }
 
 #[test]
+fn a_variable_computed_with_completed_steps_that_rests_at_first_is_right() {
+    // The derivative changes from the first step on, y from 0.5 on only.
+    let late = evil(&["OUTPUTS_OF_STEPS", "RESTS_AT_FIRST"]);
+    let options = SimulateOptions::new().ncp(97).outputs(["der(x)", "y"]).relative_tolerance(1e-9);
+    for method in [ode::Method::Tsit5, ode::Method::Dop853, ode::Method::Radau5, ode::Method::Bdf] {
+        let fmu = late.open();
+        let found = fmu.simulate(&options.clone().method(method)).unwrap();
+        for (t, y) in found.time.iter().zip(found.get("y").unwrap()) {
+            let right = if *t < 0.5 { 1.0 } else { (-t).exp() };
+            assert!((y - right).abs() < 1e-7, "{method:?}: {y} at {t}");
+        }
+        assert_eq!(fmu.quirks_seen().len(), 1, "{method:?}");
+    }
+}
+
+#[test]
 fn rows_are_read_before_the_inputs_of_the_next_step_are_set() {
     // x' = u with u held over each step; nothing is integrated if anything is read between setting u and the step.
     let folder = slave(&["LATCHES"], "");

@@ -31,7 +31,10 @@ EXPORT fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_se
     *event = fmi2False;
     *terminate = fmi2False;
 #ifdef OUTPUTS_OF_STEPS
-    ((Model *)c)->y = ((Model *)c)->x;
+#ifdef RESTS_AT_FIRST
+    if (((Model *)c)->time >= 0.5)
+#endif
+        ((Model *)c)->y = ((Model *)c)->x;
 #endif
 #ifdef ENDS_ITSELF
     *terminate = ((Model *)c)->time >= 0.25;

@@ -8,7 +8,9 @@ use crate::interrupt::Interrupt;
 use crate::output_paths::check_written;
 use crate::problem::{self, short_form};
 use base::Number;
-use calibration::{Calibration, CurrentPhase, FitOptions, FitPhase, LivePage, RunContext, Stage};
+use calibration::{
+    Calibration, CurrentPhase, FitOptions, FitPhase, LivePage, Origin, RunContext, Severity, Stage,
+};
 use dfo::{Checkpoint, Progress, Resume, Termination};
 use std::cell::RefCell;
 use std::ops::ControlFlow;
@@ -71,11 +73,27 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
     if let Some(watch) = &watch {
         show_report(watch, &fit, &calibration, &interrupt, console);
     }
-    Ok(match fit.is_success() {
+    // At the end, where a terminal shows it and a log ends; the findings stand above, among the results.
+    reasons_against(&fit).iter().for_each(|reason| console.say(reason));
+    Ok(match (fit.is_success(), fit.is_usable()) {
         _ if fit.report.termination == Termination::Interrupted => Exit::Interrupted,
-        true => Exit::Success,
-        false => Exit::NoSuccess,
+        (false, _) => Exit::NoSuccess,
+        (true, false) => Exit::NotUsable,
+        (true, true) => Exit::Success,
     })
+}
+
+/// Why the result of a fit is not to be used, with what is likely to have caused it.
+fn reasons_against(fit: &calibration::Fit) -> Vec<String> {
+    let findings = fit.findings();
+    let errors = findings.iter().filter(|finding| finding.severity == Severity::Error);
+    let mut said: Vec<String> =
+        errors.map(|error| format!("error: the result is not to be used: {}", error.text())).collect();
+    let cause = findings.iter().find(|f| f.severity == Severity::Warning && f.origin == Origin::Problem);
+    said.extend(
+        cause.filter(|_| !said.is_empty()).map(|cause| format!("look first at this: {}", cause.advice())),
+    );
+    said
 }
 
 /// Serves a page that will show the fit, and prints where.

@@ -8,7 +8,9 @@ use crate::interrupt::Interrupt;
 use crate::output_paths::{check_written, is_stream};
 use crate::problem::short_form;
 use base::Number;
-use calibration::{CalibrationError, CsvRequest, Data, ModelProcess, RunContext, UnitConversion};
+use calibration::{
+    CalibrationError, CsvRequest, Data, ModelProcess, ParameterSet, RunContext, UnitConversion,
+};
 use dfo::Value;
 use fmi::description::Causality;
 use fmi::worker::WorkerLimits;
@@ -27,6 +29,9 @@ pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error
         )));
     }
     let fmu = Fmu::open(&arguments.model).map_err(Error::input)?;
+    let units = short_form::assignments(&arguments.unit, "VARIABLE=UNIT, as in --unit u=V")?;
+    let units = units.iter().map(|(variable, unit)| (&variable[..], &unit[..]));
+    let fmu = fmu.with_units(units).map_err(Error::input)?;
     let options = options(arguments, &fmu)?;
     let kind = fmu.check_runnable_as(options.run.kind).map_err(Error::input)?;
     options.without_effect(kind).iter().for_each(|sentence| console.note(&format!("warning: {sentence}")));
@@ -132,8 +137,20 @@ fn options(arguments: &Simulate, fmu: &Fmu) -> Result<SimulateOptions, Error> {
     if !arguments.outputs.is_empty() {
         options = options.outputs(arguments.outputs.clone());
     }
-    for (name, value) in short_form::assignments(&arguments.values, "NAME=VALUE, as in --set friction=0.01")?
-    {
+    let (files, values): (Vec<&String>, Vec<&String>) =
+        arguments.values.iter().partition(|text| text.starts_with('@'));
+    let values: Vec<String> = values.into_iter().cloned().collect();
+    let values = short_form::assignments(&values, "NAME=VALUE, as in --set friction=0.01, or @FILE.ssv")?;
+    for file in files {
+        let set = ParameterSet::read(&file[1..]).and_then(|set| set.values(fmu.description()));
+        // What is named alone goes before what is in a file.
+        let is_named = |name: &String| values.iter().any(|(given, _)| given == name);
+        for (name, value) in set.map_err(Error::of_arguments)?.into_iter().filter(|(name, _)| !is_named(name))
+        {
+            options = options.start_value(name, value);
+        }
+    }
+    for (name, value) in values {
         let value = value_of(fmu.description(), &name, &value)?;
         options = options.start_value(name, value);
     }

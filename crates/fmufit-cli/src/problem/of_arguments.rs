@@ -6,13 +6,14 @@ use crate::arguments::Problem;
 use crate::console::Console;
 use crate::error::Error;
 use calibration::{CsvRequest, Data, find_column};
+use dfo::Value;
 use fmi::Fmu;
 use fmi::description::Causality;
 use std::path::Path;
 
 /// The problem that arguments describe.
 pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<ProblemFile, Error> {
-    let Problem { problem, data, output, input, parameter, time, setting } = arguments;
+    let Problem { problem, data, output, input, parameter, time, unit, setting } = arguments;
     if problem.is_dir() && !problem.join("modelDescription.xml").is_file() {
         return Err(Error::input(format!(
             "{} is a folder without a modelDescription.xml, so no model: give a problem file, or a model and a recording",
@@ -48,6 +49,11 @@ pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<Pro
         None => ProblemFile::read(problem)?,
     };
     file.set("settings", short_form::options(setting)?);
+    if !unit.is_empty() {
+        let units = short_form::assignments(unit, "VARIABLE=UNIT, as in --unit room.T=K")?;
+        let units = units.into_iter().map(|(variable, unit)| (variable, Value::Text(unit)));
+        file.set("settings", [("units".to_owned(), Value::Record(units.collect()))]);
+    }
     Ok(file)
 }
 

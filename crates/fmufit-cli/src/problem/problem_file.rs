@@ -207,8 +207,11 @@ impl ProblemFile {
     /// The files that it is read from: itself, the model, the recordings.
     pub(crate) fn files(&self) -> Vec<PathBuf> {
         let experiments = self.tables("experiments").unwrap_or_default();
-        let data = experiments.iter().filter_map(|(_, fields)| fields.get("data"));
-        let named = data.chain(self.value("model")).filter_map(|value| match value {
+        let of_experiment =
+            |fields: &'_ Record| ["data", "start_values"].map(|name| fields.get(name).cloned());
+        let data: Vec<Value> =
+            experiments.iter().flat_map(|(_, fields)| of_experiment(fields)).flatten().collect();
+        let named = data.iter().chain(self.value("model")).filter_map(|value| match value {
             Value::Text(path) => Some(self.folder.join(path)),
             _ => None,
         });

@@ -76,6 +76,112 @@ fn options_of_the_command_line_go_before_those_of_the_file() {
     );
 }
 
+/// The decay recorded in another unit: 300 K more.
+fn in_another_unit(folder: &Folder) {
+    let rows: Vec<String> = folder.read("run.csv").lines().skip(1).map(str::to_owned).collect();
+    let shifted = rows.iter().map(|row| {
+        let (time, x) = row.split_once(',').unwrap();
+        format!("{time},{}\n", 300.0 + x.parse::<f64>().unwrap())
+    });
+    folder.write("run.csv", &format!("time,x\n{}", shifted.collect::<String>()));
+}
+
+#[test]
+fn a_fit_that_is_worse_than_a_constant_has_an_exit_code_of_its_own_and_says_why_at_the_end() {
+    let folder = decay("");
+    in_another_unit(&folder);
+    let ran = folder.run("fit problem.toml --json --quiet");
+    let result = json(&ran.out);
+    assert_eq!(
+        (ran.code, &result["success"], &result["usable"]),
+        (3, &true.into(), &false.into()),
+        "{ran:?}"
+    );
+    let findings = result["findings"].as_array().unwrap();
+    let place = |text: &str| {
+        findings
+            .iter()
+            .position(|f| f["sentence"].as_str().unwrap().contains(text))
+            .unwrap_or_else(|| panic!("{result}"))
+    };
+    // Causes first: the unit, then the parameter, then the residuals.
+    let [unit, bound, worse] = ["another unit?", "bound", "the fit is worse than a constant"].map(place);
+    assert!(unit < bound && bound < worse && findings[worse]["severity"] == "error", "{result}");
+    assert_eq!(
+        [unit, bound, worse].map(|k| findings[k]["origin"].as_str().unwrap()),
+        ["problem", "search", "residuals"]
+    );
+    let lines: Vec<&str> = ran.err.lines().collect();
+    assert!(
+        lines[0]
+            .starts_with("error: the result is not to be used: output 'x' (column 'x'): the fit is worse"),
+        "{ran:?}"
+    );
+    assert!(
+        lines.len() == 2
+            && lines[1].starts_with("look first at this: ")
+            && lines[1].contains("another unit?"),
+        "{ran:?}"
+    );
+    let shown = folder.run("fit problem.toml").out;
+    assert!(shown.contains("The fit converged, but its result is not to be used: RMS"), "{shown}");
+    // One that was ended before is no success in any case; a good one has no reason against it.
+    assert_eq!(folder.run("fit problem.toml -O method=nelder-mead -O max_evaluations=2 --json").code, 1);
+    let good = decay("");
+    assert_eq!(json(&good.run("fit problem.toml --json").good())["usable"], true);
+}
+
+#[test]
+fn start_values_of_a_problem_come_from_an_exported_fit() {
+    let folder = decay("");
+    folder.run("fit problem.toml --save decay.fit --report decay.ssv --quiet").good();
+    // It has k, which is the start of nothing here, since it is fitted.
+    let with_set = PROBLEM.replace("data = ", "start_values = \"decay.ssv\"\ndata = ");
+    folder.write("again.toml", &with_set);
+    let again = json(&folder.run("fit again.toml --json").good());
+    assert_eq!(again["parameters"], json(&folder.run("fit problem.toml --json").good())["parameters"]);
+    // Where x(0) is fitted, k of the file is that of the model: 2.
+    let of_start = with_set.replace("name = \"k\"", "name = \"x\"");
+    folder.write("start.toml", &of_start);
+    let start = fitted(&folder.run("fit start.toml --json").good());
+    assert!((start - 1.0).abs() < 1e-4, "{start}");
+    folder.write("none.toml", &with_set.replace("decay.ssv", "none.ssv"));
+    assert!(folder.run("fit none.toml").wrong_input().contains("none.ssv"));
+    // A file that is read is not written.
+    assert!(folder.run("fit again.toml --report decay.ssv").wrong_input().contains("decay.ssv"));
+}
+
+#[test]
+fn units_that_the_model_does_not_state_are_stated() {
+    let folder = decay("");
+    let milli: String = (folder.read("run.csv").lines().skip(1))
+        .map(|row| row.split_once(',').unwrap())
+        .map(|(time, x)| format!("{time},{}\n", 1e3 * x.parse::<f64>().unwrap()))
+        .collect();
+    folder.write("run.csv", &format!("time,x [mm]\n{milli}"));
+    let ran = folder.run("check problem.toml");
+    assert!(ran.err.contains("the model states no unit for 'x'; the setting units states it"), "{ran:?}");
+    let by_argument = json(&folder.run("fit problem.toml --unit x=m --json").good());
+    assert!((by_argument["parameters"][0]["value"].as_f64().unwrap() - 2.0).abs() < 1e-4, "{by_argument}");
+    assert_eq!(by_argument["outputs"][0]["unit"], "m");
+    folder.write("problem.toml", &(PROBLEM.to_owned() + "[settings]\nunits = { x = \"m\" }\n"));
+    let by_file = json(&folder.run("fit problem.toml --json").good());
+    assert_eq!(by_file["parameters"], by_argument["parameters"]);
+    for (unit, expected) in
+        [("x=K", "'x'"), ("x=mx", "mx"), ("z=m", "no variable \"z\""), ("x", "must be VARIABLE=UNIT")]
+    {
+        let message = folder.run(&format!("fit problem.toml --unit {unit}")).wrong_input();
+        assert!(message.contains(expected), "{unit}: {message}");
+    }
+    // init proposes it.
+    folder.run("init model.fmu run.csv other.toml").good();
+    assert!(
+        folder.read("other.toml").contains("# units = { \"x\" = \"mm\" }"),
+        "{}",
+        folder.read("other.toml")
+    );
+}
+
 #[test]
 fn stages_and_several_recordings_stand_in_the_file() {
     let folder = decay("");

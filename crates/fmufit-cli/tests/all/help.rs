@@ -20,7 +20,7 @@ const COMMANDS: [&str; 11] = [
 fn help_has_an_example_for_each_command_and_the_exit_codes() {
     let folder = Folder::new();
     let all = folder.run("--help").good();
-    assert!(all.contains("130  Ctrl-C"), "{all}");
+    assert!(all.contains("130  Ctrl-C") && all.contains("3    the fit ran"), "{all}");
     for command in COMMANDS {
         assert!(all.contains(&format!("\n  {command} ")), "{all}");
         let help = folder.run(&format!("{command} --help")).good();

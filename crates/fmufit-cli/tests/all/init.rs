@@ -70,14 +70,17 @@ fn a_variable_that_is_named_is_matched_no_second_time() {
 }
 
 #[test]
-fn parameters_without_an_effect_are_comments() {
+fn parameters_without_an_effect_are_one_comment() {
     let folder = Folder::with_model("bouncing_ball");
     // Before the first bounce at 0.45 s only gravity moves the ball.
     folder.run("simulate model.fmu --final-time 0.3 --interval 0.02 --output run.csv").good();
     folder.run("init model.fmu run.csv").good();
     let text = folder.read("problem.toml");
-    assert!(text.contains("\nname = \"g\"") && text.contains("\n# name = \"e\""), "{text}");
-    assert!(text.contains("moves no output at the start"), "{text}");
+    assert!(
+        text.contains("\nname = \"g\"") && text.contains("\n# Left out, moves no output at the start: "),
+        "{text}"
+    );
+    assert!(!text.contains("name = \"e\"") && text.contains("start: e, v_min\n"), "{text}");
 }
 
 #[test]

@@ -52,6 +52,49 @@ fn validate_runs_a_model_and_says_what_it_departs_in() {
     assert!(folder.run("validate none.fmu").wrong_input().contains("none.fmu"));
 }
 
+const SET: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
+<ssv:ParameterSet xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues" version="1.0" name="set">
+  <ssv:Parameters>
+    <ssv:Parameter name="k"><ssv:Real value="2"/></ssv:Parameter>
+    <ssv:Parameter name="x"><ssv:Real value="3"/></ssv:Parameter>
+  </ssv:Parameters>
+</ssv:ParameterSet>
+"#;
+
+#[test]
+fn start_values_come_from_parameter_sets_of_ssp() {
+    let folder = Folder::with_model("dahlquist");
+    folder.write("set.ssv", SET);
+    let options = "--final-time 1 --interval 0.25";
+    let by_file = folder.run(&format!("simulate model.fmu --set @set.ssv {options}")).good();
+    let by_name = folder.run(&format!("simulate model.fmu --set k=2 --set x=3 {options}")).good();
+    assert_eq!(by_file, by_name);
+    // What is named goes before what is in the file.
+    let both = folder.run(&format!("simulate model.fmu --set @set.ssv --set k=1 {options}")).good();
+    assert_eq!(both, folder.run(&format!("simulate model.fmu --set k=1 --set x=3 {options}")).good());
+    for (text, expected) in [
+        (SET.replace("\"k\"", "\"kk\""), "set.ssv: the model has no variable \"kk\""),
+        (SET.replace("value=\"2\"", "value=\"two\""), "set.ssv: line 4: 'k' = 'two' is no Real"),
+        (SET.replace("value=\"2\"", "value=\"2\" unit=\"m\""), "'k'"),
+        ("k = 2".to_owned(), "set.ssv: "),
+    ] {
+        folder.write("set.ssv", &text);
+        let message = folder.run("simulate model.fmu --set @set.ssv").wrong_input();
+        assert!(message.contains(expected), "{message}");
+    }
+    assert!(folder.run("simulate model.fmu --set @none.ssv").wrong_input().contains("none.ssv"));
+}
+
+#[test]
+fn systems_of_models_are_refused_by_name() {
+    let folder = Folder::with_model("dahlquist");
+    folder.write("system.ssd", "<ssd:SystemStructureDescription/>");
+    let message = folder.run("info system.ssd").wrong_input();
+    assert!(message.contains("an .ssd describes a system of models"), "{message}");
+    let message = folder.run("simulate model.fmu --set @system.ssd").wrong_input();
+    assert!(message.contains("this describes a system of models (.ssd)"), "{message}");
+}
+
 #[test]
 fn simulate_writes_the_solution_of_the_model() {
     let folder = Folder::with_model("dahlquist");

@@ -139,6 +139,7 @@ class Table:
         time: str,
         left_out: list[str],
         clock_change: tuple[str, str, bool] | None,
+        has_dates: bool,
     ) -> Table: ...
     @staticmethod
     def from_csv(text: bytes, source: str, time: str | None, needed: list[str], left_out: list[str]) -> Table: ...

@@ -83,7 +83,8 @@ pub(crate) struct PyTable {
 #[pymethods]
 impl PyTable {
     /// Columns (an iterator of names and arrays, each of which is needed no longer than the next one) of
-    /// which one, `time`, holds the times; the names of others; an hour that is missing in the times.
+    /// which one, `time`, holds the times; the names of others; an hour that is missing in the times; whether
+    /// these were dates or durations.
     #[new]
     fn new(
         py: Python<'_>,
@@ -91,6 +92,7 @@ impl PyTable {
         time: &str,
         left_out: Vec<String>,
         clock_change: Option<Change>,
+        has_dates: bool,
     ) -> PyResult<Self> {
         let column = |item: PyResult<Bound<'_, PyAny>>| {
             py.check_signals()?;
@@ -101,7 +103,7 @@ impl PyTable {
         let change = clock_change.map(|(from, to, is_doubled)| ClockChange { from, to, is_doubled });
         let made = py.detach(|| Data::from_table(columns, Some(time)));
         let inner = made.map_err(|e| error::calibration(py, &e))?;
-        Ok(Self { inner: inner.left_out(left_out).with_clock_change(change) })
+        Ok(Self { inner: inner.left_out(left_out).with_clock_change(change).with_dates(has_dates) })
     }
 
     /// The times and those columns of a CSV text that are needed; the names of others that it was made

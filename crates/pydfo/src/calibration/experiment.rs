@@ -8,7 +8,8 @@ use crate::convert::values;
 use crate::model::inputs::{Callback, Callbacks};
 use calibration::RunContext;
 use calibration::{
-    CalibrationError, CsvRequest, Data, Experiment, InitialState, OutputScale, Parameter, Series, Weight,
+    CalibrationError, CsvRequest, Data, Experiment, InitialState, OutputScale, Parameter, ParameterSet,
+    Series, Weight,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -54,6 +55,8 @@ pub(crate) struct ExperimentFields {
     /// Variable, and what drives it.
     inputs: Vec<(String, InputFields)>,
     start_values: Vec<(String, Py<PyAny>)>,
+    /// An SSP parameter file.
+    parameter_set: Option<PathBuf>,
     initial_states: Vec<(String, StateFields)>,
     windows: Vec<(f64, f64)>,
     warm_up: Option<f64>,
@@ -236,6 +239,9 @@ impl ExperimentFields {
         }
         for (variable, value) in resolved.start_values {
             experiment = experiment.start_value(variable, value);
+        }
+        if let Some(path) = &self.parameter_set {
+            experiment = experiment.parameter_set(ParameterSet::read(path)?);
         }
         for (state, initial) in resolved.initial_states {
             experiment = experiment.initial_state(state, initial);

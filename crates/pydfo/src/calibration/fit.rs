@@ -68,6 +68,7 @@ impl PyFit {
         Ok(dict!(py;
             fit => start_cost, start_rms, rms, objective, n_checks;
             "success": fit.is_success(),
+            "usable": fit.is_usable(),
             "stats": stats,
             "at_bound": at_bound.into_py_dict(py)?,
             "without_effect": fit.without_effect.iter().map(|i| &fit.names[*i]).collect::<Vec<_>>(),

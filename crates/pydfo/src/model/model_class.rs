@@ -10,8 +10,7 @@ use crate::interrupt::threads::lock;
 use crate::model::description::Fmu;
 use crate::model::inputs::{self, Callbacks, Function, Table};
 use crate::model::trajectory;
-use calibration::ModelProcess;
-use calibration::RunContext;
+use calibration::{ModelProcess, ParameterSet, RunContext};
 use fmi::description::Interval;
 use fmi::worker::{Isolation, WorkerLimits};
 use fmi::{FmiError, InterfaceKind, Session, SimulateOptions, Trajectory};
@@ -20,6 +19,7 @@ use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::ops::ControlFlow;
+use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 
@@ -115,6 +115,9 @@ pub(crate) struct Request<'py> {
     between_steps: String,
     #[pyo3(item(14))]
     isolation: String,
+    /// An SSP parameter file.
+    #[pyo3(item(15))]
+    parameter_set: Option<PathBuf>,
 }
 
 #[pymethods]
@@ -306,6 +309,10 @@ impl Model {
         options.ncp = request.ncp;
         options.start_values =
             values::all_from_python(py, self.fmu.description(), request.start_values.into_iter())?;
+        if let Some(path) = &request.parameter_set {
+            let set = ParameterSet::read(path).and_then(|set| set.values(self.fmu.description()));
+            options.start_values.extend(set.map_err(|e| error::calibration(py, &e))?);
+        }
         options.clock_intervals =
             request.clock_intervals.into_iter().map(|(name, interval)| (name, interval.into())).collect();
         options.outputs = request.outputs;

@@ -1,11 +1,12 @@
 //! Judgement of the result of a search: findings, the quality of fit of each output, and the uncertainty.
 
+use super::misfit;
 use super::noise::{self, FitNoise};
 use super::noise_iterations::{FinalSearch, is_at_end};
 use super::result::Fit;
 use super::search::{Job, SearchResult};
 use crate::cost::residual::{CostRule, sum_of_squares};
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::{Finding, Origin, Severity};
 use crate::findings::shown_text::digits;
 use crate::fit::output_fit::{EndResiduals, KeptResiduals};
 use crate::fit::phase::FitPhase;
@@ -130,7 +131,7 @@ impl Calibration {
             let sentence = format!(
                 "the data hardly determine {name}: moved off its bound by half its size it changes the cost by less than the noise"
             );
-            Finding::new(Severity::Warning, name, sentence, "fix it, or record what it acts on")
+            Finding::warning(name, sentence, "fix it, or record what it acts on").of(Origin::Search)
         }));
         found.extend(self.endless(report));
         found.extend(self.unstated_noise(job, made.noise.as_ref()));
@@ -160,7 +161,9 @@ impl Calibration {
             }
         }
         if let Some(end) = &ends.end {
-            found.extend(self.contradictions_of_stated_noise(job, made, &end.residuals));
+            let contradictions = self.contradictions_of_stated_noise(job, made, &end.residuals);
+            found.extend(contradictions.into_iter().map(|finding| finding.of(Origin::Residuals)));
+            found.extend(misfit::findings(self, &end.residuals));
         }
         let mut once: Vec<Finding> = Vec::with_capacity(found.len());
         found.into_iter().for_each(|finding| {
@@ -188,7 +191,7 @@ impl Calibration {
             let sentence = format!(
                 "a simulation had run for {ended} s when the time was up{others}: it may have no end"
             );
-            Finding::new(Severity::Warning, "max_time", sentence, "timeout ends a single simulation")
+            Finding::warning("max_time", sentence, "timeout ends a single simulation").of(Origin::Search)
         })
     }
 
@@ -226,7 +229,7 @@ impl Calibration {
         let is_requested = job.uncertainty.is_some() && job.objective.has_uncertainty();
         if is_requested && is_over(&searched.report.termination) && job.context.is_late() {
             let sentence = "the time was up before the standard errors were known";
-            found.push(Finding::new(Severity::Warning, "max_time", sentence, ""));
+            found.push(Finding::warning("max_time", sentence, "").of(Origin::Search));
         }
         if let Some(end) = ends.end.as_ref().filter(|_| self.has_fixed_step() && job.is_checked()) {
             found.extend(self.large_step_after_fit(end, &job.context, stats));
@@ -270,7 +273,8 @@ impl Calibration {
         };
         (!said.is_empty()).then(|| {
             let sentence = format!("{}: the search may end far from the minimum", said.join(", "));
-            Finding::new(Severity::Warning, "tolerances", sentence, "leave them out, or give 1e-4, relative")
+            Finding::warning("tolerances", sentence, "leave them out, or give 1e-4, relative")
+                .of(Origin::Search)
         })
     }
 

@@ -1,6 +1,7 @@
 //! The fit: what is asked for, the search, and the uncertainty of its result; parameters with names come out.
 
 mod assessment;
+mod misfit;
 mod noise;
 mod noise_iterations;
 mod options;

@@ -7,7 +7,7 @@ use super::tolerance::ChosenTolerance;
 use crate::cost::residual::sum_of_squares;
 use crate::cost::solver::AtStart;
 use crate::error::CalibrationError;
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::{Finding, Origin, Severity};
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::FitPhase;
 use crate::loaded::calibration::Calibration;
@@ -309,7 +309,7 @@ impl Calibration {
         };
         let Turns { noise, raised, at_start, .. } = turns;
         searched.raised = raised;
-        searched.raised.extend(noise.findings());
+        searched.raised.extend(noise.findings().into_iter().map(|finding| finding.of(Origin::Residuals)));
         if noise.n_rounds > 1 {
             let at_start = at_start.map(|r| own.residual_layout().reweighed(&r, self.residual_layout()));
             let x = &searched.report.x;

@@ -3,7 +3,7 @@
 use super::noise::FitNoise;
 use super::tolerance::ChosenTolerance;
 use crate::cost::solver::ChosenSolver;
-use crate::findings::finding::Finding;
+use crate::findings::finding::{Finding, Origin, Severity, sort};
 use crate::fit::output_fit::OutputFit;
 use crate::fit::phase::PhaseCost;
 use crate::loaded::calibration::Calibration;
@@ -132,8 +132,13 @@ impl Fit {
         if self.shown_names.is_empty() { &self.names } else { &self.shown_names }
     }
 
-    /// Findings about the fit, the most severe first: parameters at a bound or without effect, findings of a
-    /// check, parameters that the data do not determine, properties of the residuals.
+    /// True if no finding is an error: the values may be used, with what the warnings say about them.
+    pub fn is_usable(&self) -> bool {
+        self.findings().iter().all(|finding| finding.severity != Severity::Error)
+    }
+
+    /// Findings about the fit, those that explain others first, notes last: findings of a check, parameters
+    /// at a bound or that the data do not determine, properties of the residuals.
     pub fn findings(&self) -> Vec<Finding> {
         self.findings_with(&self.names)
     }
@@ -151,11 +156,11 @@ impl Fit {
                 side.name(),
                 Number(bound)
             );
-            Finding::warning(&names[*i], sentence, "")
+            Finding::warning(&names[*i], sentence, "").of(Origin::Search)
         };
         let without_effect = |i: &usize| {
             let sentence = format!("{} did not change the cost: its value says nothing", names[*i]);
-            Finding::warning(&names[*i], sentence, "")
+            Finding::warning(&names[*i], sentence, "").of(Origin::Search)
         };
         let is_said = |i: &&usize| {
             !self.uncertainty.as_ref().is_some_and(|uncertainty| uncertainty.undetermined.contains(i))
@@ -165,7 +170,7 @@ impl Fit {
         all.extend(self.setup_findings.iter().cloned());
         all.extend(self.open_minima());
         all.extend(self.uncertainty.iter().flat_map(|uncertainty| uncertainty.findings_with(names)));
-        all.sort_by_key(|finding| finding.severity);
+        sort(&mut all);
         all
     }
 
@@ -180,7 +185,7 @@ impl Fit {
             best.n_starts,
         );
         let remedy = "compare the minima (optima); a larger max_evaluations lets more searches start";
-        Some(Finding::note("search", sentence, remedy))
+        Some(Finding::note("search", sentence, remedy).of(Origin::Search))
     }
 
     /// The RMS over that at the start, on the same measurements; `None` if the simulation failed at the

@@ -3,11 +3,11 @@
 
 use crate::cost::accuracy::Accuracy;
 use crate::error::CalibrationError;
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::{Finding, Origin, Severity};
 use crate::findings::shown_text::digits;
 use crate::uncertainty::covariance::matrix::{Factors, Noise, compressed};
 use crate::uncertainty::diagnostics::residual_check::{CORRELATED, ResidualCheck};
-use crate::uncertainty::differences::Differences;
+use crate::uncertainty::differences::{Differences, Roughness};
 use crate::uncertainty::p_values::BY_CHANCE;
 use crate::uncertainty::result::{Uncertainty, errors_and_correlation};
 use crate::uncertainty::row_blocks::triangle;
@@ -44,6 +44,10 @@ const SAME_FACTOR: f64 = 1.05;
 /// Errors of the simulations that move no parameter by more than this part of its standard error do not
 /// matter.
 const SHIFTED: f64 = 0.1;
+
+/// Changes of the residuals by the error of the simulations that are larger than this part of them may hide
+/// what a parameter does.
+const ROUGH: f64 = 0.01;
 
 /// Subject of a finding that says that a search ended early.
 pub(crate) const SEARCH: &str = "search";
@@ -198,7 +202,7 @@ impl Uncertainty {
             chosen.push(k);
             let p = chosen.len();
             let changes = scaled.select_columns(&chosen);
-            let part = Differences { changes, steps: DMatrix::identity(p, p), noise: of_changes };
+            let part = Differences::of(changes, DMatrix::identity(p, p), of_changes);
             let factors = Factors::new(&part, context)?;
             let covariance = factors.covariance(&variances, context)?;
             let error = |a: usize| covariance[(a, a)].sqrt();
@@ -231,18 +235,29 @@ impl Uncertainty {
     pub(crate) fn undetermined_findings(&self) -> Vec<Finding> {
         let mut said = Vec::new();
         let mut find = |names: String, sentence: String, remedy: &str| {
-            said.push(Finding::warning(names, sentence, remedy));
+            said.push(Finding::warning(names, sentence, remedy).of(Origin::Search));
         };
         if self.degrees_of_freedom == 0 && self.held.len() < self.n() {
             let sentence = "there are no more residuals than parameters: nothing is known of their errors";
             find("parameters".to_owned(), sentence.to_owned(), "");
         }
         let inert = &self.without_effect;
+        let (below, remedy) = match self.simulation_noise > ROUGH {
+            true => (
+                format!(
+                    ", beyond the error of the simulations, {} % of the residuals",
+                    digits(100.0 * self.simulation_noise)
+                ),
+                "give a smaller relative_tolerance (or step): then smaller changes count",
+            ),
+            false => (String::new(), ""),
+        };
         if !inert.is_empty() {
             let moves = if inert.len() == 1 { "it moves" } else { "they move" };
             let names = self.list(inert);
-            let sentence = format!("the data do not determine {names}: {moves} no output that was measured");
-            find(names, sentence, "");
+            let sentence =
+                format!("the data do not determine {names}: {moves} no output that was measured{below}");
+            find(names, sentence, remedy);
         }
         let together: Vec<usize> = self.undetermined.iter().copied().filter(|i| !inert.contains(i)).collect();
         let names = self.list(&together);
@@ -250,13 +265,15 @@ impl Uncertainty {
             0 => {}
             1 => find(
                 names.clone(),
-                format!("the data do not determine {names}: other values fit as well"),
-                "",
+                format!("the data do not determine {names}: other values fit as well{below}"),
+                remedy,
             ),
             _ => find(
                 names.clone(),
-                format!("the data do not determine {names}: other values of them together fit as well"),
-                "fix all but one, or combine them",
+                format!(
+                    "the data do not determine {names}: other values of them together fit as well{below}"
+                ),
+                if remedy.is_empty() { "fix all but one, or combine them" } else { remedy },
             ),
         }
         said
@@ -310,7 +327,22 @@ impl Uncertainty {
                 digits(f_tol),
                 digits(self.shift_by_accuracy),
             );
-            Finding::warning(subject, sentence, remedy)
+            Finding::warning(subject, sentence, remedy).of(Origin::Search)
+        })
+    }
+
+    /// A cost that is not smooth, of which a local search finds some minimum.
+    fn rough_cost(&self) -> Option<Finding> {
+        self.roughness.map(|Roughness { bend, bend_of_quarter }| {
+            let sentence = format!(
+                "the cost is not smooth here: over about one standard error the residuals bend by {} % of their change, and over a quarter of \
+                 that, where a smooth model bends a quarter as much, by {} %. The standard errors do not hold, and a local search may have \
+                 ended at any of many minima",
+                digits((100.0 * bend).round()),
+                digits((100.0 * bend_of_quarter).round())
+            );
+            let remedy = "search=\"global\", or start values nearer to what you know; does the model switch at times that the parameters move?";
+            Finding::warning("cost", sentence, remedy).of(Origin::Search)
         })
     }
 
@@ -332,7 +364,7 @@ impl Uncertainty {
                 "give smaller x_tol and f_tol, or larger limits, and start from the result",
             ),
         };
-        Some(Finding::warning(SEARCH, sentence, remedy))
+        Some(Finding::warning(SEARCH, sentence, remedy).of(Origin::Search))
     }
 
     /// Standard errors that were corrected for autocorrelation, and by how much.
@@ -416,10 +448,14 @@ impl Uncertainty {
             said.extend(self.correction());
         }
         said.extend(self.accuracy_finding(f_tol));
+        said.extend(self.rough_cost());
         said.extend(self.not_at_minimum());
         said.extend(self.omitted.iter().map(|omitted| omitted.finding(&self.names)));
         said.extend(self.part_conflict.iter().map(|conflict| conflict.finding(&self.names)));
         said.extend(self.prior_conflicts.iter().map(|c| c.finding(&self.names[c.parameter])));
+        // What is known of the parameters alone explains the others.
+        let rest = said.iter_mut().filter(|finding| finding.origin == Origin::Problem);
+        rest.for_each(|finding| finding.origin = Origin::Residuals);
         said
     }
 }

@@ -159,7 +159,7 @@ impl Noise {
 impl Factors {
     /// By the singular values of the changes: combinations below the noise are left out.
     pub(crate) fn new(differences: &Differences, context: &RunContext<'_>) -> Result<Self, CalibrationError> {
-        let Differences { changes, steps, noise } = differences;
+        let Differences { changes, steps, noise, .. } = differences;
         let (m, p) = changes.shape();
         let Some(ThinSvd { u, values, v_t }) = thin_svd(changes, context)? else {
             return Ok(Self {
@@ -275,11 +275,8 @@ mod tests {
 
     fn line() -> Differences {
         // y = a + b t at t = 0, 1, 2, 3, with steps 2 and 0.5: (X'X)^-1 = [[0.7, -0.3], [-0.3, 0.2]].
-        Differences {
-            changes: DMatrix::from_fn(4, 2, |t, k| if k == 0 { 2.0 } else { 0.5 * t as f64 }),
-            steps: DMatrix::from_diagonal(&DVector::from_vec(vec![2.0, 0.5])),
-            noise: 1e-12,
-        }
+        let changes = DMatrix::from_fn(4, 2, |t, k| if k == 0 { 2.0 } else { 0.5 * t as f64 });
+        Differences::of(changes, DMatrix::from_diagonal(&DVector::from_vec(vec![2.0, 0.5])), 1e-12)
     }
 
     #[test]
@@ -309,9 +306,9 @@ mod tests {
         two.variances.iter().zip(variances).for_each(|(got, v)| assert!((got - v).abs() < 1e-15));
         assert!((factors.covariance(&two.variances, &RunContext::new()).unwrap() - &expected).amax() < 1e-14);
         // Triangles of the rows of each variance have the same.
-        let Differences { changes, steps, noise } = line();
+        let Differences { changes, steps, noise, .. } = line();
         let (changes, variances) = compressed(&changes, &two.variances, &RunContext::new()).unwrap();
-        let few = super::tests::factors(&Differences { changes, steps, noise });
+        let few = super::tests::factors(&Differences::of(changes, steps, noise));
         assert!((few.covariance(&variances, &RunContext::new()).unwrap() - expected).amax() < 1e-14);
     }
 
@@ -342,11 +339,10 @@ mod tests {
         // a + b up to noise, and c.
         let changes =
             DMatrix::from_fn(5, 3, |t, k| if k == 2 { t as f64 } else { 1.0 + 1e-9 * (t * t * k) as f64 });
-        let differences =
-            |noise| Differences { changes: changes.clone(), steps: DMatrix::identity(3, 3), noise };
+        let differences = |noise| Differences::of(changes.clone(), DMatrix::identity(3, 3), noise);
         assert_eq!(factors(&differences(1e-6)).is_undetermined, [true, true, false]);
         assert_eq!(factors(&differences(0.0)).is_undetermined, [false; 3]);
-        let none = Differences { changes: DMatrix::zeros(5, 1), steps: DMatrix::identity(1, 1), noise: 1e-9 };
+        let none = Differences::of(DMatrix::zeros(5, 1), DMatrix::identity(1, 1), 1e-9);
         assert_eq!(factors(&none).is_undetermined, [true]);
     }
 }

@@ -50,7 +50,9 @@ impl OutputEffectKind {
                 "is the zero of the sensor right, and its unit? A parameter with offset_of fits it"
             }
             Self::Factor => "are the unit and the gain of the sensor right?",
-            Self::Delay => "do inputs and outputs have the same clock? A parameter with delay_of fits it",
+            Self::Delay => {
+                "do inputs and outputs have the same clock? A parameter with delay_of fits it; delays that are known stand in delays"
+            }
             Self::Drift => "does the sensor drift? Leave the trend out",
         }
     }

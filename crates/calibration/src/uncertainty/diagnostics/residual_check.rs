@@ -1,7 +1,7 @@
 //! Checks of the residuals of each output: mean, autocorrelation, outliers, runs.
 
 use crate::error::CalibrationError;
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::{Finding, Origin, Severity};
 use crate::findings::shown_text::digits;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
 use crate::uncertainty::diagnostics::output_effect::OutputEffect;
@@ -136,7 +136,7 @@ impl ResidualCheck {
             };
             check.findings(&name, has_loss, has_errors)
         };
-        checks.iter().flat_map(of).collect()
+        checks.iter().flat_map(of).map(|finding| finding.of(Origin::Residuals)).collect()
     }
 
     fn findings(&self, name: &str, has_loss: bool, has_errors: bool) -> Vec<Finding> {

@@ -4,8 +4,9 @@ use super::{calibration, decay, fitted, k, noise, open, recording, sound, times,
 use calibration::dfo::{Limits, Loss, RobustLoss, RunOptions};
 use calibration::{
     Calibration, Compared, CostKind, CustomCost, Data, DataSplit, Experiment, Fit, FitOptions, OmittedKind,
-    OutputEffectKind, Parameter, SimulationSettings, UncertaintyOptions, Weight,
+    Origin, OutputEffectKind, Parameter, Severity, SimulationSettings, UncertaintyOptions, Weight,
 };
+use fmi::SimulateOptions;
 
 fn fitted_as(experiment: Experiment, options: FitOptions<'_>) -> Fit {
     calibration(vec![experiment], k(), SimulationSettings::default()).fit(options).unwrap()
@@ -24,6 +25,65 @@ fn outputs_that_a_fit_misses_are_named() {
     let other = t.iter().enumerate().map(|(i, t)| 5.0 + (7.0 * t).sin() + 0.1 * noise(i)).collect();
     let fit = fitted(recording(&t, other), k());
     assert!(warns(&fit.findings(), "the fit is worse than a constant"), "{fit}");
+    assert!(fit.is_success() && !fit.is_usable(), "{fit}");
+}
+
+#[test]
+fn a_recording_at_rest_beside_others_is_no_reason_not_to_use_a_fit() {
+    // Of the last part of the decay a constant is a better model than one with a small offset.
+    let (t, late) = (times(61, 0.05), times(161, 0.05));
+    let rest = late.iter().map(|t| if *t < 5.0 { f64::NAN } else { (-2.0 * t).exp() + 2e-4 }).collect();
+    let (moving, rest) = (recording(&t, decay(&t, 2.0, 1e-3)), recording(&late, rest));
+    let both = calibration(vec![moving, rest.clone()], k(), SimulationSettings::default());
+    let fit = both.fit(FitOptions::default()).unwrap();
+    assert!(fit.is_usable(), "{fit}");
+    let found = fit.findings();
+    assert!(warns(&found, "run2: output 'x' (column 'x'): the fit is worse than a constant"), "{fit}");
+    // Alone it is one.
+    assert!(!fitted(rest, k()).is_usable());
+}
+
+#[test]
+fn findings_that_explain_others_come_first() {
+    // 0 degC is 273.15 K: the parameter goes to its bound, and nothing is explained.
+    let t = times(61, 0.05);
+    let fit = fitted(recording(&t, decay(&t, 2.0, 1e-3).iter().map(|x| x + 273.15).collect()), k());
+    let origins: Vec<Origin> =
+        fit.findings().iter().filter(|f| f.severity != Severity::Note).map(|f| f.origin).collect();
+    assert!(origins.is_sorted() && origins[0] == Origin::Problem, "{fit}");
+    assert!(origins.contains(&Origin::Search) && origins.contains(&Origin::Residuals), "{fit}");
+    let first_note = fit.findings().iter().position(|f| f.severity == Severity::Note);
+    assert!(first_note.is_none_or(|k| fit.findings()[k..].iter().all(|f| f.severity == Severity::Note)));
+}
+
+/// A bouncing ball with the restitution 0.7, recorded with noise, and fitted from another.
+fn ball(output: &str, size: f64, start: f64) -> Fit {
+    let t = times(301, 0.01);
+    let options = SimulateOptions::new().times(t.clone()).outputs([output]).start_value("e", 0.7);
+    let ran = open("bouncing_ball").simulate(&options).unwrap();
+    let measured: Vec<f64> =
+        ran.get(output).unwrap().iter().enumerate().map(|(k, value)| value + size * noise(k)).collect();
+    let data = Data::from_columns(t, [(output.to_owned(), measured)]).unwrap();
+    let builder = Calibration::builder(open("bouncing_ball"))
+        .experiment(Experiment::new(data).output(output, output))
+        .parameter(Parameter::new("e", start).bounds(0.3, 0.95))
+        .parameter(Parameter::new("g", -9.8).bounds(-12.0, -8.0));
+    builder.build().unwrap().fit(FitOptions::default()).unwrap()
+}
+
+#[test]
+fn a_cost_that_is_not_smooth_is_named_where_a_local_search_has_ended_in_it() {
+    let said = "the cost is not smooth here";
+    // The height is smooth, the velocity jumps at impacts: a local search ends where a jump meets a row.
+    for start in [0.6, 0.699, 0.8] {
+        let fit = ball("h", 1e-2, start);
+        assert!((fit.x[0] - 0.7).abs() < 1e-2 && !warns(&fit.findings(), said), "{fit}");
+    }
+    let near = ball("v", 5e-2, 0.7);
+    assert!((near.x[0] - 0.7).abs() < 1e-3 && !warns(&near.findings(), said), "{near}");
+    let far = ball("v", 5e-2, 0.6);
+    let of_e = far.uncertainty.as_ref().unwrap().standard_errors[0];
+    assert!((far.x[0] - 0.7).abs() > 5.0 * of_e && warns(&far.findings(), said), "{far}");
 }
 
 #[test]

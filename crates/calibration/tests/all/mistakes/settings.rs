@@ -20,7 +20,10 @@ fn a_fixed_step_that_is_too_large_is_compared_with_half_of_it() {
     // At the start, with half the step, and between the rows.
     assert_eq!(check.n_evaluations, 3);
     let preflight = coarse.preflight(&calibration::PreflightOptions::default(), &RunContext::new()).unwrap();
-    assert!(preflight.is_step_halved && preflight.to_string().contains("with half the step: give a smaller"));
+    assert!(
+        preflight.is_step_halved
+            && preflight.to_string().contains("with half the step\n         -> give a smaller")
+    );
     assert!(preflight.parameters[0].has_effect);
     let fit = coarse.fit(FitOptions { preflight: true, ..FitOptions::default() }).unwrap();
     assert!(fit.report.is_success() && (fit.x[0] - 1.6).abs() < 0.1, "{fit}");

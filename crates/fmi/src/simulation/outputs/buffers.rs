@@ -397,6 +397,19 @@ impl OutputBuffers {
         reals.into_iter().all(|(now, then)| now.to_bits() == then.to_bits()) && self.words == self.kept.1
     }
 
+    /// Number of the numbers that are read.
+    pub(crate) fn n_numbers(&self) -> usize {
+        self.reals.len() + self.words.len()
+    }
+
+    /// True if one of the numbers read last is that which was kept, bit for bit.
+    pub(crate) fn is_as_kept(&self, number: usize) -> bool {
+        match number.checked_sub(self.reals.len()) {
+            None => self.reals[number].to_bits() == self.kept.0[number].to_bits(),
+            Some(word) => self.words[word] == self.kept.1[word],
+        }
+    }
+
     /// Puts the row together; times closer than `time_tolerance` are one.
     pub(crate) fn row(&self, plan: &OutputPlan, t: f64, time_tolerance: f64, x: &[f64], y: &mut [f64]) {
         for (column, value) in plan.columns.iter().zip(y.iter_mut()) {

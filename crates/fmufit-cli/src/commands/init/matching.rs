@@ -17,6 +17,8 @@ pub(super) struct Columns {
     pub(super) unmatched: Vec<(String, Vec<String>)>,
     /// Inputs that no column drives.
     pub(super) undriven: Vec<String>,
+    /// Variables of which the model states no unit, with the unit that their column states.
+    pub(super) without_unit: Vec<Pair>,
 }
 
 impl Columns {
@@ -43,6 +45,7 @@ impl Columns {
             inputs: inputs.to_vec(),
             unmatched: Vec::new(),
             undriven: Vec::new(),
+            without_unit: Vec::new(),
         };
         for name in data.names() {
             let column = stem(name, data);
@@ -65,6 +68,11 @@ impl Columns {
         let known = description.variables.iter().filter(|variable| variable.causality == Causality::Input);
         columns.undriven =
             known.map(|variable| variable.name.clone()).filter(|name| !is_driven(name)).collect();
+        let unit = |(variable, column): &Pair| {
+            let stated = description.variable(variable)?.unit.as_deref().unwrap_or_default();
+            data.unit(column).filter(|_| stated.is_empty()).map(|unit| (variable.clone(), unit.to_owned()))
+        };
+        columns.without_unit = columns.outputs.iter().chain(&columns.inputs).filter_map(unit).collect();
         Ok(columns)
     }
 

@@ -85,15 +85,40 @@ impl Proposed {
             };
         }
         let name = |k: &usize| preflight.parameters[*k].name.as_str();
-        let pair = |(one, other, correlation): &(usize, usize, f64)| {
-            format!(
-                "{} and {} move the outputs the same way (correlation {correlation:.2}): keep one of both",
-                name(one),
-                name(other)
-            )
+        let remark = |(group, correlation): (Vec<usize>, f64)| {
+            let names: Vec<&str> = group.iter().map(name).collect();
+            let correlation = format!("correlation {correlation:.2}");
+            match &names[..] {
+                [one, other] => {
+                    format!(
+                        "{one} and {other} move the outputs the same way ({correlation}): keep one of both"
+                    )
+                }
+                all => format!(
+                    "{} move the outputs alike ({correlation} and more): keep one of them",
+                    all.join(", ")
+                ),
+            }
         };
-        self.confounded = preflight.confounded.iter().map(pair).collect();
+        self.confounded = groups(&preflight.confounded).into_iter().map(remark).collect();
     }
+}
+
+/// Parameters that pairs connect, each with the smallest correlation in size of its pairs.
+fn groups(pairs: &[(usize, usize, f64)]) -> Vec<(Vec<usize>, f64)> {
+    let mut groups: Vec<(Vec<usize>, f64)> = Vec::new();
+    for (one, other, correlation) in pairs {
+        let (own, others): (Vec<_>, Vec<_>) =
+            groups.into_iter().partition(|(group, _)| group.contains(one) || group.contains(other));
+        let mut joined: Vec<usize> = own.iter().flat_map(|(group, _)| group).copied().collect();
+        joined.extend([*one, *other]);
+        joined.sort_unstable();
+        joined.dedup();
+        let least = own.iter().map(|(_, least)| *least).fold(correlation.abs(), f64::min);
+        groups = others;
+        groups.push((joined, least));
+    }
+    groups
 }
 
 /// A variable as a parameter of a fit; `None`: it is no single real number with a start value.

@@ -7,6 +7,9 @@ use calibration::{CostKind, FitOptions, SimulationSettings};
 use dfo::AnyMethod;
 use fmi::Fmu;
 
+/// So many parameters that are left out for one reason are named.
+const LISTED: usize = 12;
+
 /// The text; `paths` of model and recording as they stand in the file.
 pub(super) fn text(
     fmu: &Fmu,
@@ -79,21 +82,28 @@ pub(super) fn text(
             .to_owned(),
     );
     lines.extend(proposed.confounded.iter().map(|remark| format!("# {}", one_line(remark))));
-    let mut candidates: Vec<&Candidate> = proposed.candidates.iter().collect();
-    candidates.sort_by_key(|candidate| candidate.reason.is_some());
-    candidates.into_iter().for_each(|candidate| lines.extend(parameter(candidate)));
-    lines.extend(settings());
+    proposed.active().for_each(|candidate| lines.extend(parameter(candidate)));
+    lines.extend(left_out(&proposed.candidates));
+    lines.extend(settings(&columns.without_unit));
     lines.join("\n") + "\n"
 }
 
-/// The settings by their defaults, as comments.
-fn settings() -> Vec<String> {
+/// The settings by their defaults, as comments; `without_unit`: variables of which the model states no unit,
+/// and their columns do.
+fn settings(without_unit: &[Pair]) -> Vec<String> {
     let (settings, fit) = (SimulationSettings::default(), FitOptions::default());
     let tolerances = fit.run.tolerances;
     let objectives = CostKind::named().map(|kind| kind.name().to_owned()).collect::<Vec<_>>();
     let methods = AnyMethod::names().collect::<Vec<_>>().join(", ");
-    vec![
-        "[settings]".to_owned(),
+    let mut lines = vec!["[settings]".to_owned()];
+    if !without_unit.is_empty() {
+        lines.push(
+            "# The model states no unit of these; in which are its values? Columns are converted to it."
+                .to_owned(),
+        );
+        lines.push(format!("# {}", pairs("units", without_unit)));
+    }
+    lines.extend([
         format!(
             "# solver = \"{}\"             # the least work of all that are accurate enough",
             settings.run.method.name()
@@ -120,36 +130,50 @@ fn settings() -> Vec<String> {
         ),
         "# max_time = 600.0            # in s; max_evaluations, max_iterations, target".to_owned(),
         "# checkpoint = \"fit.ckpt\"     # fmufit resume continues from it".to_owned(),
-    ]
+    ]);
+    lines
 }
 
-/// The table of a parameter; as comments, where it is not to be fitted.
+/// Parameters that are not proposed, a line for each reason.
+fn left_out(candidates: &[Candidate]) -> Vec<String> {
+    let mut reasons: Vec<&str> = Vec::new();
+    for reason in candidates.iter().filter_map(|candidate| candidate.reason.as_deref()) {
+        if !reasons.contains(&reason) {
+            reasons.push(reason);
+        }
+    }
+    let line = |reason: &&str| {
+        let own = candidates.iter().filter(|candidate| candidate.reason.as_deref() == Some(*reason));
+        let names: Vec<&str> = own.map(|candidate| candidate.name.as_str()).collect();
+        let more = match names.len().saturating_sub(LISTED) {
+            0 => String::new(),
+            n => format!(" and {n} more (fmufit info --causality parameter)"),
+        };
+        let listed = names.iter().take(LISTED).copied().collect::<Vec<_>>().join(", ");
+        format!("# Left out, {}: {}{more}", one_line(reason), one_line(&listed))
+    };
+    let mut lines: Vec<String> = reasons.iter().map(line).collect();
+    if !lines.is_empty() {
+        lines.push(String::new());
+    }
+    lines
+}
+
+/// The table of a parameter.
 fn parameter(candidate: &Candidate) -> Vec<String> {
-    let Candidate { name, start, lower, upper, unit, description, reason } = candidate;
+    let Candidate { name, start, lower, upper, unit, description, reason: _ } = candidate;
     let unit = unit.as_ref().map(|unit| format!("in {}", one_line(unit)));
-    let said: Vec<String> = description
-        .as_deref()
-        .map(one_line)
-        .into_iter()
-        .chain(unit)
-        .chain(reason.as_deref().map(one_line))
-        .collect();
+    let said: Vec<String> = description.as_deref().map(one_line).into_iter().chain(unit).collect();
     let comment = if said.is_empty() { String::new() } else { format!("  # {}", said.join("; ")) };
     let [start, lower, upper] = [*start, *lower, *upper].map(Number);
-    let lines = [
+    vec![
         format!("[[parameters]]{comment}"),
         format!("name = {}", quoted(name)),
         format!("start = {start}"),
         format!("lower = {lower}"),
         format!("upper = {upper}"),
         String::new(),
-    ];
-    match reason {
-        None => lines.into(),
-        Some(_) => {
-            lines.into_iter().map(|line| if line.is_empty() { line } else { format!("# {line}") }).collect()
-        }
-    }
+    ]
 }
 
 fn pairs(name: &str, pairs: &[Pair]) -> String {

@@ -116,3 +116,10 @@ def pairs(argument: str, given: Mapping[str, object] | None) -> list[tuple[str, 
         raise TypeError(f"{argument} must be a dict of names and values, not {show(given)}")
     names(argument, list(given))
     return list(given.items())
+
+
+def values_or_file(argument: str, given: Mapping[str, object] | str | os.PathLike[str] | None) -> tuple[list[tuple[str, object]], str | None]:
+    """Names with values, or the path of an SSP parameter file."""
+    if isinstance(given, (str, os.PathLike)):
+        return [], os.fspath(given)
+    return pairs(argument, given), None

@@ -131,6 +131,8 @@ class Calibration(Evaluation):
     sandbox : bool
         Processes of the FMU can write into a folder of their own only, which is removed with them, and open no TCP connections
         (Linux with Landlock, TCP from 6.7 on; an error elsewhere).
+    units : dict of str to str, optional
+        Units of outputs and inputs of which the model states none: ``{"room.T": "K"}``. Columns that state a unit are converted to it.
     time : str, optional
         Name of the column of times, where it is not ``time``; its unit may be left out.
     mask : array of bool or str, optional
@@ -171,7 +173,7 @@ class Calibration(Evaluation):
         window: tuple[float, float] | None = None,
         timeout: SupportsFloat | None = None,
         weights: Weights | None = None,
-        start_values: Mapping[str, Any] | None = None,
+        start_values: Mapping[str, Any] | str | os.PathLike[str] | None = None,
         relative_tolerance: SupportsFloat | None = None,
         solver: str = "auto",
         step_size: SupportsFloat | None = None,
@@ -186,6 +188,7 @@ class Calibration(Evaluation):
         memory_limit: SupportsFloat | None = None,
         sandbox: bool = False,
         interior_samples: SupportsIndex | None = None,
+        units: Mapping[str, str] | None = None,
         initial_states: Mapping[str, SupportsFloat | str | Parameter] | None = None,
         windows: Sequence[tuple[float, float]] | None = None,
         warm_up: SupportsFloat | None = None,
@@ -232,6 +235,7 @@ class Calibration(Evaluation):
             "isolation": isolation,
             "memory_limit": memory_limit,
             "sandbox": sandbox,
+            "units": dict(units or {}),
         }
         self._model = path_of(model)
         self._opened: OpenOptions | None = getattr(model, "_opened", None)
@@ -515,7 +519,7 @@ class Calibration(Evaluation):
         Returns
         -------
         Check
-            A sequence of findings, the gravest first, which prints as a table; its ``ok`` says whether there are neither errors nor warnings.
+            A sequence of findings, causes and the gravest first, which prints as a table; its ``ok`` says whether there are neither errors nor warnings.
 
         Examples
         --------

@@ -12,7 +12,7 @@ class Finding(NamedTuple):
     """Something that `Calibration.check` has found, or that is to be said of a fit or a validation."""
 
     severity: str
-    """"error": nothing can be fitted as it is; "warning": it is likely not what is meant, or a value is not to be relied on; "note":
+    """"error": nothing can be fitted as it is, or the result of a fit is not to be used; "warning": it is likely not what is meant, or a value is not to be relied on; "note":
     worth knowing."""
     subject: str
     """What it is about: a recording, a column, a variable, a parameter."""
@@ -20,10 +20,13 @@ class Finding(NamedTuple):
     """What was found, with its numbers."""
     remedy: str
     """What to do about it; may be empty."""
+    origin: str
+    """"problem" (model, recording, units, settings), "search" (where the parameters and the search ended) or "residuals" (residuals and
+    standard errors): the former explain the latter, and stand before them."""
 
 
 class Check(Sequence[Finding]):
-    """What `Calibration.check` has found, the gravest first: a sequence of `Finding`, true in a condition if there are any, notes
+    """What `Calibration.check` has found, causes and the gravest first, notes last: a sequence of `Finding`, true in a condition if there are any, notes
     included; ``print(check)`` shows a table.
 
     Attributes

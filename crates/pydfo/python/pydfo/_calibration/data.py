@@ -95,7 +95,7 @@ def _selected(source: _data_files.Columns, needed: list[str], time: str | None) 
     # One after the other: no array that is made for it outlives its copy.
     columns = ((name, _numbers(name, table[name]) if name != at or durations is None else durations) for name in taken)
     left_out = [name for name in names if name not in taken]
-    return Table(None, _core.Table(columns, at, left_out, change), None)
+    return Table(None, _core.Table(columns, at, left_out, change, durations is not None), None)
 
 
 def _columns(data: Any) -> dict[str, Any]:

@@ -46,9 +46,9 @@ class Experiment:
         Per output, what its residuals are multiplied with: a number, or one number per measurement: a column, or an array as long as
         the recording (of Booleans: a mask). Measurements with the weight 0 do not count. "range", "mean" or "sd" weighs each output by
         the inverse of the range, mean or standard deviation of what was measured in the whole recording.
-    start_values : dict, optional
+    start_values : dict or path, optional
         Values of other parameters and start values of variables in this experiment, by name; of a local parameter, where
-        its search starts here.
+        its search starts here. Or the path of an SSP parameter file (``.ssv``), of which those that are fitted or driven do not count.
     start_time : float, optional
         Where the simulation starts, in s.
     time : str, optional
@@ -103,6 +103,7 @@ class Experiment:
     outputs: list[tuple[str, str, Weight]]
     inputs: list[tuple[str, Source]]
     start_values: list[tuple[str, Any]]
+    parameter_set: str | None
     initial_states: list[tuple[str, float | str | Parameter]]
     windows: list[tuple[float, float]]
     warm_up: float | None
@@ -122,7 +123,7 @@ class Experiment:
         *,
         window: tuple[float, float] | None = None,
         weights: Weights | None = None,
-        start_values: Mapping[str, Any] | None = None,
+        start_values: Mapping[str, Any] | str | os.PathLike[str] | None = None,
         start_time: SupportsFloat | None = None,
         time: str | None = None,
         name: str | None = None,
@@ -163,7 +164,9 @@ class Experiment:
             put(self, "time", table.time)
             put(self, "outputs", weighed)
             put(self, "inputs", driven)
-            put(self, "start_values", _values.pairs("start_values", start_values))
+            values, file = _values.values_or_file("start_values", start_values)
+            put(self, "start_values", values)
+            put(self, "parameter_set", file)
             put(self, "initial_states", states(initial_states))
             put(self, "windows", intervals(window, windows))
             put(self, "warm_up", _values.optional_number("warm_up", warm_up))

@@ -101,6 +101,7 @@ _UNKNOWN: dict[str, Any] = {
     **dict.fromkeys(("noise", "tolerance", "stats", "preflight", "uncertainty", "start_cost", "start_rms")),
     **{name: [] for name in ("stages", "findings", "outputs", "without_effect")},
     "success": False,
+    "usable": True,
     "at_bound": {},
     "n_checks": 0,
     "objective": "",
@@ -164,9 +165,11 @@ class Fit(OptimizeResult):
     message : str
         How the search ended, in one sentence. What is to be said of the result is among the `findings`.
     findings : list of Finding
-        What is to be said of the fit, the gravest first, with a severity ("error", "warning", "note"): parameters at a bound or without
-        effect, what `Calibration.check` finds, judged again with the fitted values, what the data cannot tell, what the residuals look
-        like.
+        What is to be said of the fit, with a severity ("error", "warning", "note"), causes first, notes last: what `Calibration.check`
+        finds, judged again with the fitted values, parameters at a bound or without effect, what the data cannot tell, what the
+        residuals look like.
+    usable : bool
+        Whether no finding is an error, such as a simulation that is worse than a constant; ``success`` says how the search ended.
     cov, cov_message
         The covariance of `uncertainty` and what is to be said of it.
     stats : SimulationStats or None
@@ -183,6 +186,7 @@ class Fit(OptimizeResult):
     at_bound: dict[str, str]
     without_effect: list[str]
     n_checks: int
+    usable: bool
     # The page that shows it, see `Calibration.fit`.
     _page: _core.LivePage | None = None
 

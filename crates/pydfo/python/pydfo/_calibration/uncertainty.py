@@ -195,8 +195,8 @@ class Preflight:
         A rule of thumb for least squares: 12 for each free parameter and one more.
     workers : int
         Evaluations that may run at once.
-    messages : list of str
-        What is to be said, in sentences; empty if nothing is.
+    findings : list of Finding
+        What is to be said, causes first; empty if nothing is.
     n_simulations : int
         Points that were simulated.
     """
@@ -208,11 +208,11 @@ class Preflight:
     expected_evaluations: int
     expected_seconds: float
     workers: int
-    messages: list[str]
     n_simulations: int
 
     def __init__(self, fields: dict[str, Any]) -> None:
         vars(self).update({name: fields[name] for name in Preflight.__annotations__})
+        self.findings = [Finding(**finding) for finding in fields["findings"]]
         self.parameters = [ParameterCheck(**check) for check in fields["parameters"]]
         names = [check.name for check in self.parameters]
         self.confounded = [(names[i], names[j], correlation) for i, j, correlation in fields["confounded"]]

@@ -50,6 +50,7 @@ class Request(NamedTuple):
     record_events: bool
     between_steps: str
     isolation: str
+    parameter_set: str | None
 
 
 LOG_LEVELS = ("nothing", "fatal", "error", "warning", "info", "verbose", "debug", "all")
@@ -276,7 +277,7 @@ class FMUModel:
         times: npt.ArrayLike | None = None,
         output_interval: SupportsFloat | None = None,
         ncp: SupportsFloat | None = None,
-        start_values: Mapping[str, object] | None = None,
+        start_values: Mapping[str, object] | PathLike | None = None,
         clock_intervals: Mapping[str, SupportsFloat | tuple[int, int]] | None = None,
         relative_tolerance: SupportsFloat | None = None,
         solver: str = "auto",
@@ -339,8 +340,8 @@ class FMUModel:
         ncp : int, optional
             Number of intervals between the rows; default 500. At most one of `times`, `output_interval` and `ncp` may be
             given.
-        start_values : dict of str to value, optional
-            Values for this simulation only, on top of those set.
+        start_values : dict of str to value, or path, optional
+            Values for this simulation only, on top of those set; or the path of an SSP parameter file (``.ssv``).
         clock_intervals : dict of str to float or tuple of int, optional
             Intervals in s between the ticks of input clocks whose intervals are fixed or tunable (FMI 3.0); a tuple is a
             fraction, counter and resolution.
@@ -408,6 +409,7 @@ class FMUModel:
         Exception
             Whatever an input function raises comes out as it is.
         """
+        values, parameter_set = _options.values_or_file("start_values", start_values)
         tables, functions = _inputs.normalize(inputs, self._fmu) if inputs is not None else ([], [])
         request = Request(
             start_time=_values.optional_number("start_time", start_time),
@@ -415,7 +417,7 @@ class FMUModel:
             times=None if times is None else _values.vector("times", times),
             output_interval=_values.optional_number("output_interval", output_interval),
             ncp=_values.limit("ncp", ncp, 1),
-            start_values=_values.pairs("start_values", start_values),
+            start_values=values,
             clock_intervals=_intervals(clock_intervals),
             outputs=self._outputs(outputs),
             tables=tables,
@@ -433,6 +435,7 @@ class FMUModel:
             record_events=_values.flag("record_events", record_events),
             between_steps=_values.choice("between_steps", between_steps),
             isolation=_values.choice("isolation", isolation),
+            parameter_set=parameter_set,
         )
         result = SimulationResult(**self._model.simulate(request))
         if len(result.time) and (said := _inputs.held_beyond(tables, float(result.time[0]), float(result.time[-1]))):

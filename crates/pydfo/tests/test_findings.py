@@ -1,0 +1,89 @@
+"""What a fit says of its result: causes before what follows from them, whether it is to be used; units that a model does not state; start
+values from SSP parameter files."""
+
+import datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pydfo
+
+TIMES = np.linspace(0, 3, 61)
+K = pydfo.Parameter("k", 1.5, 0.1, 10)
+
+
+def decay(**columns: object) -> dict[str, object]:
+    return {"time": TIMES, **columns}
+
+
+def fitted(columns: dict[str, object], parameter: pydfo.Parameter = K, **options: object) -> pydfo.Fit:
+    return pydfo.Calibration(pydfo.example_fmu("dahlquist"), columns, ["x"], [parameter], **options).fit()
+
+
+def test_causes_come_first_and_a_fit_worse_than_a_constant_is_not_to_be_used() -> None:
+    good, off = (fitted(decay(x=np.exp(-2 * TIMES) + shift)) for shift in (0, 273.15))
+    assert good.usable and good.success
+    assert off.success and not off.usable
+    grave = [finding for finding in off.findings if finding.severity != "note"]
+    order = ["problem", "search", "residuals"]
+    assert [finding.origin for finding in grave] == sorted((finding.origin for finding in grave), key=order.index)
+    assert grave[0].origin == "problem" and "another unit?" in grave[0].sentence
+    assert [finding.subject for finding in grave if finding.severity == "error"] == ["output 'x' (column 'x')"]
+    assert str(off).splitlines()[1].startswith("The fit converged, but its result is not to be used: RMS")
+
+
+def test_units_that_the_model_does_not_state() -> None:
+    columns = decay(**{"x [mm]": 1e3 * np.exp(-2 * TIMES)})
+    with pytest.warns(pydfo.CalibrationWarning, match="the setting units states it"):
+        assert not fitted(columns).usable
+    fit = fitted(columns, units={"x": "m"})
+    assert fit.parameters["k"] == pytest.approx(2, rel=1e-5) and fit.outputs[0].unit == "m"
+    for units, error, said in [
+        ({"x": "K"}, ValueError, "mm"),
+        ({"x": "mx"}, ValueError, "units: 'x'"),
+        ({"z": "m"}, KeyError, "z"),
+        ({"x": 1}, (TypeError, ValueError), "units"),
+    ]:
+        with pytest.raises(error, match=said):
+            fitted(columns, units=units)
+
+
+def test_start_values_from_a_parameter_set(tmp_path: Path) -> None:
+    path = tmp_path / "set.ssv"
+    fit = fitted(decay(x=np.exp(-2 * TIMES)))
+    fit.export_ssv(path)
+    model = pydfo.FMUModel(pydfo.example_fmu("dahlquist"))
+    by_file = model.simulate(final_time=1, ncp=4, start_values=path)
+    by_name = model.simulate(final_time=1, ncp=4, start_values={"k": fit.parameters["k"]})
+    assert np.array_equal(by_file["x"], by_name["x"]) and by_file["x"][-1] == pytest.approx(np.exp(-2), rel=1e-4)
+    # Where k is fitted it does not count; where x(0) is, k is that of the file.
+    assert fitted(decay(x=np.exp(-2 * TIMES)), start_values=path).x.tobytes() == fit.x.tobytes()
+    start = fitted(decay(x=3 * np.exp(-2 * TIMES)), pydfo.Parameter("x", 1, 0, 10), start_values=str(path))
+    assert start.parameters["x"] == pytest.approx(3, rel=1e-4)
+    path.write_text("k = 2")
+    with pytest.raises(ValueError, match="set.ssv"):
+        model.simulate(final_time=1, start_values=path)
+    with pytest.raises(FileNotFoundError):
+        model.simulate(final_time=1, start_values=tmp_path / "none.ssv")
+
+
+def test_dates_have_no_other_unit() -> None:
+    # A recording of 1000 s for a model that suggests 10 s, with a simulation that does not follow it.
+    seconds = np.arange(0, 1000.0, 10)
+    measured = np.cos(seconds / 50)
+    check = {
+        name: pydfo.Calibration(pydfo.example_fmu("dahlquist"), {"time": times, "x": measured}, ["x"], [K]).check()
+        for name, times in {
+            "numbers": seconds,
+            "dates": [datetime.datetime(2025, 1, 14) + datetime.timedelta(seconds=s) for s in seconds],
+            "texts": [str(np.datetime64("2025-01-14T06:00:00") + np.timedelta64(int(s), "s")) for s in seconds],
+        }.items()
+    }
+    said = {name: [finding.remedy for finding in found if "time [" in finding.remedy] for name, found in check.items()}
+    assert said["numbers"] and not said["dates"] and not said["texts"], check
+
+
+def test_a_delay_of_several_outputs_says_what_there_is() -> None:
+    with pytest.raises((TypeError, ValueError), match="delay_of names one output or input.*delays"):
+        pydfo.Parameter("tau", 0.1, 0, 1, delay_of=["x", "y"])  # type: ignore[arg-type]
