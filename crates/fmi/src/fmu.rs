@@ -29,6 +29,16 @@ const STALE_OUTPUTS: &str = "variables read at a new point are those of an earli
 const OUTPUTS_OF_STEPS: &str = "variables read at a new point are those of an earlier one until a step is completed there: one is \
                                 completed at every row";
 
+const LATE_INDICATORS: &str = "event indicators at a new point are those of an earlier one until a step is completed there: events are found late \
+                               or not at all; a smaller max_step finds more";
+
+/// What is done before variables are read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct BeforeReading {
+    pub(crate) step_completed: bool,
+    pub(crate) derivatives: bool,
+}
+
 /// An opened FMU. Clones share everything and are cheap.
 ///
 /// Opening reads the description and no other file of it. The first instance unpacks what the library may
@@ -57,6 +67,7 @@ struct Inner {
     quirks_seen: Mutex<Vec<Quirk>>,
     /// Variables are those of a point once a step is completed there.
     reads_at_steps: AtomicBool,
+    reads_with_derivatives: AtomicBool,
     /// A run has come to its end in this process, so that it is known where variables can be read.
     has_run: AtomicBool,
     /// Subjects of messages that simulations have logged; each is logged once.
@@ -151,6 +162,7 @@ impl Fmu {
             real_references: OnceLock::new(),
             quirks_seen: Mutex::default(),
             reads_at_steps: AtomicBool::new(false),
+            reads_with_derivatives: AtomicBool::new(false),
             has_run: AtomicBool::new(false),
             said: Mutex::default(),
             workers: Mutex::default(),
@@ -353,15 +365,29 @@ impl Fmu {
         self.note_quirk(QuirkKind::Promise, STALE_OUTPUTS);
     }
 
+    /// The same of a variable that was at rest in the first samples of a run, whose rows may be wrong.
+    pub(crate) fn note_outputs_of_derivatives(&self) {
+        self.inner.reads_with_derivatives.store(true, Ordering::Relaxed);
+        self.note_stale_outputs();
+    }
+
+    /// Notes that event indicators are computed when a step is completed only.
+    pub(crate) fn note_late_indicators(&self) {
+        self.note_quirk(QuirkKind::Promise, LATE_INDICATORS);
+    }
+
     /// Notes that variables are computed when a step is completed only.
     pub(crate) fn note_outputs_of_steps(&self) {
         self.inner.reads_at_steps.store(true, Ordering::Relaxed);
         self.note_quirk(QuirkKind::Promise, OUTPUTS_OF_STEPS);
     }
 
-    /// True if a step is completed before every reading, because the FMU computes its variables only then.
-    pub(crate) fn reads_at_steps(&self) -> bool {
-        self.inner.reads_at_steps.load(Ordering::Relaxed)
+    /// What is done before every reading, because the FMU computes its variables only then.
+    pub(crate) fn before_reading(&self) -> BeforeReading {
+        BeforeReading {
+            step_completed: self.inner.reads_at_steps.load(Ordering::Relaxed),
+            derivatives: self.inner.reads_with_derivatives.load(Ordering::Relaxed),
+        }
     }
 
     /// Notes that a run has come to its end.
@@ -375,13 +401,15 @@ impl Fmu {
         self.inner.has_run.load(Ordering::Relaxed)
     }
 
-    /// Makes a simulation, and once more if it has found out that its rows were read too early
+    /// Makes a simulation, and once more where it has found out that its rows were read too early
     /// ([`FmiError::ReadBetweenSteps`]).
     pub fn repeat_if_read_early<T, E>(&self, mut simulate: impl FnMut() -> Result<T, E>) -> Result<T, E> {
-        let known = self.reads_at_steps();
-        match simulate() {
-            Err(_) if self.reads_at_steps() != known => simulate(),
-            outcome => outcome,
+        loop {
+            let known = self.before_reading();
+            match simulate() {
+                Err(_) if self.before_reading() != known => {}
+                outcome => return outcome,
+            }
         }
     }
 

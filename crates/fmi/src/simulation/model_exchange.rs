@@ -55,7 +55,7 @@ impl System {
             sent: Vec::with_capacity(plan.inputs.continuous.start().len()),
             set_time: None,
             set_states: None,
-            reader: OutputReader::new(n),
+            reader: OutputReader::new(n, plan.n_indicators),
             states: vec![0.0; n],
             last_time: plan.start,
             last_states: vec![0.0; n],
@@ -567,6 +567,8 @@ impl HybridSystem for Integration<'_> {
         self.set_time = outcome.terminate.then_some(seen);
         self.set_states = outcome.terminate.then_some(());
         self.states.copy_from_slice(x);
+        let System { reader, running, .. } = &mut *self.system;
+        reader.after_event(running);
         Ok(outcome)
     }
 

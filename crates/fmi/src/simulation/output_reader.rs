@@ -55,6 +55,12 @@ pub(crate) struct OutputReader {
     unseen: Vec<(usize, u32)>,
     /// One of these has changed since it was last compared.
     has_moved: bool,
+    /// Events so far.
+    n_events: u64,
+    /// The event indicators when a step was completed last, and before and after that of this one.
+    indicators: [Vec<f64>; 3],
+    /// Steps at whose end they were those of the step before until it was completed.
+    n_late_indicators: u32,
     /// The answers to steps completed at rows, for the end of the step.
     row_actions: StepAction,
     /// The derivatives were computed at the point last set.
@@ -64,12 +70,15 @@ pub(crate) struct OutputReader {
 }
 
 impl OutputReader {
-    pub(crate) fn new(n_states: usize) -> Self {
+    pub(crate) fn new(n_states: usize, n_indicators: usize) -> Self {
         Self {
             freshness: Freshness::default(),
             row_points: RowPoints::Open(0),
             unseen: Vec::new(),
             has_moved: false,
+            n_events: 0,
+            indicators: std::array::from_fn(|_| vec![f64::NAN; n_indicators]),
+            n_late_indicators: 0,
             row_actions: StepAction::default(),
             is_evaluated: false,
             unused: vec![0.0; n_states],
@@ -78,9 +87,16 @@ impl OutputReader {
 
     /// A run begins.
     pub(crate) fn begin(&mut self, running: &Running) {
-        self.freshness = Freshness::default();
+        let before = running.plan.fmu().before_reading();
+        self.freshness = match before.derivatives {
+            true => Freshness::WithDerivatives,
+            false => Freshness::default(),
+        };
+        self.n_events = 0;
+        self.n_late_indicators = 0;
+        self.indicators[0].fill(f64::NAN);
         self.row_actions = StepAction::default();
-        self.row_points = match running.plan.fmu().reads_at_steps() {
+        self.row_points = match before.step_completed {
             true => RowPoints::CompletedSteps,
             false => RowPoints::Open(0),
         };
@@ -125,15 +141,34 @@ impl OutputReader {
             }
             Freshness::Open(good) => return self.compare(running, good),
         }
-        if is_watched {
-            self.watch(running);
+        if is_watched && self.watch(running) && !self.is_evaluated {
+            self.evaluate(running)?;
+            // Rows before this one may have been read too early.
+            if reads_other(running)? {
+                running.plan.fmu().note_outputs_of_derivatives();
+                return Err(CallError::failed(FmiError::ReadBetweenSteps));
+            }
         }
         Ok(())
     }
 
     /// Notes if a variable has changed that is not known to be the same before and after the end of a step.
-    fn watch(&mut self, running: &Running) {
-        self.has_moved |= self.unseen.iter().any(|(number, _)| !running.buffers.is_as_kept(*number));
+    fn watch(&mut self, running: &Running) -> bool {
+        let moves = self.unseen.iter().any(|(number, _)| !running.buffers.is_as_kept(*number));
+        self.has_moved |= moves;
+        moves
+    }
+
+    /// An event has happened: a model may compute its variables in another way from now on. They are looked at
+    /// again where they move next, after the first, second, fourth, eighth ... event.
+    pub(crate) fn after_event(&mut self, running: &Running) {
+        self.n_events += 1;
+        self.indicators[0].fill(f64::NAN);
+        if self.n_events.is_power_of_two() && matches!(self.row_points, RowPoints::Any | RowPoints::Watched) {
+            self.row_points = RowPoints::Watched;
+            self.unseen.clear();
+            self.unseen.extend((0..running.buffers.n_numbers()).map(|number| (number, GOOD_STEPS - 1)));
+        }
     }
 
     /// Reads the outputs, computes the derivatives and reads them again.
@@ -179,7 +214,11 @@ impl OutputReader {
             let moved = self.unseen.iter_mut().filter(|(number, _)| !buffers.is_as_kept(*number));
             moved.for_each(|(_, times)| *times += 1);
         }
+        let before = self.read_indicators(running, 1);
         let action = completed(running)?;
+        if before && !action.event && self.read_indicators(running, 2) {
+            self.compare_indicators(running);
+        }
         if action.event || action.terminate || has_changed.is_none() {
             return Ok(action);
         }
@@ -197,6 +236,27 @@ impl OutputReader {
             };
         }
         Ok(action)
+    }
+}
+
+impl OutputReader {
+    /// Reads the event indicators; false if there are none to be had.
+    fn read_indicators(&mut self, running: &mut Running, which: usize) -> bool {
+        let indicators = &mut self.indicators[which];
+        !indicators.is_empty() && running.current.call(|raw| raw.get_event_indicators(indicators)).is_ok()
+    }
+
+    /// Notes a model whose indicators at the end of a step are those of the step before until it is completed.
+    fn compare_indicators(&mut self, running: &Running) {
+        let [last, before, after] = &self.indicators;
+        let is_late = |((last, before), after): ((&f64, &f64), &f64)| before == last && after != before;
+        if last.iter().zip(before).zip(after).any(is_late) {
+            self.n_late_indicators += 1;
+            if self.n_late_indicators == GOOD_STEPS - 1 {
+                running.plan.fmu().note_late_indicators();
+            }
+        }
+        self.indicators.swap(0, 2);
     }
 }
 

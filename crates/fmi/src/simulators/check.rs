@@ -62,8 +62,8 @@ impl Simulator {
     /// Begins to note what the coming run answers, where it is not known yet how instances are brought back.
     pub(super) fn begin_first(&mut self, parameters: &[f64], wants_steps: bool) -> Option<Box<FirstRun>> {
         // A run whose rows were read in another way is none to compare with.
-        let reads_at_steps = self.plan.fmu().reads_at_steps();
-        self.first = self.first.take().filter(|first| first.reads_at_steps == reads_at_steps);
+        let before_reading = self.plan.fmu().before_reading();
+        self.first = self.first.take().filter(|first| first.before_reading == before_reading);
         if self.first.is_some() || self.reuse().is_some() {
             return None;
         }
@@ -80,7 +80,7 @@ impl Simulator {
             return Ok(Checks::default());
         }
         let Some(mut first) = self.first.take() else { return Ok(Checks::default()) };
-        if first.reads_at_steps != self.plan.fmu().reads_at_steps() {
+        if first.before_reading != self.plan.fmu().before_reading() {
             return Ok(Checks::default());
         }
         let plan = Arc::clone(&self.plan);

@@ -1,6 +1,7 @@
 //! A run on a new instance, with which those of a check are compared; when a check is due, and how long its
 //! runs are.
 
+use crate::fmu::BeforeReading;
 use crate::simulation::digest::Digest;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::Running;
@@ -28,7 +29,7 @@ pub(super) struct FirstRun {
     pub(super) wants_steps: bool,
     pub(super) digest: Digest,
     /// Its rows were read as those of later runs are.
-    pub(super) reads_at_steps: bool,
+    pub(super) before_reading: BeforeReading,
     n_steps: u64,
     /// Seconds of its start, and of all of it.
     starting: f64,
@@ -45,7 +46,7 @@ impl FirstRun {
             parameters: parameters.to_vec(),
             wants_steps,
             digest: Digest::default(),
-            reads_at_steps: plan.fmu().reads_at_steps(),
+            before_reading: plan.fmu().before_reading(),
             n_steps: 0,
             starting: 0.0,
             took: 0.0,

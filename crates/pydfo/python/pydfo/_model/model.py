@@ -409,7 +409,7 @@ class FMUModel:
         Exception
             Whatever an input function raises comes out as it is.
         """
-        values, parameter_set = _options.values_or_file("start_values", start_values)
+        values, parameter_set = _values.values_or_file("start_values", start_values)
         tables, functions = _inputs.normalize(inputs, self._fmu) if inputs is not None else ([], [])
         request = Request(
             start_time=_values.optional_number("start_time", start_time),
