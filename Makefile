@@ -60,6 +60,7 @@ bench: build benches/env/.venv/.done  ## side by side with the peers, in one run
 	benches/env/.venv/bin/python benches/two_recordings.py
 	benches/env/.venv/bin/python benches/open_large.py
 	benches/env/.venv/bin/python benches/dae.py
+	benches/env/.venv/bin/python benches/instructions.py --few 10 --many 40 --compare
 	cargo bench --workspace
 
 bench-dfo: benches/env/.venv/.done  ## the optimisers beside their peers; BENCH_DFO="--set more-wild" for a part

@@ -1,10 +1,12 @@
 """Instructions that an evaluation of a cost takes, by where they are: in the FMU's library, in libm, in ours by source file.
 
     python benches/instructions.py [--cases furuta,...] [--solvers tsit5,...] [--few 20 --many 120] [--files 25] [--functions 0]
+                                   [--compare | --write]
 
 Runs `cargo bench --bench evaluations` under callgrind with two numbers of evaluations; what differs between
 the two runs, divided by the difference of the numbers, is an evaluation without opening, loading and the first runs. Counts of
-instructions hardly depend on the load of the machine. Needs valgrind.
+instructions hardly depend on the load of the machine. Needs valgrind. `--compare` fails where ours are more by 2 % than those in
+`benches/instructions.json`, which `--write` keeps: they are of one compiler, so another one may ask for writing them anew.
 """
 
 import argparse
@@ -12,12 +14,16 @@ import collections
 import json
 import pathlib
 import re
+import shutil
 import subprocess
 import tempfile
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 CASES = ("furuta", "van_der_pol", "van_der_pol_fmi3", "bouncing_ball", "van_der_pol_co_simulation")
 SOLVERS = ("tsit5", "dop853", "radau5", "bdf", "auto")
+KEPT = ROOT / "benches" / "instructions.json"
+#: More than this part more is a regression.
+TOLERANCE = 0.02
 
 
 def build(target):
@@ -96,7 +102,14 @@ def main():
     parser.add_argument("--functions", type=int, default=0, help="so many functions of ours")
     parser.add_argument("--target-dir")
     parser.add_argument("--program", help="the bench, if it is built already")
+    parser.add_argument("--compare", action="store_true", help=f"with {KEPT.name}")
+    parser.add_argument("--write", action="store_true", help=f"{KEPT.name}")
     arguments = parser.parse_args()
+    if shutil.which("valgrind") is None:
+        print("instructions are not counted: there is no valgrind")
+        return
+    kept = json.loads(KEPT.read_text()) if KEPT.exists() else {}
+    missed = []
     bench = arguments.program or build(arguments.target_dir)
     print("Thousands of instructions of an evaluation; what libc does for the model counts there.\n")
     print("| case | solver | model | libm | ours | ours / (model + libm) | cost |\n|---|---|---|---|---|---|---|")
@@ -111,12 +124,20 @@ def main():
                     files[re.sub(r".*/(crates|rustc|registry/src)/", "", file)] += n
                     functions[function] += n
             where["ours"] += where["libc"]
+            name, ours = f"{case} {solver}", round(where["ours"] / 1e3)
+            if arguments.compare and ours > (1 + TOLERANCE) * kept.get(name, ours):
+                missed.append(f"{name}: {ours} thousand instructions of ours, {kept[name]} were kept")
+            kept[name] = ours
             row = " | ".join(f"{where[key] / 1e3:.0f}" for key in ("model", "libm", "ours"))
             ratio = where["ours"] / (where["model"] + where["libm"])
             print(f"| {case} | {solver} | {row} | {ratio:.2f} | {cost} |", flush=True)
             for list_, most in ((files, arguments.files), (functions, arguments.functions)):
                 for name, n in list_.most_common(most):
                     print(f"    {n / 1e3:9.1f}  {name[:150]}")
+    if arguments.write:
+        KEPT.write_text(json.dumps(kept, indent=1) + "\n")
+    if missed:
+        raise SystemExit("\n".join(missed))
 
 
 if __name__ == "__main__":

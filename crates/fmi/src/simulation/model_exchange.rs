@@ -142,7 +142,7 @@ impl System {
         x: &[f64],
         call: impl FnOnce(&mut RawInstance, f64) -> Result<(), Fault>,
     ) -> CallResult<bool> {
-        let time = t.max(self.floor);
+        let time = if t > self.floor { t } else { self.floor };
         let is_set = self.set_time.is_some_and(|set| same_bits(set, time));
         if is_set || !self.is_point_of_states {
             return Ok(false);

@@ -36,6 +36,10 @@ const ENDLESS: f64 = 10.0;
 const EVALUATIONS_PER_QUESTION: usize = 5;
 const FEWEST_QUESTIONS: usize = 3;
 
+/// Simulations that take no longer together are made one after the other: to start a process and threads
+/// takes 1 to 2 ms.
+const FEW_SECONDS: f64 = 3e-3;
+
 impl Calibration {
     /// The fit of which the searches are made, with the residuals that they have computed, by the weights of
     /// this calibration. `own`: that with the weights and the tolerance of the fit; `stats`: what the
@@ -314,7 +318,10 @@ impl Calibration {
         if !is_over(&report.termination) || job.context.is_over() {
             return None;
         }
-        let workers = options.workers.or(job.run.workers).unwrap_or(1);
+        // Two for each parameter, and an accurate one.
+        let work = stats.seconds.get() / stats.runs.max(1) as f64 * (2 * self.parameters().len() + 2) as f64;
+        let workers = if work < FEW_SECONDS { Some(1) } else { options.workers.or(job.run.workers) };
+        let workers = workers.unwrap_or(1);
         let mut simulations = Simulations::new(self, RobustLoss::default(), workers, &job.context).ok()?;
         let is_likelihood = job.objective.is_likelihood();
         let criterion = UncertaintyOptions { loss: job.loss, is_likelihood, ..options.clone() }.criterion();

@@ -74,14 +74,26 @@ struct Likelihood {
 }
 
 impl Likelihood {
-    fn sum(&self, at: &[(f64, f64)]) -> DMatrix<f64> {
-        let forms = self.forms.iter().zip(at);
-        forms.fold(self.rest.clone(), |sum, (form, (ln, z))| sum + form.at(*z) * (-ln).exp())
+    /// Z'R^-1 Z of each group.
+    fn products(&self, at: &[(f64, f64)]) -> Vec<DMatrix<f64>> {
+        self.forms.iter().zip(at).map(|(form, (_, z))| form.at(*z)).collect()
+    }
+
+    fn sum(&self, products: &[DMatrix<f64>], at: &[(f64, f64)]) -> DMatrix<f64> {
+        products.iter().zip(at).fold(self.rest.clone(), |mut sum, (product, (ln, _))| {
+            let factor = (-ln).exp();
+            sum.zip_apply(product, |sum, own| *sum += own * factor);
+            sum
+        })
     }
 
     /// Its logarithm; minus infinity where the numbers allow none.
     fn logarithm(&self, at: &[(f64, f64)]) -> f64 {
-        let (sum, q) = (self.sum(at), self.q);
+        self.logarithm_with(&self.products(at), at)
+    }
+
+    fn logarithm_with(&self, products: &[DMatrix<f64>], at: &[(f64, f64)]) -> f64 {
+        let (sum, q) = (self.sum(products, at), self.q);
         let Some(factor) = sum.view((0, 0), (q, q)).into_owned().cholesky() else { return f64::NEG_INFINITY };
         let right = sum.view((0, q), (q, 1)).into_owned();
         let squares = sum[(q, q)] - right.dot(&factor.solve(&right));
@@ -93,17 +105,20 @@ impl Likelihood {
     }
 
     /// The best variances with these autocorrelations, by the fixed point `s^2 = e'R^-1 e / (n - tr)`.
-    fn set_variances(&self, at: &mut [(f64, f64)]) {
+    fn set_variances(&self, products: &[DMatrix<f64>], at: &mut [(f64, f64)]) {
         let q = self.q;
         let rounds = if self.forms.len() == 1 { 2 } else { 4 };
         for _ in 0..rounds {
-            let sum = self.sum(at);
+            let sum = self.sum(products, at);
             let Some(factor) = sum.view((0, 0), (q, q)).into_owned().cholesky() else { return };
-            let error = factor.solve(&sum.view((0, q), (q, 1)).into_owned()).resize_vertically(q + 1, -1.0);
-            for (form, (ln, z)) in self.forms.iter().zip(at.iter_mut()) {
-                let own = form.at(*z);
-                let used = factor.solve(&own.view((0, 0), (q, q)).into_owned()).trace() * (-*ln).exp();
-                let variance = error.dot(&(&own * &error)) / (form.n - used).max(0.5);
+            let mut error = sum.view((0, q), (q, 1)).into_owned();
+            factor.solve_mut(&mut error);
+            let error = error.resize_vertically(q + 1, -1.0);
+            for ((form, own), (ln, _)) in self.forms.iter().zip(products).zip(at.iter_mut()) {
+                let mut used = own.view((0, 0), (q, q)).into_owned();
+                factor.solve_mut(&mut used);
+                let used = used.trace() * (-*ln).exp();
+                let variance = error.dot(&(own * &error)) / (form.n - used).max(0.5);
                 if variance > 0.0 && variance.is_finite() {
                     *ln = variance.ln();
                 }
@@ -115,8 +130,9 @@ impl Likelihood {
     fn with(&self, at: &[(f64, f64)], g: usize, z: f64) -> (f64, Vec<(f64, f64)>) {
         let mut at = at.to_vec();
         at[g].1 = z;
-        self.set_variances(&mut at);
-        (self.logarithm(&at), at)
+        let products = self.products(&at);
+        self.set_variances(&products, &mut at);
+        (self.logarithm_with(&products, &at), at)
     }
 
     /// The best autocorrelation of one group that is not negative.
@@ -195,7 +211,7 @@ impl<'a> Dependence<'a> {
         let likelihood = Likelihood { forms, rest, q };
         let mut at: Vec<(f64, f64)> =
             groups.iter().map(|g| ((g.variance / g.correction).ln(), 0.0)).collect();
-        likelihood.set_variances(&mut at);
+        likelihood.set_variances(&likelihood.products(&at), &mut at);
         let candidates: Vec<usize> = (0..groups.len())
             .filter(|g| is_usable(&groups[*g]) && likelihood.forms[*g].n > (q + 2) as f64)
             .collect();

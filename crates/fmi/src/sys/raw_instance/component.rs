@@ -40,13 +40,6 @@ pub(super) struct Memory {
     pub(super) is_step_repeated: bool,
 }
 
-/// What is to be set before a model is evaluated.
-#[derive(Clone, Copy)]
-struct Point<'a> {
-    time: Option<f64>,
-    states: Option<&'a [f64]>,
-}
-
 /// A live component.
 pub(crate) struct RawInstance {
     pub(super) component: Component,
@@ -405,29 +398,26 @@ impl RawInstance {
     /// The derivatives at a point: sets the time, then the states, and reads them.
     #[inline(always)]
     pub(crate) fn right_hand_side(&mut self, time: f64, states: &[f64], derivatives: &mut [f64]) -> Outcome {
-        let at = Point { time: Some(time), states: Some(states) };
-        self.vector_at(at, |functions| &functions.get_derivatives, self.sizes.states, derivatives)
+        self.vector_at(Some(time), Some(states), |all| &all.get_derivatives, self.sizes.states, derivatives)
     }
 
     /// The derivatives at the time that is set, with other states where some are given.
     #[inline(never)]
     pub(crate) fn derivatives_with(&mut self, states: Option<&[f64]>, derivatives: &mut [f64]) -> Outcome {
-        let at = Point { time: None, states };
-        self.vector_at(at, |functions| &functions.get_derivatives, self.sizes.states, derivatives)
+        self.vector_at(None, states, |functions| &functions.get_derivatives, self.sizes.states, derivatives)
     }
 
     /// The event indicators at a point: sets the time, then the states, and reads them.
     #[inline]
     pub(crate) fn indicators_at(&mut self, time: f64, states: &[f64], indicators: &mut [f64]) -> Outcome {
-        let at = Point { time: Some(time), states: Some(states) };
-        self.vector_at(at, |functions| &functions.get_event_indicators, self.sizes.indicators, indicators)
+        let n = self.sizes.indicators;
+        self.vector_at(Some(time), Some(states), |all| &all.get_event_indicators, n, indicators)
     }
 
     /// The event indicators at the time that is set, with other states where some are given.
     #[inline(never)]
     pub(crate) fn indicators_with(&mut self, states: Option<&[f64]>, indicators: &mut [f64]) -> Outcome {
-        let at = Point { time: None, states };
-        self.vector_at(at, |functions| &functions.get_event_indicators, self.sizes.indicators, indicators)
+        self.vector_at(None, states, |all| &all.get_event_indicators, self.sizes.indicators, indicators)
     }
 
     /// Sets the time, then the states, and calls a function that fills a vector of the model, which has this
@@ -436,12 +426,12 @@ impl RawInstance {
     #[inline(always)]
     fn vector_at(
         &mut self,
-        at: Point<'_>,
+        time: Option<f64>,
+        states: Option<&[f64]>,
         get: impl Fn(&Functions) -> &Function<GetVector>,
         size: usize,
         values: &mut [f64],
     ) -> Outcome {
-        let Point { time, states } = at;
         let point = &self.library.functions;
         if let Some(states) = states {
             self.length(point.set_continuous_states.name, self.sizes.states, states.len())?;
@@ -453,7 +443,7 @@ impl RawInstance {
             self.set_time_told(time);
         }
         if self.to_look_into > 0 || self.callbacks.is_by_thread() {
-            return self.vector_one_by_one(at, get, values);
+            return self.vector_one_by_one(time, states, get, values);
         }
         let point = &self.library.functions;
         let one = OneCall::enter(self.library.lock());
@@ -470,7 +460,7 @@ impl RawInstance {
         one.forget();
         if has_changed {
             self.to_look_into = u8::MAX;
-            return self.vector_one_by_one(at, get, values);
+            return self.vector_one_by_one(time, states, get, values);
         }
         match outcome {
             Ok(()) => Ok(()),
@@ -482,7 +472,8 @@ impl RawInstance {
     #[inline(never)]
     fn vector_one_by_one(
         &mut self,
-        Point { time, states }: Point<'_>,
+        time: Option<f64>,
+        states: Option<&[f64]>,
         get: impl Fn(&Functions) -> &Function<GetVector>,
         values: &mut [f64],
     ) -> Outcome {

@@ -13,6 +13,8 @@ from .. import _core
 P = ParamSpec("P")
 R = TypeVar("R")
 
+_signature = functools.cache(inspect.signature)
+
 #: Words of SciPy, PyFMI, FMPy and their likes, and what stands for them here: arguments or options, of those there are.
 _FOREIGN: Final[Mapping[str, tuple[str, ...]]] = {
     **dict.fromkeys(("maxiter", "maxit", "max_iter", "niter"), ("max_iterations", "max_iters")),
@@ -94,7 +96,7 @@ def _hint(name: str, arguments: Collection[str], among_options: bool = False) ->
 
 def argument_names(function: Callable[..., Any]) -> list[str]:
     """Names of the arguments of a function or method."""
-    return [name for name in inspect.signature(function).parameters if name != "self"]
+    return [name for name in _signature(function).parameters if name != "self"]
 
 
 def explained(function: Callable[P, R]) -> Callable[P, R]:
@@ -107,7 +109,7 @@ def also_called(**others: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     stand for."""
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
-        names = list(inspect.signature(function).parameters)
+        names = list(_signature(function).parameters)
         known = frozenset(names)
 
         def translated(n_positional: int, given: dict[str, Any]) -> dict[str, Any]:
@@ -138,7 +140,7 @@ def positional_until(count: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """A function that still takes its keyword-only arguments by position, after `count` positional ones, but warns."""
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
-        names = list(inspect.signature(function).parameters)
+        names = list(_signature(function).parameters)
 
         @functools.wraps(function)
         def call(*args: Any, **kwargs: Any) -> R:
@@ -172,7 +174,7 @@ def given_once(options: Mapping[str, Any], function: Callable[..., Any], **argum
     """Options, and with them the arguments of `function` that are options of methods; None and "auto" leave those to the
     method. ValueError where one is given as both."""
     for name, value in arguments.items():
-        default = inspect.signature(function).parameters[name].default
+        default = _signature(function).parameters[name].default
         is_default = value is default or (isinstance(value, (int, float, str)) and value == default)
         if name in options and not is_default:
             raise ValueError(f"{name} is given twice: as an argument, and among the options")
