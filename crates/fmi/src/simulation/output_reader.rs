@@ -159,8 +159,8 @@ impl OutputReader {
         moves
     }
 
-    /// An event has happened: a model may compute its variables in another way from now on. They are looked at
-    /// again where they move next, after the first, second, fourth, eighth ... event.
+    /// An event has happened: a model may compute its variables in another way from now on. They are looked
+    /// at again where they move next, after the first, second, fourth, eighth ... event.
     pub(crate) fn after_event(&mut self, running: &Running) {
         self.n_events += 1;
         self.indicators[0].fill(f64::NAN);
@@ -246,7 +246,8 @@ impl OutputReader {
         !indicators.is_empty() && running.current.call(|raw| raw.get_event_indicators(indicators)).is_ok()
     }
 
-    /// Notes a model whose indicators at the end of a step are those of the step before until it is completed.
+    /// Notes a model whose indicators at the end of a step are those of the step before until it is
+    /// completed.
     fn compare_indicators(&mut self, running: &Running) {
         let [last, before, after] = &self.indicators;
         let is_late = |((last, before), after): ((&f64, &f64), &f64)| before == last && after != before;

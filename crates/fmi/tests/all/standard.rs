@@ -121,6 +121,50 @@ fn a_variable_computed_with_completed_steps_that_rests_at_first_is_right() {
 }
 
 #[test]
+fn a_variable_computed_with_the_derivatives_that_rests_at_first_is_right() {
+    let late = evil(&["STALE_OUTPUTS", "RESTS_AT_FIRST"]);
+    let options = SimulateOptions::new().ncp(97).outputs(["der(x)", "y"]).relative_tolerance(1e-9);
+    for method in [ode::Method::Tsit5, ode::Method::Dop853, ode::Method::Radau5, ode::Method::Bdf] {
+        let fmu = late.open();
+        let found = fmu.simulate(&options.clone().method(method)).unwrap();
+        for (t, y) in found.time.iter().zip(found.get("y").unwrap()) {
+            let right = if *t < 0.5 { 1.0 } else { (-t).exp() };
+            assert!((y - right).abs() < 1e-7, "{method:?}: {y} at {t}");
+        }
+        assert_eq!(fmu.quirks_seen().len(), 1, "{method:?}");
+        assert_eq!(bits(&fmu.simulate(&options.clone().method(method)).unwrap()), bits(&found));
+    }
+}
+
+#[test]
+fn a_variable_that_is_late_only_after_an_event_is_right() {
+    let late = evil(&["OUTPUTS_OF_STEPS", "LATE_FROM=0.4"]);
+    let options = SimulateOptions::new().ncp(97).outputs(["y"]).relative_tolerance(1e-9);
+    for method in [ode::Method::Tsit5, ode::Method::Dop853, ode::Method::Radau5, ode::Method::Bdf] {
+        let fmu = late.open();
+        let found = fmu.simulate(&options.clone().method(method)).unwrap();
+        for (t, y) in found.time.iter().zip(found.get("y").unwrap()) {
+            assert!((y - (-t).exp()).abs() < 1e-7, "{method:?}: {y} at {t}");
+        }
+        assert_eq!((found.stats.time_events, fmu.quirks_seen().len()), (1, 1), "{method:?}");
+        assert_eq!(bits(&fmu.simulate(&options.clone().method(method)).unwrap()), bits(&found));
+    }
+}
+
+#[test]
+fn event_indicators_that_are_late_are_listed() {
+    let one = |xml: String| xml.replace("numberOfEventIndicators=\"0\"", "numberOfEventIndicators=\"1\"");
+    let late = evil_with(&["OUTPUTS_OF_STEPS"], one);
+    let fmu = late.open();
+    fmu.simulate(&SimulateOptions::new().ncp(97).outputs(["der(x)"])).unwrap();
+    let quirks = fmu.quirks_seen();
+    assert!(
+        quirks.iter().any(|quirk| quirk.message.contains("event indicators at a new point")),
+        "{quirks:?}"
+    );
+}
+
+#[test]
 fn rows_are_read_before_the_inputs_of_the_next_step_are_set() {
     // x' = u with u held over each step; nothing is integrated if anything is read between setting u and the step.
     let folder = slave(&["LATCHES"], "");

@@ -8,7 +8,11 @@ EXPORT fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference *vr, siz
     for (i = 0; i < n; i++) {
 #if defined STALE_OUTPUTS || defined OUTPUTS_OF_STEPS
         if (vr[i] == 3) {
+#ifdef LATE_FROM
+            value[i] = m->time <= LATE_FROM ? m->x : m->y;
+#else
             value[i] = m->y;
+#endif
             continue;
         }
 #endif
