@@ -36,14 +36,14 @@ def test_causes_come_first_and_a_fit_worse_than_a_constant_is_not_to_be_used() -
 def test_units_that_the_model_does_not_state() -> None:
     columns = decay(**{"x [mm]": 1e3 * np.exp(-2 * TIMES)})
     with pytest.warns(pydfo.CalibrationWarning, match="the setting units states it"):
-        assert not fitted(columns).usable
+        assert fitted(columns).parameters["k"] < 1
     fit = fitted(columns, units={"x": "m"})
     assert fit.parameters["k"] == pytest.approx(2, rel=1e-5) and fit.outputs[0].unit == "m"
     for units, error, said in [
         ({"x": "K"}, ValueError, "mm"),
         ({"x": "mx"}, ValueError, "units: 'x'"),
         ({"z": "m"}, KeyError, "z"),
-        ({"x": 1}, (TypeError, ValueError), "units"),
+        ({"x": 1}, TypeError, "units"),
     ]:
         with pytest.raises(error, match=said):
             fitted(columns, units=units)
@@ -69,9 +69,9 @@ def test_start_values_from_a_parameter_set(tmp_path: Path) -> None:
 
 
 def test_dates_have_no_other_unit() -> None:
-    # A recording of 1000 s for a model that suggests 10 s, with a simulation that does not follow it.
-    seconds = np.arange(0, 1000.0, 10)
-    measured = np.cos(seconds / 50)
+    # A recording of 10 000 s for a model that suggests 10 s, with a simulation that does not follow it.
+    seconds = np.arange(0, 10000.0, 100)
+    measured = np.cos(seconds / 500)
     check = {
         name: pydfo.Calibration(pydfo.example_fmu("dahlquist"), {"time": times, "x": measured}, ["x"], [K]).check()
         for name, times in {

@@ -235,7 +235,7 @@ class Calibration(Evaluation):
             "isolation": isolation,
             "memory_limit": memory_limit,
             "sandbox": sandbox,
-            "units": dict(units or {}),
+            "units": {variable: _options.choice("units", unit) for variable, unit in _options.pairs("units", units)},  # type: ignore[arg-type]
         }
         self._model = path_of(model)
         self._opened: OpenOptions | None = getattr(model, "_opened", None)
