@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pydfo import Calibration, Parameter, example_fmu
-from pydfo._optimize import live as _live
+from pydfo._optimize import live_line as _live
 from pydfo._optimize.progress import Progress
 
 TIME = np.linspace(0.0, 3.0, 31)
@@ -102,7 +102,7 @@ def test_a_real_terminal_is_left_clean_by_an_interrupt(tmp_path):
     script.write_text(textwrap.dedent("""
         import os, signal, threading
         import numpy as np, pydfo
-        from pydfo._optimize import live as _live
+        from pydfo._optimize import live_line as _live
         _live._display = _live._Plain
         t = np.linspace(0.0, 3.0, 31)
         calibration = pydfo.Calibration(pydfo.example_fmu("dahlquist"), {"time": t, "x": np.exp(-2.0 * t)}, ["x"],

@@ -235,7 +235,7 @@ class Calibration(Evaluation):
             "isolation": isolation,
             "memory_limit": memory_limit,
             "sandbox": sandbox,
-            "units": {variable: _options.choice("units", unit) for variable, unit in _options.pairs("units", units)},  # type: ignore[arg-type]
+            "units": {variable: _values.choice("units", unit) for variable, unit in _values.pairs("units", units)},  # type: ignore[arg-type]
         }
         self._model = path_of(model)
         self._opened: OpenOptions | None = getattr(model, "_opened", None)
@@ -474,7 +474,7 @@ class Calibration(Evaluation):
         observer = combine(listeners)
         if live:
             # Called between iterations, too.
-            observer.tick = live.tick
+            setattr(observer, "tick", live.tick)
         try:
             with closing(live) if live else nullcontext():
                 objects = {"start": begin, "observer": observer, "stages": of_stages, "objective": cost, "engine": engine, "page": page}

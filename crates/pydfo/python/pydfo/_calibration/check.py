@@ -61,7 +61,7 @@ class Check(Sequence[Finding]):
 
     def _repr_pretty_(self, printer: object, cycle: bool) -> None:
         """Shows the table at the end of a notebook's cell."""
-        printer.text(self._table)
+        getattr(printer, "text")(self._table)
 
 
 def of(calibration: _core.Calibration, simulate: bool, max_time: float | None) -> Check:
