@@ -4,8 +4,8 @@
 pub(crate) mod cost;
 pub(crate) mod dot;
 pub(crate) mod failures;
-pub(crate) mod pending_generation;
 pub(crate) mod generations;
+pub(crate) mod pending_generation;
 pub(crate) mod population;
 pub(crate) mod ranked_points;
 pub(crate) mod sized;
