@@ -120,3 +120,18 @@ pub enum CalibrationError {
         source: Box<dfo::Error>,
     },
 }
+
+impl CalibrationError {
+    /// True if the work was ended from outside before it had a result: by a cancel flag, or by whoever the
+    /// context asks.
+    pub fn is_interrupt(&self) -> bool {
+        match self {
+            Self::Cancelled | Self::Model(fmi::FmiError::Cancelled) => true,
+            Self::Optimiser(dfo::Error::EndedWithoutPoint { termination, .. }) => {
+                *termination == dfo::Termination::Interrupted
+            }
+            Self::Experiment { source, .. } | Self::Stage { source, .. } => source.is_interrupt(),
+            _ => false,
+        }
+    }
+}

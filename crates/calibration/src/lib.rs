@@ -55,7 +55,7 @@ pub use fit::one_stage::{
 pub use fit::output_fit::OutputFit;
 pub use fit::phase::{CurrentPhase, FitPhase, PhaseCost};
 #[cfg(feature = "schema")]
-pub use fit::schema::{fit_schema, stage_schema};
+pub use fit::schema::{fit_schema, stages_schema};
 pub use fit::several_stages::{Stage, StageRecord};
 pub use fmi;
 pub use intervals::bands::{BandOptions, PredictionBand};

@@ -250,17 +250,17 @@ pub(crate) struct Problem {
     /// With a model: the recording, a CSV file
     pub(crate) data: Option<PathBuf>,
     /// With a model: a variable and the column that measured it; may be given several times
-    #[arg(long, value_name = "VARIABLE=COLUMN", requires = "data")]
+    #[arg(long, value_name = "VARIABLE=COLUMN")]
     pub(crate) output: Vec<String>,
     /// With a model: an input, and the column or the number that drives it; may be given several times.
     /// Default: the columns that are called as inputs
-    #[arg(long, value_name = "VARIABLE=COLUMN", requires = "data")]
+    #[arg(long, value_name = "VARIABLE=COLUMN")]
     pub(crate) input: Vec<String>,
     /// With a model: a parameter, its start and its bounds; may be given several times
-    #[arg(long, value_name = "NAME=START:LOWER:UPPER", requires = "data")]
+    #[arg(long, value_name = "NAME=START:LOWER:UPPER")]
     pub(crate) parameter: Vec<String>,
     /// With a model: name of the column of times, where it is not `time`
-    #[arg(long, value_name = "COLUMN", requires = "data")]
+    #[arg(long, value_name = "COLUMN")]
     pub(crate) time: Option<String>,
     /// The unit of a variable of which the model states none; may be given several times
     #[arg(long, value_name = "VARIABLE=UNIT")]

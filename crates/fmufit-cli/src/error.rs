@@ -64,6 +64,12 @@ impl Error {
         Self { exit: Exit::WrongInput, message: message.to_string() }
     }
 
+    /// Arguments that are no command, by the message for people: the lines up to the first empty one.
+    pub(crate) fn of_usage(message: &str) -> Self {
+        let lines = message.lines().take_while(|line| !line.trim().is_empty()).map(str::trim);
+        Self::input(lines.collect::<Vec<_>>().join(" ").trim_start_matches("error: "))
+    }
+
     /// Work that did not succeed.
     pub(crate) fn work(message: impl Display) -> Self {
         Self { exit: Exit::NoSuccess, message: message.to_string() }
@@ -90,9 +96,7 @@ impl Error {
     pub(crate) fn of_work(error: CalibrationError) -> Self {
         use dfo::Error::{Checkpoint, CheckpointFile, CheckpointMismatch, Option};
         match error {
-            CalibrationError::Cancelled | CalibrationError::Model(fmi::FmiError::Cancelled) => {
-                Self::interrupted()
-            }
+            error if error.is_interrupt() => Self::interrupted(),
             CalibrationError::Setup(_)
             | CalibrationError::Record(_)
             | CalibrationError::ReportFile { .. }

@@ -19,7 +19,7 @@ mod problem;
 use arguments::CommandLine;
 use clap::Parser;
 use console::Console;
-use error::Exit;
+use error::{Error, Exit};
 use std::ffi::OsString;
 
 /// Runs the command that these arguments, the first of which is the name of the program, ask for. Returns the
@@ -27,12 +27,19 @@ use std::ffi::OsString;
 /// FMU that cannot be simulated); 2 for arguments, files and values that cannot be used; 3 for a fit that ran
 /// and whose result is not to be used; 130 after Ctrl-C.
 pub fn main(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> u8 {
-    let arguments = match CommandLine::try_parse_from(arguments) {
+    let given: Vec<OsString> = arguments.into_iter().map(Into::into).collect();
+    let arguments = match CommandLine::try_parse_from(&given) {
         Ok(arguments) => arguments,
         Err(message) => {
             // What cannot be printed has nobody who reads it.
             let _ = message.print();
-            return if message.use_stderr() { Exit::WrongInput.code() } else { Exit::Success.code() };
+            if !message.use_stderr() {
+                return Exit::Success.code();
+            }
+            if given.iter().any(|argument| argument == "--json") {
+                let _ = Console::new(true).json(&Error::of_usage(&message.render().to_string()).document());
+            }
+            return Exit::WrongInput.code();
         }
     };
     let console = Console::new(arguments.quiet);

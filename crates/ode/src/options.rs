@@ -50,6 +50,18 @@ impl Method {
         }
     }
 
+    /// The method that stands for one of other tools (SciPy, SUNDIALS), by its name there.
+    pub fn standing_for(name: &str) -> Option<Self> {
+        const OTHERS: [(&str, Method); 5] = [
+            ("rk45", Method::Tsit5),
+            ("radau", Method::Radau5),
+            ("lsoda", Method::Auto),
+            ("cvode", Method::Auto),
+            ("cvodes", Method::Auto),
+        ];
+        OTHERS.into_iter().find(|(other, _)| other.eq_ignore_ascii_case(name)).map(|(_, own)| own)
+    }
+
     /// True if the step size is given by the user instead of by an error estimate.
     pub fn is_fixed_step(self) -> bool {
         matches!(self, Self::Rk4 | Self::Euler)
@@ -66,7 +78,7 @@ impl FromStr for Method {
 
     fn from_str(name: &str) -> Result<Self, OptionsError> {
         let found = Self::ALL.into_iter().find(|method| method.name().eq_ignore_ascii_case(name));
-        found.ok_or_else(|| OptionsError::UnknownMethod(name.to_owned()))
+        found.or_else(|| Self::standing_for(name)).ok_or_else(|| OptionsError::UnknownMethod(name.to_owned()))
     }
 }
 

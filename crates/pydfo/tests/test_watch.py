@@ -10,7 +10,7 @@ import urllib.parse
 import numpy as np
 import pytest
 
-from pydfo import Calibration, Parameter, example_fmu
+from pydfo import Calibration, Interrupted, Parameter, example_fmu
 
 TIME = np.linspace(0.0, 3.0, 31)
 
@@ -68,6 +68,15 @@ def test_the_button_ends_the_fit_which_returns(capsys):
     assert status == 200 and "interrupted" in report
     status, text = asked(seen[0], "POST", "close")
     assert status == 200 and "closed" in text
+
+
+@pytest.mark.parametrize("settings", [{}, {"solver": "rk4", "step_size": 1e-4}])
+def test_a_stop_before_there_is_a_result_is_an_interrupt(monkeypatch, settings):
+    """While the solver is chosen, and at the first evaluation."""
+    monkeypatch.setattr("builtins.print", lambda text, **_: asked(text.split()[-1], "POST", "stop"))
+    with pytest.raises(Interrupted) as info:
+        decay(**settings).fit(rng=1, watch=True)
+    assert info.value.result is None
 
 
 def test_no_fit_is_watched_that_nobody_asked_to_be(capsys):

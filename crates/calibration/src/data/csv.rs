@@ -2,12 +2,13 @@
 
 use super::csv_records::{MOST_COLUMNS, Records, decode};
 use super::dates::{DateError, date_seconds};
-use super::recording::{Column, Data, mixed_decimal_signs};
+use super::recording::{Column, Data, hex, mixed_decimal_signs};
 use super::time_column::{PairUnit, TimeColumn, find_column, time_unit};
 use super::units::Unit;
 use crate::error::CalibrationError;
 use crate::findings::shown_text::shortened;
 use base::RunContext;
+use sha2::{Digest, Sha256};
 use std::borrow::Cow;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -78,7 +79,9 @@ impl Data {
         let path = path.as_ref();
         let text = base::files::read_regular(path)
             .map_err(|source| CalibrationError::DataFile { path: path.to_owned(), source })?;
-        Self::read_csv_text(&text, &path.display().to_string(), request)
+        let mut data = Self::read_csv_text(&text, &path.display().to_string(), request)?;
+        data.file_hash = Some(hex(Sha256::new_with_prefix(&text)));
+        Ok(data)
     }
 
     /// As [`from_csv`](Self::from_csv), from the text itself; `source` names it in errors, `time` the column

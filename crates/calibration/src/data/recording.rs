@@ -30,6 +30,33 @@ pub struct Data {
     /// Variance that means over intervals have removed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) resampling: Option<Resampling>,
+    /// What said in which rows measurements count: a column, or a value for each row.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    mask: Option<String>,
+    /// SHA-256 of the file that it was read from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) file_hash: Option<String>,
+}
+
+/// What a table is, without its numbers.
+#[derive(Debug, Clone, Serialize)]
+pub(crate) struct DataSummary<'d> {
+    /// Where it comes from.
+    pub(crate) source: &'d str,
+    /// SHA-256 of the file that it was read from.
+    pub(crate) file_sha256: Option<&'d str>,
+    /// SHA-256 of the names and values that are compared, after mask and means.
+    pub(crate) fingerprint: String,
+    pub(crate) n_rows: usize,
+    /// The column of times, and its first and last value in s.
+    pub(crate) time: &'d str,
+    pub(crate) from: Option<f64>,
+    pub(crate) to: Option<f64>,
+    pub(crate) columns: Vec<&'d str>,
+    /// What said in which rows measurements count.
+    pub(crate) mask: Option<&'d str>,
+    /// The interval over which means were taken, in s.
+    pub(crate) resample: Option<f64>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -57,6 +84,11 @@ pub(crate) struct Resampling {
 
 /// Values so many usual distances apart are not joined by a line.
 const WIDEST_GAP: f64 = 10.0;
+
+/// A hash in hexadecimal.
+pub(super) fn hex(hasher: Sha256) -> String {
+    hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
 
 /// A cell of a file: its line, counted from 1, and its text.
 type Cell = (usize, String);
@@ -196,6 +228,8 @@ impl Data {
             has_dates: false,
             clock_change: None,
             resampling: None,
+            mask: None,
+            file_hash: None,
         })
     }
 
@@ -216,7 +250,23 @@ impl Data {
             hasher.update((values.len() as u64).to_le_bytes());
             values.iter().for_each(|v| hasher.update(v.to_bits().to_le_bytes()));
         }
-        hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+        hex(hasher)
+    }
+
+    /// What it is, without its numbers.
+    pub(crate) fn summary(&self) -> DataSummary<'_> {
+        DataSummary {
+            source: &self.source,
+            file_sha256: self.file_hash.as_deref(),
+            fingerprint: self.hash(),
+            n_rows: self.time.len(),
+            time: &self.time_name,
+            from: self.time.first().copied(),
+            to: self.time.last().copied(),
+            columns: self.names().collect(),
+            mask: self.mask.as_deref(),
+            resample: self.resampling.as_ref().map(|resampling| resampling.interval),
+        }
     }
 
     /// The times.
@@ -322,6 +372,8 @@ impl Data {
             let rows = self.columns[index].values.to_mut().iter_mut().zip(keep);
             rows.filter(|(_, keep)| !**keep).for_each(|(value, _)| *value = f64::NAN);
         }
+        let n = keep.iter().filter(|keep| **keep).count();
+        self.mask = Some(format!("{n} of {} rows", keep.len()));
         Ok(self)
     }
 
@@ -331,7 +383,9 @@ impl Data {
     /// As [`masked`](Self::masked), and as [`column`](Self::column).
     pub fn masked_by(self, columns: &[&str], by: &str) -> Result<Self, CalibrationError> {
         let keep: Vec<bool> = self.column(by)?.iter().map(|v| !v.is_nan() && *v != 0.0).collect();
-        self.masked(columns, &keep)
+        let mut masked = self.masked(columns, &keep)?;
+        masked.mask = masked.mask.map(|rows| format!("column '{by}': {rows}"));
+        Ok(masked)
     }
 
     /// Multiplies the times with a positive factor.

@@ -65,6 +65,8 @@ impl Fit {
         });
         let report = &self.report;
         let model = &calibration.problem().model;
+        let plan = calibration.evaluator().simulations.first().map(|simulation| simulation.pool.plan());
+        let chosen = self.tolerance.map(|chosen| chosen.used);
         Ok(FitDocument {
             written_by: concat!("fmufit ", env!("CARGO_PKG_VERSION")),
             model: FitModel {
@@ -87,6 +89,14 @@ impl Fit {
             message: &report.message,
             findings: self.findings(),
             method: &report.method,
+            problem: calibration.problem().document()?,
+            fit_options: serde_json::to_value(&self.options)?,
+            stages: self
+                .stages
+                .iter()
+                .map(|stage| serde_json::to_value(&stage.options))
+                .collect::<Result<_, _>>()?,
+            relative_tolerance: chosen.or_else(|| plan.map(|plan| plan.relative_tolerance())),
             options: report.options.iter().map(|(name, value)| (&name[..], &value[..])).collect(),
             solver: self.solver.method.name(),
             n_evaluations: report.n_evaluations,
@@ -116,7 +126,20 @@ pub struct FitDocument<'f> {
     /// Quality of fit of each output.
     outputs: &'f [OutputFit],
     noise: Option<&'f FitNoise>,
+    /// How a relative tolerance was chosen, where none was given.
     tolerance: Option<ChosenTolerance>,
+    /// That of the simulations.
+    relative_tolerance: Option<f64>,
+    /// What was fitted: model, parameters, experiments with what their recordings are, settings of the
+    /// simulations.
+    #[cfg_attr(feature = "schema", schemars(with = "BTreeMap<String, Json>"))]
+    problem: Json,
+    /// How: the options of the fit, as in the table `[fit]` of a problem file.
+    #[cfg_attr(feature = "schema", schemars(schema_with = "crate::fit::schema::fit_schema"))]
+    fit_options: Json,
+    /// The options of its stages, as in the tables `[[stages]]`.
+    #[cfg_attr(feature = "schema", schemars(schema_with = "crate::fit::schema::stages_schema"))]
+    stages: Vec<Json>,
     /// Uncertainty of the parameters, where it was estimated, with a verdict in a sentence.
     #[cfg_attr(feature = "schema", schemars(with = "Option<BTreeMap<String, Json>>"))]
     uncertainty: Json,

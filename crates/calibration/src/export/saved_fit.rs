@@ -21,7 +21,7 @@ use std::path::Path;
 const FORMAT: &str = "fmufit fit";
 
 /// The format that this version reads and writes. It changes with everything that a file holds.
-const FORMAT_VERSION: u64 = 4;
+const FORMAT_VERSION: u64 = 5;
 
 /// First item of a file.
 #[derive(Serialize, Deserialize)]

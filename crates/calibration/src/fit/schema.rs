@@ -3,7 +3,7 @@
 use crate::fit::one_stage::FitRecord;
 use crate::fit::several_stages::StageRecord;
 use dfo::RequestedRun;
-use schemars::{JsonSchema, Schema, SchemaGenerator};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde_json::Value as Json;
 
 /// The schema of the options of a fit.
@@ -12,8 +12,13 @@ pub fn fit_schema(generator: &mut SchemaGenerator) -> Schema {
 }
 
 /// The schema of the options of a stage.
-pub fn stage_schema(generator: &mut SchemaGenerator) -> Schema {
+fn stage_schema(generator: &mut SchemaGenerator) -> Schema {
     with_run(StageRecord::json_schema(generator), generator)
+}
+
+/// The schema of the options of several stages.
+pub fn stages_schema(generator: &mut SchemaGenerator) -> Schema {
+    json_schema!({ "type": "array", "items": stage_schema(generator) })
 }
 
 fn with_run(own: Schema, generator: &mut SchemaGenerator) -> Schema {

@@ -13,7 +13,7 @@ use crate::loaded::calibration::Calibration;
 use crate::uncertainty::stuck_parameters::StuckParameters;
 use base::RunContext;
 use dfo::{
-    AnyMethod, Limits, Progress, Record, Report, RequestedRun, RunOptions, Termination, Tolerances,
+    AnyMethod, Limits, Progress, Record, Report, RequestedRun, RunOptions, Termination, Tolerances, Value,
     field_names, read_part,
 };
 use ode::Stats;
@@ -355,17 +355,18 @@ impl Calibration {
                 phase: job.phases.borrow().told(),
                 live: job.live.clone(),
             };
-            let (fit, kept) = match windowed[k].as_ref().unwrap_or(self).fit_and_keep(options, Some(within)) {
-                Ok(fitted) => fitted,
-                // The results of the stages before are not lost.
-                Err(error) => match ended_by(&error).filter(|_| k > 0) {
-                    Some(termination) => {
-                        done.ended = Some(termination);
-                        break;
-                    }
-                    None => return Err(in_stage(k)(error)),
-                },
-            };
+            let (mut fit, kept) =
+                match windowed[k].as_ref().unwrap_or(self).fit_and_keep(options, Some(within)) {
+                    Ok(fitted) => fitted,
+                    // The results of the stages before are not lost.
+                    Err(error) => match ended_by(&error).filter(|_| k > 0) {
+                        Some(termination) => {
+                            done.ended = Some(termination);
+                            break;
+                        }
+                        None => return Err(in_stage(k)(error)),
+                    },
+                };
             // It had no time for a single evaluation.
             if k > 0 && fit.cost.is_nan() && job.context.is_late() {
                 done.ended = Some(fit.report.termination);
@@ -383,6 +384,13 @@ impl Calibration {
                 done.at_start = kept.at_start().map(<[f64]>::to_vec);
             }
             done.at_end = kept.at(&fit.x).map(<[f64]>::to_vec);
+            let own = StageRecord { parameters: stage.parameters.clone(), windows: stage.windows.clone() };
+            let names = Stage::option_names()?;
+            // The others are those of the whole fit.
+            fit.options.retain(|name, _| names.contains(name));
+            if let Value::Record(own) = Value::of(&own)? {
+                fit.options.extend(own);
+            }
             done.fits.push(fit);
             if is_last {
                 break;

@@ -7,15 +7,19 @@
 use super::page::Page;
 use super::request;
 use super::response::{Response, Status};
+use crate::fit::live::lock;
 use std::io;
-use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::net::{Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Most connections at a time; browsers open six.
 const MOST_CONNECTIONS: usize = 32;
+
+/// A connection that has sent no request for so long makes room for another one where there are too many.
+const MOST_SILENCE: Duration = Duration::from_secs(1);
 
 /// After a connection that failed the next one is waited for a little: open files may be short.
 const PAUSE: Duration = Duration::from_millis(100);
@@ -42,20 +46,55 @@ impl End {
     }
 }
 
-/// A connection that counts until it is dropped.
-struct Counted(Arc<AtomicUsize>);
+/// The connections that are served, the oldest first.
+#[derive(Debug, Default)]
+struct Connections(Mutex<Vec<Connection>>);
+
+#[derive(Debug)]
+struct Connection {
+    id: u64,
+    stream: TcpStream,
+    since: Instant,
+    /// True until its request has come.
+    is_silent: bool,
+}
+
+/// A connection that counts until this is dropped.
+struct Counted {
+    all: Arc<Connections>,
+    id: u64,
+}
+
+impl Connections {
+    /// Counts a connection, which is the one of this number. Where there are too many, one that has sent no
+    /// request for [`MOST_SILENCE`] is closed for it; `None`: there is no such.
+    fn add(all: &Arc<Self>, stream: &TcpStream, id: u64, now: Instant) -> Option<Counted> {
+        let stream = stream.try_clone().ok()?;
+        let mut open = lock(&all.0);
+        if open.len() >= MOST_CONNECTIONS {
+            let is_long_silent =
+                |c: &Connection| c.is_silent && now.saturating_duration_since(c.since) >= MOST_SILENCE;
+            let at = open.iter().position(is_long_silent)?;
+            let silent = open.remove(at);
+            // Its thread reads that it has ended.
+            let _ = silent.stream.shutdown(Shutdown::Both);
+        }
+        open.push(Connection { id, stream, since: now, is_silent: true });
+        Some(Counted { all: Arc::clone(all), id })
+    }
+}
 
 impl Counted {
-    /// `None`: there are too many.
-    fn new(n: &Arc<AtomicUsize>) -> Option<Self> {
-        let own = Self(Arc::clone(n));
-        (n.fetch_add(1, Ordering::Relaxed) < MOST_CONNECTIONS).then_some(own)
+    /// Notes that its request has come.
+    fn has_come(&self) {
+        let mut open = lock(&self.all.0);
+        open.iter_mut().filter(|c| c.id == self.id).for_each(|c| c.is_silent = false);
     }
 }
 
 impl Drop for Counted {
     fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::Relaxed);
+        lock(&self.all.0).retain(|c| c.id != self.id);
     }
 }
 
@@ -89,8 +128,8 @@ impl Drop for Server {
 }
 
 fn listen(listener: &TcpListener, end: &Arc<End>, page: &Arc<Page>) {
-    let n_open = Arc::new(AtomicUsize::new(0));
-    for connection in listener.incoming() {
+    let open = Arc::new(Connections::default());
+    for (id, connection) in (0..).zip(listener.incoming()) {
         if end.is_closed.load(Ordering::Relaxed) {
             return;
         }
@@ -98,14 +137,13 @@ fn listen(listener: &TcpListener, end: &Arc<End>, page: &Arc<Page>) {
             thread::sleep(PAUSE);
             continue;
         };
-        let Some(counted) = Counted::new(&n_open) else {
+        let Some(counted) = Connections::add(&open, &stream, id, Instant::now()) else {
             refuse(stream);
             continue;
         };
         let (end, page) = (Arc::clone(end), Arc::clone(page));
         let serve = move || {
-            let _counted = counted;
-            if serve(stream, end.address, &page) {
+            if serve(stream, &counted, end.address, &page) {
                 end.close();
             }
         };
@@ -122,8 +160,10 @@ fn refuse(mut stream: TcpStream) {
 }
 
 /// Answers the request of a connection. Returns whether it is the last one.
-fn serve(mut stream: TcpStream, own: SocketAddr, page: &Page) -> bool {
-    let (response, is_head) = match request::read(&mut stream) {
+fn serve(mut stream: TcpStream, counted: &Counted, own: SocketAddr, page: &Page) -> bool {
+    let read = request::read(&mut stream);
+    counted.has_come();
+    let (response, is_head) = match read {
         Ok(None) => return false,
         Ok(Some(request)) => (page.answer(&request, own), request.method == "HEAD"),
         Err(status) => (Response::from(status), false),
@@ -131,4 +171,38 @@ fn serve(mut stream: TcpStream, own: SocketAddr, page: &Page) -> bool {
     // The client may have gone.
     let _ = response.send(&mut stream, is_head);
     response.is_last
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Read;
+
+    #[test]
+    fn the_longest_silent_connection_makes_room() {
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+        let pair = || {
+            let client = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
+            (client, listener.accept().unwrap().0)
+        };
+        let (open, now) = (Arc::new(Connections::default()), Instant::now());
+        let mut held: Vec<(TcpStream, TcpStream, Counted)> = (0..32)
+            .map(|id| {
+                let (client, own) = pair();
+                let counted = Connections::add(&open, &own, id, now).unwrap();
+                (client, own, counted)
+            })
+            .collect();
+        held[0].2.has_come();
+        let (_client, own) = pair();
+        assert!(Connections::add(&open, &own, 32, now + MOST_SILENCE / 2).is_none());
+        // The first one has sent its request: it is the second one that goes.
+        let _counted = Connections::add(&open, &own, 33, now + MOST_SILENCE).unwrap();
+        assert_eq!(held[1].0.read(&mut [0]).unwrap(), 0);
+        held[0].1.set_nonblocking(true).unwrap();
+        assert!(held[0].1.read(&mut [0]).is_err());
+        assert_eq!(lock(&open.0).len(), MOST_CONNECTIONS);
+        drop(held);
+        assert_eq!(lock(&open.0).len(), 1);
+    }
 }

@@ -169,11 +169,6 @@ impl Calibration {
         &self.evaluator
     }
 
-    /// Everything that a fit is made from, by name and in words or as a hash.
-    pub(crate) fn identity(&self) -> &[(String, String)] {
-        &self.identity
-    }
-
     /// Problem of the calibration, as plain data.
     pub fn problem(&self) -> &Problem {
         &self.evaluator.problem

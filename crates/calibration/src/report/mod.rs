@@ -5,6 +5,7 @@ mod figure;
 pub(crate) mod live_content;
 mod number;
 mod page;
+mod setup;
 mod summary;
 mod template;
 mod text;
@@ -89,6 +90,102 @@ mod tests {
             .unwrap();
         let fit = calibration.fit(FitOptions::default()).unwrap();
         (calibration, fit)
+    }
+
+    /// The page and the document say what was fitted and how, in words and numbers.
+    #[test]
+    fn the_record_of_a_fit_says_what_was_fitted_and_how() {
+        let folder = tempfile::tempdir().unwrap();
+        let csv = folder.path().join("run.csv");
+        let row = |k: u32| {
+            let t = f64::from(k) / 20.0;
+            format!("{t},{},{}\n", (-2.0 * t).exp(), u32::from(k != 4))
+        };
+        let text: String = std::iter::once("time,x,ok\n".to_owned()).chain((0..40).map(row)).collect();
+        std::fs::write(&csv, &text).unwrap();
+        let data = Data::from_csv(&csv).unwrap().masked_by(&["x"], "ok").unwrap().resampled(0.1).unwrap();
+        let run = fmi::RunSettings {
+            max_step: Some(0.021),
+            timeout: Some(std::time::Duration::from_millis(3250)),
+            chattering: ode::ChatteringPolicy::Slide,
+            relative_tolerance: Some(1e-8),
+            ..fmi::RunSettings::default()
+        };
+        let settings = crate::SimulationSettings { memory_limit: Some(512_345_678), ..run.into() };
+        let fmu = fmi::Fmu::open(example_models::example_fmu("dahlquist").unwrap()).unwrap();
+        let calibration = Calibration::builder(fmu)
+            .experiment(Experiment::new(data).output("x", "x").delay("x", 0.0).hold_inputs(true))
+            .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
+            .settings(settings)
+            .build()
+            .unwrap();
+        let asked = serde_json::json!({
+            "loss": "huber", "f_scale": 0.77, "max_evaluations": 777, "max_failed": 0.44, "covariance": null, "rng": 17
+        });
+        let dfo::Value::Record(asked) = asked.into() else { panic!("no record") };
+        let options = FitOptions::from_record(asked, 1).unwrap();
+        let record = options.record().unwrap();
+        let again = FitOptions::from_record(record.clone(), 1).unwrap();
+        assert_eq!((again.record().unwrap(), &again.run), (record.clone(), &options.run));
+        let fit = calibration.fit(options).unwrap();
+        assert_eq!(fit.options, record);
+        let document: serde_json::Value = serde_json::from_str(&fit.to_json(&calibration).unwrap()).unwrap();
+        for (path, expected) in [
+            ("/relative_tolerance", serde_json::json!(1e-8)),
+            ("/problem/settings/max_step", serde_json::json!(0.021)),
+            ("/problem/settings/timeout", serde_json::json!(3.25)),
+            ("/problem/settings/chattering", serde_json::json!("slide")),
+            ("/problem/settings/memory_limit", serde_json::json!(512_345_678)),
+            ("/problem/parameters/0/upper", serde_json::json!(10.0)),
+            ("/problem/experiments/0/hold_inputs", serde_json::json!(true)),
+            ("/problem/experiments/0/delays", serde_json::json!([["x", 0.0]])),
+            ("/problem/experiments/0/data/mask", serde_json::json!("column 'ok': 39 of 40 rows")),
+            ("/problem/experiments/0/data/resample", serde_json::json!(0.1)),
+            // In one of the 20 intervals the mask leaves x at another mean time than the mask itself.
+            ("/problem/experiments/0/data/n_rows", serde_json::json!(21)),
+            (
+                "/problem/experiments/0/data/file_sha256",
+                crate::problem::fingerprint::hash_of_bytes(text.as_bytes()).into(),
+            ),
+            ("/fit_options/method", serde_json::json!("auto")),
+            ("/fit_options/search", serde_json::json!("local")),
+            ("/fit_options/objective", serde_json::json!("sum-of-squares")),
+            ("/fit_options/loss", serde_json::json!("huber")),
+            ("/fit_options/f_scale", serde_json::json!(0.77)),
+            ("/fit_options/max_failed", serde_json::json!(0.44)),
+            ("/fit_options/covariance", serde_json::Value::Null),
+            ("/fit_options/seed", serde_json::json!(17)),
+        ] {
+            assert_eq!(document.pointer(path), Some(&expected), "{path}: {document}");
+        }
+        let page = calibration.report_page(&fit, &RunContext::new()).unwrap();
+        let line = |name: &str, value: &str| format!("<dt>{name}</dt><dd>{value}</dd>");
+        for expected in [
+            line("max_step", "0.021"),
+            line("memory_limit", "512345678"),
+            line("chattering", "slide"),
+            line("max_evaluations", "777"),
+            line("covariance", "none"),
+            line("outputs", "x measured by column x"),
+            line("mask", "column &#x27;ok&#x27;: 39 of 40 rows"),
+            line("resample", "means over 0.1 s"),
+            line("delays", "x 0 s"),
+        ] {
+            assert!(page.contains(&expected), "{expected}: {page}");
+        }
+        assert!(
+            page.contains("<dt>hold inputs</dt>") && page.contains("<dt>SHA-256 of the file</dt>"),
+            "{page}"
+        );
+        // What is as by default is left out.
+        assert!(!page.contains("<dt>sandbox</dt>") && !page.contains("Constant"), "{page}");
+        let named = serde_json::json!({ "objective": "rmse", "max_evaluations": 20 });
+        let dfo::Value::Record(named) = named.into() else { panic!("no record") };
+        let fit = calibration.fit(FitOptions::from_record(named, 1).unwrap()).unwrap();
+        assert!(
+            fit.to_string().lines().any(|line| line.split_whitespace().eq(["objective", "rmse"])),
+            "{fit}"
+        );
     }
 
     #[test]
@@ -197,7 +294,7 @@ mod tests {
             "<svg",
             "relative tolerance",
             &calibration.problem().model.content_hash,
-            "SHA-256 of the data",
+            "fingerprint of the compared data",
             "<strong>note</strong> &lt;x&gt;: the residuals are not white",
             "<details>\n<summary>Experiment run1: ",
             "prefers-color-scheme",

@@ -3,14 +3,14 @@
 use super::curves::{ExperimentCurves, OutputCurves, Signal};
 use super::figure::{self, Panel, Point, Series};
 use super::number::rounded;
+use super::setup;
 use super::summary::{Fact, Summary, fact};
 use super::template;
 use crate::error::CalibrationError;
 use crate::fit::one_stage::Fit;
 use crate::loaded::calibration::Calibration;
+use crate::problem::experiment::Experiment;
 use base::{Number, RunContext};
-use dfo::{Record, Value};
-use fmi::RunSettings;
 use serde::Serialize;
 
 /// Heights of the panels of a figure, in pixels.
@@ -206,7 +206,7 @@ fn settings(calibration: &Calibration, fit: &Fit) -> Vec<Fact> {
     let mut facts = vec![("method", report.method.clone().into_owned())];
     facts.extend(report.method_reason.iter().map(|reason| ("reason for the method", reason.clone())));
     let options: Vec<String> = report.options.iter().map(|(name, value)| format!("{name} {value}")).collect();
-    facts.push(("options", options.join("; ")));
+    facts.push(("options of the method", options.join("; ")));
     facts.push(("end", report.message.clone()));
     facts.push(("loss", report.loss.to_string()));
     facts.extend(report.seed.map(|seed| ("seed", seed.to_string())));
@@ -219,38 +219,29 @@ fn settings(calibration: &Calibration, fit: &Fit) -> Vec<Fact> {
     facts.extend(tolerance.map(|tolerance| ("relative tolerance", tolerance)));
     let limit = settings.run.timeout.map(|limit| Number(limit.as_secs_f64()).to_string());
     facts.extend(limit.map(|limit| ("time limit of a simulation in s", limit)));
-    facts.into_iter().map(fact).chain(changed(&settings.run)).collect()
+    let mut told = setup::options(&fit.options, &TOLD_BESIDE);
+    for (k, stage) in fit.stages.iter().enumerate() {
+        let own = setup::options(&stage.options, &TOLD_BESIDE).into_iter();
+        let own = own.map(|(name, value)| format!("{name} {value}")).collect::<Vec<_>>().join("; ");
+        told.push((format!("options of stage {}", k + 1), own));
+    }
+    told.extend(setup::settings(settings, &["solver", "relative_tolerance", "timeout"]));
+    let told = told.into_iter().map(|(name, value)| Fact { name: name.into(), value });
+    facts.into_iter().map(fact).chain(told).collect()
 }
 
-/// Settings of simulations that are not the default, by the names that users write; without those that have a
-/// line of their own.
-fn changed(settings: &RunSettings) -> Vec<Fact> {
-    let fields = |settings| match Value::of(settings) {
-        Ok(Value::Record(fields)) => fields,
-        _ => Record::default(),
-    };
-    let (mut own, usual) = (fields(settings), fields(&RunSettings::default()));
-    own.retain(|name, value| {
-        !["solver", "relative_tolerance", "timeout"].contains(&name.as_str())
-            && usual.get(name) != Some(value)
-    });
-    own.into_iter().map(|(name, value)| Fact { name: name.into(), value: value.to_string() }).collect()
-}
+/// Options of a fit that other lines tell.
+const TOLD_BESIDE: [&str; 6] = ["method", "objective", "loss", "f_scale", "seed", "workers"];
 
-/// Parts of each experiment, with the hash of its data.
+/// Parts of each experiment.
 fn experiments(calibration: &Calibration) -> Vec<Setup> {
     let problem = calibration.problem();
-    let setup = |(k, name): (usize, String)| {
-        let suffix = format!(" of experiment {k}");
-        let own = |(name, value): &(String, String)| {
-            let name = name.strip_suffix(&suffix)?;
-            let name = if name == "data" { "SHA-256 of the data" } else { name };
-            (value != "none").then(|| (name.to_owned(), value.clone()))
-        };
-        let recording = problem.experiments[k].data.source().to_owned();
-        Setup { name, recording, facts: calibration.identity().iter().filter_map(own).collect() }
+    let setup = |(name, experiment): (String, &Experiment)| Setup {
+        name,
+        recording: experiment.data.source().to_owned(),
+        facts: setup::experiment(experiment),
     };
-    problem.experiment_names().into_iter().enumerate().map(setup).collect()
+    problem.experiment_names().into_iter().zip(&problem.experiments).map(setup).collect()
 }
 
 /// Origin of the fit: the model, and the version of this program.

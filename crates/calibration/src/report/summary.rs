@@ -4,6 +4,7 @@ use super::number::{rounded, with_error};
 use crate::findings::finding::{Finding, counts};
 use crate::fit::one_stage::Fit;
 use crate::fit::phase::PhaseCost;
+use crate::problem::objective::CostKind;
 use crate::uncertainty::result::Uncertainty;
 use crate::uncertainty::stuck_parameters::BoundSide;
 use base::Number;
@@ -257,6 +258,9 @@ fn facts(fit: &Fit) -> Vec<Fact> {
     if !fit.tied.is_empty() {
         let value = |(name, value): &(String, f64)| format!("{name} = {}", rounded(*value, DIGITS));
         facts.push(("tied", fit.tied.iter().map(value).collect::<Vec<_>>().join(", ")));
+    }
+    if fit.objective != CostKind::SumOfSquares.name() {
+        facts.push(("objective", fit.objective.clone()));
     }
     if !report.loss.is_linear() {
         facts.push(("loss", report.loss.to_string()));

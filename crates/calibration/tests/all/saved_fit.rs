@@ -128,7 +128,7 @@ fn files_that_are_no_fits_are_refused() {
     };
     assert_eq!(changed(&bytes, |_| ()), bytes);
     let other = refusal(&changed(&bytes, |items| *field(&mut items[0], "format_version") = 99.into()));
-    assert!(other.contains("format 99") && other.contains("reads format 4"), "{other}");
+    assert!(other.contains("format 99") && other.contains("reads format 5"), "{other}");
     let kind = refusal(&changed(&bytes, |items| *field(&mut items[0], "format") = "something".into()));
     assert!(kind.contains("no saved fit"), "{kind}");
     let renamed = |from: &str, to: &str| {

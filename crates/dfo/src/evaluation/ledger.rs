@@ -2,7 +2,7 @@
 
 use crate::error::{Error, NothingFound};
 use crate::method_interface::interface::Batch;
-use crate::outcome::answer::{Answer, Best, Failure, Outcome, Want};
+use crate::outcome::answer::{Answer, Best, Failure, FailureKind, Outcome, Want};
 use crate::outcome::trace::{Record, SpeculativeEntry, Trace};
 use serde::{Deserialize, Serialize};
 
@@ -130,7 +130,10 @@ impl Ledger {
     fn enter(&mut self, batch: &Batch, k: usize, answer: &Answer) {
         self.n_evaluations += 1;
         let outcome = &answer.outcome;
-        if let Outcome::Failed(Failure { message, .. }) = outcome {
+        // One that was cancelled says nothing about its point.
+        if let Outcome::Failed(Failure { kind, message }) = outcome
+            && *kind != FailureKind::Cancelled
+        {
             self.n_failed += 1;
             self.first_failure.get_or_insert_with(|| batch.point(k).to_vec());
             if let Some((_, count)) = self.failures.iter_mut().find(|(m, _)| m == message) {

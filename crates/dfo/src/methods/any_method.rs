@@ -8,7 +8,7 @@ use super::genetic::Genetic;
 use super::least_squares::LeastSquares;
 use super::multistart::{Multistart, Polish};
 use super::nelder_mead::NelderMead;
-use super::option_names::{COMMON, collect, described, place, tagged, unknown};
+use super::option_names::{COMMON, collect, described, place, tagged, unknown, values};
 use super::pattern_search::PatternSearch;
 use super::quadratic_model::QuadraticModel;
 use crate::error::Error;
@@ -347,7 +347,8 @@ from_options!(
 pub struct Auto {
     /// Goal of the search: the minimum next to the start (default), or the best in the box.
     pub search: Search,
-    /// Options for the method that will be chosen, by name; those of Nelder-Mead alone choose Nelder-Mead.
+    /// Options for the method that will be chosen, by name; those of Nelder-Mead alone choose Nelder-Mead,
+    /// and so does a batch plan that it alone has.
     #[cfg_attr(feature = "schema", schemars(with = "std::collections::BTreeMap<String, serde_json::Value>"))]
     pub options: Record,
 }
@@ -442,6 +443,21 @@ impl AnyMethod {
         Ok(names)
     }
 
+    /// The options of this method by name, as [`with_options`](Self::with_options) takes them; where the
+    /// choice is open, those that were given.
+    ///
+    /// # Errors
+    /// They cannot be serialised.
+    pub fn option_record(&self) -> Result<Record, Error> {
+        if let Self::Auto(auto) = self {
+            return Ok(auto.options.clone());
+        }
+        let names = self.name().parse::<Self>()?.option_names()?;
+        let mut options = Record::new();
+        values(&Value::of(self)?, &names, &mut options);
+        Ok(options)
+    }
+
     /// The same method with these options, and as it is in all others.
     ///
     /// # Errors
@@ -473,6 +489,11 @@ impl AnyMethod {
         Ok(method)
     }
 
+    /// True if the method has this option, and the option can have this value.
+    fn takes(&self, option: &str, value: &Value) -> bool {
+        self.clone().with_options(&Record::from([(option.to_owned(), value.clone())])).is_ok()
+    }
+
     /// The names of the options that there are, of any method or of every run.
     pub fn all_option_names() -> Result<BTreeSet<String>, Error> {
         let mut names: BTreeSet<String> = COMMON.into_iter().map(str::to_owned).collect();
@@ -493,19 +514,27 @@ impl Auto {
         let (mut method, reason) = AnyMethod::chosen_for(&ProblemClass { search: self.search, ..*class })?;
         let mut reason = reason.to_owned();
         let own = method.option_names()?;
-        let plan = match self.options.get("batch") {
-            Some(Value::Text(plan)) if plan != "workers" && plan != "rounds" => Some(plan),
+        let mut options = self.options.clone();
+        let plan = match options.get("batch") {
+            Some(plan @ Value::Text(word)) if !method.takes("batch", plan) => {
+                Some((plan.clone(), word.clone()))
+            }
             _ => None,
         };
-        if can_take_simplex && let Some(plan) = plan {
-            (method, reason) = (simplex, format!("the batch plan '{plan}' is one of nelder-mead"));
-        } else if can_take_simplex && let Some(option) = self.options.keys().find(|o| !own.contains(*o)) {
+        if plan.as_ref().is_some_and(|(_, word)| word.eq_ignore_ascii_case("auto")) {
+            // The plan of the method that is chosen.
+            options.remove("batch");
+        } else if can_take_simplex
+            && let Some((_, word)) = plan.filter(|(plan, _)| simplex.takes("batch", plan))
+        {
+            (method, reason) = (simplex, format!("the batch plan '{word}' is one of nelder-mead"));
+        } else if can_take_simplex && let Some(option) = options.keys().find(|o| !own.contains(*o)) {
             let of_simplex = simplex.option_names()?;
-            if self.options.keys().all(|option| of_simplex.contains(option)) {
+            if options.keys().all(|option| of_simplex.contains(option)) {
                 (method, reason) = (simplex, format!("the option '{option}' is one of nelder-mead"));
             }
         }
-        Ok((method.with_options(&self.options)?, reason))
+        Ok((method.with_options(&options)?, reason))
     }
 }
 

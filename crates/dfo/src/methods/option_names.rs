@@ -41,6 +41,21 @@ pub(super) fn collect(form: &Value, names: &mut BTreeSet<String>) {
     }
 }
 
+/// Takes the options of these names out of a serialised method; an empty list says nothing.
+pub(super) fn values(form: &Value, names: &BTreeSet<String>, options: &mut Record) {
+    let Value::Record(variants) = form else { return };
+    for fields in variants.values() {
+        let Value::Record(fields) = fields else { continue };
+        for (name, value) in fields {
+            match names.contains(name) {
+                true if *value == Value::List(Vec::new()) => {}
+                true => _ = options.insert(name.clone(), value.clone()),
+                false => values(value, names, options),
+            }
+        }
+    }
+}
+
 /// Where an option stands in a serialised method.
 pub(super) fn place<'f>(form: &'f mut Value, option: &str) -> Option<&'f mut Value> {
     let Value::Record(variants) = form else { return None };
@@ -85,6 +100,7 @@ pub(super) fn tagged(option: &str, value: Value) -> Value {
 pub(super) fn shape(option: &str) -> Option<serde_json::Value> {
     let numbers = |n: usize| serde_json::json!({ "type": "array", "items": { "type": "number" }, "minItems": n, "maxItems": n });
     Some(match option {
+        "batch" => serde_json::json!({ "const": "workers" }),
         "coefficients" => numbers(4),
         "initial_simplex" => {
             serde_json::json!({ "type": ["array", "null"], "items": { "type": ["number", "array"] } })

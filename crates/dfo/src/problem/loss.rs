@@ -98,6 +98,16 @@ impl RobustLoss {
         })
     }
 
+    /// The loss.
+    pub fn kind(&self) -> Loss {
+        self.kind
+    }
+
+    /// Its scale, in the units of the residuals.
+    pub fn scale(&self) -> f64 {
+        self.scale
+    }
+
     /// Whether residuals stay as they are.
     pub fn is_linear(&self) -> bool {
         self.kind == Loss::Linear

@@ -12,6 +12,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
+use std::thread::available_parallelism;
 use std::time::Duration;
 
 /// The options that every run has. What is left out is as by default, no limit is `None`.
@@ -53,11 +54,13 @@ pub(super) struct RunRecord {
     max_failed: Option<f64>,
     /// Where no limit is set, none holds: not even the method's own.
     unlimited: Option<bool>,
-    /// Evaluations that may run at once. The result does not depend on it.
-    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
-    workers: Option<usize>,
+    /// Evaluations that may run at once; -1: as many as there are cores. The result does not depend on it.
+    #[cfg_attr(feature = "schema", schemars(schema_with = "workers_schema"))]
+    workers: Value,
     /// Seed of the random numbers; default: drawn, and reported.
     seed: Option<u64>,
+    /// The same as `seed`.
+    rng: Option<u64>,
     /// Number of evaluations to remember.
     #[cfg_attr(feature = "schema", schemars(with = "Option<u64>"))]
     cache: Value,
@@ -86,6 +89,11 @@ pub(super) struct RunRecord {
     /// The kind of all parameters, or of each.
     #[cfg_attr(feature = "schema", schemars(with = "Option<PerParameter<ParameterKind>>"))]
     kinds: Value,
+}
+
+#[cfg(feature = "schema")]
+fn workers_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
+    schemars::json_schema!({ "anyOf": [{ "enum": [-1, null] }, { "type": "integer", "minimum": 1 }] })
 }
 
 /// A value for all parameters, or one for each.
@@ -130,12 +138,59 @@ impl RequestedRun {
     /// # Errors
     /// An option that there is not, or a value that it cannot have.
     pub fn new(options: RunOptions<AnyMethod>, record: &Record, n: usize) -> Result<Self, Error> {
-        let (of_run, of_method) = read_part::<RunRecord>(record.clone(), "option of a run")?;
+        let (of_run, mut of_method) = read_part::<RunRecord>(record.clone(), "option of a run")?;
         let mut asked = Self { options, ..Self::default() };
+        asked.options.workers = workers(&of_run.workers)?.or(asked.options.workers);
+        if let Some(Value::Text(plan)) = of_method.get("batch")
+            && plan.eq_ignore_ascii_case("workers")
+        {
+            let n = asked.options.workers.unwrap_or_else(all_cores);
+            of_method.insert("batch".to_owned(), Value::Count(n as u64));
+        }
         let method = asked.method(&of_run, &of_method);
         asked.set(of_run, n)?;
         asked.options.method = method?;
         Ok(asked)
+    }
+
+    /// The record that asks for a run with these options: what holds in words and numbers, what is left open
+    /// left out. It says nothing of the parameters, nor of the identities of problem and code.
+    ///
+    /// # Errors
+    /// The options of the method cannot be serialised.
+    pub fn record(options: &RunOptions<AnyMethod>) -> Result<Record, Error> {
+        let RunOptions { method, tolerances, limits, checkpoint, known, .. } = options;
+        let count = |limit: Option<usize>| limit.map_or(Value::Nothing, |n| Value::Count(n as u64));
+        let seconds =
+            |time: Option<Duration>| time.map_or(Value::Nothing, |time| Value::Number(time.as_secs_f64()));
+        let checkpoint = checkpoint.as_ref();
+        let run = RunRecord {
+            method: Some(method.name().to_owned()),
+            search: if let AnyMethod::Auto(auto) = method { Some(auto.search) } else { None },
+            x_tol: Some(tolerances.x_tol),
+            f_tol: Some(tolerances.f_tol),
+            stop: Some(tolerances.stop),
+            tolerances: Some(tolerances.measure),
+            max_evaluations: count(limits.max_evaluations),
+            max_iterations: count(limits.max_iterations),
+            max_time: seconds(limits.max_time),
+            target: limits.target,
+            max_failed: limits.max_failed,
+            unlimited: options.unlimited.then_some(true),
+            workers: count(options.workers),
+            seed: options.seed,
+            cache: count(options.cache),
+            trace_limit: count(options.trace_limit),
+            warm_start: (!known.is_empty()).then(|| known.clone()),
+            checkpoint: checkpoint.map(|checkpoint| checkpoint.path.clone()),
+            checkpoint_interval: seconds(checkpoint.map(|checkpoint| checkpoint.interval)),
+            resume: checkpoint.map(|checkpoint| checkpoint.resume),
+            ..RunRecord::default()
+        };
+        let Value::Record(mut record) = Value::of(&run)? else { return Ok(Record::new()) };
+        record.retain(|_, value| *value != Value::Nothing);
+        record.extend(method.option_record()?);
+        Ok(record)
     }
 
     /// The method with its options.
@@ -181,8 +236,7 @@ impl RequestedRun {
         }
         limits.target = asked.target.or(limits.target);
         limits.max_failed = asked.max_failed.or(limits.max_failed);
-        run.workers = asked.workers.or(run.workers);
-        run.seed = asked.seed.or(run.seed);
+        run.seed = asked.seed.or(asked.rng).or(run.seed);
         run.problem = asked.problem.or(run.problem.take());
         run.checkpoint = checkpoint.or(run.checkpoint.take());
         self.scale = per_parameter("scale", &asked.scale, n)?;
@@ -205,6 +259,22 @@ fn limit(limit: &mut Option<usize>, name: &str, said: &Value, least: u64) -> Res
         *limit = said.read_limit(name, least)?;
     }
     Ok(())
+}
+
+/// The number of cores that this process may use.
+fn all_cores() -> usize {
+    available_parallelism().map_or(1, usize::from)
+}
+
+/// How many evaluations may run at once, where it is said.
+fn workers(said: &Value) -> Result<Option<usize>, RecordError> {
+    match said {
+        Value::Negative(-1) => Ok(Some(all_cores())),
+        Value::Negative(_) | Value::Count(0) => {
+            Err(RecordError::range("at least 1, or -1 for all cores").of("workers", said))
+        }
+        said => said.read("workers"),
+    }
 }
 
 /// The file of a run, and when it is read and written.

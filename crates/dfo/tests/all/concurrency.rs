@@ -153,12 +153,14 @@ fn an_interrupt_ends_running_evaluations_and_keeps_the_best() {
             assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)));
             assert_eq!(report.n_evaluations + report.n_speculative, started);
             assert_eq!(report.n_evaluations, report.trace.len());
+            // What was cancelled has not failed.
+            assert_eq!((report.n_failed, report.failures), (0, Vec::new()));
             assert!(started <= ready_after as usize + workers && time < Duration::from_secs(5), "{time:?}");
         }
         let (result, ..) = interrupted(workers, 0);
         let Err(Error::EndedWithoutPoint { termination, found }) = result else { panic!("{result:?}") };
         assert_eq!(termination, Termination::Interrupted);
-        assert!(found.trace.len() <= workers);
+        assert!(found.trace.len() <= workers && found.failures.is_empty());
     }
 }
 

@@ -2,9 +2,9 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use dfo::{
-    AnyMethod, Coefficients, DifferentialWeight, Error, Lookahead, MethodOptions, NelderMead, ParameterKind,
-    ProblemClass, QuadraticModel, Record, RequestedRun, RunOptions, Search, Selection, StopRule,
-    ToleranceMeasure, Transform, Value,
+    AnyMethod, Coefficients, DifferentialWeight, Error, LeastSquares, Lookahead, MethodOptions, NelderMead,
+    ParameterKind, ProblemClass, QuadraticModel, Record, RequestedRun, RunOptions, Search, Selection,
+    StopRule, ToleranceMeasure, Transform, Value,
 };
 use std::time::Duration;
 
@@ -20,16 +20,15 @@ fn asked(json: serde_json::Value) -> Result<RequestedRun, Error> {
 }
 
 /// The method that is chosen for costs in a box of two parameters.
-fn chosen(mut json: serde_json::Value) -> Result<(AnyMethod, String), Error> {
+fn chosen(json: serde_json::Value) -> Result<(AnyMethod, String), Error> {
+    chosen_for(json, false)
+}
+
+fn chosen_for(mut json: serde_json::Value, residuals: bool) -> Result<(AnyMethod, String), Error> {
     json["method"] = "auto".into();
     let method = asked(json)?.options.method;
-    let class = ProblemClass {
-        lower: &[0.0; 2],
-        upper: &[1.0; 2],
-        kinds: &[],
-        residuals: false,
-        search: Search::Local,
-    };
+    let class =
+        ProblemClass { lower: &[0.0; 2], upper: &[1.0; 2], kinds: &[], residuals, search: Search::Local };
     Ok(method.chosen(&class)?.unwrap_or((method, "the choice was not open".to_owned())))
 }
 
@@ -71,6 +70,46 @@ fn options_of_variants_are_options_like_the_others() {
     assert_eq!((options.selection, options.stall), (Selection::Tournament(3), None));
 }
 
+/// What a run was asked for comes back from its options.
+#[test]
+fn the_record_of_a_run_asks_for_the_same_run() {
+    for json in [
+        serde_json::json!({ "method": "auto", "search": "global", "x_tol": 1e-5, "seed": 3, "workers": 2 }),
+        serde_json::json!({ "method": "nelder-mead", "coefficients": [1, 2, 0.5, 0.4], "initial_simplex": [0.1, 0.2], "stop": "any" }),
+        serde_json::json!({ "method": "least-squares", "batch": "rounds", "max_time": 2.5, "target": 1e-3, "max_failed": 0.25 }),
+        serde_json::json!({ "method": "de-classic", "weight": [0.5, 1], "population": 30, "max_evaluations": 70, "unlimited": true }),
+        serde_json::json!({ "method": "ga", "selection": 3, "stall": null, "max_iterations": 9, "tolerances": "absolute" }),
+        serde_json::json!({ "method": "de", "checkpoint": "a.ckpt", "checkpoint_interval": 5, "resume": "never", "cache": 8 }),
+        serde_json::json!({ "warm_start": [{ "x": [1.5, 2.5], "cost": 0.5, "residuals": [], "problem": "p" }], "trace_limit": 4 }),
+    ] {
+        let options = asked(json.clone()).unwrap().options;
+        let record = RequestedRun::record(&options).unwrap();
+        let again = RequestedRun::new(RunOptions::default(), &record, 2).unwrap().options;
+        assert_eq!(again, options, "{json}: {record:?}");
+    }
+    for name in AnyMethod::NAMES {
+        let method = name.parse::<AnyMethod>().unwrap();
+        let options = RunOptions { method, ..RunOptions::default() };
+        let record = RequestedRun::record(&options).unwrap();
+        let again = RequestedRun::new(RunOptions::default(), &record, 2).unwrap().options;
+        assert_eq!(again.method, options.method, "{record:?}");
+    }
+}
+
+/// Words that Python's functions take have the same meaning in a record.
+#[test]
+fn the_words_of_python_are_known() {
+    let run = asked(serde_json::json!({ "rng": 7, "workers": 3, "batch": "workers" })).unwrap().options;
+    assert_eq!((run.seed, run.workers), (Some(7), Some(3)));
+    assert_eq!(run.method, NelderMead::default().batch(Lookahead::Points(3)).into());
+    let cores = std::thread::available_parallelism().unwrap().get();
+    assert_eq!(asked(serde_json::json!({ "workers": -1 })).unwrap().options.workers, Some(cores));
+    for workers in [0, -2] {
+        let error = asked(serde_json::json!({ "workers": workers })).unwrap_err().to_string();
+        assert_eq!(error, format!("workers = {workers} must be at least 1, or -1 for all cores"));
+    }
+}
+
 #[test]
 fn infinite_limits_are_none() {
     let limits = Record::from([
@@ -93,6 +132,22 @@ fn open_choices_carry_their_options() {
     let (method, reason) = chosen(serde_json::json!({ "initial_simplex": [0.1, 0.2] })).unwrap();
     assert_eq!(method, NelderMead::default().initial_steps(&[0.1, 0.2]).into());
     assert_eq!(reason, "the option 'initial_simplex' is one of nelder-mead");
+    // A plan that the chosen method has is its own, and "auto" is that of any.
+    let residuals = "the objective gives residuals".to_owned();
+    let rounds = AnyMethod::from(LeastSquares::default().rounds());
+    for (plan, method) in [
+        (serde_json::json!("Serial"), LeastSquares::default().into()),
+        (serde_json::json!("auto"), LeastSquares::default().into()),
+        (serde_json::json!("rounds"), rounds),
+        (serde_json::json!(3), LeastSquares::default().batch(3).into()),
+    ] {
+        let chosen = chosen_for(serde_json::json!({ "batch": plan }), true).unwrap();
+        assert_eq!(chosen, (method, residuals.clone()), "{plan}");
+    }
+    let (method, reason) = chosen_for(serde_json::json!({ "batch": "ahead" }), true).unwrap();
+    assert_eq!((method.name(), &*reason), ("nelder-mead", "the batch plan 'ahead' is one of nelder-mead"));
+    let (method, _) = chosen(serde_json::json!({ "batch": "auto" })).unwrap();
+    assert_eq!(method, QuadraticModel::default().hand_over(true).into());
     let error = chosen(serde_json::json!({ "batsch": 2 })).unwrap_err().to_string();
     assert!(error.starts_with("quadratic-model has no option 'batsch'"), "{error}");
 }

@@ -103,7 +103,7 @@ macro_rules! names {
 #[cfg(feature = "schema")]
 names! {
     kinds = ["auto", "ME", "CS", "me", "cs", "ModelExchange", "CoSimulation", "model-exchange", "co-simulation"];
-    solvers = Method::ALL.map(Method::name);
+    solvers = [&Method::ALL.map(Method::name)[..], &["RK45", "Radau", "LSODA", "CVode", "CVodes"]].concat();
     policies = ChatteringPolicy::NAMES;
 }
 

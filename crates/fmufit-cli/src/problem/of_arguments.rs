@@ -9,6 +9,7 @@ use calibration::{CsvRequest, Data, find_column};
 use dfo::Value;
 use fmi::Fmu;
 use fmi::description::Causality;
+use fmi::worker::Isolation;
 use std::path::Path;
 
 /// The problem that arguments describe.
@@ -46,9 +47,28 @@ pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<Pro
                 problem.display()
             )));
         }
-        None => ProblemFile::read(problem)?,
+        None => {
+            let of_model = [
+                ("--output", !output.is_empty()),
+                ("--input", !input.is_empty()),
+                ("--parameter", !parameter.is_empty()),
+                ("--time", time.is_some()),
+            ];
+            if let Some((option, _)) = of_model.iter().find(|(_, is_given)| *is_given) {
+                return Err(Error::input(format!(
+                    "{option} belongs to a model (.fmu) and a recording, and {} is a problem file, which says that itself",
+                    problem.display()
+                )));
+            }
+            ProblemFile::read(problem)?
+        }
     };
-    file.set("settings", short_form::options(setting)?);
+    let settings = short_form::options(setting)?.into_iter().map(|(name, value)| match (&name[..], value) {
+        // The word for no isolation, not the default.
+        ("isolation", Value::Nothing) => (name, Value::Text(Isolation::None.name().to_owned())),
+        (_, value) => (name, value),
+    });
+    file.set("settings", settings);
     if !unit.is_empty() {
         let units = short_form::assignments(unit, "VARIABLE=UNIT, as in --unit room.T=K")?;
         let units = units.into_iter().map(|(variable, unit)| (variable, Value::Text(unit)));

@@ -7,7 +7,7 @@ use crate::error::Error;
 use crate::output_paths::is_stream;
 use calibration::{
     Calibration, CalibrationError, Experiment, ExperimentRecord, FitOptions, Parameter, ParameterRecord,
-    RunContext, SimulationSettings, Stage, fit_schema, stage_schema,
+    RunContext, SimulationSettings, Stage, fit_schema, stages_schema,
 };
 use dfo::{Record, RecordError, Value, field_names};
 use fmi::Fmu;
@@ -52,10 +52,6 @@ fn parameters_schema(generator: &mut SchemaGenerator) -> Schema {
     });
     let all = [generator.subschema_for::<ParameterRecord>(), has_value];
     json_schema!({ "type": "array", "items": { "allOf": all }, "minItems": 1 })
-}
-
-fn stages_schema(generator: &mut SchemaGenerator) -> Schema {
-    json_schema!({ "type": "array", "items": stage_schema(generator) })
 }
 
 /// A problem as it was written.

@@ -182,6 +182,38 @@ fn units_that_the_model_does_not_state_are_stated() {
     );
 }
 
+/// Words of Python and of other tools mean the same in files and on the command line.
+#[test]
+fn words_are_those_of_python() {
+    let folder = decay("[settings]\nsolver = \"CVode\"\n[fit]\nrng = 1\nworkers = -1\nbatch = \"serial\"\n");
+    let result = json(&folder.run("fit problem.toml --json").good());
+    assert_eq!(
+        (&result["method"], &result["fit_options"]["seed"]),
+        (&"least-squares".into(), &1.into()),
+        "{result}"
+    );
+    folder.run("fit problem.toml -O batch=workers -S isolation=none").good();
+    let result = json(&folder.run("fit problem.toml --json -S isolation=none").good());
+    assert_eq!(result["problem"]["settings"]["isolation"], "none", "{result}");
+}
+
+/// Programs that ask for JSON read what is wrong with their arguments there.
+#[test]
+fn wrong_arguments_are_a_document_where_json_is_asked_for() {
+    let folder = decay("");
+    for (arguments, expected) in [
+        ("fit problem.toml --json --no-such-option", "unexpected argument '--no-such-option' found"),
+        ("fit --json", "the following required arguments were not provided: <PROBLEM.toml | MODEL.fmu>"),
+        ("fit problem.toml --json --parameter k=1", "--parameter belongs to a model"),
+    ] {
+        let ran = folder.run(arguments);
+        let document = json(&ran.out);
+        assert!(ran.code == 2 && document["error"]["exit_code"] == 2, "{ran:?}");
+        assert!(document["error"]["message"].as_str().unwrap().starts_with(expected), "{document}");
+    }
+    assert_eq!(folder.run("fit problem.toml --no-such-option").out, "");
+}
+
 #[test]
 fn stages_and_several_recordings_stand_in_the_file() {
     let folder = decay("");
@@ -292,6 +324,10 @@ fn mistakes_in_a_file_are_named_with_their_lines() {
         ("problem.toml -O max_tiem=1", "--option max_tiem: there is no option of a fit 'max_tiem'"),
         ("problem.toml -S solver=rk5", "--setting solver: unknown solver 'rk5'"),
         ("problem.toml --setting solver", "must be name=value"),
+        (
+            "problem.toml --parameter k=1",
+            "--parameter belongs to a model (.fmu) and a recording, and problem.toml",
+        ),
         ("problem.toml --setting solvr=1", "did you mean 'solver'?"),
     ] {
         let message = folder.run(&format!("fit {arguments}")).wrong_input();

@@ -70,6 +70,10 @@ fn results_follow_their_schemas() {
     let folder = Folder::with_model("dahlquist");
     folder.record_decay();
     folder.write("problem.toml", PROBLEM);
+    folder.write(
+        "staged.toml",
+        &format!("{PROBLEM}[[stages]]\nparameters = [\"k\"]\nwindows = [[0.0, 1.0]]\n"),
+    );
     for (of, arguments) in [
         ("info", "info model.fmu --json"),
         ("validate", "validate model.fmu --json"),
@@ -77,6 +81,7 @@ fn results_follow_their_schemas() {
         ("check", "check problem.toml --preflight --json"),
         ("fit", "fit problem.toml --json -O preflight=true"),
         ("fit", "fit problem.toml --json -O max_evaluations=3 -O covariance=none"),
+        ("fit", "fit staged.toml --json -O method=de-classic -O max_evaluations=20 -O workers=-1 -O rng=1"),
         ("error", "fit none.toml --json"),
     ] {
         let schema = Schema::new(json(&folder.run(&format!("schema --of {of}")).good()));

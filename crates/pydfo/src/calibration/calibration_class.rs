@@ -415,7 +415,7 @@ impl PyCalibration {
         let mut shown = FitOptions::default();
         page.iter().for_each(|page| page.attach(&mut shown));
         let FitOptions { phase, live, .. } = shown;
-        let told = Arc::clone(&phase);
+        let (told, stopped) = (Arc::clone(&phase), page.clone());
         let outcome = watch.run_with_ticks(
             move |caller| {
                 let is_stop_asked = || page.as_ref().is_some_and(|page| page.is_stop_asked());
@@ -475,6 +475,10 @@ impl PyCalibration {
                 }
                 report::set_raised(&mut fit.report, raised.as_ref());
                 Some(fit::result(py, &self.shared, fit)?)
+            }
+            // The button of the page does what Ctrl-C does.
+            Err(e) if e.is_interrupt() && stopped.is_some_and(|page| page.is_stop_asked()) => {
+                return Err(error::interrupted(py, None, raised));
             }
             Err(e) if raised.is_none() && !stop.is_asked() => return Err(error::calibration(py, &e)),
             Err(_) => None,

@@ -203,6 +203,12 @@ impl<'py> Problem<'py> {
     }
 }
 
+/// Name of the method that stands for one of another tool; None: the name is none of those.
+#[pyfunction]
+pub(crate) fn solver_standing_for(name: &str) -> Option<&'static str> {
+    Method::standing_for(name).map(Method::name)
+}
+
 /// Integrates a system written in Python, on the calling thread.
 #[pyfunction]
 pub(crate) fn solve<'py>(py: Python<'py>, problem: Problem<'py>) -> PyResult<Bound<'py, PyAny>> {

@@ -106,6 +106,7 @@ impl Calibration {
             start_cost,
             start_rms,
             objective: objective.name().to_owned(),
+            options: job.asked.clone(),
             start: start.clone(),
             stages: Vec::new(),
             phases: Vec::new(),

@@ -9,7 +9,7 @@ use crate::uncertainty::result::{Estimator, UncertaintyOptions};
 use base::RunContext;
 use dfo::{
     AnyMethod, Loss, Progress, Record, RecordError, RequestedRun, RobustLoss, RunOptions, Search, StopRule,
-    ToleranceMeasure, Tolerances, field_names, read_part,
+    ToleranceMeasure, Tolerances, Value, field_names, read_part,
 };
 use serde::{Deserialize, Deserializer, Serialize};
 use std::cell::RefCell;
@@ -122,6 +122,29 @@ impl FitOptions<'_> {
         }
         options.run = RequestedRun::new(options.run, &of_run, n)?.options;
         Ok(options)
+    }
+
+    /// The record that asks for these options, as [`from_record`](Self::from_record) reads it: with all that
+    /// holds, also by default. A function of the user's as the objective has its name there.
+    ///
+    /// # Errors
+    /// The options of the method cannot be serialised.
+    pub fn record(&self) -> Result<Record, dfo::Error> {
+        let own = FitRecord {
+            objective: Some(self.objective.name().to_owned()),
+            loss: Some(self.loss.kind()),
+            f_scale: (!self.loss.is_linear()).then(|| self.loss.scale()),
+            noise: self.noise,
+            preflight: self.preflight,
+            covariance: Some(self.uncertainty.as_ref().map(|uncertainty| uncertainty.estimator)),
+        };
+        let mut record = RequestedRun::record(&self.run)?;
+        if let Value::Record(own) = Value::of(&own)? {
+            // Without an estimator there is no uncertainty, which is not the default.
+            let said = |name: &str, value: &Value| name == "covariance" || *value != Value::Nothing;
+            record.extend(own.into_iter().filter(|(name, value)| said(name, value)));
+        }
+        Ok(record)
     }
 }
 

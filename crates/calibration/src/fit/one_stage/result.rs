@@ -12,7 +12,7 @@ use crate::uncertainty::preflight::Preflight;
 use crate::uncertainty::result::Uncertainty;
 use crate::uncertainty::stuck_parameters::BoundSide;
 use base::Number;
-use dfo::Report;
+use dfo::{Record, Report};
 use ode::Stats;
 use serde::{Deserialize, Serialize};
 
@@ -52,6 +52,9 @@ pub struct Fit {
     pub rms: f64,
     /// Name of the cost, see [`CostKind::name`](crate::CostKind::name).
     pub objective: String,
+    /// The options that were asked for, by the names that users write (see
+    /// [`FitOptions::record`](crate::FitOptions::record)); of a stage with its `parameters` and `windows`.
+    pub options: Record,
     /// Where the noise of the measurements was taken from, beside which priors count; `None`: nothing
     /// depended on it (no priors, or a cost that is no sum of squares), or there was no time for a search.
     #[serde(default, skip_serializing_if = "Option::is_none")]

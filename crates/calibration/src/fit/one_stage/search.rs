@@ -20,7 +20,7 @@ use crate::uncertainty::stuck_parameters::{EndedRun, StuckParameters};
 use base::{Number, RunContext};
 use dfo::{
     Answer, AnyMethod, ByRef, CutoffUse, Evaluator, NothingFound, Objective, Outcome, ParameterKind, Polled,
-    ProblemClass, Progress, Query, Report, Resume, RobustLoss, RunOptions, Search, Termination,
+    ProblemClass, Progress, Query, Record, Report, Resume, RobustLoss, RunOptions, Search, Termination,
     ToleranceMeasure, Tolerances, Trace, Wait, Want,
 };
 use ode::Stats;
@@ -195,6 +195,8 @@ impl UsedLimits {
 /// Options of a fit, checked, with its clock.
 pub(crate) struct Job<'a> {
     pub(crate) run: RunOptions<AnyMethod>,
+    /// The options that were asked for, by name.
+    pub(crate) asked: Record,
     pub(crate) start: Vec<f64>,
     pub(crate) held: Vec<usize>,
     pub(crate) cutoffs: bool,
@@ -227,6 +229,7 @@ impl<'a> Job<'a> {
     ) -> Result<Self, CalibrationError> {
         let is_part = within.is_some();
         let context = within.unwrap_or_else(|| options.context.within(options.run.limits.max_time));
+        let asked = options.record()?;
         let mut run = options.run;
         options.objective.check(calibration.residual_layout(), !options.loss.is_linear())?;
         if options.noise == NoiseRule::Estimated
@@ -248,6 +251,7 @@ impl<'a> Job<'a> {
         }
         Ok(Self {
             run,
+            asked,
             start,
             is_whole: options.held.is_empty(),
             held: options.held,

@@ -17,7 +17,7 @@ pub enum StepPlan {
     /// n + 4 points: the model's best points within four radii, and the n neighbours of the first of them for
     /// its Jacobian. The fewest rounds, for as many workers or more; with fewer it takes longer than one
     /// point at a time.
-    PendingGeneration,
+    Rounds,
     /// So many points: first trial points, then neighbours.
     #[serde(untagged)]
     Points(usize),
@@ -25,8 +25,7 @@ pub enum StepPlan {
 
 impl<'de> Deserialize<'de> for StepPlan {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        const NAMES: [(&str, StepPlan); 2] =
-            [("serial", StepPlan::Serial), ("rounds", StepPlan::PendingGeneration)];
+        const NAMES: [(&str, StepPlan); 2] = [("serial", StepPlan::Serial), ("rounds", StepPlan::Rounds)];
         let expected = "a whole number, 'serial' or 'rounds'";
         name_or_number(deserializer, expected, &NAMES, StepPlan::Points)
     }
@@ -37,7 +36,7 @@ impl StepPlan {
     pub(super) fn width(self, n: usize) -> usize {
         match self {
             Self::Serial => 1,
-            Self::PendingGeneration => n + 4,
+            Self::Rounds => n + 4,
             Self::Points(points) => points,
         }
     }
@@ -89,10 +88,10 @@ impl LeastSquares {
         self
     }
 
-    /// Evaluates n + 4 points at once ([`StepPlan::PendingGeneration`]).
+    /// Evaluates n + 4 points at once ([`StepPlan::Rounds`]).
     #[must_use]
     pub fn rounds(mut self) -> Self {
-        self.batch = StepPlan::PendingGeneration;
+        self.batch = StepPlan::Rounds;
         self
     }
 

@@ -162,7 +162,8 @@ def check_options(options: Collection[str], function: Callable[..., Any]) -> Non
     """Refuses options that are arguments of `function`, and such as other tools have, saying what they are called here."""
     arguments, known = argument_names(function), _core.option_names()
     for name in options:
-        if name in known:
+        # "rng" is the word for a seed in files.
+        if name in known and name != "rng":
             continue
         if name in arguments:
             raise ValueError(f"{name} is an argument of {function.__name__}, not one of the options")

@@ -176,19 +176,9 @@ def check_simplex(value: npt.ArrayLike, n: int) -> None:
         )
 
 
-#: Solvers of other tools, and those that stand for them here.
-SOLVERS: Mapping[str, str] = {
-    "rk45": "tsit5",
-    "radau": "radau5",
-    "lsoda": "auto",
-    "cvode": "auto",
-    "cvodes": "auto",
-}
-
-
 def solver(name: str, argument: str = "solver") -> str:
     """The name of an integration method; those of SciPy and ``CVode``, which other tools have, stand for one of ours."""
-    ours = SOLVERS.get(_values.choice(argument, name).lower())
+    ours = _core.solver_standing_for(_values.choice(argument, name))
     if ours is None:
         return name
     _log.info("there is no %s here: %s=%r is used instead", name, argument, ours)

@@ -1,0 +1,34 @@
+//! The problem of a fit as a document for other programs: all of it but the numbers of its recordings.
+
+use crate::data::Data;
+use crate::problem::definition::Problem;
+use crate::problem::experiment::Experiment;
+use serde_json::{Error, Value as Json, json};
+
+impl Problem {
+    /// The fields of the problem as JSON. Of each recording it says what it is, of weights for each row how
+    /// many they are; the limit of time is in s.
+    ///
+    /// # Errors
+    /// It cannot be serialised.
+    pub(crate) fn document(&self) -> Result<Json, Error> {
+        let without = |e: &Experiment| Experiment { data: Data::default(), ..e.clone() };
+        let experiments = self.experiments.iter().map(without).collect();
+        let Self { model, parameters, settings, .. } = self.clone();
+        let mut document = serde_json::to_value(Self { model, parameters, experiments, settings })?;
+        for (k, (experiment, name)) in self.experiments.iter().zip(self.experiment_names()).enumerate() {
+            let own = &mut document["experiments"][k];
+            own["name"] = name.into();
+            own["data"] = serde_json::to_value(experiment.data.summary())?;
+            for output in own["outputs"].as_array_mut().into_iter().flatten() {
+                if let Some(n) = output["weight"]["Rows"].as_array().map(Vec::len) {
+                    output["weight"] = json!({ "Rows": n });
+                }
+            }
+        }
+        if let Some(timeout) = self.settings.run.timeout {
+            document["settings"]["timeout"] = timeout.as_secs_f64().into();
+        }
+        Ok(document)
+    }
+}

@@ -1,0 +1,122 @@
+//! What was fitted and how, in words: parts of experiments, and options that are not the default.
+
+use crate::fit::one_stage::FitOptions;
+use crate::problem::experiment::{Experiment, InitialState, Measured, Weight};
+use crate::problem::input::InputSource;
+use crate::problem::settings::SimulationSettings;
+use base::Number;
+use dfo::{Record, Value};
+
+/// A name and what it is, in words.
+pub(super) type Described = (String, String);
+
+/// Options of a fit that are not the default, by the names that users write, but for these.
+pub(super) fn options(asked: &Record, but: &[&str]) -> Vec<Described> {
+    let usual = FitOptions::default().record().unwrap_or_default();
+    others(asked, &usual, but)
+}
+
+/// Settings of simulations that are not the default, but for these.
+pub(super) fn settings(settings: &SimulationSettings, but: &[&str]) -> Vec<Described> {
+    let fields = |settings| match Value::of(settings) {
+        Ok(Value::Record(fields)) => fields,
+        _ => Record::default(),
+    };
+    others(&fields(settings), &fields(&SimulationSettings::default()), but)
+}
+
+/// The values of a record that another one does not have.
+fn others(own: &Record, usual: &Record, but: &[&str]) -> Vec<Described> {
+    let is_told = |name: &str, value: &Value| !but.contains(&name) && usual.get(name) != Some(value);
+    let told = own.iter().filter(|(name, value)| is_told(name, value));
+    told.map(|(name, value)| match (name.as_str(), value) {
+        ("warm_start", Value::List(points)) => (name.clone(), format!("{} points", points.len())),
+        _ => (name.clone(), words(value)),
+    })
+    .collect()
+}
+
+/// A value as people write it.
+fn words(value: &Value) -> String {
+    let all = |items: Vec<String>| if items.is_empty() { "none".to_owned() } else { items.join(", ") };
+    match value {
+        Value::Text(text) => text.clone(),
+        Value::Flag(true) => "yes".to_owned(),
+        Value::Flag(false) => "no".to_owned(),
+        Value::List(items) => all(items.iter().map(words).collect()),
+        Value::Record(fields) => {
+            all(fields.iter().map(|(name, value)| format!("{name} {}", words(value))).collect())
+        }
+        other => other.to_string(),
+    }
+}
+
+/// The parts of an experiment.
+pub(super) fn experiment(experiment: &Experiment) -> Vec<Described> {
+    let data = experiment.data.summary();
+    let seconds = |time: f64| format!("{} s", Number(time));
+    let span = |(from, to): (f64, f64)| format!("{} to {}", Number(from), seconds(to));
+    let list = |items: Vec<String>| (!items.is_empty()).then(|| items.join("; "));
+    let times = data.from.zip(data.to).map(|times| format!(", {}", span(times))).unwrap_or_default();
+    let facts = [
+        ("outputs", list(experiment.outputs.iter().map(output).collect())),
+        ("inputs", list(experiment.inputs.iter().map(input).collect())),
+        (
+            "hold inputs",
+            experiment.hold_inputs.then(|| "yes: where the simulation goes on beyond them".to_owned()),
+        ),
+        ("rows", Some(format!("{}{times}", data.n_rows))),
+        ("mask", data.mask.map(str::to_owned)),
+        ("resample", data.resample.map(|interval| format!("means over {}", seconds(interval)))),
+        ("windows", list(experiment.windows.iter().map(|window| span(*window)).collect())),
+        ("warm-up", experiment.warm_up.map(seconds)),
+        ("start time", experiment.start_time.map(seconds)),
+        (
+            "start values",
+            list(experiment.start_values.iter().map(|(name, value)| format!("{name} = {value}")).collect()),
+        ),
+        (
+            "initial states",
+            list(experiment.initial_states.iter().map(|(name, value)| initial(name, value)).collect()),
+        ),
+        (
+            "delays",
+            list(
+                experiment.delays.iter().map(|(name, delay)| format!("{name} {}", seconds(*delay))).collect(),
+            ),
+        ),
+        ("SHA-256 of the file", data.file_sha256.map(str::to_owned)),
+        ("fingerprint of the compared data", Some(data.fingerprint)),
+    ];
+    facts.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?))).collect()
+}
+
+fn output(Measured { variable, column, weight }: &Measured) -> String {
+    let weight = match weight {
+        Weight::Constant(1.0) => String::new(),
+        Weight::Constant(weight) => format!(", weight {}", Number(*weight)),
+        Weight::Column(column) => format!(", weights of column {column}"),
+        Weight::Rows(_) => ", a weight for each row".to_owned(),
+        Weight::Inverse(scale) => format!(", weight 1 / {} of what was measured", scale.name()),
+    };
+    format!("{variable} measured by column {column}{weight}")
+}
+
+fn input((variable, source): &(String, InputSource)) -> String {
+    match source {
+        InputSource::Column(column) => format!("{variable} driven by column {column}"),
+        InputSource::Constant(value) => format!("{variable} = {}", Number(*value)),
+        InputSource::Function(_) => format!("{variable} driven by a function of time"),
+    }
+}
+
+fn initial(state: &str, value: &InitialState) -> String {
+    match value {
+        InitialState::Value(value) => format!("{state} = {}", Number(*value)),
+        InitialState::Measured => format!("{state} as measured"),
+        InitialState::Fitted(parameter) => {
+            let [start, lower, upper] = [parameter.start(), parameter.lower(), parameter.upper()].map(Number);
+            format!("{state} fitted from {start} within {lower} and {upper}")
+        }
+    }
+}
