@@ -561,9 +561,9 @@ def test_words_are_taken_in_any_case_and_options_stand_in_the_fit():
     assert found["fit_options"]["method"] == "nelder-mead" and found["fit_options"]["f_tol"] == 1e-3
     assert found["problem"]["settings"]["isolation"] == "none" and found["relative_tolerance"] is not None
     assert found["problem"]["experiments"][0]["data"]["n_rows"] == len(TIME)
+    assert "e0" not in fit.message
 
 
 def test_a_batch_plan_that_the_method_has_keeps_it():
     plain, serial = (decay({"time": TIME, "x": DECAY}).fit(rng=1, **more) for more in ({}, {"batch": "serial"}))
     assert serial.method == plain.method == "least-squares" and (serial.x == plain.x).all() and serial.nfev == plain.nfev
-    assert "e0" not in fit.message
