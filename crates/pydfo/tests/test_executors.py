@@ -159,7 +159,7 @@ def test_robust_losses_stages_and_estimated_noise_travel_too():
 
 
 def test_a_model_travels_where_it_is_not(tmp_path, monkeypatch):
-    from pydfo._calibration import engine as _engine
+    from pydfo._calibration import simulation_executor as _engine
 
     calibration = decay()
     path = tmp_path / "elsewhere.fmu"

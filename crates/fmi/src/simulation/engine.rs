@@ -16,7 +16,7 @@ use std::sync::Arc;
 #[derive(Debug)]
 pub(crate) enum Engine {
     Integrated { driver: Box<Driver>, system: Box<System> },
-    CoSimulationState(Box<CoSimulationState>),
+    Stepping(Box<CoSimulationState>),
 }
 
 impl Engine {
@@ -27,7 +27,7 @@ impl Engine {
                 system: Box::new(System::new(Arc::clone(plan))),
             },
             InterfaceKind::CoSimulation => {
-                Engine::CoSimulationState(Box::new(CoSimulationState::new(Arc::clone(plan))))
+                Engine::Stepping(Box::new(CoSimulationState::new(Arc::clone(plan))))
             }
         })
     }
@@ -36,7 +36,7 @@ impl Engine {
     pub(crate) fn running(&mut self) -> &mut Running {
         match self {
             Engine::Integrated { system, .. } => &mut system.running,
-            Engine::CoSimulationState(stepping) => &mut stepping.running,
+            Engine::Stepping(stepping) => &mut stepping.running,
         }
     }
 
@@ -46,7 +46,7 @@ impl Engine {
         note_run();
         match self {
             Engine::Integrated { system, .. } => system.initialize(raw, input),
-            Engine::CoSimulationState(stepping) => stepping.initialize(raw, input),
+            Engine::Stepping(stepping) => stepping.initialize(raw, input),
         }
     }
 
@@ -57,7 +57,7 @@ impl Engine {
         let outside = SharedObserver::new(&plan.options, &mut nobody);
         match self {
             Engine::Integrated { system, .. } => Integration { system, outside: &outside }.initial_events(),
-            Engine::CoSimulationState(stepping) => stepping.run_initial_events(&outside).map(drop),
+            Engine::Stepping(stepping) => stepping.run_initial_events(&outside).map(drop),
         }
     }
 
@@ -65,7 +65,7 @@ impl Engine {
     pub(crate) fn value(&mut self, variable: &Variable) -> Result<Value> {
         match self {
             Engine::Integrated { system, .. } => system.value(variable),
-            Engine::CoSimulationState(stepping) => stepping.value(variable),
+            Engine::Stepping(stepping) => stepping.value(variable),
         }
     }
 
@@ -102,7 +102,7 @@ impl Engine {
                     FmiError::Simulation(error)
                 })
             }
-            Engine::CoSimulationState(stepping) => stepping.run(limits_of_run.max_steps, &outside),
+            Engine::Stepping(stepping) => stepping.run(limits_of_run.max_steps, &outside),
         }
     }
 }

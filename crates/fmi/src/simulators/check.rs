@@ -98,7 +98,7 @@ impl Simulator {
             checks.steps,
             checks.seconds.get()
         );
-        fmu.say_once(Level::Info, "checks", &text);
+        fmu.say_once(Level::Debug, "checks", &text);
         match found {
             // At the other values, perhaps; another check could end so, too.
             _ if self.is_fatal() => fmu.reset_knowledge(plan.kind).note(Reuse::Reinstantiate),
