@@ -38,7 +38,7 @@ fn wrong_arguments_are_named() {
         ("info", "required arguments were not provided"),
         ("info model.fmu --jsn", "a similar argument exists: '--json'"),
         ("simulate model.fmu --final-time soon", "invalid value 'soon'"),
-        ("fit problem.toml --output x=x", "required arguments were not provided"),
+        ("fit problem.toml --output x=x", "--output belongs to a model (.fmu) and a recording"),
         ("check problem.toml --no-run --preflight", "cannot be used with"),
         ("completions tcsh", "possible values"),
     ] {

@@ -31,7 +31,7 @@ pub enum Selection {
 /// parameters, more beyond.
 ///
 /// ```
-/// use dfo::{Genetic, Kind, minimize};
+/// use dfo::{Genetic, ParameterKind, minimize};
 ///
 /// let cost = |x: &[f64]| (x[0] - 0.3).powi(2) + if x[1] == 2.0 { 0.0 } else { 1.0 };
 /// let report = minimize(cost)
