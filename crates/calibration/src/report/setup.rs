@@ -60,7 +60,10 @@ pub(super) fn experiment(experiment: &Experiment) -> Vec<Described> {
     let times = data.from.zip(data.to).map(|times| format!(", {}", span(times))).unwrap_or_default();
     let facts = [
         ("outputs", list(experiment.outputs.iter().map(output).collect())),
-        ("inputs", list(experiment.inputs.iter().map(input).collect())),
+        (
+            "inputs",
+            list(experiment.inputs.iter().map(|(variable, source)| input(variable, source)).collect()),
+        ),
         (
             "hold inputs",
             experiment.hold_inputs.then(|| "yes: where the simulation goes on beyond them".to_owned()),
@@ -102,7 +105,7 @@ fn output(Measured { variable, column, weight }: &Measured) -> String {
     format!("{variable} measured by column {column}{weight}")
 }
 
-fn input((variable, source): &(String, InputSource)) -> String {
+fn input(variable: &str, source: &InputSource) -> String {
     match source {
         InputSource::Column(column) => format!("{variable} driven by column {column}"),
         InputSource::Constant(value) => format!("{variable} = {}", Number(*value)),

@@ -239,7 +239,7 @@ impl Differences {
                 .all(|(change, predicted)| is_within(change.norm().max(noise), predicted.max(noise)));
             guess = found.jacobian(&simulations.context)?;
             if is_narrow || is_as_predicted || round == ROUNDS {
-                let roughness = found.roughness(center, (deviation, noise), simulations)?;
+                let roughness = found.roughness(center, deviation, noise, simulations)?;
                 let found = Self { roughness, ..found };
                 return match are_long.contains(&true) && !is_narrow {
                     true => found.without_cubic_terms(center, &are_long, simulations),
@@ -315,7 +315,8 @@ impl Differences {
     fn roughness(
         &self,
         center: &Center<'_>,
-        (deviation, noise): (f64, f64),
+        deviation: f64,
+        noise: f64,
         simulations: &mut Simulations<'_>,
     ) -> Result<Option<Roughness>, CalibrationError> {
         let is_bent = |k: &usize| {

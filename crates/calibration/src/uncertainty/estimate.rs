@@ -59,6 +59,27 @@ struct CenterResiduals {
     simulation_error: f64,
 }
 
+impl CenterResiduals {
+    /// The noise of differences as a part of the residuals; zero where simulations have no error.
+    fn part_of(&self, noise: f64) -> f64 {
+        let size = sum_of_squares(&self.residuals).sqrt();
+        if self.simulation_error > 0.0 && size > 0.0 { noise / size } else { 0.0 }
+    }
+
+    /// The steps of the free parameters to the minimum of more accurate simulations.
+    fn steps_by_accuracy(
+        &self,
+        working: &Working,
+        factors: &Factors,
+        context: &RunContext<'_>,
+    ) -> Result<Option<DVector<f64>>, CalibrationError> {
+        let Some(accurate) = &self.accurate else { return Ok(None) };
+        let mut change = DVector::from_fn(accurate.len(), |i, _| accurate[i] - self.residuals[i]);
+        working.weigh(&mut change);
+        Ok(Some(&factors.inverse * along(&factors.base, change.as_slice(), context)?))
+    }
+}
+
 /// The estimate of a covariance: of the free ones of `n` parameters.
 struct Estimate<'a> {
     n: usize,
@@ -259,7 +280,6 @@ impl Calibration {
         let covariances =
             Estimate { n: x.len(), free: &free, per_unit: &per_unit, factors, noise, by_starts: &by_starts }
                 .covariances(&working, layout, &outputs, context)?;
-        let (standard_errors, correlation) = errors_and_correlation(&covariances.covariance, x.len());
         let is_exact = self.is_within_tolerance(sum_of_squares(residuals));
         let is_linear = known.criterion.is_sum_of_squares();
         let undetermined = || (0..free.len()).filter(|k| factors.is_undetermined[*k]);
@@ -269,8 +289,9 @@ impl Calibration {
             is_linear.then(|| PriorConflict::all(&center, layout, &per_unit, &jacobian, context));
         let cost = |residuals: &[f64]| known.criterion.cost(layout, residuals);
         let at = At { parameters, x, free: &free, sizes: &sizes, factors, residuals: &working.residuals };
-        let gain = (!is_exact).then(|| at.left_to_gain(&cost, cost(residuals), simulations));
-        let gain = gain.transpose()?.unwrap_or_default();
+        let gain =
+            if is_exact { Default::default() } else { at.left_to_gain(&cost, cost(residuals), simulations)? };
+        let (standard_errors, correlation) = errors_and_correlation(&covariances.covariance, x.len());
         let mut uncertainty = Uncertainty {
             correlation,
             uncorrected_covariance: covariances.uncorrected,
@@ -288,10 +309,7 @@ impl Calibration {
             accurate_cost: accurate.as_deref().map(cost),
             left_to_gain: gain.part,
             roughness,
-            simulation_noise: match (at_center.simulation_error > 0.0, sum_of_squares(residuals).sqrt()) {
-                (true, size) if size > 0.0 => differences_noise / size,
-                _ => 0.0,
-            },
+            simulation_noise: at_center.part_of(differences_noise),
             is_at_failures: gain.is_at_failures,
             prior_conflicts: prior_conflicts.transpose()?.unwrap_or_default(),
             has_loss: !is_linear && known.criterion != Criterion::Likelihood,
@@ -300,10 +318,7 @@ impl Calibration {
             residuals: at_center.residuals.clone(),
             ..self.nothing_known(x, estimator)
         };
-        if let Some(accurate) = accurate {
-            let mut change = DVector::from_fn(residuals.len(), |i, _| accurate[i] - residuals[i]);
-            working.weigh(&mut change);
-            let steps = &factors.inverse * along(&factors.base, change.as_slice(), context)?;
+        if let Some(steps) = at_center.steps_by_accuracy(&working, factors, context)? {
             uncertainty.note_shift(&free, &steps);
         }
         uncertainty.find_combinations(&jacobian, &differences, noise, &free, &sizes, context)?;
@@ -319,9 +334,9 @@ impl Calibration {
             most_of_score_test: known.most_of_score_test,
         };
         self.explain_residuals(&mut uncertainty, &of_fit, simulations)?;
-        let n_simulations = simulations.n - before;
-        let findings = uncertainty.all_findings(known.f_tol);
-        Ok((Uncertainty { n_simulations, findings, ..uncertainty }, covariances.curvature))
+        uncertainty.n_simulations = simulations.n - before;
+        uncertainty.findings = uncertainty.all_findings(known.f_tol);
+        Ok((uncertainty, covariances.curvature))
     }
 
     /// The uncertainty at a point before anything is estimated.
