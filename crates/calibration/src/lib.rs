@@ -81,7 +81,7 @@ pub use uncertainty::diagnostics::parameter_constancy::{DataSplit, PartConflict}
 pub use uncertainty::diagnostics::prior_check::PriorConflict;
 pub use uncertainty::diagnostics::residual_check::ResidualCheck;
 pub use uncertainty::diagnostics::score_test::{Omitted, OmittedKind};
-pub use uncertainty::differences::Roughness;
+pub use uncertainty::differences::ResidualBend;
 pub use uncertainty::preflight::{ParameterCheck, Preflight, PreflightOptions};
 pub use uncertainty::result::{Estimator, Uncertainty, UncertaintyOptions};
 pub use uncertainty::stuck_parameters::BoundSide;

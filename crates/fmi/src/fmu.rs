@@ -69,7 +69,7 @@ struct Inner {
     reads_at_steps: AtomicBool,
     reads_with_derivatives: AtomicBool,
     /// A run has come to its end in this process, so that it is known where variables can be read.
-    has_run: AtomicBool,
+    n_unchecked: AtomicU64,
     /// Subjects of messages that simulations have logged; each is logged once.
     said: Mutex<Vec<&'static str>>,
     workers: Mutex<std::sync::Weak<Workers>>,
@@ -163,7 +163,7 @@ impl Fmu {
             quirks_seen: Mutex::default(),
             reads_at_steps: AtomicBool::new(false),
             reads_with_derivatives: AtomicBool::new(false),
-            has_run: AtomicBool::new(false),
+            n_unchecked: AtomicU64::new(0),
             said: Mutex::default(),
             workers: Mutex::default(),
             description,
@@ -390,15 +390,14 @@ impl Fmu {
         }
     }
 
-    /// Notes that a run has come to its end.
-    pub(crate) fn note_whole_run(&self) {
-        self.inner.has_run.store(true, Ordering::Relaxed);
+    /// Notes that a run was ended before it could find out whether its rows were read too early.
+    pub(crate) fn note_unchecked_rows(&self) {
+        self.inner.n_unchecked.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// True if a run has come to its end in this process. One that was ended before may not have found out
-    /// that its rows were read too early.
-    pub fn has_run(&self) -> bool {
-        self.inner.has_run.load(Ordering::Relaxed)
+    /// Number of runs that were ended before they could find out whether their rows were read too early.
+    pub fn n_unchecked_runs(&self) -> u64 {
+        self.inner.n_unchecked.load(Ordering::Relaxed)
     }
 
     /// Makes a simulation, and once more where it has found out that its rows were read too early

@@ -1,7 +1,7 @@
 //! Checks of the values of a recording: columns that are constant, clipped, frozen, missing, or hold
 //! placeholders.
 
-use super::checked_experiment::ExperimentSubject;
+use super::experiment_subject::ExperimentSubject;
 use super::simulated_outputs::{range, rounded};
 use crate::findings::finding::Finding;
 use base::Number;

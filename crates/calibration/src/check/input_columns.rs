@@ -1,8 +1,8 @@
 //! Checks of the columns that drive inputs: all zero, frozen, with a value far off, missing for long, beyond
 //! the range of the model or in degC for K.
 
-use super::checked_experiment::ExperimentSubject;
 use super::columns::{FEW_VALUES, frozen, longest_run, n_distinct, placeholder};
+use super::experiment_subject::ExperimentSubject;
 use super::parameters::{GivenRange, beside_the_model};
 use super::simulated_outputs::{range, rounded, rounded_time, size_of_difference};
 use crate::data::sampling_interval;

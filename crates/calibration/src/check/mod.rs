@@ -1,7 +1,8 @@
 //! Check of a setup before a fit: what model, recordings and parameters say against each other.
 
-mod checked_experiment;
+mod at_start;
 mod columns;
+mod experiment_subject;
 mod input_columns;
 mod model;
 mod options;
@@ -12,7 +13,6 @@ mod sampling;
 mod scales;
 mod settings;
 mod signals;
-mod simulated;
 mod simulated_outputs;
 mod time_unit;
 mod times;
@@ -26,7 +26,7 @@ use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity, sort};
 use crate::loaded::calibration::Calibration;
 use base::RunContext;
-use checked_experiment::ExperimentSubject;
+use experiment_subject::ExperimentSubject;
 use ode::Stats;
 use simulated_outputs::{Evaluations, Outputs, Place};
 
@@ -105,7 +105,7 @@ impl Calibration {
             }
         };
         let outputs = Outputs::new(self, start, None);
-        findings.extend(simulated::findings(subjects, &outputs));
+        findings.extend(at_start::findings(subjects, &outputs));
         findings.extend(signals::findings(subjects, &outputs));
         findings.extend(time_unit::findings(self, subjects, &outputs, evaluations)?);
         findings.extend(settings::large_step(self, start, Place::Start, evaluations)?);
@@ -128,7 +128,7 @@ impl Calibration {
         let mut doubts = self.findings_of_description_and_data(&subjects, &end.x);
         if let Some(start) = start {
             let outputs = Outputs::new(self, start, Some(end));
-            doubts.extend(simulated::findings(&subjects, &outputs));
+            doubts.extend(at_start::findings(&subjects, &outputs));
             let found = signals::findings(&subjects, &outputs);
             let is_certain = |doubt: &Finding| {
                 let same =

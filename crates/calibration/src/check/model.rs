@@ -1,6 +1,6 @@
 //! Checks of the inputs and units in the description of the model, and the warnings of the setup.
 
-use super::checked_experiment::ExperimentSubject;
+use super::experiment_subject::ExperimentSubject;
 use crate::findings::finding::{Finding, Severity};
 use crate::problem::column_units::declared;
 use crate::problem::definition::Problem;

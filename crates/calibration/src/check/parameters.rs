@@ -1,7 +1,7 @@
 //! Parameters and values that are given, beside what the model states for them: ranges and its own start
 //! values.
 
-use super::checked_experiment::ExperimentSubject;
+use super::experiment_subject::ExperimentSubject;
 use super::simulated_outputs::rounded;
 use crate::data::UnitConversion;
 use crate::findings::finding::{Finding, Severity};

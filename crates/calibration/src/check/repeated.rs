@@ -1,6 +1,6 @@
 //! Measurements that are there more than once: a recording given twice, a column for two outputs.
 
-use super::checked_experiment::ExperimentSubject;
+use super::experiment_subject::ExperimentSubject;
 use super::simulated_outputs::range;
 use crate::findings::finding::Finding;
 use crate::loaded::calibration::Calibration;

@@ -1,8 +1,8 @@
 //! Checks of the simulated course of an output against the measured one: wrong sign, frozen,
 //! wrapped at a full turn.
 
-use super::checked_experiment::ExperimentSubject;
 use super::columns::{FEW_VALUES, SHORTEST_CLIPPED, longest_run, n_distinct};
+use super::experiment_subject::ExperimentSubject;
 use super::simulated_outputs::{
     Outputs, Place, Series, range, rounded, rounded_time, size, size_of_difference,
 };

@@ -1,6 +1,6 @@
 //! The outputs of a calibration as they were measured and simulated at some values of the parameters.
 
-use super::checked_experiment::ExperimentSubject;
+use super::experiment_subject::ExperimentSubject;
 use crate::cost::residual::PointResiduals;
 use crate::loaded::calibration::Calibration;
 use crate::problem::residual_layout::OutputResiduals;

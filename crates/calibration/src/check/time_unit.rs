@@ -1,6 +1,6 @@
 //! Times in another unit than s, as the response of the model tells.
 
-use super::checked_experiment::ExperimentSubject;
+use super::experiment_subject::ExperimentSubject;
 use super::simulated_outputs::{Evaluations, Outputs, all_series, rounded, rounded_time, unexplained};
 use crate::cost::failure::CostFailure;
 use crate::cost::residual::CostRule;

@@ -1,6 +1,6 @@
 //! Checks of the times of a recording: gaps, duplicate rows, another unit, months taken for days.
 
-use super::checked_experiment::ExperimentSubject;
+use super::experiment_subject::ExperimentSubject;
 use super::simulated_outputs::{rounded, rounded_time};
 use crate::data::sampling_interval;
 use crate::findings::finding::{Finding, Severity};

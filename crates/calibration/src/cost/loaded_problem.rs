@@ -116,13 +116,12 @@ impl LoadedProblem {
         stats: &mut Stats,
         mut lend: impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, CostFailure>,
     ) -> Result<f64, CostFailure> {
-        let has_run = self.fmu.has_run();
+        let before = self.fmu.n_unchecked_runs();
         let outcome = self.fmu.repeat_if_read_early(|| self.evaluate_once(x, rule, out, stats, &mut lend));
-        if has_run || self.fmu.has_run() || !matches!(outcome, Err(CostFailure::Above)) {
+        if self.fmu.n_unchecked_runs() == before || !matches!(outcome, Err(CostFailure::Above)) {
             return outcome;
         }
-        // The first run in this process was cut off: a model whose variables are computed late shows that at the end of a
-        // step only.
+        // A model whose variables are computed late shows that at the end of a step only, and the run was cut off before.
         let whole = CostRule { cutoff: f64::INFINITY, ..rule };
         let reread = self.fmu.repeat_if_read_early(|| self.evaluate_once(x, whole, out, stats, &mut lend));
         match reread {

@@ -1,12 +1,13 @@
 //! Values of variables from files of System Structure Parameter Values (SSP standard 1.0, section 6), `.ssv`.
 
-use crate::data::UnitConversion;
+use crate::data::{Unit, UnitConversion, UnitError};
 use crate::error::CalibrationError;
 use fmi::description::VariableKind;
 use fmi::{FmiError, ModelDescription, Value, Variable};
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::{Reader, XmlVersion};
 use serde::{Deserialize, Serialize};
+use std::collections::HashSet;
 use std::path::Path;
 
 /// The values of an SSP parameter file.
@@ -80,9 +81,14 @@ impl ParameterSet {
             (Value::String(item), _) if own.is_item => item_of(model, variable, item)
                 .ok_or_else(|| bad(format!("'{name}' = '{item}' is no item of its enumeration"))),
             (Value::Real(number), Some(unit)) => {
-                let conversion = UnitConversion::to_variable(unit, variable, model);
-                let conversion = conversion.map_err(|error| bad(format!("'{name}': {error}")))?;
-                Ok(Value::Real(conversion.apply(*number)))
+                match UnitConversion::to_variable(unit, variable, model) {
+                    Ok(conversion) => Ok(Value::Real(conversion.apply(*number))),
+                    // Models without units are mostly in those of the SI.
+                    Err(UnitError::NotStated { .. }) if Unit::parse(unit).is_ok_and(|u| u.is_coherent()) => {
+                        Ok(value.clone())
+                    }
+                    Err(error) => Err(bad(format!("'{name}': {error}"))),
+                }
             }
             _ => Ok(value.clone()),
         }
@@ -153,10 +159,9 @@ fn parameters(text: &str) -> Result<Vec<SetParameter>, String> {
             Err(error) => return Err(format!("line {}: {error}", line(reader.error_position() as usize))),
         }
     }
-    for (k, own) in found.iter().enumerate() {
-        if found[..k].iter().any(|other: &SetParameter| other.name == own.name) {
-            return Err(format!("'{}' is given twice", own.name));
-        }
+    let mut names = HashSet::new();
+    if let Some(twice) = found.iter().find(|own: &&SetParameter| !names.insert(&own.name)) {
+        return Err(format!("'{}' is given twice", twice.name));
     }
     match found.is_empty() {
         true => Err("there is no parameter in it".to_owned()),

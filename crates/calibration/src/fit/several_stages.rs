@@ -84,13 +84,14 @@ impl Stage {
 
 impl Stage {
     /// A stage of a fit of `n` parameters as a record asks for it: `parameters`, `windows`, and the options
-    /// of its run.
+    /// of its run. `workers` are those of the fit, for the batch plan of so many.
     ///
     /// # Errors
     /// An option that there is not, or a value that it cannot have.
-    pub fn from_record(record: Record, n: usize) -> Result<Self, dfo::Error> {
+    pub fn from_record(record: Record, n: usize, workers: Option<usize>) -> Result<Self, dfo::Error> {
         let (own, of_run) = read_part::<StageRecord>(record, "option of a stage")?;
-        let run = RequestedRun::new(FitOptions::default_run(), &of_run, n)?.options;
+        let default = RunOptions { workers, ..FitOptions::default_run() };
+        let run = RequestedRun::new(default, &of_run, n)?.options;
         let (method, tolerances) = (Some(run.method), Some(run.tolerances));
         let StageRecord { parameters, windows } = own;
         Ok(Self { parameters, windows, method, limits: run.limits, tolerances, method_reason: None })

@@ -1,7 +1,8 @@
 //! A page to look at while a fit runs, on this machine alone.
 //!
 //! It belongs here because both the command line and the Python module show it, and because its figures are
-//! those of the report. `request` and `response` know HTTP, `server` listens, `page` says what is where.
+//! those of the report. `request` and `response` know HTTP, `server` listens, `page` refuses what has no
+//! right to it and says what is where.
 
 mod page;
 mod request;
@@ -11,11 +12,16 @@ mod server;
 use crate::error::CalibrationError;
 use crate::fit::one_stage::{Fit, FitOptions};
 use crate::loaded::calibration::Calibration;
+use crate::report::live_content::error_page;
 use base::RunContext;
 use page::{Page, token};
 use server::Server;
 use std::io;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// Browsers look at the state of a fit once in a second.
+const LAST_LOOK: Duration = Duration::from_secs(2);
 
 /// A page that shows a fit while it runs, and its report afterwards. It is served on the loopback address,
 /// at a random port, under a path that nobody can guess; it needs nothing from anywhere else. Dropping this
@@ -89,5 +95,15 @@ impl LivePage {
     ) -> Result<(), CalibrationError> {
         self.page.set_report(calibration.report_page(fit, context)?);
         Ok(())
+    }
+
+    /// Shows why there is no fit, and waits until a browser that has shown the running fit has taken it: a
+    /// second or two, not at all where there is none.
+    pub fn show_error(&self, message: &str) {
+        self.page.set_report(error_page(message));
+        let began = Instant::now();
+        while self.page.has_reader() && began.elapsed() < LAST_LOOK {
+            std::thread::sleep(Duration::from_millis(20));
+        }
     }
 }

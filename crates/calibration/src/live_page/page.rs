@@ -35,6 +35,8 @@ pub(super) struct Page {
     is_stop_asked: AtomicBool,
     drawn: Mutex<Option<Drawn>>,
     report: Mutex<Option<Arc<str>>>,
+    /// The report was asked for.
+    is_report_read: AtomicBool,
 }
 
 /// The state as it was drawn last.
@@ -69,6 +71,7 @@ impl Page {
             is_stop_asked: AtomicBool::new(false),
             drawn: Mutex::default(),
             report: Mutex::default(),
+            is_report_read: AtomicBool::new(false),
         }
     }
 
@@ -86,6 +89,12 @@ impl Page {
 
     pub(super) fn is_stop_asked(&self) -> bool {
         self.is_stop_asked.load(Ordering::Relaxed)
+    }
+
+    /// True if somebody has looked at the running fit a moment ago, and not yet at its end.
+    pub(super) fn has_reader(&self) -> bool {
+        let is_looked_at = lock(&self.drawn).as_ref().is_some_and(|drawn| drawn.at.elapsed() < 3 * PAUSE);
+        is_looked_at && !self.is_report_read.load(Ordering::Relaxed)
     }
 
     pub(super) fn set_report(&self, report: String) {
@@ -134,7 +143,10 @@ impl Page {
     fn page(&self) -> Response {
         let report = lock(&self.report).clone();
         match report {
-            Some(report) => Response::page(report),
+            Some(report) => {
+                self.is_report_read.store(true, Ordering::Relaxed);
+                Response::page(report)
+            }
             None => {
                 let text = self.subject.page(&self.nonce, &self.drawn());
                 Response { nonce: Some(self.nonce.clone()), ..Response::page(text.into()) }

@@ -64,6 +64,11 @@ struct State {
     failed: Vec<PointRow>,
 }
 
+/// The page of a fit that has failed, with the reason.
+pub(crate) fn error_page(message: &str) -> String {
+    template::error(message)
+}
+
 fn numbers(x: &[f64]) -> Vec<String> {
     x.iter().map(|value| rounded(*value, DIGITS)).collect()
 }

@@ -27,10 +27,16 @@ pub(super) fn live_state(state: impl Serialize) -> String {
     render("live_state.html", context! { state => Serde(&state) })
 }
 
+/// The page of a fit that has failed.
+pub(super) fn error(message: &str) -> String {
+    render("error.html", context! { message })
+}
+
 /// The templates are part of the program: an error is one of theirs, which the tests would see.
 fn render(name: &str, values: Value) -> String {
     let mut environment = Environment::new();
     let templates = [
+        ("error.html", include_str!("templates/error.html")),
         ("figure.html", include_str!("templates/figure.html")),
         ("legend.html", include_str!("templates/legend.html")),
         ("live.html", include_str!("templates/live.html")),

@@ -83,7 +83,7 @@ pub(crate) struct Differences {
     /// relative to their change `r(+) - r(-)`; 0 for others.
     bends: Vec<f64>,
     /// The residuals bend as no smooth model lets them.
-    pub(crate) roughness: Option<Roughness>,
+    pub(crate) roughness: Option<ResidualBend>,
 }
 
 /// Bends of the residuals over a step of about one standard error that do not vanish with the step, relative
@@ -91,7 +91,7 @@ pub(crate) struct Differences {
 /// Watts (J. R. Stat. Soc. B 42, 1980, section 2) is their limit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Roughness {
+pub struct ResidualBend {
     /// Over about one standard error.
     pub bend: f64,
     /// Over a quarter of that.
@@ -318,7 +318,7 @@ impl Differences {
         deviation: f64,
         noise: f64,
         simulations: &mut Simulations<'_>,
-    ) -> Result<Option<Roughness>, CalibrationError> {
+    ) -> Result<Option<ResidualBend>, CalibrationError> {
         let is_bent = |k: &usize| {
             let change = self.changes.column(*k).norm();
             let is_telling = change >= TELLING * deviation;
@@ -327,8 +327,13 @@ impl Differences {
         let bent = (0..self.bends.len()).filter(is_bent);
         let Some(k) = bent.max_by(|a, b| self.bends[*a].total_cmp(&self.bends[*b])) else { return Ok(None) };
         let quarter = Step { direction: self.steps.column(k).into_owned(), length: PART };
-        let Ok(quarter) = Self::measured(center, vec![quarter], simulations)? else { return Ok(None) };
-        let found = Roughness { bend: self.bends[k], bend_of_quarter: quarter.bends[0] };
+        let quarter = match Self::measured(center, vec![quarter], simulations) {
+            // What is known by now is more than that.
+            Err(CalibrationError::Cancelled) => return Ok(None),
+            quarter => quarter?,
+        };
+        let Ok(quarter) = quarter else { return Ok(None) };
+        let found = ResidualBend { bend: self.bends[k], bend_of_quarter: quarter.bends[0] };
         let is_of_noise =
             2.0 * quarter.changes.column(0).norm() * found.bend_of_quarter <= BEND_ABOVE_NOISE * noise;
         let is_rough = found.bend_of_quarter > STILL_BENT * found.bend && !is_of_noise;

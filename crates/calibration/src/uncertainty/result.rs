@@ -8,7 +8,7 @@ use crate::uncertainty::diagnostics::parameter_constancy::PartConflict;
 use crate::uncertainty::diagnostics::prior_check::PriorConflict;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
 use crate::uncertainty::diagnostics::score_test::Omitted;
-use crate::uncertainty::differences::Roughness;
+use crate::uncertainty::differences::ResidualBend;
 use crate::uncertainty::scores::Criterion;
 use base::Number;
 use dfo::RobustLoss;
@@ -152,7 +152,7 @@ pub struct Uncertainty {
     pub simulation_noise: f64,
     /// The residuals bend as no smooth model lets them: standard errors do not hold.
     #[serde(default)]
-    pub roughness: Option<Roughness>,
+    pub roughness: Option<ResidualBend>,
     /// Findings about the uncertainty, the residuals and the cost.
     pub findings: Vec<Finding>,
     /// The cost, as the fit has it.

@@ -253,3 +253,16 @@ fn failed_points_are_shown_with_their_reasons() {
         assert!(text.contains(&escaped(reason)), "{reason}: {text}");
     }
 }
+
+#[test]
+fn a_fit_that_fails_says_why_to_who_looks_at_it() {
+    let calibration = decay();
+    let page = LivePage::start(&calibration).unwrap();
+    let (host, path) = place(&page);
+    let host_line = format!("Host: {host}\r\n");
+    // Nobody has looked: nothing is waited for.
+    page.show_error("no <reason>");
+    let (status, text) = asked(&host, "GET", &path, &host_line);
+    assert!(status.contains("200") && text.contains("no &lt;reason&gt;"), "{text}");
+    assert!(asked(&host, "GET", &format!("{path}state"), &host_line).0.contains("205"));
+}

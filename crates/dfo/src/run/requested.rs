@@ -236,6 +236,9 @@ impl RequestedRun {
         }
         limits.target = asked.target.or(limits.target);
         limits.max_failed = asked.max_failed.or(limits.max_failed);
+        if asked.seed.is_some() && asked.rng.is_some() {
+            return Err(RecordError::message("rng and seed are two words for one option: give one").into());
+        }
         run.seed = asked.seed.or(asked.rng).or(run.seed);
         run.problem = asked.problem.or(run.problem.take());
         run.checkpoint = checkpoint.or(run.checkpoint.take());

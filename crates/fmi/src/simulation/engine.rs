@@ -61,6 +61,11 @@ impl Engine {
         }
     }
 
+    /// True if rows of a run that ends here may have been read too early.
+    pub(crate) fn has_unchecked_rows(&self) -> bool {
+        matches!(self, Engine::Integrated { system, .. } if system.reader.has_unchecked_rows())
+    }
+
     /// Value of a variable where the run stands.
     pub(crate) fn value(&mut self, variable: &Variable) -> Result<Value> {
         match self {

@@ -7,7 +7,7 @@ use ode::InputStop;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-/// A column with its rows.
+/// An input as a table of times and values.
 #[derive(Debug, Clone)]
 pub(crate) struct InputTable {
     pub(crate) times: Arc<[f64]>,
@@ -15,7 +15,7 @@ pub(crate) struct InputTable {
 }
 
 impl InputTable {
-    /// The column with all values multiplied.
+    /// The table with all values multiplied.
     pub(crate) fn times(self, factor: f64) -> Self {
         if factor == 1.0 {
             return self;
@@ -23,7 +23,7 @@ impl InputTable {
         Self { values: self.values.iter().map(|value| factor * value).collect(), ..self }
     }
 
-    /// The column with 0 and 1 exchanged.
+    /// The table with 0 and 1 exchanged.
     pub(crate) fn flipped(self) -> Self {
         Self { values: self.values.iter().map(|value| 1.0 - value).collect(), ..self }
     }

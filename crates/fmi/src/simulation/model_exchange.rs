@@ -33,7 +33,7 @@ pub(crate) struct System {
     last_states: Vec<f64>,
     /// The time event that the model announced.
     announced: Option<f64>,
-    reader: OutputReader,
+    pub(super) reader: OutputReader,
     /// Time of the last event as the model saw it: a rounding error later than the driver's at most, and
     /// never gone back behind.
     floor: f64,

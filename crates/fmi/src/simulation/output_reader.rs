@@ -16,8 +16,9 @@ const GOOD_STEPS: u32 = 3;
 
 /// Time at which the model computes its variables: when they are read, as the standard demands, or only
 /// together with the derivatives. In the latter case the derivatives are computed before (seen in FMUs of
-/// OpenModelica 1.12). Determined anew in every run, from its own first samples, which are right in any case:
-/// so a run does not depend on those before it.
+/// OpenModelica 1.12). Determined anew in every run, from its own first samples, which are right in any case,
+/// and where a variable moves later on; a run that finds it out then is made again, and those after it begin
+/// so.
 #[derive(Debug, Clone, Copy)]
 enum Freshness {
     /// So many samples went well.
@@ -53,6 +54,8 @@ pub(crate) struct OutputReader {
     row_points: RowPoints,
     /// The numbers that have to change at more ends of steps, and at how many they have.
     unseen: Vec<(usize, u32)>,
+    /// Which of these have changed at the end of this step.
+    moved: Vec<bool>,
     /// One of these has changed since it was last compared.
     has_moved: bool,
     /// Events so far.
@@ -75,6 +78,7 @@ impl OutputReader {
             freshness: Freshness::default(),
             row_points: RowPoints::Open(0),
             unseen: Vec::new(),
+            moved: Vec::new(),
             has_moved: false,
             n_events: 0,
             indicators: std::array::from_fn(|_| vec![f64::NAN; n_indicators]),
@@ -128,7 +132,7 @@ impl OutputReader {
             self.row_actions.event |= action.event;
             self.row_actions.terminate |= action.terminate;
         }
-        let is_watched = matches!(self.row_points, RowPoints::Watched);
+        let is_watched = matches!(self.row_points, RowPoints::Open(_) | RowPoints::Watched);
         if is_watched {
             running.buffers.keep();
         }
@@ -157,6 +161,12 @@ impl OutputReader {
         let moves = self.unseen.iter().any(|(number, _)| !running.buffers.is_as_kept(*number));
         self.has_moved |= moves;
         moves
+    }
+
+    /// True if a variable has changed in rows and was not compared since: rows of a run that ends here may be
+    /// wrong.
+    pub(crate) fn has_unchecked_rows(&self) -> bool {
+        self.has_moved && matches!(self.row_points, RowPoints::Open(_) | RowPoints::Watched)
     }
 
     /// An event has happened: a model may compute its variables in another way from now on. They are looked
@@ -191,6 +201,7 @@ impl OutputReader {
         let at_rows = std::mem::take(&mut self.row_actions);
         let action = match self.row_points {
             RowPoints::Open(good) if running.plan.outputs().needs_fmu() && !self.unused.is_empty() => {
+                self.has_moved = false;
                 self.complete_and_compare(running, good)?
             }
             RowPoints::Watched if std::mem::take(&mut self.has_moved) => {
@@ -209,10 +220,10 @@ impl OutputReader {
             self.evaluate(running)?;
         }
         let has_changed = compared(reads_other(running))?;
+        self.moved.clear();
         if has_changed == Some(true) {
-            let buffers = &running.buffers;
-            let moved = self.unseen.iter_mut().filter(|(number, _)| !buffers.is_as_kept(*number));
-            moved.for_each(|(_, times)| *times += 1);
+            let is_other = |(number, _): &(usize, u32)| !running.buffers.is_as_kept(*number);
+            self.moved.extend(self.unseen.iter().map(is_other));
         }
         let before = self.read_indicators(running, 1);
         let action = completed(running)?;
@@ -220,6 +231,7 @@ impl OutputReader {
             self.compare_indicators(running);
         }
         if action.event || action.terminate || has_changed.is_none() {
+            self.has_moved = true;
             return Ok(action);
         }
         let Some(is_other) = compared(reads_other(running))? else { return Ok(action) };
@@ -228,6 +240,10 @@ impl OutputReader {
             return Err(CallError::failed(FmiError::ReadBetweenSteps));
         }
         if has_changed == Some(true) {
+            self.unseen
+                .iter_mut()
+                .zip(&self.moved)
+                .for_each(|((_, times), moved)| *times += u32::from(*moved));
             self.unseen.retain(|(_, times)| *times < GOOD_STEPS);
             self.row_points = match (good + 1 < GOOD_STEPS, self.unseen.is_empty()) {
                 (true, _) => RowPoints::Open(good + 1),

@@ -101,6 +101,8 @@ impl Simulator {
         fmu.say_once(Level::Debug, "checks", &text);
         match found {
             // At the other values, perhaps; another check could end so, too.
+            // Its runs were read in different ways.
+            _ if first.before_reading != fmu.before_reading() => {}
             _ if self.is_fatal() => fmu.reset_knowledge(plan.kind).note(Reuse::Reinstantiate),
             Ok(Finding::State) => {
                 fmu.note_hidden_state();

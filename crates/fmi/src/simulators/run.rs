@@ -120,9 +120,10 @@ impl Simulator {
         let limits = (checks.runs > 0).then(|| self.limits_after(checks));
         let mut outcome = self.engine.run(&self.plan, limits, observer);
         if let Ok(report) = &outcome
-            && report.termination != Termination::StoppedByObserver
+            && report.termination == Termination::StoppedByObserver
+            && self.engine.has_unchecked_rows()
         {
-            self.plan.fmu().note_whole_run();
+            self.plan.fmu().note_unchecked_rows();
         }
         let input_functions = self.engine.running().seconds_in_input_functions();
         self.engine.running().pass_log_on();

@@ -9,7 +9,7 @@ use super::function::{Answer, call};
 use super::functions::Functions;
 use super::symbols::table;
 use super::types::{Component, Direction, EventInfo, Experiment, InterfaceKind, Request, StepInfo, file_uri};
-use super::version::{Step, Version};
+use super::versioned_functions::{Step, Version};
 use crate::error::Status;
 use std::ffi::{c_char, c_int, c_void};
 

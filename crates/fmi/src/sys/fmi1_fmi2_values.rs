@@ -4,7 +4,7 @@ use super::function::{Answer, call};
 use super::packed_integers::{self, Element};
 use super::symbols::table;
 use super::types::Component;
-use super::version::{NO_SUCH_TYPE, Values};
+use super::versioned_functions::{NO_SUCH_TYPE, Values};
 use crate::value::VariableKind;
 use std::ffi::{c_char, c_int};
 

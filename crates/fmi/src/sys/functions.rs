@@ -98,7 +98,7 @@ table! {
 /// A directional or adjoint derivative of FMI 3.0.
 ///
 /// # Safety
-/// As for the methods of [`Version`](super::version::Version).
+/// As for the methods of [`Version`](super::versioned_functions::Version).
 pub(super) unsafe fn derivative(
     function: &Function<Derivative>,
     c: Component,
@@ -121,7 +121,7 @@ impl Functions {
     /// Queries the status of a pending step.
     ///
     /// # Safety
-    /// As for the methods of [`Version`](super::version::Version).
+    /// As for the methods of [`Version`](super::versioned_functions::Version).
     pub(super) unsafe fn step_status(&self, c: Component, info: &mut StepInfo) -> Answer {
         let mut code = 0;
         let mut answer = call!(self.get_status, c, DO_STEP_STATUS, &raw mut code);
@@ -136,7 +136,7 @@ impl Functions {
     /// Asks what became of a step that was not completed.
     ///
     /// # Safety
-    /// As for the methods of [`Version`](super::version::Version).
+    /// As for the methods of [`Version`](super::versioned_functions::Version).
     pub(super) unsafe fn explain_step(&self, component: Component, status: Status, info: &mut StepInfo) {
         info.pending = status == Status::Pending;
         if status != Status::Discard {

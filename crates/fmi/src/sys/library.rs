@@ -8,7 +8,7 @@ use super::functions::{Functions, Text};
 use super::platform::{self, Handle, LoaderOptions};
 use super::symbols::{Dialect, Symbols};
 use super::types::InterfaceKind;
-use super::version::{Values, Version};
+use super::versioned_functions::{Values, Version};
 use super::{fmi1, fmi2, fmi3};
 use crate::description::FmiVersion;
 use crate::error::{FmiError, Result};

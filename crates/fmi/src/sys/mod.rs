@@ -34,9 +34,9 @@
 //!     elements than there are words of 64 bits, and only types of which any bits are a value.
 //!
 //! The versions of FMI stop here: what has one type in several versions stands in the tables of
-//! `functions.rs`, with its names; the rest is [`Version`](version::Version), in types of ours, and
-//! `fmi1.rs`, `fmi2.rs` and `fmi3/` are the only files that know how a version spells it. A further version
-//! is a column of the tables, a further implementation and a line in `library.rs`.
+//! `functions.rs`, with its names; the rest is [`Version`](versioned_functions::Version), in types of ours,
+//! and `fmi1.rs`, `fmi2.rs` and `fmi3/` are the only files that know how a version spells it. A further
+//! version is a column of the tables, a further implementation and a line in `library.rs`.
 #![allow(unsafe_code)]
 
 mod before_main;
@@ -74,7 +74,7 @@ mod platform;
 mod raw_instance;
 mod symbols;
 mod types;
-mod version;
+mod versioned_functions;
 
 #[cfg(target_os = "linux")]
 pub use before_main::is_loaded_to_serve;

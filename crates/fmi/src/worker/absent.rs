@@ -4,7 +4,7 @@ use super::frame::Frame;
 use super::isolation::AskedProcess;
 use super::limits::WorkerLimits;
 use super::load::Load;
-use super::requests::Service;
+use super::service::Service;
 use crate::description::Quirk;
 use crate::error::FmiError;
 use base::RunContext;

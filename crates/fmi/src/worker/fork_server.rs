@@ -119,7 +119,8 @@ impl ForkServer {
 }
 
 /// Starts the program of worker processes, which will be needed soon; does not wait for it. It ends when the
-/// last answer is dropped before it is needed. `None`: it cannot be started; who needs it meets the error.
+/// last returned `ForkServer` is dropped before it is needed. `None`: it cannot be started; who needs it
+/// meets the error.
 pub fn start_fork_server() -> Option<Arc<ForkServer>> {
     let mut known = AHEAD.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(ahead) = known.upgrade().filter(|ahead| ahead.template().is_some()) {

@@ -5,7 +5,7 @@ use super::fork_server::{DESCRIPTORS, Order, Start};
 use super::frame::Frame;
 use super::handshake::{ASKED, FOLDER, LEVEL, VERSION};
 use super::notes::keep_lines;
-use super::requests::Service;
+use super::service::Service;
 use super::worker_main::{self, Worker, respond};
 use crate::sys::{close_inherited, fork};
 use base::RunContext;

@@ -27,7 +27,7 @@ mod load;
 mod notes;
 #[cfg(unix)]
 mod printed;
-mod requests;
+mod service;
 #[cfg(unix)]
 mod worker_main;
 #[cfg(unix)]
@@ -47,6 +47,6 @@ pub use isolation::{AskedProcess, Isolation};
 pub use launcher::Launcher;
 pub use limits::WorkerLimits;
 pub use load::Load;
-pub use requests::Service;
+pub use service::Service;
 #[cfg(unix)]
 pub use workers::Workers;

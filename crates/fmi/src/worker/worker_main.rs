@@ -5,7 +5,7 @@ use super::fork_server::{DESCRIPTORS, Hello, Start};
 use super::frame::Frame;
 use super::limits::limit_self;
 use super::notes::{Notes, take_lines};
-use super::requests::Service;
+use super::service::Service;
 use crate::error::{ReportedError, ReportedErrorKind};
 use crate::sys::{Page, tell_calls, tell_faults};
 use base::RunContext;

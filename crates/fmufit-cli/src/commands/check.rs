@@ -29,7 +29,7 @@ pub(crate) fn run(arguments: &Check, console: &Console) -> Result<Exit, Error> {
     // Mistakes in the options of the fit are found, too.
     let n = calibration.parameters().len();
     file.options(n)?;
-    file.stages(n)?;
+    file.stages(n, None)?;
     let line = console.live_line();
     let shown = || line.show_until(interrupt.is_asked(), "checking");
     let context = RunContext::new().asking(&shown);

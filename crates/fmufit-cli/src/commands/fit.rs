@@ -36,7 +36,8 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
     let is_asked = || interrupt.is_asked();
     let calibration = file.calibration(&RunContext::new().asking(&is_asked))?;
     let n = calibration.parameters().len();
-    let (mut options, stages) = (file.options(n)?, file.stages(n)?);
+    let mut options = file.options(n)?;
+    let stages = file.stages(n, options.run.workers)?;
     if let Some(path) = &arguments.checkpoint {
         // Relative to where the command was given, unlike that of the file.
         options.run.checkpoint = Some(Checkpoint::new(path));
@@ -52,7 +53,8 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
         }
     }
     let watch = arguments.watch.then(|| watch(&calibration, console)).transpose()?;
-    let fit = searched(&calibration, options, &stages, (&interrupt, watch.as_ref()), console)?;
+    let fit = searched(&calibration, options, &stages, (&interrupt, watch.as_ref()), console)
+        .inspect_err(|error| watch.iter().for_each(|watch| watch.show_error(&error.to_string())))?;
     // First of all: what follows may take long, or fail.
     match arguments.json {
         true => console.data(&(fit.to_json(&calibration).map_err(Error::of_work)? + "\n")),

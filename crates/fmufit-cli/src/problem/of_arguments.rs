@@ -72,7 +72,7 @@ pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<Pro
     if !unit.is_empty() {
         let units = short_form::assignments(unit, "VARIABLE=UNIT, as in --unit room.T=K")?;
         let units = units.into_iter().map(|(variable, unit)| (variable, Value::Text(unit)));
-        file.set("settings", [("units".to_owned(), Value::Record(units.collect()))]);
+        file.extend("settings", "units", units);
     }
     Ok(file)
 }

@@ -118,10 +118,32 @@ impl ProblemFile {
         let own = record.entry(table.to_owned()).or_insert_with(|| Value::Record(Record::new()));
         if let Value::Record(fields) = own {
             for (name, value) in options {
+                // Two words for one option: that of the command line holds.
+                let other = [("rng", "seed"), ("seed", "rng")].iter().find(|(own, _)| *own == name);
+                other.iter().for_each(|(_, other)| drop(fields.remove(*other)));
                 self.set.push(field(table, &name));
                 fields.insert(name, value);
             }
         }
+    }
+
+    /// Sets entries of a record in a table beside those of the file.
+    pub(crate) fn extend(
+        &mut self,
+        table: &str,
+        name: &str,
+        entries: impl IntoIterator<Item = (String, Value)>,
+    ) {
+        let of_file = match &self.record {
+            Value::Record(record) => match record.get(table) {
+                Some(Value::Record(fields)) => fields.get(name).cloned(),
+                _ => None,
+            },
+            _ => None,
+        };
+        let mut all = if let Some(Value::Record(all)) = of_file { all } else { Record::new() };
+        all.extend(entries);
+        self.set(table, [(name.to_owned(), Value::Record(all))]);
     }
 
     /// An error at a path in the file.
@@ -252,11 +274,11 @@ impl ProblemFile {
     }
 
     /// The stages of the fit; none: it is made at once.
-    pub(crate) fn stages(&self, n_parameters: usize) -> Result<Vec<Stage>, Error> {
+    pub(crate) fn stages(&self, n_parameters: usize, workers: Option<usize>) -> Result<Vec<Stage>, Error> {
         let stage = |(path, fields): (String, Record)| {
             let at = |error: dfo::Error| self.located(&path, error.into());
             self.check_names(&path, &fields, Stage::option_names().map_err(at)?)?;
-            Stage::from_record(fields, n_parameters).map_err(at)
+            Stage::from_record(fields, n_parameters, workers).map_err(at)
         };
         self.tables("stages")?.into_iter().map(stage).collect()
     }

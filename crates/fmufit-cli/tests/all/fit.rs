@@ -167,6 +167,9 @@ fn units_that_the_model_does_not_state_are_stated() {
     folder.write("problem.toml", &(PROBLEM.to_owned() + "[settings]\nunits = { x = \"m\" }\n"));
     let by_file = json(&folder.run("fit problem.toml --json").good());
     assert_eq!(by_file["parameters"], by_argument["parameters"]);
+    // Those of the file hold beside those of the command line.
+    let both = json(&folder.run("fit problem.toml --unit k=1/s --json").good());
+    assert_eq!(both["parameters"], by_argument["parameters"]);
     for (unit, expected) in
         [("x=K", "'x'"), ("x=mx", "mx"), ("z=m", "no variable \"z\""), ("x", "must be VARIABLE=UNIT")]
     {

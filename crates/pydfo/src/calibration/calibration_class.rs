@@ -389,15 +389,15 @@ impl PyCalibration {
     fn fit<'py>(&self, py: Python<'py>, asked: PyRecord, objects: FitFields) -> PyResult<Bound<'py, PyAny>> {
         let FitFields { start, observer, stages, objective, engine, page } = objects;
         let n_parameters = self.inner().parameters().len();
+        let options = FitOptions::from_record(asked.values.clone(), n_parameters);
+        let FitOptions { run, loss, noise, preflight, uncertainty, .. } =
+            options.map_err(|e| asked.error(py, &e))?;
         let stage = |asked: PyRecord| {
-            calibration::Stage::from_record(asked.values.clone(), n_parameters)
+            calibration::Stage::from_record(asked.values.clone(), n_parameters, run.workers)
                 .map_err(|e| asked.error(py, &e))
         };
         let stages: Option<Vec<calibration::Stage>> =
             stages.map(|stages| stages.into_iter().map(stage).collect()).transpose()?;
-        let options = FitOptions::from_record(asked.values.clone(), n_parameters);
-        let FitOptions { run, loss, noise, preflight, uncertainty, .. } =
-            options.map_err(|e| asked.error(py, &e))?;
         let watch = InterruptGuard::new(py)?;
         let stop = Arc::clone(watch.stop());
         let tick = observer.as_ref().and_then(|observer| observer.getattr(py, "tick").ok());

@@ -17,4 +17,9 @@ impl PyLivePage {
     fn url(&self) -> String {
         self.inner.url()
     }
+
+    /// Shows why there is no fit, to a browser that has shown the running one.
+    fn show_error(&self, py: Python<'_>, message: &str) {
+        py.detach(|| self.inner.show_error(message));
+    }
 }

@@ -5,7 +5,7 @@ use crate::convert::object;
 use crate::interrupt::interrupt_guard::CallingThread;
 use crate::interrupt::threads::lock;
 use base::RunContext;
-use dfo::{Outcome, Progress, Report, Simplex, Termination, ToleranceTests, Trace, TraceEntry};
+use dfo::{FailureKind, Outcome, Progress, Report, Simplex, Termination, ToleranceTests, Trace, TraceEntry};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::PyStopIteration;
 use pyo3::prelude::*;
@@ -221,8 +221,11 @@ pub(crate) fn trace<'py>(py: Python<'py>, trace: &Trace) -> PyResult<Bound<'py, 
     let all = || trace.iter().chain(trace.speculative());
     let points: Vec<f64> = all().flat_map(|e| e.x.iter().copied()).collect();
     let above = |outcome: &Outcome| if let Outcome::Above(cutoff) = outcome { *cutoff } else { f64::NAN };
-    let failed =
-        |(_, e): &(usize, TraceEntry<'_>)| matches!(e.outcome, Outcome::Failed(_) | Outcome::Abort(_));
+    let failed = |(_, e): &(usize, TraceEntry<'_>)| match e.outcome {
+        // Nothing of the point.
+        Outcome::Failed(failure) => failure.kind != FailureKind::Cancelled,
+        outcome => matches!(outcome, Outcome::Abort(_)),
+    };
     let messages = all().enumerate().filter(failed).map(|(k, e)| (k, describe(e.outcome)));
     let fields = dict!(py;;
         "x": PyArray1::from_vec(py, points).reshape([all().count(), trace.n()])?,

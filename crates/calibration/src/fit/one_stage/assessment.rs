@@ -320,7 +320,8 @@ impl Calibration {
             return None;
         }
         // Two for each parameter, and an accurate one.
-        let work = stats.seconds.get() / stats.runs.max(1) as f64 * (2 * self.parameters().len() + 2) as f64;
+        let n_simulations = (2 * self.parameters().len() + 2) * self.problem().experiments.len();
+        let work = stats.seconds.get() / stats.runs.max(1) as f64 * n_simulations as f64;
         let workers = if work < FEW_SECONDS { Some(1) } else { options.workers.or(job.run.workers) };
         let workers = workers.unwrap_or(1);
         let mut simulations = Simulations::new(self, RobustLoss::default(), workers, &job.context).ok()?;

@@ -7,7 +7,7 @@ use crate::findings::finding::{Finding, Origin, Severity};
 use crate::findings::shown_text::digits;
 use crate::uncertainty::covariance::matrix::{Factors, Noise, compressed};
 use crate::uncertainty::diagnostics::residual_check::{CORRELATED, ResidualCheck};
-use crate::uncertainty::differences::{Differences, Roughness};
+use crate::uncertainty::differences::{Differences, ResidualBend};
 use crate::uncertainty::p_values::BY_CHANCE;
 use crate::uncertainty::result::{Uncertainty, errors_and_correlation};
 use crate::uncertainty::row_blocks::triangle;
@@ -333,7 +333,7 @@ impl Uncertainty {
 
     /// A cost that is not smooth, of which a local search finds some minimum.
     fn rough_cost(&self) -> Option<Finding> {
-        self.roughness.map(|Roughness { bend, bend_of_quarter }| {
+        self.roughness.map(|ResidualBend { bend, bend_of_quarter }| {
             let sentence = format!(
                 "the cost is not smooth here: over about one standard error the residuals bend by {} % of their change, and over a quarter of \
                  that, where a smooth model bends a quarter as much, by {} %. The standard errors do not hold, and a local search may have \

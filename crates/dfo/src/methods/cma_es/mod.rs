@@ -29,7 +29,7 @@
 //! without any cost the mean goes back to the best point of the run, with half the step size.
 //!
 //! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, is moved
-//! alone first (`shared/sizes.rs`).
+//! alone first (`shared/size_search.rs`).
 //!
 //! **Cutoffs**: none, for every rank counts.
 
@@ -46,7 +46,7 @@ use crate::error::Error;
 use crate::method_interface::interface::{MethodOptions, Setup};
 use crate::method_interface::rng::draw_seed;
 use crate::methods::shared::generations::Generations;
-use crate::methods::shared::sized::{NeedsSizes, WithSizes};
+use crate::methods::shared::with_sizes::{NeedsSizes, WithSizes};
 use crate::problem::memory;
 use crate::problem::option_texts;
 use state::CmaRules;

@@ -4,7 +4,7 @@ use super::options::InitialSimplex;
 use crate::error::Error;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
-use crate::methods::shared::sizes::{SizeFound, SizeSearch};
+use crate::methods::shared::size_search::{SizeFound, SizeSearch};
 use crate::problem::space::Space;
 use crate::values::choices::Transform;
 

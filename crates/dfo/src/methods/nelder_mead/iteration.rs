@@ -8,7 +8,7 @@ use super::trial::{Frame, Seen, Trial};
 use crate::method_interface::interface::{Batch, Operation};
 use crate::method_interface::tolerances::ToleranceTests;
 use crate::methods::shared::cost::Cost;
-use crate::methods::shared::sizes::SizeSearch;
+use crate::methods::shared::size_search::SizeSearch;
 use crate::outcome::termination::Termination;
 
 /// A simplex of this size cannot become much smaller but on one point.

@@ -15,7 +15,7 @@ use crate::method_interface::interface::{
 use crate::method_interface::tolerances::ToleranceTests;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
-use crate::methods::shared::sizes::SizeSearch;
+use crate::methods::shared::size_search::SizeSearch;
 use crate::outcome::answer::{Answers, Outcome};
 use crate::outcome::termination::Termination;
 use crate::problem::objective::Query;

@@ -30,7 +30,7 @@
 //! **Failures** are points that are no better. Where the start has failed, the first poll must find a cost.
 //!
 //! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, is moved
-//! alone first (`shared/sizes.rs`).
+//! alone first (`shared/size_search.rs`).
 //!
 //! **Plan.** The path takes one point after the other. Ahead of need, the points that follow in the poll are
 //! evaluated, then those of the next poll ([`Lookahead`]). **Cutoff**: the cost of the best point; none for
@@ -49,7 +49,7 @@ pub use options::PatternSearch;
 
 use crate::error::Error;
 use crate::method_interface::interface::{MethodOptions, Setup};
-use crate::methods::shared::sized::{NeedsSizes, WithSizes};
+use crate::methods::shared::with_sizes::{NeedsSizes, WithSizes};
 use crate::problem::memory;
 use crate::problem::option_texts;
 use state::Polling;

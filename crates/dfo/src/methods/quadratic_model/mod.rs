@@ -25,7 +25,7 @@
 //! goes on from the best point as Nelder-Mead does from a start.
 //!
 //! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, is moved
-//! alone first (`shared/sizes.rs`).
+//! alone first (`shared/size_search.rs`).
 //!
 //! **Failures.** A failed point enters no model. The step is shortened, and later steps keep to the side of a
 //! plane between failed points and those of the model (`shared/failures.rs`). Of the first points a failed
@@ -52,7 +52,7 @@ pub use options::QuadraticModel;
 
 use crate::error::Error;
 use crate::method_interface::interface::{MethodOptions, Setup};
-use crate::methods::shared::sized::{NeedsSizes, WithSizes};
+use crate::methods::shared::with_sizes::{NeedsSizes, WithSizes};
 use crate::problem::memory;
 use crate::problem::option_texts;
 use state::ModelSearch;

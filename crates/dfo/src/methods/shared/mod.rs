@@ -8,5 +8,5 @@ pub(crate) mod generations;
 pub(crate) mod pending_generation;
 pub(crate) mod population;
 pub(crate) mod ranked_points;
-pub(crate) mod sized;
-pub(crate) mod sizes;
+pub(crate) mod size_search;
+pub(crate) mod with_sizes;

@@ -50,7 +50,7 @@ pub struct Recorded {
 
 /// A column of results.
 #[derive(Debug, Clone, Copy)]
-struct InputTable {
+struct OutputColumn {
     source: OutputSource,
     negated: bool,
     /// True if it may be interpolated.
@@ -68,7 +68,7 @@ struct Group {
 /// The outputs by type, each type for one call.
 #[derive(Debug, Default)]
 pub(crate) struct OutputPlan {
-    columns: Vec<InputTable>,
+    columns: Vec<OutputColumn>,
     reals: Vec<u32>,
     n_reals: usize,
     /// The states as variables, and how many values they have.
@@ -83,7 +83,7 @@ pub(crate) struct OutputPlan {
     /// Value references of the clocks recorded.
     pub(crate) clocks: Vec<u32>,
     /// Columns without names, which stand behind the others: see `texts.rs`.
-    unnamed: Vec<InputTable>,
+    unnamed: Vec<OutputColumn>,
     /// Name and kind of what the columns without names make.
     pub(crate) values: Vec<(String, VariableKind)>,
     pub(crate) recorded: Vec<Recorded>,
@@ -163,7 +163,7 @@ impl OutputPlan {
         let mut names = Vec::new();
         for element in wanted {
             let place = first + element;
-            let column = |source| InputTable { source, negated, is_continuous };
+            let column = |source| OutputColumn { source, negated, is_continuous };
             let source = match (kind, state) {
                 _ if variable.causality == Causality::Independent => OutputSource::Time,
                 (_, Some(first)) => OutputSource::State(first + element, place),
@@ -375,7 +375,7 @@ impl OutputBuffers {
     /// A column of a state whose variable has another value than the state vector has: one that is not finite
     /// where there is one.
     pub(crate) fn contradiction(&self, plan: &OutputPlan, x: &[f64]) -> Option<(usize, f64)> {
-        let differs = |(k, column): (usize, &InputTable)| match column.source {
+        let differs = |(k, column): (usize, &OutputColumn)| match column.source {
             OutputSource::State(i, place) => {
                 let found = self.reals[place];
                 (!is_same_number(found, x[i])).then_some((k, found))

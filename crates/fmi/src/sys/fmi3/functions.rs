@@ -6,7 +6,7 @@ use crate::sys::function::{Answer, call};
 use crate::sys::functions::{Derivative, Functions, derivative};
 use crate::sys::symbols::table;
 use crate::sys::types::{Component, Direction, EventInfo, Experiment, InterfaceKind, Request, StepInfo};
-use crate::sys::version::{Step, Version};
+use crate::sys::versioned_functions::{Step, Version};
 use std::ffi::{CString, c_char, c_int, c_void};
 
 /// A C `bool` as an FMU may write it: any bits are tolerated.

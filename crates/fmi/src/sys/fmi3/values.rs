@@ -7,7 +7,7 @@ use crate::sys::function::{Answer, call};
 use crate::sys::packed_integers;
 use crate::sys::symbols::table;
 use crate::sys::types::Component;
-use crate::sys::version::{NO_SUCH_TYPE, Values};
+use crate::sys::versioned_functions::{NO_SUCH_TYPE, Values};
 use crate::value::VariableKind;
 use std::ffi::c_char;
 

@@ -6,7 +6,7 @@ use super::fault::{Fault, Outcome};
 use crate::error::Status;
 use crate::sys::function::call;
 use crate::sys::types::StepInfo;
-use crate::sys::version::Step;
+use crate::sys::versioned_functions::Step;
 
 impl RawInstance {
     /// One communication step. A step that was not (or only in part) computed is no fault here: `info` says

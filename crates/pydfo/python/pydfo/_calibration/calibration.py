@@ -480,6 +480,8 @@ class Calibration(Evaluation):
                 objects = {"start": begin, "observer": observer, "stages": of_stages, "objective": cost, "engine": engine, "page": page}
                 result = self._native.fit(asked, objects)
         except BaseException as e:
+            if page is not None:
+                page.show_error(f"{type(e).__name__}: {e}")
             # What the native code attached becomes a fit, too.
             for name in ("result", "partial_result"):
                 attached = getattr(e, name, None)

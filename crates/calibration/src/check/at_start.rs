@@ -1,7 +1,7 @@
 //! Checks of an evaluation at the start values: measurements in another unit, swapped, or far from the
 //! simulation from the start.
 
-use super::checked_experiment::ExperimentSubject;
+use super::experiment_subject::ExperimentSubject;
 use super::signals;
 use super::simulated_outputs::{
     Outputs, Place, Series, range, rounded, size, size_of_difference, unexplained,

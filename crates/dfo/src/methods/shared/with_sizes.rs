@@ -1,7 +1,7 @@
-//! A search that begins with a look for the sizes that nothing tells (`sizes.rs`), for methods that start
-//! from a point.
+//! A search that begins with a look for the sizes that nothing tells (`size_search.rs`), for methods that
+//! start from a point.
 
-use super::sizes::{SizeFound, SizeSearch};
+use super::size_search::{SizeFound, SizeSearch};
 use crate::error::Error;
 use crate::method_interface::interface::{
     AnswersSoFar, Batch, Method, MethodDetails, Setup, Status, restored, saved,
