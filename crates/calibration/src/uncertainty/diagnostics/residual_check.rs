@@ -29,7 +29,7 @@ const DEVIATIONS: f64 = 4.0;
 const ROUNDING: f64 = 1e-10;
 
 /// The residuals of one output of one experiment, times their weights. Recordings of an output whose weights
-/// differ are looked at, and have their variances, apart: see [`Estimator`](super::Estimator).
+/// differ are looked at, and have their variances, apart: see [`Estimator`](crate::Estimator).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
