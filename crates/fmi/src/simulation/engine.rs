@@ -63,7 +63,7 @@ impl Engine {
 
     /// True if rows of a run that ends here may have been read too early.
     pub(crate) fn has_unchecked_rows(&self) -> bool {
-        matches!(self, Engine::Integrated { system, .. } if system.reader.has_unchecked_rows())
+        matches!(self, Engine::Integrated { system, .. } if system.reader.has_unchecked_rows(&system.running))
     }
 
     /// Value of a variable where the run stands.

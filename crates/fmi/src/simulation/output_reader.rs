@@ -132,7 +132,8 @@ impl OutputReader {
             self.row_actions.event |= action.event;
             self.row_actions.terminate |= action.terminate;
         }
-        let is_watched = matches!(self.row_points, RowPoints::Open(_) | RowPoints::Watched);
+        let is_watched = matches!(self.row_points, RowPoints::Open(_) | RowPoints::Watched)
+            && running.plan.outputs().needs_fmu();
         if is_watched {
             running.buffers.keep();
         }
@@ -146,11 +147,19 @@ impl OutputReader {
             Freshness::Open(good) => return self.compare(running, good),
         }
         if is_watched && self.watch(running) && !self.is_evaluated {
+            self.note_moved(running);
             self.evaluate(running)?;
             // Rows before this one may have been read too early.
             if reads_other(running)? {
                 running.plan.fmu().note_outputs_of_derivatives();
                 return Err(CallError::failed(FmiError::ReadBetweenSteps));
+            }
+            // Without completed steps there is nothing else to be late for.
+            if running.plan.completed_step_not_needed {
+                self.trust_moved();
+                if self.unseen.is_empty() {
+                    self.row_points = RowPoints::Any;
+                }
             }
         }
         Ok(())
@@ -163,10 +172,24 @@ impl OutputReader {
         moves
     }
 
+    /// Notes which variables have changed that are not known to be right.
+    fn note_moved(&mut self, running: &Running) {
+        self.moved.clear();
+        self.moved.extend(self.unseen.iter().map(|(number, _)| !running.buffers.is_as_kept(*number)));
+    }
+
+    /// These were right, and are known to be after a few times.
+    fn trust_moved(&mut self) {
+        self.unseen.iter_mut().zip(&self.moved).for_each(|((_, times), moved)| *times += u32::from(*moved));
+        self.unseen.retain(|(_, times)| *times < GOOD_STEPS);
+    }
+
     /// True if a variable has changed in rows and was not compared since: rows of a run that ends here may be
     /// wrong.
-    pub(crate) fn has_unchecked_rows(&self) -> bool {
-        self.has_moved && matches!(self.row_points, RowPoints::Open(_) | RowPoints::Watched)
+    pub(crate) fn has_unchecked_rows(&self, running: &Running) -> bool {
+        self.has_moved
+            && !running.plan.completed_step_not_needed
+            && matches!(self.row_points, RowPoints::Open(_) | RowPoints::Watched)
     }
 
     /// An event has happened: a model may compute its variables in another way from now on. They are looked
@@ -220,11 +243,7 @@ impl OutputReader {
             self.evaluate(running)?;
         }
         let has_changed = compared(reads_other(running))?;
-        self.moved.clear();
-        if has_changed == Some(true) {
-            let is_other = |(number, _): &(usize, u32)| !running.buffers.is_as_kept(*number);
-            self.moved.extend(self.unseen.iter().map(is_other));
-        }
+        self.note_moved(running);
         let before = self.read_indicators(running, 1);
         let action = completed(running)?;
         if before && !action.event && self.read_indicators(running, 2) {
@@ -240,11 +259,7 @@ impl OutputReader {
             return Err(CallError::failed(FmiError::ReadBetweenSteps));
         }
         if has_changed == Some(true) {
-            self.unseen
-                .iter_mut()
-                .zip(&self.moved)
-                .for_each(|((_, times), moved)| *times += u32::from(*moved));
-            self.unseen.retain(|(_, times)| *times < GOOD_STEPS);
+            self.trust_moved();
             self.row_points = match (good + 1 < GOOD_STEPS, self.unseen.is_empty()) {
                 (true, _) => RowPoints::Open(good + 1),
                 (false, true) => RowPoints::Any,

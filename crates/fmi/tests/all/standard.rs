@@ -5,10 +5,11 @@
 use crate::support;
 
 use example_models::ExampleKind;
-use fmi::ode::{Ignore, Method};
+use fmi::ode::{Ignore, Method, Observer, Sample};
 use fmi::{
     FmiError, Fmu, Inputs, InstanceOptions, SimulateOptions, SimulationPlan, Simulator, Trajectory, Value,
 };
+use std::ops::ControlFlow;
 use std::sync::Arc;
 use support::{evil, evil_with, faulty, fixture_with};
 
@@ -104,50 +105,65 @@ fn variables_computed_with_completed_steps_only_are_right() {
     }
 }
 
-#[test]
-fn a_variable_computed_with_completed_steps_that_rests_at_first_is_right() {
-    // The derivative changes from the first step on, y from 0.5 on only.
-    let late = evil(&["OUTPUTS_OF_STEPS", "RESTS_AT_FIRST"]);
-    let options = SimulateOptions::new().ncp(97).outputs(["der(x)", "y"]).relative_tolerance(1e-9);
+/// A model with these faults computes y too late; `right`: y by time. The same again has the same bits.
+fn is_right_though_late(faults: &[&str], outputs: &[&str], right: fn(f64) -> f64) {
+    let late = evil(faults);
+    let options = SimulateOptions::new().ncp(97).outputs(outputs.iter().copied()).relative_tolerance(1e-9);
     for method in [ode::Method::Tsit5, ode::Method::Dop853, ode::Method::Radau5, ode::Method::Bdf] {
         let fmu = late.open();
         let found = fmu.simulate(&options.clone().method(method)).unwrap();
         for (t, y) in found.time.iter().zip(found.get("y").unwrap()) {
-            let right = if *t < 0.5 { 1.0 } else { (-t).exp() };
-            assert!((y - right).abs() < 1e-7, "{method:?}: {y} at {t}");
+            assert!((y - right(*t)).abs() < 1e-7, "{method:?}: {y} at {t}");
         }
         assert_eq!(fmu.quirks_seen().len(), 1, "{method:?}");
+        assert_eq!(bits(&fmu.simulate(&options.clone().method(method)).unwrap()), bits(&found));
     }
 }
 
 #[test]
-fn a_variable_computed_with_the_derivatives_that_rests_at_first_is_right() {
-    let late = evil(&["STALE_OUTPUTS", "RESTS_AT_FIRST"]);
-    let options = SimulateOptions::new().ncp(97).outputs(["der(x)", "y"]).relative_tolerance(1e-9);
-    for method in [ode::Method::Tsit5, ode::Method::Dop853, ode::Method::Radau5, ode::Method::Bdf] {
-        let fmu = late.open();
-        let found = fmu.simulate(&options.clone().method(method)).unwrap();
-        for (t, y) in found.time.iter().zip(found.get("y").unwrap()) {
-            let right = if *t < 0.5 { 1.0 } else { (-t).exp() };
-            assert!((y - right).abs() < 1e-7, "{method:?}: {y} at {t}");
-        }
-        assert_eq!(fmu.quirks_seen().len(), 1, "{method:?}");
-        assert_eq!(bits(&fmu.simulate(&options.clone().method(method)).unwrap()), bits(&found));
+fn a_late_variable_that_rests_at_first_is_right() {
+    // The derivative changes from the first step on, y from 0.5 on only.
+    for late in ["OUTPUTS_OF_STEPS", "STALE_OUTPUTS"] {
+        let right = |t: f64| if t < 0.5 { 1.0 } else { (-t).exp() };
+        is_right_though_late(&[late, "RESTS_AT_FIRST"], &["der(x)", "y"], right);
     }
 }
 
 #[test]
 fn a_variable_that_is_late_only_after_an_event_is_right() {
-    let late = evil(&["OUTPUTS_OF_STEPS", "LATE_FROM=0.4"]);
-    let options = SimulateOptions::new().ncp(97).outputs(["y"]).relative_tolerance(1e-9);
-    for method in [ode::Method::Tsit5, ode::Method::Dop853, ode::Method::Radau5, ode::Method::Bdf] {
-        let fmu = late.open();
-        let found = fmu.simulate(&options.clone().method(method)).unwrap();
-        for (t, y) in found.time.iter().zip(found.get("y").unwrap()) {
-            assert!((y - (-t).exp()).abs() < 1e-7, "{method:?}: {y} at {t}");
+    is_right_though_late(&["OUTPUTS_OF_STEPS", "LATE_FROM=0.4"], &["y"], |t| (-t).exp());
+}
+
+/// Ends a run at its row of this number.
+struct EndsAt(usize);
+
+impl Observer for EndsAt {
+    fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()> {
+        if sample.index.is_some_and(|row| row >= self.0) {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
         }
-        assert_eq!((found.stats.time_events, fmu.quirks_seen().len()), (1, 1), "{method:?}");
-        assert_eq!(bits(&fmu.simulate(&options.clone().method(method)).unwrap()), bits(&found));
+    }
+}
+
+#[test]
+fn rows_of_a_run_that_is_cut_off_are_checked_unless_its_steps_are_short_of_them() {
+    let unchecked = |fmu: &Fmu, outputs: &[&str], row: usize| {
+        let options = SimulateOptions::new().final_time(4.0).ncp(4000).outputs(outputs.iter().copied());
+        let mut simulator = Simulator::new(Arc::new(SimulationPlan::new(fmu, &options).unwrap())).unwrap();
+        simulator.run(&[], &mut EndsAt(row)).unwrap();
+        fmu.n_unchecked_runs()
+    };
+    // Within the first step, before it can be told; and long after.
+    let plain = evil(&[]);
+    let fmu = plain.open();
+    assert_eq!(unchecked(&fmu, &["y"], 3), 1);
+    assert_eq!(unchecked(&fmu, &["y"], 3000), 1);
+    // Without completed steps each row is checked at once.
+    let fmu = Fmu::open(example_models::example_fmu("furuta").unwrap()).unwrap();
+    for row in [3, 3000] {
+        assert_eq!(unchecked(&fmu, &["armJoint.phi", "armFriction"], row), 0);
     }
 }
 
