@@ -266,7 +266,7 @@ fn hint(name: &str) -> String {
         "db" => "; decibels are no linear unit".to_owned(),
         _ => {
             let nearest = unit_symbols::nearest(name).map_or_else(String::new, |near| format!("; '{near}'?"));
-            format!("{nearest} Units are written as 'mm', 'degC', 'rpm', 'kW/K', 'J/(kg.K)', 'm^3/h'")
+            format!("{nearest}; units are written as 'mm', 'degC', 'rpm', 'kW/K', 'J/(kg.K)', 'm^3/h'")
         }
     }
 }
