@@ -21,6 +21,10 @@ const STRAIGHT: f64 = 1.5;
 const LITTLE: f64 = 0.05;
 /// Points asked for since noise was found before the run may end: so many times n + 1.
 const FEWEST: usize = 5;
+/// Points without a better one, times n + 1, after which the run ends all the same: residuals that jump, as those
+/// of a simulation whose steps are chosen anew do, are no noise about a model, and its predictions never become
+/// small.
+const MOST_WITHOUT_GAIN: usize = 50;
 /// Sweeps for each eigenvalue: a few are enough.
 const MOST_SWEEPS: usize = 100;
 
@@ -53,7 +57,7 @@ impl LeastSquaresState {
             }
             averaging.radius *= 0.7;
         }
-        self.phase = Phase::Averaging(averaging);
+        (self.halt, self.phase) = (None, Phase::Averaging(averaging));
     }
 
     fn weighted<'a>(
@@ -103,11 +107,11 @@ impl LeastSquaresState {
             let may_end = tolerances.x_tol > 0.0 || tolerances.f_tol > 0.0;
             let is_straight = regression.is_quadratic || regression.bent.is_some_and(|bent| bent < BENT);
             let most = (3.0 * regression.excess).min(LITTLE * best);
-            let may_end =
-                may_end && is_straight && averaging.n_asked >= FEWEST * (n + 1) && predicted <= most;
             // What the radius keeps away counts, too.
             let wide = averaging.radius.max(self.options.radius);
-            if may_end && regression.minimise(wide, &lower, &upper).1 <= most {
+            let is_known = is_straight && averaging.n_asked >= FEWEST * (n + 1) && predicted <= most;
+            let ends = is_known && regression.minimise(wide, &lower, &upper).1 <= most;
+            if may_end && (ends || self.is_halted(MOST_WITHOUT_GAIN)) {
                 self.phase = Phase::Ended(Termination::Noise);
                 return;
             }
@@ -135,10 +139,11 @@ impl LeastSquaresState {
         self.n_iterations += 1;
         self.operation = Some(Operation::TrustRegionStep);
         let failed = round.iter().any(|candidate| candidate.known == PointStatus::Failed);
-        let best = self.best_of(0..self.points.len()).map(|k| self.points[k].z.clone());
-        if let (Phase::Averaging(averaging), true, Some(best)) = (&mut self.phase, failed, best) {
+        let Some(best) = self.best_of(0..self.points.len()) else { return };
+        self.look_for_progress(best);
+        if let (Phase::Averaging(averaging), true) = (&mut self.phase, failed) {
             averaging.radius *= 0.5;
-            averaging.centre = best;
+            averaging.centre.clone_from(&self.points[best].z);
         }
     }
 }

@@ -186,7 +186,7 @@ impl LeastSquaresState {
                 self.phase = Phase::Ended(Termination::Converged);
             } else if is_kept_off || is_plateau || (self.n_failed > 0 && self.delta < STUCK) {
                 self.begin_simplex();
-            } else if tests.x_passed && self.is_halted() {
+            } else if tests.x_passed && self.is_halted(MOST_HALTED) {
                 self.phase = Phase::Ended(Termination::Noise);
             } else if self.rho < SMALLEST {
                 self.phase = Phase::Ended(Termination::Collapsed);
@@ -525,7 +525,7 @@ impl LeastSquaresState {
         if round.len() > 1 || self.set.len() <= self.n() {
             self.choose_set_from(round);
         }
-        self.look_for_progress();
+        self.look_for_progress(self.base());
         if let Some((misfit, size)) = self.failure.filter(|_| self.n_noisy >= MOST_NOISY) {
             self.probe(misfit, size);
         } else if ratio < 0.1 {
@@ -548,9 +548,9 @@ impl LeastSquaresState {
         }
     }
 
-    /// Notes whether the search goes on by more than the tolerances.
-    fn look_for_progress(&mut self) {
-        let Evaluated { z, cost, .. } = &self.points[self.base()];
+    /// Notes whether the search, whose best point this is, goes on by more than the tolerances.
+    pub(super) fn look_for_progress(&mut self, best: usize) {
+        let Evaluated { z, cost, .. } = &self.points[best];
         let (limit, cost) = (self.judge(0.0, 0.0, *cost).f_limit, *cost);
         self.halt = match self.halt.take() {
             Some(halt) if distance(&halt.z, z) <= self.x_limit() && halt.cost - cost <= limit => {
@@ -560,8 +560,9 @@ impl LeastSquaresState {
         };
     }
 
-    fn is_halted(&self) -> bool {
-        self.halt.as_ref().is_some_and(|halt| halt.n_rounds > MOST_HALTED * (self.n() + 1))
+    /// True if it has not gone on in so many rounds for each parameter and one more.
+    pub(super) fn is_halted(&self, most: usize) -> bool {
+        self.halt.as_ref().is_some_and(|halt| halt.n_rounds > most * (self.n() + 1))
     }
 
     /// Asks for a point next to the base, so near that smooth residuals hardly change.
