@@ -157,8 +157,8 @@ def test_the_solver_of_a_stiff_fit_is_compared_once_and_reported():
     assert [entry.solver for entry in fit.solver_comparison] == ["auto", "bdf", "radau5"]
     winner = next(entry for entry in fit.solver_comparison if entry.solver == fit.solver)
     assert winner.verdict == "agrees" and winner.deviation <= 5
-    # The least work at equal error, which goes with the sixth root of the error.
-    price = {entry.solver: entry.work * entry.deviation ** (1 / 6) for entry in fit.solver_comparison if entry.verdict == "agrees"}
+    # The least work, in which an error counts with its fourth root.
+    price = {entry.solver: entry.work * entry.deviation ** 0.25 for entry in fit.solver_comparison if entry.verdict == "agrees"}
     assert min(price, key=price.get) == fit.solver, fit.solver_comparison
     assert calibrate(fit.solver).cost(fit.x) == fit.cost == calibration.cost(fit.x)
     named = calibrate("radau5").fit(max_evaluations=3)
@@ -196,3 +196,21 @@ def test_both_stages_are_fitted_as_well_as_with_an_accurate_method(which):
         assert fit.success and fit.cost == pytest.approx(accurate.cost, rel=1e-4)
         # Least squares needs so few that one more round of a stencil is a large share.
         assert fit.nfev <= max(1.25 * accurate.nfev, accurate.nfev + 3)
+
+
+@pytest.mark.parametrize(("solver", "most"), [("auto", 200), ("bdf", 1000)])
+def test_a_fit_from_nominal_values_ends_whatever_the_solver_makes_of_the_cost(solver, most):
+    """The samples of BDF jump by some of their tolerances: the cost of 9921 is rough by 10, and models of the residuals always
+    promise more than there is."""
+    nominal = {"C1": 2500.0, "G1": 120.0, "C2": 9000.0, "G2": 80.0}
+    fit = Calibration(
+        example_fmu("exhaust"),
+        data=recordings.OWN / "exhaust.csv",
+        inputs=INPUTS,
+        outputs=["T_out"],
+        window=(0, 500),
+        parameters=[Parameter(name, v, 1e-4 * v, 5e4 if name[0] == "C" else 500.0) for name, v in nominal.items()],
+        solver=solver,
+    ).fit("least-squares")
+    assert fit.nfev < most
+    assert fit.cost == pytest.approx(9922.5, rel=2e-4)

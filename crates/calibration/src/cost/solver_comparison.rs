@@ -5,8 +5,8 @@
 //! the system is not stiff that is Tsit5, and there is nothing to win: the comparison is over, and `Auto`
 //! stays, which also copes with parameters that make the system stiff. Where it is stiff, Radau5 with a tenth
 //! of the tolerance shows what is right, and BDF and Radau5 are tried. Of those within 5 tolerances of it the
-//! winner is who takes the least work for the same error. A method takes part as long as it may still be that
-//! one.
+//! winner is who takes the least work, an error counted as more of it. A method takes part as long as it may
+//! still be that one.
 
 use ode::{Method, Stats};
 use serde::{Deserialize, Serialize};
@@ -16,10 +16,11 @@ const MOST_DIFFERENCE: f64 = 5.0;
 /// The simulation that shows what is right: its share of the tolerance, and how much more work than the first
 /// it may be. Differences below that share are its own.
 const TIGHTER: f64 = 0.1;
-/// An error counts as much as work that goes with this power of it. The same method takes 0.13 to 0.19 (Radau5
-/// and BDF on HIRES, ROBER, OREGO and VDPOL between rtol 1e-4 and 1e-8, `benches/work_precision.md`; a step of
-/// order 5 has an error that goes with `h^6`). What is more is the price of a rough cost: a fit of four
-/// parameters of a stiff model took 56 evaluations with an error of 0.4 tolerances, and hundreds with one of 4.
+/// An error counts as much as work that goes with this power of it. The same method takes 0.13 to 0.19
+/// (Radau5 and BDF on HIRES, ROBER, OREGO and VDPOL between rtol 1e-4 and 1e-8, `benches/work_precision.md`;
+/// a step of order 5 has an error that goes with `h^6`). What is more is the price of a rough cost: a fit of
+/// four parameters of a stiff model took 56 evaluations with an error of 0.4 tolerances, and hundreds with
+/// one of 4.
 const WORK_PER_ERROR: f64 = 0.25;
 /// With fewer iterations of Newton's method per step `auto` was at work with an explicit method, but for
 /// trials.
@@ -95,8 +96,8 @@ pub struct ComparedSolver {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct SolverComparison {
-    /// The winner: of the methods that agree the one with the least work for the same error; where none does
-    /// the one that differs least; [`Method::Auto`] where there is nothing to compare.
+    /// The winner: of the methods that agree the one with the least work, an error counted as more of it;
+    /// where none does the one that differs least; [`Method::Auto`] where there is nothing to compare.
     pub method: Method,
     /// The methods that took part, in the order in which they ran.
     pub entries: Vec<ComparedSolver>,

@@ -21,9 +21,9 @@ const STRAIGHT: f64 = 1.5;
 const LITTLE: f64 = 0.05;
 /// Points asked for since noise was found before the run may end: so many times n + 1.
 const FEWEST: usize = 5;
-/// Points without a better one, times n + 1, after which the run ends all the same: residuals that jump, as those
-/// of a simulation whose steps are chosen anew do, are no noise about a model, and its predictions never become
-/// small.
+/// Points without a better one, times n + 1, after which the run ends all the same: residuals that jump, as
+/// those of a simulation whose steps are chosen anew do, are no noise about a model, and its predictions
+/// never become small.
 const MOST_WITHOUT_GAIN: usize = 50;
 /// Sweeps for each eigenvalue: a few are enough.
 const MOST_SWEEPS: usize = 100;
