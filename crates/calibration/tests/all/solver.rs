@@ -86,7 +86,7 @@ fn a_stiff_model_is_compared_once_and_the_winner_is_used_everywhere() {
     assert_eq!(compared.cost(&fit.x, &RunContext::new()).unwrap().to_bits(), fit.cost.to_bits());
     let named = calibration(solver.method);
     assert_eq!(named.cost(&x, &RunContext::new()).unwrap().to_bits(), cost.to_bits());
-    assert_eq!(named.solver(&RunContext::new()).unwrap().comparison, None);
+    assert_eq!(named.solver(&RunContext::new()).unwrap().method, solver.method);
     let trajectory = &compared.simulate(&x, None, &RunContext::new()).unwrap()[0];
     let rows = trajectory.get("T_out").unwrap().iter().zip(exhaust().column("T_out").unwrap().to_vec());
     let sum: f64 = rows.map(|(simulated, measured)| (simulated - measured).powi(2)).sum();
