@@ -322,6 +322,10 @@ fn headers_that_contradict_the_directory_are_refused() {
         let problem = problem_of(&[Entry::deflated("a", b"12345").with(change)]);
         assert!(matches!(problem, EntryProblem::HeaderMismatch(_)), "{problem}");
     }
+    // That of the description is looked at when it is read, before anything is unpacked.
+    let bytes = zip(&[description().with(|entry| entry.local_sizes.1 += 1)]);
+    let error = Fmu::open(file(&bytes).path()).unwrap_err();
+    assert!(matches!(error, FmiError::BadEntry { problem: EntryProblem::HeaderMismatch(_), .. }), "{error}");
     // Sizes behind the data (bit 3) are legal, and the header then says 0.
     let streamed = Entry::deflated("a", b"12345").with(|entry| {
         entry.flags = 8;
@@ -428,12 +432,13 @@ fn entries_the_directory_does_not_count_are_refused() {
     assert!(message.contains("more than the 1 entries"), "{message}");
 }
 
-/// Everything above that is refused late, after the private folder has been made.
+/// Everything above that is refused late: when the archive is unpacked.
 fn refused_while_unpacking() -> Vec<Vec<u8>> {
     let wrong_sum = Entry::deflated("resources/a", b"12345").with(|entry| entry.crc32 ^= 1);
     let too_long = Entry::packed("resources/bomb", bomb(10), 1000, 0);
     let garbage = Entry::packed("resources/a", vec![0xff; 100], 100, 0);
-    [wrong_sum, too_long, garbage].map(|entry| zip(&[description(), entry])).to_vec()
+    let other_header = Entry::stored("resources/a", b"12345").with(|entry| entry.local_name = b"b".to_vec());
+    [wrong_sum, too_long, garbage, other_header].map(|entry| zip(&[description(), entry])).to_vec()
 }
 
 fn names_in(folder: &Path) -> Vec<PathBuf> {

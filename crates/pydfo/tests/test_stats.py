@@ -76,6 +76,19 @@ def test_a_fit_adds_up_what_its_simulations_took(workers):
     assert one == other
 
 
+def test_phases_take_the_same_in_every_fit():
+    """The checks of the model depend on the clock, and on which process serves: they are no simulations of a phase."""
+
+    def counts(stats):
+        return {name: (taken["simulations"], taken["right_hand_sides"]) for name, taken in stats.phases.items()}
+
+    fits = [bouncing().fit(max_evaluations=15, workers=2) for _ in range(5)]
+    first = counts(fits[0].stats)
+    assert [counts(fit.stats) for fit in fits] == [first] * 5
+    assert sum(simulations for simulations, _ in first.values()) == fits[0].stats.runs
+    assert fits[0].stats.check_runs > 0
+
+
 def test_integers_and_choices_are_fitted_by_methods_that_can():
     data = {"time": TIMES, "x": np.exp(-3.0 * TIMES)}
     k = Parameter("k", 1, 1, 8, kind="integer")

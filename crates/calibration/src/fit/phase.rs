@@ -24,8 +24,9 @@ pub enum FitPhase {
     Search,
     /// Bounds and parameters without effect are looked at, and what may not be meant as it was given.
     Checks,
-    /// The best point is evaluated again in the processes that the fit has used. In a fresh one it is, too,
-    /// but while the phases after this one last: that simulation counts here, its time does not.
+    /// The best point is evaluated again in the processes that the fit has used; in a fresh one, too, but
+    /// while the phases after this one last, so that its time does not count here. All these are
+    /// [checks](ode::Checks).
     FreshProcess,
     /// The standard errors are found.
     Uncertainty,

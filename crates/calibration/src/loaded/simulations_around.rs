@@ -27,13 +27,14 @@ const SMALLEST_TOLERANCE: f64 = 1e-13;
 /// simulations.
 const LOOSEST_OF_EXACT: f64 = 1e-5;
 
-/// What a part of a fit took. All are equal, as the [checks](ode::Checks) among its simulations are.
+/// What a part of a fit took. All are equal, as wall-clock times are.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Effort {
-    /// Simulations, with those made to test the model.
+    /// Simulations. How many [checks](ode::Checks) were made besides depends on the clock: they are not among
+    /// them.
     pub simulations: u64,
-    /// Right-hand sides in them, but for those of tests.
+    /// Right-hand sides in them.
     pub right_hand_sides: u64,
     /// Wall-clock time.
     #[cfg_attr(feature = "schema", schemars(with = "f64"))]
@@ -43,7 +44,7 @@ pub struct Effort {
 impl Effort {
     pub(crate) fn of(stats: &Stats, elapsed: Duration) -> Self {
         Self {
-            simulations: stats.runs + stats.checks.runs,
+            simulations: stats.runs,
             right_hand_sides: stats.right_hand_sides,
             seconds: Seconds::new(elapsed.as_secs_f64()),
         }

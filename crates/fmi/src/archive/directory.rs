@@ -23,10 +23,13 @@ pub(super) struct Directory {
 /// One central header.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Record {
-    /// Name as it is to be understood.
+    /// Name as it is to be understood; of an entry that is listed without the slash at the end of folders.
     pub(super) name: String,
-    /// Name as the local header repeats it.
-    pub(super) raw_name: Vec<u8>,
+    pub(super) is_folder: bool,
+    /// Index of an earlier entry with this name, size and checksum: the content has to be the same.
+    pub(super) repeats: Option<usize>,
+    /// Name as the local header repeats it, where its bytes are others.
+    pub(super) raw_name: Option<Vec<u8>>,
     pub(super) flags: u16,
     pub(super) method: u16,
     pub(super) crc32: u32,
@@ -95,8 +98,11 @@ impl Directory {
     pub(super) fn read(&self, archive: &mut (impl Read + Seek)) -> io::Result<Vec<Record>> {
         archive.seek(SeekFrom::Start(self.start))?;
         let mut archive = archive.take(self.end - self.start);
-        let records =
-            (0..self.n_entries).map(|_| Record::read(&mut archive)).collect::<Result<Vec<_>, _>>()?;
+        let mut records = Vec::with_capacity(self.n_entries as usize);
+        let mut texts = Vec::new();
+        for _ in 0..self.n_entries {
+            records.push(Record::read(&mut archive, &mut texts)?);
+        }
         // A hidden record behind the last one would be seen by tools that do not count.
         let mut rest = [0; 4];
         match archive.read_exact(&mut rest) {
@@ -161,19 +167,25 @@ fn zip64_end(archive: &mut (impl Read + Seek), end_start: u64) -> io::Result<Opt
 }
 
 impl Record {
-    fn read(source: &mut impl Read) -> io::Result<Record> {
+    /// Reads the next record; `texts` is a buffer.
+    fn read(source: &mut impl Read, texts: &mut Vec<u8>) -> io::Result<Record> {
         let mut bytes = [0; HEADER_BYTES as usize];
         source.read_exact(&mut bytes)?;
         if !bytes.starts_with(b"PK\x01\x02") {
             return damaged("its directory holds something that is no entry");
         }
         let fields = Fields(&bytes);
-        let raw_name = read_bytes(source, fields.half(28))?;
-        let extra = read_bytes(source, fields.half(30))?;
-        read_bytes(source, fields.half(32))?; // comment
+        // Name, extra fields, comment.
+        let [name, extra, comment] = [28, 30, 32].map(|at| usize::from(fields.half(at)));
+        texts.resize(name + extra + comment, 0);
+        source.read_exact(texts)?;
+        let (raw_name, extra) = texts[..name + extra].split_at(name);
+        let name = decode_name(raw_name, extra);
         let mut record = Record {
-            name: decode_name(&raw_name, &extra),
-            raw_name,
+            raw_name: (name.as_bytes() != raw_name).then(|| raw_name.to_owned()),
+            name,
+            is_folder: false,
+            repeats: None,
             flags: fields.half(8),
             method: fields.half(10),
             crc32: fields.word(16),
@@ -182,7 +194,7 @@ impl Record {
             unix_mode: fields.word(38) >> 16,
             header_start: u64::from(fields.word(42)),
         };
-        record.widen(&extra);
+        record.widen(extra);
         Ok(record)
     }
 
@@ -266,12 +278,6 @@ fn read_at(archive: &mut (impl Read + Seek), start: u64, length: u64) -> io::Res
     Ok(bytes)
 }
 
-fn read_bytes(source: &mut impl Read, length: u16) -> io::Result<Vec<u8>> {
-    let mut bytes = vec![0; usize::from(length)];
-    source.read_exact(&mut bytes)?;
-    Ok(bytes)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -351,7 +357,7 @@ mod tests {
         header.extend([1, 0, 16, 0]);
         header.extend(5_000_000_000_u64.to_le_bytes());
         header.extend(6_000_000_000_u64.to_le_bytes());
-        let record = Record::read(&mut &header[..]).unwrap();
+        let record = Record::read(&mut &header[..], &mut Vec::new()).unwrap();
         assert_eq!(
             (record.size, record.compressed_size, record.header_start),
             (5_000_000_000, 6_000_000_000, 0)

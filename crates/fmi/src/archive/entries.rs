@@ -1,4 +1,5 @@
-//! The list of entries of an archive, checked: names, kinds, sizes, and that no byte serves two entries.
+//! The list of entries of an archive, checked: names, kinds and sizes when it is opened; local headers, and
+//! that no byte serves two entries, before anything is unpacked.
 
 use super::directory::{Directory, Fields, Record};
 use super::limits::{ArchiveLimits, check_limit};
@@ -15,26 +16,20 @@ const SIZES_FOLLOW_DATA: u16 = 1 << 3;
 
 /// Compression methods.
 const STORED: u16 = 0;
-const DEFLATED: u16 = 8;
+pub(super) const DEFLATED: u16 = 8;
 
 /// Bytes read at once of the directory, which is in one piece, and of local headers, which lie apart.
-const DIRECTORY_BUFFER: usize = 1 << 13;
+const DIRECTORY_BUFFER: usize = 1 << 14;
 const HEADER_BUFFER: usize = 256;
 
-/// One entry that has passed all checks.
+/// After so many entries it is looked whether work is to end.
+const ENTRIES_BETWEEN_LOOKS: usize = 64;
+
+/// The entries of an archive.
 #[derive(Debug)]
-pub(super) struct Listed {
-    /// Name without the slash at the end of folders.
-    pub(super) name: String,
-    pub(super) is_folder: bool,
-    /// An earlier entry has this name, size and checksum: the content has to be the same.
-    pub(super) is_repeated: bool,
-    pub(super) is_executable: bool,
-    pub(super) is_deflated: bool,
-    pub(super) data_start: u64,
-    pub(super) compressed_size: u64,
-    pub(super) size: u64,
-    pub(super) crc32: u32,
+pub(super) struct Entries {
+    pub(super) listed: Vec<Record>,
+    directory: Directory,
 }
 
 /// Bytes of the archive that belong to one entry: its local header and its data.
@@ -50,27 +45,34 @@ pub(super) fn list(
     archive: impl Read + Seek,
     limits: &ArchiveLimits,
     cancel: &CancelRequest,
-) -> Result<Vec<Listed>> {
+) -> Result<Entries> {
     let mut archive = BufReader::with_capacity(DIRECTORY_BUFFER, archive);
     let unreadable = |error| unreadable_at(path, error);
     let directory = Directory::find(&mut archive).map_err(unreadable)?;
     check_limit(path, "entries", directory.n_entries, limits.entries)?;
-    let records = directory.read(&mut archive).map_err(unreadable)?;
+    let mut records = directory.read(&mut archive).map_err(unreadable)?;
     let mut names = Names::with_capacity(records.len());
-    let mut listed = Vec::with_capacity(records.len());
-    for record in &records {
-        cancel.check()?;
-        let checked = check_record(record, &mut names, &listed, limits);
-        listed.push(checked.map_err(|problem| refused(path, &record.name, problem))?);
+    let mut kinds = Vec::with_capacity(records.len());
+    for (position, record) in records.iter().enumerate() {
+        if position.is_multiple_of(ENTRIES_BETWEEN_LOOKS) {
+            cancel.check()?;
+        }
+        let checked = check_record(record, &mut names, &records, limits);
+        kinds.push(checked.map_err(|problem| refused(path, &record.name, problem))?);
         check_limit(path, "files and folders", names.count(), limits.entries)?;
         check_limit(path, "folders", names.n_folders(), limits.folders)?;
     }
-    check_root(path, &listed)?;
-    let sizes = listed.iter().map(|entry| (entry.compressed_size, entry.size));
+    for (record, kind) in records.iter_mut().zip(kinds) {
+        (record.is_folder, record.repeats) = kind;
+        if record.name.ends_with('/') {
+            record.raw_name.get_or_insert_with(|| record.name.clone().into_bytes());
+            record.name.pop();
+        }
+    }
+    check_root(path, &records)?;
+    let sizes = records.iter().map(|entry| (entry.compressed_size, entry.size));
     limits.check_totals(path, sizes)?;
-    let mut archive = BufReader::with_capacity(HEADER_BUFFER, archive.into_inner());
-    check_local_headers(path, &mut archive, directory, &records, &mut listed, cancel)?;
-    Ok(listed)
+    Ok(Entries { listed: records, directory })
 }
 
 fn unreadable_at(path: &Path, error: io::Error) -> FmiError {
@@ -86,39 +88,34 @@ pub(super) fn refused(path: &Path, entry: &str, problem: EntryProblem) -> FmiErr
     FmiError::BadEntry { path: path.to_owned(), entry: entry.to_owned(), problem }
 }
 
-fn check_record(
-    record: &Record,
-    names: &mut Names,
-    listed: &[Listed],
+/// Kind of an entry: whether it is a folder, and which earlier one it repeats.
+type Kind = (bool, Option<usize>);
+
+fn check_record<'a>(
+    record: &'a Record,
+    names: &mut Names<'a>,
+    records: &[Record],
     limits: &ArchiveLimits,
-) -> Result<Listed, EntryProblem> {
+) -> Result<Kind, EntryProblem> {
     names::check(&record.name)?;
     let is_folder = is_folder(record)?;
     check_storage(record, is_folder, limits)?;
-    let is_repeated = match names.add(&record.name, is_folder) {
+    match names.add(&record.name, is_folder) {
         // Some tools pack a file twice.
-        Err(EntryProblem::Duplicate) if repeats(record, names, listed) => true,
-        other => other.map(|()| false)?,
-    };
-    Ok(Listed {
-        is_repeated,
-        name: record.name.strip_suffix('/').unwrap_or(&record.name).to_owned(),
-        is_folder,
-        is_executable: record.unix_mode & 0o111 != 0,
-        is_deflated: record.method == DEFLATED,
-        data_start: 0,
-        compressed_size: record.compressed_size,
-        size: record.size,
-        crc32: record.crc32,
-    })
+        Err(EntryProblem::Duplicate) => match repeated(record, names, records) {
+            None => Err(EntryProblem::Duplicate),
+            first => Ok((is_folder, first)),
+        },
+        other => other.map(|()| (is_folder, None)),
+    }
 }
 
-/// True if an earlier entry seems to be the same file.
-fn repeats(record: &Record, names: &Names, listed: &[Listed]) -> bool {
-    let first = names.position(&record.name).and_then(|position| listed.get(position));
-    first.is_some_and(|first| {
-        (&first.name, first.size, first.crc32) == (&record.name, record.size, record.crc32)
-    })
+/// Index of an earlier entry that seems to be the same file.
+fn repeated(record: &Record, names: &Names<'_>, records: &[Record]) -> Option<usize> {
+    let content = |record: &Record| (record.size, record.crc32);
+    names
+        .position(&record.name)
+        .filter(|&first| records[first].name == record.name && content(&records[first]) == content(record))
 }
 
 /// Tells folders from files and refuses everything else. The file type of Unix is looked at whatever system
@@ -167,7 +164,7 @@ const SYSTEM_STRUCTURE: &str = "SystemStructure.ssd";
 const MOST_NAMED: usize = 8;
 
 /// The model description is a file at the root; if it is one folder down, the message says so.
-fn check_root(path: &Path, listed: &[Listed]) -> Result<()> {
+fn check_root(path: &Path, listed: &[Record]) -> Result<()> {
     if listed.iter().any(|entry| entry.name == MODEL_DESCRIPTION && !entry.is_folder) {
         return Ok(());
     }
@@ -197,60 +194,62 @@ fn check_root(path: &Path, listed: &[Listed]) -> Result<()> {
     Err(FmiError::NoModelDescription { path: path.to_owned(), hint })
 }
 
-/// Reads all local headers: they agree with the directory, and no byte serves two entries.
-fn check_local_headers(
-    path: &Path,
-    archive: &mut (impl Read + Seek),
-    directory: Directory,
-    records: &[Record],
-    listed: &mut [Listed],
-    cancel: &CancelRequest,
-) -> Result<()> {
-    let mut extents = Vec::with_capacity(records.len());
-    for (position, record) in records.iter().enumerate() {
-        cancel.check()?;
-        let data_start =
-            check_local_header(archive, record).map_err(|problem| refused(path, &record.name, problem))?;
-        listed[position].data_start = data_start;
-        let end = data_start.saturating_add(record.compressed_size);
-        extents.push(ByteRange { start: record.header_start, end, position });
-    }
-    extents.sort_by_key(|extent| (extent.start, extent.end));
-    match find_overlap(&extents, directory, records) {
-        Some((record, problem)) => Err(refused(path, &record.name, problem)),
-        None => Ok(()),
+impl Entries {
+    /// Reads all local headers: they agree with the directory, and no byte serves two entries.
+    pub(super) fn check_local_headers(
+        &self,
+        path: &Path,
+        archive: impl Read + Seek,
+        cancel: &CancelRequest,
+    ) -> Result<()> {
+        let mut archive = BufReader::with_capacity(HEADER_BUFFER, archive);
+        let mut extents = Vec::with_capacity(self.listed.len());
+        for (position, entry) in self.listed.iter().enumerate() {
+            cancel.check()?;
+            let data_start =
+                entry.find_data(&mut archive).map_err(|problem| refused(path, &entry.name, problem))?;
+            let end = data_start.saturating_add(entry.compressed_size);
+            extents.push(ByteRange { start: entry.header_start, end, position });
+        }
+        extents.sort_by_key(|extent| (extent.start, extent.end));
+        match find_overlap(&extents, self.directory, &self.listed) {
+            Some((entry, problem)) => Err(refused(path, &entry.name, problem)),
+            None => Ok(()),
+        }
     }
 }
 
-/// Compares the local header of an entry with the directory and returns where its data start.
-fn check_local_header(archive: &mut (impl Read + Seek), record: &Record) -> Result<u64, EntryProblem> {
-    let missing = |error: io::Error| {
-        EntryProblem::Damaged(format!("no local header at byte {} ({error})", record.header_start))
-    };
-    archive.seek(SeekFrom::Start(record.header_start)).map_err(missing)?;
-    let mut bytes = [0; 30];
-    archive.read_exact(&mut bytes).map_err(missing)?;
-    if !bytes.starts_with(b"PK\x03\x04") {
-        return Err(EntryProblem::Damaged(format!("no local header at byte {}", record.header_start)));
+impl Record {
+    /// Compares the local header of the entry with the directory and returns where its data start.
+    pub(super) fn find_data(&self, archive: &mut (impl Read + Seek)) -> Result<u64, EntryProblem> {
+        let missing = |error: io::Error| {
+            EntryProblem::Damaged(format!("no local header at byte {} ({error})", self.header_start))
+        };
+        archive.seek(SeekFrom::Start(self.header_start)).map_err(missing)?;
+        let mut bytes = [0; 30];
+        archive.read_exact(&mut bytes).map_err(missing)?;
+        if !bytes.starts_with(b"PK\x03\x04") {
+            return Err(EntryProblem::Damaged(format!("no local header at byte {}", self.header_start)));
+        }
+        let header = Fields(&bytes);
+        let mut name = vec![0; usize::from(header.half(26))];
+        archive.read_exact(&mut name).map_err(missing)?;
+        if name != self.raw_name.as_deref().unwrap_or(self.name.as_bytes()) {
+            let local = String::from_utf8_lossy(&name);
+            return Err(EntryProblem::HeaderMismatch(format!("name \"{}\"", local.escape_debug())));
+        }
+        if header.half(6) & ENCRYPTED != 0 {
+            return Err(EntryProblem::Encrypted);
+        }
+        if header.half(8) != self.method {
+            return Err(EntryProblem::HeaderMismatch(format!("compression method {}", header.half(8))));
+        }
+        if header.half(6) & SIZES_FOLLOW_DATA == 0 {
+            check_local_size("packed", header.word(18), self.compressed_size)?;
+            check_local_size("unpacked", header.word(22), self.size)?;
+        }
+        Ok(self.header_start + 30 + u64::from(header.half(26)) + u64::from(header.half(28)))
     }
-    let header = Fields(&bytes);
-    let mut name = vec![0; usize::from(header.half(26))];
-    archive.read_exact(&mut name).map_err(missing)?;
-    if name != record.raw_name {
-        let local = String::from_utf8_lossy(&name);
-        return Err(EntryProblem::HeaderMismatch(format!("name \"{}\"", local.escape_debug())));
-    }
-    if header.half(6) & ENCRYPTED != 0 {
-        return Err(EntryProblem::Encrypted);
-    }
-    if header.half(8) != record.method {
-        return Err(EntryProblem::HeaderMismatch(format!("compression method {}", header.half(8))));
-    }
-    if header.half(6) & SIZES_FOLLOW_DATA == 0 {
-        check_local_size("packed", header.word(18), record.compressed_size)?;
-        check_local_size("unpacked", header.word(22), record.size)?;
-    }
-    Ok(record.header_start + 30 + u64::from(header.half(26)) + u64::from(header.half(28)))
 }
 
 /// A size in a local header: all ones mean that the true one stands in an extra field.
@@ -265,17 +264,17 @@ fn check_local_size(what: &str, local: u32, declared: u64) -> Result<(), EntryPr
 fn find_overlap<'a>(
     extents: &[ByteRange],
     directory: Directory,
-    records: &'a [Record],
+    listed: &'a [Record],
 ) -> Option<(&'a Record, EntryProblem)> {
-    let record = |extent: &ByteRange| &records[extent.position];
+    let entry = |extent: &ByteRange| &listed[extent.position];
     for pair in extents.windows(2) {
         let (start, end) = (pair[1].start, pair[0].end.min(pair[1].end));
         if pair[0].end > start {
-            let other = record(&pair[0]).name.clone();
-            return Some((record(&pair[1]), EntryProblem::Overlap { start, end, other }));
+            let other = entry(&pair[0]).name.clone();
+            return Some((entry(&pair[1]), EntryProblem::Overlap { start, end, other }));
         }
     }
     let last = extents.last().filter(|last| last.end > directory.start)?;
     let other = "the directory of the archive".to_owned();
-    Some((record(last), EntryProblem::Overlap { start: directory.start, end: last.end, other }))
+    Some((entry(last), EntryProblem::Overlap { start: directory.start, end: last.end, other }))
 }

@@ -48,8 +48,9 @@ pub(crate) fn is_inside(path: &str) -> bool {
 
 /// An opened FMU: a `.fmu` file or a folder with `modelDescription.xml` at its root.
 ///
-/// Of a file, the directory is read and checked when it is opened. Its contents are unpacked, and checked
-/// against their sizes and checksums, when they are needed.
+/// Of a file, the directory is read and checked when it is opened. Contents are unpacked, and checked against
+/// their headers, sizes and checksums, when they are needed; before the first is written, the headers of all
+/// are compared with the directory, and no byte may serve two of them.
 #[derive(Debug)]
 pub struct Archive {
     content: Content,

@@ -2,6 +2,7 @@
 
 use crate::error::EntryProblem;
 use crate::macros::getters;
+use std::borrow::Cow;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 
@@ -20,7 +21,10 @@ pub(super) fn check(name: &str) -> Result<(), EntryProblem> {
     if name.len() > LONGEST_NAME {
         return Err(EntryProblem::NameTooLong { found: name.len(), limit: LONGEST_NAME });
     }
-    if let Some(c) = name.chars().find(|&c| c == '\\' || c.is_control()) {
+    let is_harmless = |byte: u8| (b' '..=b'~').contains(&byte) && byte != b'\\';
+    if !name.bytes().all(is_harmless)
+        && let Some(c) = name.chars().find(|&c| c == '\\' || c.is_control())
+    {
         return Err(EntryProblem::ForbiddenCharacter(c));
     }
     if name.starts_with('/') || has_drive(name) {
@@ -51,15 +55,17 @@ fn has_drive(name: &str) -> bool {
 
 /// Names seen so far, as a file system that ignores case would see them.
 #[derive(Default)]
-pub(super) struct Names {
-    seen: HashMap<String, Seen>,
+pub(super) struct Names<'a> {
+    seen: HashMap<Cow<'a, str>, Seen<'a>>,
     /// Names added.
     added: usize,
     folders: u64,
+    /// Folder that the last name lies in: names of one folder follow each other.
+    last_folder: &'a str,
 }
 
-struct Seen {
-    name: String,
+struct Seen<'a> {
+    name: &'a str,
     /// Index of the name it was part of.
     position: usize,
     kind: Kind,
@@ -72,7 +78,7 @@ enum Kind {
     Folder,
 }
 
-impl Names {
+impl<'a> Names<'a> {
     getters! {
         /// Number of files and folders, including those that have no entry of their own.
         pub(super) count(self) -> u64 = self.seen.len() as u64;
@@ -86,42 +92,50 @@ impl Names {
     }
 
     /// Adds a checked name, or says with what it collides. Folders may be listed more than once.
-    pub(super) fn add(&mut self, name: &str, is_folder: bool) -> Result<(), EntryProblem> {
+    pub(super) fn add(&mut self, name: &'a str, is_folder: bool) -> Result<(), EntryProblem> {
         let path = name.strip_suffix('/').unwrap_or(name);
         self.added += 1;
-        // Up to the first folder that is known: so are those it lies in.
-        let above: Vec<usize> = path.rmatch_indices('/').map(|(end, _)| end).collect();
-        let is_unknown = |end: &&usize| !self.is_folder(&path[..**end]);
-        let n_unknown = above.iter().take_while(is_unknown).count();
-        for &end in above[..n_unknown].iter().rev() {
-            self.add_one(&path[..end], Kind::Folder)?;
+        let folder = path.rfind('/').map_or("", |end| &path[..end]);
+        if folder != self.last_folder {
+            self.add_folders(path)?;
+            self.last_folder = folder;
         }
         self.add_one(path, if is_folder { Kind::Folder } else { Kind::File })
     }
 
+    /// Adds the folders that a path lies in, below the first one that is known: so are those it lies in.
+    fn add_folders(&mut self, path: &'a str) -> Result<(), EntryProblem> {
+        let mut above = path.rmatch_indices('/').map(|(end, _)| end);
+        let known = above.find(|&end| self.is_folder(&path[..end])).map_or(0, |end| end + 1);
+        for (end, _) in path[known..].match_indices('/') {
+            self.add_one(&path[..known + end], Kind::Folder)?;
+        }
+        Ok(())
+    }
+
     /// True if a folder of exactly this name was added.
     fn is_folder(&self, name: &str) -> bool {
-        self.seen.get(&fold(name)).is_some_and(|seen| seen.name == name && seen.kind == Kind::Folder)
+        self.seen.get(&*fold(name)).is_some_and(|seen| seen.name == name && seen.kind == Kind::Folder)
     }
 
     /// Index, counted from 0, of the first name added that is this one (or has it as a part).
     pub(super) fn position(&self, name: &str) -> Option<usize> {
-        self.seen.get(&fold(name)).map(|seen| seen.position)
+        self.seen.get(&*fold(name)).map(|seen| seen.position)
     }
 
     /// Adds a name or a leading part of one.
-    fn add_one(&mut self, part: &str, kind: Kind) -> Result<(), EntryProblem> {
+    fn add_one(&mut self, part: &'a str, kind: Kind) -> Result<(), EntryProblem> {
         let position = self.added - 1;
         let seen = match self.seen.entry(fold(part)) {
             Entry::Vacant(vacant) => {
-                vacant.insert(Seen { name: part.to_owned(), position, kind });
+                vacant.insert(Seen { name: part, position, kind });
                 self.folders += u64::from(kind == Kind::Folder);
                 return Ok(());
             }
             Entry::Occupied(occupied) => occupied.into_mut(),
         };
         if seen.name != part {
-            return Err(EntryProblem::CaseDuplicate(seen.name.clone()));
+            return Err(EntryProblem::CaseDuplicate(seen.name.to_owned()));
         }
         match (seen.kind, kind) {
             (Kind::Folder, Kind::Folder) => Ok(()),
@@ -133,8 +147,14 @@ impl Names {
 
 /// Form of a name that file systems that ignore case compare, nearly: upper case, then lower case, so that
 /// letters with two lower-case forms become equal.
-fn fold(name: &str) -> String {
-    if name.is_ascii() { name.to_ascii_lowercase() } else { name.to_uppercase().to_lowercase() }
+fn fold(name: &str) -> Cow<'_, str> {
+    if !name.is_ascii() {
+        Cow::Owned(name.to_uppercase().to_lowercase())
+    } else if name.bytes().any(|byte| byte.is_ascii_uppercase()) {
+        Cow::Owned(name.to_ascii_lowercase())
+    } else {
+        Cow::Borrowed(name)
+    }
 }
 
 #[cfg(test)]

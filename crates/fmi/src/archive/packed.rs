@@ -1,7 +1,8 @@
 //! A `.fmu` file: listed and checked when it is opened, unpacked into a private folder part by part when a
 //! part is needed, and again where somebody has removed it.
 
-use super::entries::{self, Listed, refused};
+use super::directory::Record;
+use super::entries::{self, Entries, refused};
 use super::hash::{self, Hashing};
 use super::limits::ArchiveLimits;
 use super::positioned::Positioned;
@@ -34,7 +35,7 @@ pub(crate) enum Part {
 }
 
 impl Part {
-    fn holds(self, entry: &Listed, platform: &[String]) -> bool {
+    fn holds(self, entry: &Record, platform: &[String]) -> bool {
         let (top, below) = entry.name.split_once('/').unwrap_or((&entry.name, ""));
         let second = below.split('/').next().unwrap_or_default();
         match self {
@@ -59,7 +60,7 @@ pub(super) struct Packed {
     file: File,
     /// Identity of the file when it was listed.
     identity: FileIdentity,
-    entries: Vec<Listed>,
+    entries: Entries,
     unpacked: Mutex<Unpacked>,
 }
 
@@ -79,10 +80,10 @@ impl Packed {
         let identity = platform::file_identity(&file.metadata().map_err(FmiError::io("open", path))?);
         let entries = entries::list(path, Positioned::new(&file, 0), limits, cancel)?;
         let source = Source { path, file: &file, cancel };
-        let mut first = HashMap::new();
-        for entry in &entries {
-            let known: &Listed = first.entry(entry.name.as_str()).or_insert(entry);
-            if entry.is_repeated && !source.are_same(known, entry)? {
+        for entry in &entries.listed {
+            if let Some(first) = entry.repeats
+                && !source.are_same(&entries.listed[first], entry)?
+            {
                 return Err(refused(path, &entry.name, EntryProblem::Duplicate));
             }
         }
@@ -91,22 +92,25 @@ impl Packed {
 
     /// Names of files that are there more than once.
     pub(super) fn repeated(&self) -> impl Iterator<Item = &str> {
-        self.entries.iter().filter(|entry| entry.is_repeated).map(|entry| entry.name.as_str())
+        self.entries.listed.iter().filter(|entry| entry.repeats.is_some()).map(|entry| entry.name.as_str())
     }
 
     pub(super) fn has_resources(&self) -> bool {
-        self.entries.iter().any(|entry| entry.name.starts_with("resources/"))
+        self.entries.listed.iter().any(|entry| entry.name.starts_with("resources/"))
     }
 
     /// Names, sizes, compressed sizes and checksums of the entries, from the directory of the archive:
     /// archives of the same content have the same.
     fn directory(&self) -> impl Iterator<Item = (&str, u64, u64, u32)> {
-        self.entries.iter().map(|entry| (entry.name.as_str(), entry.size, entry.compressed_size, entry.crc32))
+        self.entries
+            .listed
+            .iter()
+            .map(|entry| (entry.name.as_str(), entry.size, entry.compressed_size, entry.crc32))
     }
 
     /// True if the directories are equal.
     pub(super) fn has_directory_of(&self, other: &Self) -> bool {
-        self.entries.len() == other.entries.len() && self.directory().eq(other.directory())
+        self.entries.listed.len() == other.entries.listed.len() && self.directory().eq(other.directory())
     }
 
     /// A hash of the directory.
@@ -131,8 +135,8 @@ impl Packed {
 
     /// The bytes of a file, if it is not larger than `limit`; `None` if there is none of this name.
     pub(super) fn read(&self, name: &str, limit: u64, cancel: &CancelRequest) -> Result<Option<Vec<u8>>> {
-        let is_meant = |entry: &&Listed| entry.name == name && !entry.is_folder;
-        let Some(entry) = self.entries.iter().find(is_meant) else { return Ok(None) };
+        let is_meant = |entry: &&Record| entry.name == name && !entry.is_folder;
+        let Some(entry) = self.entries.listed.iter().find(is_meant) else { return Ok(None) };
         if entry.size > limit {
             let problem = EntryProblem::TooLarge { found: entry.size, limit };
             return Err(refused(&self.path, name, problem));
@@ -144,6 +148,10 @@ impl Packed {
     pub(super) fn unpack(&self, part: Part, cancel: &CancelRequest) -> Result<PathBuf> {
         let mut unpacked = self.unpacked.lock().unwrap_or_else(PoisonError::into_inner);
         let is_first = unpacked.folder.is_none();
+        if is_first {
+            self.check_unchanged()?;
+            self.entries.check_local_headers(&self.path, Positioned::new(&self.file, 0), cancel)?;
+        }
         let outcome = self.complete(&mut unpacked, part, cancel);
         if is_first && outcome.is_err() {
             // Nothing stays of an archive whose contents are not what its directory says.
@@ -153,19 +161,19 @@ impl Packed {
     }
 
     fn complete(&self, unpacked: &mut Unpacked, part: Part, cancel: &CancelRequest) -> Result<PathBuf> {
-        let n_removed = unpacked.look_after(&self.entries)?;
+        let n_removed = unpacked.look_after(&self.entries.listed)?;
         let folder = match &mut unpacked.folder {
             Some(folder) => folder,
             none => none.insert(PrivateFolder::create()?),
         };
         let root = folder.path().to_owned();
-        unpacked.done.resize(self.entries.len(), false);
+        unpacked.done.resize(self.entries.listed.len(), false);
         let platform = platform::binary_folders(FolderNames::SystemAndBits);
         let is_missing = |&k: &usize| {
-            let entry = &self.entries[k];
-            !unpacked.done[k] && !entry.is_repeated && part.holds(entry, &platform)
+            let entry = &self.entries.listed[k];
+            !unpacked.done[k] && entry.repeats.is_none() && part.holds(entry, &platform)
         };
-        let missing: Vec<usize> = (0..self.entries.len()).filter(is_missing).collect();
+        let missing: Vec<usize> = (0..self.entries.listed.len()).filter(is_missing).collect();
         if missing.is_empty() {
             return Ok(root);
         }
@@ -188,7 +196,7 @@ impl Packed {
         self.check_unchanged().map_err(again)?;
         for k in missing {
             cancel.check()?;
-            let unpack = self.source(cancel).unpack(&self.entries[k], &root, &mut unpacked.folders);
+            let unpack = self.source(cancel).unpack(&self.entries.listed[k], &root, &mut unpacked.folders);
             unpack.map_err(again)?;
             unpacked.done[k] = true;
         }
@@ -213,7 +221,7 @@ impl Packed {
 impl Unpacked {
     /// Looks whether files were removed, as programs that clean folders for temporary files do, and marks
     /// those as not unpacked; makes the private folder again where it is gone. How many are missing.
-    fn look_after(&mut self, entries: &[Listed]) -> Result<usize> {
+    fn look_after(&mut self, entries: &[Record]) -> Result<usize> {
         let Some(folder) = &mut self.folder else { return Ok(0) };
         if self.folders.iter().all(|(folder, known)| known.is_some() && *known == identity(folder)) {
             return Ok(0);

@@ -1,6 +1,7 @@
 //! Writing entries of a checked archive into a folder, or anywhere else, counting every byte.
 
-use super::entries::{Listed, refused};
+use super::directory::Record;
+use super::entries::{DEFLATED, refused};
 use super::hash::Hashing;
 use super::positioned::Positioned;
 use crate::cancel_request::CancelRequest;
@@ -8,11 +9,14 @@ use crate::error::{EntryProblem, FmiError, Result};
 use flate2::bufread::DeflateDecoder;
 use std::collections::HashMap;
 use std::fs::{self, File};
-use std::io::{self, BufReader, Read, Write};
+use std::io::{self, BufReader, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 
-/// Bytes read, inflated and written at a time.
+/// Bytes read at a time, at most; bytes inflated and written at a time.
 const BUFFER: usize = 1 << 16;
+
+/// Room for a local header and its name, in front of packed bytes.
+const HEADER_ROOM: u64 = 256;
 
 /// Where entries are read from.
 #[derive(Clone, Copy)]
@@ -27,7 +31,7 @@ impl Source<'_> {
     /// whole does not stay.
     pub(super) fn unpack<T: Default>(
         self,
-        entry: &Listed,
+        entry: &Record,
         root: &Path,
         folders: &mut HashMap<PathBuf, T>,
     ) -> Result<()> {
@@ -40,10 +44,10 @@ impl Source<'_> {
         if entry.is_folder { Ok(()) } else { self.unpack_file(entry, &target) }
     }
 
-    fn unpack_file(self, entry: &Listed, target: &Path) -> Result<()> {
+    fn unpack_file(self, entry: &Record, target: &Path) -> Result<()> {
         // Refuses to write where something is already: names may collide in ways only the file system knows.
         let mut out = File::create_new(target).map_err(FmiError::io("create", target))?;
-        let written = match entry.is_executable {
+        let written = match entry.unix_mode & 0o111 != 0 {
             true => {
                 crate::platform::make_executable(&out).map_err(FmiError::io("mark as executable", target))
             }
@@ -56,7 +60,7 @@ impl Source<'_> {
     }
 
     /// The contents of an entry, which its header says are not too long to be held in memory.
-    pub(super) fn read(self, entry: &Listed) -> Result<Vec<u8>> {
+    pub(super) fn read(self, entry: &Record) -> Result<Vec<u8>> {
         let mut bytes = Vec::new();
         let size = usize::try_from(entry.size).unwrap_or(usize::MAX);
         bytes
@@ -67,8 +71,8 @@ impl Source<'_> {
     }
 
     /// Returns true if two entries have the same contents.
-    pub(super) fn are_same(self, one: &Listed, other: &Listed) -> Result<bool> {
-        let hash = |entry: &Listed| {
+    pub(super) fn are_same(self, one: &Record, other: &Record) -> Result<bool> {
+        let hash = |entry: &Record| {
             let mut hashing = Hashing::default();
             self.copy(entry, &mut hashing, self.path)?;
             Ok::<String, FmiError>(hashing.finish())
@@ -77,10 +81,16 @@ impl Source<'_> {
     }
 
     /// Copies the contents of an entry to `out`, which is or stands for the file `target`.
-    fn copy(self, entry: &Listed, out: &mut dyn Write, target: &Path) -> Result<()> {
-        let file = BufReader::with_capacity(BUFFER, Positioned::new(self.file, entry.data_start));
+    fn copy(self, entry: &Record, out: &mut dyn Write, target: &Path) -> Result<()> {
+        let size = entry.compressed_size.saturating_add(HEADER_ROOM).min(BUFFER as u64) as usize;
+        let mut file = BufReader::with_capacity(size, Positioned::new(self.file, 0));
+        let data_start =
+            entry.find_data(&mut file).map_err(|problem| refused(self.path, &entry.name, problem))?;
+        let behind_name = file.stream_position().map_err(FmiError::io("read", self.path))?;
+        // Its extra fields stand between.
+        file.seek_relative((data_start - behind_name) as i64).map_err(FmiError::io("read", self.path))?;
         let mut packed = file.take(entry.compressed_size);
-        if entry.is_deflated {
+        if entry.method == DEFLATED {
             self.copy_from(&mut DeflateDecoder::new(&mut packed), entry, out, target)?;
         } else {
             self.copy_from(&mut packed, entry, out, target)?;
@@ -103,7 +113,7 @@ impl Source<'_> {
     fn copy_from(
         self,
         source: &mut impl Read,
-        entry: &Listed,
+        entry: &Record,
         out: &mut dyn Write,
         target: &Path,
     ) -> Result<()> {
@@ -137,7 +147,7 @@ impl Source<'_> {
         }
     }
 
-    fn damaged(self, entry: &Listed, problem: String) -> FmiError {
+    fn damaged(self, entry: &Record, problem: String) -> FmiError {
         refused(self.path, &entry.name, EntryProblem::Damaged(problem))
     }
 }

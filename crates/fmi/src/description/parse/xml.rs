@@ -12,6 +12,8 @@ use std::rc::Rc;
 const DEEPEST: usize = 128;
 /// Attributes of one element. The standard knows elements with 20.
 const MOST_ATTRIBUTES: usize = 64;
+/// After so many events it is looked whether reading is to end.
+const EVENTS_BETWEEN_LOOKS: u32 = 32;
 
 /// A document being walked from its first byte to its last.
 pub(super) struct Xml<'a> {
@@ -22,6 +24,8 @@ pub(super) struct Xml<'a> {
     reading: Rc<Reading>,
     /// Number of elements open.
     depth: usize,
+    /// Number of events read.
+    n_events: u32,
     /// Position in bytes up to which lines are counted, and the number of the line there.
     counted: usize,
     line: u32,
@@ -42,7 +46,7 @@ impl<'a> Xml<'a> {
     pub(super) fn new(text: &'a str, file: &'static str, reading: Rc<Reading>) -> Result<Self> {
         let mut reader = Reader::from_str(text);
         reader.config_mut().expand_empty_elements = true;
-        let mut xml = Xml { reader, file, text, reading, depth: 0, counted: 0, line: 1 };
+        let mut xml = Xml { reader, file, text, reading, depth: 0, n_events: 0, counted: 0, line: 1 };
         // Not allowed in XML, and a trap for everything that goes to C later.
         match text.find('\0') {
             Some(at) => Err(xml.error_at(at as u64, "a NUL character")),
@@ -74,7 +78,10 @@ impl<'a> Xml<'a> {
             return Err(self.error(complaint));
         }
         loop {
-            self.reading.cancel.check()?;
+            if self.n_events.is_multiple_of(EVENTS_BETWEEN_LOOKS) {
+                self.reading.cancel.check()?;
+            }
+            self.n_events = self.n_events.wrapping_add(1);
             let before = self.reader.buffer_position();
             match self.reader.read_event() {
                 Ok(Event::Start(start)) => {

@@ -67,7 +67,7 @@ class SimulationStats:
         Of a fit: what each of its phases took, as ``{"simulations": .., "right_hand_sides": .., "seconds": ..}`` (wall-clock
         time) under the names ``solver`` and ``tolerance`` (their choice), ``model_test``, ``preflight``, ``search``, ``checks``,
         ``fresh_process``, ``uncertainty`` (standard errors) and ``score_test`` (whether the residuals ask for another start value,
-        held parameter or offset of an input).
+        held parameter or offset of an input). The simulations of `check_runs` are not among them, their time is.
     """
 
     runs: int
