@@ -5,6 +5,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 SITE   := target/site-venv
+WINDOWS := x86_64-pc-windows-gnu
 # The extension module is left to the interpreter to link.
 export PYO3_BUILD_EXTENSION_MODULE := 1
 export CARGO_TERM_COLOR ?= auto
@@ -18,7 +19,7 @@ endef
 # $(call develop,options): builds the Python module and installs it into .venv.
 develop = @$(BIN)/maturin develop --quiet --manifest-path crates/pydfo/Cargo.toml $(1)
 
-.PHONY: help demo test test-rust test-python test-packaging test-long lint bench bench-dfo doc pictures build fuzz sanitize nightly clean
+.PHONY: help demo test test-rust test-python test-packaging test-long lint lint-windows bench bench-dfo doc pictures build fuzz sanitize nightly clean
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 18
 
@@ -35,6 +36,10 @@ lint: $(VENV)/.tools  ## formatting, ruff, clippy, docs with warnings denied, th
 	$(call suite,ruff,$(BIN)/ruff check --quiet)
 	$(call suite,clippy,cargo clippy --workspace --all-targets --quiet -- -D warnings)
 	$(call suite,rustdoc,RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --quiet)
+	@! command -v x86_64-w64-mingw32-gcc >/dev/null || ! rustup target list --installed | grep -q $(WINDOWS) || $(MAKE) --no-print-directory lint-windows
+
+lint-windows:  ## the command line compiles for Windows; wants `rustup target add x86_64-pc-windows-gnu` and mingw, or CC_x86_64_pc_windows_gnu
+	$(call suite,windows,cargo check --quiet --target $(WINDOWS) --package fmufit-cli)
 
 test-rust:  ## unit tests, black-box tests, doctests, examples
 	$(call suite,cargo test,cargo test --workspace --quiet)

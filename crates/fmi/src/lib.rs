@@ -32,6 +32,8 @@
 //! Both are on by default: `sandbox` confines worker processes with Landlock where that is asked for (Linux),
 //! `sparse` is that of `ode`.
 #![deny(unsafe_code)]
+// Worker processes are those of Unix.
+#![cfg_attr(not(unix), allow(dead_code))]
 
 pub mod archive;
 mod cancel_request;

@@ -13,6 +13,10 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::Instant;
 
+/// So many values are parameters of a plan. More are start values, which take a new plan where they change,
+/// and no search among all of them for those that are one variable.
+const MOST_PARAMETERS: usize = 1 << 10;
+
 /// A model with the values set since it was loaded or reset. Every simulation starts from a freshly reset
 /// model with all these values, so that a second one gives the same bits.
 ///
@@ -235,7 +239,7 @@ impl Session {
     /// differs from the last one only by them needs no new plan. `None`: the parameters have the values that
     /// the plan says.
     fn with_parameters(&self, mut options: SimulateOptions) -> (SimulateOptions, Option<Vec<f64>>) {
-        if !options.parameters.is_empty() {
+        if !options.parameters.is_empty() || options.start_values.len() > MOST_PARAMETERS {
             return (options, None);
         }
         let description = self.fmu.description();

@@ -148,10 +148,12 @@ fn a_missing_model_description_is_looked_for_elsewhere() {
     assert!(folder.contains("is a folder") && !folder.contains("case"), "{folder}");
     let folder = open(&zip(&[Entry::stored("modelDescription.xml/", b"")])).unwrap_err();
     assert!(matches!(folder, FmiError::NoModelDescription { .. }), "{folder}");
-    let system = [Entry::stored("SystemStructure.ssd", b"<a/>"), Entry::stored("resources/a.fmu", b"")];
+    let system = ["SystemStructure.ssd", "resources/a.fmu", "resources/a.ssv"]
+        .map(|name| Entry::stored(name, b"<a/>"));
     let system = open(&zip(&system)).unwrap_err().to_string();
     assert!(
-        system.contains("it is an SSP archive, a system of models") && system.contains("(resources/a.fmu)"),
+        system.contains("it is an SSP archive, a system of models")
+            && system.contains("(resources/a.fmu), with a parameter set (resources/a.ssv)"),
         "{system}"
     );
 }

@@ -54,9 +54,9 @@ def write(path, description=None, files=()):
     return Path(path)
 
 
-def changed(example, path, *replacements):
+def changed(example, path, *replacements, version="2.0"):
     """A bundled model with pairs of (old, new) replaced in its description."""
-    with zipfile.ZipFile(example_fmu(example)) as source, zipfile.ZipFile(path, "w") as out:
+    with zipfile.ZipFile(example_fmu(example, version)) as source, zipfile.ZipFile(path, "w") as out:
         for entry in source.infolist():
             content = source.read(entry)
             if entry.filename == "modelDescription.xml":

@@ -107,6 +107,22 @@ def test_inputs_start_values_and_refusals():
             ours.simulate_fmu(path, **given)
 
 
+def test_rows_show_both_sides_of_jumps_of_inputs(tmp_path):
+    """As FMPy's test_input: the rows that it has in event mode, also where the model has a step of its own that they do not fit."""
+    path = example_fmu("switched_input", version="3.0")
+    own_step = fmus.changed(
+        "switched_input", tmp_path / "own.fmu", ("<CoSimulation ", '<CoSimulation fixedInternalStepSize="0.1" '), version="3.0"
+    )
+    signals = np.array([(0, 1), (0.5, 1), (0.5, 2), (1, 2)], dtype=[("time", float), ("u", float)])
+    for file in (path, own_step):
+        result = ours.simulate_fmu(
+            file, fmi_type="CoSimulation", input=signals, stop_time=1, output_interval=0.25, output=["u"], use_event_mode=True
+        )
+        assert result["time"].tolist() == [0, 0.25, 0.5, 0.5, 0.75, 1] and result["u"].tolist() == [1, 1, 1, 2, 2, 2], file
+    plain = ours.simulate_fmu(path, fmi_type="CoSimulation", input=signals, stop_time=1, output_interval=0.25, output=["u"])
+    assert plain["time"].tolist() == [0, 0.25, 0.5, 0.75, 1]
+
+
 def test_wrong_times_are_named():
     path = example_fmu("bouncing_ball")
     nan, inf = float("nan"), float("inf")
@@ -216,6 +232,32 @@ def test_pyfmis_native_loop():
             model.enter_continuous_time_mode()
         signs = now
     assert bounces[0] == pytest.approx(fmus.bounces(1)[0], abs=2e-3)
+
+
+def test_pyfmis_native_loop_of_version_1():
+    """The loop of PyFMI's example fmi_bouncing_ball_native: the time is set before the model is initialized, and there are no modes."""
+    model = pyfmi.load_fmu(example_fmu("bouncing_ball", version="1.0", kind="ME"))
+    model.time = 0.5
+    model.initialize()
+    x, signs, bounces = model.continuous_states, model.get_event_indicators() > 0, []
+    assert model.time == 0.5 and not model.get_event_info().terminateSimulation
+    while model.time < 1.5:
+        x = x + 1e-3 * model.get_derivatives()
+        model.time, model.continuous_states = model.time + 1e-3, x
+        now = model.get_event_indicators() > 0
+        step_event = model.completed_integrator_step()
+        if step_event or (now != signs).any():
+            info = model.get_event_info()
+            info.iterationConverged = False
+            while not info.iterationConverged:
+                model.event_update(intermediateResult=True)
+                info = model.get_event_info()
+            if info.stateValuesChanged:
+                bounces.append(model.time)
+                x = model.continuous_states
+            assert not info.stateValueReferencesChanged and not info.upcomingTimeEvent
+        signs = now
+    assert bounces[0] == pytest.approx(0.5 + fmus.bounces(1)[0], abs=2e-3)
 
 
 def test_state_space_and_co_simulation_of_pyfmi():

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import datetime
+import hashlib
+import json
 import os
 import pickle
 import warnings
@@ -146,6 +148,19 @@ def write_parquet(folder):
 @pytest.mark.parametrize(("write", "time"), [(write_excel, None), (write_excel_with_dates, "when"), (write_parquet, None)])
 def test_excel_and_parquet(tmp_path, write, time):
     assert cost(write(tmp_path), time=time) == pytest.approx(COST, rel=1e-9)
+
+
+def write_csv(folder):
+    (folder / "run.csv").write_text("time,x\n" + "".join(f"{t!r},{x!r}\n" for t, x in zip(TIME.tolist(), X.tolist())))
+    return folder / "run.csv"
+
+
+@pytest.mark.parametrize("write", [write_csv, write_excel, write_mat, write_parquet])
+def test_the_record_of_a_fit_has_the_hash_of_the_file(tmp_path, write):
+    path = write(tmp_path)
+    fit = Calibration(example_fmu("dahlquist"), path, ["x"], [Parameter("k", 1, 0, 5)]).fit()
+    recorded = json.loads(fit.to_json())["problem"]["experiments"][0]["data"]
+    assert recorded["file_sha256"] == hashlib.sha256(path.read_bytes()).hexdigest() and recorded["source"] == str(path)
 
 
 @pytest.mark.parametrize("file", [".mat", ".parquet", ".xlsx"])

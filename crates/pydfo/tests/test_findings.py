@@ -49,6 +49,31 @@ def test_units_that_the_model_does_not_state() -> None:
             fitted(columns, units=units)
 
 
+def test_a_simulation_has_units_that_the_model_does_not_state(tmp_path: Path) -> None:
+    model = pydfo.FMUModel(pydfo.example_fmu("dahlquist"))
+    path = tmp_path / "set.ssv"
+    path.write_text(
+        '<ParameterSet><Parameters><Parameter name="x"><Real value="2" unit="ell"/></Parameter></Parameters>'
+        '<Units><Unit name="ell"><BaseUnit m="1" factor="1.143"/></Unit></Units></ParameterSet>'
+    )
+    result = model.simulate(final_time=1, ncp=2, start_values=path, units={"x": "cm"})
+    assert result["x"][0] == pytest.approx(228.6, rel=1e-14) and result.units["x"] == "cm"
+    with pytest.raises(ValueError, match="the model states no unit for 'x'"):
+        model.simulate(final_time=1, start_values=path)
+    for units, error in [({"z": "m"}, KeyError), ({"x": 1}, TypeError), ("cm", TypeError)]:
+        with pytest.raises(error):
+            model.simulate(final_time=1, units=units)  # type: ignore[arg-type]
+
+
+def test_few_rows_of_much_noise_are_no_proof() -> None:
+    rows = np.linspace(0, 2, 5)
+    off = pydfo.Calibration(
+        pydfo.example_fmu("dahlquist"), {"time": rows, "x": np.array([2.3, 3.3, 2.1, 3.0, 2.3])}, ["x"], [pydfo.Parameter("k", 1, 0.5, 5)]
+    ).fit()
+    [said] = [finding for finding in off.findings if "worse than a constant" in finding.sentence]
+    assert said.severity == "warning" and "in 5 rows that may be chance" in said.sentence and off.usable
+
+
 def test_start_values_from_a_parameter_set(tmp_path: Path) -> None:
     path = tmp_path / "set.ssv"
     fit = fitted(decay(x=np.exp(-2 * TIMES)))

@@ -79,6 +79,13 @@ def test_a_stop_before_there_is_a_result_is_an_interrupt(monkeypatch, settings):
     assert info.value.result is None
 
 
+@pytest.mark.parametrize("wrong", [{"loss": "soft"}, {"method": "simplex"}, {"options": {"batchh": 1}}, {"stages": [["nobody"]]}, {"workers": 0}])
+def test_no_address_is_shown_before_the_arguments_are_right(capsys, wrong):
+    with pytest.raises((ValueError, KeyError)):
+        decay().fit(watch=True, **wrong)
+    assert capsys.readouterr().err == ""
+
+
 def test_no_fit_is_watched_that_nobody_asked_to_be(capsys):
     assert decay().fit()._page is None and capsys.readouterr().err == ""
     with pytest.raises((TypeError, ValueError), match="watch"):

@@ -2,12 +2,12 @@
 
 use crate::data::{Unit, UnitConversion, UnitError};
 use crate::error::CalibrationError;
-use fmi::description::VariableKind;
+use fmi::description::{BaseUnit, VariableKind};
 use fmi::{FmiError, ModelDescription, Value, Variable};
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::{Reader, XmlVersion};
 use serde::{Deserialize, Serialize};
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
 /// The values of an SSP parameter file.
@@ -16,6 +16,9 @@ pub struct ParameterSet {
     /// The file, for messages.
     source: String,
     parameters: Vec<SetParameter>,
+    /// Units that the file defines, by name.
+    #[serde(default, skip_serializing_if = "HashMap::is_empty")]
+    units: HashMap<String, Unit>,
 }
 
 /// A value of a file.
@@ -56,11 +59,12 @@ impl ParameterSet {
         }
         let text = std::str::from_utf8(text)
             .map_err(|_| bad("this is no text in UTF-8, so no parameter set (.ssv)".to_owned()))?;
-        let parameters = parameters(text).map_err(bad)?;
-        Ok(Self { source: source.to_owned(), parameters })
+        let (parameters, units) = content(text).map_err(bad)?;
+        Ok(Self { source: source.to_owned(), parameters, units })
     }
 
-    /// The values for a model, in its units.
+    /// The values for a model, in its units. A unit is what the file defines under its name, else what the
+    /// model does, else what it is known for.
     ///
     /// # Errors
     /// The model has no such variable, or it has another type; a unit of another quantity, or not known.
@@ -81,10 +85,16 @@ impl ParameterSet {
             (Value::String(item), _) if own.is_item => item_of(model, variable, item)
                 .ok_or_else(|| bad(format!("'{name}' = '{item}' is no item of its enumeration"))),
             (Value::Real(number), Some(unit)) => {
-                match UnitConversion::to_variable(unit, variable, model) {
+                let own = self.units.get(unit.trim());
+                match UnitConversion::from_defined(unit, own, variable, model) {
                     Ok(conversion) => Ok(Value::Real(conversion.apply(*number))),
                     // Models without units are mostly in those of the SI.
-                    Err(UnitError::NotStated { .. }) if Unit::parse(unit).is_ok_and(|u| u.is_coherent()) => {
+                    Err(UnitError::NotStated { .. })
+                        if own
+                            .copied()
+                            .map_or_else(|| Unit::parse(unit), Ok)
+                            .is_ok_and(|u| u.is_coherent()) =>
+                    {
                         Ok(value.clone())
                     }
                     Err(error) => Err(bad(format!("'{name}': {error}"))),
@@ -102,13 +112,14 @@ fn item_of(model: &ModelDescription, variable: &Variable, name: &str) -> Option<
     of.items.iter().find(|item| item.name == name).map(|item| Value::Integer(i128::from(item.value)))
 }
 
-/// The parameters of a document, or what is wrong with it.
-fn parameters(text: &str) -> Result<Vec<SetParameter>, String> {
+/// The parameters of a document and the units that it defines, or what is wrong with it.
+fn content(text: &str) -> Result<(Vec<SetParameter>, HashMap<String, Unit>), String> {
     let mut reader = Reader::from_str(text);
     reader.config_mut().expand_empty_elements = true;
     let (mut found, mut depth) = (Vec::new(), 0_usize);
     // The name of the parameter that is open, which stands in <Parameters> of the outermost element.
     let mut open: Option<String> = None;
+    let (mut units, mut open_unit) = (HashMap::new(), None);
     loop {
         let at = reader.buffer_position() as usize;
         let line = |at: usize| 1 + text.bytes().take(at).filter(|byte| *byte == b'\n').count();
@@ -134,6 +145,15 @@ fn parameters(text: &str) -> Result<Vec<SetParameter>, String> {
                             own.ok_or_else(|| format!("line {}: a parameter without a name", line(at)))?,
                         );
                     }
+                    3 if name == "Unit" => open_unit = attribute(&start, "name")?,
+                    4 if name == "BaseUnit" && open_unit.is_some() => {
+                        let unit = open_unit.take().unwrap_or_default();
+                        let defined = defined_unit(&start)
+                            .map_err(|message| format!("line {}: unit '{unit}': {message}", line(at)))?;
+                        if units.insert(unit.trim().to_owned(), defined).is_some() {
+                            return Err(format!("line {}: unit '{unit}' is defined twice", line(at)));
+                        }
+                    }
                     4 if name != "Annotations" => {
                         if let Some(own) = open.take() {
                             let one = one(own, name, &start);
@@ -147,7 +167,7 @@ fn parameters(text: &str) -> Result<Vec<SetParameter>, String> {
             Ok(Event::End(_)) => {
                 depth = depth.saturating_sub(1);
                 if depth == 2 {
-                    open = None;
+                    (open, open_unit) = (None, None);
                 }
             }
             Ok(Event::DocType(_)) => {
@@ -165,8 +185,38 @@ fn parameters(text: &str) -> Result<Vec<SetParameter>, String> {
     }
     match found.is_empty() {
         true => Err("there is no parameter in it".to_owned()),
-        false => Ok(found),
+        false => Ok((found, units)),
     }
+}
+
+/// A unit by the attributes of its base unit (as in FMI 2.0, section 2.2.2).
+fn defined_unit(start: &BytesStart<'_>) -> Result<Unit, String> {
+    let mut base = BaseUnit::default();
+    for attribute in start.attributes() {
+        let attribute = attribute.map_err(|error| error.to_string())?;
+        let text = attribute.normalized_value(XmlVersion::Implicit1_0).map_err(|error| error.to_string())?;
+        let name: &str = attribute.key.as_ref();
+        let exponent = match name {
+            "kg" => &mut base.kg,
+            "m" => &mut base.m,
+            "s" => &mut base.s,
+            "A" => &mut base.a,
+            "K" => &mut base.k,
+            "mol" => &mut base.mol,
+            "cd" => &mut base.cd,
+            "rad" => &mut base.rad,
+            "factor" | "offset" => {
+                let number = text.trim().parse().map_err(|_| format!("{name} = '{text}' is no number"))?;
+                *(if name == "factor" { &mut base.factor } else { &mut base.offset }) = number;
+                continue;
+            }
+            _ => return Err(format!("'{name}' is no base unit of the SI")),
+        };
+        *exponent =
+            text.trim().parse().map_err(|_| format!("the exponent {name} = '{text}' is no whole number"))?;
+    }
+    Unit::defined(&base)
+        .ok_or_else(|| format!("factor {}, offset {} are not those of a unit", base.factor, base.offset))
 }
 
 /// A parameter by the element of its type; the types of version 2.0 too.
@@ -204,7 +254,7 @@ mod tests {
     use super::*;
 
     fn read(text: &str) -> Result<Vec<SetParameter>, String> {
-        parameters(text)
+        content(text).map(|(parameters, _)| parameters)
     }
 
     #[test]
@@ -229,6 +279,63 @@ mod tests {
         assert_eq!(values[3].1, Value::Boolean(true));
         assert_eq!(values[4], ("a & b", Value::String("x\ny".to_owned()), None));
         assert!(found[5].is_item && !found[4].is_item);
+    }
+
+    #[test]
+    fn units_of_the_file_count() {
+        let text = |unit: &str, defined: &str| {
+            format!(
+                "<ParameterSet><Parameters><Parameter name=\"k\"><Real value=\"3\" unit=\"{unit}\"/></Parameter>\
+                 </Parameters><Units>{defined}</Units></ParameterSet>"
+            )
+        };
+        let unit = |name: &str, base: &str| format!("<Unit name=\"{name}\"><BaseUnit {base}/></Unit>");
+        let model = |unit: Option<&str>| {
+            let unit = unit.map_or_else(String::new, |unit| format!(" unit=\"{unit}\""));
+            let text = format!(
+                "<fmiModelDescription fmiVersion=\"2.0\" modelName=\"m\" guid=\"g\"><ModelExchange modelIdentifier=\"m\"/>\
+                 <ModelVariables><ScalarVariable name=\"k\" valueReference=\"0\" causality=\"parameter\" variability=\"fixed\">\
+                 <Real start=\"1\"{unit}/></ScalarVariable></ModelVariables><ModelStructure/></fmiModelDescription>"
+            );
+            ModelDescription::parse(text.as_bytes()).unwrap()
+        };
+        let read = |unit: &str, defined: &str, of_variable: Option<&str>| {
+            let set =
+                ParameterSet::parse(text(unit, defined).as_bytes(), "set.ssv").map_err(|e| e.to_string())?;
+            let values = set.values(&model(of_variable)).map_err(|e| e.to_string())?;
+            Ok::<_, String>(values[0].1.as_number().unwrap())
+        };
+        let furlong = unit("furlong", "m=\"1\" factor=\"201.168\"");
+        assert_eq!(read("furlong", &furlong, Some("m")), Ok(603.504));
+        assert_eq!(read("furlong", &furlong, Some("km")), Ok(0.603504));
+        // Its own definition, not the one that the name is known for; of one name on both sides, too.
+        let hand = unit("mm", "m=\"1\" factor=\"0.002\"");
+        assert_eq!(read("mm", &hand, Some("m")), Ok(0.006));
+        assert_eq!(read("mm", &hand, Some("mm")), Ok(6.0));
+        assert_eq!(read("mm", &unit("mm", "m=\"1\" factor=\"0.001\""), Some("mm")), Ok(3.0));
+        let warm = unit("warm", "K=\"1\" offset=\"270\"");
+        assert_eq!(read("warm", &warm, Some("K")), Ok(273.0));
+        // A name that is known here alone is the same on both sides; without a unit of the model it must be coherent.
+        assert_eq!(read("furlong", &furlong, Some("furlong")), Ok(3.0));
+        assert_eq!(read("thing", &unit("thing", "kg=\"1\""), None), Ok(3.0));
+        for (name, defined, of_variable, expected) in [
+            ("furlong", &furlong, None, "the model states no unit for 'k'"),
+            ("furlong", &furlong, Some("s"), "'furlong' (m) cannot be converted to 's' (s)"),
+            ("furlong", &String::new(), Some("m"), "'furlong' is no unit"),
+            ("a", &unit("a", "m=\"x\""), Some("m"), "unit 'a': the exponent m = 'x' is no whole number"),
+            (
+                "a",
+                &unit("a", "factor=\"0\""),
+                Some("m"),
+                "unit 'a': factor 0, offset 0 are not those of a unit",
+            ),
+            ("a", &unit("a", "factor=\"two\""), Some("m"), "factor = 'two' is no number"),
+            ("a", &unit("a", "bit=\"1\""), Some("m"), "'bit' is no base unit"),
+            ("a", &unit("a", "m=\"1\"").repeat(2), Some("m"), "unit 'a' is defined twice"),
+        ] {
+            let message = read(name, defined, of_variable).unwrap_err();
+            assert!(message.contains(expected), "{message}");
+        }
     }
 
     #[test]

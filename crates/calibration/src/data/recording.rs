@@ -5,10 +5,12 @@ use super::series::{Series, sampling_interval};
 use super::time_column::{TimeColumn, find_column, parts};
 use super::units::UnitConversion;
 use crate::error::CalibrationError;
-use base::Number;
+use base::{Number, RunContext};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+use std::io::Read;
 use std::ops::Range;
+use std::path::Path;
 
 /// A table of recorded series over one time column.
 ///
@@ -85,6 +87,9 @@ pub(crate) struct Resampling {
 /// Values so many usual distances apart are not joined by a line.
 const WIDEST_GAP: f64 = 10.0;
 
+/// So many bytes of a file are hashed between two looks at the context: 1 ms.
+const HASHED_AT_ONCE: usize = 1 << 20;
+
 /// A hash in hexadecimal.
 pub(super) fn hex(hasher: Sha256) -> String {
     hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
@@ -134,6 +139,28 @@ impl Data {
     pub fn with_clock_change(mut self, change: Option<ClockChange>) -> Self {
         self.clock_change = change;
         self
+    }
+
+    /// Where the table was read from, if that was no [CSV file](Self::read_csv): the path is its
+    /// [source](Self::source), and a record of a fit has the hash of the file as it is now.
+    ///
+    /// # Errors
+    /// [`CalibrationError::DataFile`]: the file cannot be read; [`CalibrationError::Cancelled`].
+    pub fn of_file(mut self, path: &Path, context: &RunContext<'_>) -> Result<Self, CalibrationError> {
+        let unread = |source| CalibrationError::DataFile { path: path.to_owned(), source };
+        let mut file = base::files::open_regular(path).map_err(unread)?;
+        let (mut hasher, mut part) = (Sha256::new(), vec![0; HASHED_AT_ONCE]);
+        loop {
+            if context.is_over() {
+                return Err(CalibrationError::Cancelled);
+            }
+            match file.read(&mut part).map_err(unread)? {
+                0 => break,
+                n => hasher.update(&part[..n]),
+            }
+        }
+        (self.source, self.file_hash) = (path.display().to_string(), Some(hex(hasher)));
+        Ok(self)
     }
 
     /// The times were dates or durations, of which the unit is known.

@@ -100,6 +100,16 @@ impl UnitConversion {
         variable: &Variable,
         description: &ModelDescription,
     ) -> Result<Self, UnitError> {
+        Self::from_defined(from, None, variable, description)
+    }
+
+    /// As [`to_variable`](Self::to_variable), from a unit that is defined elsewhere than in the model.
+    pub(super) fn from_defined(
+        from: &str,
+        own: Option<&Unit>,
+        variable: &Variable,
+        description: &ModelDescription,
+    ) -> Result<Self, UnitError> {
         let stated = variable.unit.as_deref().map(str::trim).filter(|unit| !unit.is_empty());
         let to = stated.ok_or_else(|| UnitError::NotStated { variable: variable.name.clone() })?;
         let from = from.trim();
@@ -107,12 +117,12 @@ impl UnitConversion {
             true => Self { offset: 0.0, ..conversion },
             false => conversion,
         };
-        if from == to {
+        if from == to && own.is_none() {
             return Ok(Self::IDENTITY);
         }
         let defined = |name: &str| description.units.iter().find(|unit| unit.name == name);
         let shown = defined(to).and_then(|unit| unit.display_units.iter().find(|d| d.name == from));
-        if let Some(display) = shown.filter(|d| !d.inverse && d.factor != 0.0) {
+        if let Some(display) = shown.filter(|d| own.is_none() && !d.inverse && d.factor != 0.0) {
             // shown = factor * value + offset
             let offset = -display.offset / display.factor;
             return Ok(without_offset(Self { factor: (1.0, display.factor), offset }));
@@ -121,7 +131,16 @@ impl UnitConversion {
             Some(base) => Ok(Unit::of_base(&base)),
             None => Unit::parse(name),
         };
-        Unit::conversion(from, unit(from)?, to, unit(to)?).map(without_offset)
+        let target = match (unit(to), own) {
+            // What is known of neither by its name is the same under the same name.
+            (Err(_), Some(_)) if from == to => return Ok(Self::IDENTITY),
+            (target, _) => target?,
+        };
+        let own = own.copied().map_or_else(|| unit(from), Ok)?;
+        match own == target {
+            true => Ok(Self::IDENTITY),
+            false => Unit::conversion(from, own, to, target).map(without_offset),
+        }
     }
 
     /// Between two units given by their names.
@@ -137,6 +156,11 @@ impl Unit {
     fn of_base(base: &BaseUnit) -> Self {
         let BaseUnit { kg, m, s, a, k, mol, cd, rad, factor, offset } = *base;
         Self { exponents: [kg, m, s, a, k, mol, cd, rad], numerator: factor, denominator: 1.0, offset }
+    }
+
+    /// A unit by its definition, where that is one.
+    pub(super) fn defined(base: &BaseUnit) -> Option<Self> {
+        Some(Self::of_base(base)).filter(|unit| unit.is_usable() && unit.offset.is_finite())
     }
 
     /// Parses a name: symbols of the SI with prefixes and common ones beside it (`mm`, `bar`, `degC`, `rpm`,

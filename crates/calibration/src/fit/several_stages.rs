@@ -269,12 +269,7 @@ impl Calibration {
         options: impl Into<FitOptions<'a>>,
     ) -> Result<Fit, CalibrationError> {
         let mut job = Job::new(self, options.into(), None)?;
-        if stages.is_empty() {
-            return Err(CalibrationError::Setup("stages: there are none".to_owned()));
-        }
-        let freed = (stages.iter().enumerate())
-            .map(|(k, stage)| self.checked(stage, &job).map_err(in_stage(k)))
-            .collect::<Result<Vec<_>, _>>()?;
+        let freed = self.all_checked(stages, &job)?;
         if let Some(checkpoint) = &job.run.checkpoint {
             self.adopt_solver(&checkpoint_of(checkpoint, ".stage1", true))?;
         }
@@ -458,6 +453,32 @@ impl Calibration {
     }
 
     /// The entries of `x` that a stage frees, once it is sure that its method can fit them.
+    /// Refuses what [`fit`](Self::fit) would refuse, or [`fit_stages`](Self::fit_stages) with stages, before
+    /// anything is simulated: for those who begin something before a fit.
+    ///
+    /// # Errors
+    /// As these.
+    pub fn check_fit<'a>(
+        &self,
+        stages: Option<&[Stage]>,
+        options: impl Into<FitOptions<'a>>,
+    ) -> Result<(), CalibrationError> {
+        let mut job = Job::new(self, options.into(), None)?;
+        match stages {
+            Some(stages) => self.all_checked(stages, &job).map(|_| ()),
+            None => self.choose_method(&mut job.run, &job.held, &job.objective),
+        }
+    }
+
+    /// The entries of `x` that each stage frees.
+    fn all_checked(&self, stages: &[Stage], job: &Job<'_>) -> Result<Vec<Vec<usize>>, CalibrationError> {
+        if stages.is_empty() {
+            return Err(CalibrationError::Setup("stages: there are none".to_owned()));
+        }
+        let freed = stages.iter().enumerate();
+        freed.map(|(k, stage)| self.checked(stage, job).map_err(in_stage(k))).collect()
+    }
+
     fn checked(&self, stage: &Stage, job: &Job<'_>) -> Result<Vec<usize>, CalibrationError> {
         let freed = self.freed(stage, &job.held)?;
         let held: Vec<usize> = (0..job.start.len()).filter(|i| !freed.contains(i)).collect();

@@ -7,6 +7,7 @@ use crate::problem::parameter::Parameter;
 use fmi::description::{Causality, Variability};
 use fmi::{ModelDescription, Value};
 use serde::{Deserialize, Serialize};
+use std::collections::HashSet;
 use std::sync::Arc;
 
 /// A recording of the machine and how the model is to reproduce it.
@@ -319,10 +320,10 @@ impl Experiment {
         let others = (self.inputs.iter().map(|(name, _)| name))
             .chain(self.start_values.iter().map(|(name, _)| name))
             .chain(self.initial_states.iter().map(|(name, _)| name));
-        let given: Vec<&String> = fitted.chain(others).collect();
+        let given: HashSet<&String> = fitted.chain(others).collect();
+        let references: HashSet<_> = given.iter().filter_map(|name| reference(name)).collect();
         let is_given = |name: &String| {
-            let own = reference(name);
-            given.iter().any(|other| *other == name || own.is_some() && reference(other) == own)
+            given.contains(name) || reference(name).is_some_and(|own| references.contains(&own))
         };
         let values = set.values(description)?;
         let values: Vec<_> = values.into_iter().filter(|(name, _)| !is_given(name)).collect();

@@ -229,6 +229,10 @@ mod tests {
         assert!(text.contains(said), "{text}");
         fit.uncertainty.as_mut().unwrap().standard_errors = vec![f64::INFINITY];
         fit.uncertainty.as_mut().unwrap().uncorrected_covariance = None;
+        // The data determine it, and nothing is left that would tell its error.
+        assert!(fit.to_string().contains("(error unknown)"), "{fit}");
+        assert!(fit.to_string().contains("31 measurements. Of unknown error: k. 1 warning"), "{fit}");
+        fit.uncertainty.as_mut().unwrap().undetermined = vec![0];
         assert!(fit.to_string().contains("(not determined"), "{fit}");
         assert!(fit.to_string().contains("31 measurements. Not determined: k. 1 warning"), "{fit}");
         fit.uncertainty = None;

@@ -171,12 +171,16 @@ fn relative_errors(fit: &Fit) -> String {
         _ => None,
     };
     let of_known = of_known.map(|errors| format!(" Standard errors: {errors}."));
-    let open: Vec<&str> = open.iter().map(|i| name(*i).as_str()).collect();
-    let not_known = match open.is_empty() {
-        true => String::new(),
-        false => format!(" Not determined: {}.", open.join(", ")),
+    let (unknown, open): (Vec<usize>, Vec<usize>) =
+        open.into_iter().partition(|i| uncertainty.has_unknown_error(*i));
+    let listed = |what: &str, parameters: &[usize]| match parameters {
+        [] => String::new(),
+        _ => {
+            let names: Vec<&str> = parameters.iter().map(|i| name(*i).as_str()).collect();
+            format!(" {what}: {}.", names.join(", "))
+        }
     };
-    of_known.unwrap_or_default() + &not_known
+    of_known.unwrap_or_default() + &listed("Not determined", &open) + &listed("Of unknown error", &unknown)
 }
 
 fn bound(fit: &Fit, i: usize, side: BoundSide) -> f64 {
@@ -199,6 +203,9 @@ fn parameter(fit: &Fit, i: usize) -> ParameterRow {
     let is_known = |error: f64| error.is_finite() && error > 0.0;
     let shown = |error: f64| match error {
         error if is_known(error) => rounded(error, 2),
+        f64::INFINITY if uncertainty.is_some_and(|uncertainty| uncertainty.has_unknown_error(i)) => {
+            "error unknown".to_owned()
+        }
         f64::INFINITY => "not determined".to_owned(),
         _ => "none".to_owned(),
     };

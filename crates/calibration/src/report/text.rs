@@ -44,7 +44,10 @@ fn parameters(summary: &Summary) -> Vec<[String; 6]> {
             (false, true) => format!("+- {}", p.error),
             (false, false) => format!("+- {} (uncorrected {})", p.error, p.uncorrected_error),
         };
-        let error = error.replace("+- none", "").replace("+- not determined", "(not determined)");
+        let error = error
+            .replace("+- none", "")
+            .replace("+- not determined", "(not determined)")
+            .replace("+- error unknown", "(error unknown)");
         [short(&p.name), p.start.clone(), format!("-> {}", p.value), error, p.unit.clone(), p.remark.clone()]
     };
     summary.parameters.iter().map(row).collect()

@@ -260,6 +260,11 @@ impl Uncertainty {
         self.shift_by_accuracy = shifts.filter(|shift| shift.is_finite()).fold(0.0, f64::max);
     }
 
+    /// True if the data determine a parameter, and there are no residuals left that would tell its error.
+    pub(crate) fn has_unknown_error(&self, i: usize) -> bool {
+        self.standard_errors[i].is_infinite() && !self.undetermined.contains(&i)
+    }
+
     /// Findings about the covariance in words: parameters that are not determined, or taken as known; empty
     /// if there are none.
     pub fn message(&self) -> String {
@@ -306,7 +311,7 @@ impl fmt::Display for Uncertainty {
             if self.held.contains(&i) {
                 f.write_str(", taken as known (fixed, held or at a bound)")?;
             } else if error.is_infinite() {
-                f.write_str(", not determined")?;
+                f.write_str(if self.has_unknown_error(i) { ", error unknown" } else { ", not determined" })?;
             } else {
                 write!(f, " +- {}", digits(error))?;
                 if x != 0.0 {

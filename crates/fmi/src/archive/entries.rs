@@ -160,7 +160,7 @@ fn check_storage(record: &Record, is_folder: bool, limits: &ArchiveLimits) -> Re
 /// The description of a system of models (SSP standard 1.0, section 4.3).
 const SYSTEM_STRUCTURE: &str = "SystemStructure.ssd";
 
-/// So many FMUs of such an archive are named.
+/// So many FMUs and parameter sets of such an archive are named.
 const MOST_NAMED: usize = 8;
 
 /// The model description is a file at the root; if it is one folder down, the message says so.
@@ -173,11 +173,18 @@ fn check_root(path: &Path, listed: &[Record]) -> Result<()> {
         return Err(FmiError::NoModelDescription { path: path.to_owned(), hint });
     }
     if listed.iter().any(|entry| entry.name == SYSTEM_STRUCTURE) {
-        let fmus = listed.iter().map(|entry| entry.name.as_str()).filter(|name| name.ends_with(".fmu"));
-        let fmus: Vec<&str> = fmus.take(MOST_NAMED).collect();
+        let named = |suffix: &str| {
+            let names = listed.iter().map(|entry| entry.name.as_str()).filter(|name| name.ends_with(suffix));
+            let names: Vec<&str> = names.take(MOST_NAMED).collect();
+            if names.is_empty() { String::new() } else { format!(" ({})", names.join(", ")) }
+        };
+        let (fmus, sets) = (named(".fmu"), named(".ssv"));
+        let sets = match sets.is_empty() {
+            true => sets,
+            false => format!(", with a parameter set{sets} as its start values"),
+        };
         let hint = format!(
-            ": it is an SSP archive, a system of models, of which none is simulated as a whole; unzip it and take one of its FMUs{}",
-            if fmus.is_empty() { String::new() } else { format!(" ({})", fmus.join(", ")) }
+            ": it is an SSP archive, a system of models, of which none is simulated as a whole; unzip it and take one of its FMUs{fmus}{sets}"
         );
         return Err(FmiError::NoModelDescription { path: path.to_owned(), hint: Some(hint) });
     }

@@ -51,6 +51,7 @@ pub(crate) fn fallback_cache_folder() -> PathBuf {
 /// Creates a folder that only its owner may write into, and refuses one that is there and is not such.
 /// Libraries are loaded from it, and folders for temporary files are open to everybody.
 pub(crate) fn create_private_folder(path: &Path) -> io::Result<()> {
+    #[cfg_attr(not(unix), allow(unused_mut))]
     let mut builder = fs::DirBuilder::new();
     #[cfg(unix)]
     std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);

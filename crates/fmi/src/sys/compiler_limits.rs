@@ -1,6 +1,7 @@
 //! Limits of a compiler that is started: memory, files, time of the processor, and an end with the thread
 //! that waits for it.
 
+#[cfg(unix)]
 use std::io;
 use std::process::Command;
 use std::time::Duration;

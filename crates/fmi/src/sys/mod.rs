@@ -56,7 +56,7 @@ mod functions;
 #[cfg(unix)]
 mod shared_page;
 #[cfg(not(unix))]
-mod last_call {
+mod shared_page {
     //! No other process reads what is called here.
     pub(super) fn number_of(_: &str) -> u32 {
         0

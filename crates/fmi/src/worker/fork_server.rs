@@ -293,7 +293,12 @@ impl Orders {
             return Err(ErrorKind::InvalidInput.into());
         }
         let bytes = [order as u8];
-        let send = || sendmsg(&self.socket, &[IoSlice::new(&bytes)], &mut control, SendFlags::NOSIGNAL);
+        // Elsewhere the signal is ignored, as in all programs of Rust and Python.
+        #[cfg(target_os = "linux")]
+        let flags = SendFlags::NOSIGNAL;
+        #[cfg(not(target_os = "linux"))]
+        let flags = SendFlags::empty();
+        let send = || sendmsg(&self.socket, &[IoSlice::new(&bytes)], &mut control, flags);
         rustix::io::retry_on_intr(send)?;
         frame.write(0, &mut &self.socket, &mut self.buffer)
     }

@@ -107,7 +107,10 @@ fn receive(control: &UnixStream) -> io::Result<(u8, Vec<OwnedFd>)> {
     let mut ancillary = RecvAncillaryBuffer::new(&mut space);
     let mut order = [0];
     let mut to = [IoSliceMut::new(&mut order)];
-    let flags = if cfg!(target_os = "linux") { RecvFlags::CMSG_CLOEXEC } else { RecvFlags::empty() };
+    #[cfg(target_os = "linux")]
+    let flags = RecvFlags::CMSG_CLOEXEC;
+    #[cfg(not(target_os = "linux"))]
+    let flags = RecvFlags::empty();
     let received = rustix::io::retry_on_intr(|| recvmsg(control, &mut to, &mut ancillary, flags))?;
     let rights = ancillary.drain().filter_map(|message| match message {
         RecvAncillaryMessage::ScmRights(rights) => Some(rights),

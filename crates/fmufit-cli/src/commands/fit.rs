@@ -52,6 +52,19 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
             ));
         }
     }
+    if arguments.watch {
+        // No address is shown of a fit that there will not be.
+        let asked = FitOptions {
+            run: options.run.clone(),
+            start: options.start.clone(),
+            objective: options.objective.clone(),
+            loss: options.loss,
+            noise: options.noise,
+            ..FitOptions::default()
+        };
+        let stages = (!stages.is_empty()).then_some(&stages[..]);
+        calibration.check_fit(stages, asked).map_err(Error::of_work)?;
+    }
     let watch = arguments.watch.then(|| watch(&calibration, console)).transpose()?;
     let fit = searched(&calibration, options, &stages, (&interrupt, watch.as_ref()), console)
         .inspect_err(|error| watch.iter().for_each(|watch| watch.show_error(&error.to_string())))?;

@@ -21,8 +21,11 @@ pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<Pro
             problem.display()
         )));
     }
-    let is_model =
-        problem.is_dir() || problem.extension().is_some_and(|suffix| suffix.eq_ignore_ascii_case("fmu"));
+    // Systems of models are refused, with what to use, where they are opened.
+    let is_model = problem.is_dir()
+        || problem.extension().is_some_and(|suffix| {
+            ["fmu", "ssp", "ssd"].iter().any(|known| suffix.eq_ignore_ascii_case(known))
+        });
     let mut file = match data {
         Some(data) if is_model => {
             let input = match input.is_empty() {

@@ -30,8 +30,12 @@ pub(crate) fn assignments(given: &[String], what: &str) -> Result<Vec<(String, S
 
 /// Options given as `name=value`.
 pub(crate) fn options(given: &[String]) -> Result<Vec<(String, Value)>, Error> {
-    let pairs = assignments(given, "name=value")?.into_iter();
-    Ok(pairs.map(|(name, value)| (name, value_of_text(&value))).collect())
+    let pairs = assignments(given, "name=value")?;
+    let is_given = |word: &str| pairs.iter().any(|(name, _)| name == word);
+    if is_given("rng") && is_given("seed") {
+        return Err(Error::input("rng and seed are two words for one option: give one"));
+    }
+    Ok(pairs.into_iter().map(|(name, value)| (name, value_of_text(&value))).collect())
 }
 
 /// A path as a problem holds it.

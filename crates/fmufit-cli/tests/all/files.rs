@@ -59,6 +59,10 @@ fn options_that_are_given_twice_are_named() {
             "fit model.fmu run.csv --output x --parameter k=1 -S solver=rk4 -S solver=bdf",
             "'solver' is given twice",
         ),
+        (
+            "fit model.fmu run.csv --output x --parameter k=1 -O rng=1 -O seed=2",
+            "rng and seed are two words for one option: give one",
+        ),
         ("fit model.fmu run.csv --output x --output x --parameter k=1", "twice"),
         ("fit model.fmu run.csv --output x --parameter k=1 --parameter k=2", "twice"),
     ] {

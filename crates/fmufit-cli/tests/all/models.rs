@@ -91,6 +91,8 @@ fn systems_of_models_are_refused_by_name() {
     folder.write("system.ssd", "<ssd:SystemStructureDescription/>");
     let message = folder.run("info system.ssd").wrong_input();
     assert!(message.contains("an .ssd describes a system of models"), "{message}");
+    let message = folder.run("fit system.ssd run.csv --output x --parameter k=1").wrong_input();
+    assert!(message.contains("an .ssd describes a system of models"), "{message}");
     let message = folder.run("simulate model.fmu --set @system.ssd").wrong_input();
     assert!(message.contains("this describes a system of models (.ssd)"), "{message}");
 }

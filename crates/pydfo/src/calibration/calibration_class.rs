@@ -70,8 +70,8 @@ struct FitFields {
     objective: Option<CostFields>,
     /// A `_engine.Simulations`.
     engine: Option<Py<PyAny>>,
-    /// The page that shows it.
-    page: Option<Py<PyLivePage>>,
+    /// Takes the page that shows it, which there is once the options are checked.
+    page: Option<Py<PyAny>>,
 }
 
 /// The model: as it was opened, or where it is.
@@ -382,10 +382,6 @@ impl PyCalibration {
     }
 
     /// A page for the fit that is about to begin.
-    fn live_page(&self) -> PyResult<PyLivePage> {
-        Ok(PyLivePage { inner: Arc::new(LivePage::start(self.inner())?) })
-    }
-
     fn fit<'py>(&self, py: Python<'py>, asked: PyRecord, objects: FitFields) -> PyResult<Bound<'py, PyAny>> {
         let FitFields { start, observer, stages, objective, engine, page } = objects;
         let n_parameters = self.inner().parameters().len();
@@ -411,7 +407,22 @@ impl PyCalibration {
         let (inner, asked) = (Arc::clone(&self.shared.inner), Arc::clone(&stop));
         let (seen, notified) = (Arc::clone(&last_progress), listener.clone());
         let callbacks = self.shared.callbacks.clone();
-        let page = page.map(|page| Arc::clone(&page.get().inner));
+        let open = |opened: Py<PyAny>| -> PyResult<_> {
+            let asked = FitOptions {
+                run: run.clone(),
+                start: start.clone(),
+                objective: objective.clone(),
+                loss,
+                noise,
+                ..FitOptions::default()
+            };
+            let checked = self.inner().check_fit(stages.as_deref(), asked);
+            checked.map_err(|e| error::calibration(py, &e))?;
+            let inner = Arc::new(LivePage::start(self.inner())?);
+            opened.call1(py, (PyLivePage { inner: Arc::clone(&inner) },))?;
+            Ok(inner)
+        };
+        let page = page.map(open).transpose()?;
         let mut shown = FitOptions::default();
         page.iter().for_each(|page| page.attach(&mut shown));
         let FitOptions { phase, live, .. } = shown;

@@ -128,6 +128,16 @@ impl PyTable {
         }
     }
 
+    /// The same, as read from this file, whose hash goes into records.
+    fn of_file(&self, py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        let watch = InterruptGuard::without_handler(py);
+        match watch.run_here(|context| self.inner.clone().of_file(&path, context)) {
+            Ok(inner) => Ok(Self { inner }),
+            Err(CalibrationError::Cancelled) => Err(watch.interrupted()),
+            Err(e) => Err(error::calibration(py, &e)),
+        }
+    }
+
     /// One that was pickled.
     #[staticmethod]
     fn restore(state: &[u8]) -> PyResult<Self> {

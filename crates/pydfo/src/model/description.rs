@@ -101,6 +101,12 @@ impl Fmu {
         Ok(Self { fmu: files::open(py, path, &options)? })
     }
 
+    /// The same FMU with units of variables of which its description states none.
+    fn with_units(&self, py: Python<'_>, units: Vec<(String, String)>) -> PyResult<Self> {
+        let units = units.iter().map(|(variable, unit)| (&variable[..], &unit[..]));
+        Ok(Self { fmu: self.fmu.with_units(units).map_err(|e| fmu_error::raise(py, &e))? })
+    }
+
     /// The bytes of its model description.
     fn description_file<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         let bytes = py.detach(|| self.fmu.description_file()).map_err(|e| fmu_error::raise(py, &e))?;

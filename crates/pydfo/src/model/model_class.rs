@@ -13,7 +13,7 @@ use crate::model::trajectory;
 use calibration::{ModelProcess, ParameterSet, RunContext};
 use fmi::description::Interval;
 use fmi::worker::{Isolation, WorkerLimits};
-use fmi::{FmiError, InterfaceKind, Session, SimulateOptions, Trajectory};
+use fmi::{FmiError, InterfaceKind, ModelDescription, Session, SimulateOptions, Trajectory};
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -118,6 +118,9 @@ pub(crate) struct Request<'py> {
     /// An SSP parameter file.
     #[pyo3(item(15))]
     parameter_set: Option<PathBuf>,
+    /// The FMU with units that its description does not state.
+    #[pyo3(item(16))]
+    described: Option<Bound<'py, Fmu>>,
 }
 
 #[pymethods]
@@ -211,7 +214,9 @@ impl Model {
             false => InterruptGuard::new(py)?,
         };
         let stop = Arc::clone(watch.stop());
-        let (options, callbacks) = self.options(py, request, &stop)?;
+        let described =
+            request.described.as_ref().map_or_else(|| self.fmu.clone(), |own| own.get().fmu.clone());
+        let (options, callbacks) = self.options(py, request, described.description(), &stop)?;
         let outcome = if is_here {
             let run = |context: &RunContext<'_>| {
                 let mut poll = || match context.is_over() {
@@ -243,7 +248,7 @@ impl Model {
         }
         match outcome {
             Some(Ok(trajectory)) if !stop.is_asked() => {
-                trajectory::record(py, self.fmu.description(), trajectory)
+                trajectory::record(py, described.description(), trajectory)
             }
             Some(Err(e)) if !stop.is_asked() => Err(fmu_error::raise(py, &e)),
             Some(Ok(trajectory)) => Err(interrupted(Some(trajectory.end_time))),
@@ -293,6 +298,7 @@ impl Model {
         &self,
         py: Python<'_>,
         request: Request<'_>,
+        description: &ModelDescription,
         stop: &Arc<EndRequest>,
     ) -> PyResult<(SimulateOptions, Callbacks)> {
         let flag = stop.flag();
@@ -307,10 +313,9 @@ impl Model {
         options.times = request.times.map(|times| times.to_vec()).transpose()?;
         options.output_interval = request.output_interval;
         options.ncp = request.ncp;
-        options.start_values =
-            values::all_from_python(py, self.fmu.description(), request.start_values.into_iter())?;
+        options.start_values = values::all_from_python(py, description, request.start_values.into_iter())?;
         if let Some(path) = &request.parameter_set {
-            let set = ParameterSet::read(path).and_then(|set| set.values(self.fmu.description()));
+            let set = ParameterSet::read(path).and_then(|set| set.values(description));
             options.start_values.extend(set.map_err(|e| error::calibration(py, &e))?);
         }
         options.clock_intervals =

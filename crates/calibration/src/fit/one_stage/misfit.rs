@@ -6,10 +6,12 @@ use crate::findings::shown_text::digits;
 use crate::loaded::calibration::Calibration;
 use crate::problem::residual_layout::OutputResiduals;
 
-/// Residuals that are larger than the deviation of the measurements by this factor,
+/// Residuals that are larger than the deviation of the measurements by this factor are worse than a constant;
 const WORSE: f64 = 1.1;
-/// and by so many standard deviations of the sum of their squares, are no chance.
+/// and by so many standard deviations of the sum of their squares, more than chance.
 const DEVIATIONS: f64 = 4.0;
+/// The probability below which it is no chance.
+const CHANCE: f64 = 1e-3;
 
 /// Residuals below this part of the size of the measurements are rounding.
 const ROUNDING: f64 = 1e-10;
@@ -51,18 +53,24 @@ impl Sums {
         }
     }
 
-    /// True if the mean is a better simulation of measurements that vary, by more than chance.
+    /// True if the mean is a better simulation of measurements that vary.
     fn is_worse_than_a_constant(self) -> bool {
-        let ratio = self.differences / self.about_mean;
-        let by_chance = DEVIATIONS * (2.0 / self.n).sqrt();
         let is_rounding = self.differences <= (ROUNDING * self.mean).powi(2) * self.n;
-        self.about_mean > 0.0 && !is_rounding && ratio > (WORSE * WORSE).max(1.0 + by_chance)
+        self.about_mean > 0.0 && !is_rounding && self.differences > WORSE * WORSE * self.about_mean
+    }
+
+    /// True if it is by more than chance. Where there is nothing but noise about a right simulation, the
+    /// ratio of the sums is 1 + chi2(1) / chi2(n - 1). That exceeds r with a probability below the one of 1 +
+    /// chi2(2) / chi2(n - 1), which is r^(-(n - 1) / 2): few rows are often far from their mean together.
+    fn is_no_chance(self) -> bool {
+        let ratio = self.differences / self.about_mean;
+        ratio > 1.0 + DEVIATIONS * (2.0 / self.n).sqrt() && ratio.powf(0.5 - 0.5 * self.n) < CHANCE
     }
 }
 
 /// Outputs that are worse than a constant, by the residuals of a fit. Errors where that is so over all
-/// experiments (a recording at rest has little that a simulation could explain) and the output counts in the
-/// cost.
+/// experiments (a recording at rest has little that a simulation could explain), no chance in so few rows,
+/// and the output counts in the cost.
 pub(super) fn findings(calibration: &Calibration, residuals: &[f64]) -> Vec<Finding> {
     let layout = calibration.residual_layout();
     let names = calibration.problem().experiment_names();
@@ -75,15 +83,20 @@ pub(super) fn findings(calibration: &Calibration, residuals: &[f64]) -> Vec<Find
         let same = || layout.outputs.iter().filter(|other| other.variable == output.variable);
         let all = same().map(|other| Sums::of(other, residuals)).fold(Sums::default(), Sums::with);
         let share = same().map(|other| sum_of_squares(&residuals[other.range.clone()])).sum::<f64>() / cost;
-        let severity = match all.is_worse_than_a_constant() && share >= SHARE {
+        let is_no_chance = all.is_worse_than_a_constant() && all.is_no_chance();
+        let severity = match is_no_chance && share >= SHARE {
             true => Severity::Error,
             false => Severity::Warning,
         };
         let prefix = if names.len() == 1 { "" } else { &format!("{}: ", names[output.experiment]) };
         let sentence = format!(
-            "the fit is worse than a constant: its residuals have an RMS of {}, the measurements a standard deviation of {}",
+            "the fit is worse than a constant: its residuals have an RMS of {}, the measurements a standard deviation of {}{}",
             digits((own.differences / own.n).sqrt()),
-            digits((own.about_mean / own.n).sqrt())
+            digits((own.about_mean / own.n).sqrt()),
+            match own.is_no_chance() {
+                true => String::new(),
+                false => format!("; in {} rows that may be chance", own.n),
+            }
         );
         let subject = format!("{prefix}output '{}' (column '{}')", output.variable, output.column);
         let remedy = "is it the right column, in the right unit, with the initial state of this recording? If so, other start values, or \
@@ -105,9 +118,12 @@ mod tests {
         let all = a.with(b);
         assert_eq!((all.n, all.mean, all.about_mean, all.differences), (4.0, 2.5, 5.0, 5.5));
         assert!(!all.is_worse_than_a_constant());
+        // Four values with twice the deviation: by chance, perhaps.
+        let few = Sums { differences: 20.0, ..all };
+        assert!(few.is_worse_than_a_constant() && !few.is_no_chance());
         // 40 times as many, far off, but as it may be by rounding.
         let many = Sums { n: 160.0, about_mean: 200.0, differences: 1600.0, ..all };
-        assert!(many.is_worse_than_a_constant());
+        assert!(many.is_worse_than_a_constant() && many.is_no_chance());
         assert!(!Sums { mean: 1e12, ..many }.is_worse_than_a_constant());
         assert!(!Sums { about_mean: 0.0, ..many }.is_worse_than_a_constant());
     }

@@ -188,10 +188,11 @@ impl ReadBack {
             group.read(core, &mut buffers)?;
             for ((reference, given), found) in group.references.iter().zip(&group.given).zip(&buffers.reals) {
                 let given = group.number(*given, start_values, &parameter);
+                if is_same_number(given, *found) {
+                    continue;
+                }
                 let is = |v: &&Variable| v.kind == group.kind && v.value_reference == *reference;
-                let variable =
-                    description.variables.iter().find(is).filter(|_| !is_same_number(given, *found));
-                let Some(variable) = variable else { continue };
+                let Some(variable) = description.variables.iter().find(is) else { continue };
                 let sign = if variable.negated { -1.0 } else { 1.0 };
                 let lost = Lost { variable, given: sign * given, found: sign * found };
                 if variable.causality == Causality::Parameter {

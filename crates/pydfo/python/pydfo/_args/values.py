@@ -118,6 +118,11 @@ def pairs(argument: str, given: Mapping[str, object] | None) -> list[tuple[str, 
     return list(given.items())
 
 
+def units(given: Mapping[str, str] | None) -> list[tuple[str, str]]:
+    """Variables with their units."""
+    return [(variable, choice("units", unit)) for variable, unit in pairs("units", given)]  # type: ignore[arg-type]
+
+
 def values_or_file(argument: str, given: Mapping[str, object] | str | os.PathLike[str] | None) -> tuple[list[tuple[str, object]], str | None]:
     """Names with values, or the path of an SSP parameter file."""
     if isinstance(given, (str, os.PathLike)):

@@ -235,7 +235,7 @@ class Calibration(Evaluation):
             "isolation": isolation,
             "memory_limit": memory_limit,
             "sandbox": sandbox,
-            "units": {variable: _values.choice("units", unit) for variable, unit in _values.pairs("units", units)},  # type: ignore[arg-type]
+            "units": dict(_values.units(units)),
         }
         self._model = path_of(model)
         self._opened: OpenOptions | None = getattr(model, "_opened", None)
@@ -460,9 +460,13 @@ class Calibration(Evaluation):
         shown = disp if disp is None else _values.flag("disp", disp)
         live: LiveLine | None = None
         page: _core.LivePage | None = None
-        if _values.flag("watch", watch):
-            page = self._native.live_page()
+
+        def opened(started: _core.LivePage) -> None:
+            nonlocal page
+            page = started
             print(f"watch the fit at {page.url}", file=sys.stderr, flush=True)
+
+        watched = opened if _values.flag("watch", watch) else None
         listeners: list[Callback] = []
         if shown is not False and is_watched():
             live = LiveLine(self.names, DELAY if shown is None else 0.0, max_evaluations, max_iterations, max_time)
@@ -477,7 +481,7 @@ class Calibration(Evaluation):
             setattr(observer, "tick", live.tick)
         try:
             with closing(live) if live else nullcontext():
-                objects = {"start": begin, "observer": observer, "stages": of_stages, "objective": cost, "engine": engine, "page": page}
+                objects = {"start": begin, "observer": observer, "stages": of_stages, "objective": cost, "engine": engine, "page": watched}
                 result = self._native.fit(asked, objects)
         except BaseException as e:
             if page is not None:

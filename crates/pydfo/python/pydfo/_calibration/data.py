@@ -65,6 +65,14 @@ def read(data: Any, needed: list[str], time: str | None) -> Table:
     return Table(path, None, time)
 
 
+def read_recording(data: Any, needed: list[str], time: str | None) -> Table:
+    """As `read`, of what is compared with a model: the record of a fit says which file it was."""
+    found = read(data, needed, time)
+    if found.table is not None and isinstance(data, (str, os.PathLike)):
+        return Table(None, found.table.of_file(os.fspath(data)), None)
+    return found
+
+
 def _find_time(names: list[str], time: str | None) -> tuple[int, tuple[float, float]]:
     try:
         return _core.find_time(names, time)

@@ -147,7 +147,7 @@ class Experiment:
             columns += [weight for _, _, weight in weighed if isinstance(weight, str)]
             rows, by = _data.mask(mask)
             try:
-                table = _data.read(data, columns + ([] if by is None else [by]), named)
+                table = _data.read_recording(data, columns + ([] if by is None else [by]), named)
             except BadCalibrationError as e:
                 turned = [pair for pair in pairs if f"no column '{pair[1]}'" in str(e) and f"'{pair[0]}'" in str(e).partition("there are")[2]]
                 if not turned:

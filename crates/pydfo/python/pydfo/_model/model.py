@@ -51,6 +51,8 @@ class Request(NamedTuple):
     between_steps: str
     isolation: str
     parameter_set: str | None
+    #: The FMU with units that its description does not state.
+    described: _core.Fmu | None
 
 
 LOG_LEVELS = ("nothing", "fatal", "error", "warning", "info", "verbose", "debug", "all")
@@ -290,6 +292,7 @@ class FMUModel:
         input_derivatives: bool = True,
         between_steps: Literal["interpolate", "error"] = "interpolate",
         isolation: Literal["none", "process"] = "none",
+        units: Mapping[str, str] | None = None,
     ) -> SimulationResult:
         """Simulates from a freshly reset model with all values that were `set`.
 
@@ -381,6 +384,9 @@ class FMUModel:
             Where the FMU runs: in this process, or in one of its own, with the same bits. What happens to that (a crash, `exit`, a
             call that never returns with a limit `max_time`) is a SimulationError then, and `get` does not know of the simulation. Inputs
             that are functions cannot be called from there.
+        units : dict of str to str, optional
+            Units of variables of which the model states none: ``{"room.T": "K"}``, as in a `Calibration`. Columns of a recording that
+            drives inputs and values of an SSP parameter file which state a unit are converted to it, and the result has it.
 
         Returns
         -------
@@ -410,7 +416,8 @@ class FMUModel:
             Whatever an input function raises comes out as it is.
         """
         values, parameter_set = _values.values_or_file("start_values", start_values)
-        tables, functions = _inputs.normalize(inputs, self._fmu) if inputs is not None else ([], [])
+        described = self._fmu.with_units(_values.units(units)) if units is not None else None
+        tables, functions = _inputs.normalize(inputs, described or self._fmu) if inputs is not None else ([], [])
         request = Request(
             start_time=_values.optional_number("start_time", start_time),
             final_time=_values.optional_number("final_time", final_time),
@@ -436,6 +443,7 @@ class FMUModel:
             between_steps=_values.choice("between_steps", between_steps),
             isolation=_values.choice("isolation", isolation),
             parameter_set=parameter_set,
+            described=described,
         )
         result = SimulationResult(**self._model.simulate(request))
         if len(result.time) and (said := _inputs.held_beyond(tables, float(result.time[0]), float(result.time[-1]))):

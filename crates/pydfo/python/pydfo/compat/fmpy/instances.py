@@ -23,7 +23,9 @@ def _vector(target: Any, n: int) -> np.ndarray[Any, Any]:
 def _accessors(kind: str) -> tuple[Any, Any]:
     def get(self: Any, vr: Sequence[int], nValues: int | None = None) -> list[Any]:
         values: list[Any] = self._get(kind, vr)
-        return values
+        # Those of FMPy's ctypes, which only its class of FMI 3.0 decodes.
+        is_bytes = kind == "String" and self._instance.description.fmi_version[0] < "3"
+        return [text.encode() for text in values] if is_bytes else values
 
     def set(self: Any, vr: Sequence[int], value: Sequence[Any] | None = None, values: Sequence[Any] | None = None) -> None:
         given = value if value is not None else values

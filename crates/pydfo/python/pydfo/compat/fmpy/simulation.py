@@ -104,6 +104,17 @@ def _inputs(signals: np.ndarray[Any, Any] | None) -> dict[str, Any] | None:
     return columns
 
 
+def _input_jumps(signals: np.ndarray[Any, Any], description: Description) -> list[float]:
+    """Times at which inputs jump: those listed twice, and those at which one that is not continuous changes."""
+    names: tuple[str, ...] = signals.dtype.names or ()
+    at = signals[names[0]]
+    jumps = set(at[1:][np.diff(at) == 0].tolist())
+    for name in names[1:]:
+        if name in description.variables and description.variables[name].variability in ("discrete", "tunable"):
+            jumps.update(at[1:][signals[name][1:] != signals[name][:-1]].tolist())
+    return sorted(jumps)
+
+
 def _structured(result: NativeResult, description: Description, names: Sequence[str], model: ModelDescription) -> SimulationResult:
     """The columns in FMPy's order: by type, then as in the file."""
     asked = set(names) - {"time"}
@@ -159,7 +170,7 @@ def simulate_fmu(
     Co-simulation is taken where an FMU offers both. Model exchange is integrated by ``FMUModel.simulate`` ("CVode": its
     "auto", with a tolerance of 1e-5 where none is given), so that events are located where they are and rows lie on the grid
     exactly; a timeout is a SimulationError. Event mode and early return are used where an FMU of version 3.0 has them, whatever
-    `use_event_mode` and `early_return_allowed` say; `validate`, `apply_default_start_values`, `model_description` and
+    `use_event_mode` (which gives rows for both sides of jumps of inputs) and `early_return_allowed` say; `validate`, `apply_default_start_values`, `model_description` and
     `remote_platform` have no effect.
 
     Parameters
@@ -200,7 +211,7 @@ def simulate_fmu(
         "logger": (logger, 'lines of the FMU go to logging.getLogger("pydfo"): debug_logging=True'),
         "fmi_call_logger": (fmi_call_logger, "calls are made in Rust; the last lines of the FMU's log are part of every error"),
         "step_finished": (step_finished, by_hand),
-        "fmu_instance": (fmu_instance, by_hand),
+        "fmu_instance": (fmu_instance, f"leave it out: an FMU that was opened once opens again in no time, each time as new; or {by_hand}"),
         "fmu_state": (fmu_state, "pydfo.fmi.Instance.save_state() and restore_state() work on one instance"),
         "initialize=False": (not initialize, by_hand),
         "terminate=False": (not terminate, by_hand),
@@ -239,12 +250,21 @@ def simulate_fmu(
                 times = np.append(times, stop)
             elif abs(stop - times[-1]) <= 1e-9 * max(abs(stop), interval):
                 times[-1] = stop
+            if use_event_mode and is_cs and input is not None and description.co_simulation.capabilities.has_event_mode:  # type: ignore[union-attr]
+                for jump in (t for t in _input_jumps(input, description) if start < t <= stop):
+                    near = times[np.argmin(np.abs(times - jump))]
+                    # Both sides of it, where the model can stop there.
+                    if np.isclose(near, jump):
+                        times = np.append(times, near)
+                    elif varies:
+                        times = np.append(times, [jump, jump])
+                times.sort()
             variables = description.variables
             output = [output] if isinstance(output, str) else output
             names = [name for name in (output if output is not None else _default_outputs(description)) if name in variables]
             names = [name for name in names if name != "time" and variables[name].type not in ("String", "Binary", "Clock")]
             tolerance = _number(relative_tolerance)
-            more: dict[str, Any] = {"step_size": interval} if is_cs else {"record_events": bool(record_events)}
+            more: dict[str, Any] = {"step_size": _step(description, interval)} if is_cs else {"record_events": bool(record_events)}
             if not is_cs and solver == "Euler":
                 more |= {"solver": "euler", "step_size": _euler_step(start, stop, interval, _positive("step_size", step_size))}
             result = model.simulate(
@@ -299,6 +319,12 @@ def _interval(
     while span / found > 1000:
         found *= 2
     return found
+
+
+def _step(description: Description, interval: float) -> float:
+    """The communication step of a co-simulation: rows between the steps of the model, where it has a step of its own, are interpolated."""
+    own = description.co_simulation.capabilities.fixed_internal_step_size if description.co_simulation else None
+    return own if own and not np.isclose(round(interval / own) * own, interval) else interval
 
 
 def _euler_step(start: float, stop: float, interval: float, asked: float | None) -> float:

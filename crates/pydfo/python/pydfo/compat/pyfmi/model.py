@@ -201,12 +201,17 @@ class FMUModelBase(DescribedModel):
 
     @property
     def time(self) -> float:
-        """The time in s of the instance, else the end of the last simulation, else the start; model exchange can set it."""
-        at = self._instance.time if self._instance is not None else self._time
+        """The time in s of the instance, else the end of the last simulation, else the start; model exchange can set it, before
+        `initialize` that of the start."""
+        at = self._instance.time if self._instance is not None and self._is_live else self._time
         return self.get_default_experiment_start_time() if at is None else at
 
     @time.setter
     def time(self, time: float) -> None:
+        if not self._is_live:
+            self._time = float(time)
+            self.setup_experiment(start_time=time)
+            return
         live = self._live()
         if live.kind == "CS":
             live._time = float(time)
@@ -417,7 +422,37 @@ class _CoSimulation(FMUModelBase):
 
 
 class FMUModelME1(_ModelExchange):
-    """Model exchange, FMI 1.0."""
+    """Model exchange, FMI 1.0, which has no modes: all that belongs to events happens in `initialize` and `event_update`."""
+
+    def __init__(self, fmu: str | os.PathLike[str], log_file_name: Any = None, log_level: int = 2, **more: Any) -> None:
+        super().__init__(fmu, log_file_name, log_level, **more)
+        self._info = SimpleNamespace(
+            iterationConverged=False,
+            stateValueReferencesChanged=False,
+            stateValuesChanged=False,
+            terminateSimulation=False,
+            upcomingTimeEvent=False,
+            nextEventTime=0.0,
+        )
+
+    def initialize(self, *args: Any, **more: Any) -> None:
+        """Initializes the model, from the time that was set."""
+        super().initialize(*args, **more)
+        self.event_update()
+
+    def event_update(self, intermediateResult: bool = False) -> None:
+        """Lets the events happen until they converge, in one call whatever `intermediateResult` says."""
+        self.enter_event_mode()
+        info: EventInfo = self._live().update_discrete_states()
+        self._info.iterationConverged, self._info.terminateSimulation = True, info.terminate
+        self._info.stateValueReferencesChanged, self._info.stateValuesChanged = info.nominals_changed, info.states_changed
+        self._info.upcomingTimeEvent, self._info.nextEventTime = info.next_time is not None, info.next_time or 0.0
+        if not info.terminate:
+            self.enter_continuous_time_mode()
+
+    def completed_integrator_step(self) -> bool:  # type: ignore[override]
+        """Whether the model wants an event."""
+        return super().completed_integrator_step()[0]
 
 
 class FMUModelCS1(_CoSimulation):
