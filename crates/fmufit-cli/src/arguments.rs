@@ -262,6 +262,10 @@ pub(crate) struct Problem {
     /// With a model: name of the column of times, where it is not `time`
     #[arg(long, value_name = "COLUMN")]
     pub(crate) time: Option<String>,
+    /// With a model: time of the recording at which the model has its start values, in s, as in
+    /// [[experiments]]; default: that of the model, mostly 0
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    pub(crate) start_time: Option<f64>,
     /// The unit of a variable of which the model states none; may be given several times
     #[arg(long, value_name = "VARIABLE=UNIT")]
     pub(crate) unit: Vec<String>,

@@ -110,10 +110,17 @@ impl Error {
     /// The same of what arguments name, in their words.
     pub(crate) fn of_arguments(error: CalibrationError) -> Self {
         let Self { exit, message } = Self::of_input(error);
-        let message = message.replace("time=\"...\"", "--time COLUMN").replace(
-            "there is no parameter to fit",
-            "there is no parameter to fit: give --parameter NAME=START:LOWER:UPPER",
-        );
+        let message = message
+            .replace("time=\"...\"", "--time COLUMN")
+            .replace("start_time = ", "--start-time ")
+            .replace(
+                "a window or a start_time of the experiment",
+                "a problem file with windows, or --start-time SECONDS",
+            )
+            .replace(
+                "there is no parameter to fit",
+                "there is no parameter to fit: give --parameter NAME=START:LOWER:UPPER",
+            );
         Self { exit, message }
     }
 

@@ -270,3 +270,11 @@ def test_state_space_and_co_simulation_of_pyfmi():
     assert slave.do_step(0.0, 0.1) == 0 and slave.time == 0.1
     slave.reset()
     assert slave.simulate(final_time=1).final("x") == pytest.approx(np.exp(-1), abs=1e-3)
+
+
+def test_names_of_pyfmi_lead_to_its_module() -> None:
+    model = FMUModel(example_fmu("dahlquist"))
+    for name in ("simulate_options", "get_model_variables"):
+        with pytest.raises(AttributeError, match=f"no '{name}', PyFMI's models have: from pydfo.compat.pyfmi import load_fmu"):
+            getattr(model, name)
+    assert not hasattr(model, "nothing")

@@ -49,7 +49,7 @@ def test_intervals_values_costs_text_and_picture(tmp_path):
     assert again.intervals == {"x": profile.intervals["x"]} and again.stats.right_hand_sides < profile.stats.right_hand_sides
     pytest.importorskip("matplotlib").use("Agg")
     panels = fit.plot_profiles(profile).axes
-    assert [axes.get_xlabel() for axes in panels] == ["k", "x"]
+    assert [axes.get_xlabel() for axes in panels] == ["k [1/s]", "x"]
     (axes,) = again.plot().axes
     assert "open" not in axes.get_title()
     # a smooth curve through the points, some of them near the optimum

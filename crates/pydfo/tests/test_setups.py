@@ -511,7 +511,7 @@ def test_columns_with_a_unit_in_brackets_are_said_to_be_converted():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         calibration = Calibration(example_fmu("bouncing_ball"), ball, {"h": "h (in)"}, Parameter("g", -9, -12, -8))
-    said = "converted by the units in the names of the columns: 'h (in)' from in to m"
+    said = "converted by the units that the columns state: 'h (in)' from in to m"
     fit = calibration.fit()
     assert said in str(calibration.check()) and said in str(fit) and fit.x[0] == pytest.approx(-9.81, rel=1e-3)
     assert [f.severity for f in fit.findings if said in f.sentence] == ["note"]

@@ -102,16 +102,27 @@ pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
     for (variable, column) in experiment.columns_in_use() {
         let Ok(values) = experiment.data.column(&column) else { continue };
         let is_measured = outputs.contains(&column.as_str());
+        let as_given = |value: f64| experiment.data.as_given(&column, value);
+        // Loggers write them before anything is converted.
+        let (origin, unit) = as_given(0.0);
+        let given: Vec<f64>;
+        let values = if origin == 0.0 && unit.is_empty() {
+            values
+        } else {
+            given = values.iter().map(|value| as_given(*value).0).collect();
+            &given
+        };
         let zeros = || zeros(values).filter(|_| is_measured);
         if let Some((value, n, rest)) = placeholder(values, is_measured).or_else(zeros) {
+            let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
             findings.push(Finding::warning(
                 format!("{prefix}'{variable}' (column '{column}')"),
                 format!(
-                    "{} {}, the others lie between {} and {}: a placeholder for a missing value?",
+                    "{} {}{unit}, the others lie between {} and {}{unit}: a placeholder for a missing value?",
                     if n == 1 { "one value is".to_owned() } else { format!("{n} values are") },
                     Number(value),
-                    Number(rest.0),
-                    Number(rest.1)
+                    Number(rounded(rest.0)),
+                    Number(rounded(rest.1))
                 ),
                 "leave such rows empty (NaN), or mask them",
             ));

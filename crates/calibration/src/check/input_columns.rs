@@ -25,8 +25,11 @@ const STAYS_ELSE: usize = 2;
 /// and ends by a step so many times as large as nearly all others, stands still.
 const LEAPS: f64 = 5.0;
 
-/// So many of the sampling intervals of an input without a value are a gap,
-const LONG_GAP: f64 = 20.0;
+/// So many of the sampling intervals of an input without a value are a gap;
+const LONG_GAP: f64 = 3.0;
+/// of one with a value in fewer rows than this part of them, which is recorded when it changes, so many are,
+const SPARSE: f64 = 0.5;
+const LONG_GAP_OF_SPARSE: f64 = 20.0;
 /// if its ends differ by this part of the range.
 const CHANGE_IN_GAP: f64 = 0.01;
 
@@ -42,17 +45,10 @@ struct Rows {
 /// The findings about all columns that drive inputs. Constants, steps, ramps, pulses, and inputs at a limit,
 /// which actuators have, are as good as others.
 pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
-    let ExperimentSubject { prefix, experiment, description, .. } = subject;
+    let ExperimentSubject { prefix, experiment, .. } = subject;
     let mut findings = Vec::new();
     for (input, column) in experiment.driving_columns() {
-        let Ok(values) = experiment.data.column(column) else { continue };
-        let Some(variable) = declared(description, input) else { continue };
-        let known = experiment.data.time().iter().zip(values).filter(|(_, v)| !v.is_nan());
-        let (times, values): (Vec<f64>, Vec<f64>) = known.unzip();
-        let rows = Rows { times, values };
-        if rows.values.len() < 3 {
-            continue;
-        }
+        let Some((variable, rows)) = driving(subject, input, column) else { continue };
         let name = format!("{prefix}input '{input}' (column '{column}')");
         if let Some(zero) = rows.all_zero(&name, variable) {
             findings.push(zero);
@@ -70,9 +66,6 @@ pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
         let spike = rows.spike();
         spike.iter().for_each(|found| warn(found.clone()));
         rows.stands_still().into_iter().for_each(&mut warn);
-        if variable.variability == Variability::Continuous {
-            rows.gap(experiment.data.time()).into_iter().for_each(&mut warn);
-        }
         // One value that is none of the signal is not its unit.
         let given = rows.extent().filter(|_| spike.is_none());
         let beside = given.and_then(|(lowest, highest)| {
@@ -88,7 +81,29 @@ pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
             warn((format!("its values lie between {low} and {high}{in_unit}, {beside}"), remedy));
         }
     }
+    findings.extend(gaps(subject));
     findings
+}
+
+/// The variable of an input, and the rows of its column that have a value, if they are three at least.
+fn driving<'s>(subject: &ExperimentSubject<'s>, input: &str, column: &str) -> Option<(&'s Variable, Rows)> {
+    let data = &subject.experiment.data;
+    let known = data.time().iter().zip(data.column(column).ok()?).filter(|(_, v)| !v.is_nan());
+    let (times, values): (Vec<f64>, Vec<f64>) = known.unzip();
+    let variable = declared(subject.description, input)?;
+    (values.len() >= 3).then_some((variable, Rows { times, values }))
+}
+
+/// Those of them about inputs without a value for long.
+pub(super) fn gaps(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
+    let of = |(input, column): (&str, &str)| {
+        let (variable, rows) = driving(subject, input, column)?;
+        let is_continuous = variable.variability == Variability::Continuous;
+        let (sentence, remedy) = rows.gap(subject.experiment.data.time(), is_continuous)?;
+        let name = format!("{}input '{input}' (column '{column}')", subject.prefix);
+        Some(Finding::warning(name, sentence, remedy))
+    };
+    subject.experiment.driving_columns().filter_map(of).collect()
 }
 
 impl Rows {
@@ -182,24 +197,43 @@ impl Rows {
         })
     }
 
-    /// Rows of the recording without a value, for long.
-    fn gap(&self, time: &[f64]) -> Option<(String, &'static str)> {
+    /// Rows of the recording without a value, for long. `is_continuous`: the input is linear there, others
+    /// keep their value.
+    fn gap(&self, time: &[f64], is_continuous: bool) -> Option<(String, &'static str)> {
         let interval = sampling_interval(&self.times)?;
+        let is_sparse = (self.times.len() as f64) < SPARSE * time.len() as f64;
+        let longest = if is_sparse { LONG_GAP_OF_SPARSE } else { LONG_GAP } * interval;
         let least = CHANGE_IN_GAP * range(&self.values);
         let is_gap = |k: &usize| {
             let (from, to) = (self.times[k - 1], self.times[*k]);
-            let is_between = |t: &f64| *t > from && *t < to;
-            to - from > LONG_GAP * interval
-                && (self.values[*k] - self.values[k - 1]).abs() > least
-                && time.iter().any(is_between)
+            let first_after = time.partition_point(|t| *t <= from);
+            let is_between = time.get(first_after).is_some_and(|t| *t < to);
+            let is_change = !is_sparse || (self.values[*k] - self.values[k - 1]).abs() > least;
+            // Longer by more than rounding.
+            to - from > longest * (1.0 + 1e-6) && is_change && is_between
         };
         let of = |k: usize| self.times[k] - self.times[k - 1];
-        let largest = (1..self.times.len()).filter(is_gap).max_by(|a, b| of(*a).total_cmp(&of(*b)))?;
+        let gaps: Vec<usize> = (1..self.times.len()).filter(is_gap).collect();
+        let largest = gaps.iter().copied().max_by(|a, b| of(*a).total_cmp(&of(*b)))?;
         let [from, to, interval] =
             [self.times[largest - 1], self.times[largest], interval].map(|t| Number(rounded_time(t)));
+        let length = |seconds: f64| Number(rounded(seconds));
+        let of_all = match gaps.len() {
+            1 => String::new(),
+            n => format!(
+                ", and in {} more such gaps, {} s in all",
+                n - 1,
+                length(gaps.iter().map(|k| of(*k)).sum())
+            ),
+        };
+        let taken = match is_continuous {
+            true => "it is taken as a straight line from value to value there, which nobody measured",
+            false => "its last value is held there, which nobody measured",
+        };
         Some((
             format!(
-                "it has no value from {from} s to {to} s, elsewhere one every {interval} s: it is taken as a line there"
+                "it has no value from {from} s to {to} s ({} s), elsewhere one every {interval} s{of_all}: {taken}",
+                length(of(largest))
             ),
             "fill the gap with what the input was, or leave its time out with windows and a start_time",
         ))
@@ -234,7 +268,7 @@ mod tests {
 
     /// Nothing is said of a signal.
     fn is_sound(rows: &Rows) -> bool {
-        rows.spike().is_none() && rows.stands_still().is_none() && rows.gap(&rows.times).is_none()
+        rows.spike().is_none() && rows.stands_still().is_none() && rows.gap(&rows.times, true).is_none()
     }
 
     #[test]
@@ -297,19 +331,36 @@ mod tests {
             let kept = || (0..400).filter(|k| !left_out.contains(k));
             Rows { times: kept().map(|k| all.times[k]).collect(), values: kept().map(sine).collect() }
         };
-        let said = without(150..250).gap(&all.times).unwrap().0;
+        let said = without(150..250).gap(&all.times, true).unwrap().0;
         assert!(
-            said.starts_with("it has no value from 7.45 s to 12.5 s, elsewhere one every 0.05 s"),
+            said.starts_with("it has no value from 7.45 s to 12.5 s (5.05 s), elsewhere one every 0.05 s: "),
             "{said}"
         );
-        assert!(without(150..165).gap(&all.times).is_none());
+        assert!(without(150..152).gap(&all.times, true).is_none());
+        assert!(
+            without(150..153)
+                .gap(&all.times, false)
+                .unwrap()
+                .0
+                .ends_with("held there, which nobody measured")
+        );
+        // Its ends may be equal: what it was between them is as little known.
+        let square = |k: usize| f64::from(u8::from((k / 40).is_multiple_of(2)));
+        let kept = || (0..400).filter(|k| !(100..260).contains(k) && !(300..310).contains(k));
+        let square =
+            Rows { times: kept().map(|k| all.times[k]).collect(), values: kept().map(square).collect() };
+        let said = square.gap(&all.times, true).unwrap().0;
+        assert!(
+            said.contains("(8.05 s), elsewhere one every 0.05 s, and in 1 more such gaps, 8.6 s in all"),
+            "{said}"
+        );
         // The recording itself has no rows there: that is said of its times.
         let gap = without(150..250);
-        assert!(gap.gap(&gap.times).is_none());
+        assert!(gap.gap(&gap.times, true).is_none());
         // every tenth row has a value
         let tenth = || (0..400).step_by(10);
         let slow =
             Rows { times: tenth().map(|k| all.times[k]).collect(), values: tenth().map(sine).collect() };
-        assert!(slow.gap(&all.times).is_none());
+        assert!(slow.gap(&all.times, true).is_none());
     }
 }

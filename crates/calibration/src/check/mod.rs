@@ -199,6 +199,16 @@ impl Calibration {
         found.ok().flatten()
     }
 
+    /// Columns in use that state no unit, where the model states one, in sentences.
+    pub fn columns_without_unit(&self) -> Vec<String> {
+        self.subjects().iter().flat_map(model::units).map(|finding| finding.advice()).collect()
+    }
+
+    /// Inputs without a value for long.
+    pub(crate) fn gaps_of_inputs(&self) -> Vec<Finding> {
+        self.subjects().iter().flat_map(input_columns::gaps).collect()
+    }
+
     fn subjects(&self) -> Vec<ExperimentSubject<'_>> {
         let (problem, description) = (self.problem(), self.fmu().description());
         let names = problem.experiment_names();

@@ -4,7 +4,7 @@
 use super::experiment_subject::ExperimentSubject;
 use super::simulated_outputs::rounded;
 use crate::data::UnitConversion;
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::{Finding, Origin, Severity};
 use crate::problem::column_units::declared;
 use crate::problem::experiment::Experiment;
 use crate::problem::input::InputSource;
@@ -116,7 +116,8 @@ pub(super) fn far_from_own_start(
             );
             let remedy = "if that cannot be: are the times, inputs and measurements in the units of the model? Times in min for s move \
                           time constants by 60";
-            return Some(Finding::warning(subject, sentence, remedy));
+            // What the recording and the inputs are said of is the cause.
+            return Some(Finding::warning(subject, sentence, remedy).of(Origin::Search));
         }
         let (lower, upper) = (parameter.lower(), parameter.upper());
         if (lower..=upper).contains(&own) || lower == upper {

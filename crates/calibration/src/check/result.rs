@@ -1,6 +1,6 @@
 //! Result of a check.
 
-use crate::findings::finding::{Finding, Severity, counts, table};
+use crate::findings::finding::{Finding, Severity, counts, sort, table};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -16,6 +16,16 @@ pub struct Check {
 }
 
 impl Check {
+    /// The same with other findings, those of a preflight.
+    #[must_use]
+    pub fn with(mut self, others: &[Finding]) -> Self {
+        let others = others.iter().filter(|finding| !self.findings.contains(finding));
+        let others: Vec<Finding> = others.cloned().collect();
+        self.findings.extend(others);
+        sort(&mut self.findings);
+        self
+    }
+
     /// True if there are no errors and no warnings.
     pub fn is_ok(&self) -> bool {
         self.findings.iter().all(|finding| finding.severity == Severity::Note)

@@ -82,9 +82,10 @@ pub(super) fn large_step(
             Number(rounded(changed)),
             if is_co_simulation { "the results depend on it" } else { "the step is too large" },
         );
+        let smaller = Accuracy::smaller_step(calibration.step_in_use());
         let remedy = match is_co_simulation {
-            true => "give a smaller step_size",
-            false => "give a smaller step_size, or a solver that chooses its steps",
+            true => smaller,
+            false => format!("{smaller}, or a solver that chooses its steps"),
         };
         let sentence = format!(
             "half {step} changes '{variable}' {place} by {changed} (RMS), where {beside}: {too_large}"

@@ -195,6 +195,8 @@ impl Data {
         times.iter_mut().for_each(|t| *t = time_column.seconds(*t));
         let place = |row| format!("line {}", line_of(row));
         let data = Self::new(source_name.to_owned(), time.name, times, columns, place)?.with_dates(has_dates);
+        let first_date = dates.first().filter(|_| has_dates).map(|date| date.trim().to_owned());
+        let data = data.with_first_date(first_date);
         Ok(data.left_out(others.into_iter().map(|column| column.name)).with_clock_change(clock_change))
     }
 }

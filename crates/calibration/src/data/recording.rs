@@ -26,6 +26,9 @@ pub struct Data {
     /// The times were dates or durations: they have no other unit.
     #[serde(default)]
     has_dates: bool,
+    /// The first of them, as it stands in the file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    first_date: Option<String>,
     /// An hour that is missing in times without a zone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     clock_change: Option<ClockChange>,
@@ -67,6 +70,9 @@ pub(super) struct Column {
     /// The unit of the values, where it is not the one in the name: from a line of units, or converted to.
     pub(super) unit: Option<String>,
     pub(super) values: Series,
+    /// How the values were converted, and the unit that they had.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    converted: Option<(UnitConversion, Option<String>)>,
     /// The first cell that is no number.
     pub(super) text: Option<Cell>,
     /// The first numbers with a comma and with a point.
@@ -174,6 +180,16 @@ impl Data {
         self.has_dates
     }
 
+    /// The first date, as it stands in the file.
+    #[must_use]
+    pub(super) fn with_first_date(self, first_date: Option<String>) -> Self {
+        Self { first_date, ..self }
+    }
+
+    pub(crate) fn first_date(&self) -> Option<&str> {
+        self.first_date.as_deref()
+    }
+
     /// An hour that is missing in the times.
     pub(crate) fn clock_change(&self) -> Option<&ClockChange> {
         self.clock_change.as_ref()
@@ -253,6 +269,7 @@ impl Data {
             columns,
             left_out: Vec::new(),
             has_dates: false,
+            first_date: None,
             clock_change: None,
             resampling: None,
             mask: None,
@@ -430,7 +447,21 @@ impl Data {
         if let Ok(Some(index)) = self.position(column) {
             let column = &mut self.columns[index];
             column.values.to_mut().iter_mut().for_each(|value| *value = conversion.apply(*value));
+            let given = column.unit.take().or_else(|| parts(&column.name).1.map(str::to_owned));
+            column.converted = Some((conversion, given));
             column.unit = Some(unit.to_owned());
+        }
+    }
+
+    /// A value of a column as it was before its conversion, but for rounding, and the unit that it had then.
+    pub(crate) fn as_given(&self, column: &str, value: f64) -> (f64, &str) {
+        let converted = self.position(column).ok().flatten().and_then(|k| self.columns[k].converted.as_ref());
+        match converted {
+            Some((conversion, unit)) => {
+                let given = format!("{:.11e}", conversion.invert(value)).parse().unwrap_or(value);
+                (given, unit.as_deref().unwrap_or_default())
+            }
+            None => (value, ""),
         }
     }
 
@@ -508,7 +539,15 @@ impl Data {
 
 impl Column {
     pub(super) fn new(name: String, values: impl Into<Series>) -> Self {
-        Self { name, unit: None, values: values.into(), text: None, comma: None, point: None }
+        Self {
+            name,
+            unit: None,
+            values: values.into(),
+            converted: None,
+            text: None,
+            comma: None,
+            point: None,
+        }
     }
 }
 

@@ -10,6 +10,7 @@ use crate::fit::one_stage::{
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::FitPhase;
 use crate::loaded::calibration::Calibration;
+use crate::uncertainty::result::Uncertainty;
 use crate::uncertainty::stuck_parameters::StuckParameters;
 use base::RunContext;
 use dfo::{
@@ -304,6 +305,10 @@ impl Calibration {
         let (mut fit, _) = this.judged(own.as_ref().unwrap_or(this), &job, made, stats);
         fit.phases = job.phases.borrow_mut().costs(&fit.stats);
         fit.stages = done.fits;
+        fit.uncertainty
+            .iter_mut()
+            .filter(|found| !found.is_at_failures)
+            .for_each(Uncertainty::found_in_stages);
         Ok(fit)
     }
 

@@ -111,7 +111,7 @@ fn usable_uncertainty(fit: &Fit, is_corrected: bool) -> Result<Uncertainty, Cali
     if !uncertainty.undetermined.is_empty() {
         let names: Vec<&str> = uncertainty.undetermined.iter().map(|i| fit.names[*i].as_str()).collect();
         return setup(format!(
-            "there is no prediction band: the data do not determine {}; fix it, or fit in stages",
+            "there is no prediction band: the data do not determine {}; fix it, or give it a prior",
             names.join(", ")
         ));
     }

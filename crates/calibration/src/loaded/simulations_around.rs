@@ -161,6 +161,17 @@ impl Calibration {
         plan.kind() == InterfaceKind::ModelExchange && self.problem().settings.run.method.is_fixed_step()
     }
 
+    /// The fixed step of the simulations, or the communication step of a co-simulation, in s.
+    pub(crate) fn step_in_use(&self) -> Option<f64> {
+        let plan = self.evaluator().simulations[0].pool.plan();
+        let given = self.problem().settings.run.step_size;
+        let own = || self.fmu().description().default_experiment.step_size;
+        match self.has_fixed_step() {
+            true => given.or_else(own),
+            false => plan.communication_step(),
+        }
+    }
+
     /// True if the model integrates itself.
     pub(crate) fn is_co_simulation(&self) -> bool {
         self.evaluator().simulations[0].pool.plan().kind() == InterfaceKind::CoSimulation

@@ -41,7 +41,6 @@ fn convert(
         // The name of a variable may end with what looks like a unit; a line of units is none.
         let is_variable = description.variable(&full).is_some();
         let beside = data.unit_beside_name(&column);
-        let is_in_name = beside.is_none();
         let given = if is_variable { beside } else { data.unit(&column) };
         let Some(given) = given.map(str::to_owned) else { continue };
         let bad = |message: String| CalibrationError::Data { source_name: data.source().to_owned(), message };
@@ -57,9 +56,7 @@ fn convert(
                     )));
                 }
                 data.convert(&column, conversion, &unit);
-                if is_in_name {
-                    converted.push((full.clone(), given, unit));
-                }
+                converted.push((full.clone(), given, unit));
             }
             Err(reason @ UnitError::Dimension { .. }) => {
                 return Err(bad(format!(

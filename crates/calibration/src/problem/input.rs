@@ -134,7 +134,7 @@ impl Signal {
         let [r0, r1, s0, s1] = [recorded.0, recorded.1, span.0, span.1].map(Number);
         Err(CalibrationError::Setup(format!(
             "{}: input '{}' is recorded from {r0} s to {r1} s, and the simulation needs it from {s0} s to {s1} s: give \
-             hold_inputs to hold its first and last values there, or a window or a start_time within its recording",
+             hold_inputs to hold its first and last values there, or a window or a start_time of the experiment within its recording",
             data.source(),
             self.variable
         )))

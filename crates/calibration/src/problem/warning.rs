@@ -37,12 +37,12 @@ pub enum SetupWarning {
         /// Why not.
         reason: UnitError,
     },
-    /// Columns were converted by the units that their names end with, in brackets. A note: brackets may mean
-    /// something else.
+    /// Columns were converted by the units that their names end with, in brackets, or that stand below them.
+    /// A note: brackets may mean something else.
     Converted {
         /// The recording.
         data: String,
-        /// Column, unit in its name, unit of its variable.
+        /// Column, its unit, unit of its variable.
         columns: Vec<(String, String, String)>,
     },
     /// An hour is missing or doubled in times without a zone.
@@ -96,7 +96,7 @@ impl fmt::Display for SetupWarning {
                 let one =
                     |(column, from, to): &(String, String, String)| format!("'{column}' from {from} to {to}");
                 let all = columns.iter().map(one).collect::<Vec<_>>().join(", ");
-                write!(f, "{data}: converted by the units in the names of the columns: {all}")
+                write!(f, "{data}: converted by the units that the columns state: {all}")
             }
             Self::ClockChange { data, change } => write!(f, "{data}: {change}"),
             Self::NoEffect(sentence) => f.write_str(sentence),

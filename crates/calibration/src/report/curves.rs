@@ -25,6 +25,8 @@ const CURVE_POINTS: usize = 2001;
 pub struct ExperimentCurves {
     /// The experiment.
     pub name: String,
+    /// The first time of the recording as it stands in the file, where times are dates.
+    pub first_date: Option<String>,
     /// Where measurements count, in s; none: everywhere.
     pub windows: Vec<(f64, f64)>,
     /// Its outputs, in the order of the residual vector.
@@ -132,6 +134,7 @@ impl Calibration {
             let inputs = experiment.inputs.iter().filter_map(input).collect();
             Ok(ExperimentCurves {
                 name,
+                first_date: experiment.data.first_date().map(str::to_owned),
                 windows: experiment.windows.clone(),
                 outputs: own.map(output).collect(),
                 inputs,

@@ -29,6 +29,12 @@ const LEFT: u32 = 86;
 const BELOW: u32 = 44;
 const MARGIN: u32 = 8;
 
+/// Space at the right for half of the label at the end of the axis.
+const END_LABEL: u32 = 28;
+
+/// A label on the axis of values for each so many pixels.
+const PER_LABEL: u32 = 26;
+
 /// Size of the text in pixels; the drawing library takes 1.24 times the size that it writes.
 const TEXT_SIZE: f64 = 13.0 * 1.24 * FINE as f64;
 
@@ -47,6 +53,8 @@ pub(super) enum Series {
     Measured(Vec<Point>),
     /// Single marks of what belongs to the fitted values.
     Marks(Vec<Point>),
+    /// A line of what drives the model.
+    Input(Vec<Point>),
     /// A line at the start, and one at the fitted values.
     Start(Vec<Point>),
     Fitted(Vec<Point>),
@@ -67,9 +75,11 @@ pub(super) struct Panel {
 impl Series {
     fn points(&self) -> &[Point] {
         match self {
-            Self::Measured(points) | Self::Marks(points) | Self::Start(points) | Self::Fitted(points) => {
-                points
-            }
+            Self::Measured(points)
+            | Self::Marks(points)
+            | Self::Input(points)
+            | Self::Start(points)
+            | Self::Fitted(points) => points,
         }
     }
 }
@@ -128,12 +138,14 @@ impl Panel {
         let Some(y) = self.y_range() else { return Ok(()) };
         let mut chart = ChartBuilder::on(area)
             .margin(MARGIN * FINE)
+            .margin_right(END_LABEL * FINE)
             .set_label_area_size(LabelAreaPosition::Left, LEFT * FINE)
             .set_label_area_size(LabelAreaPosition::Bottom, x_label.map_or(0, |_| BELOW * FINE))
             .build_cartesian_2d(x.clone(), y.clone())?;
         let x_text = labels(&x);
         let plain = labels(&y);
-        let y_text = |y: &f64| if self.is_logarithm { rounded(10_f64.powf(*y), 2) } else { plain(y) };
+        let powers = power_labels(&y, self.height / PER_LABEL);
+        let y_text = |y: &f64| if self.is_logarithm { powers(y) } else { plain(y) };
         let text = ("sans-serif", TEXT_SIZE).into_font().color(&TEXT);
         chart
             .configure_mesh()
@@ -143,7 +155,7 @@ impl Panel {
             .label_style(text.clone())
             .axis_desc_style(text)
             .x_labels(if x_label.is_some() { 6 } else { 0 })
-            .y_labels((self.height / 36) as usize)
+            .y_labels((self.height / PER_LABEL) as usize)
             .x_label_formatter(&x_text)
             .y_label_formatter(&y_text)
             .x_desc(x_label.unwrap_or_default())
@@ -164,6 +176,9 @@ fn draw_series(chart: &mut Chart<'_, '_>, series: &Series, y: &Range<f64>) -> Dr
             let colour = if matches!(series, Series::Marks(_)) { FITTED } else { MEASURED };
             let marks = sampled(points).into_iter();
             chart.draw_series(marks.map(|point| Circle::new(point, 2 * FINE, colour.filled())))?;
+        }
+        Series::Input(points) => {
+            chart.draw_series(LineSeries::new(thinned(points), line(MEASURED)))?;
         }
         Series::Start(points) => {
             let inside = points.iter().map(|(t, value)| (*t, value.clamp(y.start, y.end)));
@@ -241,6 +256,13 @@ fn labels(range: &Range<f64>) -> impl Fn(&f64) -> String {
     move |value| if value.abs() < 1e-9 * width { "0".to_owned() } else { rounded(*value, digits as usize) }
 }
 
+/// The labels of an axis of logarithms, with the digits that tell so many of them apart.
+fn power_labels(range: &Range<f64>, n: u32) -> impl Fn(&f64) -> String {
+    let ratio = 10_f64.powf((range.end - range.start) / f64::from(2 * n.max(1))) - 1.0;
+    let digits = (1.0 - ratio.log10()).ceil().clamp(2.0, 12.0);
+    move |value| rounded(10_f64.powf(*value), digits as usize)
+}
+
 fn cut(label: &str) -> String {
     match label.chars().count() {
         n if n <= LONGEST_LABEL => label.to_owned(),
@@ -289,6 +311,17 @@ mod tests {
         assert!(y.end < 5.0 && y.start > 0.5, "{y:?}");
         assert!(draw(&[wild], "").is_some());
         assert_eq!(draw(&[], ""), None);
+    }
+
+    #[test]
+    fn labels_of_logarithms_differ() {
+        for (low, high) in [(115.0_f64, 134.0_f64), (1e-9, 1e4), (100.0, 100.01), (2.0, 3.0)] {
+            let y = low.log10()..high.log10();
+            let text = power_labels(&y, 8);
+            let at = |k: u32| text(&(y.start + (y.end - y.start) * f64::from(k) / 8.0));
+            let texts: Vec<String> = (0..=8).map(at).collect();
+            assert!(texts.windows(2).all(|pair| pair[0] != pair[1]), "{texts:?}");
+        }
     }
 
     #[test]

@@ -162,6 +162,7 @@ impl LiveSubject {
     fn curves(&self, found: &LiveResiduals) -> Vec<ExperimentCurves> {
         let mut all: Vec<ExperimentCurves> = (self.experiments.iter())
             .map(|name| ExperimentCurves {
+                first_date: None,
                 name: name.clone(),
                 windows: Vec::new(),
                 outputs: Vec::new(),

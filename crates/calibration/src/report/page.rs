@@ -17,6 +17,9 @@ use serde::Serialize;
 const TALL: u32 = 230;
 const LOW: u32 = 120;
 
+/// So many inputs of an experiment are drawn.
+const MOST_INPUTS: usize = 8;
+
 #[derive(Serialize)]
 struct Page {
     outputs: Vec<Figure>,
@@ -65,7 +68,7 @@ pub(super) fn page(
     context: &RunContext<'_>,
 ) -> Result<String, CalibrationError> {
     let page = Page {
-        outputs: output_figures(&calibration.curves(fit, context)?, "The simulation at the start failed. "),
+        outputs: figures(&calibration.curves(fit, context)?),
         search: [convergence(fit), waterfall(fit)].into_iter().flatten().collect(),
         correlation: correlation(fit),
         residual_checks: residual_checks(fit),
@@ -75,6 +78,45 @@ pub(super) fn page(
         date: jiff::Timestamp::now().strftime("%Y-%m-%d %H:%M UTC").to_string(),
     };
     Ok(template::page(&Summary::new(fit), &page))
+}
+
+/// The outputs of each experiment, and its inputs.
+fn figures(experiments: &[ExperimentCurves]) -> Vec<Figure> {
+    let mut all = output_figures(experiments, "The simulation at the start failed. ");
+    all.extend(experiments.iter().filter_map(|experiment| input_figure(experiment, experiments.len() > 1)));
+    all
+}
+
+/// The axis of times of an experiment.
+fn time_axis(experiment: &ExperimentCurves) -> String {
+    experiment
+        .first_date
+        .as_ref()
+        .map_or_else(|| "time in s".to_owned(), |date| format!("time in s from {date}"))
+}
+
+/// The recorded inputs, a panel for each. A line ends where the recording has no value.
+fn input_figure(experiment: &ExperimentCurves, are_several: bool) -> Option<Figure> {
+    let panel = |signal: &Signal| {
+        let rows: Vec<Point> = signal.times.iter().copied().zip(signal.values.iter().copied()).collect();
+        let parts = rows.chunk_by(|a, b| a.1.is_nan() == b.1.is_nan());
+        let parts = parts.filter(|part| !part[0].1.is_nan()).map(|part| match part {
+            [one] => Series::Measured(vec![*one]),
+            several => Series::Input(several.to_vec()),
+        });
+        let unit = signal.unit.as_ref().map_or_else(String::new, |unit| format!(" in {unit}"));
+        let (y_label, series) = (format!("{}{unit}", signal.variable), parts.collect());
+        Panel { height: LOW, y_label, series, is_logarithm: false, has_zero: false }
+    };
+    let shown = &experiment.inputs[..experiment.inputs.len().min(MOST_INPUTS)];
+    let panels: Vec<Panel> = shown.iter().map(panel).collect();
+    let title = if are_several { format!("{}: inputs", experiment.name) } else { "Inputs".to_owned() };
+    let caption = match experiment.inputs.len() - shown.len() {
+        0 => "As recorded.".to_owned(),
+        n => format!("As recorded; {n} more are not drawn."),
+    };
+    let svg = figure::draw(&panels, &time_axis(experiment));
+    (!shown.is_empty()).then_some(Figure { title, caption, svg })
 }
 
 /// Per output: measured, at the start, fitted; below, the residuals. `without_start` is said where there is
@@ -108,7 +150,7 @@ pub(super) fn output_figures(experiments: &[ExperimentCurves], without_start: &s
         };
         let remark = if start.is_none() { without_start } else { "" };
         let caption = format!("{remark}{}", figure::note(measured.times.len()));
-        Figure { title, caption, svg: figure::draw(&panels, "time in s") }
+        Figure { title, caption, svg: figure::draw(&panels, &time_axis(experiment)) }
     };
     experiments.iter().flat_map(|e| e.outputs.iter().map(move |output| figure(e, output))).collect()
 }

@@ -58,6 +58,8 @@ pub(super) fn experiment(experiment: &Experiment) -> Vec<Described> {
     let span = |(from, to): (f64, f64)| format!("{} to {}", Number(from), seconds(to));
     let list = |items: Vec<String>| (!items.is_empty()).then(|| items.join("; "));
     let times = data.from.zip(data.to).map(|times| format!(", {}", span(times))).unwrap_or_default();
+    let first_date = experiment.data.first_date();
+    let begins = first_date.map_or_else(String::new, |date| format!(", in s from {date} on"));
     let facts = [
         ("outputs", list(experiment.outputs.iter().map(output).collect())),
         (
@@ -68,7 +70,8 @@ pub(super) fn experiment(experiment: &Experiment) -> Vec<Described> {
             "hold inputs",
             experiment.hold_inputs.then(|| "yes: where the simulation goes on beyond them".to_owned()),
         ),
-        ("rows", Some(format!("{}{times}", data.n_rows))),
+        ("rows", Some(format!("{}{times}{begins}", data.n_rows))),
+        ("column of times", (data.time != "time").then(|| data.time.to_owned())),
         ("mask", data.mask.map(str::to_owned)),
         ("resample", data.resample.map(|interval| format!("means over {}", seconds(interval)))),
         ("windows", list(experiment.windows.iter().map(|window| span(*window)).collect())),

@@ -21,6 +21,9 @@ const FEW_DIGITS: usize = 4;
 /// So many standard errors stand in the sentence, of more the smallest and the largest.
 const LISTED: usize = 4;
 
+/// Fewer degrees of freedom are told beside the standard errors.
+const FEW_DEGREES: usize = 6;
+
 /// Level of the intervals: 95 %.
 const LEVEL: f64 = 0.95;
 
@@ -114,6 +117,9 @@ fn sentence(fit: &Fit) -> String {
         Termination::MaxEvaluations | Termination::MaxTime if are_several => {
             "The fit took the best minimum that it found within its limits"
         }
+        _ if fit.report.is_success() && fit.is_conditional() => {
+            "Each stage converged, all parameters together did not"
+        }
         _ if fit.report.is_success() && fit.is_before_minimum() => "The fit ended before the minimum",
         Termination::Converged => "The fit converged",
         Termination::Noise if fit.report.is_success() => "The fit converged to the noise of the simulations",
@@ -137,22 +143,41 @@ fn sentence(fit: &Fit) -> String {
         counts if counts.is_empty() => String::new(),
         counts => format!(" {counts}."),
     };
-    let errors = relative_errors(fit);
+    let errors = with_few_degrees(fit, relative_errors(fit));
     let resumed = match &fit.report.resumed {
         Some(resumed) => format!(" It was {resumed}."),
         None => String::new(),
     };
-    let doubt = if fit.is_usable() { "" } else { ", but its result is not to be used" };
+    let doubt = match (fit.is_usable(), fit.is_success()) {
+        (true, _) => "",
+        (false, true) => ", but its result is not to be used",
+        (false, false) => ", and its result is not to be used",
+    };
     format!(
         "{ended}{doubt}: RMS {rms} ({before}) over {} measurements.{errors}{resumed}{counts}",
         fit.n_measurements
     )
 }
 
+/// The sentence about standard errors, with their degrees of freedom where these are few: a value lies within
+/// one standard error less often then than 68 % (with one degree of freedom 50 %).
+fn with_few_degrees(fit: &Fit, errors: String) -> String {
+    match fit.uncertainty.as_ref().map(|uncertainty| uncertainty.degrees_of_freedom) {
+        Some(1) => errors.replacen("errors:", "errors, with 1 degree of freedom:", 1),
+        Some(n @ 2..FEW_DEGREES) => {
+            errors.replacen("errors:", &format!("errors, with {n} degrees of freedom:"), 1)
+        }
+        _ => errors,
+    }
+}
+
 /// The standard errors of what was fitted, relative to the values: of each parameter, or of many the smallest
 /// and the largest. Those corrected for autocorrelated residuals, where there are such.
 fn relative_errors(fit: &Fit) -> String {
     let Some(uncertainty) = &fit.uncertainty else { return String::new() };
+    if uncertainty.roughness.is_some() {
+        return " Standard errors: none that can be relied on.".to_owned();
+    }
     let errors = &uncertainty.standard_errors;
     let free = (0..fit.x.len()).filter(|i| !uncertainty.held.contains(i));
     let (known, open): (Vec<usize>, Vec<usize>) = free.partition(|i| errors[*i].is_finite());
@@ -197,7 +222,9 @@ fn parameter(fit: &Fit, i: usize) -> ParameterRow {
     let is_fixed = lower == upper;
     let side = fit.at_bound.iter().find(|(k, _)| *k == i).map(|(_, side)| *side);
     let uncertainty = fit.uncertainty.as_ref();
-    let of = |errors: &[f64]| errors.get(i).copied().unwrap_or(f64::NAN);
+    // What does not hold is not printed.
+    let is_told = uncertainty.is_some_and(|uncertainty| uncertainty.roughness.is_none());
+    let of = |errors: &[f64]| errors.get(i).copied().filter(|_| is_told).unwrap_or(f64::NAN);
     let error = uncertainty.map_or(f64::NAN, |uncertainty| of(&uncertainty.standard_errors));
     let uncorrected = uncertainty.and_then(Uncertainty::uncorrected_errors).map(|errors| of(&errors));
     let is_known = |error: f64| error.is_finite() && error > 0.0;
@@ -227,7 +254,9 @@ fn parameter(fit: &Fit, i: usize) -> ParameterRow {
         start: rounded(fit.start[i], DIGITS),
         value: with_error(value, error),
         error: uncertainty.map_or_else(String::new, |_| shown(error)),
-        uncorrected_error: uncorrected.map_or_else(String::new, shown),
+        uncorrected_error: uncorrected
+            .filter(|error| is_known(*error) || error.is_infinite())
+            .map_or_else(String::new, shown),
         interval,
         unit: fit.units[i].clone().unwrap_or_default(),
         bounds: [lower, upper].map(|bound| Number(bound).to_string()),
@@ -293,9 +322,11 @@ fn facts(fit: &Fit) -> Vec<Fact> {
     facts.push((
         "simulated",
         format!(
-            "{} right-hand sides, solver {}; {} s in simulations, {} s of them inside the model",
-            fit.stats.right_hand_sides,
-            fit.solver.method.name(),
+            "{}; {} s in simulations, {} s of them inside the model",
+            match (fit.stats.right_hand_sides, fit.stats.accepted_steps) {
+                (0, steps) => format!("{steps} communication steps of models that integrate themselves"),
+                (n, _) => format!("{n} right-hand sides, solver {}", fit.solver.method.name()),
+            },
             rounded(fit.stats.seconds.get(), 3),
             rounded(fit.stats.seconds_in_model.get(), 3)
         ),

@@ -39,14 +39,18 @@ const ROUNDS: usize = 3;
 /// A side of a parameter that leaves less than this part of a step is left out.
 const TOO_NARROW: f64 = 0.25;
 
-/// Residuals that bend by more than this part of their change over a step of about one standard error, while
-/// their change is at least this part of the deviation of a residual, are looked at over a step of a quarter.
-const BENT: f64 = 0.3;
+/// Where residuals bend by more than this part of their change over a step of about one standard error, they
+/// are looked at over this part of all steps over which they change by at least this part of their deviation.
+const BENT: f64 = 0.1;
+const PART: f64 = 1.0 / 16.0;
 const TELLING: f64 = 0.3;
-const PART: f64 = 0.25;
 
-/// A smooth model bends over that by a quarter as much; where it is more than this part, it is not smooth.
+/// A smooth model bends over that by a sixteenth as much, and one whose rows have kinks that the step passes
+/// by a quarter as much (their number grows with the step). Where it is more than the first of these parts of
+/// what it was, and more than the second of the change, the model is not smooth: the kink of a few rows at
+/// the best point itself stays below that.
 const STILL_BENT: f64 = 0.5;
+const LEAST_BENT: f64 = 0.4;
 
 /// A bend below so many times the error of the simulations is theirs.
 const BEND_ABOVE_NOISE: f64 = 10.0;
@@ -94,8 +98,9 @@ pub(crate) struct Differences {
 pub struct ResidualBend {
     /// Over about one standard error.
     pub bend: f64,
-    /// Over a quarter of that.
-    pub bend_of_quarter: f64,
+    /// Over a sixteenth of that.
+    #[serde(alias = "bend_of_quarter")]
+    pub bend_of_part: f64,
 }
 
 /// A step along an axis, in the coordinates of the search.
@@ -311,7 +316,8 @@ impl Differences {
         Self { changes, steps, noise, bends: Vec::new(), roughness: None }
     }
 
-    /// Looks at a quarter of the step over which the residuals bend most, where that is much.
+    /// Looks at a sixteenth of the steps, where the residuals bend over one of them. Switching times that
+    /// jump with the parameters make them bend as much over any step.
     fn roughness(
         &self,
         center: &Center<'_>,
@@ -319,25 +325,32 @@ impl Differences {
         noise: f64,
         simulations: &mut Simulations<'_>,
     ) -> Result<Option<ResidualBend>, CalibrationError> {
-        let is_bent = |k: &usize| {
-            let change = self.changes.column(*k).norm();
-            let is_telling = change >= TELLING * deviation;
-            is_telling && self.bends[*k] > BENT && 2.0 * change * self.bends[*k] > BEND_ABOVE_NOISE * noise
-        };
-        let bent = (0..self.bends.len()).filter(is_bent);
-        let Some(k) = bent.max_by(|a, b| self.bends[*a].total_cmp(&self.bends[*b])) else { return Ok(None) };
-        let quarter = Step { direction: self.steps.column(k).into_owned(), length: PART };
-        let quarter = match Self::measured(center, vec![quarter], simulations) {
+        let change = |k: usize| self.changes.column(k).norm();
+        let telling =
+            (0..self.bends.len()).filter(|k| change(*k) >= TELLING * deviation && self.bends[*k] > 0.0);
+        let telling: Vec<usize> = telling.collect();
+        let is_bent =
+            |k: &usize| self.bends[*k] > BENT && 2.0 * change(*k) * self.bends[*k] > BEND_ABOVE_NOISE * noise;
+        if !telling.iter().any(is_bent) {
+            return Ok(None);
+        }
+        let part = |k: &usize| Step { direction: self.steps.column(*k).into_owned(), length: PART };
+        let parts = match Self::measured(center, telling.iter().map(part).collect(), simulations) {
             // What is known by now is more than that.
             Err(CalibrationError::Cancelled) => return Ok(None),
-            quarter => quarter?,
+            parts => parts?,
         };
-        let Ok(quarter) = quarter else { return Ok(None) };
-        let found = ResidualBend { bend: self.bends[k], bend_of_quarter: quarter.bends[0] };
-        let is_of_noise =
-            2.0 * quarter.changes.column(0).norm() * found.bend_of_quarter <= BEND_ABOVE_NOISE * noise;
-        let is_rough = found.bend_of_quarter > STILL_BENT * found.bend && !is_of_noise;
-        Ok(is_rough.then_some(found))
+        let Ok(parts) = parts else { return Ok(None) };
+        let found = telling.iter().enumerate().map(|(place, k)| {
+            let found = ResidualBend { bend: self.bends[*k], bend_of_part: parts.bends[place] };
+            let size = 2.0 * parts.changes.column(place).norm() * found.bend_of_part;
+            (found, size > BEND_ABOVE_NOISE * noise)
+        });
+        let is_rough = |ResidualBend { bend, bend_of_part }: &ResidualBend| {
+            *bend_of_part > (STILL_BENT * bend).max(LEAST_BENT)
+        };
+        let rough = found.filter(|(found, is_told)| *is_told && is_rough(found)).map(|(found, _)| found);
+        Ok(rough.max_by(|a, b| a.bend_of_part.total_cmp(&b.bend_of_part)))
     }
 
     /// Steps that were made long, so that changes stand out from the noise, are made half as long as well:

@@ -5,7 +5,7 @@ use crate::cost::residual::sum_of_squares;
 use crate::error::CalibrationError;
 use crate::loaded::calibration::Calibration;
 use crate::loaded::simulations_around::{Effort, Point, Simulations};
-use crate::problem::parameter::{Parameter, Scale, inner};
+use crate::problem::parameter::{Parameter, Scale, Target, inner};
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::covariance::autocorrelation::Dependence;
 use crate::uncertainty::covariance::matrix::{Factors, Noise, groups};
@@ -348,7 +348,9 @@ impl Calibration {
             x: x.to_vec(),
             is_log: parameters.iter().map(|p| p.scale_kind() == Scale::Log).collect(),
             sizes: parameters.iter().zip(x).map(|(p, x)| self.size_of_either_sign(p, *x)).collect(),
+            is_about_zero: parameters.iter().map(is_about_zero).collect(),
             is_step_halved: self.has_fixed_step(),
+            step_size: self.step_in_use(),
             ..Uncertainty::default()
         }
     }
@@ -507,6 +509,14 @@ impl Calibration {
         let (lower, upper, at) = (inner(p, p.lower()), inner(p, p.upper()), inner(p, x));
         (at - lower).min(upper - at) <= AT * self.size_of(p, x)
     }
+}
+
+/// True if zero is a usual value of a parameter, which an error relative to the value says nothing of: where
+/// both signs are allowed and the search starts there, and of what is added to a signal.
+fn is_about_zero(p: &Parameter) -> bool {
+    let is_added = matches!(p.target(), Target::Delay(_) | Target::Offset(_));
+    let is_of_either = p.lower() < 0.0 && p.upper() > 0.0 && p.scale_kind() == Scale::Linear;
+    is_of_either && (is_added || p.start() == 0.0)
 }
 
 /// Derivatives by the coordinates of the free parameters, m x p, from those by all n parameters, row by row.

@@ -66,6 +66,9 @@ pub struct Preflight {
     /// noise.
     #[serde(default)]
     pub is_step_halved: bool,
+    /// The step of the simulations in s, where they have one.
+    #[serde(default)]
+    pub step_size: Option<f64>,
     /// Wall-clock seconds of an evaluation at the start.
     pub seconds_per_evaluation: f64,
     /// Evaluations that a fit by least squares is expected to take: 12 for each free parameter and one more,
@@ -204,6 +207,7 @@ impl Calibration {
                 _ => 0.0,
             },
             is_step_halved,
+            step_size: self.step_in_use(),
             seconds_per_evaluation,
             expected_evaluations,
             expected_seconds: seconds_per_evaluation * expected_evaluations as f64,
@@ -212,6 +216,8 @@ impl Calibration {
             n_simulations: simulations.n,
         };
         preflight.findings = preflight.judged();
+        preflight.findings.extend(self.gaps_of_inputs());
+        sort(&mut preflight.findings);
         Ok(preflight)
     }
 
@@ -302,13 +308,20 @@ impl Preflight {
             let sentence = format!(
                 "{a} and {b} move the outputs the same way at the start: correlation {correlation:.2}"
             );
-            let finding = Finding::warning(format!("{a} and {b}"), sentence, "fix one or fit in two stages");
+            let finding = Finding::warning(
+                format!("{a} and {b}"),
+                sentence,
+                "the standard errors of the fit say how well each is told; where that is not enough, fix one, give it a prior, or record what tells them apart",
+            );
             said.push(finding.of(Origin::Search));
         }
         if self.noise > 1e-3 {
             let remedy = match self.is_step_halved {
-                true => "give a smaller step_size, or a solver that chooses its steps",
-                false => "give a smaller relative_tolerance, or f_tol above that",
+                true => {
+                    let smaller = Accuracy::smaller_step(self.step_size);
+                    format!("{smaller}, or a solver that chooses its steps")
+                }
+                false => "give a smaller relative_tolerance, or f_tol above that".to_owned(),
             };
             let sentence = format!(
                 "the cost at the start changes by {} of its value with {}",

@@ -101,6 +101,10 @@ pub struct Uncertainty {
     /// the values.
     #[serde(default)]
     pub sizes: Vec<f64>,
+    /// Of each parameter: zero is one of its usual values, and a standard error says nothing relative to it.
+    /// Empty: of none.
+    #[serde(default)]
+    pub is_about_zero: Vec<bool>,
     /// Covariance of the parameters, n x n, row by row, in the user's units, with the residuals of outputs
     /// that are autocorrelated taken for a first-order autoregression (see
     /// [`autocorrelations`](Self::autocorrelations)), and the noise of
@@ -166,6 +170,9 @@ pub struct Uncertainty {
     /// The method has a fixed step: the accurate cost is that with half of it.
     #[serde(default)]
     pub is_step_halved: bool,
+    /// The step of the simulations in s, where they have one.
+    #[serde(default)]
+    pub step_size: Option<f64>,
     /// True if the residuals are within ten relative tolerances of the measurements: the data hold no noise,
     /// and the accuracy of the cost does not matter.
     pub is_exact: bool,

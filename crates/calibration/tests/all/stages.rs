@@ -71,6 +71,35 @@ fn each_stage_starts_from_the_last_and_holds_the_others() {
 }
 
 #[test]
+fn stages_that_hold_what_is_wrong_are_no_fit_of_all_parameters() {
+    // x' = -k x from x(0): the first stage makes up for the start that the second one holds.
+    let t: Vec<f64> = (0..61).map(|i| 0.05 * f64::from(i)).collect();
+    let x = t.iter().enumerate().map(|(i, t)| 2.0 * (-2.0 * t).exp() + if i % 2 == 0 { 1e-3 } else { -1e-3 });
+    let data = Data::from_columns(t.clone(), [("x".to_owned(), x.collect())]).unwrap();
+    let fmu = fmi::Fmu::open(example_fmu("dahlquist").unwrap()).unwrap();
+    let calibration = Calibration::builder(fmu)
+        .experiment(Experiment::new(data).output("x", "x"))
+        .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
+        .parameter(Parameter::new("x", 1.0).bounds(0.1, 10.0))
+        .build()
+        .unwrap();
+    let fitted = |stages: &[Stage]| calibration.fit_stages(stages, FitOptions::default()).unwrap();
+    let apart = fitted(&[Stage::new(["k"]), Stage::new(["x"])]);
+    let printed = apart.to_string();
+    assert!((apart.x[0] - 2.0).abs() > 0.1 && !apart.is_success(), "{apart}");
+    for said in [
+        "Each stage converged, all parameters together did not",
+        "% of the cost. The values are conditional on what the stages held",
+        "add a last stage with all parameters; smaller tolerances do not help",
+    ] {
+        assert!(printed.contains(said), "{apart}");
+    }
+    let joint = fitted(&[Stage::new(["k"]), Stage::new(["k", "x"])]);
+    assert!((joint.x[0] - 2.0).abs() < 1e-2 && joint.is_success(), "{joint}");
+    assert!(joint.to_string().contains("The fit converged"), "{joint}");
+}
+
+#[test]
 fn a_method_and_a_window_of_its_own() {
     let calibration = tanks(&[], None);
     let stages = [

@@ -206,6 +206,15 @@ macro_rules! each {
 }
 
 impl AnyMethod {
+    /// True if the method looks for the best of several minima.
+    pub fn is_global(&self) -> bool {
+        match self {
+            Self::DifferentialEvolution(_) | Self::Genetic(_) | Self::CmaEs(_) | Self::Multistart(_) => true,
+            Self::Auto(auto) => auto.search == Search::Global,
+            _ => false,
+        }
+    }
+
     /// All names.
     pub const NAMES: [&'static str; LIST.len()] = {
         let mut names = [""; LIST.len()];

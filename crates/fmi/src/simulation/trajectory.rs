@@ -7,10 +7,14 @@ use crate::platform::memory;
 use crate::simulation::clocks::Tick;
 use crate::simulation::outputs::{Recorded, ValueTable, integers, places, width};
 use crate::simulation::plan::SimulationPlan;
+use base::Number;
 use ode::{EventRecord, Observer, Report, Sample, Side, Stats, Termination};
 use serde::{Deserialize, Serialize};
 use std::ops::{ControlFlow, Index};
 use std::sync::Arc;
+
+/// So many columns are named in a sentence.
+const MOST_NAMED: usize = 6;
 
 /// A recorded simulation. All columns have as many rows as `time`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -127,6 +131,27 @@ impl Trajectory {
             Some(column) => Ok(column),
             None => Err(not_in_result(name, self.values.iter().map(|column| column.name.as_str()))),
         }
+    }
+
+    /// Which columns are not finite in some row, and since when, in a sentence; `None`: all are finite.
+    pub fn not_finite(&self) -> Option<String> {
+        let first = |(name, column): (&String, &Vec<f64>)| {
+            let row = column.iter().position(|value| !value.is_finite())?;
+            let what = if column[row].is_nan() { "NaN" } else { "infinite" };
+            let later = match column[row..].iter().any(|value| value.is_finite()) {
+                true => "first",
+                false => "from there on",
+            };
+            Some(format!("'{name}' ({what} at {} s, {later})", Number(self.time[row])))
+        };
+        let mut found: Vec<String> = self.names.iter().zip(&self.columns).filter_map(first).collect();
+        let (n, n_columns) = (found.len(), self.columns.len());
+        if n > MOST_NAMED {
+            found.truncate(MOST_NAMED);
+            found.push("...".to_owned());
+        }
+        let are = if n == 1 { "is" } else { "are" };
+        (n > 0).then(|| format!("{n} of {n_columns} results {are} not finite: {}", found.join(", ")))
     }
 
     /// The last value of the column of this name; `None` if there are no rows.

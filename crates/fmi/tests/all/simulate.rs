@@ -32,6 +32,20 @@ fn dahlquist_decays() {
     }
 }
 
+#[test]
+fn results_that_are_not_finite_are_named_with_their_times() {
+    let options = SimulateOptions::new().final_time(1.0).ncp(4).outputs(["h", "v"]);
+    let mut result = model("bouncing_ball").open().simulate(&options).unwrap();
+    assert_eq!(result.not_finite(), None);
+    result.columns[1][2] = f64::NAN;
+    let one = "1 of 2 results is not finite: 'v' (NaN at 0.5 s, first)";
+    assert_eq!(result.not_finite().as_deref(), Some(one));
+    result.columns[0][3..].fill(f64::INFINITY);
+    let two =
+        "2 of 2 results are not finite: 'h' (infinite at 0.75 s, from there on), 'v' (NaN at 0.5 s, first)";
+    assert_eq!(result.not_finite().as_deref(), Some(two));
+}
+
 /// x' = -x: its error is measured against its size, or not where the description calls it unbounded.
 #[test]
 fn unbounded_states_are_held_to_their_absolute_tolerance() {

@@ -41,13 +41,19 @@ pub(crate) fn run(arguments: &Check, console: &Console) -> Result<Exit, Error> {
         false => None,
     };
     drop(line);
+    let check = match &preflight {
+        Some(preflight) => check.with(&preflight.findings),
+        None => check,
+    };
     if arguments.json {
         let document =
             Document { is_ok: check.is_ok(), findings: &check.findings, preflight: preflight.as_ref() };
         console.json(&document)?;
     } else {
         console.result(&check.to_string());
-        if let Some(preflight) = &preflight {
+        if let Some(mut preflight) = preflight {
+            // They stand above.
+            preflight.findings.clear();
             console.result(&format!("\n{preflight}"));
         }
     }

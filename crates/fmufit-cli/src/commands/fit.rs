@@ -35,6 +35,7 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
     let interrupt = Interrupt::watch()?;
     let is_asked = || interrupt.is_asked();
     let calibration = file.calibration(&RunContext::new().asking(&is_asked))?;
+    calibration.columns_without_unit().iter().for_each(|said| console.note(said));
     let n = calibration.parameters().len();
     let mut options = file.options(n)?;
     let stages = file.stages(n, options.run.workers)?;

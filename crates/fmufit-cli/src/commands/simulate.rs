@@ -32,7 +32,7 @@ pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error
     let units = short_form::assignments(&arguments.unit, "VARIABLE=UNIT, as in --unit u=V")?;
     let units = units.iter().map(|(variable, unit)| (&variable[..], &unit[..]));
     let fmu = fmu.with_units(units).map_err(Error::input)?;
-    let options = options(arguments, &fmu)?;
+    let options = options(arguments, &fmu, console)?;
     let kind = fmu.check_runnable_as(options.run.kind).map_err(Error::input)?;
     options.without_effect(kind).iter().for_each(|sentence| console.note(&format!("warning: {sentence}")));
     // What is wrong with the options shows before the model is loaded.
@@ -55,6 +55,9 @@ pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error
         let plot =
             calibration::plot(&trajectory.time, columns.map(|(name, values)| (label(name), &values[..])));
         write(path, &plot.ok_or_else(|| Error::work("there is nothing finite to draw"))?)?;
+    }
+    if let Some(said) = trajectory.not_finite() {
+        console.note(&format!("warning: {said}"));
     }
     if trajectory.termination == Termination::StoppedByModel {
         console
@@ -113,7 +116,7 @@ pub(crate) fn simulated(
     }
 }
 
-fn options(arguments: &Simulate, fmu: &Fmu) -> Result<SimulateOptions, Error> {
+fn options(arguments: &Simulate, fmu: &Fmu, console: &Console) -> Result<SimulateOptions, Error> {
     let parsed = |name: &str, text: &Option<String>| {
         text.as_ref().map(|text| (name.to_owned(), Value::Text(text.clone())))
     };
@@ -157,7 +160,7 @@ fn options(arguments: &Simulate, fmu: &Fmu) -> Result<SimulateOptions, Error> {
     if let Some(path) = &arguments.input {
         let request = CsvRequest { time: arguments.time.as_deref(), ..CsvRequest::default() };
         let data = Data::read_csv(path, request).map_err(Error::of_arguments)?;
-        options = options.inputs(inputs(fmu, &data)?);
+        options = options.inputs(inputs(fmu, &data, console)?);
         if options.final_time.is_none() && fmu.description().default_experiment.stop_time.is_none() {
             options.final_time = data.time().last().copied();
         }
@@ -166,16 +169,19 @@ fn options(arguments: &Simulate, fmu: &Fmu) -> Result<SimulateOptions, Error> {
 }
 
 /// The inputs that a recording has columns for, in the units of the model.
-fn inputs(fmu: &Fmu, data: &Data) -> Result<Inputs, Error> {
+fn inputs(fmu: &Fmu, data: &Data, console: &Console) -> Result<Inputs, Error> {
     let description = fmu.description();
     let known = description.variables.iter().filter(|variable| variable.causality == Causality::Input);
-    let (mut inputs, mut n, mut names) = (Inputs::new(), 0, Vec::new());
+    let (mut inputs, mut n, mut names, mut without_unit) = (Inputs::new(), 0, Vec::new(), Vec::new());
     for variable in known {
         names.push(variable.name.as_str());
         if calibration::find_column(data.names(), &variable.name).is_err() {
             continue;
         }
         let (name, values) = (&variable.name, data.column(&variable.name).map_err(Error::of_input)?);
+        let stated = variable.unit.as_deref().filter(|unit| !matches!(*unit, "" | "1" | "-"));
+        without_unit
+            .extend(stated.filter(|_| data.unit(name).is_none()).map(|unit| format!("'{name}' in {unit}")));
         let conversion = data.unit(name).map(|unit| UnitConversion::to_variable(unit, variable, description));
         let conversion =
             conversion.transpose().map_err(|e| Error::input(format!("{}: {e}", data.source())))?;
@@ -195,9 +201,16 @@ fn inputs(fmu: &Fmu, data: &Data) -> Result<Inputs, Error> {
             format!("the inputs are {inputs}")
         };
         return Err(Error::input(format!(
-            "{}: no column is called as an input; it has {columns}, and {inputs}",
+            "{}: no column is called as an input; it has {columns}, and {inputs}: give the columns these names, units may follow in brackets",
             data.source()
         )));
+    }
+    if !without_unit.is_empty() {
+        console.note(&format!(
+            "{}: columns without a unit are taken in those of the model: {}",
+            data.source(),
+            without_unit.join(", ")
+        ));
     }
     Ok(inputs)
 }

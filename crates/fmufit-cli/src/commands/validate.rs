@@ -15,6 +15,13 @@ use serde::Serialize;
 /// Length of the run of a model that states none, in s.
 const SHORT: f64 = 1.0;
 
+/// A simulation that did not go well.
+enum Run {
+    /// It went to its end, and its results mean nothing.
+    Ended,
+    Failed,
+}
+
 /// A validation as `--json` prints it.
 #[derive(Serialize, JsonSchema)]
 #[schemars(title = "Validation of fmufit")]
@@ -27,7 +34,7 @@ pub(super) struct Document<'v> {
     fmi_version: String,
     /// Departures from the standard.
     quirks: &'v [String],
-    /// The simulation went well.
+    /// The simulation went well, and its results are finite.
     is_simulated: bool,
     /// What came of it, in a sentence.
     simulation: &'v str,
@@ -43,16 +50,19 @@ pub(crate) fn run(arguments: &Validate, console: &Console) -> Result<Exit, Error
         options = options.final_time(experiment.start_time.unwrap_or_default() + SHORT);
     }
     let outcome = match simulated(&fmu, &options, false, console) {
-        Ok(trajectory) => Ok(result(&trajectory)),
+        Ok(trajectory) => match trajectory.not_finite() {
+            None => Ok(result(&trajectory)),
+            Some(found) => Err((Run::Ended, format!("{}; {found}", result(&trajectory)))),
+        },
         Err(CalibrationError::Cancelled) => return Err(Error::interrupted()),
-        Err(error) => Err(error.to_string()),
+        Err(error) => Err((Run::Failed, error.to_string())),
     };
     let quirks: Vec<String> =
         fmu.description().quirks.iter().chain(&fmu.quirks_seen()).map(ToString::to_string).collect();
     if arguments.json {
         let (is_simulated, message) = match &outcome {
             Ok(message) => (true, message),
-            Err(message) => (false, message),
+            Err((_, message)) => (false, message),
         };
         console.json(&Document {
             path: fmu.path().display().to_string(),
@@ -72,7 +82,8 @@ pub(crate) fn run(arguments: &Validate, console: &Console) -> Result<Exit, Error
         quirks.iter().for_each(|quirk| console.result(&format!("  {quirk}")));
         console.result(&match &outcome {
             Ok(message) => format!("simulated: {message}"),
-            Err(message) => format!("not simulated: {message}"),
+            Err((Run::Ended, message)) => format!("simulated, not as it should be: {message}"),
+            Err((Run::Failed, message)) => format!("not simulated: {message}"),
         });
     }
     Ok(if outcome.is_ok() { Exit::Success } else { Exit::NoSuccess })

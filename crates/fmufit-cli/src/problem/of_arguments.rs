@@ -14,7 +14,7 @@ use std::path::Path;
 
 /// The problem that arguments describe.
 pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<ProblemFile, Error> {
-    let Problem { problem, data, output, input, parameter, time, unit, setting } = arguments;
+    let Problem { problem, data, output, input, parameter, time, start_time, unit, setting } = arguments;
     if problem.is_dir() && !problem.join("modelDescription.xml").is_file() {
         return Err(Error::input(format!(
             "{} is a folder without a modelDescription.xml, so no model: give a problem file, or a model and a recording",
@@ -32,8 +32,8 @@ pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<Pro
                 true => driven(problem, data, time.as_deref(), console)?,
                 false => input.clone(),
             };
-            let time = time.as_deref();
-            ProblemFile::without_file(short_form::record(problem, data, time, parameter, output, &input)?)?
+            let times = (time.as_deref(), *start_time);
+            ProblemFile::without_file(short_form::record(problem, data, times, parameter, output, &input)?)?
         }
         Some(data) => {
             return Err(Error::input(format!(
@@ -56,6 +56,7 @@ pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<Pro
                 ("--input", !input.is_empty()),
                 ("--parameter", !parameter.is_empty()),
                 ("--time", time.is_some()),
+                ("--start-time", start_time.is_some()),
             ];
             if let Some((option, _)) = of_model.iter().find(|(_, is_given)| *is_given) {
                 return Err(Error::input(format!(

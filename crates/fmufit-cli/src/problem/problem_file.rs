@@ -44,6 +44,10 @@ pub(crate) struct ProblemRecord {
     stages: Value,
 }
 
+/// Fields of an experiment that are written before its table by mistake.
+const OF_EXPERIMENTS: [&str; 8] =
+    ["data", "time", "outputs", "inputs", "weights", "windows", "start_time", "start_values"];
+
 /// One at least, each with a name, and a start unless it is tied to another one.
 fn parameters_schema(generator: &mut SchemaGenerator) -> Schema {
     let has_value = json_schema!({
@@ -106,10 +110,22 @@ impl ProblemFile {
     fn checked(self) -> Result<Self, Error> {
         let fields = self.fields("")?;
         let known: Vec<String> = field_names::<ProblemRecord>().map_err(Error::input)?.into_iter().collect();
-        match fields.keys().find(|name| !known.contains(name)) {
-            Some(name) => Err(self.error(name, RecordError::unknown("field of a problem", name, &known))),
-            None => Ok(self),
-        }
+        let Some(name) = fields.keys().find(|name| !known.contains(name)) else { return Ok(self) };
+        let of_settings = field_names::<SimulationSettings>().map_err(Error::input)?;
+        let of_fit = FitOptions::option_names().map_err(Error::input)?;
+        let is_of_experiment = OF_EXPERIMENTS.contains(&name.as_str());
+        let tables = [
+            ("[settings]", of_settings.contains(name)),
+            ("[[experiments]]", is_of_experiment),
+            ("[fit]", of_fit.contains(name)),
+        ];
+        let home = tables.iter().find(|(_, is_home)| *is_home);
+        Err(match home {
+            Some((table, _)) => {
+                self.error(name, format!("'{name}' stands in the table {table}: write it below that line"))
+            }
+            None => self.error(name, RecordError::unknown("field of a problem", name, &known)),
+        })
     }
 
     /// Sets options of a table, in place of what the file says.

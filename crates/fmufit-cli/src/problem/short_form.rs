@@ -93,7 +93,7 @@ fn source(text: &str) -> Result<Value, Error> {
 pub(crate) fn record(
     model: &Path,
     data: &Path,
-    time: Option<&str>,
+    (time, start_time): (Option<&str>, Option<f64>),
     parameters: &[String],
     outputs: &[String],
     inputs: &[String],
@@ -108,6 +108,7 @@ pub(crate) fn record(
         ("inputs".to_owned(), Value::List(inputs.iter().map(|text| source(text)).collect::<Result<_, _>>()?)),
     ]);
     experiment.extend(time.map(|time| ("time".to_owned(), Value::Text(time.to_owned()))));
+    experiment.extend(start_time.map(|time| ("start_time".to_owned(), Value::Number(time))));
     let parameters = parameters.iter().map(|text| parameter(text)).collect::<Result<_, _>>()?;
     Ok(Record::from([
         ("model".to_owned(), path(model)?),

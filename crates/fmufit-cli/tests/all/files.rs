@@ -98,6 +98,12 @@ fn the_short_form_has_its_column_of_times_and_its_inputs() {
     let ran = folder.run(fit);
     assert!(ran.err.contains("driven by the columns of the same names: u1, u2"), "{ran:?}");
     ran.good();
+    // Times of the clock.
+    let later: String = (0..6).map(|k| format!("{},5.5,5.5,{k}\n", 1_700_000_000 + 10 * k)).collect();
+    folder.write("run.csv", &format!("time,u1,u2,qt.x1\n{later}"));
+    let message = folder.run(&format!("{fit} --quiet")).wrong_input();
+    assert!(message.contains("Give --start-time 1.7e9 to start with the recording"), "{message}");
+    folder.run(&format!("{fit} --start-time 1.7e9")).good();
 }
 
 #[test]

@@ -262,6 +262,7 @@ fn mistakes_in_a_file_are_named_with_their_lines() {
     for (from, to, line, expected) in [
         ("model = ", "modell = ", 1, "no field of a problem 'modell'; did you mean 'model'?"),
         ("model.fmu", "none.fmu", 1, "none.fmu"),
+        ("model = ", "units = { x = \"m\" }\nmodel = ", 1, "'units' stands in the table [settings]"),
         ("data = ", "date = ", 4, "no field of an experiment 'date'; did you mean 'data'?"),
         ("run.csv", "none.csv", 4, "none.csv"),
         ("x = \"x\"", "y = \"x\"", 5, "no variable \"y\""),

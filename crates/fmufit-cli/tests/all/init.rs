@@ -47,6 +47,11 @@ fn init_says_what_it_did_not_find() {
             && text.matches("\n[[parameters]]").count() == 1,
         "{text}"
     );
+    // Blanks and signs do not count, and a unit belongs to none of it.
+    folder.write("blank.csv", "time,armJoint phi [deg]\n0,0\n1,0.1\n2,0.2\n");
+    folder.run("init model.fmu blank.csv blank.toml --parameter armFriction").good();
+    let text = folder.read("blank.toml");
+    assert!(text.contains("outputs = { \"armJoint.phi\" = \"armJoint phi\" }"), "{text}");
     for (arguments, expected) in [
         ("--output armJoint.fi=PHI", "did you mean"),
         ("--output armJoint.phi=none", "no column 'none'"),

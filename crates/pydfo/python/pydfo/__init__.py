@@ -42,6 +42,7 @@ if TYPE_CHECKING:
         NoResult,
         PydfoError,
         SimulationError,
+        SimulationWarning,
         UnknownVariableError,
     )
     from ._model.description import Description, Variable, read_description
@@ -63,7 +64,7 @@ _HOMES = {
     "_calibration.calibration": "Calibration",
     "_calibration.check": "Check Finding",
     "_model.description": "Description Variable read_description",
-    "_errors": "AllStartsFailed BadCalibrationError BadModelValueError CalibrationError CalibrationWarning CheckpointError FmuError Interrupted ModelTypeError NoResult PydfoError SimulationError UnknownVariableError",
+    "_errors": "AllStartsFailed BadCalibrationError BadModelValueError CalibrationError CalibrationWarning CheckpointError FmuError Interrupted ModelTypeError NoResult PydfoError SimulationError SimulationWarning UnknownVariableError",
     "_calibration.experiment": "Experiment",
     "_model.files": "build_fmu clear_caches example_fmu",
     "_calibration.fit": "ChosenTolerance Fit FitNoise OutputFit",
@@ -128,6 +129,7 @@ __all__ = [
     "ResidualCheck",
     "SimulationError",
     "SimulationResult",
+    "SimulationWarning",
     "Stage",
     "Trace",
     "UnknownVariableError",

@@ -27,6 +27,7 @@ __all__ = [
     "NoResult",
     "PydfoError",
     "SimulationError",
+    "SimulationWarning",
     "UnknownVariableError",
 ]
 
@@ -88,6 +89,10 @@ class BadCalibrationError(CalibrationError, ValueError):
 class CalibrationWarning(UserWarning):
     """A calibration can be evaluated, but perhaps it is not what was meant: a column that is not used has the name of an
     input, the recording of an input does not cover the simulation, values set in an `FMUModel` do not count."""
+
+
+class SimulationWarning(UserWarning):
+    """A simulation went to its end, and some of its results are NaN or infinite."""
 
 
 class NoResult(CalibrationError):

@@ -19,6 +19,7 @@ pyo3::import_exception!(pydfo._errors, CheckpointError);
 pyo3::import_exception!(pydfo._errors, Interrupted);
 pyo3::import_exception!(pydfo._errors, NoResult);
 pyo3::import_exception!(pydfo._errors, SimulationError);
+pyo3::import_exception!(pydfo._errors, SimulationWarning);
 
 /// An error of the optimiser: bad options are ValueErrors, a run that found nothing carries what it saw.
 pub(crate) fn optimiser(py: Python<'_>, error: &dfo::Error) -> PyErr {
@@ -94,6 +95,11 @@ pub(crate) fn reworded(py: Python<'_>, exception: PyErr, message: String) -> PyE
 
 /// Warns the user of the function of `pydfo` that is being called, through Python's `warnings`.
 pub(crate) fn warn(py: Python<'_>, message: &str) -> PyResult<()> {
+    warn_as(py, &py.get_type::<PyUserWarning>(), message)
+}
+
+/// The same with a warning of this class.
+pub(crate) fn warn_as(py: Python<'_>, class: &Bound<'_, PyAny>, message: &str) -> PyResult<()> {
     let text = std::ffi::CString::new(message).unwrap_or_default();
     // From here over the functions of the package to the line that called the first of them.
     let (mut frame, mut level) = (py.import("sys")?.call_method1("_getframe", (0,))?, 1);
@@ -101,7 +107,7 @@ pub(crate) fn warn(py: Python<'_>, message: &str) -> PyResult<()> {
         frame = frame.getattr("f_back")?;
         level += 1;
     }
-    PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, level)
+    PyErr::warn(py, class, &text, level)
 }
 
 /// An error of the operating system; Python chooses FileNotFoundError and its like by the number.

@@ -248,6 +248,9 @@ impl Model {
         }
         match outcome {
             Some(Ok(trajectory)) if !stop.is_asked() => {
+                if let Some(said) = trajectory.not_finite() {
+                    error::warn_as(py, &py.get_type::<error::SimulationWarning>(), &said)?;
+                }
                 trajectory::record(py, described.description(), trajectory)
             }
             Some(Err(e)) if !stop.is_asked() => Err(fmu_error::raise(py, &e)),

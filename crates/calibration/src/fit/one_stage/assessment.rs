@@ -5,7 +5,7 @@ use super::noise::{self, FitNoise};
 use super::noise_iterations::{FinalSearch, is_at_end};
 use super::result::Fit;
 use super::search::{Job, SearchResult};
-use crate::cost::residual::{CostRule, sum_of_squares};
+use crate::cost::residual::{CostRule, PointResiduals, sum_of_squares};
 use crate::findings::finding::{Finding, Origin, Severity};
 use crate::findings::shown_text::digits;
 use crate::fit::output_fit::{EndResiduals, KeptResiduals};
@@ -73,7 +73,16 @@ impl Calibration {
                 found.map(|(_, residuals)| self.rms_of(&residuals, own.residual_layout()))
             }
         };
-        let (rms, start_rms) = (rms(&report.x, report.fun), start_cost.and_then(|cost| rms(start, cost)));
+        let (rms, start_rms) = match job.loss.is_linear() {
+            true => (rms(&report.x, report.fun), start_cost.and_then(|cost| rms(start, cost))),
+            // What residuals count with the loss is no difference.
+            false => {
+                let plain = |at: &Option<PointResiduals>| {
+                    at.as_ref().map(|at| self.rms_of(&at.residuals, own.residual_layout()))
+                };
+                (plain(&ends.end), plain(&ends.start))
+            }
+        };
         let parameters = self.parameters();
         let names: Vec<String> = parameters.iter().map(|p| p.name().to_owned()).collect();
         let shown_names: Vec<String> = parameters.iter().map(|p| p.shown_name().to_owned()).collect();
@@ -350,6 +359,9 @@ impl Calibration {
                 // Whoever gives a target wants no minimum.
                 if report.termination == Termination::Target {
                     uncertainty.findings.retain(|finding| finding.subject != SEARCH);
+                }
+                if !job.run.method.is_global() {
+                    uncertainty.found_by_local_search();
                 }
                 Some(uncertainty)
             }

@@ -20,7 +20,7 @@ pub use tolerance::ChosenTolerance;
 
 use crate::cost::process::HIDDEN_STATE;
 use crate::error::CalibrationError;
-use crate::findings::finding::Finding;
+use crate::findings::finding::{Finding, Origin, Severity};
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::FitPhase;
 use crate::loaded::calibration::Calibration;
@@ -77,7 +77,9 @@ impl Calibration {
                 Err(error) if !job.context.is_cancelled() => FinalSearch::of(self.start_alone(&job, error)?),
                 made => made?,
             };
-            made.searched.raised.extend(is_apart.then(|| finding_about_fmu(HIDDEN_STATE)));
+            // Each has a process of its own: nothing is to be done.
+            let handled = || Finding::new(Severity::Note, "FMU", HIDDEN_STATE, "").of(Origin::Search);
+            made.searched.raised.extend(is_apart.then(handled));
             job.enter(FitPhase::FreshProcess, &stats);
             let (own, best) = (made.own.take(), made.best());
             let own = own.as_ref().unwrap_or(self);

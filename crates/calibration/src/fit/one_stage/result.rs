@@ -16,6 +16,10 @@ use dfo::{Record, Report};
 use ode::Stats;
 use serde::{Deserialize, Serialize};
 
+/// Stages after which a step in all parameters takes away more than this part of the cost have not fitted
+/// them.
+const MUCH_OF_COST: f64 = 0.25;
+
 /// The result of a fit. `Display` prints a summary.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -48,7 +52,7 @@ pub struct Fit {
     /// where that was estimated; with a loss, of what they count.
     pub cost: f64,
     /// Root of the mean squared weighted residual of the measurements there, by the weights of the
-    /// calibration; with a loss, of what they count.
+    /// calibration, before a loss.
     pub rms: f64,
     /// Name of the cost, see [`CostKind::name`](crate::CostKind::name).
     pub objective: String,
@@ -108,16 +112,28 @@ pub struct Fit {
 
 impl Fit {
     /// True if the search was a success (see [`Report::is_success`](dfo::Report::is_success)) and no step
-    /// from its result gains more, as the uncertainty has found out.
+    /// from its result gains more, as the uncertainty has found out; after several stages: no step that gains
+    /// more than a quarter of the cost.
     pub fn is_success(&self) -> bool {
         self.report.is_success() && !self.is_before_minimum()
     }
 
+    /// The part of the cost that a step of least squares from the result takes away, where that is more than
+    /// noise.
+    fn left_to_gain(&self) -> f64 {
+        self.uncertainty.as_ref().map_or(0.0, |uncertainty| uncertainty.left_to_gain)
+    }
+
     /// True if a step of least squares from the result gains more than noise. Stages hold parameters that
-    /// others have freed, and do not end at a minimum in all of them.
+    /// others have freed, and do not end at a minimum in all of them: of these only if it gains a quarter of
+    /// the cost.
     pub(crate) fn is_before_minimum(&self) -> bool {
-        let gains = self.uncertainty.as_ref().is_some_and(|uncertainty| uncertainty.left_to_gain > 0.0);
-        gains && self.stages.is_empty()
+        self.left_to_gain() > if self.stages.is_empty() { 0.0 } else { MUCH_OF_COST }
+    }
+
+    /// True if each of several stages may be at its minimum, and all parameters together are not.
+    pub(crate) fn is_conditional(&self) -> bool {
+        !self.stages.is_empty() && self.left_to_gain() > 0.0
     }
 
     /// Meaning of each entry of the residual vector of this fit, with the weights that the fit had: those of

@@ -52,6 +52,9 @@ const ROUGH: f64 = 0.01;
 /// Subject of a finding that says that a search ended early.
 pub(crate) const SEARCH: &str = "search";
 
+/// Subject of the finding that says that the cost is not smooth.
+const SMOOTHNESS: &str = "the cost";
+
 impl Uncertainty {
     fn n(&self) -> usize {
         self.x.len()
@@ -188,6 +191,7 @@ impl Uncertainty {
         if noise.degrees_of_freedom == 0 {
             return Ok(());
         }
+        let is_about_zero = |k: usize| self.is_about_zero.get(free[k]).copied().unwrap_or_default();
         let (mut scaled, variances) = compressed(jacobian, &noise.variances, context)?;
         for (k, mut column) in scaled.column_iter_mut().enumerate() {
             // Coordinates of the search are relative already where they are logarithms.
@@ -207,8 +211,10 @@ impl Uncertainty {
             let covariance = factors.covariance(&variances, context)?;
             let error = |a: usize| covariance[(a, a)].sqrt();
             let correlation = |a: usize, b: usize| covariance[(a, b)] / (error(a) * error(b));
-            let is_told = (0..p)
-                .all(|a| error(a) < RELATIVE_ERROR && (0..a).all(|b| correlation(a, b).abs() < CONFOUNDED));
+            let is_told = (0..p).all(|a| {
+                (error(a) < RELATIVE_ERROR || is_about_zero(chosen[a]))
+                    && (0..a).all(|b| correlation(a, b).abs() < CONFOUNDED)
+            });
             // A combination below the noise has no variance there.
             let is_whole = !factors.is_undetermined.contains(&true);
             if !(is_told && is_whole) {
@@ -300,7 +306,7 @@ impl Uncertainty {
                 "{names} move the outputs the same way: correlation {correlation:.2}. Their {worse} is known {factor} times worse than \
                  their {better}; the standard errors of each take account of it"
             );
-            let remedy = "where they are too large, fix one or fit in two stages";
+            let remedy = "where they are too large, fix one, give it a prior, or record what tells them apart";
             Finding::note(names, sentence, remedy)
         })
     }
@@ -314,8 +320,11 @@ impl Uncertainty {
         let is_moved = self.shift_by_accuracy > SHIFTED;
         (difference > f_tol * size && is_moved && !self.is_exact).then(|| {
             let (subject, own, remedy) = match self.is_step_halved {
-                true => ("step", "the step", "give a smaller step_size, or a solver that chooses its steps"),
-                false => ("relative tolerance", "that", "give a smaller relative_tolerance"),
+                true => {
+                    let smaller = Accuracy::smaller_step(self.step_size);
+                    ("step", "the step", format!("{smaller}, or a solver that chooses its steps"))
+                }
+                false => ("relative tolerance", "that", "give a smaller relative_tolerance".to_owned()),
             };
             let sentence = format!(
                 "the cost is {} with {own} of the fit, and changes by {} with {}, relative to itself by {}: more than f_tol, {}; \
@@ -333,16 +342,16 @@ impl Uncertainty {
 
     /// A cost that is not smooth, of which a local search finds some minimum.
     fn rough_cost(&self) -> Option<Finding> {
-        self.roughness.map(|ResidualBend { bend, bend_of_quarter }| {
+        self.roughness.map(|ResidualBend { bend, bend_of_part }| {
             let sentence = format!(
-                "the cost is not smooth here: over about one standard error the residuals bend by {} % of their change, and over a quarter of \
-                 that, where a smooth model bends a quarter as much, by {} %. The standard errors do not hold, and a local search may have \
-                 ended at any of many minima",
+                "the cost is not smooth here: over about one standard error the residuals bend by {} % of their change, and over a sixteenth of \
+                 that, where a smooth model bends a sixteenth as much, by {} %. The standard errors are not to be relied on, and a local \
+                 search may have ended at any of many minima, far from the lowest",
                 digits((100.0 * bend).round()),
-                digits((100.0 * bend_of_quarter).round())
+                digits((100.0 * bend_of_part).round())
             );
-            let remedy = "search=\"global\", or start values nearer to what you know; does the model switch at times that the parameters move?";
-            Finding::warning("cost", sentence, remedy).of(Origin::Search)
+            let remedy = "search=\"global\", or start values nearer to what you know; an RMS no larger than the noise of the sensors tells the right minimum. Does the model switch at times that the parameters move?";
+            Finding::warning(SMOOTHNESS, sentence, remedy).of(Origin::Search)
         })
     }
 
@@ -365,6 +374,26 @@ impl Uncertainty {
             ),
         };
         Some(Finding::warning(SEARCH, sentence, remedy).of(Origin::Search))
+    }
+
+    /// What the findings say of a local search: where the cost is not smooth, its result is one of many
+    /// minima that no measurement tells from the others.
+    pub(crate) fn found_by_local_search(&mut self) {
+        let rough = self.findings.iter_mut().filter(|finding| finding.subject == SMOOTHNESS);
+        rough.for_each(|finding| finding.severity = Severity::Error);
+    }
+
+    /// What they say of stages that hold what others have freed, and leave something to gain.
+    pub(crate) fn found_in_stages(&mut self) {
+        let percent = digits(100.0 * self.left_to_gain);
+        for finding in self.findings.iter_mut().filter(|finding| finding.subject == SEARCH) {
+            finding.sentence = format!(
+                "each stage of the search has ended where the others held it: one step of least squares in all parameters together takes away {percent} % \
+                 of the cost. The values are conditional on what the stages held, and lie off by more than their standard errors"
+            );
+            finding.remedy =
+                "add a last stage with all parameters; smaller tolerances do not help".to_owned();
+        }
     }
 
     /// Standard errors that were corrected for autocorrelation, and by how much.
@@ -415,7 +444,8 @@ impl Uncertainty {
         said.extend(self.confounded_findings());
         for i in (0..self.n()).filter(|i| self.standard_errors[*i].is_finite() && self.size(*i) != 0.0) {
             let error = self.relative_error(i);
-            if error > RELATIVE_ERROR {
+            let is_about_zero = self.is_about_zero.get(i).copied().unwrap_or_default();
+            if error > RELATIVE_ERROR && !is_about_zero {
                 let (name, percent) = (&self.names[i], digits((100.0 * error).round()));
                 let of = if self.size(i) == self.x[i].abs() { "value" } else { "size" };
                 let sentence = format!("the standard error of {name} is {percent} % of its {of}");

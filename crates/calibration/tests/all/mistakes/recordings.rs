@@ -2,7 +2,8 @@
 
 use super::{calibration, decay, fitted, k, noise, open, recording, sound, times, warnings, warns};
 use calibration::{
-    Calibration, CheckOptions, Data, Experiment, FitOptions, Parameter, RunContext, Scale, SimulationSettings,
+    Calibration, CheckOptions, Data, Experiment, FitOptions, Parameter, PreflightOptions, RunContext, Scale,
+    SimulationSettings,
 };
 use std::path::Path;
 
@@ -269,4 +270,56 @@ fn a_column_that_drives_and_is_compared_is_named() {
     };
     assert!(warns(&tank("x1").check().findings, said), "{}", tank("x1").check());
     assert!(!warns(&tank("u1").check().findings, said));
+}
+
+/// The recording of the quadruple tank with a change of its columns, whose names may change, too.
+fn changed_tank(change: impl Fn(&str, &mut Vec<f64>) -> String) -> Calibration {
+    let data = example("quad_tank", 1.0);
+    let column = |name: &str| {
+        let mut values = data.column(name).unwrap().to_vec();
+        (change(name, &mut values), values)
+    };
+    let columns: Vec<_> = data.names().map(column).collect();
+    tank(Data::from_columns(data.time().to_vec(), columns).unwrap())
+}
+
+#[test]
+fn cells_of_an_input_that_are_missing_for_long_are_named_wherever_it_is_used() {
+    let without = |n: usize| {
+        changed_tank(move |name, values| {
+            if name == "u1" {
+                values[20..20 + n].fill(f64::NAN);
+            }
+            name.to_owned()
+        })
+    };
+    let said = "input 'u1' (column 'u1'): it has no value from";
+    for (n, is_named) in [(1, false), (2, false), (3, true), (12, true)] {
+        let calibration = without(n);
+        let check = calibration
+            .check_with(&CheckOptions { simulate: false, ..CheckOptions::default() }, &RunContext::new());
+        assert_eq!(warns(&check.unwrap().findings, said), is_named, "{n}");
+    }
+    let calibration = without(12);
+    let preflight = calibration.preflight(&PreflightOptions::default(), &RunContext::new()).unwrap();
+    assert!(warns(&preflight.findings, said), "{preflight}");
+    let fit = calibration.fit(FitOptions::default()).unwrap();
+    assert!(
+        warns(&fit.findings(), "a straight line from value to value there, which nobody measured"),
+        "{fit}"
+    );
+}
+
+#[test]
+fn a_placeholder_is_that_of_the_file_whatever_was_converted() {
+    let calibration = changed_tank(|name, values| match name {
+        "x1" => {
+            values.iter_mut().for_each(|value| *value *= 1e3);
+            values[30] = -999.0;
+            "x1 [mm]".to_owned()
+        }
+        other => other.to_owned(),
+    });
+    let check = calibration.check();
+    assert!(warns(&check.findings, "one value is -999 mm, the others lie between"), "{check}");
 }

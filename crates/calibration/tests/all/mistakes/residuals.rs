@@ -83,7 +83,14 @@ fn a_cost_that_is_not_smooth_is_named_where_a_local_search_has_ended_in_it() {
     assert!((near.x[0] - 0.7).abs() < 1e-3 && !warns(&near.findings(), said), "{near}");
     let far = ball("v", 5e-2, 0.6);
     let of_e = far.uncertainty.as_ref().unwrap().standard_errors[0];
-    assert!((far.x[0] - 0.7).abs() > 5.0 * of_e && warns(&far.findings(), said), "{far}");
+    assert!((far.x[0] - 0.7).abs() > 5.0 * of_e && !far.is_usable(), "{far}");
+    let errors: Vec<_> = far.findings().into_iter().filter(|f| f.severity == Severity::Error).collect();
+    assert!(errors.len() == 1 && errors[0].sentence.starts_with(said), "{far}");
+    // What does not hold is not printed.
+    let printed = far.to_string();
+    assert!(printed.contains("Standard errors: none that can be relied on."), "{far}");
+    let mut values = printed.lines().filter(|line| line.starts_with("  ") && line.contains("  -> "));
+    assert!(values.all(|line| !line.contains("+-")), "{far}");
 }
 
 #[test]
@@ -300,4 +307,26 @@ fn a_start_value_that_is_wrong_is_asked_for() {
     let experiment =
         recording(&t, measured(1.03)).initial_state("x", Parameter::new("x0", 1.0).bounds(0.5, 2.0));
     assert_eq!(fitted(experiment, k()).uncertainty.as_ref().unwrap().omitted, None);
+}
+
+#[test]
+fn an_offset_about_zero_few_rows_and_a_loss_are_told_as_they_are() {
+    let with = |experiment: Experiment, other: Parameter, loss: RobustLoss| {
+        let builder = Calibration::builder(open("dahlquist")).experiment(experiment);
+        let calibration = builder.parameter(k()).parameter(other).build().unwrap();
+        calibration.fit(FitOptions { loss, ..FitOptions::default() }).unwrap()
+    };
+    let zero = || Parameter::new("zero", 0.0).bounds(-0.5, 0.5).offset_of("x");
+    let plain = RobustLoss::default();
+    // Zero is a good value of it, whatever part of that its error is.
+    let fit = with(sound(1e-2), zero(), plain);
+    assert!(!fit.to_string().contains("the standard error of zero"), "{fit}");
+    let t = times(3, 0.5);
+    let few = with(recording(&t, decay(&t, 2.0, 1e-2)), zero(), plain);
+    assert!(few.to_string().contains("Standard errors, with 1 degree of freedom: k"), "{few}");
+    // The RMS is that of the differences, whatever they count.
+    let robust = with(sound(1e-1), zero(), RobustLoss::new(Loss::SoftL1, 1e-2).unwrap());
+    let residuals = &robust.uncertainty.as_ref().unwrap().residuals;
+    let rms = (residuals.iter().map(|r| r * r).sum::<f64>() / residuals.len() as f64).sqrt();
+    assert!((robust.rms - rms).abs() < 1e-12 * rms && rms > 2e-2, "{robust}");
 }

@@ -97,7 +97,7 @@ impl Columns {
 
 /// The name of a column without its unit, where that is enough to find it.
 fn stem(name: &str, data: &Data) -> String {
-    let short = name.split([' ', '[', '(']).next().unwrap_or(name).trim_end();
+    let short = name.split(['[', '(']).next().unwrap_or(name).trim_end();
     match find_column(data.names(), short) {
         Ok(_) if !short.is_empty() => short.to_owned(),
         _ => name.to_owned(),

@@ -69,6 +69,7 @@ pub(super) fn text(
             "# start_values = { name = 1.0 }  # other parameters, start values of variables",
             "# initial_states = { x = \"measured\", y = { start = 1.0, lower = 0.0, upper = 2.0 } }",
             "# windows = [[0.0, 10.0]]        # only measurements in these count",
+            "# start_time = 0.0             # time of the recording at which the model has its start values; needed for Unix times",
             "# warm_up = 5.0                  # for so long from its start the simulation is not compared",
             "",
         ]

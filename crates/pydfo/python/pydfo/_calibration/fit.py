@@ -125,7 +125,7 @@ class Fit(OptimizeResult):
     objective : str
         Name of the cost that was minimised.
     rms : float
-        Root of the mean squared weighted residual there, by the weights of the calibration.
+        Root of the mean squared weighted residual there, by the weights of the calibration, before a loss.
     noise : FitNoise or None
         Where the noise of the measurements was taken from, beside which priors count: ``fit.noise.source``, ``fit.noise.sd``. None:
         nothing depended on it (no priors, or another objective than the sum of squares).

@@ -71,13 +71,15 @@ class Profile:
     autocorrelated: bool
     n_simulations: int
 
-    def __init__(self, names: Sequence[str], fields: dict[str, Any]) -> None:
+    def __init__(self, names: Sequence[str], fields: dict[str, Any], units: dict[str, str]) -> None:
         vars(self).update({name: fields[name] for name in Profile.__annotations__ if name in fields})
         for name, of_one in (("intervals", "interval"), ("messages", "message"), *((name, name) for name in ("values", "costs", "points"))):
             setattr(self, name, {profile["name"]: profile[of_one] for profile in fields["profiles"]})
         self.parameters: dict[str, float] = dict(zip(names, fields["x"].tolist()))
         self.stats = SimulationStats(**fields["stats"])
         self._text: str = fields["text"]
+        #: Of the parameters that have one.
+        self._units = units
 
     @property
     def message(self) -> str:
@@ -122,6 +124,7 @@ def of_fit(
         if unknown := [name for name in given if name not in names]:
             raise BadCalibrationError(f"there is no parameter '{unknown[0]}'; there are: {', '.join(names)}")
         chosen = [names.index(name) for name in given]
+    units = {one["name"]: one["unit"] for one in fit.to_dict()["parameters"] if one.get("unit")}
     try:
         fields = _core.profile(
             _export.native_of(fit),
@@ -134,6 +137,6 @@ def of_fit(
         # What there is so far, as the class that holds it.
         found: Any = e.result
         if isinstance(found, dict):
-            e.result = Profile(names, found)
+            e.result = Profile(names, found, units)
         raise
-    return Profile(names, fields)
+    return Profile(names, fields, units)

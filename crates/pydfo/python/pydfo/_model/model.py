@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, NamedTuple, NoReturn, SupportsFloat, SupportsIndex
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn, SupportsFloat, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
@@ -451,6 +451,17 @@ class FMUModel:
         if chattering == "warn" and result.stats.chattering:
             _log.warning("simulate: %d times a hundred events hardly advanced time", result.stats.chattering)
         return result
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name):
+            # Names of PyFMI's models, in scripts that were written for it.
+            if not name.startswith("_"):
+                from ..compat.pyfmi import FMUModelME2
+
+                if hasattr(FMUModelME2, name):
+                    raise AttributeError(f"'FMUModel' has no '{name}', PyFMI's models have: from pydfo.compat.pyfmi import load_fmu")
+            raise AttributeError(f"'FMUModel' object has no attribute '{name}'", name=name, obj=self)
 
     def _outputs(self, outputs: str | Iterable[str] | None) -> list[str] | None:
         if outputs is None:

@@ -34,7 +34,12 @@ def recordings(calibration: _core.Calibration) -> Figure:
             variable, label, unit, values, is_input = series[row]
             known = ~np.isnan(values)
             style: dict[str, Any] = {"lw": 1.2} if is_input else {"ls": "none", "marker": ".", "ms": 3}
-            axis.plot(time[known], values[known], color="tab:green" if is_input else "black", **style)
+            color = "tab:green" if is_input else "black"
+            # A line ends where a cell is empty; single values between such cells are marks.
+            axis.plot(time, values, color=color, **style)
+            if is_input and not known.all():
+                axis.plot(time[known], values[known], color=color, lw=0.8, ls=":")
+                axis.plot(time[known], values[known], color=color, ls="none", marker=".", ms=2)
             axis.set_ylabel(variable + (f" [{unit}]" if unit else ""))
             axis.set_title(f"{'input' if is_input else 'measured'}: {label}", loc="left", fontsize="small")
             if windows and not is_input:
