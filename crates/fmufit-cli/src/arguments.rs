@@ -156,8 +156,8 @@ pub(crate) struct Simulate {
     /// Name of its column of times, where it is not `time`
     #[arg(long, value_name = "COLUMN", requires = "input")]
     pub(crate) time: Option<String>,
-    /// The unit of an input of which the model states none; may be given several times
-    #[arg(long, value_name = "VARIABLE=UNIT", requires = "input")]
+    /// The unit of a variable of which the model states none; may be given several times
+    #[arg(long, value_name = "VARIABLE=UNIT")]
     pub(crate) unit: Vec<String>,
     /// File of the table; default, and -: the standard output
     #[arg(short, long, value_name = "FILE.csv")]

@@ -457,7 +457,6 @@ impl Calibration {
         Ok(FinalSearch { own: weighed, searched, noise: last.noise.clone(), tolerance: None })
     }
 
-    /// The entries of `x` that a stage frees, once it is sure that its method can fit them.
     /// Refuses what [`fit`](Self::fit) would refuse, or [`fit_stages`](Self::fit_stages) with stages, before
     /// anything is simulated: for those who begin something before a fit.
     ///
@@ -484,6 +483,7 @@ impl Calibration {
         freed.map(|(k, stage)| self.checked(stage, job).map_err(in_stage(k))).collect()
     }
 
+    /// The entries of `x` that a stage frees, once it is sure that its method can fit them.
     fn checked(&self, stage: &Stage, job: &Job<'_>) -> Result<Vec<usize>, CalibrationError> {
         let freed = self.freed(stage, &job.held)?;
         let held: Vec<usize> = (0..job.start.len()).filter(|i| !freed.contains(i)).collect();

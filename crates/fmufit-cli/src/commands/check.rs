@@ -1,5 +1,6 @@
 //! `fmufit check`: mistakes in a problem, before a fit.
 
+use super::fit::check_fit;
 use crate::arguments::Check;
 use crate::console::Console;
 use crate::error::{Error, Exit};
@@ -28,8 +29,7 @@ pub(crate) fn run(arguments: &Check, console: &Console) -> Result<Exit, Error> {
     let calibration = file.calibration(&RunContext::new().asking(&is_asked))?;
     // Mistakes in the options of the fit are found, too.
     let n = calibration.parameters().len();
-    file.options(n)?;
-    file.stages(n, None)?;
+    check_fit(&calibration, &file.options(n)?, &file.stages(n, None)?)?;
     let line = console.live_line();
     let shown = || line.show_until(interrupt.is_asked(), "checking");
     let context = RunContext::new().asking(&shown);

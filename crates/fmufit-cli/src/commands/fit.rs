@@ -53,19 +53,8 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
             ));
         }
     }
-    if arguments.watch {
-        // No address is shown of a fit that there will not be.
-        let asked = FitOptions {
-            run: options.run.clone(),
-            start: options.start.clone(),
-            objective: options.objective.clone(),
-            loss: options.loss,
-            noise: options.noise,
-            ..FitOptions::default()
-        };
-        let stages = (!stages.is_empty()).then_some(&stages[..]);
-        calibration.check_fit(stages, asked).map_err(Error::of_work)?;
-    }
+    // Before a page has an address, and apart from what fails later.
+    check_fit(&calibration, &options, &stages)?;
     let watch = arguments.watch.then(|| watch(&calibration, console)).transpose()?;
     let fit = searched(&calibration, options, &stages, (&interrupt, watch.as_ref()), console)
         .inspect_err(|error| watch.iter().for_each(|watch| watch.show_error(&error.to_string())))?;
@@ -74,6 +63,8 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
         true => console.data(&(fit.to_json(&calibration).map_err(Error::of_work)? + "\n")),
         false => console.result(&fit.to_string()),
     }
+    // The page of the result waits for another one.
+    let is_interrupted = fit.report.termination == Termination::Interrupted || interrupt.is_asked();
     if let Some(path) = &arguments.save {
         fit.save(&calibration, path).map_err(Error::of_input)?;
         console.note(&format!("saved {}", path.display()));
@@ -92,11 +83,29 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
     // At the end, where a terminal shows it and a log ends; the findings stand above, among the results.
     reasons_against(&fit).iter().for_each(|reason| console.say(reason));
     Ok(match (fit.is_success(), fit.is_usable()) {
-        _ if fit.report.termination == Termination::Interrupted => Exit::Interrupted,
+        _ if is_interrupted => Exit::Interrupted,
         (false, _) => Exit::NoSuccess,
         (true, false) => Exit::NotUsable,
         (true, true) => Exit::Success,
     })
+}
+
+/// Refuses options and stages that the fit would refuse.
+pub(super) fn check_fit(
+    calibration: &Calibration,
+    options: &FitOptions<'_>,
+    stages: &[Stage],
+) -> Result<(), Error> {
+    let asked = FitOptions {
+        run: options.run.clone(),
+        start: options.start.clone(),
+        objective: options.objective.clone(),
+        loss: options.loss,
+        noise: options.noise,
+        ..FitOptions::default()
+    };
+    let stages = (!stages.is_empty()).then_some(stages);
+    calibration.check_fit(stages, asked).map_err(Error::of_input)
 }
 
 /// Why the result of a fit is not to be used, with what is likely to have caused it.

@@ -40,6 +40,10 @@ const FEWEST_QUESTIONS: usize = 3;
 /// takes 1 to 2 ms.
 const FEW_SECONDS: f64 = 3e-3;
 
+/// What is said of a fit whose search has ended by itself, and what follows it has been ended.
+const ENDED_EARLY: &str =
+    "what follows the search was ended before it was complete: findings and standard errors may be missing";
+
 impl Calibration {
     /// The fit of which the searches are made, with the residuals that they have computed, by the weights of
     /// this calibration. `own`: that with the weights and the tolerance of the fit; `stats`: what the
@@ -60,6 +64,13 @@ impl Calibration {
             ends.end.as_ref().map_or_else(Vec::new, |end| own.output_fits(end, ends.start.as_ref()));
         job.enter(FitPhase::Uncertainty, &stats);
         let uncertainty = own.uncertainty_of_fit(job, &made.searched, &ends, &mut stats);
+        // The search has ended by itself; what follows it has not.
+        if context.is_cancelled() && report.termination != Termination::Interrupted {
+            findings.push(
+                Finding::warning("fit", ENDED_EARLY, "fit again, or resume from the checkpoint")
+                    .of(Origin::Search),
+            );
+        }
         if uncertainty.is_none() {
             findings.extend(own.findings_without_uncertainty(job, &made.searched, &ends, &mut stats));
         }
