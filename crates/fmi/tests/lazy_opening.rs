@@ -177,6 +177,20 @@ fn a_file_that_is_replaced_or_written_over_is_not_mixed_up() {
         assert!(error.to_string().contains("written over after it had been opened"), "{error}");
     }
     assert!(Fmu::open(&path).unwrap().root().unwrap().join("resources/newer.txt").exists());
+    // As many bytes, and the time of writing put back.
+    let third = Fmu::open(&path).unwrap();
+    third.root().unwrap();
+    let written = fs::metadata(&path).unwrap().modified().unwrap();
+    write_archive(&path, &[Entry::stored("resources/newer.txt", b"6")]);
+    fs::File::options().write(true).open(&path).unwrap().set_modified(written).unwrap();
+    let error = third.content_hash().map(drop).unwrap_err();
+    assert!(error.to_string().contains("written over after it had been opened"), "{error}");
+    // Another mode is no other content.
+    let fourth = Fmu::open(&path).unwrap();
+    let mut mode = fs::metadata(&path).unwrap().permissions();
+    mode.set_readonly(true);
+    fs::set_permissions(&path, mode).unwrap();
+    fourth.content_hash().unwrap();
 }
 
 #[test]

@@ -47,6 +47,22 @@ fn every_simulation_is_counted_and_none_is_made_twice() {
     assert!(uncertainty.n_simulations <= 1 + 2 * 2 * 2, "{}", uncertainty.n_simulations);
 }
 
+/// Whoever ends a fit after its search has its result, which says what is missing.
+#[test]
+fn checks_that_are_ended_are_said_to_be() {
+    let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Tsit5, None);
+    let phase = Arc::new(CurrentPhase::default());
+    let seen = Arc::clone(&phase);
+    let is_asked = move || seen.get() == FitPhase::Uncertainty;
+    let context = RunContext::new().asking(&is_asked);
+    let fit = calibration.fit(FitOptions { context, phase, ..FitOptions::default() }).unwrap();
+    let says = |fit: &calibration::Fit| {
+        fit.findings().iter().any(|f| f.sentence.contains("was ended before it was complete"))
+    };
+    assert!(fit.is_success() && fit.uncertainty.is_none() && says(&fit), "{fit}");
+    assert!(!says(&calibration.fit(FitOptions::default()).unwrap()));
+}
+
 /// The comparison is part of the fit that chose the solver, and its simulation of the start is the first evaluation.
 #[test]
 fn the_choice_of_a_solver_counts_once() {
