@@ -117,6 +117,14 @@ def test_what_the_structure_names_and_there_is_not_is_left_out():
     assert told({"priority": "first", "resolution": "3", "canBeDeactivated": "1"}, {"priority", "resolution"}) == {"resolution": 3}
 
 
+def test_what_is_not_quite_xml_is_simulated_but_not_described(tmp_path):
+    path = fmus.changed("dahlquist", tmp_path / "m.fmu", ("<ModelVariables>", "<!-- a -- b --><ModelVariables>"))
+    with pytest.raises(ours.model_description.ValidationError, match=r"\n- not well-formed \(invalid token\): line \d+"):
+        ours.read_model_description(path)
+    result = ours.simulate_fmu(path, stop_time=1)
+    assert result["x"][-1] == pytest.approx(np.exp(-1), abs=1e-4) and result.modelDescription.derivatives == []
+
+
 def test_clocks_and_arrays_have_the_attributes_of_their_file(tmp_path):
     tests = Path(__file__).resolve().parents[2] / "fmi" / "tests"
     found, arrays = (

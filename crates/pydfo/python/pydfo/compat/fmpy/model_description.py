@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import IO, Any
+from xml.parsers.expat import ExpatError
 
 import numpy as np
 
@@ -393,11 +394,21 @@ def _unknowns(listed: list[tuple[int, dict[str, str]]], known: Mapping[int, Mode
     return made
 
 
-def of_description(found: _native.Description) -> ModelDescription:
-    """FMPy's object for a description."""
-    version = found.fmi_version
+def _file_of(found: _native.Description, is_strict: bool) -> DescriptionFile:
     # FMI 1.0 has no model structure.
-    file = read_file(found._fmu.description_file()) if version != "1.0" else DescriptionFile()
+    if found.fmi_version == "1.0":
+        return DescriptionFile()
+    try:
+        return read_file(found._fmu.description_file())
+    except ExpatError as e:
+        if is_strict:
+            raise ValidationError([str(e)]) from None
+        return DescriptionFile()
+
+
+def of_description(found: _native.Description, is_strict: bool = True) -> ModelDescription:
+    """FMPy's object for a description; if not `is_strict`, without a model structure where the file is not quite XML."""
+    version, file = found.fmi_version, _file_of(found, is_strict)
     types = {name: _type(definition, version) for name, definition in found.type_definitions.items()}
     variables: dict[str, ModelVariable] = {}
     is_3, own = version.startswith("3"), _names(ModelVariable)
@@ -473,7 +484,7 @@ def read_model_description(
     OSError, FmuError
         The file cannot be read.
     ValidationError
-        Departures from the standard.
+        Departures from the standard, or from XML.
     """
     path, folder = path_of(filename)
     try:

@@ -293,7 +293,7 @@ def simulate_fmu(
                 input_derivatives=bool(set_input_derivatives),
                 **more,
             )
-        return _structured(result, description, names, model_description or of_description(description))
+        return _structured(result, description, names, model_description or of_description(description, is_strict=False))
     finally:
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
