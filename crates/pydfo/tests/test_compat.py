@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import re
+import tempfile
 from pathlib import Path
 
 import fmus
@@ -13,6 +15,7 @@ import pytest
 from pydfo import FMUModel, example_fmu
 from pydfo.compat import fmpy as ours
 from pydfo.compat import pyfmi
+from pydfo.compat.fmpy._file import numbers, read_file, told
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "compat.md"
 ROWS = re.findall(r"^\| `([\w.]+)` \| (works|differs|refused) \|", PAGE.read_text(encoding="utf-8"), re.M)
@@ -62,6 +65,95 @@ MODELS = [
 ]
 
 
+def structure(unknowns):
+    """Names of unknowns, and of what they depend on in which way."""
+    by = [u.dependencies and [v.name for v in u.dependencies] for u in unknowns]
+    return list(zip([u.variable.name for u in unknowns], by, [u.dependenciesKind for u in unknowns]))
+
+
+#: Two variables are the derivative of phi; the structure has its own order.
+STRUCTURE = fmus.xml(
+    """
+    <ScalarVariable name="u" valueReference="5" causality="input"><Real start="0"/></ScalarVariable>
+    <ScalarVariable name="phi" valueReference="1" causality="output"><Real/></ScalarVariable>
+    <ScalarVariable name="der(phi)" valueReference="2"><Real derivative="2"/></ScalarVariable>
+    <ScalarVariable name="w" valueReference="3" causality="output"><Real derivative="2"/></ScalarVariable>
+    <ScalarVariable name="der(w)" valueReference="4"><Real derivative="4"/></ScalarVariable>
+    """,
+    before="",
+    structure="""
+    <Outputs><Unknown index="4" dependencies=""/><Unknown index="2"/></Outputs>
+    <Derivatives>
+      <Unknown index="3" dependencies="4" dependenciesKind="constant"/>
+      <Unknown index="5" dependencies="1 2"/>
+    </Derivatives>
+    <InitialUnknowns><Unknown index="2"/><Unknown index="3"/></InitialUnknowns>
+    """,
+)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-16-le", "iso-8859-1"])
+def test_the_structure_names_the_variables_of_its_indices(encoding, tmp_path):
+    text = STRUCTURE.replace('"u" ', '"u" description="&#233;\u00e9" ').replace("UTF-8", encoding.upper())
+    path = fmus.write(tmp_path / "m.fmu", text.encode(encoding))
+    found = ours.read_model_description(path)
+    assert structure(found.derivatives) == [("der(phi)", ["w"], ["constant"]), ("der(w)", ["u", "phi"], None)]
+    assert structure(found.outputs) == [("w", [], None), ("phi", None, None)]
+    assert structure(found.initialUnknowns) == [("phi", None, None), ("der(phi)", None, None)]
+    assert [u.index for u in found.derivatives] == [3, 5] and found.clockedStates == found.eventIndicators == []
+    assert [u.variable.derivative.name for u in found.derivatives] == ["phi", "w"]
+    assert found.modelVariables[0].initial == "exact" and {v.shape for v in found.modelVariables} == {()}
+    if encoding != "utf-16-le":
+        fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
+        theirs = fmpy.read_model_description(str(path), validate=False)
+        for name in ("outputs", "derivatives", "initialUnknowns"):
+            assert structure(getattr(found, name)) == structure(getattr(theirs, name)), name
+
+
+def test_what_the_structure_names_and_there_is_not_is_left_out():
+    file = read_file(STRUCTURE.replace('index="5"', 'index="99"').replace('dependencies="4"', 'dependencies="x 4"').encode())
+    assert [attributes["index"] for _, attributes in file.unknowns["derivatives"]] == ["3", "99"]
+    assert numbers("x 4 -1 7") == [4, 7]
+    assert told({"priority": "first", "resolution": "3", "canBeDeactivated": "1"}, {"priority", "resolution"}) == {"resolution": 3}
+
+
+def test_what_is_not_quite_xml_is_simulated_but_not_described(tmp_path):
+    path = fmus.changed("dahlquist", tmp_path / "m.fmu", ("<ModelVariables>", "<!-- a -- b --><ModelVariables>"))
+    with pytest.raises(ours.model_description.ValidationError, match=r"\n- not well-formed \(invalid token\): line \d+"):
+        ours.read_model_description(path)
+    result = ours.simulate_fmu(path, stop_time=1)
+    assert result["x"][-1] == pytest.approx(np.exp(-1), abs=1e-4) and result.modelDescription.derivatives == []
+
+
+def test_clocks_and_arrays_have_the_attributes_of_their_file(tmp_path):
+    tests = Path(__file__).resolve().parents[2] / "fmi" / "tests"
+    found, arrays = (
+        {v.name: v for v in ours.read_model_description(fmus.write(tmp_path / f"{name}.fmu", text)).modelVariables}
+        for name, text in ((name, (tests / name / "modelDescription.xml").read_bytes()) for name in ("clocks", "arrays"))
+    )
+    third, optional = found["third"], found["optional"]
+    assert (third.intervalCounter, third.shiftCounter, third.resolution, third.supportsFraction) == (1, 1, 3, True)
+    assert (optional.intervalDecimal, optional.shiftDecimal, optional.canBeDeactivated) == (0.5, 0.25, True)
+    clocked = [v for v in found.values() if v.clocks is not None]
+    assert clocked and all(clock is found[clock.name] and clock.type == "Clock" for v in clocked for clock in v.clocks)
+    (extent,) = arrays["x"].dimensions
+    assert extent.start is None and arrays["x"].shape == (int(extent.variable.start),)
+    assert arrays["x"].dimensionValueReferences == [extent.valueReference] == [extent.variable.valueReference]
+
+
+def test_names_of_attributes_are_those_of_fmpy():
+    fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
+    missing = {}
+    for name, state in ROWS:
+        of, _, short = name.rpartition(".")
+        theirs = getattr(fmpy.model_description, short, None)
+        if of == "fmpy.model_description" and state != "refused" and hasattr(theirs, "__attrs_attrs__"):
+            names = {a.name for a in theirs.__attrs_attrs__ if not a.name.startswith("_")}
+            missing[short] = names - {field.name for field in dataclasses.fields(found(name))}
+    assert len(missing) > 10
+    assert {n: m for n, m in missing.items() if m} == {"ModelDescription": {"buildConfigurations", "scheduledExecution"}}
+
+
 @pytest.mark.parametrize("model", MODELS, ids=" ".join)
 def test_descriptions_are_those_of_fmpy(model):
     fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
@@ -71,13 +163,13 @@ def test_descriptions_are_those_of_fmpy(model):
         assert getattr(a, name) == getattr(b, name), name
     assert [v.name for v in a.modelVariables] == [v.name for v in b.modelVariables]
     for x, y in zip(a.modelVariables, b.modelVariables):
-        for name in ("valueReference", "type", "causality", "variability", "unit", "description"):
+        for name in ("valueReference", "type", "causality", "variability", "initial", "shape", "clocks", "unit", "description"):
             assert getattr(x, name) == getattr(y, name), (x.name, name)
         for name in ("start", "min", "max", "nominal"):
             one, other = getattr(x, name), getattr(y, name)
             assert one == other or float(one) == float(other), (x.name, name)
-    for name in ("outputs", "derivatives"):
-        assert [u.variable.name for u in getattr(a, name)] == [u.variable.name for u in getattr(b, name)], name
+    for name in ("outputs", "derivatives", "clockedStates", "eventIndicators", "initialUnknowns"):
+        assert structure(getattr(a, name)) == structure(getattr(b, name)), name
     assert ours.supported_platforms(path) == fmpy.supported_platforms(path)
     if a.fmiVersion < "3":
         assert ours.fmi_info(path) == fmpy.fmi_info(path)
@@ -93,6 +185,52 @@ def test_results_are_those_of_fmpy(model):
     assert np.allclose(a["time"], b["time"], atol=1e-12)
     for name in a.dtype.names:
         assert np.abs(1.0 * a[name] - 1.0 * b[name]).max() < 1e-5, name
+
+
+@pytest.mark.parametrize("given", [{"output_interval": 0.1, "step_size": 0.01}, {"output_interval": 0.3, "step_size": 0.1}, {"step_size": 0.01}, {}])
+def test_euler_takes_the_steps_of_fmpy(given):
+    """x' = -k x, one step from row to row: x grows by the factor 1 - k h."""
+    path = str(example_fmu("dahlquist", kind="ME"))
+    asked = {"fmi_type": "ModelExchange", "solver": "Euler", "stop_time": 1, "start_values": {"k": 0.5}, **given}
+    result = ours.simulate_fmu(path, **asked)
+    assert np.allclose(result["x"], np.cumprod(np.append(1.0, 1 - 0.5 * np.diff(result["time"]))), rtol=1e-13)
+    assert result["time"][1] == pytest.approx(given.get("output_interval", given.get("step_size", 1e-3)))
+    fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
+    theirs = fmpy.simulate_fmu(path, **asked)
+    assert np.allclose(result["time"], theirs["time"], atol=1e-14) and np.allclose(result["x"], theirs["x"], rtol=1e-13)
+
+
+def test_columns_that_are_no_inputs_and_derivatives_of_inputs():
+    signals = np.array([(0, 1, 7), (5, 3, 7)], dtype=[("time", float), ("u", float), ("nothing", float)])
+    last = {}
+    for kind, u in (("ME", 3.0), ("CS", 2.6)):  # co-simulation holds the input over a step
+        path, asked = example_fmu("switched_input", kind=kind), {"stop_time": 5, "output_interval": 1, "output": ["y", "u"]}
+        with pytest.warns(UserWarning, match="no inputs of the model have no effect: nothing$"):
+            result = ours.simulate_fmu(path, input=signals, **asked)
+        assert np.array_equal(result, ours.simulate_fmu(path, input=signals[["time", "u"]], **asked)) and result["u"][-1] == u
+        last[kind] = result["y"][-1]
+        with pytest.warns(UserWarning, match="nothing"):
+            alone = ours.simulate_fmu(path, input=signals[["time", "nothing"]], **asked)
+        assert np.array_equal(alone, ours.simulate_fmu(path, **asked))
+    asked |= {"input": signals[["time", "u"]], "set_input_derivatives": True}
+    assert abs(ours.simulate_fmu(path, **asked)["y"][-1] - last["ME"]) < 0.01 < 0.1 < abs(last["CS"] - last["ME"])
+    with pytest.raises(ValueError, match="the FMU cannot interpolate inputs"):
+        ours.simulate_fmu(example_fmu("switched_input", version="3.0"), fmi_type="CoSimulation", **asked)
+
+
+def test_folders_of_archives_that_cannot_be_unpacked_are_removed(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    path = fmus.write(tmp_path / "m.fmu", STRUCTURE, {"a": "1", "a/b": "2"})
+    with pytest.raises(OSError):
+        ours.extract(path)
+    assert list((tmp_path / "temporary").iterdir()) == []
+    own = tmp_path / "own"
+    own.mkdir()
+    with pytest.raises(OSError):
+        ours.extract(path, own)
+    assert own.is_dir()
+    assert (ours.extract(path, include=lambda name: name != "a/b") / "a").read_text() == "1"
 
 
 def test_inputs_start_values_and_refusals():

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import platform as _platform
+import shutil
 import sys
 import zipfile
 from collections.abc import Callable, Sequence
@@ -93,8 +94,14 @@ def extract(filename: PathLike, unzipdir: PathLike | None = None, include: Calla
         for name in names:
             if "\\" in name or ":" in name or name.startswith("/") or ".." in name.split("/"):
                 raise ValueError(f"Illegal path {name} found in {filename}: it must be relative, with forward slashes, and stay inside")
+        members = [name for name in names if include is None or include(name)]
         folder = Path(unzipdir if unzipdir is not None else mkdtemp())
-        archive.extractall(folder, members=[name for name in names if include is None or include(name)])
+        try:
+            archive.extractall(folder, members=members)
+        except BaseException:
+            if unzipdir is None:
+                shutil.rmtree(folder, ignore_errors=True)
+            raise
     return folder
 
 

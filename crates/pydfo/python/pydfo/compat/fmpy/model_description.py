@@ -1,7 +1,7 @@
 """The model description as FMPy's objects, read by `pydfo.read_description`.
 
-Literals are written anew (``start="1"``, ``"true"``), so they may look other than in the file; of the model structure there are
-the variables, not their dependencies.
+Literals are written anew (``start="1"``, ``"true"``), so they may look other than in the file; attributes of a type definition stand
+in its variables.
 """
 
 from __future__ import annotations
@@ -10,14 +10,17 @@ import os
 import re
 import shutil
 import tempfile
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import IO, Any
+from xml.parsers.expat import ExpatError
 
 import numpy as np
 
 from ..._model import description as _native
 from .._refused import hand_out, refuse
+from ._file import DescriptionFile, numbers, read_file, told
 
 PathLike = str | os.PathLike[str]
 
@@ -42,6 +45,7 @@ class InterfaceType:
     canGetAndSetFMUstate: bool = False
     canSerializeFMUstate: bool = False
     providesAdjointDerivatives: bool = False
+    providesPerElementDependencies: bool = False
     canNotUseMemoryManagementFunctions: bool = False
     providesDirectionalDerivative: bool = False
 
@@ -51,6 +55,7 @@ class ModelExchange(InterfaceType):
     """Model exchange."""
 
     needsCompletedIntegratorStep: bool = False
+    providesEvaluateDiscreteStates: bool = False
     completedIntegratorStepNotNeeded: bool = False
 
 
@@ -61,11 +66,13 @@ class CoSimulation(InterfaceType):
     canHandleVariableCommunicationStepSize: bool = False
     fixedInternalStepSize: float | None = None
     maxOutputDerivativeOrder: int = 0
+    recommendedIntermediateInputSmoothness: int = 0
     canInterpolateInputs: bool = False
     providesIntermediateUpdate: bool = False
     mightReturnEarlyFromDoStep: bool = False
     canReturnEarlyAfterIntermediateUpdate: bool = False
     hasEventMode: bool = False
+    providesEvaluateDiscreteStates: bool = False
     canRunAsynchronuously: bool = False
 
 
@@ -148,20 +155,33 @@ class VariableAlias:
 
 
 @dataclass(eq=False)
+class Dimension:
+    """An extent of an array: a number, or the structural parameter that it is."""
+
+    start: int | None
+    valueReference: int | None
+    variable: ModelVariable | None = field(default=None, repr=False)
+
+
+@dataclass(eq=False)
 class ModelVariable:
-    """A variable; values in its unit, as texts."""
+    """A variable; values in its unit, as texts. `clocks` is None where the file names none (FMI 3.0)."""
 
     name: str
     valueReference: int
     type: str
-    shape: tuple[int, ...] | None = None
+    shape: tuple[int, ...] = ()
     description: str | None = None
     causality: str | None = None
     variability: str | None = None
     initial: str | None = None
     canHandleMultipleSetPerTimeInstant: bool = True
+    intermediateUpdate: bool = False
+    previous: int | None = None
+    clocks: list[ModelVariable] | None = field(default_factory=list, repr=False)
     declaredType: SimpleType | None = None
-    dimensions: list[Any] = field(default_factory=list)
+    dimensions: list[Dimension] = field(default_factory=list)
+    dimensionValueReferences: list[int] = field(default_factory=list)
     quantity: str | None = None
     unit: str | None = None
     displayUnit: str | None = None
@@ -174,7 +194,15 @@ class ModelVariable:
     derivative: ModelVariable | None = field(default=None, repr=False)
     reinit: bool = False
     sourceline: int | None = None
+    canBeDeactivated: bool = False
+    priority: int | None = None
     intervalVariability: str | None = None
+    intervalDecimal: float | None = None
+    shiftDecimal: float | None = None
+    supportsFraction: bool = False
+    resolution: int | None = None
+    intervalCounter: int | None = None
+    shiftCounter: int = 0
     aliases: list[VariableAlias] = field(default_factory=list)
     alias: ModelVariable | None = field(default=None, repr=False)
 
@@ -184,11 +212,14 @@ ScalarVariable = ModelVariable
 
 @dataclass(eq=False)
 class Unknown:
-    """A variable of the model structure; its dependencies are not told (None)."""
+    """A variable of the model structure, with the variables that it depends on (None: the file does not say); `index` is that of FMI 2.0,
+    from 1."""
 
+    index: int = 0
     variable: ModelVariable | None = None
     dependencies: list[ModelVariable] | None = None
     dependenciesKind: list[str] | None = None
+    sourceline: int = 0
 
 
 @dataclass(eq=False)
@@ -217,11 +248,18 @@ class ModelDescription:
     modelVariables: list[ModelVariable] = field(default_factory=list)
     outputs: list[Unknown] = field(default_factory=list)
     derivatives: list[Unknown] = field(default_factory=list)
+    clockedStates: list[Unknown] = field(default_factory=list)
+    eventIndicators: list[Unknown] = field(default_factory=list)
+    initialUnknowns: list[Unknown] = field(default_factory=list)
 
     @property
     def guid(self) -> str:
         """The guid; the instantiation token in FMI 3.0."""
         return self.instantiationToken
+
+    @guid.setter
+    def guid(self, value: str) -> None:
+        self.instantiationToken = value
 
     @property
     def fmiMajorVersion(self) -> int:
@@ -267,8 +305,12 @@ def path_of(filename: PathLike | IO[bytes]) -> tuple[str, str | None]:
         return os.fspath(filename), None
     folder = tempfile.mkdtemp()
     path = os.path.join(folder, "model.fmu")
-    with open(path, "wb") as file:
-        shutil.copyfileobj(filename, file)
+    try:
+        with open(path, "wb") as file:
+            shutil.copyfileobj(filename, file)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
     return path, folder
 
 
@@ -278,16 +320,21 @@ def _own_name(theirs: str) -> str:
 
 
 def _copied(kind: type[Any], found: Any, **others: Any) -> Any:
-    """FMPy's object for one of ours: its attributes, but for those that are called or written otherwise."""
-    same = (field.name for field in fields(kind) if field.name not in others)
+    """FMPy's object for one of ours: its attributes, but for those that are called or written otherwise, and those that ours has not."""
+    same = (field.name for field in fields(kind) if field.name not in others and hasattr(found, _own_name(field.name)))
     return kind(**{name: getattr(found, _own_name(name)) for name in same}, **others)
 
 
-def _interface(found: _native.Interface | None, kind: type[Any]) -> Any:
+def _names(kind: type[Any]) -> set[str]:
+    return {field.name for field in fields(kind)}
+
+
+def _interface(found: _native.Interface | None, kind: type[Any], file: DescriptionFile) -> Any:
     if found is None:
         return None
     can = found.capabilities
     others: dict[str, Any] = {
+        **told(file.interfaces.get(kind.__name__, {}), _names(kind)),
         "modelIdentifier": found.model_identifier,
         "canGetAndSetFMUstate": can.can_get_and_set_state,
         "canSerializeFMUstate": can.can_serialize_state,
@@ -323,32 +370,77 @@ def _type(found: _native.TypeDefinition, version: str) -> SimpleType:
     return made
 
 
-def of_description(found: _native.Description) -> ModelDescription:
-    """FMPy's object for a description."""
-    version = found.fmi_version
+def _dimensions(variable: ModelVariable, extents: Sequence[int | str], variables: Mapping[str, ModelVariable]) -> None:
+    for extent in extents:
+        if isinstance(extent, str):
+            of = variables[extent]
+            variable.dimensions.append(Dimension(None, of.valueReference, of))
+            variable.dimensionValueReferences.append(of.valueReference)
+        else:
+            variable.dimensions.append(Dimension(extent, None))
+
+
+def _unknowns(listed: list[tuple[int, dict[str, str]]], known: Mapping[int, ModelVariable]) -> list[Unknown]:
+    """A list of the model structure, but for what it names that there is not."""
+    made = []
+    for line, attributes in listed:
+        for reference in numbers(attributes.get("index", attributes.get("valueReference", ""))):
+            if reference in known:
+                by, kinds = attributes.get("dependencies"), attributes.get("dependenciesKind")
+                unknown = Unknown(reference if "index" in attributes else 0, known[reference], sourceline=line)
+                unknown.dependencies = None if by is None else [known[one] for one in numbers(by) if one in known]
+                unknown.dependenciesKind = None if kinds is None else kinds.split()
+                made.append(unknown)
+    return made
+
+
+def _file_of(found: _native.Description, is_strict: bool) -> DescriptionFile:
+    # FMI 1.0 has no model structure.
+    if found.fmi_version == "1.0":
+        return DescriptionFile()
+    try:
+        return read_file(found._fmu.description_file())
+    except ExpatError as e:
+        if is_strict:
+            raise ValidationError([str(e)]) from None
+        return DescriptionFile()
+
+
+def of_description(found: _native.Description, is_strict: bool = True) -> ModelDescription:
+    """FMPy's object for a description; if not `is_strict`, without a model structure where the file is not quite XML."""
+    version, file = found.fmi_version, _file_of(found, is_strict)
     types = {name: _type(definition, version) for name, definition in found.type_definitions.items()}
     variables: dict[str, ModelVariable] = {}
+    is_3, own = version.startswith("3"), _names(ModelVariable)
     origins: dict[int, ModelVariable] = {}
     for name, v in found.variables.items():
         variables[name] = _copied(
             ModelVariable,
             v,
             type=_type_name(v.type, version),
-            shape=v.shape or None,
+            shape=v.shape,
+            # FMI 1.0 has no such attribute; inputs are given.
+            initial=None if version == "1.0" else "exact" if v.causality == "input" else v.initial,
+            clocks=None if is_3 else [],
             declaredType=types.get(v.declared_type) if v.declared_type else None,
-            dimensions=list(v.dimensions),
+            dimensions=[],
             derivative=None,
             sourceline=v.line,
             aliases=[],
             alias=origins.get(v.index),
             **_texts(v, "min", "max", "nominal", "start"),
+            **(told(file.variables.get(v.value_reference, {}), own) if is_3 else {}),
         )
         if (origin := origins.setdefault(v.index, variables[name])) is not variables[name]:
             origin.aliases.append(VariableAlias(name, v.description, v.display_unit))
     for name, v in found.variables.items():
         if v.derivative is not None:
             variables[name].derivative = variables[v.derivative]
-    of_state = {v.derivative.name: v for v in variables.values() if v.derivative is not None}
+        _dimensions(variables[name], v.dimensions, variables)
+    known = {v.valueReference: v for v in origins.values()} if is_3 else {index + 1: v for index, v in origins.items()}
+    for variable in variables.values() if is_3 else ():
+        clocks = file.variables.get(variable.valueReference, {}).get("clocks")
+        variable.clocks = None if clocks is None else [known[clock] for clock in numbers(clocks) if clock in known]
     default = found.default_experiment
     texts = [text_of(value) for value in (default.start_time, default.stop_time, default.tolerance, default.step_size)]
     made: ModelDescription = _copied(
@@ -360,15 +452,13 @@ def of_description(found: _native.Description) -> ModelDescription:
         numberOfEventIndicators=found.n_event_indicators,
         logCategories=[Category(category.name, category.description) for category in found.log_categories],
         defaultExperiment=DefaultExperiment(*texts) if any(text is not None for text in texts) else None,
-        coSimulation=_interface(found.co_simulation, CoSimulation),
-        modelExchange=_interface(found.model_exchange, ModelExchange),
+        coSimulation=_interface(found.co_simulation, CoSimulation, file),
+        modelExchange=_interface(found.model_exchange, ModelExchange, file),
         unitDefinitions=[_unit(unit) for unit in found.units.values()],
         typeDefinitions=list(types.values()),
         # FMPy has the aliases at the end.
         modelVariables=sorted(variables.values(), key=lambda variable: variable.alias is not None),
-        # FMI 1.0 has no model structure.
-        outputs=[Unknown(variables[name]) for name in found.outputs] if version != "1.0" else [],
-        derivatives=[Unknown(of_state[name]) for name in found.states if name is not None and name in of_state],
+        **{name: _unknowns(listed, known) for name, listed in file.unknowns.items()},
     )
     return made
 
@@ -394,7 +484,7 @@ def read_model_description(
     OSError, FmuError
         The file cannot be read.
     ValidationError
-        Departures from the standard.
+        Departures from the standard, or from XML.
     """
     path, folder = path_of(filename)
     try:
@@ -413,7 +503,6 @@ def read_model_description(
 _BUILD = "sources are built by themselves when an FMU is first simulated"
 REFUSED = {
     "BuildConfiguration": _BUILD,
-    "Dimension": "ModelVariable.shape has the extents, .dimensions the names of the structural parameters that they are",
     "PreProcessorDefinition": _BUILD,
     "ScheduledExecution": "scheduled execution is not simulated",
     "SourceFileSet": _BUILD,

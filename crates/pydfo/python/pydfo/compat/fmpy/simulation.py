@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import IO, Any, SupportsFloat
 
@@ -89,19 +90,29 @@ def _converted(description: Description, variable: Variable, value: Any) -> Any:
     return float(value) if variable.type in ("Real", "Float32") else int(value) if value.lstrip("+-").isdigit() else value
 
 
-def _inputs(signals: np.ndarray[Any, Any] | None) -> dict[str, Any] | None:
+def _is_driven(name: str, description: Description) -> bool:
+    """Whether FMPy sets a variable from a column: an input (or an element of one), or what is tunable."""
+    whole = name if name in description.variables else name.partition("[")[0]
+    found = description.variables[whole] if whole in description.variables else None
+    return found is not None and (found.causality == "input" or found.variability == "tunable")
+
+
+def _inputs(signals: np.ndarray[Any, Any] | None, description: Description) -> dict[str, Any] | None:
+    """The columns that drive something; the others are left out with a warning."""
     if signals is None:
         return None
     if not isinstance(signals, np.ndarray) or signals.dtype.names is None:
         raise TypeError("input must be a structured array whose first field is the time")
     first, *others = signals.dtype.names
     columns: dict[str, Any] = {"time": np.asarray(signals[first], dtype=np.float64)}
-    for name in others:
+    if left_out := [name for name in others if not _is_driven(name, description)]:
+        warnings.warn(f"columns of input that are no inputs of the model have no effect: {', '.join(left_out)}", stacklevel=3)
+    for name in (name for name in others if name not in left_out):
         column = np.asarray(signals[name])
         for index in np.ndindex(*column.shape[1:]):
             element = f"{name}[{','.join(str(i + 1) for i in index)}]" if index else name
             columns[element] = column[(slice(None),) + index]
-    return columns
+    return columns if len(columns) > 1 else None
 
 
 def _input_jumps(signals: np.ndarray[Any, Any], description: Description) -> list[float]:
@@ -178,7 +189,8 @@ def simulate_fmu(
     filename : path or file-like
         An ``.fmu`` file or an unpacked folder.
     start_time, stop_time, output_interval, step_size : float or str, optional
-        In s; the defaults are FMPy's. `step_size` is that of the solver "Euler".
+        In s; the defaults are FMPy's. `output_interval` is a multiple of `step_size` with the solver "Euler", which takes one step from row to
+        row, whatever `step_size` is.
     solver : {"CVode", "Euler"}
     relative_tolerance : float or str, optional
     record_events : bool
@@ -187,7 +199,7 @@ def simulate_fmu(
     start_values : dict
         Values by name: numbers, texts as in an XML file, or pairs of a value and its unit.
     input : structured ndarray, optional
-        The first field is the time; two rows of one time are a jump.
+        The first field is the time; two rows of one time are a jump. Fields that are no inputs have no effect, with a warning.
     output : list of str, optional
         Default: the outputs, else the first five states.
     timeout : float or str, optional
@@ -195,7 +207,7 @@ def simulate_fmu(
     debug_logging : bool
         The FMU logs; its lines go to Python's logger "pydfo".
     set_input_derivatives : bool
-        Co-simulations are told the derivatives of the inputs.
+        Co-simulations are told the derivatives of the inputs; a ValueError where the FMU cannot interpolate them.
 
     Raises
     ------
@@ -231,6 +243,8 @@ def simulate_fmu(
         description = read_description(path)
         offers_cs = description.co_simulation is not None
         is_cs = offers_cs if fmi_type is None else fmi_type == "CoSimulation"
+        if set_input_derivatives and is_cs and offers_cs and not description.co_simulation.capabilities.can_interpolate_inputs:  # type: ignore[union-attr]
+            raise ValueError("set_input_derivatives is True but the FMU cannot interpolate inputs (canInterpolateInputs)")
         model = FMUModel(path, "CS" if is_cs else "ME", log_level="all" if debug_logging else None, logging=bool(debug_logging))
         with model:
             experiment = description.default_experiment
@@ -271,7 +285,7 @@ def simulate_fmu(
                 start,
                 stop,
                 times=times,
-                inputs=_inputs(input),
+                inputs=_inputs(input, description),
                 outputs=names or [next(iter(variables))],
                 start_values={name: _converted(description, variables[name], value) for name, value in start_values.items()},
                 relative_tolerance=tolerance if tolerance is not None else None if is_cs else experiment.tolerance or 1e-5,
@@ -279,7 +293,7 @@ def simulate_fmu(
                 input_derivatives=bool(set_input_derivatives),
                 **more,
             )
-        return _structured(result, description, names, model_description or of_description(description))
+        return _structured(result, description, names, model_description or of_description(description, is_strict=False))
     finally:
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
@@ -328,10 +342,11 @@ def _step(description: Description, interval: float) -> float:
 
 
 def _euler_step(start: float, stop: float, interval: float, asked: float | None) -> float:
+    """The step of the solver "Euler", which is FMPy's: that from row to row, where the asked one divides it."""
     step = asked if asked is not None else 10.0 ** (np.round(np.log10(stop - start)) - 3)
     if not np.isclose(round(interval / step) * step, interval):
         raise ValueError("output_interval must be a multiple of step_size for fixed step solvers")
-    return float(step)
+    return interval
 
 
 def instantiate_fmu(
