@@ -341,7 +341,7 @@ fn mistakes_in_a_file_are_named_with_their_lines() {
 
 #[test]
 fn options_that_a_method_does_not_have_are_wrong_input() {
-    let folder = decay("population = 5\n");
+    let folder = decay("\n[fit]\npopulation = 5\n");
     for command in ["check", "fit"] {
         let said = folder.run(&format!("{command} problem.toml")).wrong_input();
         assert!(said.contains("has no option 'population'"), "{said}");
