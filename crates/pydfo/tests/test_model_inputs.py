@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import gc
 import threading
+import warnings
 import weakref
 
 import fmus
 import numpy as np
 import pytest
 
-from pydfo import Calibration, CheckpointError, FMUModel, Parameter, example_fmu
+from pydfo import Calibration, CalibrationWarning, CheckpointError, FMUModel, Parameter, example_fmu
 
 K, T = 2.0, 0.5
 TIGHT = {"relative_tolerance": 1e-10}
@@ -315,6 +316,22 @@ def test_a_recording_drives_the_inputs_that_it_names(switched, tmp_path):
         switched.simulate(0, 2, inputs=str(path))
     with pytest.raises(FileNotFoundError):
         switched.simulate(0, 2, inputs=tmp_path / "none.csv")
+
+
+def test_an_input_without_a_column_is_named(switched, tmp_path):
+    path = tmp_path / "u.csv"
+    path.write_text("time,U,other,enabled\n0,0,7,1\n2,0.6,9,1\n")
+    table = {"time": [0.0, 2.0], "u": [0.0, 0.6], "enabled": [True, True]}
+    expected = switched.simulate(0, 2, inputs=table, outputs=["x"])
+    with pytest.warns(CalibrationWarning, match=r"input 'gear' has no column: it keeps its start value \d+; columns are 'U', 'other', 'enabled'"):
+        found = switched.simulate(0, 2, inputs=path, outputs=["x"])
+    assert np.array_equal(found["x"], expected["x"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        switched.simulate(0, 2, inputs=path, outputs=["x"], start_values={"gear": 2})
+    path.write_text("time,u [m],gear\ns,mm,-\n0,0,1\n2,0.6,1\n")
+    with pytest.raises(ValueError, match=r"u\.csv.*'u \[m\]' has two units: 'm' in its name and 'mm' in line 2"):
+        switched.simulate(0, 2, inputs=path)
 
 
 def test_a_recording_of_another_format(switched, tmp_path):

@@ -49,7 +49,8 @@ impl Data {
     /// h, d (`time [ms]`); dates (of ISO 8601, or as `31.05.2024 13:45:10`) and times of day become s since
     /// the first row; `00:01` wants a name such as `time [mm:ss]` or `time [hh:mm]` where it can be either.
     /// Empty cells, `NaN` and `NA` are missing values. Columns of text are kept aside: only using one is an
-    /// error. Lines that begin with `#` are comments.
+    /// error, and so is using one with two different units, in its name and in the line of units. Lines that
+    /// begin with `#` are comments.
     ///
     /// The memory that reading takes is at most 8 times the size of the file.
     ///
@@ -136,7 +137,10 @@ impl Data {
             let units = (n_rows == 0 && !has_units).then(|| line_of_units(&cells, at)).flatten();
             if let Some(units) = units {
                 has_units = true;
-                columns.iter_mut().zip(units).for_each(|(column, unit)| column.unit = unit);
+                columns.iter_mut().zip(units).for_each(|(column, unit)| column.state_unit(unit, line));
+                if let Some(message) = columns[at].contradiction() {
+                    return Err(bad(message));
+                }
                 if let Some(unit) = &columns[at].unit {
                     time_column.unit = time_unit(&names[at], unit).map_err(bad)?;
                 }
@@ -404,6 +408,31 @@ mod tests {
         // A row without a number is no line of units for that.
         let d = csv("time,y\n0,\n1,2\n").unwrap();
         assert_eq!((d.time().len(), d.unit("y")), (2, None));
+    }
+
+    #[test]
+    fn a_column_with_two_units_is_refused_where_it_is_used() {
+        let message = csv("time [min],y\nms,K\n0,1\n1,2\n").unwrap_err().to_string();
+        assert!(
+            message.contains("test.csv")
+                && message.contains("'time [min]' has two units: 'min' in its name and 'ms' in line 2"),
+            "{message}"
+        );
+        let d = csv("# one\ntime,T [degC],x (mm),p [bar]\ns,K,Pa,bar\n0,1,2,3\n").unwrap();
+        for (column, expected) in
+            [("T", "'degC' in its name and 'K' in line 3"), ("x", "'mm' in its name and 'Pa' in line 3")]
+        {
+            let message = d.check_units(column).unwrap_err().to_string();
+            assert!(message.contains(expected), "{message}");
+        }
+        assert!(d.check_units("p").is_ok() && d.column("T").is_ok());
+        // Spellings of the same unit, brackets that hold no unit, and a dash below.
+        let d = csv("time [s],P [J/s],E (kW.h),f [Hz],T [raw],x [mm]\nseconds,W,kWh,1/s,K,-\n0,1,2,3,4,5\n")
+            .unwrap();
+        for column in ["P", "E", "f", "T", "x"] {
+            assert!(d.check_units(column).is_ok(), "{column}");
+        }
+        assert_eq!((d.unit("T"), d.unit("x")), (Some("K"), Some("mm")));
     }
 
     #[test]

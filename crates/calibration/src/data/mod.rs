@@ -19,6 +19,6 @@ pub use parameter_set::ParameterSet;
 pub use recording::Data;
 pub use series::Series;
 pub(crate) use series::sampling_interval;
+pub(crate) use time_column::{MOST_LISTED, listed, parts};
 pub use time_column::{PairUnit, TimeColumn, find_column};
-pub(crate) use time_column::{listed, parts};
 pub use units::{Unit, UnitConversion, UnitError};

@@ -2,7 +2,7 @@
 
 use super::clock_change::{ClockChange, DAY};
 use super::series::{Series, sampling_interval};
-use super::time_column::{TimeColumn, find_column, parts};
+use super::time_column::{TimeColumn, find_column, is_contradiction, parts};
 use super::units::UnitConversion;
 use crate::error::CalibrationError;
 use base::{Number, RunContext};
@@ -69,6 +69,9 @@ pub(super) struct Column {
     pub(super) name: String,
     /// The unit of the values, where it is not the one in the name: from a line of units, or converted to.
     pub(super) unit: Option<String>,
+    /// The line of units, if the unit in it is another one than that in the name.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    contradicting: Option<Cell>,
     pub(super) values: Series,
     /// How the values were converted, and the unit that they had.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -394,6 +397,13 @@ impl Data {
         self.columns[self.position(column).ok()??].unit.as_deref()
     }
 
+    /// Refuses a column with one unit in its name and another one in the line of units.
+    pub(crate) fn check_units(&self, column: &str) -> Result<(), CalibrationError> {
+        let Some(index) = self.position(column)? else { return Ok(()) };
+        let bad = |message| CalibrationError::Data { source_name: self.source.clone(), message };
+        self.columns[index].contradiction().map_or(Ok(()), |message| Err(bad(message)))
+    }
+
     /// Takes the values of these columns as missing in the rows where `keep` is false. Inputs are not meant:
     /// they go on between the rows that are left.
     ///
@@ -542,12 +552,31 @@ impl Column {
         Self {
             name,
             unit: None,
+            contradicting: None,
             values: values.into(),
             converted: None,
             text: None,
             comma: None,
             point: None,
         }
+    }
+
+    /// Takes the unit that a line of units states; a dash there leaves the one in the name.
+    pub(super) fn state_unit(&mut self, unit: Option<String>, line: usize) {
+        let named = parts(&self.name).1;
+        let unit = unit.filter(|unit| unit != "-" || named.is_none());
+        let other = unit.as_ref().filter(|unit| named.is_some_and(|named| is_contradiction(named, unit)));
+        self.contradicting = other.map(|unit| (line, unit.clone()));
+        self.unit = unit;
+    }
+
+    /// Message about two units, one in the name and one in the line of units.
+    pub(super) fn contradiction(&self) -> Option<String> {
+        let ((line, below), named) = (self.contradicting.as_ref()?, parts(&self.name).1?);
+        Some(format!(
+            "column '{}' has two units: '{named}' in its name and '{below}' in line {line}; correct or remove one of them",
+            self.name
+        ))
     }
 }
 

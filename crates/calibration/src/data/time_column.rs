@@ -1,10 +1,10 @@
 //! Selection of the column of a table that holds the times, and its unit.
 
-use super::units::Unit;
+use super::units::{Unit, UnitConversion, UnitError};
 use crate::findings::shown_text::shortened;
 
 /// Names beyond these are counted only.
-const MOST_LISTED: usize = 20;
+pub(crate) const MOST_LISTED: usize = 20;
 
 /// The column that holds the times, and their unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -160,6 +160,24 @@ pub(super) fn time_unit(name: &str, given: &str) -> Result<(f64, f64), String> {
         let hint = if is_known { format!("; units are case-sensitive: '{case}'?") } else { String::new() };
         format!("column '{name}': the unit '{given}' is none of s, ms, us, ns, min, h, d{hint}")
     })
+}
+
+/// True if two names are both those of units, and these are not the same.
+pub(super) fn is_contradiction(one: &str, other: &str) -> bool {
+    match (PairUnit::named(one), PairUnit::named(other)) {
+        (Some(one), Some(other)) => one != other,
+        (None, None) if one.trim() != other.trim() => {
+            let same = |conversion: UnitConversion| {
+                let (numerator, denominator) = conversion.factor;
+                (numerator / denominator - 1.0).abs() < 1e-9 && conversion.offset.abs() < 1e-9
+            };
+            match UnitConversion::between(one, other) {
+                Ok(conversion) => !same(conversion),
+                Err(error) => matches!(error, UnitError::Dimension { .. }),
+            }
+        }
+        _ => false,
+    }
 }
 
 /// Names in quotes, not too many of them.

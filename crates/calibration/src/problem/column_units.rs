@@ -1,19 +1,19 @@
 //! Recorded columns in the units of the variables that they measure or drive.
 
-use crate::data::{Data, Unit, UnitConversion, UnitError, listed, parts};
+use crate::data::{Data, Unit, UnitConversion, UnitError, find_column, listed, parts};
 use crate::error::CalibrationError;
 use crate::problem::definition::Problem;
 use crate::problem::experiment::Experiment;
 use crate::problem::warning::SetupWarning;
-use fmi::ModelDescription;
-use fmi::description::{Causality, Variable};
+use fmi::description::{Causality, Variable, VariableKind};
+use fmi::{ModelDescription, Value};
 
 /// Converts the columns that state a unit to the units of their variables, where both are known; they state
 /// the unit of the variable then, so that nothing is converted twice. What is not converted comes back.
 ///
 /// # Errors
-/// A column and its variable have units of different quantities; a unit that is not known, where the model
-/// states one; two variables with different units have one column.
+/// A column has two units; it and its variable have units of different quantities; a unit that is not known,
+/// where the model states one; two variables with different units have one column.
 pub(crate) fn convert_columns(
     problem: &mut Problem,
     description: &ModelDescription,
@@ -40,6 +40,9 @@ fn convert(
         let Some(full) = data.full_name(&column).map(str::to_owned) else { continue };
         // The name of a variable may end with what looks like a unit; a line of units is none.
         let is_variable = description.variable(&full).is_some();
+        if !is_variable {
+            data.check_units(&column)?;
+        }
         let beside = data.unit_beside_name(&column);
         let given = if is_variable { beside } else { data.unit(&column) };
         let Some(given) = given.map(str::to_owned) else { continue };
@@ -94,33 +97,94 @@ fn convert(
 pub type InputColumn = (String, String);
 
 /// The recording with those of its columns that have the names of inputs of a model (units may follow the
-/// name) in the units of these; which they are; and what could not be converted.
+/// name, and its case may differ where one column and one input only can be meant) in the units of these;
+/// which they are; what could not be converted, and the inputs without a column, but for those whose values
+/// are `given` otherwise.
 ///
 /// # Errors
-/// No column has the name of an input; a unit is one of another quantity, or not known.
+/// No column has the name of an input, or several have that of one; a column has two units; a unit is one of
+/// another quantity, or not known.
 pub fn recorded_inputs(
     data: Data,
     description: &ModelDescription,
+    given: &[String],
 ) -> Result<(Data, Vec<InputColumn>, Vec<SetupWarning>), CalibrationError> {
-    let is_input = |name: &&str| declared(description, name).is_some_and(|v| v.causality == Causality::Input);
-    let driven = |column: &str| [column, parts(column).0].into_iter().find(is_input).map(str::to_owned);
-    let pairs: Vec<InputColumn> =
-        data.names().filter_map(|column| Some((driven(column)?, column.to_owned()))).collect();
+    let bad = |message: String| CalibrationError::Data { source_name: data.source().to_owned(), message };
+    let inputs = || description.variables.iter().filter(|v| v.causality == Causality::Input);
+    let pairs = input_columns(&data, description).map_err(bad)?;
     if pairs.is_empty() {
-        let inputs = description.variables.iter().filter(|v| v.causality == Causality::Input);
-        let message = format!(
-            "no column has the name of an input of the model; the columns are {}, the inputs {}",
-            listed(data.all_names()),
-            listed(inputs.map(|v| v.name.as_str()))
-        );
-        return Err(CalibrationError::Data { source_name: data.source().to_owned(), message });
+        let inputs = match inputs().next() {
+            None => "the model has no inputs".to_owned(),
+            Some(_) => format!("the inputs are {}", listed(inputs().map(|v| v.name.as_str()))),
+        };
+        return Err(bad(format!(
+            "no column has the name of an input of the model; the columns are {}, and {inputs}: give the columns these names, \
+             units may follow in brackets",
+            listed(data.all_names())
+        )));
     }
+    let without_column: Vec<(String, Option<Value>)> = inputs()
+        .filter(|v| {
+            v.kind != VariableKind::Clock && !is_driven(description, &pairs, v) && !given.contains(&v.name)
+        })
+        .map(|v| (v.name.clone(), v.start.clone()))
+        .collect();
     let mut experiment = Experiment::new(data);
     for (variable, column) in &pairs {
         experiment = experiment.input(variable, column);
     }
-    let warnings = convert(&mut experiment, description)?;
-    Ok((experiment.data, pairs, warnings))
+    let mut warnings = convert(&mut experiment, description)?;
+    let data = experiment.data;
+    if !without_column.is_empty() {
+        let columns = data.all_names().map(str::to_owned).collect();
+        let source = data.source().to_owned();
+        warnings.push(SetupWarning::WithoutColumn { data: source, inputs: without_column, columns });
+    }
+    Ok((data, pairs, warnings))
+}
+
+/// The inputs that columns are called by, with these.
+fn input_columns(data: &Data, description: &ModelDescription) -> Result<Vec<InputColumn>, String> {
+    let is_input = |name: &&str| declared(description, name).is_some_and(|v| v.causality == Causality::Input);
+    let driven = |column: &str| [column, parts(column).0].into_iter().find(is_input).map(str::to_owned);
+    let mut pairs: Vec<InputColumn> = Vec::new();
+    for (variable, column) in data.names().filter_map(|column| Some((driven(column)?, column))) {
+        if pairs.iter().any(|(earlier, _)| *earlier == variable) {
+            // The one with the whole name, or none.
+            let index = find_column(data.names(), &variable)?;
+            let whole = data.names().nth(index).unwrap_or(column).to_owned();
+            pairs
+                .iter_mut()
+                .filter(|(earlier, _)| *earlier == variable)
+                .for_each(|pair| pair.1.clone_from(&whole));
+        } else {
+            pairs.push((variable, column.to_owned()));
+        }
+    }
+    // Names in a model are case-sensitive, those in a recording often are not.
+    let inputs = || description.variables.iter().filter(|v| v.causality == Causality::Input);
+    let open: Vec<&str> =
+        inputs().filter(|v| !is_driven(description, &pairs, v)).map(|v| v.name.as_str()).collect();
+    let is_free =
+        |column: &&str| [column, parts(column).0].iter().all(|name| declared(description, name).is_none());
+    let free: Vec<&str> = data.names().filter(is_free).collect();
+    for input in &open {
+        let is_meant = |column: &&&str| {
+            parts(column).0.eq_ignore_ascii_case(input) || column.eq_ignore_ascii_case(input)
+        };
+        let columns: Vec<_> = free.iter().filter(is_meant).collect();
+        let n_inputs = inputs().filter(|v| v.name.eq_ignore_ascii_case(input)).count();
+        if let ([column], 1) = (&columns[..], n_inputs) {
+            pairs.push(((*input).to_owned(), (**column).to_owned()));
+        }
+    }
+    Ok(pairs)
+}
+
+/// True if a column drives an input, or an element of it.
+fn is_driven(description: &ModelDescription, pairs: &[InputColumn], input: &Variable) -> bool {
+    let is_it = |name: &str| declared(description, name).is_some_and(|driven| std::ptr::eq(driven, input));
+    pairs.iter().any(|(name, _)| is_it(name))
 }
 
 /// The variable of a name, which may be that of an element of an array.

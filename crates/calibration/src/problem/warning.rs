@@ -1,12 +1,13 @@
 //! Warnings about a setup: it can be evaluated, but perhaps it is not what was meant.
 
-use crate::data::{ClockChange, UnitError, parts};
+use crate::data::{ClockChange, MOST_LISTED, UnitError, listed, parts};
 use crate::findings::finding::Severity;
 use crate::problem::experiment::{Experiment, Weight};
 use crate::problem::input::InputSource;
 use crate::problem::parameter::{Parameter, Scale};
-use fmi::ModelDescription;
+use base::Number;
 use fmi::description::Causality;
+use fmi::{ModelDescription, Value};
 use std::fmt;
 
 /// Target of the log lines for each [`SetupWarning`].
@@ -44,6 +45,15 @@ pub enum SetupWarning {
         data: String,
         /// Column, its unit, unit of its variable.
         columns: Vec<(String, String, String)>,
+    },
+    /// Inputs of a model that no column of the recording of its inputs has the name of.
+    WithoutColumn {
+        /// The recording.
+        data: String,
+        /// The inputs, with their start values.
+        inputs: Vec<(String, Option<Value>)>,
+        /// The columns.
+        columns: Vec<String>,
     },
     /// An hour is missing or doubled in times without a zone.
     ClockChange {
@@ -97,6 +107,21 @@ impl fmt::Display for SetupWarning {
                     |(column, from, to): &(String, String, String)| format!("'{column}' from {from} to {to}");
                 let all = columns.iter().map(one).collect::<Vec<_>>().join(", ");
                 write!(f, "{data}: converted by the units that the columns state: {all}")
+            }
+            Self::WithoutColumn { data, inputs, columns } => {
+                let value = |(_, start): &(String, Option<Value>)| match start {
+                    Some(Value::Real(value)) => Number(*value).to_string(),
+                    Some(value) => value.to_string(),
+                    None => "of the model".to_owned(),
+                };
+                let names = listed(inputs.iter().map(|(name, _)| name.as_str()));
+                let values = inputs.iter().take(MOST_LISTED).map(value).collect::<Vec<_>>().join(", ");
+                let (subject, verb) = match inputs.len() {
+                    1 => ("input", "has no column: it keeps its start value"),
+                    _ => ("inputs", "have no column: they keep their start values"),
+                };
+                let columns = listed(columns.iter().map(String::as_str));
+                write!(f, "{data}: {subject} {names} {verb} {values}; columns are {columns}")
             }
             Self::ClockChange { data, change } => write!(f, "{data}: {change}"),
             Self::NoEffect(sentence) => f.write_str(sentence),

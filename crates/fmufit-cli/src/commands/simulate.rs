@@ -8,11 +8,8 @@ use crate::interrupt::Interrupt;
 use crate::output_paths::{check_written, is_stream};
 use crate::problem::short_form;
 use base::Number;
-use calibration::{
-    CalibrationError, CsvRequest, Data, ModelProcess, ParameterSet, RunContext, UnitConversion,
-};
+use calibration::{CalibrationError, CsvRequest, Data, ModelProcess, ParameterSet, RunContext, Severity};
 use dfo::Value;
-use fmi::description::Causality;
 use fmi::worker::WorkerLimits;
 use fmi::{FmiError, Fmu, Inputs, SimulateOptions, SimulationPlan, Trajectory};
 use ode::Termination;
@@ -160,7 +157,8 @@ fn options(arguments: &Simulate, fmu: &Fmu, console: &Console) -> Result<Simulat
     if let Some(path) = &arguments.input {
         let request = CsvRequest { time: arguments.time.as_deref(), ..CsvRequest::default() };
         let data = Data::read_csv(path, request).map_err(Error::of_arguments)?;
-        options = options.inputs(inputs(fmu, &data, console)?);
+        let given: Vec<String> = options.start_values.iter().map(|(name, _)| name.clone()).collect();
+        options = options.inputs(inputs(fmu, &data, &given, console)?);
         if options.final_time.is_none() && fmu.description().default_experiment.stop_time.is_none() {
             options.final_time = data.time().last().copied();
         }
@@ -168,42 +166,25 @@ fn options(arguments: &Simulate, fmu: &Fmu, console: &Console) -> Result<Simulat
     Ok(options)
 }
 
-/// The inputs that a recording has columns for, in the units of the model.
-fn inputs(fmu: &Fmu, data: &Data, console: &Console) -> Result<Inputs, Error> {
+/// The inputs that a recording has columns for, in the units of the model; the others keep their start
+/// values, unless these are `given`.
+fn inputs(fmu: &Fmu, data: &Data, given: &[String], console: &Console) -> Result<Inputs, Error> {
     let description = fmu.description();
-    let known = description.variables.iter().filter(|variable| variable.causality == Causality::Input);
-    let (mut inputs, mut n, mut names, mut without_unit) = (Inputs::new(), 0, Vec::new(), Vec::new());
-    for variable in known {
-        names.push(variable.name.as_str());
-        if calibration::find_column(data.names(), &variable.name).is_err() {
-            continue;
-        }
-        let (name, values) = (&variable.name, data.column(&variable.name).map_err(Error::of_input)?);
-        let stated = variable.unit.as_deref().filter(|unit| !matches!(*unit, "" | "1" | "-"));
-        without_unit
-            .extend(stated.filter(|_| data.unit(name).is_none()).map(|unit| format!("'{name}' in {unit}")));
-        let conversion = data.unit(name).map(|unit| UnitConversion::to_variable(unit, variable, description));
-        let conversion =
-            conversion.transpose().map_err(|e| Error::input(format!("{}: {e}", data.source())))?;
+    let (converted, pairs, warnings) =
+        calibration::recorded_inputs(data.clone(), description, given).map_err(Error::of_arguments)?;
+    let (mut inputs, mut without_unit) = (Inputs::new(), Vec::new());
+    for (name, column) in &pairs {
+        let values = converted.column(column).map_err(Error::of_input)?;
+        let stated = description.variable(name).and_then(|variable| variable.unit.as_deref());
+        let stated = stated.filter(|unit| !matches!(*unit, "" | "1" | "-") && data.unit(column).is_none());
+        without_unit.extend(stated.map(|unit| format!("'{name}' in {unit}")));
         // Rows where the value is missing are left out, as in fits.
         let rows = data.time().iter().zip(values).filter(|(_, value)| !value.is_nan());
-        let (times, values): (Vec<f64>, Vec<f64>) = rows
-            .map(|(time, value)| (*time, conversion.as_ref().map_or(*value, |c| c.apply(*value))))
-            .unzip();
+        let (times, values): (Vec<f64>, Vec<f64>) = rows.unzip();
         inputs = inputs.series(name, times, values);
-        n += 1;
     }
-    if n == 0 {
-        let (columns, inputs) = (data.names().collect::<Vec<_>>().join(", "), names.join(", "));
-        let inputs = if inputs.is_empty() {
-            "the model has no inputs".to_owned()
-        } else {
-            format!("the inputs are {inputs}")
-        };
-        return Err(Error::input(format!(
-            "{}: no column is called as an input; it has {columns}, and {inputs}: give the columns these names, units may follow in brackets",
-            data.source()
-        )));
+    for warning in warnings.iter().filter(|warning| warning.severity() == Severity::Warning) {
+        console.note(&format!("warning: {warning}"));
     }
     if !without_unit.is_empty() {
         console.note(&format!(

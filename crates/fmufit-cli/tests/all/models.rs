@@ -130,7 +130,42 @@ fn simulate_is_driven_by_a_recording_in_the_units_of_the_model() {
     folder.write("other.csv", "time,unknown\n0,1\n1,1\n");
     let message = folder.run("simulate model.fmu --input other.csv").wrong_input();
     assert!(
-        message.contains("no column is called as an input; it has unknown") && message.contains(names[0]),
+        message.contains("no column has the name of an input of the model; the columns are 'unknown'")
+            && message.contains(names[0]),
+        "{message}"
+    );
+}
+
+#[test]
+fn inputs_without_a_column_are_named() {
+    let folder = Folder::with_model("quad_tank");
+    let simulate =
+        "simulate model.fmu --input in.csv --final-time 20 --interval 10 --outputs u1 --outputs u2";
+    let run = |header: &str, more: &str| {
+        folder.write("in.csv", &format!("{header}0,2,3\n20,2,3\n"));
+        folder.run(&format!("{simulate} {more}"))
+    };
+    // The case of a name may differ, where one column can be meant.
+    let ran = run("time,U1 [V],u2\n", "");
+    assert!(!ran.err.contains("no column"), "{ran:?}");
+    let table = ran.good();
+    assert_eq!((column(&table, "u1"), column(&table, "u2")), (vec![2.0; 3], vec![3.0; 3]));
+    let ran = run("time,u1,v2\n", "");
+    assert!(
+        ran.err.contains("in.csv: input 'u2' has no column: it keeps its start value")
+            && ran.err.contains("columns are 'u1', 'v2'"),
+        "{ran:?}"
+    );
+    ran.good();
+    let ran = run("time,U2,U2 [V]\n", "--set u2=1");
+    assert!(ran.err.contains("no column has the name of an input"), "{ran:?}");
+    let ran = run("time,u1,v2\n", "--set u2=1");
+    assert!(!ran.err.contains("no column"), "{ran:?}");
+    assert_eq!(column(&ran.good(), "u2"), [1.0; 3]);
+    // Two units.
+    let message = run("time,u1 [V],u2\ns,mV,V\n", "").wrong_input();
+    assert!(
+        message.contains("in.csv: column 'u1 [V]' has two units: 'V' in its name and 'mV' in line 2"),
         "{message}"
     );
 }

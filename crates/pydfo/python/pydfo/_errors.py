@@ -88,7 +88,8 @@ class BadCalibrationError(CalibrationError, ValueError):
 
 class CalibrationWarning(UserWarning):
     """A calibration can be evaluated, but perhaps it is not what was meant: a column that is not used has the name of an
-    input, the recording of an input does not cover the simulation, values set in an `FMUModel` do not count."""
+    input, the recording of an input does not cover the simulation, values set in an `FMUModel` do not count. In a
+    simulation: an input has no column in the recording of the inputs."""
 
 
 class SimulationWarning(UserWarning):

@@ -4,7 +4,7 @@ use crate::calibration::calibration_class::PyCalibration;
 use crate::calibration::data_files::PyTable;
 use crate::convert::error;
 use crate::model::description::Fmu;
-use calibration::{Data, Experiment};
+use calibration::{Data, Experiment, ParameterSet};
 use numpy::PyArray1;
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -37,13 +37,16 @@ pub(crate) fn recorded<'py>(py: Python<'py>, calibration: &PyCalibration) -> Vec
 type InputSeries<'py> = (String, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
 
 /// The columns of a recording (a CSV file, or one in memory) that have the names of inputs of a model, in
-/// its units, with the times at which they are known.
+/// its units, with the times at which they are known. Inputs without a column are named, but for those with
+/// start values that are `given`, or in a parameter set.
 #[pyfunction]
 pub(crate) fn recorded_inputs<'py>(
     py: Python<'py>,
     fmu: &Bound<'py, Fmu>,
     path: Option<PathBuf>,
     table: Option<Bound<'py, PyTable>>,
+    mut given: Vec<String>,
+    parameter_set: Option<PathBuf>,
 ) -> PyResult<Vec<InputSeries<'py>>> {
     let bad = |e| error::calibration(py, &e);
     let data = match (path, table) {
@@ -51,10 +54,14 @@ pub(crate) fn recorded_inputs<'py>(
         (path, None) => Data::from_csv(path.unwrap_or_default()),
     };
     let description = fmu.get().fmu.description();
+    // One that cannot be read is refused where it is applied.
+    let set =
+        parameter_set.and_then(|path| ParameterSet::read(path).and_then(|set| set.values(description)).ok());
+    given.extend(set.into_iter().flatten().map(|(name, _)| name));
     let (data, pairs, warnings) =
-        calibration::recorded_inputs(data.map_err(bad)?, description).map_err(bad)?;
+        calibration::recorded_inputs(data.map_err(bad)?, description, &given).map_err(bad)?;
     for warning in warnings {
-        error::warn(py, &warning.to_string())?;
+        error::warn_as(py, &py.get_type::<error::CalibrationWarning>(), &warning.to_string())?;
     }
     let series = |(variable, column): (String, String)| {
         let known =

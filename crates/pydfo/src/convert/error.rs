@@ -15,6 +15,7 @@ use std::path::Path;
 pyo3::import_exception!(pydfo._errors, AllStartsFailed);
 pyo3::import_exception!(pydfo._errors, BadCalibrationError);
 pyo3::import_exception!(pydfo._errors, CalibrationError);
+pyo3::import_exception!(pydfo._errors, CalibrationWarning);
 pyo3::import_exception!(pydfo._errors, CheckpointError);
 pyo3::import_exception!(pydfo._errors, Interrupted);
 pyo3::import_exception!(pydfo._errors, NoResult);

@@ -36,12 +36,14 @@ class Function:
     function: Callable[[float], Any]
 
 
-def normalize(given: Any, fmu: _core.Fmu) -> tuple[list[Table], list[Function]]:
-    """Tables and functions from the argument ``inputs`` of a simulation."""
+def normalize(
+    given: Any, fmu: _core.Fmu, start_values: list[str], parameter_set: str | None
+) -> tuple[list[Table], list[Function]]:
+    """Tables and functions from the argument ``inputs`` of a simulation, and the names whose start values are given."""
     if given is None:
         return [], []
     if isinstance(given, (str, os.PathLike)):
-        return _recording(os.fspath(given), fmu), []
+        return _recording(os.fspath(given), fmu, start_values, parameter_set), []
     if isinstance(given, Mapping):
         return _mapping(given)
     if isinstance(given, np.ndarray) and given.dtype.names is not None:
@@ -64,15 +66,15 @@ def normalize(given: Any, fmu: _core.Fmu) -> tuple[list[Table], list[Function]]:
     )
 
 
-def _recording(path: str, fmu: _core.Fmu) -> list[Table]:
+def _recording(path: str, fmu: _core.Fmu, start_values: list[str], parameter_set: str | None) -> list[Table]:
     """The columns of a file that have the names of inputs."""
     found = _data.read(path, [], None)
     if found.table is not None:
-        # Elements of arrays and units follow the name.
-        inputs, names = {name.split("[")[0] for name in fmu.names_of("input")}, found.table.names()
-        named = [name for name in names if re.split(r"[\[(]", name)[0].strip() in inputs]
+        # Elements of arrays and units follow the name; its case may differ.
+        inputs, names = {name.split("[")[0].lower() for name in fmu.names_of("input")}, found.table.names()
+        named = [name for name in names if re.split(r"[\[(]", name)[0].strip().lower() in inputs]
         found = _data.read(path, named, None)
-    series = _core.recorded_inputs(fmu, found.path, found.table)
+    series = _core.recorded_inputs(fmu, found.path, found.table, start_values, parameter_set)
     return [Table(times, [(name, values)], []) for name, times, values in series]
 
 

@@ -320,7 +320,8 @@ class FMUModel:
               dict, a number is a constant);
             - ``(names, matrix)`` with the times in the first column;
             - the path of a recording (CSV, ``.mat``, ``.parquet``, ``.xlsx``), read as that of an `Experiment`: its columns that
-              have the names of inputs drive them, converted to the units of the model; rows where one is not known are left out;
+              have the names of inputs (in another case, too, where that can be one input only) drive them, converted to the units of the
+              model; rows where one is not known are left out;
             - a function of time, for a model with one input; a dict of functions; ``(names, function)``.
 
             Elements of an array are inputs of their own: ``{"time": t, "u[1]": a, "u[2]": b}``.
@@ -399,6 +400,8 @@ class FMUModel:
             A setting has no effect: `step_size` with a solver that chooses its steps itself, `max_step` with one that does
             not, `solver` and `max_step` in co-simulation. Recorded inputs end before the simulation, or begin after it, by more than a
             row: they keep their first and last values.
+        CalibrationWarning
+            An input has no column in the recording that `inputs` names, and no start value is given; units that are not converted.
 
         Raises
         ------
@@ -417,7 +420,11 @@ class FMUModel:
         """
         values, parameter_set = _values.values_or_file("start_values", start_values)
         described = self._fmu.with_units(_values.units(units)) if units is not None else None
-        tables, functions = _inputs.normalize(inputs, described or self._fmu) if inputs is not None else ([], [])
+        tables: list[_inputs.Table] = []
+        functions: list[_inputs.Function] = []
+        if inputs is not None:
+            given = [name for name, _ in values] + self._names_set()
+            tables, functions = _inputs.normalize(inputs, described or self._fmu, given, parameter_set)
         request = Request(
             start_time=_values.optional_number("start_time", start_time),
             final_time=_values.optional_number("final_time", final_time),
