@@ -101,8 +101,8 @@ class Evaluation:
         The one that was named; or, with "auto", the winner of a comparison at the parameters' start values, which is held at the
         first use and counts work, never time: if the model is not stiff there, "auto" stays (an explicit method, which gives
         way to an implicit one where the model becomes stiff); else BDF, Radau5 and "auto" are compared, and the one with the
-        least work, an error counted as more of it, is taken of those whose samples are within 5 tolerances of a simulation
-        with a tenth of the tolerance. A fit that is resumed from a checkpoint takes the method from there. See `solver_comparison` for the numbers.
+        least work, an error counted as more of it and that of "auto" twice, is taken of those whose samples are within 5
+        tolerances of a simulation with a tenth of the tolerance. A fit that is resumed from a checkpoint takes the method from there. See `solver_comparison` for the numbers.
         """
         return self._native.solver()
 
