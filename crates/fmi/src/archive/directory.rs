@@ -167,6 +167,12 @@ fn zip64_end(archive: &mut (impl Read + Seek), end_start: u64) -> io::Result<Opt
 }
 
 impl Record {
+    /// Name without the slash of folders, size, compressed size and checksum.
+    pub(super) fn content(&self) -> (&str, u64, u64, u32) {
+        let name = self.name.strip_suffix('/').unwrap_or(&self.name);
+        (name, self.size, self.compressed_size, self.crc32)
+    }
+
     /// Reads the next record; `texts` is a buffer.
     fn read(source: &mut impl Read, texts: &mut Vec<u8>) -> io::Result<Record> {
         let mut bytes = [0; HEADER_BYTES as usize];

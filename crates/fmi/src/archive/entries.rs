@@ -205,11 +205,13 @@ impl Entries {
     /// True if the directory of an archive lists the same contents at the same places.
     pub(super) fn are_those_of(&self, archive: impl Read + Seek) -> bool {
         let mut archive = BufReader::with_capacity(DIRECTORY_BUFFER, archive);
-        let content = |entry: &Record| (entry.header_start, entry.size, entry.compressed_size, entry.crc32);
-        let listed = self.listed.iter().map(content);
+        let is_same =
+            |(a, b): (&Record, &Record)| (a.content(), a.header_start) == (b.content(), b.header_start);
         Directory::find(&mut archive).is_ok_and(|directory| {
             directory.n_entries == self.listed.len() as u64
-                && directory.read(&mut archive).is_ok_and(|records| records.iter().map(content).eq(listed))
+                && directory
+                    .read(&mut archive)
+                    .is_ok_and(|records| self.listed.iter().zip(&records).all(is_same))
         })
     }
 

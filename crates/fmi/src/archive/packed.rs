@@ -102,10 +102,7 @@ impl Packed {
     /// Names, sizes, compressed sizes and checksums of the entries, from the directory of the archive:
     /// archives of the same content have the same.
     fn directory(&self) -> impl Iterator<Item = (&str, u64, u64, u32)> {
-        self.entries
-            .listed
-            .iter()
-            .map(|entry| (entry.name.as_str(), entry.size, entry.compressed_size, entry.crc32))
+        self.entries.listed.iter().map(Record::content)
     }
 
     /// True if the directories are equal.
