@@ -38,3 +38,13 @@ def test_exit_codes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pyte
     monkeypatch.setattr("signal.signal", lambda *_: None)
     assert command_line.main() == 2
     assert "none.fit" in capfd.readouterr().err
+
+
+def test_a_module_without_the_command_line_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def missing(arguments: list[str]) -> int:
+        raise NotImplementedError(f"{arguments[0]}: it is not there")
+
+    monkeypatch.setattr(command_line._core, "command_line", missing)
+    monkeypatch.setattr(command_line.signal, "signal", lambda *_: None)
+    assert command_line.main() == 2
+    assert capsys.readouterr().err == "error: fmufit: it is not there\n"
