@@ -3,15 +3,13 @@
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 use tempfile::{NamedTempFile, TempPath};
 
 /// Part of the name of a temporary file between the name of the file that it will replace and the number of
 /// the process.
 const WRITING: &str = ".writing-";
-
-/// End of the number of the process in the file of a claim that is shared.
-const SHARED: &str = " shared";
 
 /// So many bytes of a name are repeated in that of its temporary file: names have at most 255.
 const LONGEST: usize = 180;
@@ -114,13 +112,20 @@ pub fn folder_of(path: &Path) -> &Path {
     }
 }
 
-/// A claim on a file that one run at a time writes again and again: a locked file beside it, which is removed
-/// with the claim. The lock goes with its process, however that ends.
+/// Lock files of the claims of this process, by path and process (a forked child has none of its parent's), and
+/// whether the claim is shared. The system's locks belong to the process as a whole, so they exclude other
+/// processes only.
+static CLAIMED: Mutex<Vec<(PathBuf, u32, bool)>> = Mutex::new(Vec::new());
+
+/// A claim on a file that one run at a time writes again and again: a locked file next to it, which is removed
+/// with the claim. The lock ends with its process, however that ends, also if forked children live on.
 #[derive(Debug)]
 pub struct Claim {
-    /// `None`: this process has a claim on it already that is shared, or it is no file that is replaced.
+    /// `None`: this process has a claim on it already that is shared, or the target is not a file that is
+    /// replaced.
     locked: Option<File>,
     path: PathBuf,
+    process: u32,
 }
 
 impl Claim {
@@ -132,13 +137,23 @@ impl Claim {
     /// word that it is this one; those of the system.
     pub fn new(path: &Path, is_shared: bool) -> io::Result<Self> {
         let target = followed(path);
+        let process = std::process::id();
         if fs::metadata(&target).is_ok_and(|there| !there.is_file()) {
-            return Ok(Self { locked: None, path: target });
+            return Ok(Self { locked: None, path: target, process });
         }
         let mut name = target.file_name().unwrap_or_default().to_owned();
         name.push(".lock");
-        let place = target.with_file_name(name);
-        let own = std::process::id().to_string();
+        let place = fs::canonicalize(folder_of(&target))?.join(name);
+        let mut claimed = CLAIMED.lock().unwrap_or_else(PoisonError::into_inner);
+        // Checked before the file is opened: closing any descriptor of it ends the lock of the process.
+        match claimed.iter().find(|(path, owner, _)| *path == place && *owner == process) {
+            Some((.., true)) => return Ok(Self { locked: None, path: place, process }),
+            Some((.., false)) => {
+                let message = "another run of this process is writing to it";
+                return Err(io::Error::new(io::ErrorKind::ResourceBusy, message));
+            }
+            None => {}
+        }
         loop {
             let mut options = OpenOptions::new();
             options.read(true).write(true).create(true).truncate(false);
@@ -147,28 +162,22 @@ impl Claim {
             #[cfg(not(unix))]
             let file = options.open(&place)?;
             let mut file = require_regular(file)?;
-            match file.try_lock() {
+            match try_lock(&file) {
                 Ok(()) if !is_at(&file, &place)? => {}
                 Ok(()) => {
                     file.set_len(0)?;
-                    file.write_all(own.as_bytes())?;
-                    file.write_all(if is_shared { SHARED.as_bytes() } else { b"" })?;
-                    return Ok(Self { locked: Some(file), path: place });
+                    file.write_all(process.to_string().as_bytes())?;
+                    claimed.push((place.clone(), process, is_shared));
+                    return Ok(Self { locked: Some(file), path: place, process });
                 }
                 Err(fs::TryLockError::WouldBlock) => {
                     let mut owner = String::new();
                     let _ = file.read_to_string(&mut owner);
-                    let (process, is_shared) =
-                        owner.strip_suffix(SHARED).map_or((&*owner, false), |process| (process, true));
-                    let message = match process == own {
-                        true if is_shared => return Ok(Self { locked: None, path: place }),
-                        true => "another run of this process is writing to it".to_owned(),
-                        false => format!("process {process} is writing to it"),
-                    };
+                    let message = format!("process {owner} is writing to it");
                     return Err(io::Error::new(io::ErrorKind::ResourceBusy, message));
                 }
                 // Some file systems have no locks.
-                Err(fs::TryLockError::Error(_)) => return Ok(Self { locked: None, path: place }),
+                Err(fs::TryLockError::Error(_)) => return Ok(Self { locked: None, path: place, process }),
             }
         }
     }
@@ -176,10 +185,30 @@ impl Claim {
 
 impl Drop for Claim {
     fn drop(&mut self) {
-        if self.locked.is_some() {
+        // A forked child has a copy of the claim, but neither the lock nor the file.
+        if self.locked.is_some() && self.process == std::process::id() {
+            let mut claimed = CLAIMED.lock().unwrap_or_else(PoisonError::into_inner);
             let _ = fs::remove_file(&self.path);
+            claimed.retain(|(path, process, _)| *path != self.path || *process != self.process);
         }
     }
+}
+
+/// Locks a file for this process. The lock is a record lock (`fcntl`, POSIX.1-2024), which forked children do not
+/// inherit: they would keep it after the end of the process.
+#[cfg(unix)]
+fn try_lock(file: &File) -> Result<(), fs::TryLockError> {
+    use rustix::io::Errno;
+    match rustix::fs::fcntl_lock(file, rustix::fs::FlockOperation::NonBlockingLockExclusive) {
+        Ok(()) => Ok(()),
+        Err(Errno::ACCESS | Errno::AGAIN) => Err(fs::TryLockError::WouldBlock),
+        Err(error) => Err(fs::TryLockError::Error(error.into())),
+    }
+}
+
+#[cfg(not(unix))]
+fn try_lock(file: &File) -> Result<(), fs::TryLockError> {
+    file.try_lock()
 }
 
 /// True if an open file is still the one at a place (no link): its owner may have removed it meanwhile.
@@ -390,10 +419,20 @@ mod tests {
         fs::write(&lock, "4711").unwrap();
         drop(Claim::new(&path, false).unwrap());
         fs::write(&lock, "4711").unwrap();
-        let held = File::open(&lock).unwrap();
-        held.lock().unwrap();
+        let mut owner = Command::new("python3")
+            .args(["-c", "import fcntl, sys\nf = open(sys.argv[1], 'r+')\nfcntl.lockf(f, fcntl.LOCK_EX)\nprint('locked', flush=True)\nsys.stdin.read()"])
+            .arg(&lock)
+            .stdin(std::process::Stdio::piped())
+            .stdout(std::process::Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut said = [0; 6];
+        owner.stdout.as_mut().unwrap().read_exact(&mut said).unwrap();
         let error = Claim::new(&path, false).unwrap_err();
         assert_eq!((error.kind(), error.to_string().contains("4711")), (io::ErrorKind::ResourceBusy, true));
+        owner.kill().unwrap();
+        owner.wait().unwrap();
+        drop(Claim::new(&path, false).unwrap());
         Claim::new(Path::new("/dev/null"), false).unwrap();
     }
 

@@ -382,3 +382,40 @@ def test_what_a_hash_of_code_is_made_of():
 
 def factorial(n):
     return 1 if n < 2 else n * factorial(n - 1)
+
+
+ORPHANS = """
+import concurrent.futures, os, sys, time
+import pydfo
+
+def cost(x):
+    return float((x[0] - 1) ** 2 + 3 * (x[1] + 0.5) ** 2)
+
+def end(progress):
+    if progress.nfev >= 40:
+        os.kill(os.getpid(), 9)
+
+with concurrent.futures.ProcessPoolExecutor(2) as executor:
+    first = executor.submit(os.getpid).result()
+    print(first, flush=True)
+    pydfo.minimize(cost, [0.2, 0.3], bounds=[(-2, 2)] * 2, method="de", workers=executor, rng=1, checkpoint=sys.argv[1], callback=end)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="forked workers")
+def test_children_of_a_killed_program_do_not_hold_its_checkpoint(tmp_path):
+    def cost(x):
+        return float((x[0] - 1) ** 2 + 3 * (x[1] + 0.5) ** 2)
+
+    path = tmp_path / "run.ckpt"
+    killed = subprocess.Popen([sys.executable, "-c", ORPHANS, path], stdout=subprocess.PIPE, text=True)
+    orphan = int(killed.stdout.readline())
+    try:
+        assert killed.wait(timeout=60) == -9
+        os.kill(orphan, 0)
+        asked = {"bounds": [(-2, 2)] * 2, "method": "de", "rng": 1}
+        resumed = pydfo.minimize(cost, [0.2, 0.3], checkpoint=path, options={"problem": "x"}, resume="never", **asked)
+        assert resumed.success
+    finally:
+        os.kill(orphan, 9)
+        killed.stdout.close()

@@ -117,13 +117,8 @@ impl From<ReportedCostFailure> for CostFailure {
 impl From<FmiError> for CostFailure {
     fn from(error: FmiError) -> Self {
         match error {
-            FmiError::LoadFailed { .. }
-            | FmiError::Absent { .. }
-            | FmiError::NoBinary { .. }
-            | FmiError::NoSources { .. }
-            | FmiError::NoCompiler { .. }
-            | FmiError::CompileFailed { .. } => return CostFailure::Over(Box::new(error)),
             FmiError::Cancelled => return CostFailure::Cancelled,
+            _ if error.is_of_machine() => return CostFailure::Over(Box::new(error)),
             _ => {}
         }
         let mut kind = FailureKind::Error;
@@ -178,6 +173,19 @@ fn call_reason(error: &FmiError) -> String {
 mod tests {
     use super::*;
     use ode::{Evaluated, SimulationError, Stats};
+
+    #[test]
+    fn failures_of_the_machine_are_not_outcomes_of_a_point() {
+        let source = std::io::Error::from_raw_os_error(27);
+        let io = FmiError::Io { action: "write", path: "model.so".into(), source };
+        let no_worker = FmiError::NoWorker { reason: "no memory".to_owned() };
+        let memory = FmiError::Memory { what: "a trajectory".to_owned(), bytes: 1 << 40 };
+        for error in [io, no_worker, memory] {
+            assert!(matches!(CostFailure::from(error), CostFailure::Over(_)));
+        }
+        let model = FmiError::EventIteration { time: 1.0, limit: 10 };
+        assert!(matches!(CostFailure::from(model), CostFailure::Failed { .. }));
+    }
 
     #[test]
     fn a_model_that_cannot_be_evaluated_at_its_start_says_what_is_not_finite() {

@@ -102,6 +102,7 @@ impl Fit {
             n_evaluations: report.n_evaluations,
             n_iterations: report.n_iterations,
             n_failed: report.n_failed,
+            n_lost: report.n_lost,
             seconds: report.seconds,
             seed: report.seed,
             stats: serde_json::to_value(self.stats)?,
@@ -159,6 +160,8 @@ pub struct FitDocument<'f> {
     n_evaluations: usize,
     n_iterations: usize,
     n_failed: usize,
+    /// Answers that the executor lost; their points were evaluated again.
+    n_lost: usize,
     seconds: f64,
     seed: Option<u64>,
     /// Counted work of the simulations.

@@ -2,7 +2,7 @@
 
 use crate::fit::output_fit::KeptResiduals;
 use crate::problem::residual_layout::ResidualLayout;
-use dfo::{FailureKind, Outcome, Progress, RobustLoss};
+use dfo::{Outcome, Progress, RobustLoss};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
@@ -94,7 +94,7 @@ impl LiveFit {
             known.n_evaluations += 1;
             match entry.outcome {
                 Outcome::Value(cost) => known.add_cost(*cost),
-                Outcome::Failed(failure) if failure.kind != FailureKind::Cancelled => {
+                Outcome::Failed(failure) if failure.kind.is_of_point() => {
                     known.add_failed(entry.x, &failure.message)
                 }
                 _ => {}

@@ -303,7 +303,8 @@ fn facts(fit: &Fit) -> Vec<Fact> {
     }
     facts.extend(fit.noise.iter().map(|noise| ("noise", noise.to_string())));
     facts.push(("standard errors", errors(fit)));
-    let counts = [(report.n_failed, "failed"), (report.n_speculative, "speculative")];
+    let counts =
+        [(report.n_failed, "failed"), (report.n_lost, "lost"), (report.n_speculative, "speculative")];
     let counts: String =
         counts.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!(", {n} {what}")).collect();
     facts.push((

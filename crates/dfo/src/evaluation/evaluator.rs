@@ -81,7 +81,7 @@ pub trait Evaluator {
         CutoffUse::Unknown
     }
 
-    /// The run is over: whether what is under way can be left to itself. Else its end is waited for.
+    /// True if a run that ends can leave what is under way to itself; otherwise its end is awaited.
     fn leave(&mut self) -> bool {
         false
     }

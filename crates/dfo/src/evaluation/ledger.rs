@@ -2,7 +2,7 @@
 
 use crate::error::{Error, NothingFound};
 use crate::method_interface::interface::Batch;
-use crate::outcome::answer::{Answer, Best, Failure, FailureKind, Outcome, Want};
+use crate::outcome::answer::{Answer, Best, Failure, Outcome, Want};
 use crate::outcome::trace::{Record, SpeculativeEntry, Trace};
 use serde::{Deserialize, Serialize};
 
@@ -55,6 +55,9 @@ pub(crate) struct Ledger {
     pub(crate) best_residuals: Vec<f64>,
     pub(crate) n_evaluations: usize,
     pub(crate) n_failed: usize,
+    /// Answers that the engine lost.
+    #[serde(default)]
+    pub(crate) n_lost: usize,
     pub(crate) n_cached: usize,
     /// Number of batches requested.
     pub(crate) n_batches: usize,
@@ -79,6 +82,7 @@ impl Ledger {
             best_residuals: Vec::new(),
             n_evaluations: 0,
             n_failed: 0,
+            n_lost: 0,
             n_cached: 0,
             n_batches: 0,
             n_residuals: None,
@@ -130,9 +134,8 @@ impl Ledger {
     fn enter(&mut self, batch: &Batch, k: usize, answer: &Answer) {
         self.n_evaluations += 1;
         let outcome = &answer.outcome;
-        // One that was cancelled says nothing about its point.
         if let Outcome::Failed(Failure { kind, message }) = outcome
-            && *kind != FailureKind::Cancelled
+            && kind.is_of_point()
         {
             self.n_failed += 1;
             self.first_failure.get_or_insert_with(|| batch.point(k).to_vec());

@@ -39,6 +39,16 @@ impl Outcome {
         Self::Failed(Failure { kind: FailureKind::Cancelled, message: "cancelled".to_owned() })
     }
 
+    /// A failure with [`FailureKind::Lost`]: the engine returned no answer, for this reason.
+    pub fn lost(message: impl Into<String>) -> Self {
+        Self::Failed(Failure { kind: FailureKind::Lost, message: message.into() })
+    }
+
+    /// True if the engine lost the evaluation.
+    pub(crate) fn is_lost(&self) -> bool {
+        matches!(self, Self::Failed(failure) if failure.kind == FailureKind::Lost)
+    }
+
     /// The cost, if there is a finite one.
     pub fn value(&self) -> Option<f64> {
         match self {
@@ -48,11 +58,11 @@ impl Outcome {
     }
 
     /// True if this says anything about the point: false for [`Skipped`](Self::Skipped),
-    /// [`Abort`](Self::Abort) and cancelled evaluations, from which no decision may follow.
+    /// [`Abort`](Self::Abort), lost and cancelled evaluations, from which no decision may follow.
     pub fn is_known(&self) -> bool {
         match self {
             Self::Value(_) | Self::Above(_) => true,
-            Self::Failed(failure) => failure.kind != FailureKind::Cancelled,
+            Self::Failed(failure) => failure.kind.is_of_point(),
             Self::Abort(_) | Self::Skipped => false,
         }
     }
@@ -60,7 +70,7 @@ impl Outcome {
     /// True if this says something lasting about the point: another evaluation would give the same.
     pub(crate) fn is_lasting(&self) -> bool {
         match self {
-            Self::Failed(failure) => !matches!(failure.kind, FailureKind::Cancelled | FailureKind::TimedOut),
+            Self::Failed(failure) => failure.kind.is_of_point() && failure.kind != FailureKind::TimedOut,
             other => other.is_known(),
         }
     }
@@ -108,6 +118,16 @@ pub enum FailureKind {
     TimedOut,
     /// The run was being ended; says nothing about the point.
     Cancelled,
+    /// The engine that evaluates lost the point (a machine or a connection is gone); says nothing about the
+    /// point, which is evaluated again.
+    Lost,
+}
+
+impl FailureKind {
+    /// True if the failure says something about the point, rather than about the run or its engine.
+    pub fn is_of_point(self) -> bool {
+        !matches!(self, Self::Cancelled | Self::Lost)
+    }
 }
 
 /// Kind of values that are requested of a point.

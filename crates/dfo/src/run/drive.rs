@@ -10,7 +10,7 @@ use crate::evaluation::{
 };
 use crate::method_interface::interface::{Batch, Method, MethodDetails, Status};
 use crate::method_interface::tolerances::Limits;
-use crate::outcome::answer::{Answer, Outcome, Want};
+use crate::outcome::answer::{Answer, Failure, Outcome, Want};
 use crate::outcome::termination::{Termination, UNBOUNDED};
 use crate::run::checkpoint::Writer;
 use crate::run::progress::Progress;
@@ -20,6 +20,10 @@ use base::RunContext;
 use std::cell::Cell;
 use std::ops::ControlFlow;
 use std::time::Instant;
+
+/// A point that the engine lost is evaluated again; after this number of losses the run ends. Dask gives up a
+/// task whose workers died as often (`distributed.scheduler.allowed-failures`).
+const MOST_LOSSES: u32 = 3;
 
 pub(crate) type Observer<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
 
@@ -69,6 +73,10 @@ pub(crate) struct Drive<M> {
     n_missing: usize,
     /// The first of them known to end the run; nothing after it is awaited.
     end: usize,
+    /// Points of the path that were still evaluated elsewhere when the run had to end.
+    n_left: usize,
+    /// Points of this batch that the engine lost, by number, and how often.
+    losses: Vec<(u64, u32)>,
     /// Answers that came since the checkpoint was written.
     n_unsaved: usize,
     guesses: SpeculativeEvaluations,
@@ -103,6 +111,8 @@ impl<M: Method> Drive<M> {
             answers: Vec::new(),
             n_missing: 0,
             end: usize::MAX,
+            n_left: 0,
+            losses: Vec::new(),
             n_unsaved: 0,
             guesses: SpeculativeEvaluations::default(),
             answer: Answer::default(),
@@ -150,6 +160,7 @@ impl<M: Method> Drive<M> {
                 wait.until = Instant::now();
             }
             match around.evaluator.poll(&wait, &mut answer) {
+                Polled::Answered(_) if answer.outcome.is_lost() => self.round.ledger.n_lost += 1,
                 Polled::Answered(id) => {
                     let answer = std::mem::take(&mut answer);
                     let cutoff_use = around.evaluator.cutoff_use();
@@ -168,11 +179,16 @@ impl<M: Method> Drive<M> {
 
     /// The result; nothing is left of the run then.
     fn report(mut self, termination: Option<Termination>, context: &RunContext<'_>) -> Result<Report, Error> {
-        let seconds = self.elapsed();
+        let (seconds, n_left) = (self.elapsed(), self.n_left);
         self.round.finish();
         let Self { method, round, limits, workers, method_reason, options, resumed, .. } = self;
         let mut ledger = round.ledger;
-        let report = report::conclude(&method, &mut ledger, &limits, workers, termination, seconds, context)?;
+        let mut report =
+            report::conclude(&method, &mut ledger, &limits, workers, termination, seconds, context)?;
+        if n_left > 0 {
+            let left = format!("; {n_left} evaluations were still running elsewhere and were not awaited");
+            report.message.push_str(&left);
+        }
         Ok(Report { method_reason, options, resumed, ..report })
     }
 
@@ -270,6 +286,7 @@ impl<M: Method> Drive<M> {
         reset(answers, n_work);
         (self.n_missing, self.n_unsaved, self.stage) = (n_work, 0, Stage::Evaluate);
         self.end = usize::MAX;
+        self.losses.clear();
         // Who makes the evaluations goes on after an interrupt, or stops the run.
         self.cause = around.control.check().filter(|cause| !self.by_hand || *cause != StopCause::Interrupted);
         if self.cause.is_some() {
@@ -305,11 +322,23 @@ impl<M: Method> Drive<M> {
     fn take_answer(&mut self, around: &mut Around<'_, '_, '_>) -> bool {
         let Around { evaluator, control, .. } = around;
         let mut answer = std::mem::take(&mut self.answer);
-        let polled = evaluator.poll(&control.wait(self.cause.is_some()), &mut answer);
+        let mut wait = control.wait(self.cause.is_some());
+        // A run whose time is up does not wait for what others evaluate: they may never answer.
+        let is_left = self.cause == Some(StopCause::OutOfTime) && evaluator.leave();
+        if is_left {
+            wait.until = Instant::now();
+        }
+        let polled = evaluator.poll(&wait, &mut answer);
         match polled {
             Polled::Answered(id) => {
-                self.answered(id, &mut answer, &mut **evaluator);
-                self.n_unsaved += 1;
+                if !self.is_evaluated_again(id, &mut answer, &mut **evaluator) {
+                    self.answered(id, &mut answer, &mut **evaluator);
+                    self.n_unsaved += 1;
+                }
+            }
+            Polled::Waiting if is_left => {
+                self.n_left = self.n_missing;
+                self.n_missing = 0;
             }
             Polled::Waiting => {}
             // What was handed in and is not answered was not evaluated.
@@ -331,6 +360,36 @@ impl<M: Method> Drive<M> {
         if self.n_unsaved > 0 && self.n_missing > 0 && self.writer.as_ref().is_some_and(Writer::is_due) {
             self.save_now();
             self.n_unsaved = 0;
+        }
+        false
+    }
+
+    /// Submits a point again that the engine lost, if this answer is a loss and the path waits for the point.
+    /// Otherwise a loss becomes [`Outcome::Skipped`], or ends the run after [`MOST_LOSSES`] of the same point:
+    /// no decision follows from it.
+    fn is_evaluated_again(&mut self, id: u64, answer: &mut Answer, evaluator: &mut dyn Evaluator) -> bool {
+        if !answer.outcome.is_lost() {
+            return false;
+        }
+        self.round.ledger.n_lost += 1;
+        let why = std::mem::replace(&mut answer.outcome, Outcome::Skipped);
+        let place = self.round.work.place_of(id).filter(|&k| id < FIRST_ID && k <= self.end);
+        let (Some(k), None) = (place, self.cause) else { return false };
+        let known = self.losses.iter().position(|(lost, _)| *lost == id);
+        let known = known.unwrap_or_else(|| {
+            self.losses.push((id, 0));
+            self.losses.len() - 1
+        });
+        let n = &mut self.losses[known].1;
+        *n += 1;
+        if *n < MOST_LOSSES {
+            evaluator.submit(self.round.work.point(k), self.round.work.query(k));
+            return true;
+        }
+        if let Outcome::Failed(Failure { message, .. }) = why {
+            let message =
+                format!("the engine lost the same point {n} times ({message}); no cost of it is stored");
+            answer.outcome = Outcome::Abort(message);
         }
         false
     }

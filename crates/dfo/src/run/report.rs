@@ -46,6 +46,10 @@ pub struct Report {
     pub n_batches: usize,
     /// Failed evaluations of the path.
     pub n_failed: usize,
+    /// Answers that the engine lost (a machine or a connection was gone). The points were evaluated again, and
+    /// count once.
+    #[serde(default)]
+    pub n_lost: usize,
     /// Answers that count as no evaluation, because the point was known already. Where only that it lies
     /// above a lower cutoff was known, it is evaluated all the same, outside of budget and trace: so cutoffs
     /// change no count.
@@ -123,6 +127,7 @@ impl Report {
             n_iterations: 0,
             n_batches: 0,
             n_failed: found.failures.iter().map(|(_, count)| count).sum(),
+            n_lost: 0,
             n_cached: 0,
             n_speculative: 0,
             termination: Termination::MaxTime,
@@ -216,6 +221,13 @@ impl fmt::Display for Report {
         writeln!(f, "  iterations   {}", self.n_iterations)?;
         write!(f, "  evaluations  {} in {} batches", self.n_evaluations, self.n_batches)?;
         writeln!(f, " ({} failed, {} speculative)", self.n_failed, self.n_speculative)?;
+        if self.n_lost > 0 {
+            writeln!(
+                f,
+                "  lost         {} answers by the engine; their points were evaluated again",
+                self.n_lost
+            )?;
+        }
         if let Some(resumed) = &self.resumed {
             writeln!(f, "  {resumed}")?;
         }
@@ -258,6 +270,7 @@ pub(crate) fn conclude<M: Method + ?Sized>(
         n_iterations: details.n_iterations,
         n_batches: ledger.n_batches,
         n_failed: ledger.n_failed,
+        n_lost: ledger.n_lost,
         n_cached: ledger.n_cached,
         n_speculative: ledger.n_speculative(),
         termination,

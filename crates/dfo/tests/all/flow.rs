@@ -48,6 +48,74 @@ fn named(name: &str) -> AnyMethod {
     name.parse().unwrap()
 }
 
+/// An evaluator that loses answers: every so many, or all of one point.
+struct Lossy<E> {
+    inner: E,
+    every: usize,
+    n: usize,
+    n_lost: Rc<Cell<usize>>,
+}
+
+impl<E: Evaluator> Evaluator for Lossy<E> {
+    fn submit(&mut self, x: &[f64], query: Query<'static>) {
+        self.inner.submit(x, query);
+    }
+    fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled {
+        let polled = self.inner.poll(wait, answer);
+        if matches!(polled, Polled::Answered(_)) && answer.outcome != Outcome::Skipped {
+            self.n += 1;
+            if self.n.is_multiple_of(self.every) {
+                self.n_lost.set(self.n_lost.get() + 1);
+                *answer = Outcome::lost("the machine is gone").into();
+            }
+        }
+        polled
+    }
+    fn cancel(&mut self, id: u64) {
+        self.inner.cancel(id);
+    }
+    fn width(&self) -> usize {
+        self.inner.width()
+    }
+    fn cutoff_use(&self) -> CutoffUse {
+        self.inner.cutoff_use()
+    }
+}
+
+#[test]
+fn lost_answers_change_nothing_but_their_count() {
+    for name in ["nelder-mead", "pattern-search", "de", "cma-es", "multistart", "quadratic-model", "ga"] {
+        let method = named(name);
+        let whole = described(minimize(rosenbrock), &method, (3, 200)).run().unwrap();
+        for (width, every) in [(1, 4), (3, 7), (16, 5)] {
+            let n_lost = Rc::new(Cell::new(0));
+            let inner = Clocked::new(width, one_in(5)).0;
+            let lossy = Lossy { inner, every, n: 0, n_lost: Rc::clone(&n_lost) };
+            let report = described(minimize_by(lossy), &method, (3, 200)).run().unwrap();
+            assert_eq!(timeless(&report.trace), timeless(&whole.trace), "{name} {width}");
+            assert_eq!((report.n_failed, report.n_lost), (whole.n_failed, n_lost.get()), "{name} {width}");
+            assert!(report.n_lost > 10 && whole.n_lost == 0, "{name} {width}: {}", report.n_lost);
+        }
+    }
+}
+
+#[test]
+fn a_point_that_is_always_lost_ends_the_run_and_is_not_stored() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run");
+    let method = named("de");
+    let n_lost = Rc::new(Cell::new(0));
+    let lossy = Lossy { inner: Clocked::new(2, one_in(5)).0, every: 1, n: 0, n_lost: Rc::clone(&n_lost) };
+    let ended = described(minimize_by(lossy), &method, (3, 200)).checkpoint(Checkpoint::new(&path)).run();
+    let message = ended.unwrap_err().to_string();
+    assert!(message.contains("lost the same point 3 times (the machine is gone)"), "{message}");
+    let resumed =
+        described(minimize(rosenbrock), &method, (3, 200)).checkpoint(Checkpoint::new(&path)).run().unwrap();
+    let whole = described(minimize(rosenbrock), &method, (3, 200)).run().unwrap();
+    assert_eq!(timeless(&resumed.trace), timeless(&whole.trace));
+    assert_eq!((resumed.n_failed, resumed.x), (whole.n_failed, whole.x));
+}
+
 #[test]
 fn whoever_answers_first_the_path_is_the_same() {
     for name in ["nelder-mead", "pattern-search", "de", "cma-es", "multistart", "quadratic-model", "ga"] {

@@ -388,6 +388,27 @@ fn bits(least: i128, most: i128) -> u32 {
 }
 
 impl FmiError {
+    /// True if the model was never asked: a file, memory, a compiler, the loader or a process is at fault. Such
+    /// an error says nothing about the values that a simulation was to be made with.
+    pub fn is_of_machine(&self) -> bool {
+        matches!(
+            self,
+            FmiError::Memory { .. }
+                | FmiError::NoWorker { .. }
+                | FmiError::Io { .. }
+                | FmiError::Absent { .. }
+                | FmiError::BadArchive { .. }
+                | FmiError::BadEntry { .. }
+                | FmiError::ArchiveLimit { .. }
+                | FmiError::NoSources { .. }
+                | FmiError::NoCompiler { .. }
+                | FmiError::CompileFailed { .. }
+                | FmiError::NoBinary { .. }
+                | FmiError::LoadFailed { .. }
+                | FmiError::MissingSymbol { .. }
+        )
+    }
+
     /// True for [`ReadBetweenSteps`](Self::ReadBetweenSteps) and a simulation that ended with it.
     pub fn is_read_between_steps(&self) -> bool {
         match self {

@@ -35,6 +35,7 @@ use std::cell::RefCell;
 use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 /// A calibration; `pydfo.Calibration` is its Python class.
 #[pyclass(frozen, module = "pydfo._core", name = "Calibration")]
@@ -138,23 +139,28 @@ impl PyCalibration {
         Ok(PyBytes::new(py, &state(self.inner())?))
     }
 
-    /// The answer of a simulation to a fit elsewhere, as bytes. `loss`: what residuals count, likewise.
+    /// The answer of a simulation to a fit elsewhere, as bytes. `loss`: what residuals count, likewise;
+    /// `seconds`: the time that the fit has left, if it has a limit.
+    #[pyo3(signature = (x, cutoff, loss, seconds = None))]
     fn answer<'py>(
         &self,
         py: Python<'py>,
         x: Vec<f64>,
         cutoff: f64,
         loss: &[u8],
+        seconds: Option<f64>,
     ) -> PyResult<Bound<'py, PyBytes>> {
         let loss: RobustLoss =
             ciborium::from_reader(loss).map_err(|e| PyValueError::new_err(e.to_string()))?;
+        let left = seconds.map(|seconds| Duration::try_from_secs_f64(seconds).unwrap_or_default());
+        let deadline = left.and_then(|left| Instant::now().checked_add(left));
         let watch = InterruptGuard::new(py)?;
         let stop = Arc::clone(watch.stop());
         let inner = Arc::clone(&self.shared.inner);
         let asked = watch.run(move |_| {
             let mut stats = ode::Stats::default();
             let flag = stop.flag();
-            let query = Query::new(0, 0, cutoff).want(Want::Residuals).cancellable(&flag, None);
+            let query = Query::new(0, 0, cutoff).want(Want::Residuals).cancellable(&flag, deadline);
             let answer = inner.answer_counted(&x, &query, loss, &mut stats);
             (answer, stats)
         })?;

@@ -5,7 +5,7 @@ use crate::convert::object;
 use crate::interrupt::interrupt_guard::CallingThread;
 use crate::interrupt::threads::lock;
 use base::RunContext;
-use dfo::{FailureKind, Outcome, Progress, Report, Simplex, Termination, ToleranceTests, Trace, TraceEntry};
+use dfo::{Outcome, Progress, Report, Simplex, Termination, ToleranceTests, Trace, TraceEntry};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::exceptions::PyStopIteration;
 use pyo3::prelude::*;
@@ -223,7 +223,7 @@ pub(crate) fn trace<'py>(py: Python<'py>, trace: &Trace) -> PyResult<Bound<'py, 
     let above = |outcome: &Outcome| if let Outcome::Above(cutoff) = outcome { *cutoff } else { f64::NAN };
     let failed = |(_, e): &(usize, TraceEntry<'_>)| match e.outcome {
         // Nothing of the point.
-        Outcome::Failed(failure) => failure.kind != FailureKind::Cancelled,
+        Outcome::Failed(failure) => failure.kind.is_of_point(),
         outcome => matches!(outcome, Outcome::Abort(_)),
     };
     let messages = all().enumerate().filter(failed).map(|(k, e)| (k, describe(e.outcome)));

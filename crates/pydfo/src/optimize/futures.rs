@@ -149,7 +149,7 @@ impl<A: Answers> Evaluator for OnExecutor<A> {
                 Polled::Answered(id)
             }
             PolledAnswer::Lost { id, why } => {
-                answer.outcome = Outcome::failed(format!("the executor lost it: {why}"));
+                answer.outcome = Outcome::lost(why.to_string());
                 Polled::Answered(id)
             }
             PolledAnswer::Broken { id, x, why } => {

@@ -188,6 +188,7 @@ impl Fit {
         all.extend(self.without_effect.iter().filter(is_said).map(without_effect));
         all.extend(self.setup_findings.iter().cloned());
         all.extend(self.open_minima());
+        all.extend(self.lost_answers());
         all.extend(self.uncertainty.iter().flat_map(|uncertainty| uncertainty.findings_with(names)));
         sort(&mut all);
         all
@@ -205,6 +206,15 @@ impl Fit {
         );
         let remedy = "compare the minima (optima); a larger max_evaluations lets more searches start";
         Some(Finding::note("search", sentence, remedy).of(Origin::Search))
+    }
+
+    /// Answers that the executor lost.
+    fn lost_answers(&self) -> Option<Finding> {
+        let n = self.report.n_lost;
+        let sentence = format!(
+            "the executor lost {n} answers; their points were evaluated again, which changes no result"
+        );
+        (n > 0).then(|| Finding::note("executor", sentence, "").of(Origin::Search))
     }
 
     /// The RMS over that at the start, on the same measurements; `None` if the simulation failed at the

@@ -421,7 +421,7 @@ class Calibration(Evaluation):
         if executor is not None:
             from .simulation_executor import Simulations
 
-            engine = Simulations(self, executor)
+            engine = Simulations(self, executor, _values.optional_number("max_time", max_time))
         count = engine.width if engine else _options.worker_count("workers", given, None)
         own = _options.with_plan(own, count)
         cost = _cost.built(objective, self)

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from .. import _core
+from .._errors import PydfoError
 from .._optimize import evaluate as _evaluate
 
 if TYPE_CHECKING:
@@ -43,9 +44,30 @@ class Problem(NamedTuple):
     def open(self) -> Any:
         """The native calibration. FileNotFoundError: the model is not here."""
         path, content = _core.Calibration.model_of(self.state)
-        if not path.exists():
-            path = _kept_model(content, self.model)
-        return _core.Calibration.restore(self.state, _core.Fmu(path, self.opened), self.functions)
+        # Another machine may have another model at the same path.
+        fmu = self._opened_at(path)
+        if fmu is None or fmu.content_hash != content:
+            fmu = _core.Fmu(_kept_model(content, self.model), self.opened)
+        return _core.Calibration.restore(self.state, fmu, self.functions)
+
+    def _opened_at(self, path: Path) -> Any:
+        """The FMU at a path of this machine; None if there is none."""
+        try:
+            return _core.Fmu(path, self.opened)
+        except (PydfoError, OSError):
+            return None
+
+
+class Deadline(NamedTuple):
+    """The time at which a fit with a time limit ends: by the clock of its machine, and in s from when a task was sent."""
+
+    at: float
+    machine: str
+    seconds: float
+
+    def left(self) -> float:
+        """The time that is left for a task, in s. Clocks of two machines are not compared."""
+        return self.at - time.time() if self.machine == socket.gethostname() else self.seconds
 
 
 class Missing(NamedTuple):
@@ -65,6 +87,8 @@ def _kept_model(content: str, model: bytes | None) -> Path:
     if not place.exists():
         if model is None:
             raise FileNotFoundError(os.fspath(place))
+        if hashlib.sha256(model).hexdigest() != content:
+            raise RuntimeError("the file of the model has changed since the calibration was made; make the calibration again")
         with tempfile.NamedTemporaryFile(dir=folder, suffix=".part", delete=False) as file:
             file.write(model)
         os.replace(file.name, place)
@@ -75,7 +99,7 @@ def _kept_model(content: str, model: bytes | None) -> Path:
 
 
 def simulate(
-    key: str, problem: Problem | None, x: Any, cutoff: float, loss: bytes
+    key: str, problem: Problem | None, x: Any, cutoff: float, loss: bytes, deadline: Deadline | None = None
 ) -> tuple[float, bytes] | Missing:
     """A task: how long it took and its answer, or what this process lacks."""
     start = time.perf_counter()
@@ -92,15 +116,16 @@ def simulate(
         # A process works for one problem at a time, as a rule.
         _problems.clear()
         _problems[key] = known
-    answer = known.answer(np.ascontiguousarray(x), cutoff, loss)
+    answer = known.answer(np.ascontiguousarray(x), cutoff, loss, deadline and deadline.left())
     return time.perf_counter() - start, answer
 
 
 class Simulations(_evaluate.Futures):
     """Hands the points of a fit to an executor."""
 
-    def __init__(self, calibration: Calibration, executor: concurrent.futures.Executor) -> None:
+    def __init__(self, calibration: Calibration, executor: concurrent.futures.Executor, max_time: float | None) -> None:
         super().__init__(_no_function, executor)
+        self._end = None if max_time is None else time.time() + max_time
         self._calibration = calibration
         self._tasks: dict[int, tuple[Any, ...]] = {}
 
@@ -118,7 +143,8 @@ class Simulations(_evaluate.Futures):
 
     def submit(self, number: int, x: Any, cutoff: float) -> None:
         """Begins a point."""
-        self._tasks[number] = (self._key, x, cutoff, self._loss)
+        deadline = self._end and Deadline(self._end, socket.gethostname(), self._end - time.time())
+        self._tasks[number] = (self._key, x, cutoff, self._loss, deadline)
         self._send(number, None)
 
     def poll(self, seconds: float) -> tuple[int, float, Any, str] | None:

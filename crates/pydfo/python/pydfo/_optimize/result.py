@@ -173,6 +173,9 @@ class OptimizeResult:
         Evaluations of the path of the method: those of a run with one worker. What budgets count.
     nfail : int
         Calls that failed (an exception where tolerated, NaN, infinities).
+    n_lost : int
+        Answers that the executor lost, because a machine or a connection was gone. Their points were evaluated again and
+        count once; a run ends with status 6 if the same point is lost three times.
     n_speculative : int
         Further calls of the objective: made ahead of need, and not needed. May depend on the number of workers and on how
         long calls take.
@@ -237,6 +240,7 @@ class OptimizeResult:
     nit: int
     nfev: int
     nfail: int
+    n_lost: int = 0
     n_speculative: int = 0
     n_batches: int = 0
     n_cached: int = 0
@@ -324,7 +328,7 @@ class OptimizeResult:
 
     def __repr__(self) -> str:
         evaluations = f"{self.nfev} in {self.n_batches} batches" if self.n_batches else str(self.nfev)
-        remarks = [f"{n} {what}" for n, what in ((self.nfail, "failed"), (self.n_speculative, "speculative")) if n]
+        remarks = [f"{n} {what}" for n, what in ((self.nfail, "failed"), (self.n_lost, "lost"), (self.n_speculative, "speculative")) if n]
         lines = [
             ("message", self.message),
             ("success", f"{self.success} (status {self.status}, {self.termination})"),
