@@ -57,6 +57,8 @@ mod core_module {
     #[pymodule_export]
     use super::model::model_class::Model;
     #[pymodule_export]
+    use super::model::trajectory::time_tolerance;
+    #[pymodule_export]
     use super::ode::solve::{solve, solver_standing_for};
     #[pymodule_export]
     use super::optimize::methods::{method_name, method_names, method_of_number, option_names};

@@ -259,7 +259,7 @@ fn check_times(times: &[f64], start: f64) -> Result<(), FmiError> {
                 let (time, before) = (Number(*time), Number(before));
                 return bad(format!("times must ascend: times[{i}] = {time} comes after {before}"));
             }
-            Some(Ordering::Less) if start - time > 100.0 * f64::EPSILON * start.abs() => {
+            Some(Ordering::Less) if start - time > base::time_tolerance(start, start) => {
                 let (time, start) = (Number(*time), Number(start));
                 return bad(format!("times[{i}] = {time} is before the start of the simulation, {start}"));
             }

@@ -491,8 +491,8 @@ impl Data {
         let (Some(first), Some(last)) = (known.first(), known.last()) else {
             return bad(": all are missing".to_owned());
         };
-        let rounding = 100.0 * f64::EPSILON / 2.0 * first.0.abs().max(last.0.abs()).max(time.abs());
-        if let Some((_, value)) = known.iter().find(|(t, _)| (t - time).abs() <= rounding) {
+        let tolerance = base::time_tolerance(first.0.min(time), last.0.max(time));
+        if let Some((_, value)) = known.iter().find(|(t, _)| (t - time).abs() <= tolerance) {
             return Ok(*value);
         }
         let after = known.partition_point(|(t, _)| *t <= time);

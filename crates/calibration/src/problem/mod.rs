@@ -18,5 +18,6 @@ pub(crate) mod residual_layout;
 pub(crate) mod resolution;
 #[cfg(feature = "schema")]
 pub(crate) mod schema;
+pub(crate) mod row_means;
 pub(crate) mod settings;
 pub(crate) mod warning;

@@ -103,7 +103,7 @@ mod tests {
         };
         let text: String = std::iter::once("time,x,ok\n".to_owned()).chain((0..40).map(row)).collect();
         std::fs::write(&csv, &text).unwrap();
-        let data = Data::from_csv(&csv).unwrap().masked_by(&["x"], "ok").unwrap().resampled(0.1).unwrap();
+        let data = Data::from_csv(&csv).unwrap().masked_by(&["x"], "ok").unwrap();
         let run = fmi::RunSettings {
             max_step: Some(0.021),
             timeout: Some(std::time::Duration::from_millis(3250)),
@@ -114,7 +114,7 @@ mod tests {
         let settings = crate::SimulationSettings { memory_limit: Some(512_345_678), ..run.into() };
         let fmu = fmi::Fmu::open(example_models::example_fmu("dahlquist").unwrap()).unwrap();
         let calibration = Calibration::builder(fmu)
-            .experiment(Experiment::new(data).output("x", "x").delay("x", 0.0).hold_inputs(true))
+            .experiment(Experiment::new(data).resample(0.1).output("x", "x").delay("x", 0.0).hold_inputs(true))
             .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
             .settings(settings)
             .build()
