@@ -47,6 +47,8 @@ mod core_module {
     #[pymodule_export]
     use super::command_line::command_line;
     #[pymodule_export]
+    use super::convert::error::visible_line;
+    #[pymodule_export]
     use super::convert::values::dtypes;
     #[pymodule_export]
     use super::model::description::Fmu;

@@ -194,6 +194,53 @@ mod tests {
         Data::from_columns(time, [("y [mm]".to_owned(), y)]).unwrap()
     }
 
+    fn plain(data: Data, interval: f64) -> Result<Data, CalibrationError> {
+        Ok(data.resampled(interval, |_| Means::Plain)?.0)
+    }
+
+    /// Rows every 0.1 s, from 0 and in seconds since 1970, of which the last digit is 2.4e-7 s.
+    #[test]
+    fn resampling_is_the_same_when_times_are_large() {
+        for start in [0.0, 1.7e9] {
+            let time: Vec<f64> = (0..2000).map(|k| start + 0.1 * f64::from(k)).collect();
+            let y = time.iter().map(|t| t - start).collect();
+            let data = Data::from_columns(time, [("y".to_owned(), y)]).unwrap();
+            for (interval, rows) in [(0.1, 2000), (0.2, 1000), (0.7, 286)] {
+                let means = plain(data.clone(), interval).unwrap();
+                assert_eq!(means.time().len(), rows, "{start} {interval}");
+                let errors = means.time().iter().zip(means.column("y").unwrap()).map(|(t, y)| t - start - y);
+                assert!(errors.fold(0.0, |most: f64, e| most.max(e.abs())) < 1e-6, "{start} {interval}");
+            }
+        }
+    }
+
+    /// Two rows with weights 1 and 3: the mean with their squares is (0 + 9 * 1) / 10, its weight the root of 10.
+    #[test]
+    fn weighted_means_have_the_root_of_the_sum_of_squares_when_rows_are_averaged() {
+        let y = vec![0.0, 1.0, 5.0, f64::NAN, 7.0, 2.0];
+        let columns = [("y".to_owned(), y.clone()), ("u".to_owned(), vec![0.0, 1.0, 1.0, 0.0, 0.0, 0.0])];
+        let data = Data::from_columns(vec![0.0, 1.0, 2.0, 3.0, 4.0, 5.0], columns).unwrap();
+        let weights = [1.0, 3.0, 2.0, 8.0, 0.0, 4.0];
+        let how = |k: usize| if k == 0 { Means::Weighted(&weights) } else { Means::Held };
+        let (means, of_means) = data.resampled(2.0, how).unwrap();
+        let known: Vec<(f64, f64, f64)> = (means.time().iter().zip(means.column("y").unwrap()).zip(&of_means[0]))
+            .filter(|((_, y), _)| !y.is_nan())
+            .map(|((t, y), w)| (*t, *y, *w))
+            .collect();
+        let expected = [(0.9, 0.9, 10f64.sqrt()), (2.0, 5.0, 2.0), (5.0, 2.0, 4.0)];
+        assert_eq!(known.len(), 3, "{known:?}");
+        for ((t, y, w), (time, value, weight)) in known.into_iter().zip(expected) {
+            assert!((t - time).abs() < 1e-14 && (y - value).abs() < 1e-14 && (w - weight).abs() < 1e-14, "{t} {y} {w}");
+        }
+        // Held: where it begins in an interval, where it changes, and at the end.
+        let held: Vec<(f64, f64)> = (means.time().iter().zip(means.column("u").unwrap()))
+            .filter(|(_, u)| !u.is_nan())
+            .map(|(t, u)| (*t, *u))
+            .collect();
+        assert_eq!(held, [(0.0, 0.0), (1.0, 1.0), (2.0, 1.0), (3.0, 0.0), (4.0, 0.0), (5.0, 0.0)]);
+        assert!(of_means[1].is_empty());
+    }
+
     #[test]
     fn means_of_a_period_take_all_of_a_signal_away_and_noise_is_none() {
         let noise = |k: i32| 2.0 * ((12.9898 * (f64::from(k) + 1.0)).sin() * 43_758.547).fract().abs() - 1.0;
@@ -204,7 +251,7 @@ mod tests {
         let columns = [("wave", wave), ("slow", slow), ("noise", alone)].map(|(n, v)| (n.to_owned(), v));
         let data = Data::from_columns(time, columns).unwrap();
         let lost = |interval: f64| -> Vec<f64> {
-            let data = data.clone().resampled(interval).unwrap();
+            let data = plain(data.clone(), interval).unwrap();
             data.resampling().unwrap().lost.iter().map(|(_, lost)| *lost).collect()
         };
         let [wave, slow, noise] = lost(5.0)[..] else { panic!() };
@@ -222,7 +269,7 @@ mod tests {
         let line: Vec<f64> = time.iter().map(|t| 1.0 + 2.0 * t).collect();
         let y = line.iter().enumerate().map(|(k, v)| if k % 3 == 2 { *v } else { f64::NAN }).collect();
         let columns = [("y".to_owned(), y), ("z".to_owned(), line)];
-        let data = Data::from_columns(time, columns).unwrap().resampled(0.5).unwrap();
+        let data = plain(Data::from_columns(time, columns).unwrap(), 0.5).unwrap();
         for name in ["y", "z"] {
             let rows = data.time().iter().zip(data.column(name).unwrap()).filter(|(_, v)| !v.is_nan());
             assert_eq!(rows.clone().count(), 12, "{name}");
@@ -235,7 +282,7 @@ mod tests {
 
     #[test]
     fn resampling_takes_means() {
-        let data = table().resampled(0.3).unwrap();
+        let data = plain(table(), 0.3).unwrap();
         let near =
             |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12) && a.len() == b.len();
         let known = |name: &str| -> (Vec<f64>, Vec<f64>) {
@@ -248,7 +295,7 @@ mod tests {
             (0.05, "rows every 0.05 s cannot be made of rows every 0.1"),
             (f64::NAN, "positive and finite, not NaN"),
         ] {
-            assert!(table().resampled(interval).unwrap_err().to_string().contains(expected));
+            assert!(plain(table(), interval).unwrap_err().to_string().contains(expected));
         }
     }
 }

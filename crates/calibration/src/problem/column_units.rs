@@ -4,7 +4,7 @@ use crate::data::{Data, Unit, UnitConversion, UnitError, find_column, listed, pa
 use crate::error::CalibrationError;
 use crate::problem::definition::Problem;
 use crate::problem::experiment::{Experiment, Measured, Weight};
-use crate::problem::measurements::weights_of_rows;
+use crate::problem::measurements::{is_mask, weights_of_rows};
 use crate::problem::warning::SetupWarning;
 use fmi::description::{Causality, Variable, VariableKind};
 use fmi::{ModelDescription, Value};
@@ -106,6 +106,9 @@ fn convert_weights(
         let Measured { variable, column: own, weight } = &experiment.outputs[k];
         if weight.states_noise() && experiment.data.full_name(own) == Some(column) {
             let weights = weights_of_rows(experiment, variable, own, weight)?;
+            if is_mask(&weights) {
+                continue;
+            }
             let converted = weights.iter().map(|weight| weight / conversion.apply_to_difference(1.0).abs());
             experiment.outputs[k].weight = Weight::Rows(converted.collect());
         }

@@ -149,6 +149,11 @@ fn in_windows(experiment: &Experiment) -> Result<Vec<Counted>, CalibrationError>
     experiment.outputs.iter().map(of_output).collect()
 }
 
+/// True if weights of rows only say which of them count: they state no noise.
+pub(crate) fn is_mask(weights: &[f64]) -> bool {
+    weights.iter().all(|weight| *weight == 0.0 || *weight == 1.0)
+}
+
 /// The weights of an output, one per row.
 pub(crate) fn weights_of_rows(
     experiment: &Experiment,

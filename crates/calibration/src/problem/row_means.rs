@@ -4,12 +4,13 @@ use crate::data::{Means, Series};
 use crate::error::CalibrationError;
 use crate::problem::column_units::declared;
 use crate::problem::experiment::{Experiment, Measured, Weight};
-use crate::problem::measurements::weights_of_rows;
+use crate::problem::measurements::{is_mask, weights_of_rows};
 use fmi::ModelDescription;
 use fmi::description::VariableKind;
 
 /// Replaces the rows of a recording by means where the experiment has an interval for that. Weights that
-/// state the noise of the rows become those of the means: the root of the sum of the squares. Columns that
+/// state the noise of the rows become those of the means: the root of the sum of the squares; those that are
+/// only 0 and 1 choose the rows whose mean is taken. Columns that
 /// drive inputs other than numbers with a fraction (Boolean, integer) keep their values and the times where
 /// they change.
 ///
@@ -54,7 +55,9 @@ pub(crate) fn take_means(
     })?;
     for (output, column) in experiment.outputs.iter_mut().zip(of_output) {
         if let Some(column) = column {
-            output.weight = Weight::Rows(weights[column].clone().into());
+            let is_mask = weighted[column].as_ref().is_some_and(|weights| is_mask(weights));
+            let counted = |weight: &f64| if is_mask { f64::from(u8::from(*weight > 0.0)) } else { *weight };
+            output.weight = Weight::Rows(weights[column].iter().map(counted).collect());
         }
     }
     (experiment.data, experiment.resample) = (data, None);

@@ -67,7 +67,12 @@ impl Calibration {
         fit: &Fit,
         context: &RunContext<'_>,
     ) -> Result<String, CalibrationError> {
-        page::page(self, fit, context)
+        Ok(page::page(self, fit, &self.curves(fit, context)?))
+    }
+
+    /// The same page with these curves, without a simulation.
+    pub(crate) fn report_page_with(&self, fit: &Fit, curves: &[ExperimentCurves]) -> String {
+        page::page(self, fit, curves)
     }
 }
 

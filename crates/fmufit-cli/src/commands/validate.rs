@@ -1,5 +1,6 @@
 //! `fmufit validate`: departures from the standard, and a run in a process of its own.
 
+use calibration::visible_line;
 use super::simulate::simulated;
 use crate::arguments::Validate;
 use crate::console::Console;
@@ -79,7 +80,7 @@ pub(crate) fn run(arguments: &Validate, console: &Console) -> Result<Exit, Error
             n => format!("{n} departures from the standard:"),
         };
         console.result(&format!("{}: {departures}", fmu.path().display()));
-        quirks.iter().for_each(|quirk| console.result(&format!("  {quirk}")));
+        quirks.iter().for_each(|quirk| console.result(&format!("  {}", visible_line(quirk))));
         console.result(&match &outcome {
             Ok(message) => format!("simulated: {message}"),
             Err((Run::Ended, message)) => format!("simulated, not as it should be: {message}"),

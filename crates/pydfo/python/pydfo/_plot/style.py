@@ -26,6 +26,7 @@ def pyplot() -> Any:
 
 def short(name: str, longest: int = LONGEST) -> str:
     """The name for a label: without its middle if it is too long, and not read as a formula."""
+    name = _text.line(name)
     if len(name) > longest:
         part = (longest - 3) // 2
         name = f"{name[:part]}...{name[-part:]}"
