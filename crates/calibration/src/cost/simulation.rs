@@ -13,7 +13,8 @@ use crate::problem::parameter::Parameter;
 use crate::problem::warning::SetupWarning;
 use base::Number;
 use fmi::{
-    FmiError, Fmu, Inputs, InterfaceKind, SharedSimulator, SimulateOptions, SimulationPlan, Simulator, Trajectory, Value,
+    FmiError, Fmu, Inputs, InterfaceKind, SharedSimulator, SimulateOptions, SimulationPlan, Simulator,
+    Trajectory, Value,
 };
 use ode::{Method, Observer, Report};
 use std::borrow::Cow;

@@ -159,7 +159,10 @@ impl ColumnMeans<'_> {
             Means::Plain => {
                 let known: Vec<usize> = rows.filter(known).collect();
                 if !known.is_empty() {
-                    put(mean(time, &known, |_| 1.0), Mean { value: mean(self.values, &known, |_| 1.0), weight: 0.0 });
+                    put(
+                        mean(time, &known, |_| 1.0),
+                        Mean { value: mean(self.values, &known, |_| 1.0), weight: 0.0 },
+                    );
                 }
             }
             Means::Weighted(weights) => {
@@ -169,7 +172,10 @@ impl ColumnMeans<'_> {
                 let square = |row: usize| (weights[row] / largest).powi(2);
                 if !known.is_empty() {
                     let weight = largest * known.iter().map(|row| square(*row)).sum::<f64>().sqrt();
-                    put(mean(time, &known, square), Mean { value: mean(self.values, &known, square), weight });
+                    put(
+                        mean(time, &known, square),
+                        Mean { value: mean(self.values, &known, square), weight },
+                    );
                 }
             }
         }
@@ -214,7 +220,8 @@ mod tests {
         }
     }
 
-    /// Two rows with weights 1 and 3: the mean with their squares is (0 + 9 * 1) / 10, its weight the root of 10.
+    /// Two rows with weights 1 and 3: the mean with their squares is (0 + 9 * 1) / 10, its weight the root
+    /// of 10.
     #[test]
     fn weighted_means_have_the_root_of_the_sum_of_squares_when_rows_are_averaged() {
         let y = vec![0.0, 1.0, 5.0, f64::NAN, 7.0, 2.0];
@@ -223,14 +230,18 @@ mod tests {
         let weights = [1.0, 3.0, 2.0, 8.0, 0.0, 4.0];
         let how = |k: usize| if k == 0 { Means::Weighted(&weights) } else { Means::Held };
         let (means, of_means) = data.resampled(2.0, how).unwrap();
-        let known: Vec<(f64, f64, f64)> = (means.time().iter().zip(means.column("y").unwrap()).zip(&of_means[0]))
-            .filter(|((_, y), _)| !y.is_nan())
-            .map(|((t, y), w)| (*t, *y, *w))
-            .collect();
+        let known: Vec<(f64, f64, f64)> =
+            (means.time().iter().zip(means.column("y").unwrap()).zip(&of_means[0]))
+                .filter(|((_, y), _)| !y.is_nan())
+                .map(|((t, y), w)| (*t, *y, *w))
+                .collect();
         let expected = [(0.9, 0.9, 10f64.sqrt()), (2.0, 5.0, 2.0), (5.0, 2.0, 4.0)];
         assert_eq!(known.len(), 3, "{known:?}");
         for ((t, y, w), (time, value, weight)) in known.into_iter().zip(expected) {
-            assert!((t - time).abs() < 1e-14 && (y - value).abs() < 1e-14 && (w - weight).abs() < 1e-14, "{t} {y} {w}");
+            assert!(
+                (t - time).abs() < 1e-14 && (y - value).abs() < 1e-14 && (w - weight).abs() < 1e-14,
+                "{t} {y} {w}"
+            );
         }
         // Held: where it begins in an interval, where it changes, and at the end.
         let held: Vec<(f64, f64)> = (means.time().iter().zip(means.column("u").unwrap()))

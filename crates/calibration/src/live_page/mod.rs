@@ -83,8 +83,8 @@ impl LivePage {
         self.server.is_closed()
     }
 
-    /// Shows the report of the fit from now on, see [`Calibration::report`]. After the button that ends the fit
-    /// nothing is simulated for it: the responses are those that the search has computed, at the measured
+    /// Shows the report of the fit from now on, see [`Calibration::report`]. After the button that ends the
+    /// fit nothing is simulated for it: the responses are those that the search has computed, at the measured
     /// times.
     ///
     /// # Errors

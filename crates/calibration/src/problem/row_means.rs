@@ -29,7 +29,8 @@ pub(crate) fn take_means(
     };
     // Per column, the weights of its rows.
     let mut weighted: Vec<Option<Series>> = vec![None; names.len()];
-    for Measured { variable, column, weight } in experiment.outputs.iter().filter(|o| o.weight.states_noise()) {
+    for Measured { variable, column, weight } in experiment.outputs.iter().filter(|o| o.weight.states_noise())
+    {
         let weights = weights_of_rows(experiment, variable, column, weight)?;
         let Some(place) = place(column) else { continue };
         if weighted[place].as_ref().is_some_and(|other| *other != weights) {
@@ -44,8 +45,11 @@ pub(crate) fn take_means(
         let is_real = |kind| matches!(kind, VariableKind::Float32 | VariableKind::Real);
         declared(description, variable).is_some_and(|variable| !is_real(variable.kind))
     };
-    let held: Vec<Option<usize>> =
-        experiment.driving_columns().filter(|(input, _)| is_held(input)).map(|(_, column)| place(column)).collect();
+    let held: Vec<Option<usize>> = experiment
+        .driving_columns()
+        .filter(|(input, _)| is_held(input))
+        .map(|(_, column)| place(column))
+        .collect();
     let of_output: Vec<Option<usize>> =
         experiment.outputs.iter().map(|o| place(&o.column).filter(|_| o.weight.states_noise())).collect();
     let (data, weights) = experiment.data.clone().resampled(interval, |column| match &weighted[column] {

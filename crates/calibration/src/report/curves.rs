@@ -153,7 +153,8 @@ impl Calibration {
         }
     }
 
-    /// An experiment simulated from its start to its last measurement, with the steps of the fit; `None` if that fails.
+    /// An experiment simulated from its start to its last measurement, with the steps of the fit; `None` if
+    /// that fails.
     fn response(
         &self,
         k: usize,

@@ -3,8 +3,8 @@
 //! Colours stand in the drawings as attributes, by which the page's style sheet finds what it redraws in a
 //! dark page.
 
-use crate::findings::shown_text::visible_line;
 use super::number::rounded;
+use crate::findings::shown_text::visible_line;
 use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;

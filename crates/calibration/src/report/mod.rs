@@ -119,7 +119,9 @@ mod tests {
         let settings = crate::SimulationSettings { memory_limit: Some(512_345_678), ..run.into() };
         let fmu = fmi::Fmu::open(example_models::example_fmu("dahlquist").unwrap()).unwrap();
         let calibration = Calibration::builder(fmu)
-            .experiment(Experiment::new(data).resample(0.1).output("x", "x").delay("x", 0.0).hold_inputs(true))
+            .experiment(
+                Experiment::new(data).resample(0.1).output("x", "x").delay("x", 0.0).hold_inputs(true),
+            )
             .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
             .settings(settings)
             .build()

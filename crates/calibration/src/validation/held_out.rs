@@ -87,8 +87,7 @@ impl Validation {
 
 impl fmt::Display for Validation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let names =
-            |o: &OutputFit| visible_line(&format!("{}: {}", o.experiment, o.variable)).into_owned();
+        let names = |o: &OutputFit| visible_line(&format!("{}: {}", o.experiment, o.variable)).into_owned();
         let width = self.outputs.iter().map(|o| names(&o.fit).chars().count()).max().unwrap_or(0).max(6);
         writeln!(
             f,

@@ -33,7 +33,8 @@ fn stepping(defines: &[&str]) -> tempfile::TempDir {
     let xml = std::fs::read_to_string(&description).unwrap();
     let interface =
         "<CoSimulation modelIdentifier=\"evil\" canHandleVariableCommunicationStepSize=\"true\"/>";
-    std::fs::write(&description, xml.replace("<ModelExchange modelIdentifier=\"evil\"/>", interface)).unwrap();
+    std::fs::write(&description, xml.replace("<ModelExchange modelIdentifier=\"evil\"/>", interface))
+        .unwrap();
     folder
 }
 

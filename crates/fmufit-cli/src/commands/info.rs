@@ -1,10 +1,10 @@
 //! `fmufit info`: what a model has.
 
-use calibration::visible_line;
 use crate::arguments::Info;
 use crate::console::{Console, Table};
 use crate::error::{Error, Exit};
 use base::Number;
+use calibration::visible_line;
 use fmi::description::{Causality, Interface};
 use fmi::{Fmu, ModelDescription, Value, Variable};
 use schemars::JsonSchema;

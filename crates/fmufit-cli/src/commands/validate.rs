@@ -1,12 +1,12 @@
 //! `fmufit validate`: departures from the standard, and a run in a process of its own.
 
-use calibration::visible_line;
 use super::simulate::simulated;
 use crate::arguments::Validate;
 use crate::console::Console;
 use crate::error::{Error, Exit};
 use base::Number;
 use calibration::CalibrationError;
+use calibration::visible_line;
 use dfo::Value;
 use fmi::{Fmu, SimulateOptions, Trajectory};
 use ode::Termination;

@@ -60,10 +60,10 @@ impl Sums {
         self.about_mean > 0.0 && !is_rounding && self.differences > WORSE * WORSE * self.about_mean
     }
 
-    /// An upper limit of the probability that the mean is so much better by chance. Where there is nothing but
-    /// noise about a right simulation, the ratio of the sums is 1 + chi2(1) / chi2(n - 1). That exceeds r with
-    /// a probability below the one of 1 + chi2(2) / chi2(n - 1), which is r^(-(n - 1) / 2): few rows are often
-    /// far from their mean together.
+    /// An upper limit of the probability that the mean is so much better by chance. Where there is nothing
+    /// but noise about a right simulation, the ratio of the sums is 1 + chi2(1) / chi2(n - 1). That exceeds r
+    /// with a probability below the one of 1 + chi2(2) / chi2(n - 1), which is r^(-(n - 1) / 2): few rows are
+    /// often far from their mean together.
     fn chance(self) -> f64 {
         self.ratio().powf(0.5 - 0.5 * self.n).min(1.0)
     }
@@ -128,7 +128,10 @@ pub(super) fn findings(calibration: &Calibration, residuals: &[f64]) -> Vec<Find
             digits((own.about_mean / own.n).sqrt()),
             match (own.is_no_chance(), are_all_worse) {
                 (true, _) => String::new(),
-                (false, true) => format!("; in {} rows that may be chance, for {n_outputs} outputs together it is not", own.n),
+                (false, true) => format!(
+                    "; in {} rows that may be chance, for {n_outputs} outputs together it is not",
+                    own.n
+                ),
                 (false, false) => format!("; in {} rows that may be chance", own.n),
             }
         );
@@ -162,8 +165,8 @@ mod tests {
         assert!(!Sums { about_mean: 0.0, ..many }.is_worse_than_a_constant());
     }
 
-    /// Alpha-pinene from a start at zero: five outputs of eight rows at 3.6, 1.5, 141, 74 and 3.9 times the squares
-    /// about their means.
+    /// Alpha-pinene from a start at zero: five outputs of eight rows at 3.6, 1.5, 141, 74 and 3.9 times the
+    /// squares about their means.
     #[test]
     fn outputs_are_judged_together_when_all_are_worse_than_a_constant() {
         let sums = |ratio: f64| Sums { n: 8.0, mean: 1.0, about_mean: 1.0, differences: ratio };

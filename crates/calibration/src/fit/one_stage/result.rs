@@ -196,9 +196,9 @@ impl Fit {
     /// Minima of a search from several starts that has ended before it could say that these are all.
     fn open_minima(&self) -> Option<Finding> {
         let optima = &self.report.optima;
-        let best = optima.first().filter(|best| {
-            !self.report.is_success() && (optima.len() > 1 || self.report.fun < best.cost)
-        })?;
+        let best = optima
+            .first()
+            .filter(|best| !self.report.is_success() && (optima.len() > 1 || self.report.fun < best.cost))?;
         let n_searches: usize = optima.iter().map(|optimum| optimum.n_starts).sum();
         let n_minima = optima.len();
         let sentence = match self.report.fun < best.cost {

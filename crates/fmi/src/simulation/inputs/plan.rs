@@ -252,7 +252,9 @@ impl InputPlan {
                 }
                 let problem = match &first.name {
                     first if first == name => "it is given twice, with different values".to_owned(),
-                    first => format!("it is the same variable as {first}, which is given too, with different values"),
+                    first => format!(
+                        "it is the same variable as {first}, which is given too, with different values"
+                    ),
                 };
                 return Err(FmiError::BadInput { name: name.clone(), problem });
             }
