@@ -348,11 +348,6 @@ def test_resampling_takes_means():
     assert cost({"time": TIME[:40], "x": X[:40]}, resample=0.2) == pytest.approx(cost(by_hand), rel=1e-9)
     with pytest.raises(BadCalibrationError, match="rows every 0.01 s cannot be made of rows every 0.05"):
         cost({"time": TIME, "x": X}, resample=0.01)
-    with pytest.raises(BadCalibrationError, match="two outputs that have different weights"):
-        Calibration(
-            example_fmu("dahlquist"), {"time": TIME, "x": X}, {"x": "x", "der(x)": "x"}, [Parameter("k", 1.0, 0.1, 10.0)],
-            weights={"x": 2.0, "der(x)": 3.0}, resample=0.1,
-        )
 
 
 def tank(data, **own):
@@ -448,7 +443,9 @@ def test_means_have_the_root_of_the_sum_of_squared_weights_when_resampled(weight
     fit, expected, error = averaged(weights, resample)
     # A mean of a decay over an interval differs from the decay at its middle by interval^2 / 24.
     assert fit.x[0] == pytest.approx(expected, abs=(resample or 0.0) ** 2 / 24 + 1e-6)
-    assert fit.uncertainty.stderr[0] == pytest.approx(error, rel=0.05)
+    # It is that of the residuals, whose variance n means tell to 1 / sqrt(2 n) of its root.
+    n = 400 if resample is None else round(2.0 / resample) + 1
+    assert fit.uncertainty.stderr[0] == pytest.approx(error, rel=2.0 / np.sqrt(2 * n))
 
 
 def test_rows_without_weight_are_not_averaged_when_resampled():
@@ -474,8 +471,9 @@ def test_boolean_inputs_keep_their_changes_when_resampled():
         parameter = Parameter("x0", 0.1, -1.0, 1.0, offset_of="x")
         return Calibration(example_fmu("switched_input"), data, ["x"], [parameter], inputs=["u", "enabled"], resample=resample, start_time=0.0)
 
-    fit = calibration(0.2).fit()
-    assert abs(fit.x[0]) < 5e-3 and fit.rms < 0.02
+    # A mean over an interval with a kink of the slope by 1 is off by less than an eighth of the interval.
+    fit = calibration(0.1).fit()
+    assert abs(fit.x[0]) < 5e-3 and fit.rms < 0.1 / 8
 
 
 @pytest.mark.parametrize("weights", [1 / 20, "w", np.full(60, 1 / 20)], ids=["number", "column", "rows"])

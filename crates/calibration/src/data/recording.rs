@@ -503,7 +503,8 @@ impl Data {
             return bad(format!(", the last one is at {} s", Number(last.0)));
         };
         let times: Vec<f64> = known.iter().map(|(t, _)| *t).collect();
-        if sampling_interval(&times).is_some_and(|usual| t1 - t0 > WIDEST_GAP * usual) {
+        let rounding = (WIDEST_GAP + 1.0) * tolerance;
+        if sampling_interval(&times).is_some_and(|usual| t1 - t0 > WIDEST_GAP * usual + rounding) {
             return bad(format!(", there are none from {} s to {} s", Number(*t0), Number(*t1)));
         }
         Ok(v0 + (v1 - v0) * (time - t0) / (t1 - t0))

@@ -86,8 +86,9 @@ impl Measurements {
     /// Refuses to simulate a long time before the recording where the start time is only the model's default.
     fn check_begin(&self, experiment: &Experiment) -> Result<(), CalibrationError> {
         let (begin, start_time) = (experiment.data.time()[0], self.start_time);
+        let tolerance = (MOST_BEFORE + 1.0) * base::time_tolerance(start_time, self.last_time());
         match experiment.data.sampling_interval() {
-            Some(interval) if begin - start_time > MOST_BEFORE * interval => {
+            Some(interval) if begin - start_time > MOST_BEFORE * interval + tolerance => {
                 let [begin, start, before] = [begin, start_time, begin - start_time].map(Number);
                 setup(format!(
                     "{}: the recording begins at {begin} s, the simulation at {start} s. Give start_time = {begin} to start \

@@ -274,16 +274,33 @@ mod tests {
     fn nothing_in_a_name_moves_the_cursor_or_turns_the_text() {
         let (calibration, _) = decay();
         let mut problem = calibration.problem().clone();
-        problem.parameters[0] = problem.parameters[0].clone().display_name("k\u{1b}[2J\u{202e}");
+        problem.parameters[0] = problem.parameters[0].clone().display_name("k\n\tz\u{1b}[2J\u{202e}");
         let calibration = Calibration::from_problem(calibration.fmu().clone(), problem).unwrap();
         let fit = calibration.fit(FitOptions::default()).unwrap();
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("report.html");
         calibration.report(&fit, &path, &RunContext::new()).unwrap();
         for text in [fit.to_string(), fit.to_html(), std::fs::read_to_string(&path).unwrap()] {
-            assert!(text.contains("k\\u{1b}[2J\\u{202e}"), "{text}");
-            assert!(!text.contains(['\u{1b}', '\u{202e}']), "{text}");
+            assert!(text.contains("k\\u{a}\\u{9}z\\u{1b}[2J\\u{202e}"), "{text}");
+            assert!(!text.contains(['\u{1b}', '\u{202e}', '\t']) && !text.contains("k\n"), "{text}");
         }
+    }
+
+    #[test]
+    fn a_result_below_all_minima_is_not_called_one_of_them_when_the_search_was_cut_off() {
+        let (_, mut fit) = decay();
+        let optimum = |cost: f64| -> dfo::Optimum {
+            serde_json::from_value(serde_json::json!({"x": [2.0], "cost": cost, "n_starts": 3})).unwrap()
+        };
+        fit.report.termination = dfo::Termination::MaxEvaluations;
+        fit.report.optima = vec![optimum(2.0 * fit.report.fun), optimum(3.0 * fit.report.fun)];
+        let text = fit.to_string();
+        assert!(text.contains("the best point that it met within its limits, below all minima"), "{text}");
+        assert!(text.contains("6 local searches have ended at 2 minima, and the result is better than all"), "{text}");
+        fit.report.optima[0] = optimum(fit.report.fun);
+        let text = fit.to_string();
+        assert!(text.contains("The fit took the lowest minimum that it found within its limits"), "{text}");
+        assert!(text.contains("6 local searches have ended at 2 minima, 3 of them at the lowest"), "{text}");
     }
 
     #[test]

@@ -85,7 +85,7 @@ def held_beyond(tables: list[Table], first: float, last: float) -> str:
             # A constant.
             continue
         start, end = float(np.min(table.times)), float(np.max(table.times))
-        row = float(np.median(np.diff(np.sort(table.times))))
+        row = float(np.median(np.diff(np.sort(table.times)))) + 2.0 * _core.time_tolerance(first, last)
         if start - first > row or last - end > row:
             named = _text.names([name for name, _ in table.columns + table.values][:10])
             return (
