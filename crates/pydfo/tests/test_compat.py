@@ -274,7 +274,8 @@ def test_rows_are_the_same_when_times_are_large(kind):
 def test_jumps_of_inputs_are_rows_when_times_are_large():
     signals = np.array([(1.7e9, 0.0), (1.7e9 + 0.35, 0.0), (1.7e9 + 0.35, 1.0), (1.7e9 + 1.0, 1.0)], dtype=[("time", float), ("u", float)])
     path = str(example_fmu("switched_input", version="3.0"))
-    result = ours.simulate_fmu(path, fmi_type="CoSimulation", start_time=1.7e9, stop_time=1.7e9 + 1.0, output_interval=0.1, input=signals, use_event_mode=True)
+    span = {"start_time": 1.7e9, "stop_time": 1.7e9 + 1.0, "output_interval": 0.1}
+    result = ours.simulate_fmu(path, fmi_type="CoSimulation", input=signals, use_event_mode=True, **span)
     assert np.count_nonzero(np.abs(result["time"] - 1.7e9 - 0.35) < 1e-6) == 2
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pydfo import BadCalibrationError, Calibration, CalibrationWarning, Experiment, Parameter, UnknownVariableError, example_fmu, read_description
+from pydfo.compat import fmpy
 
 #: A line break, a tabulator, an escape, a carriage return, a direction, a separator of lines.
 ODD = "a\nb\tc\x1b[2Jd\re\u202ef\u2028g"
@@ -88,6 +89,8 @@ def test_descriptions_show_names(tmp_path):
     assert odd in description.variables
     table = str(description.variables)
     assert shown in table and "\u202e" not in table and "\t" not in table
+    text = fmpy.util.fmu_info(str(tmp_path / "m.fmu"), ["local"])
+    assert shown[-15:] in text and "\u202e" not in text and "\t" not in text
     with pytest.raises(UnknownVariableError) as error:
         description.variables[odd[:-1]]
     assert shown in str(error.value) and not set(odd) - set("abcd") & set(str(error.value))

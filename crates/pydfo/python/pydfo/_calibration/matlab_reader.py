@@ -10,6 +10,7 @@ import json
 import math
 import sys
 from collections.abc import Iterator
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -34,9 +35,7 @@ def _numeric(name: str, value: Any) -> Iterator[tuple[str, np.ndarray[Any, Any]]
 
 def _load(path: str, names: list[str]) -> dict[str, np.ndarray[Any, Any]]:
     """Returns the numeric arrays of variables of a file before version 7.3."""
-    from scipy.io import loadmat
-
-    read = loadmat(path, variable_names=names, squeeze_me=False, struct_as_record=True, chars_as_strings=True)
+    read = import_module("scipy.io").loadmat(path, variable_names=names, squeeze_me=False, struct_as_record=True, chars_as_strings=True)
     return {full: array for name in names for full, array in _numeric(name, read[name])}
 
 
@@ -45,11 +44,9 @@ def _listed(path: str, wanted: list[str], most: int) -> tuple[dict[str, tuple[in
 
     Structs are read for it, if they claim at most `most` elements.
     """
-    from scipy.io import whosmat
-
     found: dict[str, tuple[int, ...]] = {}
     others = []
-    for name, shape, kind in whosmat(path):
+    for name, shape, kind in import_module("scipy.io").whosmat(path):
         if kind in _NUMERIC:
             found[name] = shape
         elif kind == "struct" and any(one.startswith(f"{name}.") for one in wanted) and math.prod(shape) <= most:
@@ -61,8 +58,7 @@ def _listed(path: str, wanted: list[str], most: int) -> tuple[dict[str, tuple[in
 
 def _listed_of_hdf5(path: str) -> tuple[dict[str, tuple[int, ...]], list[str]]:
     """Returns the same of a file of version 7.3, which holds arrays column by column."""
-    import h5py
-
+    h5py = import_module("h5py")
     found: dict[str, tuple[int, ...]] = {}
 
     def visit(group: Any, prefix: str) -> None:
@@ -80,8 +76,7 @@ def _listed_of_hdf5(path: str) -> tuple[dict[str, tuple[int, ...]], list[str]]:
 
 
 def _load_of_hdf5(path: str, names: list[str]) -> dict[str, np.ndarray[Any, Any]]:
-    import h5py
-
+    h5py = import_module("h5py")
     with h5py.File(path, "r") as file:
         return {name: file[name.replace(".", "/")][()].T for name in names}
 

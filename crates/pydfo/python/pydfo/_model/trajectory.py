@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from .. import _core
 from .._args import optional_libraries as _optional_libraries
+from .._args import text as _text
 from .._errors import UnknownVariableError
 
 if TYPE_CHECKING:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from .._args import text as _text
+
 #: Colours that colour-blind readers tell apart (Okabe and Ito, Color universal design, 2008), those of the report.
 MEASURED = "#767676"
 START = "#D55E00"
