@@ -247,11 +247,11 @@ impl InputPlan {
                     false => is_linear(variable) && first.values.is_negative_of(source),
                 };
                 // A recording may hold a variable under all its names.
-                if is_equal && driven.element == place.element {
+                if is_equal && first.name != *name && driven.element == place.element {
                     continue;
                 }
                 let problem = match &first.name {
-                    first if first == name => "it is given twice, with different values".to_owned(),
+                    first if first == name => "it is given twice".to_owned(),
                     first => format!(
                         "it is the same variable as {first}, which is given too, with different values"
                     ),
