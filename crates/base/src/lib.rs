@@ -5,6 +5,8 @@ mod context;
 #[cfg(feature = "files")]
 pub mod files;
 mod number;
+mod time;
 
 pub use context::RunContext;
 pub use number::{Bytes, Number};
+pub use time::time_tolerance;

@@ -46,7 +46,7 @@ pub use dfo::ParameterKind;
 pub use error::CalibrationError;
 pub use export::{FitDocument, FmuExport, SavedFit, Table};
 pub use findings::finding::{Finding, Origin, Severity};
-pub use findings::shown_text::visible;
+pub use findings::shown_text::{visible, visible_error, visible_line};
 pub use fit::live::LiveFit;
 pub use fit::one_stage::{
     ChosenTolerance, EstimatedNoise, Fit, FitNoise, FitObserver, FitOptions, FitRecord, NoiseRule,

@@ -1,6 +1,6 @@
 //! Errors of the command line, and the exit codes.
 
-use calibration::CalibrationError;
+use calibration::{CalibrationError, visible_error};
 use schemars::JsonSchema;
 use serde::Serialize;
 use std::fmt::Display;
@@ -102,8 +102,8 @@ impl Error {
             | CalibrationError::ReportFile { .. }
             | CalibrationError::Optimiser(
                 Option { .. } | Checkpoint { .. } | CheckpointFile { .. } | CheckpointMismatch { .. },
-            ) => Self::input(error),
-            error => Self::work(error),
+            ) => Self::input(visible_error(&error)),
+            error => Self::work(visible_error(&error)),
         }
     }
 

@@ -47,6 +47,8 @@ mod core_module {
     #[pymodule_export]
     use super::command_line::command_line;
     #[pymodule_export]
+    use super::convert::error::visible_line;
+    #[pymodule_export]
     use super::convert::values::dtypes;
     #[pymodule_export]
     use super::model::description::Fmu;
@@ -56,6 +58,8 @@ mod core_module {
     use super::model::instance::{PyInstance, PySavedState};
     #[pymodule_export]
     use super::model::model_class::Model;
+    #[pymodule_export]
+    use super::model::trajectory::time_tolerance;
     #[pymodule_export]
     use super::ode::solve::{solve, solver_standing_for};
     #[pymodule_export]

@@ -261,6 +261,24 @@ def test_rows_show_both_sides_of_jumps_of_inputs(tmp_path):
     assert plain["time"].tolist() == [0, 0.25, 0.5, 0.75, 1]
 
 
+@pytest.mark.parametrize("kind", ["ME", "CS"])
+def test_rows_are_the_same_when_times_are_large(kind):
+    """Seconds since 1970 have a last digit of 2.4e-7 s."""
+    rows = {}
+    for start in (0.0, 1.7e9):
+        given = ours.simulate_fmu(str(example_fmu("dahlquist", kind=kind)), start_time=start, stop_time=start + 1.05, output_interval=0.1)
+        rows[start] = given["time"] - start
+    assert rows[1.7e9].shape == rows[0.0].shape and np.allclose(rows[1.7e9], rows[0.0], atol=1e-6)
+
+
+def test_jumps_of_inputs_are_rows_when_times_are_large():
+    signals = np.array([(1.7e9, 0.0), (1.7e9 + 0.35, 0.0), (1.7e9 + 0.35, 1.0), (1.7e9 + 1.0, 1.0)], dtype=[("time", float), ("u", float)])
+    path = str(example_fmu("switched_input", version="3.0"))
+    span = {"start_time": 1.7e9, "stop_time": 1.7e9 + 1.0, "output_interval": 0.1}
+    result = ours.simulate_fmu(path, fmi_type="CoSimulation", input=signals, use_event_mode=True, **span)
+    assert np.count_nonzero(np.abs(result["time"] - 1.7e9 - 0.35) < 1e-6) == 2
+
+
 def test_wrong_times_are_named():
     path = example_fmu("bouncing_ball")
     nan, inf = float("nan"), float("inf")

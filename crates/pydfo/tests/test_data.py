@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import recordings
 
-from pydfo import BadCalibrationError, Calibration, CalibrationWarning, Experiment, Parameter, example_fmu
+from pydfo import BadCalibrationError, Calibration, CalibrationWarning, Experiment, FMUModel, Normal, Parameter, example_fmu
 
 TIME = np.arange(0.0, 2.05, 0.05)
 X = np.exp(-2.0 * TIME)
@@ -172,6 +172,28 @@ def test_files_that_are_something_else(tmp_path, file):
     path.write_bytes(b"time,x\n0,1\n")
     with pytest.raises(BadCalibrationError, match=r"run\..*this is not an? .*file|this is not an Excel workbook"):
         cost(path)
+
+
+@pytest.mark.parametrize("write", [write_mat, write_mat73])
+def test_a_matlab_file_that_ends_its_reader_is_refused(tmp_path, monkeypatch, write):
+    path = write(tmp_path)
+    monkeypatch.setattr("pydfo._calibration.data_files._RUN", "import os; os._exit(139)")
+    with pytest.raises(BadCalibrationError, match=r"run.*or it is damaged: the process that read it ended with code 139"):
+        cost(path)
+
+
+def test_damaged_matlab_files_never_end_python(tmp_path):
+    path = write_mat(tmp_path)
+    whole = path.read_bytes()
+    rng = np.random.default_rng(3)
+    for _ in range(4):
+        damaged = bytearray(whole)
+        damaged[rng.integers(128, 400)] = rng.integers(256)
+        path.write_bytes(damaged)
+        try:
+            assert cost(path) >= 0
+        except (BadCalibrationError, MemoryError):
+            pass
 
 
 @pytest.mark.parametrize(("file", "module", "package"), [(".mat", "scipy.io", "scipy"), (".xlsx", "openpyxl", "openpyxl")])
@@ -378,3 +400,109 @@ def test_recordings_are_drawn():
     assert [axis.get_ylabel() for axis in axes] == ["qt.x1 [m]", "qt.x2 [m]", "u1 [V]", "u2 [V]"]
     assert axes[-1].get_xlabel() == "time [s]" and len(axes[0].patches) == 2 and not axes[2].patches
     matplotlib.pyplot.close(figure)
+
+
+@pytest.mark.parametrize(
+    ("zone", "start"), [("Europe/Berlin", "2024-03-31T00:00"), ("Europe/Berlin", "2024-10-27T00:00"), ("America/New_York", "2024-11-03T05:30")]
+)
+def test_datetimes_with_a_zone_are_converted_to_utc_when_clocks_change(zone, start):
+    """Python subtracts datetimes of one zone by the wall clock: an hour would be missing or doubled."""
+    zoneinfo = pytest.importorskip("zoneinfo")
+    first = datetime.datetime.fromisoformat(start).replace(tzinfo=datetime.timezone.utc)
+    utc = [first + datetime.timedelta(minutes=15 * k) for k in range(12)]
+    local = [time.astimezone(zoneinfo.ZoneInfo(zone)) for time in utc]
+    assert len({time.utcoffset() for time in local}) == 2
+    x = np.exp(-1e-5 * 900.0 * np.arange(12))
+
+    def fitted(times):
+        return Calibration(example_fmu("dahlquist"), {"time": times, "x": x}, ["x"], [Parameter("k", 1e-5, 1e-8, 1.0)]).fit().x[0]
+
+    for times in (local, np.array(local, dtype=object), utc):
+        assert fitted(times) == pytest.approx(1e-5, rel=1e-6)
+    with pytest.raises(BadCalibrationError, match=r"the date in row 1, .* has no time zone and the one in row 0, .*, has one"):
+        fitted([local[0], *(time.replace(tzinfo=None) for time in local[1:])])
+
+
+def averaged(weights, resample, sigma=0.1, **more):
+    """The offset of a decay with a prior: its closed form is known for all rows."""
+    n = 400
+    times = np.linspace(0.0, 2.0, n)
+    noise = sigma * np.random.default_rng(3).standard_normal(n)
+    data = {"time": times, "x": np.exp(-times) + 0.03 + noise, "w": np.full(n, 1 / sigma), **more}
+    offset = Parameter("off", 0.0, -1, 1, offset_of="x", prior=Normal(0.0, 0.01))
+    fit = Calibration(
+        example_fmu("dahlquist"), data, ["x"], [offset], start_values={"k": 1.0}, weights={"x": weights}, resample=resample
+    ).fit(x_tol=1e-9)
+    of_all = n / sigma**2
+    return fit, np.mean(data["x"] - np.exp(-times)) * of_all / (of_all + 1e4), (of_all + 1e4) ** -0.5
+
+
+@pytest.mark.parametrize("weights", [10.0, "w", np.full(400, 10.0)], ids=["number", "column", "rows"])
+@pytest.mark.parametrize("resample", [None, 0.05, 0.2])
+def test_means_have_the_root_of_the_sum_of_squared_weights_when_resampled(weights, resample):
+    fit, expected, error = averaged(weights, resample)
+    # A mean of a decay over an interval differs from the decay at its middle by interval^2 / 24.
+    assert fit.x[0] == pytest.approx(expected, abs=(resample or 0.0) ** 2 / 24 + 1e-6)
+    # It is that of the residuals, whose variance n means tell to 1 / sqrt(2 n) of its root.
+    n = 400 if resample is None else round(2.0 / resample) + 1
+    assert fit.uncertainty.stderr[0] == pytest.approx(error, rel=2.0 / np.sqrt(2 * n))
+
+
+def test_rows_without_weight_are_not_averaged_when_resampled():
+    times = np.linspace(0.0, 2.0, 400)
+    wrong = np.where(np.arange(400) % 7 == 3, 50.0, 0.0)
+    data = {"time": times, "x": np.exp(-times) + wrong, "ok": (wrong == 0.0).astype(float)}
+    for own in ({"weights": {"x": "ok"}}, {"weights": {"x": wrong == 0.0}}, {"mask": "ok"}):
+        calibration = Calibration(example_fmu("dahlquist"), data, ["x"], [Parameter("k", 1.2, 0.1, 10.0)], resample=0.1, **own)
+        fit = calibration.fit()
+        assert fit.x[0] == pytest.approx(1.0, abs=2e-3) and calibration.n_measurements == 21
+
+
+def test_boolean_inputs_keep_their_changes_when_resampled():
+    """x' = (enabled ? u : 0) would be driven by 0.5 in the interval of the change."""
+    times = np.linspace(0.0, 2.0, 201)
+    enabled = (times >= 0.555) & (times < 1.305)
+    model = FMUModel(example_fmu("switched_input"))
+    inputs = {"time": times, "u": np.ones(201), "enabled": enabled}
+    x = model.simulate(0, 2, times=times, inputs=inputs, outputs=["x"])["x"]
+    data = {"time": times, "x": x, "u": inputs["u"], "enabled": enabled}
+
+    def calibration(resample):
+        parameter = Parameter("x0", 0.1, -1.0, 1.0, offset_of="x")
+        return Calibration(example_fmu("switched_input"), data, ["x"], [parameter], inputs=["u", "enabled"], resample=resample, start_time=0.0)
+
+    # A mean over an interval with a kink of the slope by 1 is off by less than an eighth of the interval.
+    fit = calibration(0.1).fit()
+    assert abs(fit.x[0]) < 5e-3 and fit.rms < 0.1 / 8
+
+
+@pytest.mark.parametrize("weights", [1 / 20, "w", np.full(60, 1 / 20)], ids=["number", "column", "rows"])
+def test_weights_are_converted_with_the_unit_of_their_column(weights):
+    rng = np.random.default_rng(8)
+    times = np.linspace(0.0, 3.0, 60)
+    x = np.exp(-times)
+    in_m = x + 0.02 * rng.standard_normal(60)
+    slope = -x + 0.05 + 0.3 * rng.standard_normal(60)
+
+    def fitted(data, weight):
+        outputs = {"x": "x", "der(x)": "v"}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            calibration = Calibration(
+                example_fmu("dahlquist"), {"time": times, "v": slope, "w": np.full(60, 1 / 20), **data}, outputs,
+                [Parameter("k", 0.7, 0.1, 10.0)], units={"x": "m"}, weights={"x": weight, "der(x)": 1 / 0.3},
+            )
+            return calibration.fit(x_tol=1e-8)
+
+    expected, fit = fitted({"x": in_m}, 1 / 0.02), fitted({"x [mm]": 1000.0 * in_m}, weights)
+    assert fit.x[0] == pytest.approx(expected.x[0], rel=1e-6)
+    assert fit.uncertainty.stderr[0] == pytest.approx(expected.uncertainty.stderr[0], rel=1e-4)
+    assert fit.fun == pytest.approx(expected.fun, rel=1e-6)
+
+
+def test_a_window_takes_the_rows_at_its_ends_when_they_differ_by_rounding():
+    times = 1.7e9 + 0.1 * np.arange(20)
+    data = {"time": times, "x": np.ones(20)}
+    for window, n in (((times[3] + 2e-7, times[7] - 2e-7), 5), ((1.7e9, 1.7e9 + 0.3), 4)):
+        calibration = Calibration(example_fmu("dahlquist"), data, ["x"], [Parameter("k", 1.0, 0.1, 10.0)], start_time=1.7e9, window=window)
+        assert calibration.n_measurements == n

@@ -112,3 +112,15 @@ def test_dates_have_no_other_unit() -> None:
 def test_a_delay_of_several_outputs_says_what_there_is() -> None:
     with pytest.raises((TypeError, ValueError), match="delay_of names one output or input.*delays"):
         pydfo.Parameter("tau", 0.1, 0, 1, delay_of=["x", "y"])  # type: ignore[arg-type]
+
+
+def test_residuals_of_zero_say_nothing_against_the_parameters() -> None:
+    """Without a variance of the residuals no value can be compared with its error."""
+    parameters = [pydfo.Parameter("k", 1.0, 0.1, 5.0), pydfo.Parameter("x", 1.0, 0.5, 2.0)]
+
+    def calibration(x: object) -> pydfo.Calibration:
+        return pydfo.Calibration(pydfo.example_fmu("dahlquist"), decay(x=x), ["x"], parameters, solver="rk4", step_size=0.01)
+
+    fit = calibration(calibration(np.zeros(61)).simulate([1.0, 1.0])["x"]).fit()
+    assert fit.cost == 0.0
+    assert not [finding for finding in fit.findings if "the data tell" in finding.sentence]

@@ -202,15 +202,17 @@ impl Rows {
     fn gap(&self, time: &[f64], is_continuous: bool) -> Option<(String, &'static str)> {
         let interval = sampling_interval(&self.times)?;
         let is_sparse = (self.times.len() as f64) < SPARSE * time.len() as f64;
-        let longest = if is_sparse { LONG_GAP_OF_SPARSE } else { LONG_GAP } * interval;
+        let long = if is_sparse { LONG_GAP_OF_SPARSE } else { LONG_GAP };
+        // The interval and the gap are differences of times.
+        let tolerance = (long + 1.0) * base::time_tolerance(self.times[0], self.times[self.times.len() - 1]);
+        let longest = long * interval;
         let least = CHANGE_IN_GAP * range(&self.values);
         let is_gap = |k: &usize| {
             let (from, to) = (self.times[k - 1], self.times[*k]);
             let first_after = time.partition_point(|t| *t <= from);
             let is_between = time.get(first_after).is_some_and(|t| *t < to);
             let is_change = !is_sparse || (self.values[*k] - self.values[k - 1]).abs() > least;
-            // Longer by more than rounding.
-            to - from > longest * (1.0 + 1e-6) && is_change && is_between
+            to - from > longest + tolerance && is_change && is_between
         };
         let of = |k: usize| self.times[k] - self.times[k - 1];
         let gaps: Vec<usize> = (1..self.times.len()).filter(is_gap).collect();

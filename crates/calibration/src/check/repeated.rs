@@ -58,7 +58,7 @@ impl Rounding {
             Some(digits) if value != 0.0 => 0.5 * 10f64.powi(exponent(value) + 1 - digits),
             _ => 0.0,
         };
-        f64::max(of_decimals, of_digits).min(self.most)
+        f64::max(of_decimals, of_digits).min(self.most).max(4.0 * f64::EPSILON * value.abs())
     }
 }
 

@@ -85,8 +85,9 @@ pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
         let rows = if twice == 1 { "one time stands".to_owned() } else { format!("{twice} times stand") };
         find(Severity::Note, format!("{rows} there twice"), "remove one of both rows".to_owned());
     }
-    let gap =
-        time.windows(2).filter(|pair| pair[1] - pair[0] > GAP * interval).map(|pair| (pair[0], pair[1]));
+    // The interval is a difference of times, too.
+    let longest = GAP * interval + (GAP + 1.0) * base::time_tolerance(first, time[time.len() - 1]);
+    let gap = time.windows(2).filter(|pair| pair[1] - pair[0] > longest).map(|pair| (pair[0], pair[1]));
     let gap = gap.max_by(|a, b| (a.1 - a.0).total_cmp(&(b.1 - b.0)));
     if let Some((from, to)) = gap {
         let [from, to, interval] = [from, to, interval].map(|time| Number(rounded_time(time)));

@@ -10,6 +10,7 @@ use crate::problem::column_units::convert_columns;
 use crate::problem::definition::{Element, Problem};
 use crate::problem::parameter::Parameter;
 use crate::problem::residual_layout::{PriorResidual, ResidualLayout};
+use crate::problem::row_means::take_means;
 use crate::problem::warning::SetupWarning;
 use base::Number;
 use dfo::FailureKind;
@@ -57,6 +58,10 @@ impl LoadedProblem {
             taken.map_err(|error| problem.error_in(k, error))?;
         }
         let mut warnings = problem.check(fmu.description())?;
+        for k in 0..problem.experiments.len() {
+            let taken = take_means(&mut problem.experiments[k], fmu.description());
+            taken.map_err(|error| problem.error_in(k, error))?;
+        }
         warnings.extend(convert_columns(&mut problem, fmu.description())?);
         let elements = problem.elements()?;
         let simulations = (problem.experiments.iter().zip(problem.experiment_names()).enumerate())

@@ -55,7 +55,7 @@ impl Comparison {
         let time = |output: usize, time: f64| (time - delays[output]).max(start);
         let ends = self.outputs.iter().enumerate().filter_map(|(k, o)| Some(time(k, *o.times.last()?)));
         let last = ends.fold(start, f64::max);
-        let rounding = 100.0 * f64::EPSILON / 2.0 * start.abs().max(last.abs()).max(last - start);
+        let rounding = base::time_tolerance(start, last);
         let is_apart = |times: &[f64]| times.windows(2).all(|pair| pair[1] - pair[0] > rounding);
         if let Some((first, others)) = self.outputs.split_first()
             && delays.iter().all(|delay| *delay == 0.0)

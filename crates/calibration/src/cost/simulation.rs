@@ -13,7 +13,8 @@ use crate::problem::parameter::Parameter;
 use crate::problem::warning::SetupWarning;
 use base::Number;
 use fmi::{
-    FmiError, Fmu, Inputs, SharedSimulator, SimulateOptions, SimulationPlan, Simulator, Trajectory, Value,
+    FmiError, Fmu, Inputs, InterfaceKind, SharedSimulator, SimulateOptions, SimulationPlan, Simulator,
+    Trajectory, Value,
 };
 use ode::{Method, Observer, Report};
 use std::borrow::Cow;
@@ -164,6 +165,30 @@ impl Simulation {
         SimulateOptions { times: Some(self.schedule.times.to_vec()), ..self.options.clone() }
     }
 
+    /// Times at which a simulation shows its response without other steps than in the fit: about `n` at equal
+    /// distances; of a co-simulation, where a row is a communication point, about `n` of those that it has
+    /// anyway. The measured times are among them.
+    pub(crate) fn curve_times(&self, n: usize) -> Vec<f64> {
+        let plan = self.pool.plan();
+        let (start, end) = (plan.start_time(), plan.final_time());
+        let is_late = self.is_shifted_by_x || self.schedule.times != self.times;
+        let spacing = match plan.kind() {
+            InterfaceKind::ModelExchange => Some((end - start) / (n - 1) as f64),
+            // Samples of late outputs are at other times than the points.
+            InterfaceKind::CoSimulation => plan.regular_communication_step().filter(|_| !is_late),
+        };
+        let tolerance = base::time_tolerance(start, end);
+        let mut times = self.times.to_vec();
+        if let Some(spacing) = spacing.filter(|spacing| *spacing > tolerance) {
+            let n_all = ((end - start + tolerance) / spacing).floor() as usize;
+            let every = n_all.div_ceil(n).max(1);
+            times.extend((0..=n_all).step_by(every).map(|k| (start + k as f64 * spacing).min(end)));
+        }
+        times.sort_by(f64::total_cmp);
+        times.dedup_by(|next, before| *next - *before <= tolerance);
+        times
+    }
+
     /// The options at `x`, with these rows.
     fn options_at(&self, x: &[f64], times: &[f64]) -> SimulateOptions {
         let last = times.last().copied();
@@ -259,7 +284,7 @@ fn check_times(times: &[f64], start: f64) -> Result<(), FmiError> {
                 let (time, before) = (Number(*time), Number(before));
                 return bad(format!("times must ascend: times[{i}] = {time} comes after {before}"));
             }
-            Some(Ordering::Less) if start - time > 100.0 * f64::EPSILON * start.abs() => {
+            Some(Ordering::Less) if start - time > base::time_tolerance(start, start) => {
                 let (time, start) = (Number(*time), Number(start));
                 return bad(format!("times[{i}] = {time} is before the start of the simulation, {start}"));
             }

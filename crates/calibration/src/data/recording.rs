@@ -491,8 +491,8 @@ impl Data {
         let (Some(first), Some(last)) = (known.first(), known.last()) else {
             return bad(": all are missing".to_owned());
         };
-        let rounding = 100.0 * f64::EPSILON / 2.0 * first.0.abs().max(last.0.abs()).max(time.abs());
-        if let Some((_, value)) = known.iter().find(|(t, _)| (t - time).abs() <= rounding) {
+        let tolerance = base::time_tolerance(first.0.min(time), last.0.max(time));
+        if let Some((_, value)) = known.iter().find(|(t, _)| (t - time).abs() <= tolerance) {
             return Ok(*value);
         }
         let after = known.partition_point(|(t, _)| *t <= time);
@@ -503,7 +503,8 @@ impl Data {
             return bad(format!(", the last one is at {} s", Number(last.0)));
         };
         let times: Vec<f64> = known.iter().map(|(t, _)| *t).collect();
-        if sampling_interval(&times).is_some_and(|usual| t1 - t0 > WIDEST_GAP * usual) {
+        let rounding = (WIDEST_GAP + 1.0) * tolerance;
+        if sampling_interval(&times).is_some_and(|usual| t1 - t0 > WIDEST_GAP * usual + rounding) {
             return bad(format!(", there are none from {} s to {} s", Number(*t0), Number(*t1)));
         }
         Ok(v0 + (v1 - v0) * (time - t0) / (t1 - t0))

@@ -32,15 +32,20 @@ impl Data {
         self.resampling.as_ref()
     }
 
-    /// A table of means over intervals of this length in s, beginning with the first time: of each column the
-    /// mean of its values there, at the mean of the times of these values. Columns with values in the same
-    /// rows of an interval share a row; missing values are NaN. Means keep a slope, and the noise falls with
-    /// the root of their number; what is faster than the interval is lost.
+    /// Replaces the rows by means over intervals of this length in s, which begin with the first time. Each
+    /// mean is placed at the mean of the times of its values, so means keep a slope. Columns with values in
+    /// the same rows of an interval share a row; missing values are NaN. `means(k)`: how column `k` is
+    /// reduced. Returns the table and, per column, the roots of the sums of the squared weights of its means,
+    /// as averaging n measurements divides their error by the root of n; empty for columns without weights.
     ///
     /// # Errors
-    /// The interval is not positive, or shorter than the distance of the times: nothing is made up between
-    /// them.
-    pub fn resampled(mut self, interval: f64) -> Result<Self, CalibrationError> {
+    /// The interval is not positive, or shorter than the distance of the times: values between rows are not
+    /// invented.
+    pub(crate) fn resampled<'w>(
+        mut self,
+        interval: f64,
+        means: impl Fn(usize) -> Means<'w>,
+    ) -> Result<(Self, Vec<Vec<f64>>), CalibrationError> {
         let bad = |message: String| CalibrationError::Data { source_name: self.source.clone(), message };
         if !(interval.is_finite() && interval > 0.0) {
             return Err(bad(format!(
@@ -48,62 +53,141 @@ impl Data {
                 Number(interval)
             )));
         }
-        if let Some(own) = self.sampling_interval().filter(|own| interval < *own * (1.0 - 1e-9)) {
+        let (start, end) = (self.time[0], self.time[self.time.len() - 1]);
+        let tolerance = base::time_tolerance(start, end);
+        if let Some(own) = self.sampling_interval().filter(|own| interval < own - tolerance) {
             return Err(bad(format!(
-                "rows every {} s cannot be made of rows every {} s: values between them are not made up",
+                "rows every {} s cannot be made of rows every {} s: values between them are not invented",
                 Number(interval),
                 Number(own)
             )));
         }
-        // Times that fall on a limit up to rounding belong to the interval that begins there.
-        let start = self.time[0];
-        let number = |time: f64| ((time - start) / interval + 1e-9).floor();
-        let rows: Vec<Range<usize>> = (self.time.chunk_by(|a, b| number(*a) == number(*b)))
-            .scan(0, |end, chunk| {
-                let begin = std::mem::replace(end, *end + chunk.len());
-                Some(begin..*end)
-            })
+        let columns: Vec<ColumnMeans<'_>> = (self.columns.iter().enumerate())
+            .map(|(k, column)| ColumnMeans { values: &column.values, means: means(k) })
             .collect();
-        let mean = |values: &[f64], known: &[usize]| {
-            known.iter().map(|row| values[*row]).sum::<f64>() / known.len() as f64
-        };
-        // Per interval the times of the means in ascending order, with the columns that have theirs then.
-        let mut time = Vec::with_capacity(rows.len());
-        let mut means: Vec<Vec<f64>> = vec![Vec::with_capacity(rows.len()); self.columns.len()];
-        let mut known = Vec::new();
-        for rows in &rows {
-            let all: Vec<usize> = rows.clone().collect();
-            let mut found: Vec<(f64, Vec<(usize, f64)>)> = Vec::new();
-            for (k, column) in self.columns.iter().enumerate() {
-                known.clear();
-                known.extend(all.iter().copied().filter(|row| !column.values[*row].is_nan()));
-                if known.is_empty() {
-                    continue;
-                }
-                let (at, value) = (mean(&self.time, &known), mean(&column.values, &known));
-                match found.iter_mut().find(|(time, _)| *time == at) {
-                    Some((_, columns)) => columns.push((k, value)),
-                    None => found.push((at, vec![(k, value)])),
-                }
+        // Times that fall on a limit up to rounding belong to the interval that begins there.
+        let number = |time: f64| ((time - start + tolerance) / interval).floor();
+        let (mut time, mut reduced) = (Vec::new(), vec![(Vec::new(), Vec::new()); columns.len()]);
+        let mut first = 0;
+        for times in self.time.chunk_by(|a, b| number(*a) == number(*b)) {
+            let rows = first..first + times.len();
+            first = rows.end;
+            // The means of the interval in ascending order of time, with their columns.
+            let mut found: Vec<(f64, usize, Mean)> = Vec::new();
+            for (k, column) in columns.iter().enumerate() {
+                column.reduce(&self.time, rows.clone(), |at, mean| found.push((at, k, mean)));
             }
             if found.is_empty() {
-                found.push((mean(&self.time, &all), Vec::new()));
+                time.push(mean(&self.time, &rows.collect::<Vec<_>>(), |_| 1.0));
             }
             found.sort_by(|a, b| a.0.total_cmp(&b.0));
-            for (at, values) in found {
-                time.push(at);
-                means.iter_mut().for_each(|column| column.push(f64::NAN));
-                let last = time.len() - 1;
-                values.into_iter().for_each(|(k, value)| means[k][last] = value);
+            // Times of means that differ by rounding are one row; a column has one value in it.
+            let mut begin = f64::NEG_INFINITY;
+            for (at, k, Mean { value, weight }) in found {
+                if at - begin > tolerance || reduced[k].0.len() == time.len() {
+                    time.push(at);
+                    begin = at;
+                }
+                reduced[k].0.resize(time.len() - 1, f64::NAN);
+                reduced[k].0.push(value);
+                reduced[k].1.resize(time.len() - 1, 0.0);
+                reduced[k].1.push(weight);
             }
         }
-        let lost = self.columns.iter().zip(&means).map(|(column, means)| lost(&column.values, means));
-        let lost = self.columns.iter().map(|column| column.name.clone()).zip(lost).collect();
+        for (values, weights) in &mut reduced {
+            values.resize(time.len(), f64::NAN);
+            weights.resize(time.len(), 0.0);
+        }
+        let lost = (self.columns.iter().zip(&columns).zip(&reduced))
+            .map(|((column, means), (values, _))| match means.means {
+                Means::Held => (column.name.clone(), 0.0),
+                _ => (column.name.clone(), lost(&column.values, values)),
+            })
+            .collect();
+        let is_weighted: Vec<bool> =
+            columns.iter().map(|column| matches!(column.means, Means::Weighted(_))).collect();
+        let (values, weights): (Vec<_>, Vec<_>) = reduced.into_iter().unzip();
         self.resampling = Some(Resampling { interval, lost });
         self.time = time.into();
-        self.columns.iter_mut().zip(means).for_each(|(column, values)| column.values = values.into());
-        Ok(self)
+        self.columns.iter_mut().zip(values).for_each(|(column, values)| column.values = values.into());
+        let own = |(weights, is_weighted)| if is_weighted { weights } else { Vec::new() };
+        Ok((self, weights.into_iter().zip(is_weighted).map(own).collect()))
     }
+}
+
+/// How the values of a column become those of an interval.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Means<'w> {
+    /// Their mean.
+    Plain,
+    /// Their mean with the squares of these weights of the rows; rows with the weight 0 do not count.
+    Weighted(&'w [f64]),
+    /// The first value and every value that differs from the one before it, at their own times: values that
+    /// are held have no mean.
+    Held,
+}
+
+/// A value in the place of several, and the root of the sum of its squared weights.
+struct Mean {
+    value: f64,
+    weight: f64,
+}
+
+/// A column and how it is reduced.
+struct ColumnMeans<'a> {
+    values: &'a [f64],
+    means: Means<'a>,
+}
+
+impl ColumnMeans<'_> {
+    /// Hands over the values of an interval with their times.
+    fn reduce(&self, time: &[f64], rows: Range<usize>, mut put: impl FnMut(f64, Mean)) {
+        let known = |row: &usize| !self.values[*row].is_nan();
+        match self.means {
+            Means::Held => {
+                let mut last = None;
+                let is_end = rows.end == time.len();
+                let end = rows.clone().rev().find(known).filter(|_| is_end);
+                for row in rows.filter(known) {
+                    // The last row of the table says how far the recording reaches.
+                    if last != Some(self.values[row]) || Some(row) == end {
+                        put(time[row], Mean { value: self.values[row], weight: 0.0 });
+                    }
+                    last = Some(self.values[row]);
+                }
+            }
+            Means::Plain => {
+                let known: Vec<usize> = rows.filter(known).collect();
+                if !known.is_empty() {
+                    put(
+                        mean(time, &known, |_| 1.0),
+                        Mean { value: mean(self.values, &known, |_| 1.0), weight: 0.0 },
+                    );
+                }
+            }
+            Means::Weighted(weights) => {
+                let known: Vec<usize> = rows.filter(known).filter(|row| weights[*row] != 0.0).collect();
+                // Squares of the ratios to the largest do not overflow.
+                let largest = known.iter().map(|row| weights[*row]).fold(0.0, f64::max);
+                let square = |row: usize| (weights[row] / largest).powi(2);
+                if !known.is_empty() {
+                    let weight = largest * known.iter().map(|row| square(*row)).sum::<f64>().sqrt();
+                    put(
+                        mean(time, &known, square),
+                        Mean { value: mean(self.values, &known, square), weight },
+                    );
+                }
+            }
+        }
+    }
+}
+
+/// The weighted mean of these rows, at least one: of the differences from the first, of which large numbers
+/// (times since 1970) lose no digits.
+fn mean(values: &[f64], rows: &[usize], weight: impl Fn(usize) -> f64) -> f64 {
+    let first = values[rows[0]];
+    let total: f64 = rows.iter().map(|row| weight(*row)).sum();
+    first + rows.iter().map(|row| weight(*row) * (values[*row] - first)).sum::<f64>() / total
 }
 
 #[cfg(test)]
@@ -116,6 +200,58 @@ mod tests {
         Data::from_columns(time, [("y [mm]".to_owned(), y)]).unwrap()
     }
 
+    fn plain(data: Data, interval: f64) -> Result<Data, CalibrationError> {
+        Ok(data.resampled(interval, |_| Means::Plain)?.0)
+    }
+
+    /// Rows every 0.1 s, from 0 and in seconds since 1970, of which the last digit is 2.4e-7 s.
+    #[test]
+    fn resampling_is_the_same_when_times_are_large() {
+        for start in [0.0, 1.7e9] {
+            let time: Vec<f64> = (0..2000).map(|k| start + 0.1 * f64::from(k)).collect();
+            let y = time.iter().map(|t| t - start).collect();
+            let data = Data::from_columns(time, [("y".to_owned(), y)]).unwrap();
+            for (interval, rows) in [(0.1, 2000), (0.2, 1000), (0.7, 286)] {
+                let means = plain(data.clone(), interval).unwrap();
+                assert_eq!(means.time().len(), rows, "{start} {interval}");
+                let errors = means.time().iter().zip(means.column("y").unwrap()).map(|(t, y)| t - start - y);
+                assert!(errors.fold(0.0, |most: f64, e| most.max(e.abs())) < 1e-6, "{start} {interval}");
+            }
+        }
+    }
+
+    /// Two rows with weights 1 and 3: the mean with their squares is (0 + 9 * 1) / 10, its weight the root
+    /// of 10.
+    #[test]
+    fn weighted_means_have_the_root_of_the_sum_of_squares_when_rows_are_averaged() {
+        let y = vec![0.0, 1.0, 5.0, f64::NAN, 7.0, 2.0];
+        let columns = [("y".to_owned(), y.clone()), ("u".to_owned(), vec![0.0, 1.0, 1.0, 0.0, 0.0, 0.0])];
+        let data = Data::from_columns(vec![0.0, 1.0, 2.0, 3.0, 4.0, 5.0], columns).unwrap();
+        let weights = [1.0, 3.0, 2.0, 8.0, 0.0, 4.0];
+        let how = |k: usize| if k == 0 { Means::Weighted(&weights) } else { Means::Held };
+        let (means, of_means) = data.resampled(2.0, how).unwrap();
+        let known: Vec<(f64, f64, f64)> =
+            (means.time().iter().zip(means.column("y").unwrap()).zip(&of_means[0]))
+                .filter(|((_, y), _)| !y.is_nan())
+                .map(|((t, y), w)| (*t, *y, *w))
+                .collect();
+        let expected = [(0.9, 0.9, 10f64.sqrt()), (2.0, 5.0, 2.0), (5.0, 2.0, 4.0)];
+        assert_eq!(known.len(), 3, "{known:?}");
+        for ((t, y, w), (time, value, weight)) in known.into_iter().zip(expected) {
+            assert!(
+                (t - time).abs() < 1e-14 && (y - value).abs() < 1e-14 && (w - weight).abs() < 1e-14,
+                "{t} {y} {w}"
+            );
+        }
+        // Held: where it begins in an interval, where it changes, and at the end.
+        let held: Vec<(f64, f64)> = (means.time().iter().zip(means.column("u").unwrap()))
+            .filter(|(_, u)| !u.is_nan())
+            .map(|(t, u)| (*t, *u))
+            .collect();
+        assert_eq!(held, [(0.0, 0.0), (1.0, 1.0), (2.0, 1.0), (3.0, 0.0), (4.0, 0.0), (5.0, 0.0)]);
+        assert!(of_means[1].is_empty());
+    }
+
     #[test]
     fn means_of_a_period_take_all_of_a_signal_away_and_noise_is_none() {
         let noise = |k: i32| 2.0 * ((12.9898 * (f64::from(k) + 1.0)).sin() * 43_758.547).fract().abs() - 1.0;
@@ -126,7 +262,7 @@ mod tests {
         let columns = [("wave", wave), ("slow", slow), ("noise", alone)].map(|(n, v)| (n.to_owned(), v));
         let data = Data::from_columns(time, columns).unwrap();
         let lost = |interval: f64| -> Vec<f64> {
-            let data = data.clone().resampled(interval).unwrap();
+            let data = plain(data.clone(), interval).unwrap();
             data.resampling().unwrap().lost.iter().map(|(_, lost)| *lost).collect()
         };
         let [wave, slow, noise] = lost(5.0)[..] else { panic!() };
@@ -144,7 +280,7 @@ mod tests {
         let line: Vec<f64> = time.iter().map(|t| 1.0 + 2.0 * t).collect();
         let y = line.iter().enumerate().map(|(k, v)| if k % 3 == 2 { *v } else { f64::NAN }).collect();
         let columns = [("y".to_owned(), y), ("z".to_owned(), line)];
-        let data = Data::from_columns(time, columns).unwrap().resampled(0.5).unwrap();
+        let data = plain(Data::from_columns(time, columns).unwrap(), 0.5).unwrap();
         for name in ["y", "z"] {
             let rows = data.time().iter().zip(data.column(name).unwrap()).filter(|(_, v)| !v.is_nan());
             assert_eq!(rows.clone().count(), 12, "{name}");
@@ -157,7 +293,7 @@ mod tests {
 
     #[test]
     fn resampling_takes_means() {
-        let data = table().resampled(0.3).unwrap();
+        let data = plain(table(), 0.3).unwrap();
         let near =
             |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12) && a.len() == b.len();
         let known = |name: &str| -> (Vec<f64>, Vec<f64>) {
@@ -170,7 +306,7 @@ mod tests {
             (0.05, "rows every 0.05 s cannot be made of rows every 0.1"),
             (f64::NAN, "positive and finite, not NaN"),
         ] {
-            assert!(table().resampled(interval).unwrap_err().to_string().contains(expected));
+            assert!(plain(table(), interval).unwrap_err().to_string().contains(expected));
         }
     }
 }

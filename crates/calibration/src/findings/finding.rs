@@ -1,7 +1,8 @@
 //! Findings about a setup or a fit: sentences with a subject, a severity, and a remedy.
 
-use crate::findings::shown_text::visible;
+use crate::findings::shown_text::visible_line;
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::fmt;
 
 /// Severity of a finding.
@@ -68,8 +69,12 @@ impl Finding {
         sentence: impl Into<String>,
         remedy: impl Into<String>,
     ) -> Self {
-        let origin = Origin::Problem;
-        Self { severity, subject: subject.into(), sentence: sentence.into(), remedy: remedy.into(), origin }
+        let line = |text: String| match visible_line(&text) {
+            Cow::Borrowed(_) => text,
+            Cow::Owned(shown) => shown,
+        };
+        let (subject, sentence, remedy) = (line(subject.into()), line(sentence.into()), line(remedy.into()));
+        Self { severity, subject, sentence, remedy, origin: Origin::Problem }
     }
 
     /// The same with another origin.
@@ -135,9 +140,9 @@ pub(crate) fn table(findings: &[Finding]) -> String {
     let lines = |finding: &Finding| {
         let remedy = match finding.remedy.as_str() {
             "" => String::new(),
-            remedy => format!("\n         -> {remedy}"),
+            remedy => format!("\n         -> {}", visible_line(remedy)),
         };
-        format!("\n{:<8} {}{remedy}", finding.severity.name(), finding.text())
+        format!("\n{:<8} {}{remedy}", finding.severity.name(), visible_line(&finding.text()))
     };
-    visible(&findings.iter().map(lines).collect::<String>()).into_owned()
+    findings.iter().map(lines).collect()
 }

@@ -2,19 +2,19 @@
 //! direction of what is read, and they are not long.
 
 use base::Number;
+use fmi::FmiError;
 use std::borrow::Cow;
+use std::error::Error;
 
-/// True for a character that is not shown, but changes those that are: control characters but the line break
-/// and the tabulator, and those that set the direction of text (Unicode Standard Annex 9, section 2).
+/// True for a character that is not shown, but changes those that are: control characters, separators of
+/// lines, and characters that set the direction of text (Unicode Standard Annex 9, section 2).
 fn is_hidden(c: char) -> bool {
-    (c.is_control() && c != '\n' && c != '\t')
-        || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+    c.is_control()
+        || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
 
-/// The text with such characters as their numbers, `\u{1b}` for an escape: names in an FMU or in a recording
-/// may hold some, and terminals act on them.
-pub fn visible(text: &str) -> Cow<'_, str> {
-    if !text.contains(is_hidden) {
+fn escaped(text: &str, is_hidden: impl Fn(char) -> bool) -> Cow<'_, str> {
+    if !text.contains(&is_hidden) {
         return Cow::Borrowed(text);
     }
     let mut shown = String::with_capacity(text.len());
@@ -22,6 +22,32 @@ pub fn visible(text: &str) -> Cow<'_, str> {
         if is_hidden(c) { shown.extend(c.escape_unicode()) } else { shown.push(c) }
     }
     Cow::Owned(shown)
+}
+
+/// Returns a text of several lines with hidden characters as their numbers, `\u{1b}` for an escape: terminals
+/// act on them. Line breaks and tabulators stay. Names in it must have passed through
+/// [`visible_line`] before, because they may hold these, too.
+pub fn visible(text: &str) -> Cow<'_, str> {
+    escaped(text, |c| is_hidden(c) && c != '\n' && c != '\t')
+}
+
+/// Returns a name or another text of one line with all hidden characters as their numbers, `\u{a}` for a line
+/// break: variables, columns, units and descriptions may hold any.
+pub fn visible_line(text: &str) -> Cow<'_, str> {
+    escaped(text, is_hidden)
+}
+
+/// Returns the message of an error on one line; only the output of a compiler keeps its lines.
+pub fn visible_error(error: &(dyn Error + 'static)) -> String {
+    let message = error.to_string();
+    let mut cause = Some(error);
+    while let Some(error) = cause {
+        if matches!(error.downcast_ref(), Some(FmiError::CompileFailed { .. })) {
+            return visible(&message).into_owned();
+        }
+        cause = error.source();
+    }
+    visible_line(&message).into_owned()
 }
 
 /// So many characters of a text are shown.
@@ -48,6 +74,7 @@ mod tests {
     fn what_moves_the_cursor_or_the_direction_is_shown_by_its_number() {
         assert!(matches!(visible("k in \u{b5}m\n\tz \u{5d0}"), Cow::Borrowed(_)));
         assert_eq!(visible("a\u{1b}[2Jb\r\u{202e}c\u{9b}"), "a\\u{1b}[2Jb\\u{d}\\u{202e}c\\u{9b}");
+        assert_eq!(visible_line("a\nb\tc\u{2028}"), "a\\u{a}b\\u{9}c\\u{2028}");
     }
 
     #[test]

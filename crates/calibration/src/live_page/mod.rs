@@ -83,7 +83,9 @@ impl LivePage {
         self.server.is_closed()
     }
 
-    /// Shows the report of the fit from now on, see [`Calibration::report`].
+    /// Shows the report of the fit from now on, see [`Calibration::report`]. After the button that ends the
+    /// fit nothing is simulated for it: the responses are those that the search has computed, at the measured
+    /// times.
     ///
     /// # Errors
     /// As of a report that is written.
@@ -93,7 +95,11 @@ impl LivePage {
         fit: &Fit,
         context: &RunContext<'_>,
     ) -> Result<(), CalibrationError> {
-        self.page.set_report(calibration.report_page(fit, context)?);
+        let report = match self.is_stop_asked() {
+            true => calibration.report_page_with(fit, &self.page.curves()),
+            false => calibration.report_page(fit, context)?,
+        };
+        self.page.set_report(report);
         Ok(())
     }
 

@@ -5,6 +5,7 @@ use super::response::{Response, Status};
 use crate::fit::live::{LiveFit, lock};
 use crate::fit::phase::CurrentPhase;
 use crate::loaded::calibration::Calibration;
+use crate::report::ExperimentCurves;
 use crate::report::live_content::LiveSubject;
 use std::io;
 use std::net::SocketAddr;
@@ -95,6 +96,11 @@ impl Page {
     pub(super) fn has_reader(&self) -> bool {
         let is_looked_at = lock(&self.drawn).as_ref().is_some_and(|drawn| drawn.at.elapsed() < 3 * PAUSE);
         is_looked_at && !self.is_report_read.load(Ordering::Relaxed)
+    }
+
+    /// What the search has simulated at its start and at the best point, as far as it has.
+    pub(super) fn curves(&self) -> Vec<ExperimentCurves> {
+        self.subject.curves(&self.live)
     }
 
     pub(super) fn set_report(&self, report: String) {

@@ -3,7 +3,8 @@
 use crate::data::{Data, Unit, UnitConversion, UnitError, find_column, listed, parts};
 use crate::error::CalibrationError;
 use crate::problem::definition::Problem;
-use crate::problem::experiment::Experiment;
+use crate::problem::experiment::{Experiment, Measured, Weight};
+use crate::problem::measurements::{is_mask, weights_of_rows};
 use crate::problem::warning::SetupWarning;
 use fmi::description::{Causality, Variable, VariableKind};
 use fmi::{ModelDescription, Value};
@@ -58,7 +59,8 @@ fn convert(
                          of its own"
                     )));
                 }
-                data.convert(&column, conversion, &unit);
+                convert_weights(experiment, &full, conversion)?;
+                experiment.data.convert(&column, conversion, &unit);
                 converted.push((full.clone(), given, unit));
             }
             Err(reason @ UnitError::Dimension { .. }) => {
@@ -91,6 +93,27 @@ fn convert(
         warnings.push(SetupWarning::Converted { data, columns: converted });
     }
     Ok(warnings)
+}
+
+/// Converts the weights of the outputs that a column measured: they are 1 over its standard deviation, in its
+/// unit. The weight 1 states no noise and stays.
+fn convert_weights(
+    experiment: &mut Experiment,
+    column: &str,
+    conversion: UnitConversion,
+) -> Result<(), CalibrationError> {
+    for k in 0..experiment.outputs.len() {
+        let Measured { variable, column: own, weight } = &experiment.outputs[k];
+        if weight.states_noise() && experiment.data.full_name(own) == Some(column) {
+            let weights = weights_of_rows(experiment, variable, own, weight)?;
+            if is_mask(&weights) {
+                continue;
+            }
+            let converted = weights.iter().map(|weight| weight / conversion.apply_to_difference(1.0).abs());
+            experiment.outputs[k].weight = Weight::Rows(converted.collect());
+        }
+    }
+    Ok(())
 }
 
 /// An input of a model, and the column that drives it.

@@ -22,6 +22,9 @@ use std::sync::Arc;
 pub struct Experiment {
     pub(crate) name: Option<String>,
     pub(crate) data: Data,
+    /// Interval in s over which means replace the rows, until the model is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) resample: Option<f64>,
     pub(crate) outputs: Vec<Measured>,
     pub(crate) inputs: Vec<(String, InputSource)>,
     pub(crate) start_values: Vec<(String, Value)>,
@@ -213,6 +216,20 @@ impl Experiment {
     /// True if a start value is that of a local parameter.
     pub(crate) fn is_start_of_local(name: &str, parameters: &[Parameter]) -> bool {
         parameters.iter().any(|p| p.is_local() && p.is_called(name))
+    }
+
+    /// Replaces the rows of the recording by means over intervals of this length in s, beginning with the
+    /// first time; each mean is placed at the mean of the times of its values. The noise falls with the root
+    /// of the number of rows; signals faster than the interval are lost. Weights other than 1 are taken for 1
+    /// over the standard deviation of a row: a measured column becomes the mean with their squares, and the
+    /// mean has the root of the sum of these squares as its weight. Columns of Boolean and integer inputs are
+    /// not averaged: they keep their values and the times where they change. A
+    /// [`Calibration`](crate::Calibration) refuses an interval that is not positive, or shorter than the row
+    /// spacing.
+    #[must_use]
+    pub fn resample(mut self, interval: f64) -> Self {
+        self.resample = Some(interval);
+        self
     }
 
     /// `column` of the data measured the model's `variable`. Residuals follow the order of these calls.

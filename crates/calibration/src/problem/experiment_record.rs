@@ -113,12 +113,10 @@ impl Experiment {
         if let Some(by) = &record.mask {
             data = data.masked_by(&measured, by)?;
         }
-        if let Some(interval) = record.resample {
-            data = data.resampled(interval)?;
-        }
 
         let mut experiment = Self::new(data);
         experiment.name = record.name;
+        experiment.resample = record.resample;
         for ((variable, column), weight) in outputs.into_iter().zip(weights) {
             experiment = experiment.weighted_output(variable, column, weight);
         }

@@ -126,9 +126,7 @@ impl Signal {
         let SignalSource::Rows(times, _) = &self.source else { return Ok(()) };
         let recorded = (times[0], times[times.len() - 1]);
         let gap = (recorded.0 - span.0).max(span.1 - recorded.1);
-        // As far as times are equal: 100 units in the last place.
-        let rounding = 50.0 * f64::EPSILON * span.0.abs().max(span.1.abs());
-        if gap <= sampling_interval(times).unwrap_or(0.0) + rounding {
+        if gap <= sampling_interval(times).unwrap_or(0.0) + base::time_tolerance(span.0, span.1) {
             return Ok(());
         }
         let [r0, r1, s0, s1] = [recorded.0, recorded.1, span.0, span.1].map(Number);

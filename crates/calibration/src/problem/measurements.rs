@@ -55,10 +55,10 @@ impl Measurements {
         let before_windows = experiment.warm_up.filter(|_| !experiment.windows.is_empty());
         let before_windows = before_windows.map(|warm_up| first(&outputs) - warm_up);
         let start_time = experiment.start_time.or(before_windows).unwrap_or(default_start);
-        let rounding = 100.0 * f64::EPSILON / 2.0 * start_time.abs().max(last.abs());
+        let tolerance = base::time_tolerance(start_time, last);
         if experiment.warm_up.is_some() {
             for (measured, Measured { variable, column, .. }) in outputs.iter_mut().zip(&experiment.outputs) {
-                *measured = measured.rows(|row| measured.times[row] >= start_time + warm_up - rounding);
+                *measured = measured.rows(|row| measured.times[row] >= start_time + warm_up - tolerance);
                 if measured.times.is_empty() {
                     let [start, warm_up, last] = [start_time, warm_up, last].map(Number);
                     return setup(format!(
@@ -69,7 +69,7 @@ impl Measurements {
             }
         }
         let first = first(&outputs);
-        if first < start_time - rounding {
+        if first < start_time - tolerance {
             let [first, start] = [first, start_time].map(Number);
             return setup(format!(
                 "{source}: the first measurement is at {first} s, before the simulation starts at {start} s; give \
@@ -86,8 +86,9 @@ impl Measurements {
     /// Refuses to simulate a long time before the recording where the start time is only the model's default.
     fn check_begin(&self, experiment: &Experiment) -> Result<(), CalibrationError> {
         let (begin, start_time) = (experiment.data.time()[0], self.start_time);
+        let tolerance = (MOST_BEFORE + 1.0) * base::time_tolerance(start_time, self.last_time());
         match experiment.data.sampling_interval() {
-            Some(interval) if begin - start_time > MOST_BEFORE * interval => {
+            Some(interval) if begin - start_time > MOST_BEFORE * interval + tolerance => {
                 let [begin, start, before] = [begin, start_time, begin - start_time].map(Number);
                 setup(format!(
                     "{}: the recording begins at {begin} s, the simulation at {start} s. Give start_time = {begin} to start \
@@ -114,8 +115,10 @@ fn in_windows(experiment: &Experiment) -> Result<Vec<Counted>, CalibrationError>
             return setup(format!("window from {from} to {to}: the end must not lie before the start"));
         }
     }
+    let tolerance = base::time_tolerance(time[0], time[time.len() - 1]);
     let counts = |t: &f64| {
-        experiment.windows.is_empty() || experiment.windows.iter().any(|(a, b)| (a..=b).contains(&t))
+        let is_in = |(from, to): &(f64, f64)| (from - tolerance..=to + tolerance).contains(t);
+        experiment.windows.is_empty() || experiment.windows.iter().any(is_in)
     };
     let Some(first) = time.iter().position(counts) else {
         let list = |(from, to): &(f64, f64)| format!("{} to {}", Number(*from), Number(*to));
@@ -130,7 +133,7 @@ fn in_windows(experiment: &Experiment) -> Result<Vec<Counted>, CalibrationError>
     };
     let rows = first..time.iter().rposition(counts).unwrap_or(first) + 1;
     let of_output = |Measured { variable, column, weight }: &Measured| {
-        let weights = weights(experiment, variable, column, weight)?;
+        let weights = weights_of_rows(experiment, variable, column, weight)?;
         let measured = data.measured(column, rows.clone())?;
         let all = Counted { times: data.time_series().clone(), values: measured.clone(), weights };
         let counted = all.rows(|row| {
@@ -147,8 +150,13 @@ fn in_windows(experiment: &Experiment) -> Result<Vec<Counted>, CalibrationError>
     experiment.outputs.iter().map(of_output).collect()
 }
 
+/// True if weights of rows only say which of them count: they state no noise.
+pub(crate) fn is_mask(weights: &[f64]) -> bool {
+    weights.iter().all(|weight| *weight == 0.0 || *weight == 1.0)
+}
+
 /// The weights of an output, one per row.
-fn weights(
+pub(crate) fn weights_of_rows(
     experiment: &Experiment,
     variable: &str,
     column: &str,
@@ -173,6 +181,13 @@ fn weights(
             return setup(format!(
                 "the measurements of '{variable}' (column '{column}') have the {scale} {value}, by which they cannot be weighed: give a \
                  number"
+            ));
+        }
+        // A problem that was stored with means of its weights.
+        Weight::Column(column) if data.resampling().is_some() => {
+            return setup(format!(
+                "the weights of output '{variable}' in column '{column}' are means, which are no weights: resample the recording again, \
+                 from its file, with this column"
             ));
         }
         Weight::Column(column) => (data.series(column)?, format!(" in column '{column}'")),

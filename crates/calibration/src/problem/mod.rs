@@ -16,6 +16,7 @@ pub(crate) mod parameter_record;
 pub(crate) mod prior;
 pub(crate) mod residual_layout;
 pub(crate) mod resolution;
+pub(crate) mod row_means;
 #[cfg(feature = "schema")]
 pub(crate) mod schema;
 pub(crate) mod settings;

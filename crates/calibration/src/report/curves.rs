@@ -16,7 +16,7 @@ use std::thread::available_parallelism;
 /// Height of a panel of a plot, in pixels.
 const PANEL: u32 = 160;
 
-/// Points of a response.
+/// Points of a response, about.
 const CURVE_POINTS: usize = 2001;
 
 /// Curves of one experiment of a fit.
@@ -81,7 +81,7 @@ pub fn plot<'a>(times: &[f64], columns: impl IntoIterator<Item = (String, &'a [f
 
 impl Calibration {
     /// Curves of a fit, experiment by experiment: each is simulated at the start of the fit and at the fitted
-    /// values. The context is looked at before every step of the simulations.
+    /// values, with the steps of the fit. The context is looked at before every step of the simulations.
     ///
     /// # Errors
     /// The fit has another number of parameters, or its simulation fails now;
@@ -153,18 +153,15 @@ impl Calibration {
         }
     }
 
-    /// An experiment simulated from its start to its last measurement; `None` if that fails.
+    /// An experiment simulated from its start to its last measurement, with the steps of the fit; `None` if
+    /// that fails.
     fn response(
         &self,
         k: usize,
         x: &[f64],
         context: &RunContext<'_>,
     ) -> Result<Option<Trajectory>, CalibrationError> {
-        let options = &self.evaluator().simulations[k].options;
-        let (Some(start), Some(end)) = (options.start_time, options.final_time) else { return Ok(None) };
-        let step = (end - start) / (CURVE_POINTS - 1) as f64;
-        let mut times: Vec<f64> = (0..CURVE_POINTS).map(|i| (start + i as f64 * step).min(end)).collect();
-        times.dedup();
+        let times = self.evaluator().simulations[k].curve_times(CURVE_POINTS);
         match self.simulate_experiment(k, x, Some(&times), context) {
             Err(CalibrationError::Cancelled) => Err(CalibrationError::Cancelled),
             simulated => Ok(simulated.ok()),

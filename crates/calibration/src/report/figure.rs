@@ -4,6 +4,7 @@
 //! dark page.
 
 use super::number::rounded;
+use crate::findings::shown_text::visible_line;
 use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
@@ -159,7 +160,7 @@ impl Panel {
             .x_label_formatter(&x_text)
             .y_label_formatter(&y_text)
             .x_desc(x_label.unwrap_or_default())
-            .y_desc(cut(&self.y_label))
+            .y_desc(visible_line(&cut(&self.y_label)))
             .draw()?;
         if self.has_zero {
             chart

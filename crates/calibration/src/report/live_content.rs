@@ -104,6 +104,11 @@ impl LiveSubject {
         template::live(&format!("Fit of {}, running", self.model), nonce, state)
     }
 
+    /// What the search has simulated at its start and at the best point, as far as it has.
+    pub(crate) fn curves(&self, live: &LiveFit) -> Vec<ExperimentCurves> {
+        live.state().residuals().map(|found| self.curves_of(&found)).unwrap_or_default()
+    }
+
     /// The part of the page that changes. `phase`: what the fit does.
     pub(crate) fn state(&self, live: &LiveFit, phase: &str) -> String {
         let state = live.state();
@@ -136,7 +141,7 @@ impl LiveSubject {
                 true => Vec::new(),
                 false => vec![cost_figure(state.costs, state.n_evaluations, state.n_failed)],
             },
-            outputs: output_figures(&found.map(|found| self.curves(&found)).unwrap_or_default(), ""),
+            outputs: output_figures(&found.map(|found| self.curves_of(&found)).unwrap_or_default(), ""),
             more_outputs: n_outputs.saturating_sub(MOST_OUTPUTS),
             running: listed.collect(),
             n_failed: state.n_failed,
@@ -159,7 +164,7 @@ impl LiveSubject {
     }
 
     /// The first outputs; simulations are what was measured and the residuals.
-    fn curves(&self, found: &LiveResiduals) -> Vec<ExperimentCurves> {
+    fn curves_of(&self, found: &LiveResiduals) -> Vec<ExperimentCurves> {
         let mut all: Vec<ExperimentCurves> = (self.experiments.iter())
             .map(|name| ExperimentCurves {
                 first_date: None,

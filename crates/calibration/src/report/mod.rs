@@ -67,7 +67,12 @@ impl Calibration {
         fit: &Fit,
         context: &RunContext<'_>,
     ) -> Result<String, CalibrationError> {
-        page::page(self, fit, context)
+        Ok(page::page(self, fit, &self.curves(fit, context)?))
+    }
+
+    /// The same page with these curves, without a simulation.
+    pub(crate) fn report_page_with(&self, fit: &Fit, curves: &[ExperimentCurves]) -> String {
+        page::page(self, fit, curves)
     }
 }
 
@@ -103,7 +108,7 @@ mod tests {
         };
         let text: String = std::iter::once("time,x,ok\n".to_owned()).chain((0..40).map(row)).collect();
         std::fs::write(&csv, &text).unwrap();
-        let data = Data::from_csv(&csv).unwrap().masked_by(&["x"], "ok").unwrap().resampled(0.1).unwrap();
+        let data = Data::from_csv(&csv).unwrap().masked_by(&["x"], "ok").unwrap();
         let run = fmi::RunSettings {
             max_step: Some(0.021),
             timeout: Some(std::time::Duration::from_millis(3250)),
@@ -114,7 +119,9 @@ mod tests {
         let settings = crate::SimulationSettings { memory_limit: Some(512_345_678), ..run.into() };
         let fmu = fmi::Fmu::open(example_models::example_fmu("dahlquist").unwrap()).unwrap();
         let calibration = Calibration::builder(fmu)
-            .experiment(Experiment::new(data).output("x", "x").delay("x", 0.0).hold_inputs(true))
+            .experiment(
+                Experiment::new(data).resample(0.1).output("x", "x").delay("x", 0.0).hold_inputs(true),
+            )
             .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
             .settings(settings)
             .build()
@@ -267,16 +274,33 @@ mod tests {
     fn nothing_in_a_name_moves_the_cursor_or_turns_the_text() {
         let (calibration, _) = decay();
         let mut problem = calibration.problem().clone();
-        problem.parameters[0] = problem.parameters[0].clone().display_name("k\u{1b}[2J\u{202e}");
+        problem.parameters[0] = problem.parameters[0].clone().display_name("k\n\tz\u{1b}[2J\u{202e}");
         let calibration = Calibration::from_problem(calibration.fmu().clone(), problem).unwrap();
         let fit = calibration.fit(FitOptions::default()).unwrap();
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("report.html");
         calibration.report(&fit, &path, &RunContext::new()).unwrap();
         for text in [fit.to_string(), fit.to_html(), std::fs::read_to_string(&path).unwrap()] {
-            assert!(text.contains("k\\u{1b}[2J\\u{202e}"), "{text}");
-            assert!(!text.contains(['\u{1b}', '\u{202e}']), "{text}");
+            assert!(text.contains("k\\u{a}\\u{9}z\\u{1b}[2J\\u{202e}"), "{text}");
+            assert!(!text.contains(['\u{1b}', '\u{202e}', '\t']) && !text.contains("k\n"), "{text}");
         }
+    }
+
+    #[test]
+    fn a_result_below_all_minima_is_not_called_one_of_them_when_the_search_was_cut_off() {
+        let (_, mut fit) = decay();
+        let optimum = |cost: f64| -> dfo::Optimum {
+            serde_json::from_value(serde_json::json!({"x": [2.0], "cost": cost, "n_starts": 3})).unwrap()
+        };
+        fit.report.termination = dfo::Termination::MaxEvaluations;
+        fit.report.optima = vec![optimum(2.0 * fit.report.fun), optimum(3.0 * fit.report.fun)];
+        let text = fit.to_string();
+        assert!(text.contains("the best point that it met within its limits, below all minima"), "{text}");
+        assert!(text.contains("6 local searches have ended at 2 minima, and the result is better than all"), "{text}");
+        fit.report.optima[0] = optimum(fit.report.fun);
+        let text = fit.to_string();
+        assert!(text.contains("The fit took the lowest minimum that it found within its limits"), "{text}");
+        assert!(text.contains("6 local searches have ended at 2 minima, 3 of them at the lowest"), "{text}");
     }
 
     #[test]

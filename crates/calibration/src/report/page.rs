@@ -6,11 +6,10 @@ use super::number::rounded;
 use super::setup;
 use super::summary::{Fact, Summary, fact};
 use super::template;
-use crate::error::CalibrationError;
 use crate::fit::one_stage::Fit;
 use crate::loaded::calibration::Calibration;
 use crate::problem::experiment::Experiment;
-use base::{Number, RunContext};
+use base::Number;
 use serde::Serialize;
 
 /// Heights of the panels of a figure, in pixels.
@@ -62,13 +61,9 @@ struct Setup {
 }
 
 /// The page of a fit.
-pub(super) fn page(
-    calibration: &Calibration,
-    fit: &Fit,
-    context: &RunContext<'_>,
-) -> Result<String, CalibrationError> {
+pub(super) fn page(calibration: &Calibration, fit: &Fit, curves: &[ExperimentCurves]) -> String {
     let page = Page {
-        outputs: figures(&calibration.curves(fit, context)?),
+        outputs: figures(curves),
         search: [convergence(fit), waterfall(fit)].into_iter().flatten().collect(),
         correlation: correlation(fit),
         residual_checks: residual_checks(fit),
@@ -77,7 +72,7 @@ pub(super) fn page(
         origin: origin(calibration),
         date: jiff::Timestamp::now().strftime("%Y-%m-%d %H:%M UTC").to_string(),
     };
-    Ok(template::page(&Summary::new(fit), &page))
+    template::page(&Summary::new(fit), &page)
 }
 
 /// The outputs of each experiment, and its inputs.

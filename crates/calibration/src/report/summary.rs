@@ -113,9 +113,13 @@ impl Summary {
 /// Sentence on the termination and the quality of the fit.
 fn sentence(fit: &Fit) -> String {
     let are_several = fit.report.optima.len() > 1;
+    let is_below_minima = fit.report.optima.first().is_some_and(|lowest| fit.report.fun < lowest.cost);
     let ended = match &fit.report.termination {
+        Termination::MaxEvaluations | Termination::MaxTime if is_below_minima => {
+            "The fit took the best point that it met within its limits, below all minima that it found"
+        }
         Termination::MaxEvaluations | Termination::MaxTime if are_several => {
-            "The fit took the best minimum that it found within its limits"
+            "The fit took the lowest minimum that it found within its limits"
         }
         _ if fit.report.is_success() && fit.is_conditional() => {
             "Each stage converged, all parameters together did not"

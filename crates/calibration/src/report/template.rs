@@ -2,9 +2,9 @@
 //! may hold any characters.
 
 use super::summary::Summary;
-use crate::findings::shown_text::visible;
+use crate::findings::shown_text::visible_line;
 use minijinja::value::Serde;
-use minijinja::{Environment, Value, context};
+use minijinja::{Environment, Value, context, escape_formatter};
 use serde::Serialize;
 
 /// The summary as an HTML element for a notebook.
@@ -46,9 +46,14 @@ fn render(name: &str, values: Value) -> String {
         ("page.html", include_str!("templates/page.html")),
         ("style.html", include_str!("templates/style.html")),
     ];
+    // Texts are lines; what is marked as safe is made of other templates and figures.
+    environment.set_formatter(|out, state, value| match value.as_str().filter(|_| !value.is_safe()) {
+        Some(text) => escape_formatter(out, state, &Value::from(visible_line(text))),
+        None => escape_formatter(out, state, value),
+    });
     let rendered = templates
         .into_iter()
         .try_for_each(|(name, source)| environment.add_template(name, source))
         .and_then(|()| environment.get_template(name)?.render(values));
-    visible(&rendered.unwrap_or_else(|error| error.to_string())).into_owned()
+    rendered.unwrap_or_else(|error| error.to_string())
 }

@@ -2,7 +2,7 @@
 
 use super::summary::{OutputRow, ParameterRow, Summary};
 use crate::findings::finding::table;
-use crate::findings::shown_text::visible;
+use crate::findings::shown_text::visible_line;
 use crate::fit::one_stage::Fit;
 use std::fmt::{self, Write};
 
@@ -11,14 +11,12 @@ const LONGEST: usize = 48;
 
 impl fmt::Display for Fit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mut text = String::new();
-        write(&mut text, &Summary::new(self))?;
-        f.write_str(&visible(&text))
+        write(f, &Summary::new(self))
     }
 }
 
-fn write(f: &mut String, summary: &Summary) -> fmt::Result {
-    writeln!(f, "{}\n{}\n", summary.title, summary.sentence)?;
+fn write(f: &mut impl Write, summary: &Summary) -> fmt::Result {
+    writeln!(f, "{}\n{}\n", visible_line(&summary.title), visible_line(&summary.sentence))?;
     lines(f, &parameters(summary), &PARAMETER_SIDES)?;
     if !summary.outputs.is_empty() {
         writeln!(f)?;
@@ -29,7 +27,7 @@ fn write(f: &mut String, summary: &Summary) -> fmt::Result {
     }
     let width = summary.facts.iter().map(|fact| fact.name.len()).max().unwrap_or(0);
     for fact in &summary.facts {
-        write!(f, "\n{:width$}  {}", fact.name, fact.value)?;
+        write!(f, "\n{:width$}  {}", fact.name, visible_line(&fact.value))?;
     }
     Ok(())
 }
@@ -75,10 +73,11 @@ fn outputs(summary: &Summary) -> Vec<[String; 5]> {
 }
 
 /// The rows in columns as wide as their widest cells; columns that are empty are left out.
-fn lines<const N: usize>(f: &mut String, rows: &[[String; N]], to_right: &[bool; N]) -> fmt::Result {
+fn lines<const N: usize>(f: &mut impl Write, rows: &[[String; N]], to_right: &[bool; N]) -> fmt::Result {
+    let rows: Vec<_> = rows.iter().map(|row| row.each_ref().map(|cell| visible_line(cell))).collect();
     let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
     let widths: [usize; N] = std::array::from_fn(width);
-    for row in rows {
+    for row in &rows {
         let mut line = String::new();
         for ((cell, width), to_right) in row.iter().zip(widths).zip(to_right).filter(|((_, w), _)| *w > 0) {
             line += "  ";

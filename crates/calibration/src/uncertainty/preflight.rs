@@ -6,7 +6,7 @@ use crate::cost::residual::sum_of_squares;
 use crate::cost::solver::AtStart;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Origin, sort, table};
-use crate::findings::shown_text::digits;
+use crate::findings::shown_text::{digits, visible_line};
 use crate::loaded::calibration::Calibration;
 use crate::loaded::simulations_around::{Point, Simulations};
 use crate::problem::parameter::{Parameter, inner, outer};
@@ -343,7 +343,8 @@ impl Preflight {
 
 impl fmt::Display for Preflight {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let width = self.parameters.iter().map(|p| p.name.len()).max().unwrap_or(0).max(9);
+        let name = |name: &str| visible_line(name).into_owned();
+        let width = self.parameters.iter().map(|p| name(&p.name).len()).max().unwrap_or(0).max(9);
         writeln!(f, "{:<width$}  {:>12}  sensitivity", "parameter", "start")?;
         for check in &self.parameters {
             let said = match (&check.failure, check.sensitivity, check.moved_to) {
@@ -352,7 +353,7 @@ impl fmt::Display for Preflight {
                 (_, Some(sensitivity), _) if check.has_effect => digits(sensitivity).to_string(),
                 _ => "moves no output".to_owned(),
             };
-            writeln!(f, "{:<width$}  {:>12}  {said}", check.name, digits(check.start).to_string())?;
+            writeln!(f, "{:<width$}  {:>12}  {said}", name(&check.name), digits(check.start).to_string())?;
         }
         write!(f, "cost {}", digits(self.cost))?;
         if let Some(accurate) = self.accurate_cost {

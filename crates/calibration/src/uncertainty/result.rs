@@ -2,7 +2,7 @@
 
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, table};
-use crate::findings::shown_text::digits;
+use crate::findings::shown_text::{digits, visible_line};
 use crate::loaded::simulations_around::Effort;
 use crate::uncertainty::diagnostics::parameter_constancy::PartConflict;
 use crate::uncertainty::diagnostics::prior_check::PriorConflict;
@@ -311,8 +311,9 @@ impl fmt::Display for Uncertainty {
         let corrected = if uncorrected.is_some() { ", corrected for autocorrelated residuals" } else { "" };
         let (estimator, degrees) = (self.estimator, self.degrees_of_freedom);
         writeln!(f, "standard errors: {estimator}{corrected}, {degrees} degrees of freedom")?;
-        let width = self.names.iter().map(String::len).max().unwrap_or(0);
-        for (i, name) in self.names.iter().enumerate() {
+        let names: Vec<_> = self.names.iter().map(|name| visible_line(name)).collect();
+        let width = names.iter().map(|name| name.len()).max().unwrap_or(0);
+        for (i, name) in names.iter().enumerate() {
             let (x, error) = (self.x[i], self.standard_errors[i]);
             write!(f, "{name:>width$}: {}", Number(x))?;
             if self.held.contains(&i) {

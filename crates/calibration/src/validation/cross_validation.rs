@@ -3,7 +3,7 @@
 
 use crate::cost::parallel;
 use crate::error::CalibrationError;
-use crate::findings::shown_text::digits;
+use crate::findings::shown_text::{digits, visible_line};
 use crate::fit::one_stage::{Fit, FitOptions, NoiseRule};
 use crate::loaded::calibration::Calibration;
 use crate::problem::objective::CostKind;
@@ -216,13 +216,14 @@ impl Calibration {
 
 impl fmt::Display for CrossValidation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let held_out: Vec<String> = self.folds.iter().map(|fold| fold.held_out.join(", ")).collect();
+        let line = |text: &str| visible_line(text).into_owned();
+        let held_out: Vec<String> = self.folds.iter().map(|fold| line(&fold.held_out.join(", "))).collect();
         let width = held_out.iter().map(|name| name.chars().count()).max().unwrap_or(0).max(8);
         let columns: Vec<usize> =
-            self.parameters.iter().map(|(name, ..)| name.chars().count().max(10)).collect();
+            self.parameters.iter().map(|(name, ..)| line(name).chars().count().max(10)).collect();
         write!(f, "{:<width$}  {:>10}  {:>10}", "held out", "RMS", "RMS of fit")?;
         for ((name, ..), column) in self.parameters.iter().zip(&columns) {
-            write!(f, "  {name:>column$}")?;
+            write!(f, "  {:>column$}", line(name))?;
         }
         for (fold, name) in self.folds.iter().zip(&held_out) {
             let [rms, of_fit] = [fold.validation.rms, fold.fit_rms].map(|rms| digits(rms).to_string());
@@ -242,7 +243,7 @@ impl fmt::Display for CrossValidation {
             write!(f, "  {:>column$}", digits(*spread).to_string())?;
         }
         for held_out in &self.unfinished {
-            write!(f, "\n{}: not done in time", held_out.join(", "))?;
+            write!(f, "\n{}: not done in time", line(&held_out.join(", ")))?;
         }
         Ok(())
     }

@@ -4,7 +4,7 @@
 use crate::cost::residual::PointResiduals;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, table};
-use crate::findings::shown_text::digits;
+use crate::findings::shown_text::{digits, visible_line};
 use crate::fit::one_stage::{Fit, FitOptions, NoiseRule};
 use crate::fit::output_fit::OutputFit;
 use crate::loaded::calibration::Calibration;
@@ -87,7 +87,7 @@ impl Validation {
 
 impl fmt::Display for Validation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let names = |output: &OutputFit| format!("{}: {}", output.experiment, output.variable);
+        let names = |o: &OutputFit| visible_line(&format!("{}: {}", o.experiment, o.variable)).into_owned();
         let width = self.outputs.iter().map(|o| names(&o.fit).chars().count()).max().unwrap_or(0).max(6);
         writeln!(
             f,
@@ -100,7 +100,7 @@ impl fmt::Display for Validation {
                 .map_or_else(|| "-".to_owned(), |start| digits(output.rms / start).to_string());
             let (name, rms) = (names(output), digits(output.rms).to_string());
             let percent = format!("{:.1} %", output.fit_percent);
-            let unit = output.unit.as_deref().unwrap_or("");
+            let unit = visible_line(output.unit.as_deref().unwrap_or(""));
             writeln!(f, "{name:<width$}  {:>6}  {rms:>10}  {scaled:>10}  {percent:>7}  {unit}", output.n)?;
         }
         let scaled = self.scaled_rms().map_or_else(|| "-".to_owned(), |scaled| digits(scaled).to_string());

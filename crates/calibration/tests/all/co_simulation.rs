@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 use crate::support::faulty;
-use calibration::{Calibration, Data, Experiment, FitOptions, Parameter};
+use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, RunContext};
 use example_models::{ExampleKind, example_fmu_as};
 use fmi::Fmu;
 use fmi::RunSettings;
@@ -26,17 +26,50 @@ fn a_decay_is_fitted_in_every_version() {
     }
 }
 
+/// The test model, which steps itself.
+fn stepping(defines: &[&str]) -> tempfile::TempDir {
+    let folder = faulty(defines);
+    let description = folder.path().join("modelDescription.xml");
+    let xml = std::fs::read_to_string(&description).unwrap();
+    let interface =
+        "<CoSimulation modelIdentifier=\"evil\" canHandleVariableCommunicationStepSize=\"true\"/>";
+    std::fs::write(&description, xml.replace("<ModelExchange modelIdentifier=\"evil\"/>", interface))
+        .unwrap();
+    folder
+}
+
+/// With one step of Euler's method from point to point, another step would be another curve.
+#[test]
+fn curves_meet_the_simulated_measurements_when_results_depend_on_the_communication_step() {
+    for step in [None, Some(0.25)] {
+        let folder = stepping(&["ONE_EULER_STEP"]);
+        let t = vec![0.3, 0.5, 1.1, 2.0];
+        let y: Vec<f64> = t.iter().map(|t| (-2.0 * t).exp()).collect();
+        let data = Data::from_columns(t.clone(), [("y".to_owned(), y)]).unwrap();
+        let calibration = Calibration::builder(Fmu::open(folder.path()).unwrap())
+            .experiment(Experiment::new(data).output("y", "y"))
+            .parameter(Parameter::new("k", 1.0).bounds(0.1, 5.0))
+            .settings(RunSettings { step_size: step, ..RunSettings::default() })
+            .build()
+            .unwrap();
+        let fit = calibration.fit(FitOptions::default()).unwrap();
+        let curves = calibration.curves(&fit, &RunContext::new()).unwrap();
+        let output = &curves[0].outputs[0];
+        let fitted = output.fitted.as_ref().unwrap();
+        for ((t, measured), residual) in t.iter().zip(&output.measured.values).zip(&output.residuals) {
+            let place = fitted.times.iter().position(|time| (time - t).abs() < 1e-12).unwrap();
+            assert!((fitted.values[place] - measured - residual).abs() < 1e-12, "{step:?} at {t}");
+        }
+        let n = if step.is_some() { 11 } else { 4 };
+        assert_eq!(fitted.times.len(), n, "{:?}", fitted.times);
+    }
+}
+
 /// Results that depend on the communication step: one step of Euler's method is made from one point to the next.
 #[test]
 fn a_communication_step_that_changes_the_results_is_named() {
     let said = |defines: &[&str], step: f64, noise: f64| {
-        let folder = faulty(defines);
-        let description = folder.path().join("modelDescription.xml");
-        let xml = std::fs::read_to_string(&description).unwrap();
-        let interface =
-            "<CoSimulation modelIdentifier=\"evil\" canHandleVariableCommunicationStepSize=\"true\"/>";
-        std::fs::write(&description, xml.replace("<ModelExchange modelIdentifier=\"evil\"/>", interface))
-            .unwrap();
+        let folder = stepping(defines);
         let t: Vec<f64> = (0..=20).map(|k| 0.1 * f64::from(k)).collect();
         let y = t
             .iter()

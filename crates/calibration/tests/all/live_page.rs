@@ -168,11 +168,13 @@ fn the_button_ends_the_fit_with_the_best_point_whatever_other_clients_do() {
     let costs = fit.report.trace.iter().filter_map(|entry| Some((entry.outcome.value()?, entry.x)));
     let best = costs.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
     assert_eq!((fit.cost, fit.x.as_slice()), best);
-    // It is its report from now on.
-    page.show_report(&calibration, &fit, &RunContext::new()).unwrap();
+    // It is its report from now on, for which nothing is simulated: a context that is over would end that.
+    let is_over = || true;
+    page.show_report(&calibration, &fit, &RunContext::new().asking(&is_over)).unwrap();
     assert!(state().starts_with("HTTP/1.1 205 "));
     let report = asked(&host, "GET", &path, &own).1;
     assert!(report.contains("The fit was interrupted") && report.contains("action=\"close\""), "{report}");
+    assert!(report.contains("Measured and simulated") && report.contains("Figure: x"), "{report}");
     let (line, text) = asked(&host, "POST", &format!("{path}close"), &own);
     assert!(line.contains(" 200 ") && text.contains("The page is closed"), "{text}");
     while !page.is_closed() {

@@ -82,8 +82,8 @@ pub struct Report {
     pub workers: usize,
     /// The stages of a sequential barrier search: barrier parameter, barrier, point and cost of each.
     pub schedule: Vec<BarrierStage>,
-    /// The distinct minima that searches from several starts ended at, the best first, with how many starts
-    /// reached each.
+    /// The distinct minima that searches from several starts ended at, the lowest first, with how many starts
+    /// reached each. A run that was cut off may have a result that is lower than all of them.
     pub optima: Vec<Optimum>,
     /// The population at the end, for methods that have one.
     pub final_population: Option<Simplex>,

@@ -256,6 +256,17 @@ fn an_alias_given_twice_is_named_by_both_names() {
     let inputs = fmi::Inputs::new().function("u", |t| t).function("also", |t| t);
     let error = folder.open().simulate(&SimulateOptions::new().inputs(inputs)).unwrap_err().to_string();
     assert!(error.contains("input also: it is the same variable as u, which is given too"), "{error}");
+    // With the same rows under both names it is driven once.
+    let run = |inputs: fmi::Inputs| {
+        let options = SimulateOptions::new().final_time(2.0).outputs(["x"]).inputs(inputs);
+        folder.open().simulate(&options).map(|trajectory| trajectory.columns[0].clone())
+    };
+    let times = || vec![0.0, 1.0, 2.0];
+    let one = fmi::Inputs::new().series("u", times(), vec![0.0, 1.0, 0.5]);
+    let both = one.clone().series("also", times(), vec![0.0, 1.0, 0.5]);
+    assert_eq!(run(one.clone()).unwrap(), run(both).unwrap());
+    let error = run(one.series("also", times(), vec![0.0, 1.0, 0.6])).unwrap_err().to_string();
+    assert!(error.contains("which is given too, with different values"), "{error}");
 }
 
 #[test]

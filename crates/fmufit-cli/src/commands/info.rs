@@ -4,6 +4,7 @@ use crate::arguments::Info;
 use crate::console::{Console, Table};
 use crate::error::{Error, Exit};
 use base::Number;
+use calibration::visible_line;
 use fmi::description::{Causality, Interface};
 use fmi::{Fmu, ModelDescription, Value, Variable};
 use schemars::JsonSchema;
@@ -92,7 +93,7 @@ fn header(fmu: &Fmu) -> String {
         facts.iter().filter_map(|(name, value, unit)| value.map(|v| format!("{name} {}{unit}", Number(v))));
     lines.push(facts.collect::<Vec<_>>().join(", "));
     lines.retain(|line| !line.is_empty());
-    lines.join("\n")
+    lines.iter().map(|line| visible_line(line)).collect::<Vec<_>>().join("\n")
 }
 
 fn interfaces(description: &ModelDescription) -> Vec<(&'static str, &Interface)> {

@@ -33,7 +33,8 @@ pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error
     let kind = fmu.check_runnable_as(options.run.kind).map_err(Error::input)?;
     options.without_effect(kind).iter().for_each(|sentence| console.note(&format!("warning: {sentence}")));
     // What is wrong with the options shows before the model is loaded.
-    SimulationPlan::new(&fmu, &options).map_err(|error| Error::input(in_arguments(&error.to_string())))?;
+    SimulationPlan::new(&fmu, &options)
+        .map_err(|error| Error::input(in_arguments(&calibration::visible_error(&error))))?;
     let trajectory = simulated(&fmu, &options, arguments.in_process, console).map_err(Error::of_work)?;
     let table = table(&trajectory)?;
     let write = |path: &Path, text: &str| {

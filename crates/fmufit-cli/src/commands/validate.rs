@@ -6,6 +6,7 @@ use crate::console::Console;
 use crate::error::{Error, Exit};
 use base::Number;
 use calibration::CalibrationError;
+use calibration::visible_line;
 use dfo::Value;
 use fmi::{Fmu, SimulateOptions, Trajectory};
 use ode::Termination;
@@ -79,7 +80,7 @@ pub(crate) fn run(arguments: &Validate, console: &Console) -> Result<Exit, Error
             n => format!("{n} departures from the standard:"),
         };
         console.result(&format!("{}: {departures}", fmu.path().display()));
-        quirks.iter().for_each(|quirk| console.result(&format!("  {quirk}")));
+        quirks.iter().for_each(|quirk| console.result(&format!("  {}", visible_line(quirk))));
         console.result(&match &outcome {
             Ok(message) => format!("simulated: {message}"),
             Err((Run::Ended, message)) => format!("simulated, not as it should be: {message}"),

@@ -10,7 +10,10 @@ pub(crate) fn value_of(description: &ModelDescription, name: &str, text: &str) -
     let array = || name.rsplit_once('[').and_then(|(array, _)| description.variable(array));
     let variable = description.variable(name).or_else(array).ok_or_else(|| {
         let nearest = description.nearest_names(name, 3).into_iter().map(str::to_owned).collect();
-        Error::input(FmiError::UnknownVariable { name: name.to_owned(), nearest })
+        Error::input(calibration::visible_error(&FmiError::UnknownVariable {
+            name: name.to_owned(),
+            nearest,
+        }))
     })?;
     let one = |text: &str| {
         scalar(description, variable, text.trim()).ok_or_else(|| {

@@ -70,7 +70,7 @@ impl LiveLine {
             |state: String| if state.is_empty() { heading.to_owned() } else { format!("{heading}: {state}") };
         if let Some(bar) = &self.bar {
             let width = terminal_size_of(io::stderr()).map_or(80, |(width, _)| usize::from(width.0));
-            let text = calibration::visible(&text(state())).into_owned();
+            let text = calibration::visible_line(&text(state())).into_owned();
             bar.set_message(text.chars().take(width.saturating_sub(MARGIN)).collect::<String>());
             bar.tick();
         }

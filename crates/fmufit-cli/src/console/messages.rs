@@ -1,7 +1,7 @@
 //! Messages on the standard error stream: those of this program, and those that the library logs. They stand
 //! above the live line.
 
-use calibration::visible;
+use calibration::{SETUP_LOG_TARGET, visible, visible_line};
 use indicatif::ProgressBar;
 use log::{Level, LevelFilter, Log, Metadata, Record};
 use std::io::{self, Write};
@@ -47,7 +47,10 @@ impl Log for Messages {
     fn log(&self, record: &Record<'_>) {
         if self.enabled(record.metadata()) {
             let level = if record.level() == Level::Error { "error" } else { "warning" };
-            print(&format!("{level}: {}", record.args()));
+            let text = record.args().to_string();
+            // A warning about a setup holds names; a model may log several lines.
+            let text = if record.target() == SETUP_LOG_TARGET { visible_line(&text) } else { text.into() };
+            print(&format!("{level}: {text}"));
         }
     }
 

@@ -26,7 +26,7 @@ impl<const N: usize> Table<N> {
         let is_kept: [bool; N] = std::array::from_fn(|k| self.rows.iter().any(|row| !row[k].is_empty()));
         let kept = |row: &[String; N]| {
             let cells = row.iter().zip(is_kept).filter(|(_, is_kept)| *is_kept);
-            cells.map(|(cell, _)| calibration::visible(cell).into_owned()).collect::<Vec<_>>()
+            cells.map(|(cell, _)| calibration::visible_line(cell).into_owned()).collect::<Vec<_>>()
         };
         let mut table = comfy_table::Table::new();
         table.load_style(NOTHING);

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from ._args.text import line
+
 if TYPE_CHECKING:
     from ._calibration.profile import Profile
     from ._optimize.result import OptimizeResult, Trace
@@ -84,6 +86,10 @@ class CalibrationError(PydfoError):
 
 class BadCalibrationError(CalibrationError, ValueError):
     """Data, parameters or settings of a calibration that do not fit together."""
+
+    def __init__(self, *args: object) -> None:
+        # Names of columns and variables may hold line breaks and escapes.
+        super().__init__(*(line(value) if isinstance(value, str) else value for value in args))
 
 
 class CalibrationWarning(UserWarning):

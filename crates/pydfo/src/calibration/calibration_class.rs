@@ -224,7 +224,7 @@ impl PyCalibration {
         let warnings = self.inner().warnings().iter();
         warnings
             .filter(|w| w.severity() != Severity::Note)
-            .map(|w| calibration::visible(&w.to_string()).into_owned())
+            .map(|w| calibration::visible_line(&w.to_string()).into_owned())
             .collect()
     }
 

@@ -209,13 +209,12 @@ impl ExperimentFields {
             (None, Some(by)) => data.masked_by(&measured, by)?,
             (None, None) => data,
         };
-        let data = match self.resample {
-            Some(interval) => data.resampled(interval)?,
-            None => data,
-        };
         let mut experiment = Experiment::new(data).windows(self.windows).hold_inputs(self.hold_inputs);
         if let Some(name) = self.name {
             experiment = experiment.named(name);
+        }
+        if let Some(interval) = self.resample {
+            experiment = experiment.resample(interval);
         }
         for (variable, column, weight) in self.outputs {
             let weight = match weight {

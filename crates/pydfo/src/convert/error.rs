@@ -24,7 +24,7 @@ pyo3::import_exception!(pydfo._errors, SimulationWarning);
 
 /// An error of the optimiser: bad options are ValueErrors, a run that found nothing carries what it saw.
 pub(crate) fn optimiser(py: Python<'_>, error: &dfo::Error) -> PyErr {
-    let message = error.to_string();
+    let message = calibration::visible_error(error);
     let (exception, found) = match error {
         dfo::Error::AllStartsFailed(found) => (AllStartsFailed::new_err(message), found),
         dfo::Error::EndedWithoutPoint { found, .. } => (NoResult::new_err(message), found),
@@ -56,7 +56,7 @@ pub(crate) fn optimiser(py: Python<'_>, error: &dfo::Error) -> PyErr {
 /// An error of a calibration.
 pub(crate) fn calibration(py: Python<'_>, error: &calibration::CalibrationError) -> PyErr {
     use calibration::CalibrationError as E;
-    let message = calibration::visible(&error.to_string()).into_owned();
+    let message = calibration::visible_error(error);
     match error {
         E::DataFile { path, source } => file("cannot read", path, source),
         E::ReportFile { path, source } => file("cannot write", path, source),
@@ -101,7 +101,7 @@ pub(crate) fn warn(py: Python<'_>, message: &str) -> PyResult<()> {
 
 /// The same with a warning of this class.
 pub(crate) fn warn_as(py: Python<'_>, class: &Bound<'_, PyAny>, message: &str) -> PyResult<()> {
-    let text = std::ffi::CString::new(message).unwrap_or_default();
+    let text = std::ffi::CString::new(&*calibration::visible_line(message)).unwrap_or_default();
     // From here over the functions of the package to the line that called the first of them.
     let (mut frame, mut level) = (py.import("sys")?.call_method1("_getframe", (0,))?, 1);
     while frame.getattr("f_globals")?.get_item("__name__")?.extract::<String>()?.starts_with("pydfo.") {
@@ -161,4 +161,10 @@ pub(crate) fn ended<'py>(
         (None, Some(result)) => Ok(result),
         (None, None) => Err(NoResult::new_err("the run ended without a result")),
     }
+}
+
+/// A name or another text of one line with hidden characters as their numbers, `\u{a}` for a line break.
+#[pyfunction]
+pub(crate) fn visible_line(text: &str) -> std::borrow::Cow<'_, str> {
+    calibration::visible_line(text)
 }

@@ -2,7 +2,7 @@
 //! there are any.
 
 use crate::convert::dict::dict;
-use calibration::visible;
+use calibration::visible_error;
 use fmi::FmiError;
 use fmi::error::{ReportedError, ReportedErrorKind};
 use pyo3::IntoPyObjectExt;
@@ -20,7 +20,7 @@ pyo3::import_exception!(pydfo._errors, UnknownVariableError);
 
 /// The exception for an error of a model, the same wherever it ran.
 pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
-    let message = visible(&error.to_string()).into_owned();
+    let message = visible_error(error);
     if let FmiError::Io { path, source, .. } = error {
         return os_error(py, path, source, message);
     }

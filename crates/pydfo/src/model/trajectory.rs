@@ -126,3 +126,9 @@ fn causes(cause: &EventCause) -> Cow<'static, str> {
     let first = Cow::Borrowed(there.next().unwrap_or_default());
     there.fold(first, |names, name| Cow::Owned(format!("{names}+{name}")))
 }
+
+/// The largest difference of two numbers that are the same time, in a span from `start` to `end`.
+#[pyfunction]
+pub(crate) fn time_tolerance(start: f64, end: f64) -> f64 {
+    base::time_tolerance(start, end)
+}

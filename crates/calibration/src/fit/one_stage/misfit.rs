@@ -5,6 +5,7 @@ use crate::findings::finding::{Finding, Origin, Severity};
 use crate::findings::shown_text::digits;
 use crate::loaded::calibration::Calibration;
 use crate::problem::residual_layout::OutputResiduals;
+use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// Residuals that are larger than the deviation of the measurements by this factor are worse than a constant;
 const WORSE: f64 = 1.1;
@@ -59,32 +60,64 @@ impl Sums {
         self.about_mean > 0.0 && !is_rounding && self.differences > WORSE * WORSE * self.about_mean
     }
 
-    /// True if it is by more than chance. Where there is nothing but noise about a right simulation, the
-    /// ratio of the sums is 1 + chi2(1) / chi2(n - 1). That exceeds r with a probability below the one of 1 +
-    /// chi2(2) / chi2(n - 1), which is r^(-(n - 1) / 2): few rows are often far from their mean together.
-    fn is_no_chance(self) -> bool {
-        let ratio = self.differences / self.about_mean;
-        ratio > 1.0 + DEVIATIONS * (2.0 / self.n).sqrt() && ratio.powf(0.5 - 0.5 * self.n) < CHANCE
+    /// An upper limit of the probability that the mean is so much better by chance. Where there is nothing
+    /// but noise about a right simulation, the ratio of the sums is 1 + chi2(1) / chi2(n - 1). That exceeds r
+    /// with a probability below the one of 1 + chi2(2) / chi2(n - 1), which is r^(-(n - 1) / 2): few rows are
+    /// often far from their mean together.
+    fn chance(self) -> f64 {
+        self.ratio().powf(0.5 - 0.5 * self.n).min(1.0)
     }
+
+    fn ratio(self) -> f64 {
+        self.differences / self.about_mean
+    }
+
+    /// True if it is by more than chance.
+    fn is_no_chance(self) -> bool {
+        self.ratio() > 1.0 + DEVIATIONS * (2.0 / self.n).sqrt() && self.chance() < CHANCE
+    }
+}
+
+/// True if all outputs that vary are worse than a constant, and not by chance: the product of their
+/// probabilities is that of independent ones (Fisher, Statistical Methods for Research Workers, 1932, section
+/// 21.1).
+fn are_all_worse(outputs: &[Sums]) -> bool {
+    let varying = || outputs.iter().filter(|sums| sums.about_mean > 0.0);
+    let statistic = varying().map(|sums| -2.0 * sums.chance().ln()).sum::<f64>();
+    let degrees = 2.0 * varying().count() as f64;
+    let chance = ChiSquared::new(degrees).map_or(1.0, |of| of.sf(statistic));
+    varying().all(|sums| sums.is_worse_than_a_constant()) && chance < CHANCE
 }
 
 /// Outputs that are worse than a constant, by the residuals of a fit. Errors where that is so over all
 /// experiments (a recording at rest has little that a simulation could explain), no chance in so few rows,
-/// and the output counts in the cost.
+/// and the output counts in the cost; or where it is so of all outputs together.
 pub(super) fn findings(calibration: &Calibration, residuals: &[f64]) -> Vec<Finding> {
     let layout = calibration.residual_layout();
     let names = calibration.problem().experiment_names();
     let cost = sum_of_squares(&residuals[..layout.n_measurements()]);
+    // Of each variable the sums over all experiments.
+    let mut of_variables: Vec<(&str, Sums)> = Vec::new();
+    for output in &layout.outputs {
+        let own = Sums::of(output, residuals);
+        match of_variables.iter_mut().find(|(variable, _)| *variable == output.variable) {
+            Some((_, sums)) => *sums = sums.with(own),
+            None => of_variables.push((&output.variable, own)),
+        }
+    }
+    let sums: Vec<Sums> = of_variables.iter().map(|(_, sums)| *sums).collect();
+    let n_outputs = sums.len();
+    let are_all_worse = are_all_worse(&sums);
     let finding = |output: &OutputResiduals| {
         let own = Sums::of(output, residuals);
         if !own.is_worse_than_a_constant() {
             return None;
         }
-        let same = || layout.outputs.iter().filter(|other| other.variable == output.variable);
-        let all = same().map(|other| Sums::of(other, residuals)).fold(Sums::default(), Sums::with);
-        let share = same().map(|other| sum_of_squares(&residuals[other.range.clone()])).sum::<f64>() / cost;
+        let all = of_variables.iter().find(|(variable, _)| *variable == output.variable)?.1;
+        let same = layout.outputs.iter().filter(|other| other.variable == output.variable);
+        let share = same.map(|other| sum_of_squares(&residuals[other.range.clone()])).sum::<f64>() / cost;
         let is_no_chance = all.is_worse_than_a_constant() && all.is_no_chance();
-        let severity = match is_no_chance && share >= SHARE {
+        let severity = match are_all_worse || is_no_chance && share >= SHARE {
             true => Severity::Error,
             false => Severity::Warning,
         };
@@ -93,9 +126,13 @@ pub(super) fn findings(calibration: &Calibration, residuals: &[f64]) -> Vec<Find
             "the fit is worse than a constant: its residuals have an RMS of {}, the measurements a standard deviation of {}{}",
             digits((own.differences / own.n).sqrt()),
             digits((own.about_mean / own.n).sqrt()),
-            match own.is_no_chance() {
-                true => String::new(),
-                false => format!("; in {} rows that may be chance", own.n),
+            match (own.is_no_chance(), are_all_worse) {
+                (true, _) => String::new(),
+                (false, true) => format!(
+                    "; in {} rows that may be chance, for {n_outputs} outputs together it is not",
+                    own.n
+                ),
+                (false, false) => format!("; in {} rows that may be chance", own.n),
             }
         );
         let subject = format!("{prefix}output '{}' (column '{}')", output.variable, output.column);
@@ -126,5 +163,20 @@ mod tests {
         assert!(many.is_worse_than_a_constant() && many.is_no_chance());
         assert!(!Sums { mean: 1e12, ..many }.is_worse_than_a_constant());
         assert!(!Sums { about_mean: 0.0, ..many }.is_worse_than_a_constant());
+    }
+
+    /// Alpha-pinene from a start at zero: five outputs of eight rows at 3.6, 1.5, 141, 74 and 3.9 times the
+    /// squares about their means.
+    #[test]
+    fn outputs_are_judged_together_when_all_are_worse_than_a_constant() {
+        let sums = |ratio: f64| Sums { n: 8.0, mean: 1.0, about_mean: 1.0, differences: ratio };
+        let all = [3.6, 1.5, 141.0, 74.0, 3.9].map(sums);
+        assert!(!all[0].is_no_chance() && are_all_worse(&all));
+        // One that is reproduced, and two that may be chance together: 0.33 and 0.2, by Fisher's test 0.25.
+        assert!(!are_all_worse(&[sums(0.1), all[2]]));
+        assert!(!are_all_worse(&[sums(1.37), sums(1.58)]));
+        // One that is constant tells nothing; of a single one the test is its own.
+        assert!(are_all_worse(&[Sums { about_mean: 0.0, ..all[0] }, all[2]]));
+        assert!(!are_all_worse(&[sums(4.0)]) && 4f64.powf(-3.5) > CHANCE);
     }
 }

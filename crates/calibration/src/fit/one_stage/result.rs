@@ -197,13 +197,22 @@ impl Fit {
     /// Minima of a search from several starts that has ended before it could say that these are all.
     fn open_minima(&self) -> Option<Finding> {
         let optima = &self.report.optima;
-        let best = optima.first().filter(|_| optima.len() > 1 && !self.report.is_success())?;
+        let best = optima
+            .first()
+            .filter(|best| !self.report.is_success() && (optima.len() > 1 || self.report.fun < best.cost))?;
         let n_searches: usize = optima.iter().map(|optimum| optimum.n_starts).sum();
-        let sentence = format!(
-            "{n_searches} local searches have ended at {} minima, {} of them at the best: by these numbers there are more, and one may be lower",
-            optima.len(),
-            best.n_starts,
-        );
+        let n_minima = optima.len();
+        let sentence = match self.report.fun < best.cost {
+            true => format!(
+                "{n_searches} local searches have ended at {n_minima} minima, and the result is better than all of them: the search from \
+                 it was cut off, and its minimum is lower"
+            ),
+            false => format!(
+                "{n_searches} local searches have ended at {n_minima} minima, {} of them at the lowest: by these numbers there are more, \
+                 and one may be lower",
+                best.n_starts
+            ),
+        };
         let remedy = "compare the minima (optima); a larger max_evaluations lets more searches start";
         Some(Finding::note("search", sentence, remedy).of(Origin::Search))
     }

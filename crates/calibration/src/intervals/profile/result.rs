@@ -1,6 +1,6 @@
 //! The numbers of a profile likelihood, and how they are printed.
 
-use crate::findings::shown_text::digits;
+use crate::findings::shown_text::{digits, visible_line};
 use crate::uncertainty::stuck_parameters::BoundSide;
 use base::Number;
 use ode::Stats;
@@ -133,7 +133,8 @@ pub struct Profile {
 
 impl fmt::Display for Profile {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let width = self.parameters.iter().map(|p| p.name.chars().count()).max().unwrap_or(0).max(9);
+        let shown = |profile: &ParameterProfile| visible_line(&profile.name).into_owned();
+        let width = self.parameters.iter().map(|p| shown(p).chars().count()).max().unwrap_or(0).max(9);
         let level = Number(100.0 * self.level);
         writeln!(
             f,
@@ -145,11 +146,11 @@ impl fmt::Display for Profile {
         for profile in &self.parameters {
             let end = |end: &ProfileEnd| end.value().map_or("open".to_owned(), |v| six(v).to_string());
             let (optimum, lower, upper) = (six(profile.optimum), end(&profile.lower), end(&profile.upper));
-            let name = &profile.name;
+            let name = shown(profile);
             write!(f, "\n{name:<width$}  {:>12}  {lower:>12}  {upper:>12}", optimum.to_string())?;
         }
         for profile in self.parameters.iter().filter(|p| !p.message().is_empty()) {
-            write!(f, "\n- {}: {}", profile.name, profile.message())?;
+            write!(f, "\n- {}: {}", shown(profile), visible_line(&profile.message()))?;
         }
         if self.is_autocorrelated {
             f.write_str("\n- the residuals are autocorrelated: the intervals are corrected for that")?;

@@ -453,7 +453,8 @@ impl Uncertainty {
             }
         }
         let n_free = self.n() - self.held.len();
-        if self.identifiable.len() < n_free && self.degrees_of_freedom > 0 {
+        // Of exact residuals no variance is known that values could be compared with.
+        if self.identifiable.len() < n_free && self.degrees_of_freedom > 0 && !self.is_exact {
             let (severity, sentence) = match self.identifiable.is_empty() {
                 true => {
                     let sentence = "the data tell none of the parameters to half of its value";

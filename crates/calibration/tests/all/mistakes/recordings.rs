@@ -119,7 +119,7 @@ fn means_that_are_too_coarse_are_named() {
     let t = times(601, 0.01);
     let resampled = |interval: f64| {
         let data = Data::from_columns(t.clone(), [("x".to_owned(), decay(&t, 2.0, 1e-2))]).unwrap();
-        fitted(Experiment::new(data.resampled(interval).unwrap()).output("x", "x"), k())
+        fitted(Experiment::new(data).resample(interval).output("x", "x"), k())
     };
     let coarse = resampled(1.5);
     assert!(warns(&coarse.findings(), "means over 1.5 s take away"), "{coarse}");

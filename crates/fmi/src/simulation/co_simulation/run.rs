@@ -237,7 +237,8 @@ impl Run<'_, '_> {
     /// complete: it has the values of another time there.
     fn check_internal_time(&mut self, target: &Target, outcome: &StepOutcome) {
         let Some(reached) = outcome.reached.filter(|_| !self.is_elsewhere) else { return };
-        self.is_elsewhere = (reached - target.time).abs() > INTERNAL_TIME_TOLERANCE * target.step;
+        let tolerance = self.plan.time_tolerance.max(INTERNAL_TIME_TOLERANCE * target.step);
+        self.is_elsewhere = (reached - target.time).abs() > tolerance;
         if self.is_elsewhere {
             let message = format!(
                 "after a complete step from {} to {} the model stands at {} (lastSuccessfulTime): what is read there are its \

@@ -61,6 +61,16 @@ impl SourceValues {
             _ => false,
         }
     }
+
+    /// True if they are rows of numbers that are the same but for their sign.
+    fn is_negative_of(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Numbers(times, values), Self::Numbers(t, v)) => {
+                times == t && values.len() == v.len() && values.iter().zip(&**v).all(|(a, b)| *a == -b)
+            }
+            _ => false,
+        }
+    }
 }
 
 impl fmt::Debug for Source {
@@ -221,7 +231,7 @@ impl InputPlan {
         let mut sources: Vec<(VariableElement, &Source)> =
             inputs.sources.iter().map(|source| Ok((place_of(source)?, source))).collect::<Result<_>>()?;
         sources.sort_by_key(|(place, _)| description.variables[place.variable].kind != VariableKind::Real);
-        for (place, source) in &sources {
+        for (k, (place, source)) in sources.iter().enumerate() {
             let (place, Source { name, values: source }) = (*place, source);
             let variable = &description.variables[place.variable];
             if variable.causality != Causality::Input {
@@ -230,11 +240,21 @@ impl InputPlan {
                     format!("it is not an input but a variable of causality {}", variable.causality),
                 ));
             }
-            // Each source before this one drives one place.
-            if let Some(first) = plan.driven.iter().position(|driven| driven.overlaps(place, description)) {
-                let problem = match &sources[first].1.name {
+            let earlier = sources[..k].iter().find(|(driven, _)| driven.overlaps(place, description));
+            if let Some((driven, first)) = earlier {
+                let is_equal = match description.variables[driven.variable].negated == variable.negated {
+                    true => first.values.is_same(source),
+                    false => is_linear(variable) && first.values.is_negative_of(source),
+                };
+                // A recording may hold a variable under all its names.
+                if is_equal && first.name != *name && driven.element == place.element {
+                    continue;
+                }
+                let problem = match &first.name {
                     first if first == name => "it is given twice".to_owned(),
-                    first => format!("it is the same variable as {first}, which is given too"),
+                    first => format!(
+                        "it is the same variable as {first}, which is given too, with different values"
+                    ),
                 };
                 return Err(FmiError::BadInput { name: name.clone(), problem });
             }

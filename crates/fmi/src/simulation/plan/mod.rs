@@ -258,6 +258,12 @@ impl SimulationPlan {
         self.communication.as_ref().map(|c| c.step.unwrap_or((self.end - self.start) / rows))
     }
 
+    /// The distance of the regular communication points of a co-simulation; `None`: only rows and inputs make
+    /// points, or it is integrated.
+    pub fn regular_communication_step(&self) -> Option<f64> {
+        self.communication.as_ref()?.step
+    }
+
     /// Refuses outputs that are not single numbers, so that there is one column for each name.
     ///
     /// # Errors

@@ -34,7 +34,10 @@ impl Columns {
         for (variable, column) in outputs.iter().chain(&inputs) {
             if description.variable(variable).is_none() {
                 let nearest = description.nearest_names(variable, 3).into_iter().map(str::to_owned).collect();
-                return Err(Error::input(fmi::FmiError::UnknownVariable { name: variable.clone(), nearest }));
+                return Err(Error::input(calibration::visible_error(&fmi::FmiError::UnknownVariable {
+                    name: variable.clone(),
+                    nearest,
+                })));
             }
             let position = find_column(data.names(), column)
                 .map_err(|message| Error::input(format!("{}: {message}", data.source())))?;

@@ -38,7 +38,10 @@ impl Proposed {
         for name in names {
             let variable = description.variable(name).ok_or_else(|| {
                 let nearest = description.nearest_names(name, 3).into_iter().map(str::to_owned).collect();
-                Error::input(fmi::FmiError::UnknownVariable { name: name.clone(), nearest })
+                Error::input(calibration::visible_error(&fmi::FmiError::UnknownVariable {
+                    name: name.clone(),
+                    nearest,
+                }))
             })?;
             candidates.push(candidate(variable).ok_or_else(|| {
                 Error::input(format!(

@@ -139,7 +139,7 @@ class Calibration(Evaluation):
         Rows whose measurements count, one entry per row, or the column that says so (neither 0 nor missing). Inputs count in all rows.
     resample : float, optional
         Interval in s over which the times and all columns are replaced by their means (of what the mask leaves); at least that of the
-        recording.
+        recording. Weights become those of the means, see `Experiment`.
     initial_states, windows, warm_up, delays, hold_inputs : optional
         Of the one recording, as in `Experiment`.
 
@@ -692,7 +692,7 @@ class Calibration(Evaluation):
         return _restore, (type(self), self._native.state(), self._parameters, self._opened, self._functions)
 
     def __repr__(self) -> str:
-        return f"<Calibration of {', '.join(self.names)} in {self._model}: {self.n_measurements} measurements>"
+        return f"<Calibration of {_text.names(self.names)} in {self._model}: {self.n_measurements} measurements>"
 
 
 def _solver(name: str) -> str:

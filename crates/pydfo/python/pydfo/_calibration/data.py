@@ -190,9 +190,9 @@ def _seconds(values: Any, column: str) -> tuple[FloatArray | None, ClockChange |
             if all(isinstance(value, kind) for value in array):
                 if kind is datetime.timedelta:
                     return np.array([value.total_seconds() for value in array]), None
-                since = np.array([(value - array[0]).total_seconds() for value in array])
-                is_naive = kind is datetime.datetime and array[0].tzinfo is None
-                return since, _clock_change(np.datetime64(array[0], "us"), since) if is_naive else None
+                dates, is_naive = _in_utc(array) if kind is datetime.datetime else (array, False)
+                since = np.array([(value - dates[0]).total_seconds() for value in dates])
+                return since, _clock_change(np.datetime64(dates[0], "us"), since) if is_naive else None
     if array.dtype.kind not in "mM" or np.datetime_data(array.dtype)[0] == "generic":
         # A timedelta64 without a unit is a number of who knows what.
         return None, None
@@ -200,6 +200,20 @@ def _seconds(values: Any, column: str) -> tuple[FloatArray | None, ClockChange |
         return np.asarray(array / np.timedelta64(1, "s"), dtype=np.float64), None
     since = np.asarray((array - array[0]) / np.timedelta64(1, "s"), dtype=np.float64)
     return since, _clock_change(array[0], since)
+
+
+def _in_utc(dates: Any) -> tuple[Any, bool]:
+    """Dates in UTC if they have a time zone, and whether they have none. Python subtracts dates of one zone by the wall clock."""
+    with_zone = [value.tzinfo is not None for value in dates]
+    if not any(with_zone):
+        return dates, True
+    if not all(with_zone):
+        naive, other = with_zone.index(False), with_zone.index(True)
+        raise BadCalibrationError(
+            f"data: the date in row {naive}, {dates[naive]}, has no time zone and the one in row {other}, {dates[other]}, has one. Give "
+            "all of them a time zone, or none"
+        )
+    return [value.astimezone(datetime.timezone.utc) for value in dates], False
 
 
 def _clock_change(first: np.datetime64, since: FloatArray) -> ClockChange | None:

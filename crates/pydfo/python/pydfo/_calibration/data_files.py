@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import importlib.util
 import io
+import json
 import math
 import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -18,6 +22,8 @@ import numpy.typing as npt
 from .. import _core
 from .._args import text as _text
 from .._errors import BadCalibrationError
+from . import matlab_reader
+from .worker import interpreter
 
 Array = npt.NDArray[Any]
 
@@ -91,8 +97,6 @@ def _reading(path: str, what: str) -> Iterator[None]:
 def parquet(path: str) -> Columns:
     """The columns of a Parquet file."""
     _core.check_regular(path)
-    import importlib.util
-
     if importlib.util.find_spec("pyarrow") is None and importlib.util.find_spec("polars") is not None:
         return _with_polars(path)
     module, arrow = _library(path, ["pyarrow.parquet"]), importlib.import_module("pyarrow")
@@ -184,140 +188,80 @@ def _cell(cell: Any) -> Any:
     return cell.isoformat() if hasattr(cell, "isoformat") else " ".join(cell.split()) if isinstance(cell, str) else cell
 
 
-@dataclass(frozen=True)
-class _Variable:
-    """A numeric variable of a MATLAB file, which is read when it is asked for."""
-
-    shape: tuple[int, ...]
-    read: Callable[[], Array]
-
-
 def mat(path: str, needed: list[str], time: str | None) -> Columns:
     """The numeric variables of a MATLAB file as long as the times, those of structs as ``struct.field``."""
     _core.check_regular(path)
     with open(path, "rb") as file:
         head = file.read(128)
-    if b"MATLAB 7.3" in head or head.startswith(b"\x89HDF"):
-        variables, others = _of_hdf5(path)
-    else:
-        variables, others = _of_matlab(path, [*needed, time or "time"])
+    is_hdf5 = b"MATLAB 7.3" in head or head.startswith(b"\x89HDF")
+    _find_library(path, "h5py" if is_hdf5 else "scipy.io")
+
+    most = max(MOST_BYTES, 8 * os.path.getsize(path)) // 8
+    listed = json.loads(_ask_reader(path, {"is_hdf5": is_hdf5, "wanted": [*needed, time or "time"], "most": most}))
+    shapes = {name: tuple(shape) for name, shape in listed["variables"].items()}
     try:
-        at = _core.find_time(list(variables), time)[0]
+        at = _core.find_time(list(shapes), time)[0]
     except ValueError as e:
         raise BadCalibrationError(f"data: {e}") from None
-    return _of_one_length(path, variables, list(variables)[at], others)
+
+    def load(names: list[str]) -> dict[str, Array]:
+        arrays = io.BytesIO(_ask_reader(path, {"is_hdf5": is_hdf5, "names": names}))
+        return {name: np.load(arrays, allow_pickle=False) for name in names}
+
+    return _of_one_length(path, shapes, list(shapes)[at], listed["others"], load)
 
 
-#: The classes of numbers in MATLAB.
-_NUMERIC = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
+def _find_library(path: str, name: str) -> None:
+    """Raises an error if a module is not installed; imports only the package that holds it."""
+    try:
+        is_found = importlib.util.find_spec(name) is not None
+    except ImportError:
+        is_found = False
+    if not is_found:
+        package = name.partition(".")[0]
+        raise ImportError(f"{path}: reading {suffix(path)} files needs {package}: pip install {package}")
 
 
-class _Interruptible(io.FileIO):
-    """A file that is read by Python code: between two reads Ctrl-C is answered."""
-
-    def read(self, size: int | None = -1) -> bytes:
-        return super().read(-1 if size is None else size) or b""
+#: Runs a file as a program with the import path of this process.
+_RUN = "import json, runpy, sys; sys.path[:] = json.loads(sys.argv.pop(1)); sys.argv.pop(0); runpy.run_path(sys.argv[0], run_name='__main__')"
 
 
-def _of_matlab(path: str, wanted: list[str]) -> tuple[dict[str, _Variable], list[str]]:
-    """The variables of a file before version 7.3, of structs those that are wanted, and the names of the others."""
-    module = _library(path, ["scipy.io"])
-
-    def load(name: str) -> Any:
-        with _reading(path, "a MATLAB file"), _Interruptible(path) as file:
-            return module.loadmat(file, variable_names=[name], squeeze_me=False, struct_as_record=True, chars_as_strings=True)[name]
-
-    def lazy(name: str, shape: tuple[int, ...]) -> _Variable:
-        return _Variable(shape, lambda: np.asarray(load(name)))
-
-    with _reading(path, "a MATLAB file"):
-        listed = module.whosmat(path)
-    found: dict[str, _Variable] = {}
-    others = []
-    for name, shape, kind in listed:
-        if kind in _NUMERIC:
-            found[name] = lazy(name, shape)
-        elif kind == "struct" and any(one.startswith(f"{name}.") for one in wanted):
-            check_size(path, math.prod(shape))
-            found.update((field, _Variable(array.shape, lambda array=array: array)) for field, array in _numeric(name, load(name)))  # type: ignore[misc]
-        elif kind == "struct":
-            others.append(f"{name} (a struct: {name}.field)")
-    return found, others
+def _ask_reader(path: str, request: dict[str, Any]) -> bytes:
+    """The answer of `matlab_reader`, which runs in a process of its own: a damaged file can end that process, not this one."""
+    if (program := interpreter()) is None:
+        raise BadCalibrationError(f"{path}: MATLAB files are read by another Python process, and no interpreter is found (sys.executable)")
+    command = [program, "-c", _RUN, json.dumps(sys.path), os.path.join(os.path.dirname(__file__), "matlab_reader.py"), os.path.abspath(path)]
+    done = subprocess.run(command, input=json.dumps(request).encode(), capture_output=True, check=False)
+    if done.returncode == 0:
+        return done.stdout
+    message = f"{path}: this is not a MATLAB file, or it is damaged"
+    if done.returncode == matlab_reader.REFUSED:
+        raise BadCalibrationError(f"{message}: {_text.beginning(done.stderr.decode(errors='replace').strip())}")
+    raise BadCalibrationError(f"{message}: the process that read it ended with code {done.returncode}")
 
 
-def _numeric(name: str, value: Any) -> Iterator[tuple[str, Array]]:
-    """The numeric arrays in a variable that SciPy has read."""
-    if not isinstance(value, np.ndarray):
-        return
-    if value.dtype.names and value.size == 1:
-        for field in value.dtype.names:
-            yield from _numeric(f"{name}.{field}", value.reshape(-1)[0][field])
-    elif value.dtype.kind in "fiub":
-        yield name, value
-
-
-def _of_hdf5(path: str) -> tuple[dict[str, _Variable], list[str]]:
-    """The variables of a file of version 7.3, where they stand column by column."""
-    h5py = _library(path, ["h5py"])
-    found: dict[str, _Variable] = {}
-
-    def lazy(name: str, shape: tuple[int, ...]) -> _Variable:
-        def read() -> Array:
-            with _reading(path, "a MATLAB file of version 7.3"), h5py.File(path, "r") as file:
-                stored = file[name]
-                values = np.empty(stored.shape, stored.dtype)
-                for rows in _parts(stored.shape):
-                    values[rows] = stored[rows]
-                return values.T
-
-        return _Variable(tuple(reversed(shape)), read)
-
-    def visit(group: Any, prefix: str) -> None:
-        for name, value in group.items():
-            if name.startswith("#"):
-                continue
-            if isinstance(value, h5py.Group):
-                visit(value, f"{prefix}{name}.")
-            elif value.dtype.kind in "fiub" and value.attrs.get("MATLAB_class") != b"char" and "MATLAB_empty" not in value.attrs:
-                found[prefix + name] = lazy(value.name, value.shape)
-
-    with _reading(path, "a MATLAB file of version 7.3"), h5py.File(path, "r") as file:
-        visit(file, "")
-    return found, []
-
-
-def _parts(shape: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
-    """Parts of an array that are read at once."""
-    if not shape:
-        yield ()
-        return
-    axis = shape.index(max(shape))
-    step = max(_PART * shape[axis] // max(math.prod(shape), 1), 1)
-    for start in range(0, shape[axis], step):
-        yield (slice(None),) * axis + (slice(start, start + step),)
-
-
-def _of_one_length(path: str, variables: dict[str, _Variable], time: str, others: list[str]) -> Columns:
+def _of_one_length(
+    path: str, shapes: dict[str, tuple[int, ...]], time: str, others: list[str], load: Callable[[list[str]], dict[str, Array]]
+) -> Columns:
     """The columns of the variables that are as long as `time`: vectors under their names, the columns of a matrix `y` as
     ``y[1]``, ``y[2]`` and so on, as MATLAB and models count them. The names of the others with their sizes come beside them."""
-    shape = variables[time].shape
-    n = math.prod(shape)
-    if max(shape, default=0) != n:
-        raise BadCalibrationError(f"data: the times '{time}' are a {_size(shape)} matrix, not a vector")
+    n = math.prod(shapes[time])
+    if max(shapes[time], default=0) != n:
+        raise BadCalibrationError(f"data: the times '{time}' are a {_size(shapes[time])} matrix, not a vector")
     sources: dict[str, tuple[str, int | None]] = {}
     others = list(others)
-    for name, variable in variables.items():
-        if math.prod(variable.shape) == n and max(variable.shape, default=1) == n:
+    for name, shape in shapes.items():
+        if math.prod(shape) == n and max(shape, default=1) == n:
             sources[name] = (name, None)
-        elif len(variable.shape) == 2 and n in variable.shape and math.prod(variable.shape) <= n * _MOST_COLUMNS:
-            sources.update({f"{name}[{k + 1}]": (name, k) for k in range(math.prod(variable.shape) // max(n, 1))})
+        elif len(shape) == 2 and n in shape and math.prod(shape) <= n * _MOST_COLUMNS:
+            sources.update({f"{name}[{k + 1}]": (name, k) for k in range(math.prod(shape) // max(n, 1))})
         else:
-            others.append(f"{name} ({_size(variable.shape)})")
+            others.append(f"{name} ({_size(shape)})")
 
     def read(wanted: list[str]) -> dict[str, Array]:
-        whole = dict.fromkeys(sources[name][0] for name in wanted)
-        check_size(path, sum(math.prod(variables[name].shape) for name in whole))
-        values = {name: variables[name].read() for name in whole}
+        whole = list(dict.fromkeys(sources[name][0] for name in wanted))
+        check_size(path, sum(math.prod(shapes[name]) for name in whole))
+        values = load(whole)
         columns = {}
         for name in wanted:
             variable, k = sources[name]

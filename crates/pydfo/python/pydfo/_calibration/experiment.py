@@ -44,7 +44,8 @@ class Experiment:
         Only measurements at times in this interval count, in s: one of `windows`.
     weights : dict, or sequence, optional
         Per output, what its residuals are multiplied with: a number, or one number per measurement: a column, or an array as long as
-        the recording (of Booleans: a mask). Measurements with the weight 0 do not count. "range", "mean" or "sd" weighs each output by
+        the recording (of Booleans: a mask). Measurements with the weight 0 do not count. Weights are in the unit of the column and are
+        converted with it; a weight of 1, and weights of only 0 and 1, state no noise and stay. "range", "mean" or "sd" weighs each output by
         the inverse of the range, mean or standard deviation of what was measured in the whole recording.
     start_values : dict or path, optional
         Values of other parameters and start values of variables in this experiment, by name; of a local parameter, where
@@ -56,7 +57,9 @@ class Experiment:
     mask : array of bool or str, optional
         Rows whose measurements count, one entry per row, or the column that says so (neither 0 nor missing). Inputs count in all rows.
     resample : float, optional
-        Interval in s over which the times and all columns are replaced by their means (of what the mask leaves).
+        Interval in s over which the times and all columns are replaced by their means (of what the mask leaves). Weights other than 1 are
+        those of the rows: a measured column becomes the mean with their squares as weights, and the mean counts with the root of the
+        sum of these squares. Columns of Boolean and integer inputs are not averaged; they keep the times where they change.
     initial_states : dict, optional
         What states of the model are at the start: a number, "measured" (the recording of the column that is compared with the
         state, at the start of the simulation, without offset and delay; an error where there is none), or a `Parameter` of this experiment alone with start and bounds, whose name plays no part: it
@@ -178,7 +181,7 @@ class Experiment:
     def __repr__(self) -> str:
         source = self.path if self.table is None else f"{len(self.table)} rows"
         outputs = ", ".join(variable for variable, _, _ in self.outputs)
-        return f"<Experiment{'' if self.name is None else ' ' + self.name}: {outputs} from {source}>"
+        return _text.line(f"<Experiment{'' if self.name is None else ' ' + self.name}: {outputs} from {source}>")
 
 
 @contextmanager
@@ -188,7 +191,7 @@ def _errors_name(experiment: str | None) -> Iterator[None]:
         yield
     except (TypeError, ValueError) as e:
         if experiment is not None:
-            e.args = (f"{experiment}: {e}",)
+            e.args = (f"{_text.line(experiment)}: {e}",)
         raise
 
 
@@ -253,7 +256,7 @@ def sources(given: Inputs | None) -> list[tuple[str, Source]]:
         if not isinstance(source, str) and not callable(source):
             if np.ndim(source) > 0:
                 raise TypeError(
-                    f"inputs: '{variable}' must be driven by a column, a number or a function of time, not by an array: put it among the "
+                    f"inputs: '{_text.line(variable)}' must be driven by a column, a number or a function of time, not by an array: put it among the "
                     "columns of the data"
                 )
             source = _values.number("inputs", source)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from .. import _core
 from .._args import options as _options
+from .._args import text as _text
 from .._args import values as _values
 from .._errors import BadCalibrationError, Interrupted
 from .._model.trajectory import SimulationStats
@@ -84,7 +85,7 @@ class Profile:
     @property
     def message(self) -> str:
         """Which intervals are open, and why; empty if none is."""
-        return "; ".join(f"{name}: {message}" for name, message in self.messages.items() if message)
+        return "; ".join(f"{_text.line(name)}: {message}" for name, message in self.messages.items() if message)
 
     def __repr__(self) -> str:
         return self._text

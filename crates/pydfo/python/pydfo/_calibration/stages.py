@@ -57,7 +57,7 @@ class Stage:
         self.options = {**_options.dictionary(options), **given}
 
     def __repr__(self) -> str:
-        return f"Stage({', '.join(self.parameters)})"
+        return f"Stage({_text.names(self.parameters)})"
 
 
 def names(value: Any, what: str) -> list[str]:

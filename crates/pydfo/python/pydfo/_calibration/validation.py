@@ -65,7 +65,7 @@ class ValidatedOutput:
         return None if self.start_rms is None else self.rms / self.start_rms
 
     def __repr__(self) -> str:
-        return f"<ValidatedOutput {self.variable} in {self.experiment}: RMS {self.rms:.4g} over {self.n} measurements>"
+        return _text.line(f"<ValidatedOutput {self.variable} in {self.experiment}: RMS {self.rms:.4g} over {self.n} measurements>")
 
 
 class Validation:
@@ -132,7 +132,7 @@ class Validation:
             layout="constrained",
         )
         for (upper, lower), output in zip(axes.T, self.outputs):
-            unit = f" [{output.unit}]" if output.unit else ""
+            unit = f" [{_text.line(output.unit)}]" if output.unit else ""
             upper.plot(output.time, output.measured, ".", color="0.6", markersize=3, label="measured")
             for residuals, colour, style, label in (
                 (output.start_residuals, "tab:orange", "--", "start"), (output.residuals, "tab:blue", "-", "fitted"),
@@ -142,7 +142,7 @@ class Validation:
                 rms = float(np.sqrt(np.mean(residuals**2)))
                 upper.plot(output.time, output.measured + residuals, style, color=colour, linewidth=1.0, label=label)
                 lower.plot(output.time, residuals, style, color=colour, linewidth=0.8, label=f"{label}: RMS {rms:.4g}")
-            upper.set_title(f"validation, {output.experiment}")
+            upper.set_title(_text.line(f"validation, {output.experiment}"))
             upper.set_ylabel(output.variable + unit)
             upper.legend(loc="best", fontsize="small")
             lower.axhline(0.0, color="0.3", linewidth=0.5)
@@ -237,7 +237,7 @@ class PredictionBand:
     """Upper end."""
 
     def __repr__(self) -> str:
-        return f"<PredictionBand of {self.variable} in {self.experiment} at {len(self.time)} times>"
+        return _text.line(f"<PredictionBand of {self.variable} in {self.experiment} at {len(self.time)} times>")
 
 
 def prediction_band(

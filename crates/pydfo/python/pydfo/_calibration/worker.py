@@ -18,7 +18,7 @@ _core.serve_worker()
 """
 
 
-def _interpreter() -> str | None:
+def interpreter() -> str | None:
     """The interpreter that runs here, also where `sys.executable` names a program that only embeds one."""
     name = f"python{sys.version_info.major}.{sys.version_info.minor}"
     own = [sys.executable, getattr(sys, "_base_executable", None)]
@@ -37,7 +37,7 @@ is_known = False
 def know_interpreter() -> None:
     """Has worker processes started by this interpreter."""
     global is_known
-    if (program := _interpreter()) is not None:
+    if (program := interpreter()) is not None:
         library = os.path.abspath(_core.__file__)
         _core.set_launcher(program, ["-I", "-S", "-c", _PROGRAM, os.path.dirname(library)], library)
         is_known = True

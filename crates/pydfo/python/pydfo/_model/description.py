@@ -12,6 +12,7 @@ from typing import Any
 from .. import _core
 from .._args import optional_libraries as _optional_libraries
 from .._args import text as _text
+from .._args import text as _text
 from .._errors import UnknownVariableError
 from .files import OpenOptions, PathLike, size_limit
 
@@ -248,8 +249,8 @@ class Variables(Mapping[str, Variable]):
         found = self._fmu.variable(name) if isinstance(name, str) else None
         if found is None:
             nearest = self._fmu.nearest(name) if isinstance(name, str) else []
-            hint = f"; did you mean {', '.join(nearest)}?" if nearest else ""
-            raise UnknownVariableError(f'the model has no variable "{name}"{hint}')
+            hint = f"; did you mean {_text.names(nearest)}?" if nearest else ""
+            raise UnknownVariableError(f'the model has no variable "{_text.line(str(name))}"{hint}')
         return Variable(**found)
 
     def __iter__(self) -> Iterator[str]:
@@ -267,7 +268,7 @@ class Variables(Mapping[str, Variable]):
     def __str__(self) -> str:
         """A table of the first hundred variables."""
         shown = list(itertools.islice(self.values(), _MOST_SHOWN))
-        rows = [_COLUMNS, *(tuple(_cell(getattr(variable, column)) for column in _COLUMNS) for variable in shown)]
+        rows = [_COLUMNS, *(tuple(_text.line(_cell(getattr(variable, column))) for column in _COLUMNS) for variable in shown)]
         widths = [max(map(len, column)) for column in zip(*rows)]
         lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip() for row in rows]
         if len(self) > len(shown):
@@ -421,7 +422,7 @@ class Description:
 
     def __repr__(self) -> str:
         kinds = [k for k, i in (("ME", self.model_exchange), ("CS", self.co_simulation)) if i]
-        return (
+        return _text.line(
             f"<Description: {self.model_name}, FMI {self.fmi_version} {'+'.join(kinds)}, {len(self.variables)} variables, "
             f"{self.n_states} states, {self.n_event_indicators} event indicators>"
         )

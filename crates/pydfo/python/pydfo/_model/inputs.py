@@ -55,7 +55,7 @@ def normalize(
         if len(inputs) != 1:
             raise ValueError(
                 f"a function alone can drive a model with one input; this one has {len(inputs)} "
-                f"({', '.join(inputs[:10]) or 'none'}): give (names, function) or a dict of functions"
+                f"({_text.names(inputs[:10]) or 'none'}): give (names, function) or a dict of functions"
             )
         return [], [Function(inputs, given)]
     if isinstance(given, (tuple, list)) and len(given) == 2 and isinstance(given[0], (str, Sequence, np.ndarray)):
@@ -85,9 +85,9 @@ def held_beyond(tables: list[Table], first: float, last: float) -> str:
             # A constant.
             continue
         start, end = float(np.min(table.times)), float(np.max(table.times))
-        row = float(np.median(np.diff(np.sort(table.times))))
+        row = float(np.median(np.diff(np.sort(table.times)))) + 2.0 * _core.time_tolerance(first, last)
         if start - first > row or last - end > row:
-            named = ", ".join([name for name, _ in table.columns + table.values][:10])
+            named = _text.names([name for name, _ in table.columns + table.values][:10])
             return (
                 f"inputs {named} are given from {start:g} s to {end:g} s and the simulation runs from {first:g} s to {last:g} s: beyond "
                 "they keep their first and last values"
@@ -124,7 +124,7 @@ def _table(names: Sequence[str], column: Callable[[str], Any], what: str) -> Tab
         at, (numerator, denominator) = _core.find_time(list(names))
     except ValueError as e:
         if not any("time" in name.lower() for name in names):
-            there = ", ".join(names[:10])
+            there = _text.names(names[:10])
             raise ValueError(
                 f"{what} of inputs has no times, there are: {there}; add them, inputs={{'time': [...], {names[0]!r}: [...]}}, or give a "
                 "number for an input that is constant"
@@ -133,7 +133,7 @@ def _table(names: Sequence[str], column: Callable[[str], Any], what: str) -> Tab
     given = column(names[at])
     durations = _data.seconds(given)
     if durations is not None and numerator != denominator:
-        raise ValueError(f"{what} of inputs: '{names[at]}' holds durations, which have a unit of their own; take the unit out of its name")
+        raise ValueError(f"{what} of inputs: '{_text.line(names[at])}' holds durations, which have a unit of their own; take the unit out of its name")
     times = _column(names[at], given if durations is None else durations)
     if numerator != denominator:
         times = times * numerator / denominator
@@ -188,6 +188,7 @@ def _pair(names: Any, data: Any) -> tuple[list[Table], list[Function]]:
 
 
 def _column(name: str, values: Any) -> FloatArray:
+    name = _text.line(name)
     array = np.asarray(values)
     # NumPy would make NaN of None.
     if array.dtype.kind not in "biufO" or (array.dtype.kind == "O" and any(v is None for v in array.flat)):

@@ -474,7 +474,7 @@ class Instance:
 
     def __repr__(self) -> str:
         at = "" if self._time is None else f" at {self._time:g} s"
-        return f"<Instance: {self.description.model_name}, FMI {self.description.fmi_version} {self.kind}, {self.phase}{at}>"
+        return _text.line(f"<Instance: {self.description.model_name}, FMI {self.description.fmi_version} {self.kind}, {self.phase}{at}>")
 
 
 @dataclass(frozen=True)

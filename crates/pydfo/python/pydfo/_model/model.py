@@ -497,7 +497,7 @@ class FMUModel:
     def __repr__(self) -> str:
         d = self.description
         closed = ", closed" if self._model.closed else ""
-        return f"<FMUModel: {d.model_name}, FMI {d.fmi_version} {self.kind}, {d.n_states} states, {str(self.path)!r}{closed}>"
+        return _text.line(f"<FMUModel: {d.model_name}, FMI {d.fmi_version} {self.kind}, {d.n_states} states, {str(self.path)!r}{closed}>")
 
 
 def names_and_values(name: str | Iterable[str] | Mapping[str, object], value: object = _NOT_GIVEN) -> tuple[list[str], list[Any]]:

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from .. import _core
 from .._args import optional_libraries as _optional_libraries
+from .._args import text as _text
 from .._errors import UnknownVariableError
 
 if TYPE_CHECKING:
@@ -209,10 +210,10 @@ class SimulationResult(Mapping[str, Column]):
         import difflib
 
         nearest = difflib.get_close_matches(str(name), self._columns, n=3)
-        hint = f"; did you mean {', '.join(nearest)}?" if nearest else "."
+        hint = f"; did you mean {_text.names(nearest)}?" if nearest else "."
         names = list(self._columns)
-        shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
-        return f'"{name}" was not recorded{hint} Recorded are {shown}; simulate(outputs=[...]) chooses'
+        shown = _text.names(names[:20]) + (", ..." if len(names) > 20 else "")
+        return f'"{_text.line(str(name))}" was not recorded{hint} Recorded are {shown}; simulate(outputs=[...]) chooses'
 
     def keys(self) -> KeysView[str]:
         """The names of the variables, "time" first; those of arrays without their elements."""
@@ -318,15 +319,15 @@ class SimulationResult(Mapping[str, Column]):
         groups: dict[str | None, list[tuple[str, str, Column]]] = {}
         for name, variable, column in self._flat(chosen):
             if column.dtype == np.object_:
-                raise ValueError(f"{name} is of type {self._types[variable]} and cannot be drawn")
+                raise ValueError(f"{_text.line(name)} is of type {self._types[variable]} and cannot be drawn")
             groups.setdefault(self.units[variable], []).append((name, variable, column))
         figure: Figure
         figure, plots = plt.subplots(max(len(groups), 1), 1, sharex=True, squeeze=False, layout="constrained")
         for axes, (unit, members) in zip(plots[:, 0], groups.items()):
             for name, variable, column in members:
                 held = self._types[variable] not in ("Real", "Float32")
-                axes.plot(self.time, column, label=name, drawstyle="steps-post" if held else "default")
-            axes.set_ylabel(unit or "")
+                axes.plot(self.time, column, label=_text.line(name), drawstyle="steps-post" if held else "default")
+            axes.set_ylabel(_text.line(unit or ""))
             axes.grid(alpha=0.3)
             axes.legend(loc="best", fontsize="small")
         plots[-1, 0].set_xlabel("time [s]")

@@ -9,6 +9,7 @@ import time
 from collections.abc import Sequence
 from typing import Any, SupportsFloat
 
+from .._args import text as _text
 from .._args.values import number
 from .progress import Progress
 
@@ -100,7 +101,7 @@ class LiveLine:
         max_iterations: SupportsFloat | None,
         max_time: SupportsFloat | None,
     ) -> None:
-        self._names = names
+        self._names = [_text.line(name) for name in names]
         self._start = time.monotonic()
         self._due = self._start + delay
         limits = {"max_evaluations": max_evaluations, "max_iterations": max_iterations, "max_time": max_time}

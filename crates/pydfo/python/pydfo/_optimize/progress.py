@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from .._args import text as _text
+
 FloatArray = npt.NDArray[np.float64]
 
 #: What fields of the native code's records of runs are called in results, as in SciPy's.
@@ -94,7 +96,7 @@ class Printer:
     """Prints a line per iteration, as the paper's tool does."""
 
     def __init__(self, names: list[str] | None = None) -> None:
-        self._names = names
+        self._names = names and [_text.line(name) for name in names]
 
     def __call__(self, progress: Progress) -> None:
         """Prints the line of one iteration, the first time with a headline."""

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .._args import optional_libraries as _optional_libraries
+from .._args import text as _text
 from . import progress as _progress
 
 if TYPE_CHECKING:
@@ -212,7 +213,8 @@ class OptimizeResult:
     trace : Trace or None
         Every evaluation.
     optima : tuple of Optimum
-        The distinct minima that local searches from several starts ended at, the best first ("multistart").
+        The distinct minima that local searches from several starts ended at, the lowest first ("multistart"). A run that was cut off may
+        have a result that is lower than all of them.
     method, batch : str
         The method, and its plan of which points are evaluated ahead of need.
     method_reason : str or None
@@ -330,7 +332,7 @@ class OptimizeResult:
         evaluations = f"{self.nfev} in {self.n_batches} batches" if self.n_batches else str(self.nfev)
         remarks = [f"{n} {what}" for n, what in ((self.nfail, "failed"), (self.n_lost, "lost"), (self.n_speculative, "speculative")) if n]
         lines = [
-            ("message", self.message),
+            ("message", _text.line(self.message)),
             ("success", f"{self.success} (status {self.status}, {self.termination})"),
             *self._value_lines(),
             ("x", np.array2string(np.asarray(self.x), prefix=" " * 13)),

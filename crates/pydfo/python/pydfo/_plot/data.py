@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import _core
+from .._args import text as _text
 from .style import pyplot
 
 if TYPE_CHECKING:
@@ -40,8 +41,8 @@ def recordings(calibration: _core.Calibration) -> Figure:
             if is_input and not known.all():
                 axis.plot(time[known], values[known], color=color, lw=0.8, ls=":")
                 axis.plot(time[known], values[known], color=color, ls="none", marker=".", ms=2)
-            axis.set_ylabel(variable + (f" [{unit}]" if unit else ""))
-            axis.set_title(f"{'input' if is_input else 'measured'}: {label}", loc="left", fontsize="small")
+            axis.set_ylabel(_text.line(variable + (f" [{unit}]" if unit else "")))
+            axis.set_title(_text.line(f"{'input' if is_input else 'measured'}: {label}"), loc="left", fontsize="small")
             if windows and not is_input:
                 # What lies before, between and after the windows.
                 edges = [time[0], *(edge for window in sorted(windows) for edge in window), time[-1]]

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from .._args import text as _text
+
 #: Colours that colour-blind readers tell apart (Okabe and Ito, Color universal design, 2008), those of the report.
 MEASURED = "#767676"
 START = "#D55E00"
@@ -26,6 +28,7 @@ def pyplot() -> Any:
 
 def short(name: str, longest: int = LONGEST) -> str:
     """The name for a label: without its middle if it is too long, and not read as a formula."""
+    name = _text.line(name)
     if len(name) > longest:
         part = (longest - 3) // 2
         name = f"{name[:part]}...{name[-part:]}"

@@ -15,6 +15,7 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import IO
 
+from ..._args import text as _text
 from ..._model.description import read_description
 from .._refused import NotProvided, hand_out
 from .model_description import PathLike, read_model_description
@@ -93,7 +94,7 @@ def extract(filename: PathLike, unzipdir: PathLike | None = None, include: Calla
         names = archive.namelist()
         for name in names:
             if "\\" in name or ":" in name or name.startswith("/") or ".." in name.split("/"):
-                raise ValueError(f"Illegal path {name} found in {filename}: it must be relative, with forward slashes, and stay inside")
+                raise ValueError(f"Illegal path {_text.line(name)} found in {filename}: it must be relative, with forward slashes, and stay inside")
         members = [name for name in names if include is None or include(name)]
         folder = Path(unzipdir if unzipdir is not None else mkdtemp())
         try:

@@ -10,6 +10,7 @@ from typing import IO, Any, SupportsFloat
 
 import numpy as np
 
+from ... import _core
 from ..._model.description import Description, Variable
 from ..._model.model import FMUModel
 from ..._model.trajectory import SimulationResult as NativeResult
@@ -257,18 +258,19 @@ def simulate_fmu(
             )
             if (stop - start) / interval > _MOST_ROWS:
                 raise ValueError(f"{stop - start!r} s in intervals of {interval!r} s are more than {_MOST_ROWS} rows")
-            n = int(np.floor((stop - start) / interval * (1 + 1e-12)))
+            time_tolerance = _core.time_tolerance(start, stop)
+            n = int(np.floor((stop - start + time_tolerance) / interval))
             times = start + interval * np.arange(n + 1)
             varies = not is_cs or (offers_cs and description.co_simulation.capabilities.can_handle_variable_communication_step_size)  # type: ignore[union-attr]
-            if stop - times[-1] > 1e-9 * max(abs(stop), interval) and varies and (is_cs or record_events):
+            if stop - times[-1] > time_tolerance and varies and (is_cs or record_events):
                 times = np.append(times, stop)
-            elif abs(stop - times[-1]) <= 1e-9 * max(abs(stop), interval):
+            elif abs(stop - times[-1]) <= time_tolerance:
                 times[-1] = stop
             if use_event_mode and is_cs and input is not None and description.co_simulation.capabilities.has_event_mode:  # type: ignore[union-attr]
                 for jump in (t for t in _input_jumps(input, description) if start < t <= stop):
                     near = times[np.argmin(np.abs(times - jump))]
                     # Both sides of it, where the model can stop there.
-                    if np.isclose(near, jump):
+                    if abs(near - jump) <= time_tolerance:
                         times = np.append(times, near)
                     elif varies:
                         times = np.append(times, [jump, jump])
@@ -338,13 +340,13 @@ def _interval(
 def _step(description: Description, interval: float) -> float:
     """The communication step of a co-simulation: rows between the steps of the model, where it has a step of its own, are interpolated."""
     own = description.co_simulation.capabilities.fixed_internal_step_size if description.co_simulation else None
-    return own if own and not np.isclose(round(interval / own) * own, interval) else interval
+    return own if own and not np.isclose(round(interval / own) * own, interval, atol=0.0) else interval
 
 
 def _euler_step(start: float, stop: float, interval: float, asked: float | None) -> float:
     """The step of the solver "Euler", which is FMPy's: that from row to row, where the asked one divides it."""
     step = asked if asked is not None else 10.0 ** (np.round(np.log10(stop - start)) - 3)
-    if not np.isclose(round(interval / step) * step, interval):
+    if not np.isclose(round(interval / step) * step, interval, atol=0.0):
         raise ValueError("output_interval must be a multiple of step_size for fixed step solvers")
     return interval
 

@@ -9,6 +9,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from ..._args import text as _text
 from ..._model.description import read_description
 from ..._model.model import FMUModel
 from .._refused import hand_out
@@ -115,7 +116,7 @@ def fmu_info(filename: PathLike | IO[bytes], causalities: Sequence[str] = ("inpu
         if v.causality in causalities:
             name = v.name if len(v.name) <= 18 else f"...{v.name[-15:]}"
             lines.append(f"  {name:18} {v.causality:10} {v.start or '':>23}  {v.unit or '':8} {v.description or ''}".rstrip())
-    return "\n".join(lines)
+    return "\n".join(_text.line(line) for line in lines)
 
 
 def get_start_values(filename: PathLike) -> dict[str, str]:
