@@ -79,5 +79,5 @@ static void leave_orphan(void) {
     _exit(3);
 }
 typedef void (*Fault)(void);
-const Fault all_faults[] = {(Fault)overflow, (Fault)escape, copy_itself, remove_folder, leave_orphan, leave_daemon, fill_shared_memory, hang, close_all, fill_memory, print_for_ever};
+const Fault all_faults[] = {(Fault)overflow, copy_itself, remove_folder, leave_orphan, leave_daemon, fill_shared_memory, hang, close_all, fill_memory, print_for_ever};
 #endif
