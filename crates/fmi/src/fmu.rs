@@ -70,6 +70,8 @@ struct Inner {
     reads_with_derivatives: AtomicBool,
     /// A run has come to its end in this process, so that it is known where variables can be read.
     n_unchecked: AtomicU64,
+    /// A worker process has left a repetition to be asked for.
+    is_to_be_repeated: AtomicBool,
     /// Subjects of messages that simulations have logged; each is logged once.
     said: Mutex<Vec<&'static str>>,
     workers: Mutex<std::sync::Weak<Workers>>,
@@ -164,6 +166,7 @@ impl Fmu {
             reads_at_steps: AtomicBool::new(false),
             reads_with_derivatives: AtomicBool::new(false),
             n_unchecked: AtomicU64::new(0),
+            is_to_be_repeated: AtomicBool::new(false),
             said: Mutex::default(),
             workers: Mutex::default(),
             description,
@@ -401,15 +404,29 @@ impl Fmu {
     }
 
     /// Makes a simulation, and once more where it has found out that its rows were read too early
-    /// ([`FmiError::ReadBetweenSteps`]).
+    /// ([`FmiError::ReadBetweenSteps`]); in a worker process it [is asked](Self::leaves_repetition) for once
+    /// more.
     pub fn repeat_if_read_early<T, E>(&self, mut simulate: impl FnMut() -> Result<T, E>) -> Result<T, E> {
         loop {
             let known = self.before_reading();
             match simulate() {
-                Err(_) if self.before_reading() != known => {}
+                Err(_) if self.before_reading() != known && !self.leaves_repetition() => {}
                 outcome => return outcome,
             }
         }
+    }
+
+    /// True in a worker process: it does not repeat a simulation, but says that it is to be asked again. So the
+    /// other process knows how many simulations an answer can take.
+    pub fn leaves_repetition(&self) -> bool {
+        let is_left = is_worker();
+        self.inner.is_to_be_repeated.fetch_or(is_left, Ordering::Relaxed);
+        is_left
+    }
+
+    /// True if a repetition was left since the last call.
+    pub fn take_repetition(&self) -> bool {
+        self.inner.is_to_be_repeated.swap(false, Ordering::Relaxed)
     }
 
     /// Departures from the standard that showed when the FMU was run; those of its description are in

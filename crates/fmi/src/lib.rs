@@ -29,8 +29,8 @@
 //!
 //! # Features
 //!
-//! Both are on by default: `sandbox` confines worker processes with Landlock where that is asked for (Linux),
-//! `sparse` is that of `ode`.
+//! Both are on by default: `sandbox` confines worker processes where that is asked for (Landlock and seccomp,
+//! on Linux), `sparse` is that of `ode`.
 #![deny(unsafe_code)]
 // Worker processes are those of Unix.
 #![cfg_attr(not(unix), allow(dead_code))]

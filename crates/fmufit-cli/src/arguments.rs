@@ -137,6 +137,9 @@ pub(crate) struct Validate {
     /// Limit of the simulation, in seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 30.0)]
     pub(crate) timeout: f64,
+    /// Confine the model: it writes into a folder of its own only, and opens no connections (Linux)
+    #[arg(long)]
+    pub(crate) sandbox: bool,
     /// A JSON document
     #[arg(long)]
     pub(crate) json: bool,
@@ -193,8 +196,11 @@ pub(crate) struct Simulate {
     #[arg(long, value_name = "FILE.svg")]
     pub(crate) plot: Option<PathBuf>,
     /// Run the model in this process
-    #[arg(long)]
+    #[arg(long, conflicts_with = "sandbox")]
     pub(crate) in_process: bool,
+    /// Confine the model: it writes into a folder of its own only, and opens no connections (Linux)
+    #[arg(long)]
+    pub(crate) sandbox: bool,
 }
 
 #[derive(Debug, Args)]
@@ -221,6 +227,10 @@ pub(crate) struct Init {
     /// Run no code of the model: all parameters are proposed
     #[arg(long)]
     pub(crate) no_run: bool,
+    /// Confine the model, here and in fits of the problem: it writes into a folder of its own only, and opens
+    /// no connections (Linux)
+    #[arg(long)]
+    pub(crate) sandbox: bool,
     /// Replace a file that is there
     #[arg(long)]
     pub(crate) force: bool,
@@ -272,6 +282,10 @@ pub(crate) struct Problem {
     /// A setting of the simulations, as in [settings]; may be given several times
     #[arg(short = 'S', long, value_name = "NAME=VALUE")]
     pub(crate) setting: Vec<String>,
+    /// Confine the model: it writes into a folder of its own only, and opens no connections (Linux); the same
+    /// as --setting sandbox=true
+    #[arg(long)]
+    pub(crate) sandbox: bool,
 }
 
 #[derive(Debug, Args)]

@@ -215,6 +215,56 @@ def test_limits_are_looked_at(tmp_path):
         FMUModel(fmu).simulate(final_time=1, isolation="thread")
 
 
+def has_sandbox(tmp_path):
+    """Whether the kernel can confine a process; where it cannot, the error says why."""
+    try:
+        decay(evil(tmp_path / "probe.fmu"), sandbox=True)
+    except pydfo.FmuError as error:
+        assert "Landlock" in str(error) or "no sandbox" in str(error)
+        return False
+    return True
+
+
+def test_sandbox_confines_simulations_and_fits(tmp_path):
+    if not has_sandbox(tmp_path):
+        pytest.skip("needs Landlock")
+    outside, inside = tmp_path / "outside", tmp_path / "readable"
+    inside.write_text("kept")
+    # The working folder is read, another folder is not written, and no socket is to be had.
+    fault = f'if (fopen("{outside}", "w") || socket(AF_INET, SOCK_DGRAM, 0) >= 0 || !fopen("{inside}", "r") || fopen("{inside}", "a")) exit(7)'
+    fmu = evil(tmp_path / "writes.fmu", "FAULT_ABOVE=2.2", f"FAULT={fault}")
+    sound, model = FMUModel(evil(tmp_path / "sound.fmu")), FMUModel(fmu)
+    asked = {"final_time": 1, "start_values": {"k": 3.0}}
+    with pytest.raises(pydfo.SimulationError, match=r"exit\(7\)"):
+        model.simulate(isolation="process", **asked)
+    assert outside.exists()
+    outside.unlink()
+    for more in ({}, {"isolation": "process"}):
+        assert same_bits(model.simulate(sandbox=True, **asked), sound.simulate(**asked))
+    assert decay(fmu, sandbox=True).cost([3.0]) == decay(tmp_path / "sound.fmu").cost([3.0])
+    assert not outside.exists() and inside.read_text() == "kept"
+    # The same model without a sandbox is not simulated by a process that has one.
+    with pytest.raises(pydfo.SimulationError, match=r"exit\(7\)"):
+        model.simulate(isolation="process", **asked)
+
+
+def test_sandbox_that_nothing_confines_is_an_error(tmp_path):
+    fmu = evil(tmp_path / "sound.fmu")
+    with pytest.raises(ValueError if has_sandbox(tmp_path) else pydfo.FmuError, match="sandbox"):
+        decay(fmu, sandbox=True, isolation="none")
+    with pytest.raises(ValueError, match="sandbox"):
+        FMUModel(fmu).simulate(final_time=1, sandbox=True, isolation="none")
+    driven = pydfo.example_fmu("switched_input")
+    name = next(name for name, variable in FMUModel(driven).description.variables.items() if variable.causality == "input")
+    with pytest.raises((ValueError, pydfo.FmuError), match="function of this program|sandbox"):
+        FMUModel(driven).simulate(final_time=1, inputs={name: lambda t: t}, sandbox=True)
+    output = next(name for name, variable in FMUModel(driven).description.variables.items() if variable.causality == "output")
+    parameter = next(name for name, variable in FMUModel(driven).description.variables.items() if variable.causality == "parameter")
+    data = {"time": TIMES, output: TIMES}
+    with pytest.raises((ValueError, pydfo.FmuError), match="function of this program|sandbox"):
+        Calibration(driven, data, [output], [Parameter(parameter, 1, 0.1, 5)], inputs={name: lambda t: t}, sandbox=True)
+
+
 def test_functions_as_inputs_stay_in_this_process(tmp_path):
     fmu = pydfo.example_fmu("switched_input")
     model = FMUModel(fmu)

@@ -15,6 +15,7 @@ use crate::problem::warning::SetupWarning;
 use base::Number;
 use dfo::FailureKind;
 use fmi::error::ReportedError;
+use fmi::worker::check_sandbox;
 use fmi::{FmiError, Fmu, Simulator};
 use ode::{Report, Stats};
 use std::sync::OnceLock;
@@ -86,6 +87,17 @@ impl LoadedProblem {
         let tied = tied_values(&problem, &elements)?;
         let parameters = elements.into_iter().map(|element| element.parameter).collect();
         let remote = Remote::of(&fmu, &problem, lender);
+        if problem.settings.sandbox && !fmu.is_absent() {
+            check_sandbox()?;
+            if let Err(reason) = &remote {
+                let reason = reason.as_deref().unwrap_or("isolation = \"none\"");
+                return Err(FmiError::BadSetting(format!(
+                    "sandbox: the model would run in this process, which is not confined ({reason}). Use isolation = \"process\" \
+                     and recorded inputs"
+                ))
+                .into());
+            }
+        }
         Ok(Self {
             remote,
             fmu,

@@ -3,17 +3,21 @@
 use crate::cost::accuracy::Accuracy;
 use crate::cost::failure::{CostFailure, ReportedCostFailure};
 use crate::cost::parallel::beside;
-use crate::cost::residual::CostRule;
+use crate::cost::residual::{CostRule, sum_of_squares};
 use crate::cost::solver_comparison::{ComparisonOutcome, ComparisonRun, ComparisonTask};
 use crate::error::CalibrationError;
 use crate::problem::definition::{ModelFile, Problem};
 use crate::problem::settings::SimulationSettings;
 use base::RunContext;
 use dfo::RobustLoss;
-use fmi::worker::{AskedProcess, Frame, Isolation, Load, WorkerLimits, Workers};
+use fmi::worker::{
+    AnswerLimits, AskedProcess, Frame, FrameSize, Isolation, Load, Question, WorkerLimits, Workers,
+    check_sandbox,
+};
 use fmi::{FmiError, Fmu, OpenOptions, SimulateOptions, Trajectory};
 use ode::{Method, Stats};
 use serde::{Deserialize, Serialize};
+use std::io;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -124,8 +128,13 @@ struct Processes {
 impl Processes {
     /// Nothing is loaded yet.
     fn new(fmu: &Fmu, limits: WorkerLimits, load: Job, lender: Option<&Load>) -> Result<Self, FmiError> {
-        let workers =
-            fmu.workers(limits).ok_or_else(|| FmiError::NoWorker { reason: NO_LAUNCHER.to_owned() })?;
+        if limits.sandbox {
+            check_sandbox()?;
+        }
+        let workers = fmu.workers(limits).ok_or_else(|| match limits.sandbox {
+            true => FmiError::NoSandbox { reason: NO_LAUNCHER.to_owned() },
+            false => FmiError::NoWorker { reason: NO_LAUNCHER.to_owned() },
+        })?;
         let load = Load::new(move || Frame::of(&load));
         let load = lender.into_iter().fold(load, Load::in_processes_of);
         workers.prepare(&load);
@@ -140,14 +149,14 @@ impl Processes {
         })
     }
 
-    /// Asks a worker, and hands its answer to `use_answer`. `limit`: of a single simulation.
+    /// Asks a worker, and has `accept` read its answer, which leaves its numbers in the frame.
     fn ask<T>(
         &self,
         job: &Job,
         process: ProcessChoice,
-        limit: Option<Duration>,
+        limits: AnswerLimits,
         context: &RunContext<'_>,
-        use_answer: impl FnOnce(&mut Frame) -> std::io::Result<T>,
+        accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
     ) -> Result<T, FmiError> {
         let frames = || self.frames.lock().unwrap_or_else(PoisonError::into_inner);
         let (mut asked, mut answer) = frames().pop().unwrap_or_default();
@@ -159,79 +168,84 @@ impl Processes {
             ProcessChoice::Checked if !self.is_checked.load(Ordering::Relaxed) => None,
             ProcessChoice::Any | ProcessChoice::Checked => Some(AskedProcess::Any),
         };
-        match whom {
-            Some(whom) => self.call(&asked, &mut answer, whom, limit, context)?,
-            None => self.ask_checked(&asked, &mut answer, limit, context)?,
-        }
-        let used = use_answer(&mut answer).map_err(unsaid);
+        let question = Question { asked: &asked, context, limits };
+        let accepted = match whom {
+            Some(whom) => self.call(&question, &mut answer, accept, whom),
+            None => self.ask_checked(&question, &mut answer, accept),
+        };
         frames().push((asked, answer));
-        used
+        accepted
     }
 
-    fn call(
+    fn call<T>(
         &self,
-        asked: &Frame,
+        question: &Question<'_>,
         answer: &mut Frame,
+        accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
         whom: AskedProcess,
-        limit: Option<Duration>,
-        context: &RunContext<'_>,
-    ) -> Result<(), FmiError> {
-        let quirks = self.workers.call(&self.load, asked, answer, context, limit, whom)?;
+    ) -> Result<T, FmiError> {
+        let (accepted, quirks) = self.workers.call(&self.load, question, answer, accept, whom)?;
         self.fmu.add_quirks(quirks);
-        Ok(())
+        Ok(accepted)
     }
 
     /// Asks a worker. The second question also asks a fresh one, at the same time, and the first question
     /// again where that takes no longer than the start of a process; the 4th, 8th, 16th and so on ask the
     /// first one again in any case. Where numbers differ, and two fresh processes agree, each question has
     /// one of its own from now on.
-    fn ask_checked(
+    fn ask_checked<T>(
         &self,
-        asked: &Frame,
+        question: &Question<'_>,
         answer: &mut Frame,
-        limit: Option<Duration>,
-        context: &RunContext<'_>,
-    ) -> Result<(), FmiError> {
+        accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
+    ) -> Result<T, FmiError> {
         let known = || self.first.lock().unwrap_or_else(PoisonError::into_inner);
         let first = known().clone();
         let Some((first, numbers)) = first else {
-            self.call(asked, answer, AskedProcess::Any, limit, context)?;
-            known().get_or_insert_with(|| (asked.clone(), answer.numbers.clone()));
-            return Ok(());
+            let accepted = self.call(question, answer, accept, AskedProcess::Any)?;
+            known().get_or_insert_with(|| (question.asked.clone(), answer.numbers.clone()));
+            return Ok(accepted);
         };
-        let is_first = first == *asked;
+        let is_first = first == *question.asked;
         let n = if is_first { 1 } else { self.n_checked.fetch_add(1, Ordering::Relaxed) + 2 };
         if !n.is_power_of_two() {
-            return self.call(asked, answer, AskedProcess::Any, limit, context);
+            return self.call(question, answer, accept, AskedProcess::Any);
         }
         let (began, mut again) = (Instant::now(), Frame::default());
+        // The numbers of these are compared only.
+        let (asked, limits) = (question.asked, question.limits);
         let in_fresh = |context: &RunContext<'_>| {
             let mut answer = Frame::default();
-            self.call(asked, &mut answer, AskedProcess::Fresh, limit, context).map(|()| answer)
+            let question = Question { asked, context, limits };
+            self.call(&question, &mut answer, &mut |_| Ok(()), AskedProcess::Fresh).map(|()| answer)
         };
         let mut in_used = || {
-            self.call(asked, answer, AskedProcess::Any, limit, context)?;
-            match !is_first && (n > 2 || began.elapsed() < START) {
-                true => self.call(&first, &mut again, AskedProcess::Any, limit, context),
-                false => Ok(()),
+            let accepted = self.call(question, answer, accept, AskedProcess::Any)?;
+            if !is_first && (n > 2 || began.elapsed() < START) {
+                // Another point may have an answer of another size.
+                let size = self.workers.limits().answer_size();
+                let limits = AnswerLimits { size, ..limits };
+                let question = Question { asked: &first, limits, ..*question };
+                self.call(&question, &mut again, &mut |_| Ok(()), AskedProcess::Any)?;
             }
+            Ok::<T, FmiError>(accepted)
         };
         let (own, fresh) = match n {
-            2 => beside(context, in_fresh, in_used),
+            2 => beside(question.context, in_fresh, in_used),
             _ => (in_used(), None),
         };
-        own?;
+        let accepted = own?;
         let again = if is_first { &*answer } else { &again };
         let is_first_same = *again == Frame::default() || has_same_bits(&again.numbers, &numbers);
         let fresh = match fresh {
             Some(Ok(fresh)) if is_first_same && has_same_bits(&fresh.numbers, &answer.numbers) => {
-                return Ok(());
+                return Ok(accepted);
             }
             Some(Ok(fresh)) => fresh,
-            None if !is_first_same => in_fresh(context)?,
-            _ => return Ok(()),
+            None if !is_first_same => in_fresh(question.context)?,
+            _ => return Ok(accepted),
         };
-        self.call(asked, answer, AskedProcess::Fresh, limit, context)?;
+        let accepted = self.call(question, answer, accept, AskedProcess::Fresh)?;
         let model = &self.fmu.description().model_name;
         if has_same_bits(&fresh.numbers, &answer.numbers) {
             log::warn!("{model}: {HIDDEN_STATE}");
@@ -241,7 +255,7 @@ impl Processes {
                 "{model}: the same simulation in two fresh processes differs: nothing can be reproduced"
             );
         }
-        Ok(())
+        Ok(accepted)
     }
 }
 
@@ -261,6 +275,8 @@ pub(crate) struct Remote {
     processes: Processes,
     /// The limit of a single simulation.
     run_limit: Option<Duration>,
+    /// Simulations of an evaluation.
+    n_experiments: u32,
 }
 
 impl Remote {
@@ -278,16 +294,17 @@ impl Remote {
         let limits = settings.worker_limits();
         // Where it is now, in this process no further process is started.
         let model = ModelFile::of(fmu).map_err(|error| Some(error.to_string()))?;
-        let settings = SimulationSettings { isolation: Isolation::None, ..settings.clone() };
+        let settings = SimulationSettings { isolation: Isolation::None, sandbox: false, ..settings.clone() };
+        let n_experiments = problem.experiments.len().try_into().unwrap_or(u32::MAX);
         let problem = Problem { model, settings, ..problem.clone() };
         let run_limit = problem.settings.run.timeout;
         let load = Job::Load(Box::new(Loaded { problem, options: fmu.options().clone() }));
         let lender = lender.map(|lender| &lender.processes.load);
         let processes = Processes::new(fmu, limits, load, lender).map_err(|error| match error {
-            FmiError::NoWorker { reason } => Some(reason),
+            FmiError::NoWorker { reason } | FmiError::NoSandbox { reason } => Some(reason),
             error => Some(error.to_string()),
         })?;
-        Ok(Self { processes, run_limit })
+        Ok(Self { processes, run_limit, n_experiments })
     }
 
     /// A fit evaluates its best point in a fresh process: its evaluations need no check of their own.
@@ -305,14 +322,8 @@ impl Remote {
         self.processes.workers.n_idle(&self.processes.load)
     }
 
-    fn ask<T>(
-        &self,
-        job: &Job,
-        process: ProcessChoice,
-        context: &RunContext<'_>,
-        use_answer: impl FnOnce(&mut Frame) -> std::io::Result<T>,
-    ) -> Result<T, FmiError> {
-        self.processes.ask(job, process, self.run_limit, context, use_answer)
+    fn limits(&self, runs: u32, size: FrameSize) -> AnswerLimits {
+        AnswerLimits { run: self.run_limit, runs, size }
     }
 
     /// The cost at a point, its residuals into `out`; see
@@ -328,22 +339,23 @@ impl Remote {
         let CostRule { loss, cutoff, context } = rule;
         let Evaluation { method, accuracy, process } = evaluation;
         let job = Job::Evaluate { x: x.to_vec(), method, loss, cutoff, accuracy };
-        let mut use_answer = |answer: &mut Frame| {
-            let Evaluated { cost, stats } = answer.head()?;
+        let n = out.len();
+        let mut accept = |answer: &mut Frame| {
+            let Evaluated { cost, stats } = evaluated(answer, n, cutoff)?;
             if cost.is_ok() {
-                if answer.numbers.len() != out.len() {
-                    let message = format!("{} residuals instead of {}", answer.numbers.len(), out.len());
-                    return Err(std::io::Error::new(std::io::ErrorKind::InvalidData, message));
-                }
                 out.copy_from_slice(&answer.numbers);
             }
             Ok((cost, stats))
         };
-        let mut evaluated = self.ask(&job, process, &context, &mut use_answer);
+        // A run that a cutoff has ended may be made again without it.
+        let runs = if cutoff.is_finite() { self.n_experiments.saturating_mul(2) } else { self.n_experiments };
+        let limits = self.limits(runs, FrameSize::of_numbers(n as u64));
+        let mut evaluated = self.processes.ask(&job, process, limits, &context, &mut accept);
         if process != ProcessChoice::Fresh && matches!(&evaluated, Ok((Err(told), _)) if told.is_of_process())
         {
             // A process that was used before may have lost what it needs.
-            if let Ok((Ok(cost), stats)) = self.ask(&job, ProcessChoice::Fresh, &context, &mut use_answer) {
+            let again = self.processes.ask(&job, ProcessChoice::Fresh, limits, &context, &mut accept);
+            if let Ok((Ok(cost), stats)) = again {
                 evaluated = Ok((Ok(cost), stats));
             }
         }
@@ -352,17 +364,27 @@ impl Remote {
         cost.map_err(CostFailure::from)
     }
 
-    /// A simulation of a comparison, and the residuals at the start with the seconds that they took.
+    /// A simulation of a comparison, and the residuals at the start with the seconds that they took. It has at
+    /// most so many samples, and so many residuals.
     pub(crate) fn compare(
         &self,
         task: ComparisonTask,
+        (n_samples, n_residuals): (usize, usize),
         context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> Result<ComparisonRun, CalibrationError> {
-        let compared = self.ask(&Job::SolverComparison(task), ProcessChoice::Any, context, |answer| {
+        let mut accept = |answer: &mut Frame| {
             let compared: Compared = answer.head()?;
+            // A model that ends a simulation has fewer samples.
+            let n = compared.at_start.map_or(0, |(n, _)| n);
+            if n > answer.numbers.len() || ![0, n_residuals].contains(&n) {
+                return Err(wrong(format!("{n} residuals instead of {n_residuals}")));
+            }
             Ok((compared, std::mem::take(&mut answer.numbers)))
-        });
+        };
+        let limits = self.limits(self.n_experiments, FrameSize::of_numbers((n_samples + n_residuals) as u64));
+        let job = Job::SolverComparison(task);
+        let compared = self.processes.ask(&job, ProcessChoice::Any, limits, context, &mut accept);
         let (Compared { mut outcome, stats: taken, at_start }, mut numbers) = match compared {
             Ok(compared) => compared,
             Err(error) => {
@@ -381,13 +403,22 @@ impl Remote {
         Ok((outcome, at_start))
     }
 
-    /// A recorded simulation.
+    /// A recorded simulation, with so many columns where that is known.
     pub(crate) fn trajectory(
         &self,
         job: &Job,
+        n_columns: Option<usize>,
         context: &RunContext<'_>,
     ) -> Result<Trajectory, CalibrationError> {
-        let trajectory = self.ask(job, ProcessChoice::Checked, context, trajectory_of);
+        let limits = self.limits(1, self.processes.workers.limits().answer_size());
+        let mut accept = |answer: &mut Frame| {
+            let trajectory = trajectory_of(answer)?;
+            match n_columns.filter(|n| trajectory.columns.len() != *n) {
+                Some(n) => Err(wrong(format!("{} columns instead of {n}", trajectory.columns.len()))),
+                None => Ok(trajectory),
+            }
+        };
+        let trajectory = self.processes.ask(job, ProcessChoice::Checked, limits, context, &mut accept);
         trajectory.map_err(|error| match error {
             FmiError::Cancelled => CalibrationError::Cancelled,
             error => error.into(),
@@ -402,11 +433,16 @@ pub struct ModelProcess {
 }
 
 impl ModelProcess {
+    /// Limits of its processes.
+    pub fn limits(&self) -> &WorkerLimits {
+        self.processes.workers.limits()
+    }
+
     /// Nothing is loaded yet.
     ///
     /// # Errors
     /// The file of the model cannot be read any more; [`FmiError::NoWorker`]: this program cannot start
-    /// processes for it.
+    /// processes for it; [`FmiError::NoSandbox`]: not confined ones.
     pub fn new(fmu: &Fmu, limits: WorkerLimits) -> Result<Self, FmiError> {
         let open = Job::Open(ModelFile::of(fmu)?, Box::new(fmu.options().clone()));
         Ok(Self { processes: Processes::new(fmu, limits, open, None)? })
@@ -428,29 +464,93 @@ impl ModelProcess {
             return Err(FmiError::BadSetting(problem));
         }
         let job = Job::Simulate(Box::new(options.clone()));
-        self.processes.ask(&job, ProcessChoice::Checked, options.run.timeout, context, trajectory_of)
+        let size = self.processes.workers.limits().answer_size();
+        let limits = AnswerLimits { run: options.run.timeout, runs: 1, size };
+        self.processes.ask(&job, ProcessChoice::Checked, limits, context, &mut trajectory_of)
     }
 }
 
 const NO_LAUNCHER: &str = "this program cannot start processes for it (worker::serve_if_worker)";
 
-fn unsaid(error: std::io::Error) -> FmiError {
+fn unsaid(error: io::Error) -> FmiError {
     FmiError::BadSetting(error.to_string())
 }
 
+/// Reads an evaluation with so many residuals and this cutoff. The cost is that of its residuals, for the worker
+/// may have made it up.
+fn evaluated(answer: &Frame, n: usize, cutoff: f64) -> io::Result<Evaluated> {
+    let evaluated: Evaluated = answer.head()?;
+    let numbers = &answer.numbers;
+    if let Ok(cost) = &evaluated.cost {
+        if numbers.len() != n {
+            return Err(wrong(format!("{} residuals instead of {n}", numbers.len())));
+        }
+        let sum = sum_of_squares(numbers);
+        if !sum.is_finite() || sum.to_bits() != cost.to_bits() || sum > cutoff {
+            return Err(wrong(format!("a cost of {cost} for residuals whose sum of squares is {sum}")));
+        }
+    }
+    Ok(evaluated)
+}
+
 /// Puts a trajectory into a frame: its rows are the numbers.
-pub(crate) fn put_trajectory(mut trajectory: Trajectory, answer: &mut Frame) -> std::io::Result<()> {
+pub(crate) fn put_trajectory(mut trajectory: Trajectory, answer: &mut Frame) -> io::Result<()> {
     answer.numbers.append(&mut trajectory.time);
     trajectory.columns.iter_mut().for_each(|column| answer.numbers.append(column));
     answer.set_head(&trajectory)
 }
 
-fn trajectory_of(answer: &mut Frame) -> std::io::Result<Trajectory> {
+fn trajectory_of(answer: &mut Frame) -> io::Result<Trajectory> {
     let mut trajectory: Trajectory = answer.head()?;
-    let rows = answer.numbers.len() / (trajectory.columns.len() + 1);
+    let n_columns = trajectory.columns.len() + 1;
+    if !answer.numbers.len().is_multiple_of(n_columns) {
+        return Err(wrong(format!("{} numbers in {n_columns} columns", answer.numbers.len())));
+    }
+    let rows = answer.numbers.len() / n_columns;
     let mut columns = answer.numbers.chunks(rows.max(1));
     let mut column = || columns.next().map(<[f64]>::to_vec).unwrap_or_default();
     trajectory.time = column();
     trajectory.columns.iter_mut().for_each(|values| *values = column());
-    Ok(trajectory)
+    match trajectory.is_consistent() {
+        true => Ok(trajectory),
+        false => Err(wrong("columns of different lengths".to_owned())),
+    }
+}
+
+/// An answer with contents that it cannot have.
+fn wrong(what: String) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, what)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn evaluation_whose_cost_is_not_that_of_its_residuals_is_refused() {
+        let answer = |cost: f64, residuals: &[f64]| {
+            let mut frame = Frame::of(&Evaluated { cost: Ok(cost), stats: Stats::default() }).unwrap();
+            frame.numbers = residuals.to_vec();
+            frame
+        };
+        let read =
+            |frame: &Frame, cutoff: f64| evaluated(frame, 2, cutoff).map(|evaluated| evaluated.cost.ok());
+        assert_eq!(read(&answer(25.0, &[3.0, 4.0]), f64::INFINITY).unwrap(), Some(25.0));
+        let wrong = [
+            (
+                answer(24.0, &[3.0, 4.0]),
+                f64::INFINITY,
+                "a cost of 24 for residuals whose sum of squares is 25",
+            ),
+            (answer(25.000000000000004, &[3.0, 4.0]), f64::INFINITY, "a cost of 25.000000000000004"),
+            (answer(25.0, &[3.0, 4.0]), 20.0, "a cost of 25"),
+            (answer(f64::NAN, &[f64::NAN, 4.0]), f64::INFINITY, "a cost of NaN"),
+            (answer(9.0, &[3.0]), f64::INFINITY, "1 residuals instead of 2"),
+            (Frame::of(&"a text").unwrap(), f64::INFINITY, "its head has other contents"),
+        ];
+        for (frame, cutoff, expected) in wrong {
+            let error = read(&frame, cutoff).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+    }
 }

@@ -170,7 +170,7 @@ fn compare_on_problem(
     let mut evaluated: Vec<(Method, AtStart)> = Vec::new();
     let compared = compare_solvers(relative, &absolute, n, |task| {
         let (outcome, at_start) = match &problem.remote {
-            Ok(remote) => remote.compare(*task, context, stats)?,
+            Ok(remote) => remote.compare(*task, (absolute.len(), problem.n_residuals), context, stats)?,
             Err(_) => simulate_compared(problem, task, context, stats)?,
         };
         let at_start = at_start.map(|(residuals, seconds)| (task.method, AtStart { residuals, seconds }));
@@ -214,7 +214,7 @@ pub(crate) fn simulate_compared(
         match &ran {
             Ok(report) => *stats += report.stats,
             // The next simulations are right.
-            Err(error) if error.is_read_between_steps() => {
+            Err(error) if error.is_read_between_steps() && !problem.fmu.leaves_repetition() => {
                 return simulate_compared(problem, task, context, stats);
             }
             Err(FmiError::Simulation(error)) => *stats += error.stats,

@@ -359,7 +359,8 @@ impl Calibration {
         if let Ok(remote) = &self.evaluator.remote {
             let times = times.map(<[f64]>::to_vec);
             let job = Job::Experiment { experiment, x: x.to_vec(), method, times };
-            return remote.trajectory(&job, context);
+            let n_columns = self.problem().experiments[experiment].outputs.len();
+            return remote.trajectory(&job, Some(n_columns), context);
         }
         let mut poll = || if context.is_over() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
         let simulation = &self.evaluator.simulations[experiment];

@@ -55,7 +55,7 @@ impl Calibration {
         if let Ok(remote) = &self.evaluator().remote {
             let (times, variables) = (times.map(<[f64]>::to_vec), variables.to_vec());
             let job = Job::Variables { experiment, x: x.to_vec(), method, times, variables };
-            return remote.trajectory(&job, context);
+            return remote.trajectory(&job, None, context);
         }
         let mut options = self.evaluator().simulations[experiment].recording(x, method, times, variables);
         let values = self.values_in(experiment, x);

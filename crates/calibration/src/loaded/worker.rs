@@ -33,6 +33,8 @@ struct Server {
     /// The model that was opened last.
     model: Option<(ModelFile, Fmu)>,
     calibration: Option<Calibration>,
+    /// Statistics of an evaluation that is to be repeated.
+    repeated: Stats,
     n_quirks: usize,
 }
 
@@ -67,8 +69,8 @@ impl Server {
     }
 }
 
-impl Service for Server {
-    fn answer(
+impl Server {
+    fn respond(
         &mut self,
         asked: &Frame,
         context: &RunContext<'_>,
@@ -87,12 +89,31 @@ impl Service for Server {
             }
             job => {
                 let calibration = self.calibration.as_ref().ok_or_else(not_loaded)?;
-                done(calibration, job, context, answer)?.map_err(unsaid)?;
+                done(calibration, job, &mut self.repeated, context, answer)?.map_err(unsaid)?;
             }
         }
+        Ok(())
+    }
+}
+
+impl Service for Server {
+    fn answer(
+        &mut self,
+        asked: &Frame,
+        context: &RunContext<'_>,
+        answer: &mut Frame,
+    ) -> Result<(), FmiError> {
+        let outcome = self.respond(asked, context, answer);
+        let is_repeated = self.model.as_ref().is_some_and(|(_, fmu)| fmu.take_repetition());
+        if is_repeated && !context.is_over() {
+            answer.clear();
+            answer.is_repeated = true;
+            return Ok(());
+        }
+        self.repeated = Stats::default();
         let is_last = |(_, fmu): &(ModelFile, Fmu)| fmu.reuse() == Some(Reuse::NewProcess);
         answer.is_last |= self.model.as_ref().is_some_and(is_last);
-        Ok(())
+        outcome
     }
 
     fn provide_files(&mut self) {
@@ -127,6 +148,7 @@ fn not_loaded() -> FmiError {
 fn done(
     calibration: &Calibration,
     job: Job,
+    repeated: &mut Stats,
     context: &RunContext<'_>,
     answer: &mut Frame,
 ) -> Result<io::Result<()>, FmiError> {
@@ -139,7 +161,7 @@ fn done(
         Job::Evaluate { x, method, loss, cutoff, accuracy } => {
             use_method(method)?;
             calibration.check_length(&x).map_err(model_error)?;
-            let (rule, mut stats) = (CostRule { loss, cutoff, context: *context }, Stats::default());
+            let (rule, mut stats) = (CostRule { loss, cutoff, context: *context }, *repeated);
             answer.numbers.resize(calibration.n_residuals(), 0.0);
             let cost = calibration.evaluate_with(accuracy, &x, rule, &mut answer.numbers, &mut stats);
             if cost.is_err() {
@@ -147,6 +169,7 @@ fn done(
             }
             let cost = cost.map_err(ReportedCostFailure::from);
             answer.is_last |= cost.as_ref().is_err_and(ReportedCostFailure::is_of_process);
+            *repeated = stats;
             answer.set_head(&Evaluated { cost, stats })
         }
         Job::SolverComparison(task) => {

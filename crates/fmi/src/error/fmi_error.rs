@@ -41,6 +41,12 @@ pub enum FmiError {
         /// Why.
         reason: String,
     },
+    /// Worker processes cannot be confined, or none can be started.
+    #[error("sandbox: {reason}. Run the model in a container, or without a sandbox if you trust it")]
+    NoSandbox {
+        /// Why.
+        reason: String,
+    },
     /// The operating system refused something.
     #[error("cannot {action} {}: {source}{}", path.display(), limit_of_files(source.raw_os_error()))]
     Io {

@@ -6,10 +6,11 @@ use crate::archive::PrivateFolder;
 use crate::error::FmiError;
 use crate::platform::{self, BinaryHeader, check_length};
 use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// Copies the library into a folder of its own; its path there, and the folder. Blocks are shared where the
-/// file system can ([`fs::copy`] clones).
+/// file system can.
 ///
 /// # Errors
 /// The system refuses; the library was written over since it was loaded first.
@@ -46,7 +47,7 @@ fn fill(source: &OriginalLibrary, root: &Path) -> Result<PathBuf, FmiError> {
     let path = root.join(source.place());
     let target = path.parent().unwrap_or(root);
     fs::create_dir_all(target).map_err(FmiError::io("create", target))?;
-    fs::copy(&source.library, &path).map_err(FmiError::io("copy to", &path))?;
+    copy_file(&source.library, &path).map_err(FmiError::io("copy to", &path))?;
     if source.is_inside() {
         place_beside(&source.library, target)?;
     }
@@ -68,7 +69,7 @@ fn place_beside(library: &Path, target: &Path) -> Result<(), FmiError> {
             continue;
         }
         let to = target.join(from.file_name().unwrap_or_default());
-        let copied = || fs::copy(&from, &to).map(drop);
+        let copied = || copy_file(&from, &to);
         let placed = if from.is_dir() {
             platform::link_folder(&from, &to)
         } else if matches!(BinaryHeader::read(&from), Ok(Some(_))) {
@@ -80,4 +81,18 @@ fn place_beside(library: &Path, target: &Path) -> Result<(), FmiError> {
         placed.map_err(FmiError::io("link", &to))?;
     }
     Ok(())
+}
+
+/// Copies a file with the right to execute it. [`fs::copy`] changes the mode of the copy afterwards, which a
+/// sandbox refuses.
+fn copy_file(from: &Path, to: &Path) -> io::Result<()> {
+    let mut source = fs::File::open(from)?;
+    let mut options = fs::File::options();
+    options.write(true).create(true).truncate(true);
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+        options.mode(source.metadata()?.mode() & 0o777);
+    }
+    io::copy(&mut source, &mut options.open(to)?).map(drop)
 }

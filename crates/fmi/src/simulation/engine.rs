@@ -8,7 +8,7 @@ use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::Running;
 use crate::simulation::shared_observer::SharedObserver;
 use crate::simulation::variable_elements::RunInput;
-use crate::sys::{InterfaceKind, RawInstance, note_run};
+use crate::sys::{InterfaceKind, RawInstance, note_start};
 use ode::{Driver, ErrorKind, Ignore, Limits, Observer, Report};
 use std::sync::Arc;
 
@@ -43,7 +43,7 @@ impl Engine {
     /// Brings a fresh instance to the start, with the start values of the plan or others for the same
     /// variables.
     pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<()> {
-        note_run();
+        note_start();
         match self {
             Engine::Integrated { system, .. } => system.initialize(raw, input),
             Engine::Stepping(stepping) => stepping.initialize(raw, input),

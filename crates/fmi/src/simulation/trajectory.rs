@@ -10,7 +10,7 @@ use crate::simulation::plan::SimulationPlan;
 use base::Number;
 use ode::{EventRecord, Observer, Report, Sample, Side, Stats, Termination};
 use serde::{Deserialize, Serialize};
-use std::ops::{ControlFlow, Index};
+use std::ops::{ControlFlow, Index, Range};
 use std::sync::Arc;
 
 /// So many columns are named in a sentence.
@@ -108,6 +108,23 @@ impl PartialEq for ValueColumn {
 }
 
 impl Trajectory {
+    /// True if all columns have their rows, and all variables their columns. One that another process has sent
+    /// may be none that a simulation can have.
+    pub fn is_consistent(&self) -> bool {
+        let rows = self.time.len();
+        let has = |range: &Range<usize>, n: usize| range.start <= range.end && range.end <= n;
+        let is_filled = |column: &ValueColumn| {
+            column.places.len() == self.sides.len()
+                && column.places.iter().all(|place| *place < column.values.len())
+        };
+        self.names.len() == self.columns.len()
+            && self.columns.iter().all(|column| column.len() == rows)
+            && self.values.iter().all(is_filled)
+            && (self.recorded.iter()).all(|variable| {
+                has(&variable.columns, self.columns.len()) && has(&variable.values, self.values.len())
+            })
+    }
+
     /// The column of this name; `time` is one.
     ///
     /// # Errors

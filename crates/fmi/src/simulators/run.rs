@@ -5,7 +5,7 @@ use crate::cancel_request::CancelRequest;
 use crate::description::{Causality, QuirkKind};
 use crate::error::FmiError;
 use crate::libraries::Reuse;
-use crate::sys::{Inside, is_worker};
+use crate::sys::{Inside, is_worker, note_run};
 use base::Number;
 use ode::{
     Checks, ErrorKind, Ignore, Limits, Observer, Report, Seconds, SimulationError, Stats, Termination,
@@ -94,6 +94,7 @@ impl Simulator {
         let mut checks = Checks::default();
         let _inside = loop {
             let inside = self.enter(observer)?;
+            note_run();
             checks += self.check_if_due(observer)?;
             // A run of a check may have ended with `Fatal`.
             if !self.is_fatal() {

@@ -64,6 +64,7 @@ mod shared_page {
     pub(super) fn note_call(_: u32) {}
     pub(super) fn note_time(_: f64) {}
     pub(crate) fn note_run() {}
+    pub(crate) fn note_start() {}
     pub(crate) fn is_worker() -> bool {
         false
     }
@@ -91,7 +92,7 @@ pub use platform::LoaderOptions;
 pub(crate) use raw_instance::{Fault, RawInstance, SavedSlot, Sizes};
 #[cfg(unix)]
 pub(crate) use shared_page::{Page, tell_calls};
-pub(crate) use shared_page::{is_worker, note_run};
+pub(crate) use shared_page::{is_worker, note_run, note_start};
 pub(crate) use types::{Direction, EventInfo, Experiment, IntervalAnswer, Qualifier, Request, StepInfo};
 pub use types::{ElementDependency, InterfaceKind};
 

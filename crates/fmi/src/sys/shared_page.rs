@@ -256,10 +256,16 @@ pub(super) fn note_time(time: f64) {
     }
 }
 
-/// Tells that a simulation begins.
+/// Tells that a simulation begins, with the checks that come before it.
 pub(crate) fn note_run() {
     if let Some(page) = PAGE.get() {
         page.shared().runs.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// Tells that an instance is brought to its start, where it has no time.
+pub(crate) fn note_start() {
+    if let Some(page) = PAGE.get() {
         page.shared().time.store(f64::NAN.to_bits(), Ordering::Relaxed);
     }
 }

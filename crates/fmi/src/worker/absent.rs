@@ -1,15 +1,14 @@
 //! Where processes cannot be started as workers: there are none.
 
 use super::frame::Frame;
-use super::isolation::AskedProcess;
+use super::isolation::{AskedProcess, Question};
 use super::limits::WorkerLimits;
 use super::load::Load;
 use super::service::Service;
 use crate::description::Quirk;
 use crate::error::FmiError;
-use base::RunContext;
+use std::io;
 use std::sync::Arc;
-use std::time::Duration;
 
 /// No worker processes.
 #[derive(Debug)]
@@ -50,15 +49,14 @@ impl Workers {
     ///
     /// # Errors
     /// None.
-    pub fn call(
+    pub fn call<T>(
         self: &Arc<Self>,
         _: &Load,
-        _: &Frame,
+        _: &Question<'_>,
         _: &mut Frame,
-        _: &RunContext<'_>,
-        _: Option<Duration>,
+        _: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
         _: AskedProcess,
-    ) -> Result<Vec<Quirk>, FmiError> {
+    ) -> Result<(T, Vec<Quirk>), FmiError> {
         match **self {}
     }
 }

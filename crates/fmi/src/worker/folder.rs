@@ -2,6 +2,7 @@
 
 use super::handshake::{FOLDER, TEMPORARY};
 use crate::sys::overwrite_variable;
+use std::io::ErrorKind;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -59,11 +60,13 @@ pub(super) fn leave_for(folder: &Path) -> std::io::Result<()> {
     [FOLDER, TEMPORARY].iter().try_for_each(|name| overwrite_variable(name, folder.as_os_str().as_bytes()))
 }
 
-/// Removes a folder in which something may be made meanwhile.
+/// Removes a folder in which something may be made meanwhile. A confined worker empties it; the process that
+/// it was copied from removes it.
 pub(super) fn remove(folder: &Path) {
     for _ in 0..100 {
-        if std::fs::remove_dir_all(folder).is_ok() || !folder.exists() {
-            return;
+        match std::fs::remove_dir_all(folder) {
+            Err(error) if error.kind() != ErrorKind::PermissionDenied && folder.exists() => {}
+            _ => return,
         }
         std::thread::sleep(std::time::Duration::from_millis(2));
     }

@@ -6,7 +6,7 @@
 
 use super::end::{ProcessEnd, in_words};
 use super::folder::{Folder, remove, worker_folder};
-use super::frame::Frame;
+use super::frame::{Frame, FrameSize};
 use super::handshake::{ASKED, FOLDER, LEVEL, TEMPORARY, VERSION};
 use super::launcher::Launcher;
 use super::limits::WorkerLimits;
@@ -38,8 +38,8 @@ use std::time::{Duration, Instant};
 pub(super) enum Order {
     /// To load what the frame says.
     Load = b'L',
-    /// To start a worker: [`Start`], with [`DESCRIPTORS`]; on its socket follows a [`Hello`], or an error
-    /// with its text.
+    /// To start a worker: [`Start`], with [`DESCRIPTORS`]; on its socket follow an [`Arrival`] and a
+    /// [`Hello`], or an error with its text.
     Start = b'S',
     /// To end a worker, by its number, and what it has left behind; the answer is its status.
     End = b'E',
@@ -58,10 +58,15 @@ pub(super) struct Start {
     pub(super) is_prepared: bool,
 }
 
-/// First message of a worker.
+/// First message of a worker, before any foreign code runs in it.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct Arrival {
+    pub(super) pid: i32,
+}
+
+/// Second message of a worker, which is ready for its first question.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Hello {
-    pub(super) pid: i32,
     /// Its template has loaded what it was to load.
     pub(super) has_loaded: bool,
 }
@@ -143,7 +148,7 @@ impl Template {
         Ok(template)
     }
 
-    fn start(launcher: &Launcher) -> Result<Self, FmiError> {
+    pub(super) fn start(launcher: &Launcher) -> Result<Self, FmiError> {
         let folder = Folder::named();
         let (socket, theirs) = UnixStream::pair().map_err(no_worker)?;
         socket.set_read_timeout(Some(LOOK)).map_err(no_worker)?;
@@ -240,6 +245,23 @@ impl Template {
         Some(in_words(status))
     }
 
+    /// True if a process is a child of the template, as its workers are; on systems that do not tell, true for
+    /// any process.
+    pub(super) fn is_parent_of(&self, pid: Pid) -> bool {
+        let parent = |pid: u32| -> Option<u32> {
+            let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+            // The state and the parent follow the name of the program, which may hold anything (proc(5)).
+            stat.rsplit(')').next()?.split_ascii_whitespace().nth(1)?.parse().ok()
+        };
+        let template = self.orders().child.id();
+        parent(self.owner).is_none() || parent(pid.as_raw_nonzero().get().cast_unsigned()) == Some(template)
+    }
+
+    /// Removes the folder of a worker that has ended without the template.
+    pub(super) fn remove_folder(&self, number: u32) {
+        remove(&worker_folder(self.folder.path(), number));
+    }
+
     /// Ends a worker, and all processes that it has started; how it has ended.
     pub(super) fn end_worker(&self, number: u32) -> Option<ExitStatus> {
         let mut orders = self.orders();
@@ -254,7 +276,6 @@ impl Template {
         let status = ask();
         if status.is_err() {
             self.is_broken.store(true, Ordering::Relaxed);
-            remove(&worker_folder(self.folder.path(), number));
         }
         status.ok().map(ExitStatus::from_raw)
     }
@@ -279,9 +300,9 @@ impl Template {
             has_ended = orders.has_ended_within(LOOK);
         }
         let _ = orders.child.kill();
-        let _ = orders.child.wait();
+        let status = orders.child.wait();
         // Else each worker is ended alone, and its folder removed.
-        self.is_over.store(has_ended, Ordering::Relaxed);
+        self.is_over.store(has_ended && status.is_ok_and(|status| status.success()), Ordering::Relaxed);
     }
 }
 
@@ -319,7 +340,7 @@ impl Orders {
             true => Err(ErrorKind::TimedOut.into()),
             false => Ok(()),
         };
-        self.answer.read(&mut &self.socket, &mut self.buffer, &mut wait)
+        self.answer.read(&mut &self.socket, &mut self.buffer, FrameSize::of_numbers(0), &mut wait)
     }
 }
 

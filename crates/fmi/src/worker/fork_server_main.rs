@@ -2,7 +2,7 @@
 
 use super::folder::{enter, remove, worker_folder};
 use super::fork_server::{DESCRIPTORS, Order, Start};
-use super::frame::Frame;
+use super::frame::{Frame, FrameSize};
 use super::handshake::{ASKED, FOLDER, LEVEL, VERSION};
 use super::notes::keep_lines;
 use super::service::Service;
@@ -71,7 +71,7 @@ fn take_order(
 ) -> io::Result<Option<Worker>> {
     let (mut asked, mut answer, mut buffer) = (Frame::default(), Frame::default(), Vec::new());
     let (order, descriptors) = receive(control)?;
-    asked.read(&mut &*control, &mut buffer, &mut || Ok(()))?;
+    asked.read(&mut &*control, &mut buffer, FrameSize::ANY, &mut || Ok(()))?;
     if order == Order::Load as u8 {
         respond(service, &asked, &RunContext::new(), &mut answer)?;
         // Where it failed, a worker tries again, and says why.

@@ -13,8 +13,24 @@ const MAGIC: u32 = 0x464d_5501;
 
 const HEADER: usize = 40;
 
-/// No part is longer, in bytes: what claims to be is garbage.
-const LONGEST: u64 = 1 << 36;
+/// Largest size of a message: what claims to be larger is garbage, and is not read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FrameSize {
+    /// Bytes of head and notes.
+    pub text: u64,
+    /// Count of numbers.
+    pub numbers: u64,
+}
+
+impl FrameSize {
+    /// Messages of a process that is trusted.
+    pub(crate) const ANY: Self = Self { text: 1 << 36, numbers: 1 << 33 };
+
+    /// Answers with so many numbers, and texts as errors and notes have: these are cut far below.
+    pub const fn of_numbers(numbers: u64) -> Self {
+        Self { text: 16 << 20, numbers }
+    }
+}
 
 /// A message. Its buffers are kept from one to the next.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -23,6 +39,8 @@ pub struct Frame {
     pub(crate) is_error: bool,
     /// The worker is not to be used again.
     pub is_last: bool,
+    /// No answer: the same is to be asked once more, for the first try has shown how the model is read.
+    pub is_repeated: bool,
     /// Of one that was read: which question it is, or is answered.
     pub(crate) number: u32,
     head: Vec<u8>,
@@ -48,7 +66,7 @@ impl Frame {
 
     /// Empties it.
     pub fn clear(&mut self) {
-        (self.is_error, self.is_last) = (false, false);
+        (self.is_error, self.is_last, self.is_repeated) = (false, false, false);
         self.head.clear();
         self.notes.clear();
         self.numbers.clear();
@@ -74,7 +92,8 @@ impl Frame {
     /// Writes it with this number, through a buffer.
     pub(crate) fn write(&self, number: u32, to: &mut impl Write, buffer: &mut Vec<u8>) -> io::Result<()> {
         buffer.clear();
-        let flags = u32::from(self.is_error) | u32::from(self.is_last) << 1;
+        let flags = [self.is_error, self.is_last, self.is_repeated];
+        let flags = flags.iter().rev().fold(0, |bits, flag| bits << 1 | u32::from(*flag));
         [MAGIC, flags, number, 0].iter().for_each(|word| buffer.extend(word.to_le_bytes()));
         for length in [self.head.len(), self.notes.len(), self.numbers.len()] {
             buffer.extend((length as u64).to_le_bytes());
@@ -98,30 +117,34 @@ impl Frame {
         to.write_all(buffer)
     }
 
-    /// Reads the next one, through a buffer. The reader may give up for a while: `wait` is asked then.
+    /// Reads the next one, through a buffer. The reader may give up for a while; `wait` is asked then, and
+    /// whenever a part has arrived.
     ///
     /// # Errors
-    /// Those of the reader; `InvalidData` for what is no frame.
+    /// Those of the reader and of `wait`; `InvalidData` for what is no frame, or a larger one than `most`.
     pub(crate) fn read(
         &mut self,
         from: &mut impl Read,
         buffer: &mut Vec<u8>,
+        most: FrameSize,
         wait: &mut dyn FnMut() -> io::Result<()>,
     ) -> io::Result<()> {
         let mut header = [0; HEADER];
         fill(from, &mut header, wait)?;
         let word =
             |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
-        if word(0) != MAGIC || word(4) > 3 {
+        if word(0) != MAGIC || word(4) > 7 {
             return Err(bad("no message of a worker of this version".to_owned()));
         }
-        let (is_error, is_last) = (word(4) & 1 != 0, word(4) & 2 != 0);
+        let flag = |bit: u32| word(4) & bit != 0;
         let length = |part: usize| u64::from(word(16 + 8 * part)) | u64::from(word(20 + 8 * part)) << 32;
-        let lengths = [length(0), length(1), length(2).saturating_mul(8)];
-        if let Some(length) = lengths.iter().find(|length| **length > LONGEST) {
-            return Err(bad(format!("a message of {length} bytes")));
+        let (text, numbers) = (length(0).saturating_add(length(1)), length(2));
+        if text > most.text || numbers > most.numbers {
+            return Err(bad(format!("a message of {text} bytes and {numbers} numbers")));
         }
-        (self.is_error, self.is_last, self.number) = (is_error, is_last, word(8));
+        let lengths = [length(0), length(1), numbers.saturating_mul(8)];
+        (self.is_error, self.is_last, self.is_repeated) = (flag(1), flag(2), flag(4));
+        self.number = word(8);
         read_part(from, &mut self.head, lengths[0], wait)?;
         read_part(from, &mut self.notes, lengths[1], wait)?;
         self.numbers.clear();
@@ -151,13 +174,42 @@ impl Write for Length {
     }
 }
 
+/// A writer that gives up for a while when nobody reads; `wait` is asked then.
+pub(super) struct PatientWriter<'a, W> {
+    pub(super) to: W,
+    pub(super) wait: &'a mut dyn FnMut() -> io::Result<()>,
+}
+
+impl<W: Write> Write for PatientWriter<'_, W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        loop {
+            match self.to.write(bytes) {
+                Err(e) if matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => (self.wait)()?,
+                outcome => return outcome,
+            }
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.to.flush()
+    }
+}
+
 fn encode(head: &impl Serialize, to: impl Write) -> io::Result<()> {
     ciborium::into_writer(head, to).map_err(|e| bad(format!("a message cannot be encoded: {e}")))
 }
 
 /// Decodes what a head or notes say.
 pub(crate) fn decode<T: DeserializeOwned>(bytes: &[u8]) -> io::Result<T> {
-    ciborium::from_reader(bytes).map_err(|e| bad(format!("a message cannot be understood: {e}")))
+    use ciborium::de::Error;
+    ciborium::from_reader(bytes).map_err(|error| {
+        bad(match error {
+            Error::Io(_) => "its head ends too early".to_owned(),
+            Error::Syntax(place) => format!("its head is no CBOR at byte {place}"),
+            Error::Semantic(_, problem) => format!("its head has other contents: {problem}"),
+            Error::RecursionLimitExceeded => "its head is nested too deeply".to_owned(),
+        })
+    })
 }
 
 fn bad(message: String) -> io::Error {
@@ -188,7 +240,12 @@ fn fill(from: &mut impl Read, mut to: &mut [u8], wait: &mut dyn FnMut() -> io::R
     while !to.is_empty() {
         match from.read(to) {
             Ok(0) => return Err(ErrorKind::UnexpectedEof.into()),
-            Ok(n) => to = &mut to[n..],
+            Ok(n) if n == to.len() => return Ok(()),
+            Ok(n) => {
+                to = &mut to[n..];
+                // Who sends byte by byte is not waited for any longer.
+                wait()?;
+            }
             Err(e) if e.kind() == ErrorKind::Interrupted => {}
             Err(e) if matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => wait()?,
             Err(e) => return Err(e),
@@ -204,7 +261,8 @@ mod tests {
 
     fn read(bytes: &[u8]) -> io::Result<Frame> {
         let mut frame = Frame::default();
-        frame.read(&mut &bytes[..], &mut Vec::new(), &mut || Err(ErrorKind::TimedOut.into()))?;
+        let mut wait = || Err(ErrorKind::TimedOut.into());
+        frame.read(&mut &bytes[..], &mut Vec::new(), FrameSize::ANY, &mut wait)?;
         Ok(frame)
     }
 
@@ -222,21 +280,23 @@ mod tests {
         frame.write(7, &mut bytes, &mut buffer).unwrap();
         assert!(buffer.capacity() <= 4 * PIECE, "{}", buffer.capacity());
         let (mut found, mut buffer) = (Frame::default(), Vec::new());
-        found.read(&mut &bytes[..], &mut buffer, &mut || Err(ErrorKind::TimedOut.into())).unwrap();
+        let mut wait = || Err(ErrorKind::TimedOut.into());
+        found.read(&mut &bytes[..], &mut buffer, FrameSize::ANY, &mut wait).unwrap();
         assert!(buffer.capacity() <= PIECE && found.head == frame.head && found.numbers == frame.numbers);
     }
 
     proptest! {
         #[test]
-        fn frames_arrive_as_they_were_sent(text: String, bits: Vec<u64>, is_error: bool, is_last: bool) {
+        fn frames_arrive_as_they_were_sent(text: String, bits: Vec<u64>, flags: (bool, bool, bool)) {
             let mut frame = Frame::of(&text).unwrap();
-            (frame.is_error, frame.is_last) = (is_error, is_last);
+            (frame.is_error, frame.is_last, frame.is_repeated) = flags;
             frame.numbers = bits.iter().map(|bits| f64::from_bits(*bits)).collect();
             let found = read(&written(&frame)).unwrap();
             prop_assert_eq!(found.head::<String>().unwrap(), text);
             let bits_found: Vec<u64> = found.numbers.iter().map(|x| x.to_bits()).collect();
             prop_assert_eq!(bits_found, bits);
-            prop_assert_eq!((found.is_error, found.is_last, found.number), (is_error, is_last, 7));
+            prop_assert_eq!((found.is_error, found.is_last, found.is_repeated), flags);
+            prop_assert_eq!(found.number, 7);
         }
 
         #[test]

@@ -3,7 +3,7 @@
 use std::ffi::CStr;
 
 /// Version that must be the same in both processes.
-pub(super) const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "/2");
+pub(super) const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "/3");
 
 /// Environment variable by which a process is asked to serve; its value is the version.
 pub(super) const ASKED: &str = "FMUFIT_WORKER";

@@ -1,5 +1,8 @@
 //! Where an FMU runs, and which worker process is asked.
 
+use super::frame::Frame;
+use super::limits::AnswerLimits;
+use base::RunContext;
 use serde::{Deserialize, Serialize};
 use std::str::FromStr;
 
@@ -38,6 +41,19 @@ impl FromStr for Isolation {
             ))
         })
     }
+}
+
+/// A question to a worker.
+#[derive(Clone, Copy)]
+pub struct Question<'a> {
+    /// The question.
+    pub asked: &'a Frame,
+    /// Ends the wait for the answer: it is looked at every 10 ms, and the worker has 0.1 s to answer once it is
+    /// over.
+    pub context: &'a RunContext<'a>,
+    /// Limits of the answer: a simulation that takes longer than its time and 0.25 s ends the worker, and so
+    /// does an answer that is larger.
+    pub limits: AnswerLimits,
 }
 
 /// Process that is asked.

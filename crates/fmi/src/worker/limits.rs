@@ -1,6 +1,8 @@
 //! Limits of a worker process, and how it sets them for itself.
 
+use super::frame::FrameSize;
 use serde::{Deserialize, Serialize};
+use std::time::Duration;
 
 /// Memory that a worker may gain before it is replaced, in bytes.
 const GROWTH: u64 = 512 << 20;
@@ -16,14 +18,33 @@ pub struct WorkerLimits {
     pub growth: u64,
     /// Answers after which it is replaced; default: no limit.
     pub calls: Option<u64>,
-    /// It may write into its own folder only, and open no connections (Linux, where the kernel can refuse
-    /// that).
+    /// It is confined: it may write into its own folder only, and open no connections (Linux; see
+    /// [`check_sandbox`](super::check_sandbox)).
     pub sandbox: bool,
 }
 
 impl Default for WorkerLimits {
     fn default() -> Self {
         Self { memory: memory_of_machine(), growth: GROWTH, calls: None, sandbox: false }
+    }
+}
+
+/// Limits of an answer, which hold whatever the worker says.
+#[derive(Debug, Clone, Copy)]
+pub struct AnswerLimits {
+    /// Wall-clock time of a single simulation; default: no limit.
+    pub run: Option<Duration>,
+    /// Simulations that the question can have.
+    pub runs: u32,
+    /// Its size.
+    pub size: FrameSize,
+}
+
+impl WorkerLimits {
+    /// Size of any answer: a worker has it in its memory before it sends it.
+    pub fn answer_size(&self) -> FrameSize {
+        let most = self.memory.unwrap_or(FrameSize::ANY.text);
+        FrameSize { text: most, numbers: most / size_of::<f64>() as u64 }
     }
 }
 

@@ -27,6 +27,15 @@ mod load;
 mod notes;
 #[cfg(unix)]
 mod printed;
+#[cfg(all(target_os = "linux", any(target_arch = "x86_64", target_arch = "aarch64"), feature = "sandbox"))]
+mod sandbox;
+#[cfg(not(all(
+    target_os = "linux",
+    any(target_arch = "x86_64", target_arch = "aarch64"),
+    feature = "sandbox"
+)))]
+#[path = "no_sandbox.rs"]
+mod sandbox;
 mod service;
 #[cfg(unix)]
 mod worker_main;
@@ -41,12 +50,13 @@ pub use absent::{ForkServer, Workers, serve_if_worker, start_fork_server};
 pub use fork_server::{ForkServer, start_fork_server};
 #[cfg(unix)]
 pub use fork_server_main::serve_if_worker;
-pub use frame::Frame;
+pub use frame::{Frame, FrameSize};
 pub use handshake::is_asked;
-pub use isolation::{AskedProcess, Isolation};
+pub use isolation::{AskedProcess, Isolation, Question};
 pub use launcher::Launcher;
-pub use limits::WorkerLimits;
+pub use limits::{AnswerLimits, WorkerLimits};
 pub use load::Load;
+pub use sandbox::check_sandbox;
 pub use service::Service;
 #[cfg(unix)]
 pub use workers::Workers;

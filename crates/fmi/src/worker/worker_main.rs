@@ -1,10 +1,11 @@
 //! The worker process itself: it limits itself, and answers until the other end of its socket is closed.
 
 use super::folder::{leave_for, remove};
-use super::fork_server::{DESCRIPTORS, Hello, Start};
-use super::frame::Frame;
+use super::fork_server::{Arrival, DESCRIPTORS, Hello, Start};
+use super::frame::{Frame, FrameSize};
 use super::limits::limit_self;
 use super::notes::{Notes, take_lines};
+use super::sandbox::confine;
 use super::service::Service;
 use crate::error::{ReportedError, ReportedErrorKind};
 use crate::sys::{Page, tell_calls, tell_faults};
@@ -38,19 +39,20 @@ pub(super) struct Worker {
 }
 
 /// Serves as a worker, in a copy of the process that worker processes are copied from; then the process ends.
-pub(super) fn run(service: Box<dyn Service + Send>, worker: Worker) -> ! {
+pub(super) fn run(mut service: Box<dyn Service + Send>, worker: Worker) -> ! {
     let folder = worker.folder.clone();
-    let served = std::thread::scope(|scope| {
-        let serve = || serve(service, worker);
-        let thread = std::thread::Builder::new().stack_size(STACK_SIZE).spawn_scoped(scope, serve);
-        thread.map(|thread| thread.join())
+    let served = begin(&mut *service, worker).and_then(|connection| {
+        std::thread::scope(|scope| {
+            let serve = || serve(service, &connection);
+            let thread = std::thread::Builder::new().stack_size(STACK_SIZE).spawn_scoped(scope, serve);
+            thread.map(|thread| thread.join())
+        })
     });
     // The process ends before who watches the socket may be done with that.
     remove(&folder);
     let error = match served {
         Ok(Ok(Ok(()))) => std::process::exit(0),
-        Ok(Ok(Err(error))) => error.to_string(),
-        Err(error) => format!("no thread for the FMU: {error}"),
+        Ok(Ok(Err(error))) | Err(error) => error.to_string(),
         // A panic has said so.
         Ok(Err(_)) => String::new(),
     };
@@ -59,7 +61,18 @@ pub(super) fn run(service: Box<dyn Service + Send>, worker: Worker) -> ! {
     std::process::exit(1);
 }
 
-fn serve(mut service: Box<dyn Service + Send>, worker: Worker) -> io::Result<()> {
+/// A worker that is ready for its questions.
+struct Connection {
+    socket: UnixStream,
+    page: &'static Page,
+    folder: PathBuf,
+    start: Start,
+    has_loaded: bool,
+}
+
+/// Limits and confines this process, which has one thread: whatever starts later is confined with it, and
+/// handlers of signals run in confined threads only.
+fn begin(service: &mut dyn Service, worker: Worker) -> io::Result<Connection> {
     let Worker { folder, start, descriptors, has_loaded } = worker;
     let Ok([socket, page, output]) = <[OwnedFd; DESCRIPTORS]>::try_from(descriptors) else {
         return Err(io::ErrorKind::InvalidInput.into());
@@ -71,27 +84,36 @@ fn serve(mut service: Box<dyn Service + Send>, worker: Worker) -> io::Result<()>
     leave_for(&folder)?;
     log::set_max_level(start.level);
     let (socket, page) = (UnixStream::from(socket), File::from(page));
+    // No foreign code has run in this process, so nobody else can have written this.
+    let arrival = Arrival { pid: std::process::id().cast_signed() };
+    Frame::of(&arrival)?.write(0, &mut &socket, &mut Vec::new())?;
     let page = tell_calls(Page::of(&page)?).map_err(io::Error::other)?;
     tell_faults()?;
-    let (watched, folder_to_remove) = (socket.try_clone()?, folder.clone());
-    std::thread::Builder::new().spawn(move || end_with(&watched, &folder_to_remove))?;
     limit_self(&start.limits)?;
-    // Where these fail, so does what is asked, and says why.
     if start.limits.sandbox {
+        // Where this fails, so does what is asked, and says why.
         let _ = catch_unwind(AssertUnwindSafe(|| service.provide_files()));
         confine(&folder)?;
     }
+    Ok(Connection { socket, page, folder, start, has_loaded })
+}
+
+fn serve(mut service: Box<dyn Service + Send>, connection: &Connection) -> io::Result<()> {
+    let Connection { socket, page, folder, start, has_loaded } = connection;
+    let (watched, folder_to_remove) = (socket.try_clone()?, folder.clone());
+    std::thread::Builder::new().spawn(move || end_with(&watched, &folder_to_remove))?;
     if start.is_prepared {
+        // Where this fails, so does what is asked, and says why.
         let _ = catch_unwind(AssertUnwindSafe(|| service.prepare()));
     }
 
     let own = std::process::id();
     let (mut asked, mut answer, mut buffer) = (Frame::default(), Frame::default(), Vec::new());
-    let (mut questions, mut answers) = (BufReader::with_capacity(BUFFER, &socket), &socket);
-    Frame::of(&Hello { pid: own.cast_signed(), has_loaded })?.write(0, &mut answers, &mut buffer)?;
+    let (mut questions, mut answers) = (BufReader::with_capacity(BUFFER, socket), socket);
+    Frame::of(&Hello { has_loaded: *has_loaded })?.write(0, &mut answers, &mut buffer)?;
     loop {
         page.wait_for_question(asked.number, SPIN);
-        match asked.read(&mut questions, &mut buffer, &mut || Ok(())) {
+        match asked.read(&mut questions, &mut buffer, FrameSize::ANY, &mut || Ok(())) {
             Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(()),
             outcome => outcome?,
         }
@@ -165,43 +187,4 @@ pub(super) fn close_stdin() -> io::Result<()> {
     let nothing: OwnedFd = rustix::fs::open("/dev/null", OFlags::RDONLY | OFlags::CLOEXEC, Mode::empty())?;
     rustix::stdio::dup2_stdin(&nothing)?;
     Ok(())
-}
-
-/// Lets this thread, and all that it starts, write below this folder only, and make no TCP connections (from
-/// Linux 6.7 on).
-#[cfg(all(target_os = "linux", feature = "sandbox"))]
-fn confine(folder: &Path) -> io::Result<()> {
-    use landlock::{
-        ABI, Access, AccessFs, AccessNet, CompatLevel, Compatible, PathBeneath, PathFd, Ruleset, RulesetAttr,
-        RulesetCreatedAttr,
-    };
-    // A rule may speak of what is restricted only: reading is not.
-    let (write, write_and_more) = (AccessFs::from_write(ABI::V1), AccessFs::from_write(ABI::V3));
-    let confined = || -> Result<(), Box<dyn std::error::Error>> {
-        Ruleset::default()
-            .set_compatibility(CompatLevel::HardRequirement)
-            .handle_access(write)?
-            .set_compatibility(CompatLevel::BestEffort)
-            .handle_access(write_and_more)?
-            .handle_access(AccessNet::from_all(ABI::V4))?
-            .create()?
-            .add_rule(PathBeneath::new(PathFd::new(folder)?, write_and_more))?
-            .add_rule(PathBeneath::new(
-                PathFd::new("/dev/null")?,
-                write_and_more & AccessFs::from_file(ABI::V3),
-            ))?
-            .restrict_self()?;
-        Ok(())
-    };
-    confined()
-        .map_err(|error| io::Error::other(format!("a sandbox needs Landlock (Linux 5.13 or newer): {error}")))
-}
-
-#[cfg(not(all(target_os = "linux", feature = "sandbox")))]
-fn confine(_: &Path) -> io::Result<()> {
-    let why = match cfg!(target_os = "linux") {
-        true => "this build has no sandbox (feature `sandbox`)",
-        false => "there is a sandbox on Linux only",
-    };
-    Err(io::Error::new(io::ErrorKind::Unsupported, why))
 }

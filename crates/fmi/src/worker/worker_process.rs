@@ -1,8 +1,9 @@
 //! One worker process, as the process sees it that has started it.
 
 use super::end::{ProcessEnd, in_words};
-use super::fork_server::{Hello, Template, no_worker};
-use super::frame::{Frame, decode};
+use super::fork_server::{Arrival, Hello, Template, no_worker};
+use super::frame::{Frame, FrameSize, PatientWriter, decode};
+use super::isolation::Question;
 use super::limits::WorkerLimits;
 use super::load::LoadId;
 use super::notes::Notes;
@@ -12,7 +13,8 @@ use crate::error::{EndKind, FmiError, WorkerEnd};
 use crate::sys::Page;
 use base::RunContext;
 use rustix::process::{Pid, Signal, kill_process};
-use std::io::{BufReader, ErrorKind};
+use serde::de::DeserializeOwned;
+use std::io::{self, BufReader, ErrorKind};
 use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::process::ExitStatus;
@@ -72,6 +74,8 @@ pub(super) struct Process {
     /// Quirks of the model that nobody has been told of.
     pub(super) quirks: Vec<Quirk>,
     pub(super) n_calls: u64,
+    /// Questions that it had repeated.
+    pub(super) n_repeated: u32,
     number: u32,
     /// Time that the last answer took.
     last_took: Duration,
@@ -90,6 +94,7 @@ impl Process {
     ) -> Result<Self, FmiError> {
         let (socket, theirs) = UnixStream::pair().map_err(no_worker)?;
         socket.set_read_timeout(Some(LOOK)).map_err(no_worker)?;
+        socket.set_write_timeout(Some(LOOK)).map_err(no_worker)?;
         let (page, file) = Page::new().map_err(no_worker)?;
         let (printed, pipe) = Printed::pipe().map_err(no_worker)?;
         let (number_of_worker, loaded) =
@@ -109,6 +114,7 @@ impl Process {
             loaded,
             quirks: Vec::new(),
             n_calls: 0,
+            n_repeated: 0,
             number: 0,
             last_took: Duration::MAX,
             first_size: None,
@@ -118,104 +124,103 @@ impl Process {
 
     /// Waits until it is there, no longer than so.
     pub(super) fn arrive(&mut self, context: &RunContext<'_>, longest: Duration) -> Result<(), FmiError> {
-        let (mut hello, late) = (Frame::default(), Some(Instant::now() + longest));
-        let said = match self.receive(&mut hello, context, &mut None, late) {
-            Ok(()) if hello.is_error => Err(hello.head::<String>().unwrap_or_default()),
-            Ok(()) => hello.head::<Hello>().map_err(|error| error.to_string()),
-            Err(NoAnswer::Cancelled) => return Err(FmiError::Cancelled),
-            Err(NoAnswer::Ended(end)) => Err(end.to_string()),
+        let late = Instant::now() + longest;
+        let Arrival { pid } = self.greeting(context, late)?;
+        // A number below 1 would stand for many processes (kill(2)).
+        let pid = Pid::from_raw(pid).filter(|pid| pid.as_raw_nonzero().get() > 0);
+        let Some(pid) = pid.filter(|pid| self.template.is_parent_of(*pid)) else {
+            return Err(self.template.without_worker("its process is no child of that program"));
         };
-        let Hello { pid, has_loaded } = said.map_err(|error| self.template.without_worker(&error))?;
-        self.pid = Pid::from_raw(pid);
-        self.end = self.pid.map(ProcessEnd::of).unwrap_or_default();
+        self.pid = Some(pid);
+        self.end = ProcessEnd::of(pid);
+        let Hello { has_loaded } = self.greeting(context, late)?;
         self.loaded = self.loaded.filter(|_| has_loaded);
         Ok(())
     }
 
-    /// Asks for something and waits for the answer. `run_limit`: the wall-clock time of a single simulation.
-    pub(super) fn call(
+    /// The next of the messages that a worker sends unasked.
+    fn greeting<T: DeserializeOwned>(
         &mut self,
-        asked: &Frame,
-        answer: &mut Frame,
         context: &RunContext<'_>,
-        run_limit: Option<Duration>,
-    ) -> Result<Notes, NoAnswer> {
+        late: Instant,
+    ) -> Result<T, FmiError> {
+        let mut greeting = Frame::default();
+        let said = match self.receive(context, late, &mut greeting) {
+            Ok(()) if greeting.is_error => Err(greeting.head::<String>().unwrap_or_default()),
+            Ok(()) => greeting.head().map_err(|error| error.to_string()),
+            Err(NoAnswer::Cancelled) => return Err(FmiError::Cancelled),
+            Err(NoAnswer::Ended(end)) => Err(end.to_string()),
+        };
+        said.map_err(|error| self.template.without_worker(&error))
+    }
+
+    /// Asks for something and waits for the answer.
+    pub(super) fn call(&mut self, question: &Question<'_>, answer: &mut Frame) -> Result<Notes, NoAnswer> {
+        let Question { asked, context, limits } = *question;
         self.page.set_cancelled(false);
         self.n_calls += 1;
         self.number = self.number.wrapping_add(1);
-        let began = Instant::now();
         let n_calls = Counted::one(&CALLS);
+        let began = Instant::now();
         let may_spin = self.last_took < SPIN && 2 * n_calls.n <= *CORES;
-        let sent = asked.write(self.number, &mut self.socket.get_ref(), &mut self.buffer);
         self.page.note_question(self.number, may_spin);
-        // What cannot be sent shows in the answer.
-        let mut limit = run_limit.map(|limit| RunLimit { limit, runs: self.page.runs(), since: began });
-        if let Err(error) = sent
-            && error.kind() != ErrorKind::BrokenPipe
-        {
-            return Err(NoAnswer::Ended(self.ended(EndKind::Garbage, &error.to_string())));
-        }
-        if may_spin {
-            self.page.wait_for_answer(self.number, SPIN);
-        }
-        self.receive(answer, context, &mut limit, None)?;
+        let (page, number) = (&self.page, self.number);
+        let run_limit =
+            limits.run.map(|limit| RunLimit { limit, runs: page.runs(), left: limits.runs, since: began });
+        let whose = (self.pid, self.most_memory);
+        let mut watch = Watch::new(page, &self.end, whose, context, run_limit, None);
+        let mut look = || watch.look();
+        let mut to = PatientWriter { to: self.socket.get_ref(), wait: &mut look };
+        let sent = asked.write(number, &mut to, &mut self.buffer);
+        // The end of the process shows in the answer.
+        let outcome = match sent {
+            Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error),
+            _ => {
+                if may_spin {
+                    page.wait_for_answer(number, SPIN);
+                }
+                answer.read(&mut self.socket, &mut self.buffer, limits.size, &mut look)
+            }
+        };
+        let why = watch.why;
+        outcome.map_err(|error| self.no_answer(why, &error))?;
         self.last_took = began.elapsed();
         if answer.number != self.number {
             // Of a copy of the worker, for example, that the FMU has made.
-            return Err(NoAnswer::Ended(self.ended(EndKind::Garbage, "the answer to another question")));
+            return Err(NoAnswer::Ended(self.unreadable("it is the answer to another question")));
         }
         if answer.notes.is_empty() {
             return Ok(Notes::default());
         }
-        decode(&answer.notes)
-            .map_err(|error| NoAnswer::Ended(self.ended(EndKind::Garbage, &error.to_string())))
+        decode(&answer.notes).map_err(|error| NoAnswer::Ended(self.unreadable(&error.to_string())))
     }
 
-    fn receive(
-        &mut self,
-        answer: &mut Frame,
-        context: &RunContext<'_>,
-        limit: &mut Option<RunLimit>,
-        end: Option<Instant>,
-    ) -> Result<(), NoAnswer> {
-        let (page, end_of, pid, most_memory) = (&self.page, &self.end, self.pid, self.most_memory);
-        let (mut asked_to_end, mut why) = (None::<Instant>, None);
-        let mut wait = || {
-            let now = Instant::now();
-            // Processes that it has started may keep its end of the socket open.
-            if end_of.is_over_within(Duration::ZERO) {
-                return Err(ErrorKind::UnexpectedEof.into());
-            }
-            if asked_to_end.is_none() && context.is_over() {
-                page.set_cancelled(true);
-                asked_to_end = Some(now);
-            }
-            let is_out_of_grace = asked_to_end.is_some_and(|since| now > since + GRACE_OF_CANCELLED);
-            let is_hung = limit.as_mut().is_some_and(|limit| limit.is_over(page.runs(), now));
-            if is_out_of_grace {
-                why = Some(KillReason::Cancelled);
-            } else if pid.and_then(size_of).is_some_and(|size| size > most_memory) {
-                // What it shares with others the system's limit does not count.
-                why = Some(KillReason::Memory);
-            } else if is_hung || end.is_some_and(|end| now > end) {
-                why = Some(KillReason::Hung);
-            }
-            if why.is_some() { Err(ErrorKind::TimedOut.into()) } else { Ok(()) }
-        };
-        let received = answer.read(&mut self.socket, &mut self.buffer, &mut wait);
-        let Err(error) = received else { return Ok(()) };
-        Err(match (why, error.kind()) {
+    /// Waits for a message that the worker sends unasked.
+    fn receive(&mut self, context: &RunContext<'_>, end: Instant, to: &mut Frame) -> Result<(), NoAnswer> {
+        let whose = (self.pid, self.most_memory);
+        let mut watch = Watch::new(&self.page, &self.end, whose, context, None, Some(end));
+        let mut look = || watch.look();
+        let received = to.read(&mut self.socket, &mut self.buffer, FrameSize::of_numbers(0), &mut look);
+        let why = watch.why;
+        received.map_err(|error| self.no_answer(why, &error))
+    }
+
+    fn no_answer(&mut self, why: Option<KillReason>, error: &io::Error) -> NoAnswer {
+        NoAnswer::Ended(match (why, error.kind()) {
             (Some(KillReason::Cancelled), _) => {
                 self.kill();
-                NoAnswer::Cancelled
+                return NoAnswer::Cancelled;
             }
-            (Some(KillReason::Hung), _) => NoAnswer::Ended(self.ended(EndKind::Hung, "")),
-            (Some(KillReason::Memory), _) => NoAnswer::Ended(self.ended(EndKind::Memory, "")),
-            (None, ErrorKind::InvalidData) => {
-                NoAnswer::Ended(self.ended(EndKind::Garbage, &error.to_string()))
-            }
-            (None, _) => NoAnswer::Ended(self.ended(EndKind::Died, "")),
+            (Some(KillReason::Hung), _) => self.ended(EndKind::Hung, ""),
+            (Some(KillReason::Memory), _) => self.ended(EndKind::Memory, ""),
+            (None, ErrorKind::InvalidData) => self.unreadable(&error.to_string()),
+            (None, _) => self.ended(EndKind::Died, ""),
         })
+    }
+
+    /// The end of a process whose answer cannot be read.
+    pub(super) fn unreadable(&mut self, why: &str) -> WorkerEnd {
+        self.ended(EndKind::Garbage, why)
     }
 
     /// Why the process is gone, after it was ended if it is not.
@@ -228,7 +233,7 @@ impl Process {
         let what = match (kind, status) {
             (EndKind::Hung, _) => "no answer within the time limit".to_owned(),
             (EndKind::Memory, _) => format!("more memory than its limit of {} bytes", self.most_memory),
-            (EndKind::Garbage, _) => format!("garbage instead of an answer ({detail})"),
+            (EndKind::Garbage, _) => format!("the worker's answer could not be read ({detail})"),
             (EndKind::Died, _) if !has_died => "it has closed the connection".to_owned(),
             (EndKind::Died, Some(status)) if self.page.is_without_memory() => {
                 let limit = self.most_memory;
@@ -265,10 +270,13 @@ impl Process {
             return None;
         }
         let status = self.template.end_worker(self.number_of_worker);
-        if let Some(pid) = self.pid.filter(|_| status.is_none() && !self.end.is_over_within(Duration::ZERO)) {
+        if status.is_none() {
             // The template has ended.
-            let _ = kill_process(pid, Signal::KILL);
-            self.end.is_over_within(Duration::from_secs(1));
+            if let Some(pid) = self.pid.filter(|_| !self.end.is_over_within(Duration::ZERO)) {
+                let _ = kill_process(pid, Signal::KILL);
+                self.end.is_over_within(Duration::from_secs(1));
+            }
+            self.template.remove_folder(self.number_of_worker);
         }
         status
     }
@@ -313,20 +321,126 @@ enum KillReason {
     Memory,
 }
 
-/// The wall-clock limit of the simulations of an evaluation.
+/// What ends the wait for an answer. The clock is that of this process.
+struct Watch<'a> {
+    page: &'a Page,
+    end_of: &'a ProcessEnd,
+    pid: Option<Pid>,
+    most_memory: u64,
+    context: &'a RunContext<'a>,
+    run_limit: Option<RunLimit>,
+    /// The answer comes before that.
+    end: Option<Instant>,
+    asked_to_end: Option<Instant>,
+    why: Option<KillReason>,
+    next_look: Instant,
+}
+
+impl<'a> Watch<'a> {
+    fn new(
+        page: &'a Page,
+        end_of: &'a ProcessEnd,
+        (pid, most_memory): (Option<Pid>, u64),
+        context: &'a RunContext<'a>,
+        run_limit: Option<RunLimit>,
+        end: Option<Instant>,
+    ) -> Self {
+        let next_look = Instant::now();
+        Self {
+            page,
+            end_of,
+            pid,
+            most_memory,
+            context,
+            run_limit,
+            end,
+            asked_to_end: None,
+            why: None,
+            next_look,
+        }
+    }
+
+    /// Fails if the wait is over.
+    fn look(&mut self) -> io::Result<()> {
+        let now = Instant::now();
+        if now < self.next_look {
+            return Ok(());
+        }
+        self.next_look = now + LOOK;
+        // Processes that it has started may keep its end of the socket open.
+        if self.end_of.is_over_within(Duration::ZERO) {
+            return Err(ErrorKind::UnexpectedEof.into());
+        }
+        if self.asked_to_end.is_none() && self.context.is_over() {
+            self.page.set_cancelled(true);
+            self.asked_to_end = Some(now);
+        }
+        let is_out_of_grace = self.asked_to_end.is_some_and(|since| now > since + GRACE_OF_CANCELLED);
+        let runs = self.page.runs();
+        let is_hung = self.run_limit.as_mut().is_some_and(|limit| limit.is_over(runs, now));
+        if is_out_of_grace {
+            self.why = Some(KillReason::Cancelled);
+        } else if self.pid.and_then(size_of).is_some_and(|size| size > self.most_memory) {
+            // What it shares with others the system's limit does not count.
+            self.why = Some(KillReason::Memory);
+        } else if is_hung || self.end.is_some_and(|end| now > end) {
+            self.why = Some(KillReason::Hung);
+        }
+        if self.why.is_some() { Err(ErrorKind::TimedOut.into()) } else { Ok(()) }
+    }
+}
+
+/// The wall-clock limit of the simulations of a question.
 struct RunLimit {
     limit: Duration,
-    /// Simulations begun when it was looked at last.
+    /// Simulations begun when it was looked at last, as the worker says.
     runs: u32,
+    /// Simulations of the question that have not begun: a worker that says more is not given more time.
+    left: u32,
     since: Instant,
 }
 
 impl RunLimit {
     fn is_over(&mut self, runs: u32, now: Instant) -> bool {
-        if runs != self.runs {
-            (self.runs, self.since) = (runs, now);
+        let begun = runs.wrapping_sub(self.runs).min(self.left);
+        if begun > 0 {
+            self.since = now;
         }
+        (self.runs, self.left) = (runs, self.left - begun);
         // The worker looks at the limit itself, between two calls of the FMU.
         now > self.since + self.limit + GRACE
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::worker::Launcher;
+
+    #[test]
+    fn a_process_that_is_no_child_of_the_template_is_not_taken_for_a_worker() {
+        let template = Arc::new(Template::start(&Launcher::of("/bin/cat")).unwrap());
+        let mut process = Process::begin(&template, &WorkerLimits::default(), false).unwrap();
+        let context = RunContext::new();
+        for pid in [-1, 0, i32::MIN, 1, std::process::id().cast_signed()] {
+            let (socket, theirs) = UnixStream::pair().unwrap();
+            process.socket = BufReader::new(socket);
+            Frame::of(&Arrival { pid }).unwrap().write(0, &mut &theirs, &mut Vec::new()).unwrap();
+            let error = process.arrive(&context, Duration::from_secs(10)).unwrap_err().to_string();
+            assert!(error.contains("its process is no child of that program"), "{pid}: {error}");
+            assert_eq!(process.pid, None, "{pid}");
+        }
+        template.end();
+    }
+
+    #[test]
+    fn a_worker_that_claims_more_simulations_is_given_no_more_time() {
+        let (began, limit) = (Instant::now(), Duration::from_secs(2));
+        let mut run_limit = RunLimit { limit, runs: u32::MAX, left: 2, since: began };
+        let after = |seconds: f64| began + Duration::from_secs_f64(seconds);
+        assert!(!run_limit.is_over(u32::MAX, after(1.0)));
+        // The first simulation begins after 1.5 s, the second one after 3 s, and that is all.
+        assert!(!run_limit.is_over(0, after(1.5)) && !run_limit.is_over(1, after(3.0)));
+        assert!(!run_limit.is_over(2, after(5.0)) && run_limit.is_over(3, after(5.3)));
     }
 }

@@ -2,15 +2,16 @@
 //! they end or grow.
 
 use super::fork_server::Template;
-use super::frame::Frame;
-use super::isolation::AskedProcess;
+use super::frame::{Frame, FrameSize};
+use super::isolation::{AskedProcess, Question};
 use super::launcher::Launcher;
-use super::limits::WorkerLimits;
+use super::limits::{AnswerLimits, WorkerLimits};
 use super::load::{Load, LoadId};
 use super::worker_process::{NoAnswer, Process};
 use crate::description::Quirk;
-use crate::error::{EndKind, FmiError, ReportedError, ReportedErrorKind, WorkerEnd};
+use crate::error::{EndKind, FmiError, ReportedError, ReportedErrorKind};
 use base::RunContext;
+use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -25,6 +26,10 @@ const START_CONFINED: Duration = Duration::from_secs(600);
 
 /// One that was started before it was needed is there after this time, or is not waited for.
 const PREPARED: Duration = Duration::from_secs(10);
+
+/// Questions that a worker may have repeated: it finds out two things about how variables are read
+/// ([`Fmu::leaves_repetition`](crate::Fmu::leaves_repetition)).
+const MOST_REPEATED: u32 = 2;
 
 /// The memory of a worker is looked at after each so many calls, and after every one that took so long.
 const LOOK_EVERY: u64 = 32;
@@ -119,42 +124,44 @@ impl Workers {
             return Ok(process);
         }
         let longest = if self.limits.sandbox { START_CONFINED } else { START };
-        match arrived(self.begin(load, false)?, longest) {
-            Err(FmiError::NoWorker { .. }) if self.has_no_template() => {
-                arrived(self.begin(load, false)?, longest)
-            }
+        let start = || self.begin(load, false).and_then(|process| arrived(process, longest));
+        let started = match start() {
+            Err(FmiError::NoWorker { .. }) if self.has_no_template() => start(),
             outcome => outcome,
-        }
+        };
+        started.map_err(|error| match error {
+            FmiError::NoWorker { reason } if self.limits.sandbox => FmiError::NoSandbox { reason },
+            error => error,
+        })
     }
 
-    /// Asks a worker that has loaded `load`, and returns the quirks of the model that it has found. The
-    /// context is looked at every 10 ms, and the worker has 0.1 s to answer once it is over; a single
-    /// simulation that takes longer than `run_limit` and 0.25 s ends the worker. Where a worker dies, the
-    /// same is asked once more in a fresh one, unless it was one.
+    /// Asks a worker that has loaded `load`, has `accept` read the answer, and returns that with the quirks of
+    /// the model that the worker has found. A worker whose answer is not accepted is ended. Where a worker
+    /// ends otherwise than by a time limit, the same is asked once more in a fresh one, unless it was one.
     ///
     /// # Errors
-    /// [`FmiError::ReportedError`]: what the worker says; [`FmiError::WorkerEnded`]: it ended twice, or once by the time limit; [`FmiError::NoWorker`]; [`FmiError::Cancelled`].
-    pub fn call(
+    /// [`FmiError::ReportedError`]: what the worker says; [`FmiError::WorkerEnded`]: it ended twice, or once by the time limit; [`FmiError::NoWorker`] or
+    /// [`FmiError::NoSandbox`]; [`FmiError::Cancelled`].
+    pub fn call<T>(
         self: &Arc<Self>,
         load: &Load,
-        asked: &Frame,
+        question: &Question<'_>,
         answer: &mut Frame,
-        context: &RunContext<'_>,
-        run_limit: Option<Duration>,
+        accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
         whom: AskedProcess,
-    ) -> Result<Vec<Quirk>, FmiError> {
+    ) -> Result<(T, Vec<Quirk>), FmiError> {
         let is_fresh = matches!(whom, AskedProcess::Fresh | AskedProcess::FreshOnce);
         let mut call = |process: Option<Process>| {
             let mut process = match process {
                 Some(process) => process,
-                None => self.new_process(load, context)?,
+                None => self.new_process(load, question.context)?,
             };
-            let (quirks, can_go_on) = self.call_in(&mut process, load, asked, answer, context, run_limit);
+            let (accepted, can_go_on) = self.call_in(&mut process, load, question, answer, accept);
             // Otherwise it ends here.
             if can_go_on && whom != AskedProcess::FreshOnce {
                 self.give_back(process);
             }
-            quirks
+            accepted
         };
         let process = self.idle_process(load, whom);
         let was_used = process.is_some();
@@ -175,29 +182,28 @@ impl Workers {
         call(None)
     }
 
-    /// The quirks; and whether the process can be asked again.
-    fn call_in(
+    /// The answer and the quirks; and whether the process can be asked again.
+    fn call_in<T>(
         &self,
         process: &mut Process,
         load: &Load,
-        asked: &Frame,
+        question: &Question<'_>,
         answer: &mut Frame,
-        context: &RunContext<'_>,
-        run_limit: Option<Duration>,
-    ) -> (Result<Vec<Quirk>, FmiError>, bool) {
+        accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
+    ) -> (Result<(T, Vec<Quirk>), FmiError>, bool) {
         if process.loaded != Some(load.id)
-            && let Err(error) = ask_to_load(process, load, answer, context)
+            && let Err(error) = ask_to_load(process, load, answer, question.context)
         {
             return (Err(error), false);
         }
         let began = Instant::now();
-        let told = ask(process, asked, answer, context, run_limit);
+        let told = ask(process, question, answer, accept);
         let is_of_process = matches!(&told, Err(FmiError::ReportedError(told)) if told.is_of_process());
         let can_go_on = !process.has_ended()
             && !is_of_process
             && !answer.is_last
             && !self.is_worn(process, began.elapsed());
-        (told.map(|()| std::mem::take(&mut process.quirks)), can_go_on)
+        (told.map(|accepted| (accepted, std::mem::take(&mut process.quirks))), can_go_on)
     }
 
     /// True if a worker has served long enough, or has grown too much.
@@ -308,42 +314,44 @@ fn ask_to_load(
     context: &RunContext<'_>,
 ) -> Result<(), FmiError> {
     process.loaded = None;
-    let frame = load.frame().map_err(|error| FmiError::NoWorker { reason: error.to_string() })?;
-    ask(process, &frame, answer, context, None)?;
+    let asked = &load.frame().map_err(|error| FmiError::NoWorker { reason: error.to_string() })?;
+    let limits = AnswerLimits { run: None, runs: 0, size: FrameSize::of_numbers(0) };
+    ask(process, &Question { asked, context, limits }, answer, &mut |_| Ok(()))?;
     process.loaded = Some(load.id);
     Ok(())
 }
 
 /// Asks a process, and passes on what it says beside its answer.
-fn ask(
+fn ask<T>(
     process: &mut Process,
-    asked: &Frame,
+    question: &Question<'_>,
     answer: &mut Frame,
-    context: &RunContext<'_>,
-    run_limit: Option<Duration>,
-) -> Result<(), FmiError> {
-    let notes = process.call(asked, answer, context, run_limit).map_err(|no_answer| match no_answer {
-        NoAnswer::Cancelled => FmiError::Cancelled,
-        NoAnswer::Ended(end) => FmiError::WorkerEnded(Box::new(end)),
-    })?;
-    notes.pass_on();
-    process.quirks.extend(notes.quirks);
-    match answer.is_error {
-        true => Err(match answer.head::<ReportedError>().map_err(garbage)? {
-            told if told.kind == ReportedErrorKind::Cancelled => FmiError::Cancelled,
-            told => FmiError::ReportedError(Box::new(told)),
-        }),
-        false => Ok(()),
+    accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
+) -> Result<T, FmiError> {
+    loop {
+        let notes = process.call(question, answer).map_err(|no_answer| match no_answer {
+            NoAnswer::Cancelled => FmiError::Cancelled,
+            NoAnswer::Ended(end) => FmiError::WorkerEnded(Box::new(end)),
+        })?;
+        notes.pass_on();
+        process.quirks.extend(notes.quirks);
+        if !answer.is_repeated {
+            break;
+        }
+        if process.n_repeated == MOST_REPEATED {
+            let end = process.unreadable("the question was to be repeated too often");
+            return Err(FmiError::WorkerEnded(Box::new(end)));
+        }
+        process.n_repeated += 1;
     }
-}
-
-/// An answer that cannot be understood.
-pub(super) fn garbage(error: std::io::Error) -> FmiError {
-    FmiError::WorkerEnded(Box::new(WorkerEnd {
-        kind: EndKind::Garbage,
-        what: error.to_string(),
-        function: None,
-        time: None,
-        output: String::new(),
-    }))
+    let told = match answer.is_error {
+        true => answer.head::<ReportedError>().map(Err),
+        false => accept(answer).map(Ok),
+    };
+    match told {
+        Ok(Ok(accepted)) => Ok(accepted),
+        Ok(Err(told)) if told.kind == ReportedErrorKind::Cancelled => Err(FmiError::Cancelled),
+        Ok(Err(told)) => Err(FmiError::ReportedError(Box::new(told))),
+        Err(error) => Err(FmiError::WorkerEnded(Box::new(process.unreadable(&error.to_string())))),
+    }
 }

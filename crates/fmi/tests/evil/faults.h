@@ -58,18 +58,9 @@ static void leave_daemon(void) {
 static void print_for_ever(void) {
     for (;;) puts("what a model has to say, over and over again");
 }
-/* Ends the process with 7 if a file can be written there or a connection can be tried; with 0 as address family nothing listens. */
-static void escape(const char *path) {
-    struct sockaddr_in address = {0};
-    FILE *file = fopen(path, "w");
-    int connection = socket(AF_INET, SOCK_STREAM, 0), refused;
-    address.sin_family = AF_INET;
-    address.sin_port = htons(9);
-    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    refused = connect(connection, (struct sockaddr *)&address, sizeof address) != 0 && errno == EACCES;
-    close(connection);
-    if (file != NULL || !refused) exit(7);
-}
+#ifdef ATTACKS
+#include "attack.h"
+#endif
 /* The copy goes on as the process it is one of. */
 static void copy_itself(void) {
     static int is_done;
@@ -88,5 +79,5 @@ static void leave_orphan(void) {
     _exit(3);
 }
 typedef void (*Fault)(void);
-const Fault all_faults[] = {(Fault)overflow, (Fault)escape, copy_itself, remove_folder, leave_orphan, leave_daemon, fill_shared_memory, hang, close_all, fill_memory, print_for_ever};
+const Fault all_faults[] = {(Fault)overflow, copy_itself, remove_folder, leave_orphan, leave_daemon, fill_shared_memory, hang, close_all, fill_memory, print_for_ever};
 #endif

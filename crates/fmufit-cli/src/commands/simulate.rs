@@ -10,7 +10,7 @@ use crate::problem::short_form;
 use base::Number;
 use calibration::{CalibrationError, CsvRequest, Data, ModelProcess, ParameterSet, RunContext, Severity};
 use dfo::Value;
-use fmi::worker::WorkerLimits;
+use fmi::worker::{WorkerLimits, check_sandbox};
 use fmi::{FmiError, Fmu, Inputs, SimulateOptions, SimulationPlan, Trajectory};
 use ode::Termination;
 use std::path::{Path, PathBuf};
@@ -25,6 +25,9 @@ pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error
             "--plot {path}: a plot is an SVG drawing: give a name that ends in .svg"
         )));
     }
+    if arguments.sandbox {
+        check_sandbox().map_err(Error::input)?;
+    }
     let fmu = Fmu::open(&arguments.model).map_err(Error::input)?;
     let units = short_form::assignments(&arguments.unit, "VARIABLE=UNIT, as in --unit u=V")?;
     let units = units.iter().map(|(variable, unit)| (&variable[..], &unit[..]));
@@ -35,7 +38,11 @@ pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error
     // What is wrong with the options shows before the model is loaded.
     SimulationPlan::new(&fmu, &options)
         .map_err(|error| Error::input(in_arguments(&calibration::visible_error(&error))))?;
-    let trajectory = simulated(&fmu, &options, arguments.in_process, console).map_err(Error::of_work)?;
+    let place = match arguments.in_process {
+        true => Place::ThisProcess,
+        false => Place::Worker { sandbox: arguments.sandbox },
+    };
+    let trajectory = simulated(&fmu, &options, place, console).map_err(Error::of_work)?;
     let table = table(&trajectory)?;
     let write = |path: &Path, text: &str| {
         base::files::write_atomically(path, text.as_bytes()).map_err(Error::write(path))
@@ -83,25 +90,37 @@ fn in_arguments(message: &str) -> String {
     names.iter().fold(message.to_owned(), |message, (name, argument)| message.replace(name, argument))
 }
 
-/// Simulates in a process of its own, where this program can start one; Ctrl-C ends it.
+/// Where a model is simulated.
+pub(crate) enum Place {
+    ThisProcess,
+    /// In a process of its own, where this program can start one.
+    Worker {
+        /// It is confined, or there is an error.
+        sandbox: bool,
+    },
+}
+
+/// Simulates a model; Ctrl-C ends that.
 pub(crate) fn simulated(
     fmu: &Fmu,
     options: &SimulateOptions,
-    is_in_process: bool,
+    place: Place,
     console: &Console,
 ) -> Result<Trajectory, CalibrationError> {
     let interrupt = Interrupt::watch().map_err(|error| CalibrationError::Setup(error.to_string()))?;
     let flag = interrupt.flag();
     let context = RunContext::new().flagged(&flag);
-    let process = match is_in_process {
-        true => None,
-        false => match ModelProcess::new(fmu, WorkerLimits::default()) {
-            Err(FmiError::NoWorker { reason }) => {
-                console.note(&format!("warning: the model runs in this process: {reason}"));
-                None
+    let process = match place {
+        Place::ThisProcess => None,
+        Place::Worker { sandbox } => {
+            match ModelProcess::new(fmu, WorkerLimits { sandbox, ..WorkerLimits::default() }) {
+                Err(FmiError::NoWorker { reason }) => {
+                    console.note(&format!("warning: the model runs in this process: {reason}"));
+                    None
+                }
+                process => Some(process?),
             }
-            process => Some(process?),
-        },
+        }
     };
     let options = SimulateOptions { cancel: Some(flag.clone()), ..options.clone() };
     let trajectory = match process {

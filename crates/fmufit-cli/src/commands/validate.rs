@@ -1,6 +1,6 @@
 //! `fmufit validate`: departures from the standard, and a run in a process of its own.
 
-use super::simulate::simulated;
+use super::simulate::{Place, simulated};
 use crate::arguments::Validate;
 use crate::console::Console;
 use crate::error::{Error, Exit};
@@ -8,6 +8,7 @@ use base::Number;
 use calibration::CalibrationError;
 use calibration::visible_line;
 use dfo::Value;
+use fmi::worker::check_sandbox;
 use fmi::{Fmu, SimulateOptions, Trajectory};
 use ode::Termination;
 use schemars::JsonSchema;
@@ -42,6 +43,9 @@ pub(super) struct Document<'v> {
 }
 
 pub(crate) fn run(arguments: &Validate, console: &Console) -> Result<Exit, Error> {
+    if arguments.sandbox {
+        check_sandbox().map_err(Error::input)?;
+    }
     let fmu = Fmu::open(&arguments.model).map_err(Error::input)?;
     let timeout = Value::Number(arguments.timeout).read_time("--timeout").map_err(Error::input)?;
     let experiment = &fmu.description().default_experiment;
@@ -50,7 +54,7 @@ pub(crate) fn run(arguments: &Validate, console: &Console) -> Result<Exit, Error
     if experiment.stop_time.is_none() {
         options = options.final_time(experiment.start_time.unwrap_or_default() + SHORT);
     }
-    let outcome = match simulated(&fmu, &options, false, console) {
+    let outcome = match simulated(&fmu, &options, Place::Worker { sandbox: arguments.sandbox }, console) {
         Ok(trajectory) => match trajectory.not_finite() {
             None => Ok(result(&trajectory)),
             Some(found) => Err((Run::Ended, format!("{}; {found}", result(&trajectory)))),

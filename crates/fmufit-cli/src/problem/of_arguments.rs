@@ -14,7 +14,8 @@ use std::path::Path;
 
 /// The problem that arguments describe.
 pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<ProblemFile, Error> {
-    let Problem { problem, data, output, input, parameter, time, start_time, unit, setting } = arguments;
+    let Problem { problem, data, output, input, parameter, time, start_time, unit, setting, sandbox } =
+        arguments;
     if problem.is_dir() && !problem.join("modelDescription.xml").is_file() {
         return Err(Error::input(format!(
             "{} is a folder without a modelDescription.xml, so no model: give a problem file, or a model and a recording",
@@ -72,7 +73,7 @@ pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<Pro
         ("isolation", Value::Nothing) => (name, Value::Text(Isolation::None.name().to_owned())),
         (_, value) => (name, value),
     });
-    file.set("settings", settings);
+    file.set("settings", settings.chain(sandbox.then(|| ("sandbox".to_owned(), Value::Flag(true)))));
     if !unit.is_empty() {
         let units = short_form::assignments(unit, "VARIABLE=UNIT, as in --unit room.T=K")?;
         let units = units.into_iter().map(|(variable, unit)| (variable, Value::Text(unit)));

@@ -243,3 +243,26 @@ fn build_packs_a_folder_that_can_be_simulated() {
     assert!(ran.code == 1 && !folder.path("other.fmu").exists(), "{ran:?}");
     assert!(folder.run("build nothing other.fmu").wrong_input().contains("nothing"));
 }
+
+/// Each command that runs a model can confine it, with the same results.
+#[test]
+fn commands_run_a_model_in_a_sandbox() {
+    let folder = Folder::with_model("dahlquist");
+    folder.record_decay();
+    if fmi::worker::check_sandbox().is_err() {
+        let message = folder.run("simulate model.fmu --sandbox").wrong_input();
+        assert!(message.starts_with("sandbox: "), "{message}");
+        return;
+    }
+    folder.run("init model.fmu run.csv free.toml").good();
+    folder.run("init model.fmu run.csv confined.toml --sandbox").good();
+    assert!(folder.read("confined.toml").contains("\nsandbox = true"));
+    for command in ["simulate model.fmu --final-time 1", "validate model.fmu", "check free.toml"] {
+        let expected = folder.run(command).good();
+        assert_eq!(folder.run(&format!("{command} --sandbox")).good(), expected, "{command}");
+    }
+    assert_eq!(folder.run("check confined.toml").good(), folder.run("check free.toml").good());
+    let message = folder.run("check confined.toml -S isolation=none").wrong_input();
+    assert!(message.contains("sandbox: the model would run in this process"), "{message}");
+    assert_eq!(folder.run("simulate model.fmu --sandbox --in-process").code, 2);
+}

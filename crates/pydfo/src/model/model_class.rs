@@ -113,14 +113,36 @@ pub(crate) struct Request<'py> {
     record_events: bool,
     #[pyo3(item(13))]
     between_steps: String,
+    /// None: as the sandbox needs it.
     #[pyo3(item(14))]
-    isolation: String,
+    isolation: Option<String>,
     /// An SSP parameter file.
     #[pyo3(item(15))]
     parameter_set: Option<PathBuf>,
     /// The FMU with units that its description does not state.
     #[pyo3(item(16))]
     described: Option<Bound<'py, Fmu>>,
+    #[pyo3(item(17))]
+    sandbox: bool,
+}
+
+impl Request<'_> {
+    /// Limits of the process of the simulation; None: it is made in this one.
+    fn worker_limits(&self) -> Result<Option<WorkerLimits>, FmiError> {
+        let isolation = match &self.isolation {
+            Some(name) => name.parse()?,
+            None if self.sandbox => Isolation::Process,
+            None => Isolation::None,
+        };
+        match isolation {
+            Isolation::Process => Ok(Some(WorkerLimits { sandbox: self.sandbox, ..WorkerLimits::default() })),
+            Isolation::None if self.sandbox => Err(FmiError::BadSetting(
+                "sandbox: isolation = \"none\" runs the model in this process, which is not confined"
+                    .to_owned(),
+            )),
+            Isolation::None => Ok(None),
+        }
+    }
 }
 
 #[pymethods]
@@ -204,9 +226,8 @@ impl Model {
 
     /// On the calling thread if the last simulation of this FMU was short.
     fn simulate<'py>(&self, py: Python<'py>, request: Request<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let isolation: Isolation = request.isolation.parse().map_err(|e| fmu_error::raise(py, &e))?;
-        let is_apart = isolation == Isolation::Process;
-        let is_here = !is_apart && fits_here(self.fmu.last_run(self.kind));
+        let limits = request.worker_limits().map_err(|e| fmu_error::raise(py, &e))?;
+        let is_here = limits.is_none() && fits_here(self.fmu.last_run(self.kind));
         let mut loan = self.lend()?;
         // An input function is Python code: what a Ctrl-C does to it is up to our handler.
         let watch = match is_here && request.functions.is_empty() {
@@ -232,9 +253,9 @@ impl Model {
         } else {
             let (releasing, apart) = (callbacks.clone(), Arc::clone(&self.apart));
             let run = move |_: &CallingThread| {
-                let outcome = loan.session.as_mut().map(|session| match is_apart {
-                    true => simulate_apart(session, &mut lock(&apart), &options),
-                    false => session.simulate(&options),
+                let outcome = loan.session.as_mut().map(|session| match limits {
+                    Some(limits) => simulate_apart(session, &mut lock(&apart), limits, &options),
+                    None => session.simulate(&options),
                 });
                 releasing.release();
                 drop(loan);
@@ -265,11 +286,12 @@ impl Model {
 fn simulate_apart(
     session: &Session,
     apart: &mut Option<ModelProcess>,
+    limits: WorkerLimits,
     options: &SimulateOptions,
 ) -> Result<Trajectory, FmiError> {
     let process = match apart {
-        Some(process) => process,
-        None => apart.insert(ModelProcess::new(session.fmu(), WorkerLimits::default())?),
+        Some(process) if *process.limits() == limits => process,
+        _ => apart.insert(ModelProcess::new(session.fmu(), limits)?),
     };
     let flag = options.cancel.clone();
     let context = flag.as_deref().map_or_else(RunContext::new, |flag| RunContext::new().flagged(flag));

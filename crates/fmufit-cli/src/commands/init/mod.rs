@@ -12,6 +12,7 @@ use crate::output_paths::check_written;
 use crate::problem::{ProblemFile, short_form};
 use calibration::{CsvRequest, Data, PreflightOptions, RunContext};
 use fmi::Fmu;
+use fmi::worker::check_sandbox;
 use matching::{Columns, Pair};
 use proposal::Proposed;
 use std::path::Path;
@@ -22,6 +23,9 @@ pub(crate) fn run(arguments: &Init, console: &Console) -> Result<Exit, Error> {
         return Err(Error::input(format!("{} is there already: --force replaces it", problem.display())));
     }
     check_written([problem], &[model.clone(), data.clone()])?;
+    if arguments.sandbox {
+        check_sandbox().map_err(Error::input)?;
+    }
     let fmu = Fmu::open(model).map_err(Error::input)?;
     let request = CsvRequest { time: arguments.time.as_deref(), ..CsvRequest::default() };
     let recording = Data::read_csv(data, request).map_err(Error::of_arguments)?;
@@ -31,7 +35,15 @@ pub(crate) fn run(arguments: &Init, console: &Console) -> Result<Exit, Error> {
     let folder = base::files::folder_of(problem);
     let (model_path, data_path) = (relative(model, folder)?, relative(data, folder)?);
     let text = |proposed: &Proposed| {
-        text::text(&fmu, &model_path, &data_path, &columns, arguments.time.as_deref(), proposed)
+        text::text(
+            &fmu,
+            &model_path,
+            &data_path,
+            &columns,
+            arguments.time.as_deref(),
+            proposed,
+            arguments.sandbox,
+        )
     };
     let mut why_not = None;
     if !columns.has_outputs() {

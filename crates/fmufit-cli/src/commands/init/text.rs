@@ -18,6 +18,7 @@ pub(super) fn text(
     columns: &Columns,
     time: Option<&str>,
     proposed: &Proposed,
+    sandbox: bool,
 ) -> String {
     let description = fmu.description();
     let mut lines = vec![
@@ -85,18 +86,21 @@ pub(super) fn text(
     lines.extend(proposed.confounded.iter().map(|remark| format!("# {}", one_line(remark))));
     proposed.active().for_each(|candidate| lines.extend(parameter(candidate)));
     lines.extend(left_out(&proposed.candidates));
-    lines.extend(settings(&columns.without_unit));
+    lines.extend(settings(&columns.without_unit, sandbox));
     lines.join("\n") + "\n"
 }
 
-/// The settings by their defaults, as comments; `without_unit`: variables of which the model states no unit,
+/// The settings by their defaults, as comments, but for the sandbox; `without_unit`: variables of which the model states no unit,
 /// and their columns do.
-fn settings(without_unit: &[Pair]) -> Vec<String> {
+fn settings(without_unit: &[Pair], sandbox: bool) -> Vec<String> {
     let (settings, fit) = (SimulationSettings::default(), FitOptions::default());
     let tolerances = fit.run.tolerances;
     let objectives = CostKind::named().map(|kind| kind.name().to_owned()).collect::<Vec<_>>();
     let methods = AnyMethod::names().collect::<Vec<_>>().join(", ");
     let mut lines = vec!["[settings]".to_owned()];
+    lines.extend(sandbox.then(|| {
+        "sandbox = true               # the model writes into a folder of its own only, and opens no connections".to_owned()
+    }));
     if !without_unit.is_empty() {
         lines.push(
             "# The model states no unit of these; in which are its values? Columns are converted to it."

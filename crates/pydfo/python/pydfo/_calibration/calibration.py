@@ -129,8 +129,9 @@ class Calibration(Evaluation):
     memory_limit : float, optional
         Bytes of memory that a process of the FMU may have; default: the memory of the machine.
     sandbox : bool
-        Processes of the FMU can write into a folder of their own only, which is removed with them, and open no TCP connections
-        (Linux with Landlock, TCP from 6.7 on; an error elsewhere).
+        Confine the processes of the FMU: they write into a folder of their own only, which is removed with them, open no
+        connections and reach no other process (Linux with Landlock; SECURITY.md lists what remains possible). An error where the
+        system cannot do that, with ``isolation="none"``, and with inputs that are functions.
     units : dict of str to str, optional
         Units of outputs and inputs of which the model states none: ``{"room.T": "K"}``. Columns that state a unit are converted to it.
     time : str, optional

@@ -49,10 +49,11 @@ class Request(NamedTuple):
     max_time: float | None
     record_events: bool
     between_steps: str
-    isolation: str
+    isolation: str | None
     parameter_set: str | None
     #: The FMU with units that its description does not state.
     described: _core.Fmu | None
+    sandbox: bool
 
 
 LOG_LEVELS = ("nothing", "fatal", "error", "warning", "info", "verbose", "debug", "all")
@@ -291,7 +292,8 @@ class FMUModel:
         chattering: Literal["error", "warn", "slide"] = "error",
         input_derivatives: bool = True,
         between_steps: Literal["interpolate", "error"] = "interpolate",
-        isolation: Literal["none", "process"] = "none",
+        isolation: Literal["none", "process"] | None = None,
+        sandbox: bool = False,
         units: Mapping[str, str] | None = None,
     ) -> SimulationResult:
         """Simulates from a freshly reset model with all values that were `set`.
@@ -381,10 +383,12 @@ class FMUModel:
             next (``fixedInternalStepSize``, FMI 3.0): they are interpolated linearly between the steps on both sides (what is
             not continuous has the value of the step before), which the log says once, or they are an error. Fits
             interpolate.
-        isolation : {"none", "process"}
+        isolation : {"none", "process"}, optional
             Where the FMU runs: in this process, or in one of its own, with the same bits. What happens to that (a crash, `exit`, a
             call that never returns with a limit `max_time`) is a SimulationError then, and `get` does not know of the simulation. Inputs
-            that are functions cannot be called from there.
+            that are functions cannot be called from there. Default: "none", with a sandbox "process".
+        sandbox : bool
+            Confine the process of the FMU, as in a `Calibration`; an error where the system cannot do that.
         units : dict of str to str, optional
             Units of variables of which the model states none: ``{"room.T": "K"}``, as in a `Calibration`. Columns of a recording that
             drives inputs and values of an SSP parameter file which state a unit are converted to it, and the result has it.
@@ -448,9 +452,10 @@ class FMUModel:
             max_time=_values.optional_number("max_time", max_time),
             record_events=_values.flag("record_events", record_events),
             between_steps=_values.choice("between_steps", between_steps),
-            isolation=_values.choice("isolation", isolation),
+            isolation=None if isolation is None else _values.choice("isolation", isolation),
             parameter_set=parameter_set,
             described=described,
+            sandbox=_values.flag("sandbox", sandbox),
         )
         result = SimulationResult(**self._model.simulate(request))
         if len(result.time) and (said := _inputs.held_beyond(tables, float(result.time[0]), float(result.time[-1]))):

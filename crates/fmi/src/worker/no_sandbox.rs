@@ -1,0 +1,22 @@
+//! Systems and builds that have no sandbox for worker processes.
+
+use crate::error::FmiError;
+
+/// Returns the error that says why there is no sandbox.
+///
+/// # Errors
+/// Always [`FmiError::NoSandbox`].
+pub fn check_sandbox() -> Result<(), FmiError> {
+    let has_system = cfg!(all(target_os = "linux", any(target_arch = "x86_64", target_arch = "aarch64")));
+    let reason = match has_system {
+        true => "this build has no sandbox (feature `sandbox`)",
+        false => "it needs Linux on x86-64 or 64-bit ARM",
+    };
+    Err(FmiError::NoSandbox { reason: reason.to_owned() })
+}
+
+/// Returns the same error.
+#[cfg(unix)]
+pub(super) fn confine(_: &std::path::Path) -> std::io::Result<()> {
+    check_sandbox().map_err(std::io::Error::other)
+}

@@ -1,0 +1,381 @@
+//! The sandbox of worker processes: Landlock confines files, a seccomp filter refuses system calls.
+//!
+//! Both hold for the threads and processes that the confined thread starts, and never end. So a process is
+//! confined before it has a second thread. `SECURITY.md` lists what remains possible.
+
+use crate::error::FmiError;
+use landlock::{
+    ABI, Access, AccessFs, AccessNet, BitFlags, CompatLevel, Compatible, PathBeneath, PathFd, Ruleset,
+    RulesetAttr, RulesetCreated, RulesetCreatedAttr, RulesetError, Scope,
+};
+use libc::c_long;
+use seccompiler::{
+    BackendError, BpfProgram, SeccompAction, SeccompCmpArgLen, SeccompCmpOp, SeccompCondition, SeccompFilter,
+    SeccompRule, sock_filter,
+};
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Devices that any process may read and write.
+const DEVICES: [&str; 3] = ["/dev/null", "/dev/zero", "/dev/full"];
+
+/// What may be read below `/dev`. Terminals are left out: what a user types is not for the model.
+const READABLE_DEVICES: [&str; 3] = ["/dev/random", "/dev/urandom", "/dev/shm"];
+
+/// Returns an error if this build or this system has no sandbox for worker processes.
+///
+/// # Errors
+/// [`FmiError::NoSandbox`] with the reason.
+pub fn check_sandbox() -> Result<(), FmiError> {
+    ruleset().map(drop).map_err(|error| FmiError::NoSandbox {
+        reason: format!("the kernel has no Landlock, which needs Linux 5.13 or newer ({error})"),
+    })
+}
+
+/// Confines this process, which has one thread: it may write below this folder only, and the system calls of
+/// [`REFUSED`] and [`refused_with`] fail with `EPERM`.
+pub(super) fn confine(folder: &Path) -> io::Result<()> {
+    let n_threads = std::fs::read_dir("/proc/self/task")?.count();
+    if n_threads != 1 {
+        return Err(io::Error::other(format!("sandbox: {n_threads} threads instead of 1")));
+    }
+    let confined = || -> Result<(), Box<dyn Error>> {
+        confine_files(folder)?;
+        seccompiler::apply_filter(&filter_of_unknown())?;
+        seccompiler::apply_filter(&filter_of_refused(std::process::id())?)?;
+        Ok(())
+    };
+    confined().map_err(|error| io::Error::other(format!("sandbox: {error}")))
+}
+
+/// Rights that are refused unless a rule grants them.
+fn ruleset() -> Result<RulesetCreated, RulesetError> {
+    let needed = AccessFs::from_write(ABI::V1) | AccessFs::ReadFile | AccessFs::ReadDir;
+    Ruleset::default()
+        .set_compatibility(CompatLevel::HardRequirement)
+        .handle_access(needed)?
+        .set_compatibility(CompatLevel::BestEffort)
+        .handle_access(AccessFs::from_write(ABI::V9))?
+        .handle_access(AccessNet::from_all(ABI::V4))?
+        .scope(Scope::from_all(ABI::V6))?
+        .create()
+}
+
+fn confine_files(folder: &Path) -> Result<(), RulesetError> {
+    let read = AccessFs::ReadFile | AccessFs::ReadDir;
+    // No devices: a privileged user could make one of a disk.
+    let special = AccessFs::MakeChar | AccessFs::MakeBlock | AccessFs::MakeSock | AccessFs::IoctlDev;
+    let write = read | (AccessFs::from_write(ABI::V3) & !special);
+    let mut rules = ruleset()?;
+    let mut allow = |path: &Path, access: BitFlags<AccessFs>| -> Result<(), RulesetError> {
+        // What cannot be opened cannot be read either.
+        let Ok(opened) = PathFd::new(path) else { return Ok(()) };
+        let access = if path.is_dir() { access } else { access & AccessFs::from_file(ABI::V3) };
+        (&mut rules).add_rule(PathBeneath::new(opened, access)).map(drop)
+    };
+    allow(Path::new("/"), AccessFs::ReadDir.into())?;
+    for path in std::fs::read_dir("/").into_iter().flatten().flatten().map(|entry| entry.path()) {
+        if path != Path::new("/dev") {
+            allow(&path, read)?;
+        }
+    }
+    for path in READABLE_DEVICES.iter().map(PathBuf::from).chain(std::env::current_dir()) {
+        allow(&path, read)?;
+    }
+    for path in DEVICES {
+        allow(Path::new(path), AccessFs::ReadFile | AccessFs::WriteFile)?;
+    }
+    allow(folder, write)?;
+    rules.restrict_self().map(drop)
+}
+
+/// System calls that no model needs.
+const REFUSED: &[c_long] = &[
+    // Sockets of every family: TCP is also reached by MPTCP and `MSG_FASTOPEN`.
+    libc::SYS_socket,
+    libc::SYS_socketpair,
+    libc::SYS_bind,
+    libc::SYS_connect,
+    libc::SYS_listen,
+    libc::SYS_accept,
+    libc::SYS_accept4,
+    // Requests to the kernel that no filter sees, sockets among them.
+    libc::SYS_io_uring_setup,
+    libc::SYS_io_uring_enter,
+    libc::SYS_io_uring_register,
+    // Other processes. `tkill` does not say whose thread it is.
+    libc::SYS_ptrace,
+    libc::SYS_process_vm_readv,
+    libc::SYS_process_vm_writev,
+    libc::SYS_process_madvise,
+    libc::SYS_process_mrelease,
+    libc::SYS_pidfd_open,
+    libc::SYS_pidfd_getfd,
+    libc::SYS_pidfd_send_signal,
+    libc::SYS_tkill,
+    libc::SYS_kcmp,
+    libc::SYS_migrate_pages,
+    libc::SYS_move_pages,
+    libc::SYS_ioprio_set,
+    // Memory and messages that processes share by number or name.
+    libc::SYS_shmget,
+    libc::SYS_shmat,
+    libc::SYS_shmctl,
+    libc::SYS_semget,
+    libc::SYS_semop,
+    libc::SYS_semtimedop,
+    libc::SYS_semctl,
+    libc::SYS_msgget,
+    libc::SYS_msgsnd,
+    libc::SYS_msgrcv,
+    libc::SYS_msgctl,
+    libc::SYS_mq_open,
+    libc::SYS_mq_unlink,
+    libc::SYS_mq_timedsend,
+    libc::SYS_mq_timedreceive,
+    libc::SYS_mq_notify,
+    libc::SYS_mq_getsetattr,
+    // Keys.
+    libc::SYS_keyctl,
+    libc::SYS_add_key,
+    libc::SYS_request_key,
+    // Changes of files that Landlock does not know: owner, mode, times, attributes; the length by name before Linux 6.2.
+    libc::SYS_fchmod,
+    libc::SYS_fchmodat,
+    SYS_FCHMODAT2,
+    libc::SYS_fchown,
+    libc::SYS_fchownat,
+    libc::SYS_utimensat,
+    libc::SYS_setxattr,
+    libc::SYS_lsetxattr,
+    libc::SYS_fsetxattr,
+    SYS_SETXATTRAT,
+    libc::SYS_removexattr,
+    libc::SYS_lremovexattr,
+    libc::SYS_fremovexattr,
+    SYS_REMOVEXATTRAT,
+    SYS_FILE_SETATTR,
+    libc::SYS_truncate,
+    libc::SYS_open_by_handle_at,
+    libc::SYS_fanotify_init,
+    libc::SYS_fanotify_mark,
+    // Namespaces and mounts.
+    libc::SYS_setns,
+    libc::SYS_unshare,
+    libc::SYS_chroot,
+    libc::SYS_pivot_root,
+    libc::SYS_mount,
+    libc::SYS_umount2,
+    libc::SYS_mount_setattr,
+    libc::SYS_move_mount,
+    libc::SYS_open_tree,
+    SYS_OPEN_TREE_ATTR,
+    libc::SYS_fsopen,
+    libc::SYS_fsconfig,
+    libc::SYS_fsmount,
+    libc::SYS_fspick,
+    // The machine, for a privileged user, and parts of the kernel that attacks begin with.
+    libc::SYS_bpf,
+    libc::SYS_perf_event_open,
+    libc::SYS_userfaultfd,
+    libc::SYS_init_module,
+    libc::SYS_finit_module,
+    libc::SYS_delete_module,
+    libc::SYS_kexec_load,
+    SYS_KEXEC_FILE_LOAD,
+    libc::SYS_reboot,
+    libc::SYS_swapon,
+    libc::SYS_swapoff,
+    libc::SYS_acct,
+    libc::SYS_quotactl,
+    libc::SYS_quotactl_fd,
+    libc::SYS_syslog,
+    libc::SYS_sethostname,
+    libc::SYS_setdomainname,
+    libc::SYS_settimeofday,
+    libc::SYS_clock_settime,
+    libc::SYS_clock_adjtime,
+    libc::SYS_adjtimex,
+    libc::SYS_vhangup,
+    libc::SYS_lookup_dcookie,
+];
+
+/// Calls of x86-64 that newer architectures do not have.
+#[cfg(target_arch = "x86_64")]
+const REFUSED_OF_ARCHITECTURE: &[c_long] = &[
+    libc::SYS_chmod,
+    libc::SYS_chown,
+    libc::SYS_lchown,
+    libc::SYS_utime,
+    libc::SYS_utimes,
+    libc::SYS_futimesat,
+    libc::SYS_iopl,
+    libc::SYS_ioperm,
+];
+#[cfg(target_arch = "aarch64")]
+const REFUSED_OF_ARCHITECTURE: &[c_long] = &[];
+
+/// Numbers that the C library's bindings do not have; from 424 on they are those of all architectures.
+const SYS_FCHMODAT2: c_long = 452;
+const SYS_SETXATTRAT: c_long = 463;
+const SYS_REMOVEXATTRAT: c_long = 466;
+const SYS_OPEN_TREE_ATTR: c_long = 467;
+const SYS_FILE_SETATTR: c_long = 469;
+#[cfg(target_arch = "x86_64")]
+const SYS_KEXEC_FILE_LOAD: c_long = libc::SYS_kexec_file_load;
+#[cfg(target_arch = "aarch64")]
+const SYS_KEXEC_FILE_LOAD: c_long = 294;
+
+/// System calls of Linux 6.18 end before this number.
+const FIRST_UNKNOWN: u32 = 470;
+
+/// Commands of `ioctl` that are not refused: sizes, modes and the descriptor itself (linux/fs.h,
+/// asm-generic/ioctls.h; the last one is `TCGETS2`). All others can change files, terminals and devices
+/// through a descriptor that was opened for reading.
+const IOCTLS: [u64; 7] = [
+    libc::FIOCLEX as u64,
+    libc::FIONCLEX as u64,
+    libc::FIONBIO as u64,
+    libc::FIONREAD as u64,
+    libc::TCGETS as u64,
+    libc::TIOCGWINSZ as u64,
+    0x802c_542a,
+];
+
+/// Commands of `fcntl` that are not refused: descriptors, flags, locks, pipes and seals. The others send
+/// signals (`F_SETOWN`) or act on the file (`F_SETLEASE`).
+const FCNTLS: [i32; 17] = [
+    libc::F_DUPFD,
+    libc::F_DUPFD_CLOEXEC,
+    libc::F_GETFD,
+    libc::F_SETFD,
+    libc::F_GETFL,
+    libc::F_SETFL,
+    libc::F_GETLK,
+    libc::F_SETLK,
+    libc::F_SETLKW,
+    libc::F_OFD_GETLK,
+    libc::F_OFD_SETLK,
+    libc::F_OFD_SETLKW,
+    libc::F_GETPIPE_SZ,
+    libc::F_SETPIPE_SZ,
+    libc::F_GET_SEALS,
+    libc::F_ADD_SEALS,
+    // F_DUPFD_QUERY
+    1027,
+];
+
+/// New namespaces, by the flags of `clone`.
+const NAMESPACES: [i32; 7] = [
+    libc::CLONE_NEWNS,
+    libc::CLONE_NEWCGROUP,
+    libc::CLONE_NEWUTS,
+    libc::CLONE_NEWIPC,
+    libc::CLONE_NEWUSER,
+    libc::CLONE_NEWPID,
+    libc::CLONE_NEWNET,
+];
+
+/// Calls that are refused for some of their arguments, with the conditions, one of which is enough; each is a
+/// list of comparisons of arguments, which all hold.
+fn refused_with(own: u32) -> Vec<(c_long, Vec<Vec<Compared>>)> {
+    let other_than = |argument: u8, allowed: &[u64]| -> Vec<Compared> {
+        allowed.iter().map(|value| (argument, SeccompCmpOp::Ne, *value)).collect()
+    };
+    let own = u64::from(own);
+    let (priority_of_process, thread) = (libc::PRIO_PROCESS as u64, [0, own]);
+    let fcntls = FCNTLS.map(|command| command as u64);
+    let truncated = libc::O_TRUNC as u64;
+    let mode = libc::O_ACCMODE as u64 | truncated;
+    // Landlock sees a file that is opened for reading.
+    let emptied = |flags: u8| {
+        let opened_for = |access: u64| vec![(flags, SeccompCmpOp::MaskedEq(mode), access | truncated)];
+        vec![opened_for(libc::O_RDONLY as u64), opened_for(libc::O_ACCMODE as u64)]
+    };
+    let namespaces = NAMESPACES
+        .map(|flag| flag as u32)
+        .map(u64::from)
+        .map(|flag| vec![(0, SeccompCmpOp::MaskedEq(flag), flag)]);
+    let mut refused = vec![
+        (libc::SYS_kill, vec![other_than(0, &[own])]),
+        (libc::SYS_tgkill, vec![other_than(0, &[own])]),
+        (libc::SYS_rt_sigqueueinfo, vec![other_than(0, &[own])]),
+        (libc::SYS_rt_tgsigqueueinfo, vec![other_than(0, &[own])]),
+        (libc::SYS_prlimit64, vec![other_than(0, &thread)]),
+        (libc::SYS_sched_setscheduler, vec![other_than(0, &thread)]),
+        (libc::SYS_sched_setparam, vec![other_than(0, &thread)]),
+        (libc::SYS_sched_setattr, vec![other_than(0, &thread)]),
+        (libc::SYS_setpriority, vec![other_than(0, &[priority_of_process]), other_than(1, &thread)]),
+        (libc::SYS_ioctl, vec![other_than(1, &IOCTLS)]),
+        (libc::SYS_fcntl, vec![other_than(1, &fcntls)]),
+        (libc::SYS_openat, emptied(2)),
+        (libc::SYS_clone, namespaces.to_vec()),
+    ];
+    #[cfg(target_arch = "x86_64")]
+    refused.push((libc::SYS_open, emptied(1)));
+    refused
+}
+
+/// An argument, counted from 0, and the value that it is compared with.
+type Compared = (u8, SeccompCmpOp, u64);
+
+/// Calls that this process, which has this number, is refused.
+fn filter_of_refused(own: u32) -> Result<BpfProgram, BackendError> {
+    let rule = |compared: Vec<Compared>| {
+        let condition = |(argument, comparison, value)| {
+            SeccompCondition::new(argument, SeccompCmpArgLen::Dword, comparison, value)
+        };
+        SeccompRule::new(compared.into_iter().map(condition).collect::<Result<_, _>>()?)
+    };
+    let always = REFUSED.iter().chain(REFUSED_OF_ARCHITECTURE).map(|call| (*call, Vec::new()));
+    let mut rules: BTreeMap<c_long, Vec<SeccompRule>> = always.collect();
+    for (call, conditions) in refused_with(own) {
+        rules.insert(call, conditions.into_iter().map(rule).collect::<Result<_, _>>()?);
+    }
+    let refuse = SeccompAction::Errno(libc::EPERM as u32);
+    SeccompFilter::new(rules, SeccompAction::Allow, refuse, std::env::consts::ARCH.try_into()?)?.try_into()
+}
+
+/// Calls that a filter cannot judge do not exist (`ENOSYS`), so that programs take older ones: those with
+/// their arguments in memory, and all that came after this list, with which 32-bit numbers of x86-64 (x32)
+/// are refused as well.
+fn filter_of_unknown() -> BpfProgram {
+    let instruction = |code: u32, jt: u8, jf: u8, k: u32| sock_filter { code: code as u16, jt, jf, k };
+    let (load, compare) = (libc::BPF_LD | libc::BPF_W | libc::BPF_ABS, libc::BPF_JMP | libc::BPF_K);
+    vec![
+        // The number of the call is the first word (linux/seccomp.h, struct seccomp_data).
+        instruction(load, 0, 0, 0),
+        instruction(compare | libc::BPF_JGE, 3, 0, FIRST_UNKNOWN),
+        instruction(compare | libc::BPF_JEQ, 2, 0, libc::SYS_clone3 as u32),
+        instruction(compare | libc::BPF_JEQ, 1, 0, libc::SYS_openat2 as u32),
+        instruction(libc::BPF_RET | libc::BPF_K, 0, 0, libc::SECCOMP_RET_ALLOW),
+        instruction(libc::BPF_RET | libc::BPF_K, 0, 0, libc::SECCOMP_RET_ERRNO | libc::ENOSYS as u32),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn filters_fit_into_the_kernel_s_limit() {
+        // BPF_MAXINSNS of linux/bpf_common.h.
+        let n = filter_of_refused(4711).unwrap().len();
+        assert!(n < 4096, "{n}");
+        assert_eq!(filter_of_unknown().len(), 6);
+    }
+
+    #[test]
+    fn lists_of_calls_have_no_call_twice() {
+        let conditional = refused_with(1).into_iter().map(|(call, _)| call);
+        let mut calls: Vec<_> =
+            REFUSED.iter().chain(REFUSED_OF_ARCHITECTURE).copied().chain(conditional).collect();
+        calls.sort_unstable();
+        let n = calls.len();
+        calls.dedup();
+        assert_eq!(calls.len(), n);
+        assert!(calls.iter().all(|call| *call < c_long::from(FIRST_UNKNOWN)));
+    }
+}
