@@ -113,7 +113,7 @@ impl RawInstance {
         let callbacks = library.callbacks(request.log_filter);
         // SAFETY: the callbacks are never freed: they are leaked, or go back to the library.
         let (component, function) = unsafe {
-            let _current = callbacks.enter();
+            callbacks.enter();
             library.version.instantiate(request, &callbacks)
         };
         if component.is_null() {
@@ -442,11 +442,12 @@ impl RawInstance {
             self.callbacks.log().go_on();
             self.set_time_told(time);
         }
-        if self.to_look_into > 0 || self.callbacks.is_by_thread() {
+        if self.to_look_into > 0 {
             return self.vector_one_by_one(time, states, get, values);
         }
         let point = &self.library.functions;
         let one = OneCall::enter(self.library.lock());
+        self.callbacks.enter();
         let c = self.component;
         // SAFETY (of the three calls): the component is alive and ours alone (`&mut self`), both slices have as many places as
         // the function reads or fills.
@@ -479,7 +480,7 @@ impl RawInstance {
     ) -> Outcome {
         let point = &self.library.functions;
         let one = OneCall::enter(self.library.lock());
-        let _current = self.callbacks.enter();
+        self.callbacks.enter();
         let c = self.component;
         // SAFETY: as for `vector_at`.
         let mut changes = false;
@@ -543,7 +544,8 @@ impl Left {
             return;
         }
         let _inside = Inside::enter(self.library.lock());
-        let (functions, current) = (&self.library.functions, self.callbacks.enter());
+        self.callbacks.enter();
+        let functions = &self.library.functions;
         // SAFETY: the component is alive and made these states.
         unsafe { self.saved.free(&functions.free_state, self.component) };
         if let Some(free) = functions.free.pointer {
@@ -551,7 +553,6 @@ impl Left {
             // SAFETY: the component is alive, ours alone, and gone after this.
             unsafe { free(self.component) };
         }
-        drop(current);
         self.library.retire(self.callbacks);
     }
 }
