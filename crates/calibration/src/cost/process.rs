@@ -10,7 +10,8 @@ use crate::problem::definition::{ModelFile, Problem};
 use crate::problem::settings::SimulationSettings;
 use base::RunContext;
 use dfo::RobustLoss;
-use fmi::worker::{AskedProcess, Frame, Isolation, Load, WorkerLimits, Workers};
+use fmi::error::ReportedError;
+use fmi::worker::{AskedProcess, Frame, Held, Isolation, Load, WorkerLimits, Workers};
 use fmi::{FmiError, Fmu, OpenOptions, SimulateOptions, Trajectory};
 use ode::{Method, Stats};
 use serde::{Deserialize, Serialize};
@@ -55,6 +56,17 @@ pub(crate) enum Job {
         times: Option<Vec<f64>>,
         variables: Vec<String>,
     },
+}
+
+impl Job {
+    /// Has the model log, where a model is opened.
+    fn switch_log_on(&mut self) {
+        match self {
+            Self::Load(loaded) => loaded.options.logging.asked = true,
+            Self::Open(_, options) => options.logging.asked = true,
+            _ => {}
+        }
+    }
 }
 
 /// An evaluation; its residuals are the numbers of the frame.
@@ -111,6 +123,10 @@ struct Processes {
     fmu: Fmu,
     workers: Arc<Workers>,
     load: Load,
+    /// The same with the log of the model switched on.
+    logging: Load,
+    /// Reasons of failures without a message of the model that were repeated with its log switched on.
+    explained: Mutex<Vec<String>>,
     /// No answer is checked for its dependence on earlier requests.
     is_checked: AtomicBool,
     /// Questions that were to be checked.
@@ -126,13 +142,23 @@ impl Processes {
     fn new(fmu: &Fmu, limits: WorkerLimits, load: Job, lender: Option<&Load>) -> Result<Self, FmiError> {
         let workers =
             fmu.workers(limits).ok_or_else(|| FmiError::NoWorker { reason: NO_LAUNCHER.to_owned() })?;
-        let load = Load::new(move || Frame::of(&load));
+        let job = Arc::new(load);
+        let plain = Arc::clone(&job);
+        let load = Load::new(move || Frame::of(&*plain));
+        let logging = Load::new(move || {
+            let mut job: Job = Frame::of(&*job)?.head()?;
+            job.switch_log_on();
+            Frame::of(&job)
+        });
         let load = lender.into_iter().fold(load, Load::in_processes_of);
+        fmu.note_needed_tool();
         workers.prepare(&load);
         Ok(Self {
             fmu: fmu.clone(),
             workers,
             load,
+            logging,
+            explained: Mutex::default(),
             is_checked: AtomicBool::new(false),
             n_checked: AtomicU64::new(0),
             first: Mutex::default(),
@@ -168,6 +194,25 @@ impl Processes {
         used
     }
 
+    /// The failure of a request that was repeated with the log of the model switched on, because the model had
+    /// not said why a call failed; `None` where it had, or still does not.
+    fn explain(
+        &self,
+        told: &ReportedError,
+        job: &Job,
+        limit: Option<Duration>,
+        context: &RunContext<'_>,
+        failure_of: impl FnOnce(Result<Frame, FmiError>) -> Option<ReportedError>,
+    ) -> Option<ReportedError> {
+        if told.status.is_none() || !told.log.is_empty() || self.fmu.options().logging.asked {
+            return None;
+        }
+        let (asked, mut answer) = (Frame::of(job).ok()?, Frame::default());
+        let whom = AskedProcess::FreshOnce;
+        let called = self.workers.call(&self.logging, &asked, &mut answer, context, limit, whom);
+        failure_of(called.map(|_| answer)).filter(|told| !told.log.is_empty())
+    }
+
     fn call(
         &self,
         asked: &Frame,
@@ -176,7 +221,14 @@ impl Processes {
         limit: Option<Duration>,
         context: &RunContext<'_>,
     ) -> Result<(), FmiError> {
-        let quirks = self.workers.call(&self.load, asked, answer, context, limit, whom)?;
+        let called = self.workers.call(&self.load, asked, answer, context, limit, whom);
+        let quirks = called.map_err(|error| match error {
+            FmiError::WorkerEnded(mut end) => {
+                end.hint = end.hint.or_else(|| self.fmu.hint());
+                FmiError::WorkerEnded(end)
+            }
+            error => error,
+        })?;
         self.fmu.add_quirks(quirks);
         Ok(())
     }
@@ -245,6 +297,26 @@ impl Processes {
     }
 }
 
+impl Processes {
+    /// A recorded simulation.
+    fn trajectory(
+        &self,
+        job: &Job,
+        limit: Option<Duration>,
+        context: &RunContext<'_>,
+    ) -> Result<Trajectory, FmiError> {
+        self.ask(job, ProcessChoice::Checked, limit, context, trajectory_of).map_err(|error| {
+            let FmiError::ReportedError(told) = error else { return error };
+            let failure_of = |called| match called {
+                Err(FmiError::ReportedError(told)) => Some(*told),
+                _ => None,
+            };
+            let explained = self.explain(&told, job, limit, context, failure_of);
+            FmiError::ReportedError(explained.map_or(told, Box::new))
+        })
+    }
+}
+
 impl Drop for Processes {
     fn drop(&mut self) {
         self.workers.forget(&self.load);
@@ -293,6 +365,11 @@ impl Remote {
     /// A fit evaluates its best point in a fresh process: its evaluations need no check of their own.
     pub(crate) fn set_checked(&self) {
         self.processes.is_checked.store(true, Ordering::Relaxed);
+    }
+
+    /// Begins work in which all processes have the working folder and the environment variables of its begin.
+    pub(crate) fn hold(&self) -> Held {
+        self.processes.workers.hold()
     }
 
     /// Has a process started that will be needed for a fit: beside that which searches, or at its end.
@@ -349,7 +426,49 @@ impl Remote {
         }
         let (cost, taken) = evaluated.map_err(CostFailure::of_worker)?;
         *stats += taken;
-        cost.map_err(CostFailure::from)
+        cost.map_err(|failure| self.explained(failure, &job, process, &context).into())
+    }
+
+    /// A failure with the reason of the model. In a search all failures have the reason that they would have
+    /// in any other order: there the model's is logged, once for each reason.
+    fn explained(
+        &self,
+        failure: ReportedCostFailure,
+        job: &Job,
+        process: ProcessChoice,
+        context: &RunContext<'_>,
+    ) -> ReportedCostFailure {
+        let ReportedCostFailure::Failed { reason, source: Some(told), .. } = &failure else { return failure };
+        let is_alone = process == ProcessChoice::Checked;
+        if !is_alone {
+            let mut known = self.processes.explained.lock().unwrap_or_else(PoisonError::into_inner);
+            if known.contains(reason) {
+                return failure;
+            }
+            known.push(reason.clone());
+        }
+        let mut explained = None;
+        let failure_of = |called: Result<Frame, FmiError>| {
+            let answer: Evaluated = called.ok()?.head().ok()?;
+            explained = answer.cost.err();
+            match &explained {
+                Some(ReportedCostFailure::Failed { source, .. }) => source.clone(),
+                _ => None,
+            }
+        };
+        let told = self.processes.explain(told, job, self.run_limit, context, failure_of);
+        match (told, explained) {
+            (Some(_), Some(explained)) if is_alone => explained,
+            (Some(told), _) => {
+                let model = &self.processes.fmu.description().model_name;
+                log::warn!(
+                    "{model}: {reason} without a message; the same with the log of the model switched on: {}",
+                    told.message
+                );
+                failure
+            }
+            _ => failure,
+        }
     }
 
     /// A simulation of a comparison, and the residuals at the start with the seconds that they took.
@@ -387,7 +506,7 @@ impl Remote {
         job: &Job,
         context: &RunContext<'_>,
     ) -> Result<Trajectory, CalibrationError> {
-        let trajectory = self.ask(job, ProcessChoice::Checked, context, trajectory_of);
+        let trajectory = self.processes.trajectory(job, self.run_limit, context);
         trajectory.map_err(|error| match error {
             FmiError::Cancelled => CalibrationError::Cancelled,
             error => error.into(),
@@ -428,7 +547,7 @@ impl ModelProcess {
             return Err(FmiError::BadSetting(problem));
         }
         let job = Job::Simulate(Box::new(options.clone()));
-        self.processes.ask(&job, ProcessChoice::Checked, options.run.timeout, context, trajectory_of)
+        self.processes.trajectory(&job, options.run.timeout, context)
     }
 }
 

@@ -29,6 +29,8 @@ pub(crate) struct Library {
     pub(super) values: Box<dyn Values>,
     pub(super) version: Box<dyn Version>,
     path: PathBuf,
+    /// What may be the cause where a call fails.
+    hint: Option<Arc<str>>,
     /// Callbacks of instances that are gone, for the next ones: never freed, for the FMU may still use them,
     /// at last in its destructors.
     retired: Mutex<Vec<Callbacks>>,
@@ -55,6 +57,8 @@ impl Library {
     getters! {
         /// The file.
         pub(crate) path(self) -> &Path = &self.path;
+        /// What may be the cause where a call fails.
+        pub(crate) hint(self) -> Option<&Arc<str>> = self.hint.as_ref();
         /// Who is inside of it has a turn of this.
         #[inline]
         pub(crate) lock(self) -> &Arc<FairLock> = &self.handle.lock;
@@ -77,6 +81,7 @@ impl Library {
         kind: InterfaceKind,
         model_identifier: &str,
         options: &LoaderOptions,
+        hint: Option<&str>,
     ) -> Result<Self> {
         let (handle, path) = match from {
             LoadFrom::Loaded(library) => (Arc::clone(&library.handle), &*library.path),
@@ -110,7 +115,7 @@ impl Library {
             let functions = Functions::load(&symbols)?;
             check_types(&functions, path)?;
             let (path, retired) = (path.to_owned(), Mutex::default());
-            Ok(Self { functions, values, version, path, retired, handle })
+            Ok(Self { functions, values, version, path, hint: hint.map(Arc::from), retired, handle })
         }
     }
 

@@ -37,6 +37,11 @@ impl Workers {
     }
 
     /// Not reached.
+    pub fn hold(self: &Arc<Self>) -> Held {
+        match **self {}
+    }
+
+    /// Not reached.
     pub fn n_idle(&self, _: &Load) -> usize {
         match *self {}
     }
@@ -62,6 +67,10 @@ impl Workers {
         match **self {}
     }
 }
+
+/// Not made.
+#[derive(Debug)]
+pub enum Held {}
 
 /// Returns at once.
 pub fn serve_if_worker(_: impl FnOnce() -> Box<dyn Service + Send>) {}

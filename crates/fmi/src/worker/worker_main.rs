@@ -1,13 +1,15 @@
 //! The worker process itself: it limits itself, and answers until the other end of its socket is closed.
 
-use super::folder::{leave_for, remove};
+use super::folder::{make, remove};
 use super::fork_server::{DESCRIPTORS, Hello, Start};
 use super::frame::Frame;
 use super::limits::limit_self;
 use super::notes::{Notes, take_lines};
 use super::service::Service;
 use crate::error::{ReportedError, ReportedErrorKind};
-use crate::sys::{Page, tell_calls, tell_faults};
+use crate::sys::{
+    Page, has_kept_instances, set_avoided_calls, set_confined, set_instance_suffix, tell_calls, tell_faults,
+};
 use base::RunContext;
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::fs::{Mode, OFlags};
@@ -68,7 +70,10 @@ fn serve(mut service: Box<dyn Service + Send>, worker: Worker) -> io::Result<()>
     rustix::process::setpgid(None, None)?;
     rustix::stdio::dup2_stdout(&output)?;
     rustix::stdio::dup2_stderr(output)?;
-    leave_for(&folder)?;
+    make(&folder)?;
+    start.surroundings.enter(&folder)?;
+    set_avoided_calls(start.avoided_calls);
+    set_instance_suffix(start.place);
     log::set_max_level(start.level);
     let (socket, page) = (UnixStream::from(socket), File::from(page));
     let page = tell_calls(Page::of(&page)?).map_err(io::Error::other)?;
@@ -80,6 +85,7 @@ fn serve(mut service: Box<dyn Service + Send>, worker: Worker) -> io::Result<()>
     if start.limits.sandbox {
         let _ = catch_unwind(AssertUnwindSafe(|| service.provide_files()));
         confine(&folder)?;
+        set_confined();
     }
     if start.is_prepared {
         let _ = catch_unwind(AssertUnwindSafe(|| service.prepare()));
@@ -103,7 +109,7 @@ fn serve(mut service: Box<dyn Service + Send>, worker: Worker) -> io::Result<()>
             std::process::abort();
         }
         // What the model needs may be gone with the folder.
-        answer.is_last |= !folder.is_dir();
+        answer.is_last |= !folder.is_dir() || has_kept_instances();
         answer.write(asked.number, &mut answers, &mut buffer)?;
         page.note_answer(asked.number);
     }

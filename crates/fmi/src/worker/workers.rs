@@ -7,10 +7,12 @@ use super::isolation::AskedProcess;
 use super::launcher::Launcher;
 use super::limits::WorkerLimits;
 use super::load::{Load, LoadId};
+use super::surroundings::Surroundings;
 use super::worker_process::{NoAnswer, Process};
-use crate::description::Quirk;
+use crate::description::{Quirk, QuirkKind};
 use crate::error::{EndKind, FmiError, ReportedError, ReportedErrorKind, WorkerEnd};
 use base::RunContext;
+use std::cell::Cell;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -50,6 +52,14 @@ struct Idle {
     is_watched: bool,
     /// Whose they are: a child that was forked meanwhile has none.
     owner: u32,
+    /// Working folder and environment variables of the caller.
+    surroundings: Surroundings,
+    /// Calls, and longer uses, under way.
+    n_held: usize,
+    /// Calls at the end of a run that have ended a worker: new workers leave them out.
+    avoided_calls: Vec<String>,
+    /// Quirks that this process has found, and has told nobody of.
+    quirks: Vec<Quirk>,
 }
 
 impl Idle {
@@ -57,6 +67,23 @@ impl Idle {
     fn lent_to(&self, load: &Load) -> impl Iterator<Item = LoadId> {
         let loaded = self.processes.iter().filter_map(|(process, _)| process.loaded);
         loaded.filter(|loaded| loaded.owner == load.id.owner)
+    }
+
+    /// The processes that are not to be asked any more; they end when they are dropped.
+    fn take_processes(&mut self) -> (Vec<(Process, Instant)>, Option<Process>) {
+        (std::mem::take(&mut self.processes), self.begun.take())
+    }
+}
+
+/// While this lives, workers have the working folder and the environment variables that the caller had at its
+/// begin.
+#[derive(Debug)]
+pub struct Held(Arc<Workers>);
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        let mut idle = self.0.idle();
+        idle.n_held = idle.n_held.saturating_sub(1);
     }
 }
 
@@ -72,18 +99,39 @@ impl Workers {
         &self.limits
     }
 
+    /// Begins a piece of work of several calls, in all of which workers have the working folder and the
+    /// environment variables that this process has now, or had at the begin of work that is under way. A call
+    /// alone is such a piece, too.
+    pub fn hold(self: &Arc<Self>) -> Held {
+        let mut idle = self.idle();
+        idle.n_held += 1;
+        let mut outdated = None;
+        if idle.n_held == 1 {
+            let present = Surroundings::present();
+            if idle.surroundings != present {
+                idle.surroundings = present;
+                // All of them are idle: none is in a call.
+                outdated = Some(idle.take_processes());
+            }
+        }
+        drop(idle);
+        drop(outdated);
+        Held(Arc::clone(self))
+    }
+
     /// Starts the program of the workers, has it load this, and the first worker copied from it, in the
     /// background: that takes longer than a short evaluation.
-    pub fn prepare(&self, load: &Load) {
+    pub fn prepare(self: &Arc<Self>, load: &Load) {
         self.prepare_one_of(1, load, false);
     }
 
     /// Has a second worker started in the background, and its model loaded: it will be needed soon.
-    pub fn prepare_second(&self, load: &Load) {
+    pub fn prepare_second(self: &Arc<Self>, load: &Load) {
         self.prepare_one_of(2, load, true);
     }
 
-    fn prepare_one_of(&self, n: usize, load: &Load, is_prepared: bool) {
+    fn prepare_one_of(self: &Arc<Self>, n: usize, load: &Load, is_prepared: bool) {
+        let _held = self.hold();
         let are_there = |idle: &Idle| idle.begun.is_some() || idle.lent_to(load).count() >= n;
         if !are_there(&self.idle()) {
             // Who needs a worker meets the same error.
@@ -97,7 +145,11 @@ impl Workers {
     }
 
     fn begin(&self, load: &Load, is_prepared: bool) -> Result<Process, FmiError> {
-        Process::begin(&self.template(load)?, &self.limits, is_prepared)
+        let template = self.template(load)?;
+        let idle = self.idle();
+        let (surroundings, avoided_calls) = (idle.surroundings.clone(), idle.avoided_calls.clone());
+        drop(idle);
+        Process::begin(&template, &self.limits, is_prepared, surroundings, &avoided_calls)
     }
 
     /// The process that workers are copied from.
@@ -130,7 +182,8 @@ impl Workers {
     /// Asks a worker that has loaded `load`, and returns the quirks of the model that it has found. The
     /// context is looked at every 10 ms, and the worker has 0.1 s to answer once it is over; a single
     /// simulation that takes longer than `run_limit` and 0.25 s ends the worker. Where a worker dies, the
-    /// same is asked once more in a fresh one, unless it was one.
+    /// same is asked once more in a fresh one, unless it was one. Where it dies at the end of a run, when the
+    /// rows are complete, a fresh one that leaves out that call is asked in any case.
     ///
     /// # Errors
     /// [`FmiError::ReportedError`]: what the worker says; [`FmiError::WorkerEnded`]: it ended twice, or once by the time limit; [`FmiError::NoWorker`]; [`FmiError::Cancelled`].
@@ -143,36 +196,74 @@ impl Workers {
         run_limit: Option<Duration>,
         whom: AskedProcess,
     ) -> Result<Vec<Quirk>, FmiError> {
+        let _held = self.hold();
         let is_fresh = matches!(whom, AskedProcess::Fresh | AskedProcess::FreshOnce);
+        let is_of_end = Cell::new(false);
         let mut call = |process: Option<Process>| {
+            is_of_end.set(false);
             let mut process = match process {
                 Some(process) => process,
                 None => self.new_process(load, context)?,
             };
             let (quirks, can_go_on) = self.call_in(&mut process, load, asked, answer, context, run_limit);
+            is_of_end.set(self.avoid_call_at_end_of_run(&process, &quirks));
             // Otherwise it ends here.
             if can_go_on && whom != AskedProcess::FreshOnce {
                 self.give_back(process);
             }
             quirks
         };
-        let process = self.idle_process(load, whom);
-        let was_used = process.is_some();
-        let error = match call(process) {
-            Err(error) => error,
-            outcome => return outcome,
-        };
-        let is_tried_again = match &error {
-            FmiError::WorkerEnded(end) => end.kind != EndKind::Hung,
-            // A process that was used before may have lost what it needs.
-            FmiError::ReportedError(told) => was_used && told.is_of_process(),
-            _ => false,
-        };
-        if is_fresh || !is_tried_again {
-            return Err(error);
+        let mut process = self.idle_process(load, whom);
+        let mut n_left = u32::from(!is_fresh);
+        loop {
+            let was_used = process.is_some();
+            let error = match call(process.take()) {
+                Err(error) => error,
+                Ok(mut quirks) => {
+                    quirks.append(&mut self.idle().quirks);
+                    return Ok(quirks);
+                }
+            };
+            let is_tried_again = match &error {
+                FmiError::WorkerEnded(end) => end.kind != EndKind::Hung,
+                // A process that was used before may have lost what it needs.
+                FmiError::ReportedError(told) => was_used && told.is_of_process(),
+                _ => false,
+            };
+            if !is_of_end.get() {
+                if n_left == 0 || !is_tried_again {
+                    return Err(error);
+                }
+                n_left -= 1;
+            }
+            log::info!("{error}; the same is tried once more in a fresh process");
         }
-        log::info!("{error}; the same is tried once more in a fresh process");
-        call(None)
+    }
+
+    /// Notes a call at the end of a run that has ended a process, so that new ones leave it out. True if this
+    /// process did not leave it out: what was asked can be asked again.
+    fn avoid_call_at_end_of_run(&self, process: &Process, answer: &Result<Vec<Quirk>, FmiError>) -> bool {
+        let Err(FmiError::WorkerEnded(end)) = answer else { return false };
+        let Some(function) = end.call_at_end_of_run() else { return false };
+        let is_known = |calls: &[String]| calls.iter().any(|call| call == function);
+        if is_known(&process.avoided_calls) {
+            return false;
+        }
+        let mut idle = self.idle();
+        if is_known(&idle.avoided_calls) {
+            return true;
+        }
+        idle.avoided_calls.push(function.to_owned());
+        let message = format!(
+            "{function} does not return at the end of a run ({}): the rows of the run count, the function is not called any more, and \
+             processes with instances that it would have freed are replaced",
+            end.what
+        );
+        idle.quirks.push(Quirk { kind: QuirkKind::Promise, message, line: 0 });
+        let outdated = idle.take_processes();
+        drop(idle);
+        drop(outdated);
+        true
     }
 
     /// The quirks; and whether the process can be asked again.
@@ -219,7 +310,7 @@ impl Workers {
         if idle.owner != this {
             idle.processes.clear();
             (idle.begun, idle.template) = (None, None);
-            (idle.owner, idle.is_watched) = (this, false);
+            (idle.owner, idle.is_watched, idle.n_held) = (this, false, 0);
         }
         idle
     }
@@ -345,5 +436,6 @@ pub(super) fn garbage(error: std::io::Error) -> FmiError {
         function: None,
         time: None,
         output: String::new(),
+        hint: None,
     }))
 }

@@ -25,7 +25,7 @@ pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error
             "--plot {path}: a plot is an SVG drawing: give a name that ends in .svg"
         )));
     }
-    let fmu = Fmu::open(&arguments.model).map_err(Error::input)?;
+    let fmu = arguments.limits.open(&arguments.model)?;
     let units = short_form::assignments(&arguments.unit, "VARIABLE=UNIT, as in --unit u=V")?;
     let units = units.iter().map(|(variable, unit)| (&variable[..], &unit[..]));
     let fmu = fmu.with_units(units).map_err(Error::input)?;

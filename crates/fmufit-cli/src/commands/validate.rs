@@ -7,7 +7,7 @@ use crate::error::{Error, Exit};
 use base::Number;
 use calibration::CalibrationError;
 use dfo::Value;
-use fmi::{Fmu, SimulateOptions, Trajectory};
+use fmi::{SimulateOptions, Trajectory};
 use ode::Termination;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -41,7 +41,7 @@ pub(super) struct Document<'v> {
 }
 
 pub(crate) fn run(arguments: &Validate, console: &Console) -> Result<Exit, Error> {
-    let fmu = Fmu::open(&arguments.model).map_err(Error::input)?;
+    let fmu = arguments.limits.open(&arguments.model)?;
     let timeout = Value::Number(arguments.timeout).read_time("--timeout").map_err(Error::input)?;
     let experiment = &fmu.description().default_experiment;
     let mut options = SimulateOptions::default();

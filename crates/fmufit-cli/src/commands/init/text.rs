@@ -17,6 +17,7 @@ pub(super) fn text(
     data: &str,
     columns: &Columns,
     time: Option<&str>,
+    max_description_bytes: Option<u64>,
     proposed: &Proposed,
 ) -> String {
     let description = fmu.description();
@@ -85,18 +86,19 @@ pub(super) fn text(
     lines.extend(proposed.confounded.iter().map(|remark| format!("# {}", one_line(remark))));
     proposed.active().for_each(|candidate| lines.extend(parameter(candidate)));
     lines.extend(left_out(&proposed.candidates));
-    lines.extend(settings(&columns.without_unit));
+    lines.extend(settings(&columns.without_unit, max_description_bytes));
     lines.join("\n") + "\n"
 }
 
 /// The settings by their defaults, as comments; `without_unit`: variables of which the model states no unit,
-/// and their columns do.
-fn settings(without_unit: &[Pair]) -> Vec<String> {
+/// and their columns do; `max_description_bytes`: the limit with which the model was opened.
+fn settings(without_unit: &[Pair], max_description_bytes: Option<u64>) -> Vec<String> {
     let (settings, fit) = (SimulationSettings::default(), FitOptions::default());
     let tolerances = fit.run.tolerances;
     let objectives = CostKind::named().map(|kind| kind.name().to_owned()).collect::<Vec<_>>();
     let methods = AnyMethod::names().collect::<Vec<_>>().join(", ");
     let mut lines = vec!["[settings]".to_owned()];
+    lines.extend(max_description_bytes.map(|bytes| format!("max_description_bytes = {bytes}")));
     if !without_unit.is_empty() {
         lines.push(
             "# The model states no unit of these; in which are its values? Columns are converted to it."
