@@ -606,8 +606,8 @@ impl Fmu {
         }
     }
 
-    /// What may be the cause where the model fails: the tool that it needs is missing, or it follows a draft of
-    /// the standard.
+    /// What may be the cause where the model fails: the tool that it needs is missing, or it follows a draft
+    /// of the standard.
     pub fn hint(&self) -> Option<String> {
         let tool = self
             .needed_tool()

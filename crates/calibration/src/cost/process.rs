@@ -15,6 +15,7 @@ use fmi::worker::{AskedProcess, Frame, Held, Isolation, Load, WorkerLimits, Work
 use fmi::{FmiError, Fmu, OpenOptions, SimulateOptions, Trajectory};
 use ode::{Method, Stats};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -114,6 +115,9 @@ pub(crate) enum ProcessChoice {
 pub(crate) const HIDDEN_STATE: &str = "a cost depends on what ran before it in the same process (a state that the model keeps and no variable shows): each \
                                        evaluation has a process of its own";
 
+/// Introduces what a model logs about a failure where it is asked to log.
+const LOG_ON: &str = "the same with the log of the model switched on";
+
 /// The start of a process takes about so long.
 const START: Duration = Duration::from_millis(20);
 
@@ -125,14 +129,15 @@ struct Processes {
     load: Load,
     /// The same with the log of the model switched on.
     logging: Load,
-    /// Reasons of failures without a message of the model that were repeated with its log switched on.
-    explained: Mutex<Vec<String>>,
+    /// Reasons of failures without a message of the model that were repeated with its log switched on, and the
+    /// messages with it.
+    explained: Mutex<BTreeMap<String, Option<String>>>,
     /// No answer is checked for its dependence on earlier requests.
     is_checked: AtomicBool,
     /// Questions that were to be checked.
     n_checked: AtomicU64,
-    /// The first of them, and the numbers of its answer.
-    first: Mutex<Option<(Frame, Vec<f64>)>>,
+    /// The first of them, the numbers of its answer, and how often the surroundings had changed.
+    first: Mutex<Option<(Frame, Vec<f64>, u64)>>,
     /// Frames that were used before.
     frames: Mutex<Vec<(Frame, Frame)>>,
 }
@@ -175,6 +180,7 @@ impl Processes {
         context: &RunContext<'_>,
         use_answer: impl FnOnce(&mut Frame) -> std::io::Result<T>,
     ) -> Result<T, FmiError> {
+        let _held = self.workers.hold();
         let frames = || self.frames.lock().unwrap_or_else(PoisonError::into_inner);
         let (mut asked, mut answer) = frames().pop().unwrap_or_default();
         asked.set_head(job).map_err(unsaid)?;
@@ -194,8 +200,8 @@ impl Processes {
         used
     }
 
-    /// The failure of a request that was repeated with the log of the model switched on, because the model had
-    /// not said why a call failed; `None` where it had, or still does not.
+    /// The failure of a request that was repeated with the log of the model switched on, because the model
+    /// had not said why a call failed; `None` where it had, or still does not.
     fn explain(
         &self,
         told: &ReportedError,
@@ -245,10 +251,11 @@ impl Processes {
         context: &RunContext<'_>,
     ) -> Result<(), FmiError> {
         let known = || self.first.lock().unwrap_or_else(PoisonError::into_inner);
-        let first = known().clone();
-        let Some((first, numbers)) = first else {
+        let n_changes = self.workers.n_changes();
+        let first = known().clone().filter(|(.., since)| *since == n_changes);
+        let Some((first, numbers, _)) = first else {
             self.call(asked, answer, AskedProcess::Any, limit, context)?;
-            known().get_or_insert_with(|| (asked.clone(), answer.numbers.clone()));
+            *known() = Some((asked.clone(), answer.numbers.clone(), n_changes));
             return Ok(());
         };
         let is_first = first == *asked;
@@ -442,10 +449,10 @@ impl Remote {
         let is_alone = process == ProcessChoice::Checked;
         if !is_alone {
             let mut known = self.processes.explained.lock().unwrap_or_else(PoisonError::into_inner);
-            if known.contains(reason) {
+            if known.contains_key(reason) {
                 return failure;
             }
-            known.push(reason.clone());
+            known.insert(reason.clone(), None);
         }
         let mut explained = None;
         let failure_of = |called: Result<Frame, FmiError>| {
@@ -461,13 +468,20 @@ impl Remote {
             (Some(_), Some(explained)) if is_alone => explained,
             (Some(told), _) => {
                 let model = &self.processes.fmu.description().model_name;
-                log::warn!(
-                    "{model}: {reason} without a message; the same with the log of the model switched on: {}",
-                    told.message
-                );
+                log::warn!("{model}: {reason} without a message; {LOG_ON}: {}", told.message);
+                let mut known = self.processes.explained.lock().unwrap_or_else(PoisonError::into_inner);
+                known.insert(reason.clone(), Some(told.message));
                 failure
             }
             _ => failure,
+        }
+    }
+
+    /// Adds to the reason of failures what the model has logged about one of them.
+    pub(crate) fn explain_reason(&self, reason: &mut String) {
+        let known = self.processes.explained.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(Some(message)) = known.get(reason) {
+            *reason = format!("{reason} ({LOG_ON}: {message})");
         }
     }
 

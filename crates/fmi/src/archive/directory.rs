@@ -232,8 +232,9 @@ fn extra_field(mut extra: &[u8], number: u16) -> Option<&[u8]> {
     None
 }
 
-/// The name as Info-ZIP understands it: backslashes, which some tools of Windows write, are slashes; components
-/// that are empty or `.` lead nowhere and are left out. What leads out of the archive stays as it is.
+/// The name as Info-ZIP understands it: backslashes, which some tools of Windows write, are slashes;
+/// components that are empty or `.` lead nowhere and are left out. What leads out of the archive stays as it
+/// is.
 fn normalized(name: &str) -> String {
     let slashes = name.replace('\\', "/");
     let kept = |component: &&str| !matches!(*component, "" | ".");

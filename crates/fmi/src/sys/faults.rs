@@ -40,8 +40,8 @@ pub(crate) fn tell_faults() -> io::Result<()> {
     Ok(())
 }
 
-/// Notes whether the last call of the system has failed for want of memory, or was refused; then what was done before at this
-/// signal is done: who has met the fault meets it again.
+/// Notes whether the last call of the system has failed for want of memory, or was refused; then what was
+/// done before at this signal is done: who has met the fault meets it again.
 extern "C" fn look(signal: libc::c_int) {
     if io::Error::last_os_error().raw_os_error() == Some(libc::ENOMEM) {
         note_failed(NO_MEMORY);

@@ -42,6 +42,11 @@ impl Workers {
     }
 
     /// Not reached.
+    pub fn n_changes(&self) -> u64 {
+        match *self {}
+    }
+
+    /// Not reached.
     pub fn n_idle(&self, _: &Load) -> usize {
         match *self {}
     }

@@ -3,9 +3,10 @@
 //! An FMU is foreign machine code: it crashes, hangs, leaks, calls `exit`, keeps values in statics. Whatever
 //! evaluates a model more than once asks [`Workers`] to do it. A program that calls [`serve_if_worker`] first
 //! in its `main` is started once, as a template: it loads what is to be evaluated, and copies itself whenever
-//! a worker is needed. A worker has a socket pair (see [`Frame`] for what is said), the working folder and the
-//! environment variables of its caller, a separate folder for temporary files, and limits that it sets on
-//! itself. It runs one FMU in one thread. It ends when the socket is closed, at the latest with the process that has started it.
+//! a worker is needed. A worker has a socket pair (see [`Frame`] for what is said), the working folder and
+//! the environment variables of its caller, a separate folder for temporary files, and limits that it sets on
+//! itself. It runs one FMU in one thread. It ends when the socket is closed, at the latest with the process
+//! that has started it.
 
 #[cfg(not(unix))]
 mod absent;

@@ -54,6 +54,8 @@ struct Idle {
     owner: u32,
     /// Working folder and environment variables of the caller.
     surroundings: Surroundings,
+    /// Number of times that these have changed.
+    n_changes: u64,
     /// Calls, and longer uses, under way.
     n_held: usize,
     /// Calls at the end of a run that have ended a worker: new workers leave them out.
@@ -110,6 +112,7 @@ impl Workers {
             let present = Surroundings::present();
             if idle.surroundings != present {
                 idle.surroundings = present;
+                idle.n_changes += 1;
                 // All of them are idle: none is in a call.
                 outdated = Some(idle.take_processes());
             }
@@ -117,6 +120,12 @@ impl Workers {
         drop(idle);
         drop(outdated);
         Held(Arc::clone(self))
+    }
+
+    /// Number of times that the caller has had another working folder or other environment variables than at
+    /// the call before: answers on either side are not to be compared.
+    pub fn n_changes(&self) -> u64 {
+        self.idle().n_changes
     }
 
     /// Starts the program of the workers, has it load this, and the first worker copied from it, in the
