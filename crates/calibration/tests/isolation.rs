@@ -145,21 +145,41 @@ fn a_hang_is_ended_soon_after_its_limit() {
     assert!(calibration.cost(&[3.0], &short).is_err());
 }
 
+/// The rows are complete: the call is left out from then on, and named once.
 #[test]
-fn what_the_end_of_a_run_does_belongs_to_its_evaluation() {
-    let folder = faulty(&["FAULT_ABOVE=2.2", "FAULT=hang()", "FAULT_AT_END"]);
-    let timeout = Some(Duration::from_millis(300));
-    let calibration = decay(open(&folder), with_limit(timeout));
-    for k in [1.0, 3.0, 1.5, 2.5, 2.0] {
-        match calibration.cost(&[k], &RunContext::new()) {
-            Ok(_) => assert!(k < 2.2, "{k}"),
-            Err(error) => {
-                let error = error.to_string();
-                assert!(error.contains(&format!("k = {k}")), "{error}");
-                assert!(error.contains("no answer within the time limit in fmi2Terminate"), "{error}");
-            }
+fn a_call_at_the_end_of_a_run_that_ends_the_process_costs_no_evaluation() {
+    let hang = ["FAULT_ABOVE=0", "FAULT=hang()", "FAULT_AT_END"];
+    for (faults, function) in [
+        (&["AT_TERMINATE=abort()"][..], "fmi2Terminate"),
+        (&["AT_FREE=abort()"], "fmi2FreeInstance"),
+        (&["AT_RESET=abort()"], "fmi2Reset"),
+        (&["AT_TERMINATE=abort()", "AT_FREE=*(volatile int *)0 = 1"], "fmi2FreeInstance"),
+        (&hang, "fmi2Terminate"),
+    ] {
+        let folder = faulty(faults);
+        let expected = decay(open(&faulty(&[])), settings(Isolation::None));
+        // A hang shows by the limit alone.
+        let timeout = (faults.len() == hang.len()).then_some(Duration::from_millis(300));
+        let calibration = decay(open(&folder), with_limit(timeout));
+        for k in [1.0, 3.0, 1.5] {
+            let costs =
+                [&calibration, &expected].map(|c| c.cost(&[k], &RunContext::new()).unwrap().to_bits());
+            assert_eq!(costs[0], costs[1], "{faults:?}, k = {k}");
         }
+        let found = fit(&calibration, 2, 60);
+        assert!((found.x[0] - 1.7).abs() < 1e-3 && found.report.n_failed == 0, "{faults:?}: {:?}", found.x);
+        let quirks = calibration.fmu().quirks_seen();
+        let named = quirks.iter().filter(|quirk| quirk.message.starts_with(function)).count();
+        assert_eq!(named, 1, "{faults:?}: {quirks:?}");
     }
+}
+
+#[test]
+fn a_model_that_crashes_before_its_rows_are_complete_fails() {
+    let folder = faulty(&["AT_INITIALIZE=abort()", "AT_FREE=abort()"]);
+    let calibration = decay(open(&folder), settings(Isolation::Process));
+    let error = calibration.cost(&[1.0], &RunContext::new()).unwrap_err().to_string();
+    assert!(error.contains("abort in fmi2ExitInitializationMode"), "{error}");
 }
 
 /// The processes that were started with this folder for temporary files somewhere in their environment.

@@ -517,6 +517,7 @@ impl Fmu {
         wait: &mut dyn FnMut() -> bool,
     ) -> Result<Arc<LoadedLibrary>> {
         let interface = self.check_interface(kind)?;
+        self.note_needed_tool();
         let only_one = interface.capabilities.can_be_instantiated_only_once_per_process;
         let maker = Maker {
             archive: self.archive(),
@@ -551,7 +552,7 @@ impl Fmu {
     /// Checks that the FMU can be simulated in this way; returns the interface that would be used.
     ///
     /// # Errors
-    /// [`FmiError::NotOffered`], [`FmiError::NeedsExecutionTool`].
+    /// [`FmiError::NotOffered`].
     pub fn check_runnable_as(&self, kind: InterfaceChoice) -> Result<InterfaceKind> {
         let kind = self.choose(kind)?;
         self.check_interface(kind).map(|_| kind)
@@ -604,15 +605,39 @@ impl Fmu {
 
     /// Checks that the FMU can be run by this interface, and returns it.
     pub(crate) fn check_interface(&self, kind: InterfaceKind) -> Result<&Interface> {
-        let description = self.description();
-        let interface = self.interface(kind).ok_or_else(|| self.not_offered(kind.to_string()))?;
-        if interface.capabilities.needs_execution_tool && !self.inner.options.tool_is_present {
-            return Err(FmiError::NeedsExecutionTool {
-                model: description.model_name.clone(),
-                tool: description.generation_tool.clone(),
-            });
+        self.interface(kind).ok_or_else(|| self.not_offered(kind.to_string()))
+    }
+
+    /// The tool that the model calls when it runs, as a message names it (`needsExecutionTool`).
+    fn needed_tool(&self) -> Option<String> {
+        let needs = |(_, interface): (_, &Interface)| interface.capabilities.needs_execution_tool;
+        let tool = || self.description().generation_tool.as_deref().unwrap_or("the tool that made it");
+        self.interfaces().any(needs).then(|| tool().to_owned())
+    }
+
+    /// Logs once that the model needs a tool.
+    pub fn note_needed_tool(&self) {
+        if let Some(tool) = self.needed_tool().filter(|_| !is_worker()) {
+            let message = format!("the model needs {tool} to run (needsExecutionTool)");
+            self.say_once(log::Level::Warn, "tool", &message);
         }
-        Ok(interface)
+    }
+
+    /// What may be the cause where the model fails: the tool that it needs is missing, or it follows a draft
+    /// of the standard.
+    pub fn hint(&self) -> Option<String> {
+        let tool = self
+            .needed_tool()
+            .map(|tool| format!("the model needs {tool} to run (needsExecutionTool), which may be missing"));
+        let version = &self.description().fmi_version;
+        let draft = version.is_draft().then(|| {
+            format!(
+                "the model follows FMI {version}, a draft whose functions differ from those of FMI {}.{}",
+                version.major, version.minor
+            )
+        });
+        let hints: Vec<String> = tool.into_iter().chain(draft).collect();
+        (!hints.is_empty()).then(|| hints.join("; "))
     }
 
     /// The file of the library for this platform among those of an unpacked part.
@@ -677,8 +702,19 @@ impl Fmu {
     fn load(&self, from: LoadFrom<'_>, kind: InterfaceKind) -> Result<Library> {
         let interface = self.check_interface(kind)?;
         let version = &self.description().fmi_version;
-        let library =
-            Library::open(from, version, kind, &interface.model_identifier, &self.inner.options.loader)?;
+        let (identifier, loader, hint) =
+            (&interface.model_identifier, &self.inner.options.loader, self.hint());
+        let library = Library::open(from, version, kind, identifier, loader, hint.as_deref());
+        let library = library.map_err(|error| match (error, hint) {
+            (FmiError::LoadFailed { library, message }, Some(hint)) => {
+                FmiError::LoadFailed { library, message: format!("{message}; {hint}") }
+            }
+            (FmiError::MissingSymbol { library, symbol }, Some(hint)) => {
+                let message = format!("it has no function {symbol}, which the standard demands; {hint}");
+                FmiError::LoadFailed { library, message }
+            }
+            (error, _) => error,
+        })?;
         // Versions of the library that differ after the second number speak the same language.
         let numbers = |text: &str| {
             text.split(|c: char| !c.is_ascii_digit()).take(2).map(str::to_owned).collect::<Vec<_>>()

@@ -24,9 +24,6 @@ pub struct OpenOptions {
     pub description: DescriptionLimits,
     /// Options of the dynamic loader.
     pub loader: LoaderOptions,
-    /// Run the FMU although it says that it needs the tool that made it (`needsExecutionTool`): the tool is
-    /// there, or the FMU exaggerates.
-    pub tool_is_present: bool,
     /// Log settings of the instances that simulations use.
     pub logging: LogOptions,
     /// Time limit of the compiler that builds the library of a source-code FMU (default: five minutes).
@@ -42,7 +39,6 @@ impl Default for OpenOptions {
             limits: ArchiveLimits::default(),
             description: DescriptionLimits::default(),
             loader: LoaderOptions::default(),
-            tool_is_present: false,
             logging: LogOptions::default(),
             compile_time: COMPILE_TIME,
             cancel: CancelRequest::default(),

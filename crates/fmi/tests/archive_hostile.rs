@@ -160,19 +160,40 @@ fn a_missing_model_description_is_looked_for_elsewhere() {
 
 #[test]
 fn names_that_lead_out_of_the_folder_are_refused() {
-    for name in ["../evil", "a/../../evil", "resources/..", "./a", "a/./b"] {
+    for name in
+        ["../evil", "a/../../evil", "resources/..", "./../evil", "..\\evil", "a\\..\\..\\evil", "a//../b"]
+    {
         assert_eq!(problem_of_name(name), EntryProblem::Traversal, "{name}");
     }
-    for name in ["/etc/passwd", "C:/evil", "c:evil", "//server/share"] {
+    for name in
+        ["/etc/passwd", "C:/evil", "c:evil", "//server/share", "\\\\server\\share", "C:\\evil", "./C:evil"]
+    {
         assert_eq!(problem_of_name(name), EntryProblem::Absolute, "{name}");
     }
-    for name in ["..\\evil", "a\\b", "\\\\server\\share", "C:\\evil"] {
-        assert_eq!(problem_of_name(name), EntryProblem::ForbiddenCharacter('\\'), "{name}");
-    }
     assert_eq!(problem_of_name("a\0.txt"), EntryProblem::ForbiddenCharacter('\0'));
-    for name in ["", "a//b", "a//"] {
-        assert_eq!(problem_of_name(name), EntryProblem::EmptyName, "{name}");
-    }
+    assert_eq!(problem_of_name(""), EntryProblem::EmptyName);
+    assert_eq!(problem_of_name("a//"), EntryProblem::FolderWithData(1));
+    assert_eq!(problem_of_name("./"), EntryProblem::FolderWithData(1));
+}
+
+#[test]
+fn names_with_backslashes_and_dots_are_unpacked_where_info_zip_does() {
+    let description = Entry::stored("./modelDescription.xml", zip_bytes::DESCRIPTION.as_bytes());
+    let archive = open(&zip(&[
+        Entry::stored("./", b"").with(|entry| entry.mode = 0o040_755),
+        description,
+        Entry::stored("resources\\", b"").with(|entry| entry.mode = 0),
+        Entry::stored("resources\\deep\\a.txt", b"backslashes"),
+        Entry::deflated(".//resources/./b.txt", b"dots"),
+    ]))
+    .unwrap();
+    let root = archive.unpack().unwrap();
+    assert_eq!(fs::read(root.join("modelDescription.xml")).unwrap(), zip_bytes::DESCRIPTION.as_bytes());
+    assert_eq!(fs::read(root.join("resources/deep/a.txt")).unwrap(), b"backslashes");
+    assert_eq!(fs::read(root.join("resources/b.txt")).unwrap(), b"dots");
+    let pair = |one: &str, two: &str| problem_of(&[Entry::stored(one, b"1"), Entry::stored(two, b"2")]);
+    assert_eq!(pair("a/b", "a\\b"), EntryProblem::Duplicate);
+    assert_eq!(pair("./a", "A"), EntryProblem::CaseDuplicate("a".into()));
 }
 
 #[test]

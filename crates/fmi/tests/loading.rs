@@ -64,16 +64,44 @@ fn symbols_of_the_library_come_first_where_that_is_asked_for() {
 }
 
 #[test]
-fn an_fmu_that_needs_its_tool_runs_where_the_tool_is_said_to_be_there() {
-    let folder = evil_with(&[], |xml| {
-        xml.replace("modelIdentifier=\"evil\"", "modelIdentifier=\"evil\" needsExecutionTool=\"true\"")
-    });
-    let error = end(&folder.open(), 1.0).unwrap_err();
-    assert!(matches!(error, FmiError::NeedsExecutionTool { .. }), "{error}");
-    assert!(error.to_string().contains("needsExecutionTool"), "{error}");
-    let options = OpenOptions { tool_is_present: true, ..OpenOptions::default() };
-    let fmu = Fmu::open_with(folder.path(), &options).unwrap();
-    assert!((end(&fmu, 2.0).unwrap() - (-2f64).exp()).abs() < 1e-7);
+fn an_fmu_that_needs_its_tool_runs_and_names_the_tool_where_it_fails() {
+    let needing = |defines: &[&str]| {
+        evil_with(defines, |xml| {
+            let xml = xml
+                .replace("modelIdentifier=\"evil\"", "modelIdentifier=\"evil\" needsExecutionTool=\"true\"");
+            xml.replacen("<fmiModelDescription ", "<fmiModelDescription generationTool=\"Bench 7\" ", 1)
+        })
+    };
+    assert!((end(&needing(&[]).open(), 2.0).unwrap() - (-2f64).exp()).abs() < 1e-7);
+    let hint = "Bench 7 to run (needsExecutionTool), which may be missing";
+    let error = end(&needing(&["NOT_INSTANTIABLE"]).open(), 1.0).unwrap_err().to_string();
+    assert!(error.contains("no licence for evil") && error.contains(hint), "{error}");
+    let error = end(&needing(&["UNDEFINED_SYMBOL"]).open(), 1.0).unwrap_err().to_string();
+    assert!(error.contains("not_there") && error.contains(hint), "{error}");
+    let error = end(&evil(&["NOT_INSTANTIABLE"]).open(), 1.0).unwrap_err().to_string();
+    assert!(!error.contains("needsExecutionTool"), "{error}");
+}
+
+#[test]
+fn an_fmu_of_a_draft_runs_and_names_the_draft_where_it_fails() {
+    let draft = |defines: &[&str]| {
+        evil_with(defines, |xml| xml.replace("fmiVersion=\"2.0\"", "fmiVersion=\"2.0-beta.4\""))
+    };
+    assert!((end(&draft(&[]).open(), 2.0).unwrap() - (-2f64).exp()).abs() < 1e-7);
+    let error = end(&draft(&["NOT_INSTANTIABLE"]).open(), 1.0).unwrap_err().to_string();
+    assert!(
+        error.contains("FMI 2.0-beta.4, a draft whose functions differ from those of FMI 2.0"),
+        "{error}"
+    );
+}
+
+#[test]
+fn messages_reach_the_instance_whatever_environment_the_fmu_passes() {
+    for environment in ["NULL", "(void*)1", "m->functions.componentEnvironment"] {
+        let folder = evil(&["NO_START", &format!("LOG_ENVIRONMENT={environment}")]);
+        let error = end(&folder.open(), 1.0).unwrap_err().to_string();
+        assert!(error.contains("no solution for"), "{environment}: {error}");
+    }
 }
 
 /// The library of an FMU in a folder.

@@ -1,7 +1,10 @@
 //! The arguments of the command line, and what `--help` teaches about them.
 
+use crate::error::Error;
+use calibration::SimulationSettings;
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use std::path::PathBuf;
+use fmi::Fmu;
+use std::path::{Path, PathBuf};
 
 /// Fit the parameters of Functional Mock-up Units (FMUs) to measurements.
 #[derive(Debug, Parser)]
@@ -115,10 +118,31 @@ impl Command {
     }
 }
 
+/// Limits with which a model is opened.
+#[derive(Debug, Args)]
+pub(crate) struct Limits {
+    /// Largest size of modelDescription.xml, in bytes; default: 64 MiB
+    #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u64).range(1..))]
+    pub(crate) max_description_bytes: Option<u64>,
+}
+
+impl Limits {
+    /// Opens a model.
+    pub(crate) fn open(&self, model: &Path) -> Result<Fmu, Error> {
+        let settings = SimulationSettings {
+            max_description_bytes: self.max_description_bytes,
+            ..SimulationSettings::default()
+        };
+        Fmu::open_with(model, &settings.open_options()).map_err(Error::input)
+    }
+}
+
 #[derive(Debug, Args)]
 pub(crate) struct Info {
     /// An .fmu file, or an unpacked folder
     pub(crate) model: PathBuf,
+    #[command(flatten)]
+    pub(crate) limits: Limits,
     /// All variables, internal ones too
     #[arg(long)]
     pub(crate) all: bool,
@@ -134,6 +158,8 @@ pub(crate) struct Info {
 pub(crate) struct Validate {
     /// An .fmu file, or an unpacked folder
     pub(crate) model: PathBuf,
+    #[command(flatten)]
+    pub(crate) limits: Limits,
     /// Limit of the simulation, in seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 30.0)]
     pub(crate) timeout: f64,
@@ -149,6 +175,8 @@ pub(crate) struct Validate {
 pub(crate) struct Simulate {
     /// An .fmu file, or an unpacked folder
     pub(crate) model: PathBuf,
+    #[command(flatten)]
+    pub(crate) limits: Limits,
     /// Value of a parameter, or start value of a variable, or all those of an SSP parameter file; may be
     /// given several times
     #[arg(long = "set", value_name = "NAME=VALUE | @FILE.ssv")]
@@ -207,6 +235,8 @@ pub(crate) struct Simulate {
 pub(crate) struct Init {
     /// An .fmu file, or an unpacked folder
     pub(crate) model: PathBuf,
+    #[command(flatten)]
+    pub(crate) limits: Limits,
     /// A recording: a CSV file with a column of times
     pub(crate) data: PathBuf,
     /// The file to write

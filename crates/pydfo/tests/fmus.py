@@ -98,8 +98,9 @@ def compiled(name, path, *defines, replacements=()):
     return write(path, description, files)
 
 
-def evil(path, *defines):
-    """The FMI 2.0 model with faults in C that the tests of the importer have (x' = -k x, y = x), for both kinds."""
+def evil(path, *defines, replacements=()):
+    """The FMI 2.0 model with faults in C that the tests of the importer have (x' = -k x, y = x), for both kinds;
+    `replacements` are pairs of (old, new) in its description."""
     source = Path(__file__).resolve().parents[2] / "fmi" / "tests" / "evil"
     frontend = source.parents[2] / "example-models" / "models" / "frontend"
     compiler = shutil.which("cc")
@@ -111,4 +112,7 @@ def evil(path, *defines):
     description = (source / "modelDescription.xml").read_text(encoding="utf-8")
     both = ME.replace('"m"', '"evil"') + '<CoSimulation modelIdentifier="evil" canHandleVariableCommunicationStepSize="true"/>'
     description = description.replace(ME.replace('"m"', '"evil"'), both)
+    for old, new in replacements:
+        assert old in description
+        description = description.replace(old, new)
     return write(path, description, {"binaries/linux64/evil.so": library.read_bytes()})

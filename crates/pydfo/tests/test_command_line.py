@@ -31,6 +31,24 @@ def test_from_a_model_and_a_recording_to_the_truth(tmp_path: Path) -> None:
     assert pydfo.load_fit(tmp_path / "decay.fit").x[0] == result["parameters"][0]["value"]
 
 
+def test_the_limit_of_a_description_can_be_raised_in_every_command(tmp_path: Path) -> None:
+    shutil.copy(pydfo.example_fmu("dahlquist"), tmp_path / "model.fmu")
+    limit = ("--max-description-bytes", "100")
+    assert run(tmp_path, "simulate", "model.fmu", "--final-time", "2", "--output", "run.csv").returncode == 0
+    for command in (("info", "model.fmu"), ("validate", "model.fmu"), ("simulate", "model.fmu"), ("init", "model.fmu", "run.csv")):
+        refused = run(tmp_path, *command, *limit)
+        assert refused.returncode == 2 and "max_description_bytes" in refused.stderr, refused
+    assert run(tmp_path, "init", "model.fmu", "run.csv", "--max-description-bytes", "100000").returncode == 0
+    problem = tmp_path / "problem.toml"
+    text = problem.read_text(encoding="utf-8")
+    assert "\nmax_description_bytes = 100000\n" in text and run(tmp_path, "check", "problem.toml").returncode == 0
+    problem.write_text(text.replace("bytes = 100000", "bytes = 100"), encoding="utf-8")
+    refused = run(tmp_path, "check", "problem.toml")
+    assert refused.returncode == 2 and "the limit of 100" in refused.stderr, refused
+    short = ("fit", "model.fmu", "run.csv", "--output", "x", "--parameter", "k=1:0.1:3", "--setting")
+    assert run(tmp_path, *short, "max_description_bytes=100").returncode == 2
+
+
 def test_exit_codes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     assert run(tmp_path, "fit", "none.toml").returncode == 2
     assert run(tmp_path, "--help").returncode == 0

@@ -196,7 +196,7 @@ def test_a_pickle_holds_the_data_and_names_the_model(tmp_path):
     model, data = tmp_path / "model.fmu", tmp_path / "data.csv"
     shutil.copy(example_fmu("dahlquist"), model)
     data.write_text("time,x\n0,1\n0.5,0.4\n")
-    stored = pickle.dumps(Calibration(FMUModel(model, tool_is_present=True), data, ["x"], [SHARED]))
+    stored = pickle.dumps(Calibration(FMUModel(model), data, ["x"], [SHARED]))
     data.unlink()
     assert pickle.loads(stored).cost([2.0]) > 0.0
     shutil.copy(example_fmu("van_der_pol"), model)

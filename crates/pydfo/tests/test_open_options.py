@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import pickle
 
 import fmus
 import pytest
@@ -66,22 +67,29 @@ def test_the_bundled_models_log_their_events_in_all_versions_and_kinds(version, 
     assert len(bounces) == 3, caplog.messages
 
 
-def test_a_model_keeps_the_options_it_was_opened_with(tmp_path):
+def test_a_model_that_needs_its_tool_runs_with_a_note(tmp_path, caplog):
     kind = ("modelIdentifier=", 'needsExecutionTool="true" modelIdentifier=')
     path = fmus.changed("dahlquist", tmp_path / "tool.fmu", kind)
-    with pytest.raises(FmuError, match="needsExecutionTool"):
-        FMUModel(path)
-    model = FMUModel(path, tool_is_present=True)
-    assert model.simulate(final_time=1.0).final("x") > 0
-    # The file is open with other options now, and refused without them all the same.
-    with pytest.raises(FmuError, match="needsExecutionTool"):
-        load_fmu(path)
     times = [0.0, 0.5, 1.0]
-    data = {"time": times, "x": model.simulate(times=times, start_values={"k": 0.5})["x"]}
-    calibration = pydfo.Calibration(
-        model, data, outputs=["x"], parameters=[pydfo.Parameter("k", 1.0, 0.1, 2.0)]
-    )
-    assert calibration.fit().x[0] == pytest.approx(0.5, rel=1e-4)
+    with caplog.at_level(logging.WARNING, logger="pydfo"):
+        model = FMUModel(path)
+        data = {"time": times, "x": model.simulate(times=times, start_values={"k": 0.5})["x"]}
+        model.simulate(times=times, isolation="process")
+        calibration = pydfo.Calibration(path, data, outputs=["x"], parameters=[pydfo.Parameter("k", 1.0, 0.1, 2.0)])
+        assert calibration.fit().x[0] == pytest.approx(0.5, rel=1e-4)
+    notes = [record.getMessage() for record in caplog.records if "needsExecutionTool" in record.getMessage()]
+    assert len(notes) == 1, caplog.messages
+
+
+def test_a_model_that_fails_without_its_tool_says_so(tmp_path):
+    tool = ("modelIdentifier=", 'needsExecutionTool="true" modelIdentifier=')
+    path = fmus.evil(tmp_path / "tool.fmu", "NOT_INSTANTIABLE", replacements=[tool])
+    for isolation in ("none", "process"):
+        with pytest.raises(FmuError, match=r"no licence for evil; .*to run \(needsExecutionTool\), which may be missing"):
+            FMUModel(path).simulate(final_time=1.0, isolation=isolation)
+    crashes = fmus.evil(tmp_path / "crash.fmu", "AT_INITIALIZE=abort()", replacements=[tool])
+    with pytest.raises(pydfo.SimulationError, match=r"abort in fmi2ExitInitializationMode.*which may be missing"):
+        FMUModel(crashes).simulate(final_time=1.0, isolation="process")
 
 
 @pytest.mark.parametrize("options", [{"deepbind": True}, {"lazy": True}])
@@ -123,5 +131,11 @@ def test_limits_of_the_description_can_be_set(tmp_path):
                 open_it(path, max_elements=value)
         with pytest.raises(TypeError, match="max_description_bytes must be a whole number"):
             open_it(path, max_description_bytes=1.5)
+    data = {"time": [0.0, 0.5, 1.0], "x": [1.0, 0.6, 0.4]}
+    calibrated = {"outputs": ["x"], "parameters": [pydfo.Parameter("k", 1.0, 0.1, 2.0)]}
+    with pytest.raises(FmuError, match="limit of 100; raise it with max_description_bytes"):
+        pydfo.Calibration(path, data, **calibrated, max_description_bytes=100)
+    calibration = pydfo.Calibration(path, data, **calibrated, max_description_bytes=100_000)
+    assert pickle.loads(pickle.dumps(calibration)).cost([1.0]) == calibration.cost([1.0])
     with pytest.raises(FmuError, match="elements"):
         FMUModel(fmus.compiled("arrays", tmp_path / "arrays.fmu"), max_elements=3)

@@ -163,7 +163,8 @@ fn call_reason(error: &FmiError) -> String {
     match error {
         FmiError::Call(failure) => {
             let line = failure.log.first().map(|line| format!(": {line}")).unwrap_or_default();
-            format!("{} returned {}{line}", failure.call, failure.status)
+            let hints: String = failure.hints.iter().map(|hint| format!("; {hint}")).collect();
+            format!("{} returned {}{line}{hints}", failure.call, failure.status)
         }
         other => other.to_string(),
     }

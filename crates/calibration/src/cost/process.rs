@@ -10,13 +10,15 @@ use crate::problem::definition::{ModelFile, Problem};
 use crate::problem::settings::SimulationSettings;
 use base::RunContext;
 use dfo::RobustLoss;
+use fmi::error::ReportedError;
 use fmi::worker::{
-    AnswerLimits, AskedProcess, Frame, FrameSize, Isolation, Load, Question, WorkerLimits, Workers,
+    AnswerLimits, AskedProcess, Frame, FrameSize, Held, Isolation, Load, Question, WorkerLimits, Workers,
     check_sandbox,
 };
 use fmi::{FmiError, Fmu, OpenOptions, SimulateOptions, Trajectory};
 use ode::{Method, Stats};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::io;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -59,6 +61,17 @@ pub(crate) enum Job {
         times: Option<Vec<f64>>,
         variables: Vec<String>,
     },
+}
+
+impl Job {
+    /// Has the model log, where a model is opened.
+    fn switch_log_on(&mut self) {
+        match self {
+            Self::Load(loaded) => loaded.options.logging.asked = true,
+            Self::Open(_, options) => options.logging.asked = true,
+            _ => {}
+        }
+    }
 }
 
 /// An evaluation; its residuals are the numbers of the frame.
@@ -106,6 +119,9 @@ pub(crate) enum ProcessChoice {
 pub(crate) const HIDDEN_STATE: &str = "a cost depends on what ran before it in the same process (a state that the model keeps and no variable shows): each \
                                        evaluation has a process of its own";
 
+/// Introduces what a model logs about a failure where it is asked to log.
+const LOG_ON: &str = "the same with the log of the model switched on";
+
 /// The start of a process takes about so long.
 const START: Duration = Duration::from_millis(20);
 
@@ -115,12 +131,17 @@ struct Processes {
     fmu: Fmu,
     workers: Arc<Workers>,
     load: Load,
+    /// The same with the log of the model switched on.
+    logging: Load,
+    /// Reasons of failures without a message of the model that were repeated with its log switched on, and the
+    /// messages with it.
+    explained: Mutex<BTreeMap<String, Option<String>>>,
     /// No answer is checked for its dependence on earlier requests.
     is_checked: AtomicBool,
     /// Questions that were to be checked.
     n_checked: AtomicU64,
-    /// The first of them, and the numbers of its answer.
-    first: Mutex<Option<(Frame, Vec<f64>)>>,
+    /// The first of them, the numbers of its answer, and how often the surroundings had changed.
+    first: Mutex<Option<(Frame, Vec<f64>, u64)>>,
     /// Frames that were used before.
     frames: Mutex<Vec<(Frame, Frame)>>,
 }
@@ -135,13 +156,23 @@ impl Processes {
             true => FmiError::NoSandbox { reason: NO_LAUNCHER.to_owned() },
             false => FmiError::NoWorker { reason: NO_LAUNCHER.to_owned() },
         })?;
-        let load = Load::new(move || Frame::of(&load));
+        let job = Arc::new(load);
+        let plain = Arc::clone(&job);
+        let load = Load::new(move || Frame::of(&*plain));
+        let logging = Load::new(move || {
+            let mut job: Job = Frame::of(&*job)?.head()?;
+            job.switch_log_on();
+            Frame::of(&job)
+        });
         let load = lender.into_iter().fold(load, Load::in_processes_of);
+        fmu.note_needed_tool();
         workers.prepare(&load);
         Ok(Self {
             fmu: fmu.clone(),
             workers,
             load,
+            logging,
+            explained: Mutex::default(),
             is_checked: AtomicBool::new(false),
             n_checked: AtomicU64::new(0),
             first: Mutex::default(),
@@ -158,6 +189,7 @@ impl Processes {
         context: &RunContext<'_>,
         accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
     ) -> Result<T, FmiError> {
+        let _held = self.workers.hold();
         let frames = || self.frames.lock().unwrap_or_else(PoisonError::into_inner);
         let (mut asked, mut answer) = frames().pop().unwrap_or_default();
         asked.set_head(job).map_err(unsaid)?;
@@ -177,6 +209,26 @@ impl Processes {
         accepted
     }
 
+    /// The failure of a request that was repeated with the log of the model switched on, because the model
+    /// had not said why a call failed; `None` where it had, or still does not.
+    fn explain(
+        &self,
+        told: &ReportedError,
+        job: &Job,
+        limits: AnswerLimits,
+        context: &RunContext<'_>,
+        failure_of: impl FnOnce(Result<Frame, FmiError>) -> Option<ReportedError>,
+    ) -> Option<ReportedError> {
+        if told.status.is_none() || !told.log.is_empty() || self.fmu.options().logging.asked {
+            return None;
+        }
+        let (asked, mut answer) = (Frame::of(job).ok()?, Frame::default());
+        let question = Question { asked: &asked, context, limits };
+        let whom = AskedProcess::FreshOnce;
+        let called = self.workers.call(&self.logging, &question, &mut answer, &mut |_| Ok(()), whom);
+        failure_of(called.map(|_| answer)).filter(|told| !told.log.is_empty())
+    }
+
     fn call<T>(
         &self,
         question: &Question<'_>,
@@ -184,7 +236,14 @@ impl Processes {
         accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
         whom: AskedProcess,
     ) -> Result<T, FmiError> {
-        let (accepted, quirks) = self.workers.call(&self.load, question, answer, accept, whom)?;
+        let called = self.workers.call(&self.load, question, answer, accept, whom);
+        let (accepted, quirks) = called.map_err(|error| match error {
+            FmiError::WorkerEnded(mut end) => {
+                end.hint = end.hint.or_else(|| self.fmu.hint());
+                FmiError::WorkerEnded(end)
+            }
+            error => error,
+        })?;
         self.fmu.add_quirks(quirks);
         Ok(accepted)
     }
@@ -200,10 +259,11 @@ impl Processes {
         accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
     ) -> Result<T, FmiError> {
         let known = || self.first.lock().unwrap_or_else(PoisonError::into_inner);
-        let first = known().clone();
-        let Some((first, numbers)) = first else {
+        let n_changes = self.workers.n_changes();
+        let first = known().clone().filter(|(.., since)| *since == n_changes);
+        let Some((first, numbers, _)) = first else {
             let accepted = self.call(question, answer, accept, AskedProcess::Any)?;
-            known().get_or_insert_with(|| (question.asked.clone(), answer.numbers.clone()));
+            *known() = Some((question.asked.clone(), answer.numbers.clone(), n_changes));
             return Ok(accepted);
         };
         let is_first = first == *question.asked;
@@ -256,6 +316,34 @@ impl Processes {
             );
         }
         Ok(accepted)
+    }
+}
+
+impl Processes {
+    /// A recorded simulation, with this number of columns where that is known.
+    fn trajectory(
+        &self,
+        job: &Job,
+        limits: AnswerLimits,
+        n_columns: Option<usize>,
+        context: &RunContext<'_>,
+    ) -> Result<Trajectory, FmiError> {
+        let mut accept = |answer: &mut Frame| {
+            let trajectory = trajectory_of(answer)?;
+            match n_columns.filter(|n| trajectory.columns.len() != *n) {
+                Some(n) => Err(wrong(format!("{} columns instead of {n}", trajectory.columns.len()))),
+                None => Ok(trajectory),
+            }
+        };
+        self.ask(job, ProcessChoice::Checked, limits, context, &mut accept).map_err(|error| {
+            let FmiError::ReportedError(told) = error else { return error };
+            let failure_of = |called| match called {
+                Err(FmiError::ReportedError(told)) => Some(*told),
+                _ => None,
+            };
+            let explained = self.explain(&told, job, limits, context, failure_of);
+            FmiError::ReportedError(explained.map_or(told, Box::new))
+        })
     }
 }
 
@@ -312,6 +400,11 @@ impl Remote {
         self.processes.is_checked.store(true, Ordering::Relaxed);
     }
 
+    /// Begins work in which all processes have the working folder and the environment variables of its begin.
+    pub(crate) fn hold(&self) -> Held {
+        self.processes.workers.hold()
+    }
+
     /// Has a process started that will be needed for a fit: beside that which searches, or at its end.
     pub(crate) fn prepare_second(&self) {
         self.processes.workers.prepare_second(&self.processes.load);
@@ -361,7 +454,57 @@ impl Remote {
         }
         let (cost, taken) = evaluated.map_err(CostFailure::of_worker)?;
         *stats += taken;
-        cost.map_err(CostFailure::from)
+        cost.map_err(|failure| self.explained(failure, &job, process, limits, &context).into())
+    }
+
+    /// A failure with the reason of the model. In a search all failures have the reason that they would have
+    /// in any other order: there the model's is logged, once for each reason.
+    fn explained(
+        &self,
+        failure: ReportedCostFailure,
+        job: &Job,
+        process: ProcessChoice,
+        limits: AnswerLimits,
+        context: &RunContext<'_>,
+    ) -> ReportedCostFailure {
+        let ReportedCostFailure::Failed { reason, source: Some(told), .. } = &failure else { return failure };
+        let is_alone = process == ProcessChoice::Checked;
+        if !is_alone {
+            let mut known = self.processes.explained.lock().unwrap_or_else(PoisonError::into_inner);
+            if known.contains_key(reason) {
+                return failure;
+            }
+            known.insert(reason.clone(), None);
+        }
+        let mut explained = None;
+        let failure_of = |called: Result<Frame, FmiError>| {
+            let answer: Evaluated = called.ok()?.head().ok()?;
+            explained = answer.cost.err();
+            match &explained {
+                Some(ReportedCostFailure::Failed { source, .. }) => source.clone(),
+                _ => None,
+            }
+        };
+        let told = self.processes.explain(told, job, limits, context, failure_of);
+        match (told, explained) {
+            (Some(_), Some(explained)) if is_alone => explained,
+            (Some(told), _) => {
+                let model = &self.processes.fmu.description().model_name;
+                log::warn!("{model}: {reason} without a message; {LOG_ON}: {}", told.message);
+                let mut known = self.processes.explained.lock().unwrap_or_else(PoisonError::into_inner);
+                known.insert(reason.clone(), Some(told.message));
+                failure
+            }
+            _ => failure,
+        }
+    }
+
+    /// Adds to the reason of failures what the model has logged about one of them.
+    pub(crate) fn explain_reason(&self, reason: &mut String) {
+        let known = self.processes.explained.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(Some(message)) = known.get(reason) {
+            *reason = format!("{reason} ({LOG_ON}: {message})");
+        }
     }
 
     /// A simulation of a comparison, and the residuals at the start with the seconds that they took. It has at
@@ -411,14 +554,7 @@ impl Remote {
         context: &RunContext<'_>,
     ) -> Result<Trajectory, CalibrationError> {
         let limits = self.limits(1, self.processes.workers.limits().answer_size());
-        let mut accept = |answer: &mut Frame| {
-            let trajectory = trajectory_of(answer)?;
-            match n_columns.filter(|n| trajectory.columns.len() != *n) {
-                Some(n) => Err(wrong(format!("{} columns instead of {n}", trajectory.columns.len()))),
-                None => Ok(trajectory),
-            }
-        };
-        let trajectory = self.processes.ask(job, ProcessChoice::Checked, limits, context, &mut accept);
+        let trajectory = self.processes.trajectory(job, limits, n_columns, context);
         trajectory.map_err(|error| match error {
             FmiError::Cancelled => CalibrationError::Cancelled,
             error => error.into(),
@@ -466,7 +602,7 @@ impl ModelProcess {
         let job = Job::Simulate(Box::new(options.clone()));
         let size = self.processes.workers.limits().answer_size();
         let limits = AnswerLimits { run: options.run.timeout, runs: 1, size };
-        self.processes.ask(&job, ProcessChoice::Checked, limits, context, &mut trajectory_of)
+        self.processes.trajectory(&job, limits, None, context)
     }
 }
 

@@ -269,6 +269,7 @@ impl Calibration {
         stages: &[Stage],
         options: impl Into<FitOptions<'a>>,
     ) -> Result<Fit, CalibrationError> {
+        let _held = self.hold();
         let mut job = Job::new(self, options.into(), None)?;
         let freed = self.all_checked(stages, &job)?;
         if let Some(checkpoint) = &job.run.checkpoint {

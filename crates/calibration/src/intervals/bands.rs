@@ -145,6 +145,7 @@ impl Calibration {
         options: &BandOptions,
         context: &RunContext<'_>,
     ) -> Result<Vec<PredictionBand>, CalibrationError> {
+        let _held = self.hold();
         self.check_length(&fit.x)?;
         let uncertainty = &usable_uncertainty(fit, options.is_corrected)?;
         let fewest = uncertainty.effective_degrees_of_freedom.iter().copied().fold(f64::INFINITY, f64::min);

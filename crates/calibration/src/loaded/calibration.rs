@@ -16,7 +16,7 @@ use crate::problem::settings::SimulationSettings;
 use crate::problem::warning::{SETUP_LOG_TARGET, SetupWarning};
 use base::{Number, RunContext};
 use dfo::{Answer, Checkpoint, Failure, Objective, Outcome, Query, RobustLoss, Want};
-use fmi::worker::Isolation;
+use fmi::worker::{Held, Isolation};
 use fmi::{CancelRequest, FmiError, Fmu, SharedSimulator, Trajectory};
 use log::Level;
 use ode::{Method, Stats, Termination};
@@ -369,6 +369,12 @@ impl Calibration {
             Termination::StoppedByObserver => Err(CalibrationError::Cancelled),
             _ => Ok(trajectory),
         }
+    }
+
+    /// Begins work of many simulations, in all of which worker processes have the working folder and the
+    /// environment variables of its begin.
+    pub(crate) fn hold(&self) -> Option<Held> {
+        self.evaluator.remote.as_ref().ok().map(Remote::hold)
     }
 
     /// Has the model compiled and loaded before its first use, here or in a further process for it.

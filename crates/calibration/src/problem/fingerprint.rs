@@ -12,7 +12,8 @@ use sha2::{Digest, Sha256};
 
 /// Fields that no cost depends on. Where `hold_inputs` makes a difference there is no cost without it; the
 /// data stand there by their hash.
-const WITHOUT_EFFECT: [&str; 6] = ["isolation", "memory_limit", "sandbox", "name", "hold_inputs", "data"];
+const WITHOUT_EFFECT: [&str; 7] =
+    ["isolation", "memory_limit", "sandbox", "max_description_bytes", "name", "hold_inputs", "data"];
 
 /// Longer series of numbers are shown as a hash.
 const LONGEST: usize = 8;

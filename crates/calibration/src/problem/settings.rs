@@ -5,8 +5,8 @@ use crate::error::CalibrationError;
 #[cfg(feature = "schema")]
 use crate::problem::schema;
 use dfo::{Record, RecordError, Value, read_known, read_part};
-use fmi::RunSettings;
 use fmi::worker::{Isolation, WorkerLimits};
+use fmi::{OpenOptions, RunSettings};
 use serde::{Deserialize, Serialize, Serializer};
 use std::collections::BTreeMap;
 
@@ -28,6 +28,9 @@ pub struct SimulationSettings {
     pub memory_limit: Option<u64>,
     /// Processes of the FMU may write into their own folder only, and open no connections.
     pub sandbox: bool,
+    /// Bytes that the `modelDescription.xml` of the model may have; default: see
+    /// [`DescriptionLimits`](fmi::DescriptionLimits).
+    pub max_description_bytes: Option<u64>,
     /// Units of variables of which the model states none, by name: recorded columns are converted to them.
     pub units: BTreeMap<String, String>,
 }
@@ -56,7 +59,7 @@ impl SimulationSettings {
                 "chattering" => Value::of(&value.parse::<ode::ChatteringPolicy>(name)?)?,
                 "timeout" => Value::of(&value.read_time(name)?)?,
                 "isolation" => Value::of(&value.parse::<Isolation>(name)?)?,
-                "memory_limit" => Value::of(&value.read_limit(name, 1)?)?,
+                "memory_limit" | "max_description_bytes" => Value::of(&value.read_limit(name, 1)?)?,
                 _ => continue,
             };
         }
@@ -64,6 +67,13 @@ impl SimulationSettings {
         // that another version saved can be loaded.
         let (run, others) = read_part(record, SETTING)?;
         Ok(Self { run, ..read_known(&others, SETTING)? })
+    }
+
+    /// How the model is opened.
+    pub fn open_options(&self) -> OpenOptions {
+        let mut options = OpenOptions::default();
+        options.description.bytes = self.max_description_bytes.unwrap_or(options.description.bytes);
+        options
     }
 
     /// The model with the units that are stated here.
@@ -106,7 +116,7 @@ impl SimulationSettings {
 /// tell how many it has.
 impl Serialize for SimulationSettings {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        let Self { run, isolation, memory_limit, sandbox, units } = self;
+        let Self { run, isolation, memory_limit, sandbox, max_description_bytes, units } = self;
         let Ok(Value::Record(mut fields)) = Value::of(run) else {
             return Err(serde::ser::Error::custom("the settings of a run are no record"));
         };
@@ -114,6 +124,7 @@ impl Serialize for SimulationSettings {
             ("isolation", Value::of(isolation)),
             ("memory_limit", Value::of(memory_limit)),
             ("sandbox", Value::of(sandbox)),
+            ("max_description_bytes", Value::of(max_description_bytes)),
             ("units", Value::of(units)),
         ];
         for (name, value) in own {

@@ -100,6 +100,7 @@ impl Calibration {
         options: &CrossValidationOptions,
         context: &RunContext<'_>,
     ) -> Result<CrossValidation, CalibrationError> {
+        let _held = self.hold();
         let setup = |message: String| Err(CalibrationError::Setup(message));
         let n = self.problem().experiments.len();
         if n < 2 {

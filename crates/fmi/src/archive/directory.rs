@@ -24,6 +24,7 @@ pub(super) struct Directory {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Record {
     /// Name as it is to be understood; of an entry that is listed without the slash at the end of folders.
+    /// Empty for the folder of the archive itself (`./`).
     pub(super) name: String,
     pub(super) is_folder: bool,
     /// Index of an earlier entry with this name, size and checksum: the content has to be the same.
@@ -186,7 +187,7 @@ impl Record {
         texts.resize(name + extra + comment, 0);
         source.read_exact(texts)?;
         let (raw_name, extra) = texts[..name + extra].split_at(name);
-        let name = decode_name(raw_name, extra);
+        let name = normalized(&decode_name(raw_name, extra));
         let mut record = Record {
             raw_name: (name.as_bytes() != raw_name).then(|| raw_name.to_owned()),
             name,
@@ -231,8 +232,25 @@ fn extra_field(mut extra: &[u8], number: u16) -> Option<&[u8]> {
     None
 }
 
-/// The name: from Info-ZIP's Unicode field if there is a valid one (APPNOTE 4.6.9), else as UTF-8 (declared
-/// or not), else in the alphabet of the first IBM PC, as the format prescribes.
+/// The name as Info-ZIP understands it: backslashes, which some tools of Windows write, are slashes;
+/// components that are empty or `.` lead nowhere and are left out. What leads out of the archive stays as it
+/// is.
+fn normalized(name: &str) -> String {
+    let slashes = name.replace('\\', "/");
+    let kept = |component: &&str| !matches!(*component, "" | ".");
+    let mut path = slashes.split('/').filter(kept).collect::<Vec<_>>().join("/");
+    if slashes.starts_with('/') {
+        path.insert(0, '/');
+    }
+    let last = slashes.rsplit('/').next().unwrap_or_default();
+    if !kept(&last) && !path.is_empty() && !path.ends_with('/') {
+        path.push('/');
+    }
+    path
+}
+
+/// The text of the name: from Info-ZIP's Unicode field if there is a valid one (APPNOTE 4.6.9), else as UTF-8
+/// (declared or not), else in the alphabet of the first IBM PC, as the format prescribes.
 fn decode_name(raw: &[u8], extra: &[u8]) -> String {
     if let Some([1, c0, c1, c2, c3, unicode @ ..]) = extra_field(extra, 0x7075)
         && u32::from_le_bytes([*c0, *c1, *c2, *c3]) == crc32fast::hash(raw)
@@ -342,6 +360,28 @@ mod tests {
         let last = extra.len() - 3;
         extra[last] ^= 1; // the field belongs to another name
         assert_eq!(decode_name(raw, &extra), "\u{e4}");
+    }
+
+    #[test]
+    fn names_are_normalized_as_info_zip_does() {
+        for (name, expected) in [
+            ("./modelDescription.xml", "modelDescription.xml"),
+            ("binaries\\linux64\\m.so", "binaries/linux64/m.so"),
+            (".\\resources\\", "resources/"),
+            ("./", ""),
+            (".", ""),
+            ("a//./b/", "a/b/"),
+            ("a/.", "a/"),
+            ("\\a", "/a"),
+            ("\\\\host\\a", "/host/a"),
+            ("/", "/"),
+            ("..\\a", "../a"),
+            ("a\\..\\..\\b", "a/../../b"),
+            ("C:\\a", "C:/a"),
+            ("", ""),
+        ] {
+            assert_eq!(normalized(name), expected, "{name:?}");
+        }
     }
 
     #[test]

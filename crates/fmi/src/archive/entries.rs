@@ -97,9 +97,16 @@ fn check_record<'a>(
     records: &[Record],
     limits: &ArchiveLimits,
 ) -> Result<Kind, EntryProblem> {
-    names::check(&record.name)?;
-    let is_folder = is_folder(record)?;
+    // The folder of the archive itself, which some tools list.
+    let is_root = record.name.is_empty() && record.raw_name.as_ref().is_some_and(|raw| !raw.is_empty());
+    if !is_root {
+        names::check(&record.name)?;
+    }
+    let is_folder = is_root || is_folder(record)?;
     check_storage(record, is_folder, limits)?;
+    if is_root {
+        return Ok((true, None));
+    }
     match names.add(&record.name, is_folder) {
         // Some tools pack a file twice.
         Err(EntryProblem::Duplicate) => match repeated(record, names, records) {

@@ -4,7 +4,7 @@ use super::model::QuirkKind;
 use super::quirks::Quirks;
 use crate::archive::MODEL_DESCRIPTION;
 use crate::cancel_request::CancelRequest;
-use crate::error::{FmiError, Result};
+use crate::error::{EntryProblem, FmiError, Result};
 use serde::{Deserialize, Serialize};
 use std::cell::{Cell, RefCell};
 
@@ -97,7 +97,7 @@ impl Reading {
         self.is_exceeded.get().then(|| {
             format!(
                 "reading it takes more than {} bytes of memory, {MEMORY_PER_BYTE} times the limit of {bytes} for the \
-                 document (DescriptionLimits::bytes)",
+                 document; raise it with max_description_bytes (DescriptionLimits::bytes)",
                 bytes.saturating_mul(MEMORY_PER_BYTE)
             )
         })
@@ -112,10 +112,23 @@ impl Default for Reading {
 
 /// Refuses a file with more bytes than there may be.
 pub(super) fn check_size(bytes: &[u8], file: &'static str, limits: &DescriptionLimits) -> Result<()> {
-    let limit = limits.bytes;
-    if bytes.len() as u64 <= limit {
-        return Ok(());
+    if bytes.len() as u64 <= limits.bytes { Ok(()) } else { Err(too_large(file, limits.bytes)) }
+}
+
+/// The error for a file with more bytes than this limit.
+fn too_large(file: &'static str, limit: u64) -> FmiError {
+    let message = format!(
+        "it has more bytes than the limit of {limit}; raise it with max_description_bytes (DescriptionLimits::bytes)"
+    );
+    FmiError::Description { file, line: 1, message }
+}
+
+/// Names the limit where an archive has a larger file.
+pub(super) fn name_limit(error: FmiError) -> FmiError {
+    match error {
+        FmiError::BadEntry { problem: EntryProblem::TooLarge { limit, .. }, .. } => {
+            too_large(MODEL_DESCRIPTION, limit)
+        }
+        error => error,
     }
-    let message = format!("it has more bytes than the limit of {limit} (DescriptionLimits::bytes)");
-    Err(FmiError::Description { file, line: 1, message })
 }

@@ -1,7 +1,7 @@
 //! From an archive or from bytes to a description that was checked; its sizes.
 
 use super::checks;
-use super::limits::DescriptionLimits;
+use super::limits::{DescriptionLimits, name_limit};
 use super::model::ModelDescription;
 use super::parse::parse;
 use super::structure::Structure;
@@ -41,7 +41,7 @@ impl ModelDescription {
         limits: &DescriptionLimits,
         cancel: &CancelRequest,
     ) -> Result<ModelDescription> {
-        let bytes = archive.description(limits.bytes, cancel)?;
+        let bytes = archive.description(limits.bytes, cancel).map_err(name_limit)?;
         parse(bytes.into(), limits, cancel).and_then(checks::finish)
     }
 

@@ -22,6 +22,12 @@ impl fmt::Display for FmiVersion {
 }
 
 impl FmiVersion {
+    /// True for a draft of a version: "3.0-beta.4", "3.0-rc.1", "2.0_RC1".
+    pub(crate) fn is_draft(&self) -> bool {
+        let text = self.text.to_ascii_lowercase();
+        ["alpha", "beta", "rc", "draft", "dev"].iter().any(|word| text.contains(word))
+    }
+
     /// True if the standard has a table of the allowed combinations of causality, variability and initial,
     /// and of the start values that go with them, by which a description can be judged (FMI 2.0.x, section
     /// 2.2.7).

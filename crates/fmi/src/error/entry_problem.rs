@@ -4,10 +4,10 @@
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum EntryProblem {
-    /// The name is empty or has an empty component.
+    /// The name is empty, or names only the folder of the archive.
     #[error("has an empty name or an empty folder name in it")]
     EmptyName,
-    /// `..` or `.` as a component.
+    /// `..` as a component (`.` in a path that is not the name of an entry).
     #[error("leads out of the archive (\"..\" or \".\" in its path)")]
     Traversal,
     /// Starts with `/` or a drive letter.

@@ -2,6 +2,7 @@
 
 use base::Number;
 use std::fmt;
+use std::sync::Arc;
 
 /// A call into an FMU that failed.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,6 +20,8 @@ pub struct CallFailure {
     pub log: Vec<LogLine>,
     /// Number of other lines that are not shown: earlier ones, and those beyond the rate limit.
     pub dropped_log_lines: u64,
+    /// What may be the cause beside the call: a missing tool, a draft of the standard, a sandbox.
+    pub hints: Vec<Arc<str>>,
 }
 
 impl fmt::Display for CallFailure {
@@ -47,7 +50,7 @@ impl fmt::Display for CallFailure {
         if self.dropped_log_lines > 0 {
             write!(f, " (and {} other lines)", self.dropped_log_lines)?;
         }
-        Ok(())
+        self.hints.iter().try_for_each(|hint| write!(f, "; {hint}"))
     }
 }
 

@@ -115,7 +115,7 @@ pub enum FmiError {
         /// Description of the defect.
         message: String,
     },
-    /// A version of the standard that does not exist yet.
+    /// A version of the standard that is unknown.
     #[error("the FMU follows FMI {0}; known are 1.0, 2.0 and 3.0")]
     UnknownVersion(String),
     /// `modelDescription.xml` is well formed but leaves the standard, and strict reading was asked for.
@@ -177,14 +177,6 @@ pub enum FmiError {
         wanted: String,
         /// The interfaces there are.
         offered: String,
-    },
-    /// The FMU is a front for another program.
-    #[error("{model} needs the tool that made it{} (needsExecutionTool)", tool.as_deref().map(|t| format!(" ({t})")).unwrap_or_default())]
-    NeedsExecutionTool {
-        /// Name of the model.
-        model: String,
-        /// The tool, if the FMU names it.
-        tool: Option<String>,
     },
     /// The dynamic loader refused the library; its own words.
     #[error("cannot load {}: {message}{}", library.display(), limit_of_files(message.contains(TOO_MANY_FILES).then_some(EMFILE)))]

@@ -77,9 +77,34 @@ pub struct WorkerEnd {
     pub time: Option<f64>,
     /// The last lines that the process has printed.
     pub output: String,
+    /// What may be the cause (see [`CallFailure::hints`](super::CallFailure::hints)).
+    pub hint: Option<String>,
 }
 
+/// Calls that are made when a run is over: what they do changes none of its rows.
+const AT_END_OF_RUN: [&str; 13] = [
+    "fmiTerminate",
+    "fmiFreeModelInstance",
+    "fmiTerminateSlave",
+    "fmiResetSlave",
+    "fmiFreeSlaveInstance",
+    "fmi2Terminate",
+    "fmi2Reset",
+    "fmi2FreeFMUstate",
+    "fmi2FreeInstance",
+    "fmi3Terminate",
+    "fmi3Reset",
+    "fmi3FreeFMUState",
+    "fmi3FreeInstance",
+];
+
 impl WorkerEnd {
+    /// The call at the end of a run that has ended the process, or has not returned.
+    pub fn call_at_end_of_run(&self) -> Option<&str> {
+        let is_of_call = matches!(self.kind, EndKind::Died | EndKind::Hung);
+        self.function.as_deref().filter(|function| is_of_call && AT_END_OF_RUN.contains(function))
+    }
+
     /// Cause and place, the same for all ends of that kind: "segmentation fault in fmi2DoStep".
     pub fn reason(&self) -> String {
         match &self.function {
@@ -97,6 +122,9 @@ impl fmt::Display for WorkerEnd {
         }
         if !self.output.is_empty() {
             write!(f, "; it had printed: {}", self.output)?;
+        }
+        if let Some(hint) = &self.hint {
+            write!(f, "; {hint}")?;
         }
         Ok(())
     }

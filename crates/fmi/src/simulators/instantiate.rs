@@ -8,7 +8,7 @@ use crate::instance::{CoSimulation, Core, Instance, Instantiated};
 use crate::libraries::{LoadedLibrary, Setting};
 use crate::log::LogFilter;
 use crate::open_options::LogOptions;
-use crate::sys::{InterfaceKind, Library, RawInstance, Request, Sizes};
+use crate::sys::{InterfaceKind, Library, RawInstance, Request, Sizes, instance_suffix};
 use std::ffi::CString;
 use std::sync::Arc;
 
@@ -21,7 +21,8 @@ const SO_OFTEN: &str =
 /// Options with which an instance is made.
 #[derive(Debug, Clone, Default)]
 pub struct InstanceOptions {
-    /// Name of the instance, for log messages; default: the name of the model.
+    /// Name of the instance; default: the name of the model, in the worker processes of a program that run at
+    /// the same time with `_2`, `_3` and so on.
     pub name: Option<String>,
     /// Ask the FMU to log. FMUs log what they think important without being asked, too.
     pub logging: bool,
@@ -128,7 +129,9 @@ impl Fmu {
         let text = |what: &str, text: &str| {
             CString::new(text).map_err(|_| FmiError::BadSetting(format!("the {what} holds a NUL character")))
         };
-        let name = text("name of the instance", options.name.as_deref().unwrap_or(&description.model_name))?;
+        // Unique among the processes that run at the same time: models name files by it.
+        let default = || format!("{}{}", description.model_name, instance_suffix());
+        let name = text("name of the instance", &options.name.clone().unwrap_or_else(default))?;
         let guid = text("guid", &description.guid)?;
         // A cleaner of the folder for temporary files may have been there since the library was loaded.
         let resources = self.running_root()?.join("resources");

@@ -5,7 +5,7 @@ use crate::cancel_request::CancelRequest;
 use crate::description::{Causality, QuirkKind};
 use crate::error::FmiError;
 use crate::libraries::Reuse;
-use crate::sys::{Inside, is_worker, note_run};
+use crate::sys::{Inside, forget_refusal, is_worker, note_run, refusal};
 use base::Number;
 use ode::{
     Checks, ErrorKind, Ignore, Limits, Observer, Report, Seconds, SimulationError, Stats, Termination,
@@ -115,6 +115,7 @@ impl Simulator {
         observer: &mut dyn Observer,
         checks: &Checks,
     ) -> Result<Report, FmiError> {
+        forget_refusal();
         self.start(parameters)?;
         let starting = self.began.elapsed().as_secs_f64();
         let mut first = self.begin_first(parameters, observer.wants_steps());
@@ -128,6 +129,9 @@ impl Simulator {
         }
         let input_functions = self.engine.running().seconds_in_input_functions();
         self.engine.running().pass_log_on();
+        if let Some(refusal) = refusal() {
+            self.plan.fmu().note_quirk(QuirkKind::Promise, refusal);
+        }
         if is_worker() {
             // What the end of a run does to the process is part of the answer.
             self.bring_back();

@@ -1,61 +1,57 @@
 //! Callbacks of an FMU: the logger and the memory functions.
 //!
-//! The loggers of FMI 1.0 and 2.0 are variadic, which stable Rust can call but not define. Of the two ways
-//! out, a fixed-arity function in its place loses the arguments (messages keep their `%s`), so a C shim
-//! (`logger.c`) expands the message with `vsnprintf` and passes plain bytes to [`sink`]. FMI 1.0 has no
-//! environment for its callbacks either: a message goes to the instance that is being called on the thread it
-//! comes from; messages from threads of the FMU's own are lost.
+//! The loggers of FMI 1.0 and 2.0 are variadic, which stable Rust can call but not define. A function with a
+//! fixed number of arguments in their place loses the arguments (messages keep their `%s`), so a C shim
+//! (`logger.c`) expands the message with `vsnprintf` and passes plain bytes to [`sink`].
+//!
+//! A message goes to the instance that is being called on its thread. The environment that an FMU passes is
+//! not followed: FMI 1.0 has none, and FMUs are known that pass NULL or a constant. On threads that belong to
+//! the FMU, where no instance is called, it is compared with the known addresses.
 
 use super::types;
 use crate::log::{Log, LogFilter};
 use crate::macros::getters;
 use std::any::Any;
 use std::collections::VecDeque;
-use std::ffi::{CStr, c_char, c_int, c_void};
+use std::ffi::{c_char, c_int, c_void};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, OnceLock};
-
-/// Bytes of a message that are kept.
-const LONGEST_TEXT: usize = 2047;
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 /// Everything that an FMU is given for calling back. FMUs are known whose threads log on when their instance
 /// is gone, so none of it is ever freed: the library hands it on to its next instance
 /// ([`Library`](super::Library)), which gets such lines.
 #[derive(Debug)]
 pub(super) struct Callbacks {
-    environment: Arc<Environment>,
+    environment: &'static Environment,
     /// Additional data that a version of the standard needs, at an address that does not change.
-    keep: OnceLock<Arc<dyn Any + Send + Sync>>,
-    log: Arc<Log>,
-    /// Messages go to the instance that is called on their thread (FMI 1.0).
-    by_thread: bool,
+    keep: OnceLock<&'static (dyn Any + Send + Sync)>,
+    log: &'static Log,
 }
 
 impl Callbacks {
     getters! {
-        pub(super) environment(self) -> &Environment = &self.environment;
-        pub(super) log(self) -> &Log = &self.log;
-        /// Whether [something](Self::enter) has to live while the instance is called.
-        #[inline]
-        pub(super) is_by_thread(self) -> bool = self.by_thread;
+        pub(super) environment(self) -> &Environment = self.environment;
+        pub(super) log(self) -> &Log = self.log;
     }
 
-    pub(super) fn new(filter: LogFilter, by_thread: bool) -> Self {
-        let log = Arc::new(Log::new(filter));
-        Self { environment: Arc::new(Environment::new(&log)), keep: OnceLock::new(), log, by_thread }
+    pub(super) fn new(filter: LogFilter) -> Self {
+        let log: &Log = Box::leak(Box::new(Log::new(filter)));
+        let environment: &Environment = Box::leak(Box::new(Environment::new(log)));
+        environment.make_known();
+        Self { environment, keep: OnceLock::new(), log }
     }
 
-    /// What has to live while the instance is called.
+    /// Makes the instance that of this thread: it receives the messages of the calls that follow.
     #[inline]
-    pub(super) fn enter(&self) -> Option<Current> {
-        // SAFETY: the environment is kept until the component is gone (invariant 3).
-        self.by_thread.then(|| unsafe { Current::set(&raw const *self.environment) })
+    pub(super) fn enter(&self) {
+        // SAFETY: environments of callbacks are never freed.
+        unsafe { fmufit_enter(self.environment) };
     }
 
     /// What the version keeps, made if there is nothing yet.
     pub(super) fn keep<T: Any + Send + Sync>(&self, make: impl FnOnce(&Environment) -> T) -> *const T {
-        let kept = self.keep.get_or_init(|| Arc::new(make(&self.environment)));
+        let kept = self.keep.get_or_init(|| Box::leak(Box::new(make(self.environment))));
         // Of another type only if the instances of one library followed different versions.
         kept.downcast_ref::<T>().map_or(std::ptr::null(), std::ptr::from_ref)
     }
@@ -70,8 +66,16 @@ impl Callbacks {
     /// Never used again by us; what was logged is forgotten.
     pub(super) fn abandon(self) {
         self.log.lines().kept = VecDeque::new();
-        std::mem::forget(self);
     }
+}
+
+/// Addresses of the environments that were given to FMUs.
+static KNOWN: Mutex<Vec<usize>> = Mutex::new(Vec::new());
+
+/// The environment at an address, or NULL.
+extern "C" fn find(address: *const c_void) -> *const Environment {
+    let known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
+    if known.contains(&address.addr()) { address.cast() } else { std::ptr::null() }
 }
 
 /// Target of `componentEnvironment`; the same layout as in `logger.c`.
@@ -93,6 +97,16 @@ impl Environment {
     /// environment.
     pub(super) fn new(log: &Log) -> Self {
         Self { admits, sink, data: std::ptr::from_ref(log).cast_mut().cast() }
+    }
+
+    /// Lets messages from threads that call no instance find it.
+    fn make_known(&'static self) {
+        let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
+        if known.is_empty() {
+            // SAFETY: no FMU has an environment yet, so none calls the logger.
+            unsafe { fmufit_set_find(find) };
+        }
+        known.push(std::ptr::from_ref(self).addr());
     }
 }
 
@@ -135,84 +149,26 @@ unsafe extern "C" fn sink(
     }));
 }
 
-/// The logger of FMI 3.0, which takes a finished text.
-///
-/// # Safety
-/// `environment` is NULL or the address of a live [`Environment`]; the texts are NULL or end in NUL.
-pub(super) unsafe extern "C" fn fmi3_log(
-    environment: *mut c_void,
-    status: c_int,
-    category: *const c_char,
-    message: *const c_char,
-) {
-    if environment.is_null() {
-        return;
-    }
-    // SAFETY: FMI 3.0 hands back what it was given at instantiation (section 2.3.1).
-    let environment = unsafe { &*environment.cast::<Environment>() };
-    // SAFETY: `Environment::new` paired the function with its data.
-    if unsafe { (environment.admits)(environment.data, status) } == 0 {
-        return;
-    }
-    let length = |text: *const c_char| {
-        // SAFETY: checked for NULL, ends in NUL.
-        if text.is_null() { 0 } else { unsafe { CStr::from_ptr(text) }.to_bytes().len().min(LONGEST_TEXT) }
-    };
-    let start = |text: *const c_char| if text.is_null() { c"".as_ptr() } else { text };
-    // SAFETY: `Environment::new` paired the sink with its data; the lengths are those found.
-    unsafe {
-        (environment.sink)(
-            environment.data,
-            status,
-            start(category),
-            length(category),
-            start(message),
-            length(message),
-        );
-    }
-}
-
-/// Makes an environment that of this thread while it lives: FMI 1.0's logger is not told whose message it
-/// takes.
-#[derive(Debug)]
-pub(super) struct Current(*mut c_void);
-
-impl Current {
-    /// # Safety
-    /// The environment outlives the value.
-    pub(super) unsafe fn set(environment: *const Environment) -> Self {
-        // SAFETY: a pointer is stored; nobody looks behind it after the value is dropped.
-        Self(unsafe { fmufit_fmi1_enter(environment.cast_mut().cast()) })
-    }
-}
-
-impl Drop for Current {
-    fn drop(&mut self) {
-        // SAFETY: what was there before is there again.
-        unsafe { fmufit_fmi1_enter(self.0) };
-    }
-}
-
 unsafe extern "C" {
-    /// The logger of FMI 1.0 (`logger.c`); messages go to the environment of the thread.
-    pub(super) fn fmufit_fmi1_log(
-        component: *mut c_void,
+    /// Sets the function that finds an environment by its address (`logger.c`).
+    fn fmufit_set_find(find: extern "C" fn(*const c_void) -> *const Environment);
+    /// Sets the environment of the thread, which must not be freed before another one is set.
+    fn fmufit_enter(environment: *const Environment);
+    /// The logger of FMI 1.0 and 2.0 (`logger.c`).
+    pub(super) fn fmufit_log(
+        passed: *mut c_void,
         instance: *const c_char,
         status: c_int,
         category: *const c_char,
         message: *const c_char,
         ...
     );
-    /// Sets the environment of the thread and returns the one before.
-    fn fmufit_fmi1_enter(environment: *mut c_void) -> *mut c_void;
-    /// The logger of FMI 2.0 (`logger.c`).
-    pub(super) fn fmufit_fmi2_log(
-        environment: *mut c_void,
-        instance: *const c_char,
+    /// The logger of FMI 3.0, which takes a finished text.
+    pub(super) fn fmufit_fmi3_log(
+        passed: *mut c_void,
         status: c_int,
         category: *const c_char,
         message: *const c_char,
-        ...
     );
     /// `calloc`.
     pub(super) fn fmufit_allocate(count: usize, size: usize) -> *mut c_void;
@@ -225,24 +181,33 @@ mod tests {
     use super::*;
     use crate::error::Status;
     use crate::log::LINES;
+    use std::ffi::CStr;
     use std::ptr::null;
 
     fn texts(log: &Log) -> Vec<String> {
         log.last(LINES).0.into_iter().map(|line| line.text).collect()
     }
 
+    /// Makes it that of the thread, which ends with the test.
+    fn enter(environment: &Environment) {
+        // SAFETY: nobody logs after the end of the test.
+        unsafe { fmufit_enter(environment) };
+    }
+
     fn send(environment: &Environment, message: *const c_char) {
+        enter(environment);
         // SAFETY: the environment is alive; the format takes no arguments.
-        unsafe { fmufit_fmi2_log((&raw const *environment).cast_mut().cast(), null(), 3, null(), message) };
+        unsafe { fmufit_log(std::ptr::null_mut(), null(), 3, null(), message) };
     }
 
     #[test]
     fn messages_are_expanded() {
         let log = Log::new(LogFilter::All);
         let environment = Environment::new(&log);
+        enter(&environment);
         // SAFETY: the arguments fit the format.
         unsafe {
-            fmufit_fmi2_log(
+            fmufit_log(
                 (&raw const environment).cast_mut().cast(),
                 c"name".as_ptr(),
                 1,
@@ -262,15 +227,13 @@ mod tests {
     fn null_pointers_bad_formats_and_bad_bytes_are_tolerated() {
         let log = Log::new(LogFilter::All);
         let environment = Environment::new(&log);
+        enter(&environment);
         send(&environment, null());
         send(&environment, c"100 %".as_ptr());
         send(&environment, c"writes %n".as_ptr());
         send(&environment, c"odd %k".as_ptr());
         send(&environment, c"caf\xe9 \x1b[31m".as_ptr());
         assert_eq!(texts(&log), ["", "100 %", "writes %n", "odd %k", "caf\u{fffd} \u{fffd}[31m"]);
-        // SAFETY: a NULL environment is ignored.
-        unsafe { fmufit_fmi2_log(std::ptr::null_mut(), null(), 0, null(), c"lost".as_ptr()) };
-        assert_eq!(texts(&log).len(), 5);
     }
 
     #[test]
@@ -303,13 +266,14 @@ mod tests {
     fn plain_conversions_of_all_sizes_are_expanded() {
         let log = Log::new(LogFilter::All);
         let environment = Environment::new(&log);
+        enter(&environment);
         let environment: *mut c_void = (&raw const environment).cast_mut().cast();
         // SAFETY: the arguments fit the formats.
         unsafe {
             let (null, format) = (null(), c"%5d|%03d|%ld|%lld|%zu|%hd|%u|%x|%lx|%i".as_ptr());
             let (int, long, long_long) = (7 as c_int, -8 as std::ffi::c_long, -9i64);
             let (size, short, unsigned, hex) = (10usize, 11 as c_int, 12u32, 255u32);
-            fmufit_fmi2_log(
+            fmufit_log(
                 environment,
                 null,
                 0,
@@ -328,7 +292,7 @@ mod tests {
             );
             let format = c"%.3f|%8.2e|%g|%lf|%c|%.2s|%6s|%%|%.0f".as_ptr();
             let (x, text) = (1.5f64, c"text".as_ptr());
-            fmufit_fmi2_log(environment, null, 0, null, format, x, x, x, x, 65 as c_int, text, text, 2.0f64);
+            fmufit_log(environment, null, 0, null, format, x, x, x, x, 65 as c_int, text, text, 2.0f64);
         }
         assert_eq!(
             texts(&log),
@@ -340,10 +304,11 @@ mod tests {
     fn a_flood_is_counted_and_errors_come_through() {
         let log = Log::new(LogFilter::All);
         let environment = Environment::new(&log);
+        enter(&environment);
         // SAFETY: the environment is alive; the format takes no arguments.
         let say = |status, text: &CStr| unsafe {
             let environment = (&raw const environment).cast_mut().cast();
-            fmufit_fmi2_log(environment, null(), status, null(), text.as_ptr());
+            fmufit_log(environment, null(), status, null(), text.as_ptr());
         };
         for _ in 0..1000 {
             say(1, c"warning");
@@ -384,12 +349,13 @@ mod tests {
         ] {
             let log = Log::new(filter);
             let environment = Environment::new(&log);
+            enter(&environment);
             for (status, text) in [(0, c"0"), (1, c"1"), (2, c"2"), (3, c"3"), (4, c"4"), (9, c"9")] {
                 // SAFETY: the environment is alive; the formats take no arguments.
                 unsafe {
                     let environment: *mut c_void = (&raw const environment).cast_mut().cast();
-                    fmufit_fmi2_log(environment, null(), status, null(), text.as_ptr());
-                    fmi3_log(environment, status, null(), text.as_ptr());
+                    fmufit_log(environment, null(), status, null(), text.as_ptr());
+                    fmufit_fmi3_log(environment, status, null(), text.as_ptr());
                 }
             }
             let twice: Vec<&str> = expected.iter().flat_map(|text| [*text, *text]).collect();
@@ -399,38 +365,55 @@ mod tests {
     }
 
     #[test]
-    fn messages_without_environment_go_to_the_instance_being_called() {
+    fn messages_go_to_the_instance_of_the_thread_whatever_environment_they_pass() {
         let (first, second) = (Log::new(LogFilter::All), Log::new(LogFilter::All));
         let (one, two) = (Environment::new(&first), Environment::new(&second));
-        // SAFETY: the environments outlive the guards; the formats take no arguments.
-        let say = |text: &CStr| unsafe {
-            fmufit_fmi1_log(std::ptr::null_mut(), null(), 1, null(), text.as_ptr());
+        let passed: [*mut c_void; 3] =
+            [std::ptr::null_mut(), std::ptr::without_provenance_mut(1), (&raw const two).cast_mut().cast()];
+        let say = |text: &CStr| {
+            for passed in passed {
+                // SAFETY: the environments outlive the calls; the formats take no arguments.
+                unsafe {
+                    fmufit_log(passed, null(), 1, null(), text.as_ptr());
+                    fmufit_fmi3_log(passed, 1, null(), text.as_ptr());
+                }
+            }
         };
         say(c"lost");
-        // SAFETY: as above.
-        let outer = unsafe { Current::set(&one) };
+        enter(&one);
         say(c"a");
-        {
-            // SAFETY: as above.
-            let _inner = unsafe { Current::set(&two) };
-            say(c"b");
-        }
-        say(c"c");
-        drop(outer);
-        say(c"lost");
-        assert_eq!((texts(&first), texts(&second)), (vec!["a".into(), "c".into()], vec!["b".into()]));
+        enter(&two);
+        say(c"b");
+        assert_eq!((texts(&first), texts(&second)), (vec!["a".to_owned(); 6], vec!["b".to_owned(); 6]));
+    }
+
+    #[test]
+    fn messages_of_other_threads_go_to_the_instance_whose_address_they_pass() {
+        let (mine, other) = (Callbacks::new(LogFilter::All), Callbacks::new(LogFilter::All));
+        mine.enter();
+        let passed = std::ptr::from_ref(other.environment()).addr();
+        let say = move || {
+            for passed in [0, 1, passed] {
+                // SAFETY: callbacks are never freed; the format takes no arguments.
+                unsafe {
+                    fmufit_log(std::ptr::without_provenance_mut(passed), null(), 1, null(), c"late".as_ptr());
+                }
+            }
+        };
+        std::thread::spawn(say).join().unwrap();
+        assert_eq!((texts(mine.log()), texts(other.log())), (Vec::new(), vec!["late".to_owned()]));
     }
 
     #[test]
     fn finished_texts_are_taken_as_they_are() {
         let log = Log::new(LogFilter::All);
         let environment = Environment::new(&log);
+        enter(&environment);
         let address: *mut c_void = (&raw const environment).cast_mut().cast();
         // SAFETY: the environment is alive, the texts end in NUL or are NULL.
         unsafe {
-            fmi3_log(address, 3, c"cat".as_ptr(), c"100 %s".as_ptr());
-            fmi3_log(address, 0, null(), null());
-            fmi3_log(std::ptr::null_mut(), 0, null(), c"lost".as_ptr());
+            fmufit_fmi3_log(address, 3, c"cat".as_ptr(), c"100 %s".as_ptr());
+            fmufit_fmi3_log(address, 0, null(), null());
         }
         assert_eq!(texts(&log), ["100 %s", ""]);
     }
@@ -439,6 +422,7 @@ mod tests {
     fn long_messages_are_cut_and_a_flood_is_counted() {
         let log = Log::new(LogFilter::All);
         let environment = Environment::new(&log);
+        enter(&environment);
         let long = std::ffi::CString::new(vec![b'a'; 10_000]).unwrap();
         send(&environment, long.as_ptr());
         let text = &log.last(1).0[0].text;

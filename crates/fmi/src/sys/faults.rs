@@ -1,6 +1,7 @@
 //! A look at the reason of a fault of the FMU, before it ends the process.
 
-use super::shared_page::note_no_memory;
+use super::shared_page::{NO_MEMORY, REFUSED, note_failed};
+use super::worker_state::is_refused;
 use std::io;
 use std::mem::MaybeUninit;
 use std::sync::OnceLock;
@@ -12,7 +13,7 @@ const SIGNALS: [libc::c_int; 3] = [libc::SIGSEGV, libc::SIGBUS, libc::SIGABRT];
 /// What was done at these signals before.
 static BEFORE: OnceLock<[libc::sigaction; SIGNALS.len()]> = OnceLock::new();
 
-/// Has faults of this process tell whether an allocation had failed.
+/// Has faults of this process tell whether an allocation had failed, or the sandbox had refused something.
 pub(crate) fn tell_faults() -> io::Result<()> {
     let mut before = [MaybeUninit::<libc::sigaction>::zeroed(); SIGNALS.len()];
     for (signal, before) in SIGNALS.iter().zip(&mut before) {
@@ -39,11 +40,13 @@ pub(crate) fn tell_faults() -> io::Result<()> {
     Ok(())
 }
 
-/// Notes whether the last call of the system has failed for want of memory; then what was done before at this
-/// signal is done: who has met the fault meets it again.
+/// Notes whether the last call of the system has failed for want of memory, or was refused; then what was
+/// done before at this signal is done: who has met the fault meets it again.
 extern "C" fn look(signal: libc::c_int) {
     if io::Error::last_os_error().raw_os_error() == Some(libc::ENOMEM) {
-        note_no_memory();
+        note_failed(NO_MEMORY);
+    } else if is_refused() {
+        note_failed(REFUSED);
     }
     let place = SIGNALS.iter().position(|known| *known == signal);
     if let Some((before, place)) = BEFORE.get().zip(place) {

@@ -4,7 +4,7 @@
 //! FMI 1.0 has no initialization mode, no event mode and no environment for callbacks. Names carry the model
 //! identifier as prefix.
 
-use super::callbacks::{Callbacks, fmufit_allocate, fmufit_fmi1_log, fmufit_free};
+use super::callbacks::{Callbacks, fmufit_allocate, fmufit_free, fmufit_log};
 use super::function::{Answer, call};
 use super::functions::Functions;
 use super::symbols::table;
@@ -37,7 +37,7 @@ pub(super) struct SlaveCallbacks {
 }
 
 const CALLBACKS: ModelCallbacks =
-    ModelCallbacks { logger: fmufit_fmi1_log, allocate_memory: fmufit_allocate, free_memory: fmufit_free };
+    ModelCallbacks { logger: fmufit_log, allocate_memory: fmufit_allocate, free_memory: fmufit_free };
 
 /// `fmiEventInfo`.
 #[repr(C)]

@@ -1,6 +1,6 @@
 //! The functions of an FMI 2.0 library (FMI 2.0.x, sections 2.1, 3.2 and 4.2), bound by name.
 
-use super::callbacks::{Callbacks, fmufit_allocate, fmufit_fmi2_log, fmufit_free};
+use super::callbacks::{Callbacks, fmufit_allocate, fmufit_free, fmufit_log};
 use super::function::{Answer, call};
 use super::functions::Functions;
 use super::symbols::table;
@@ -80,7 +80,7 @@ table! {
 impl Version for Fmi2 {
     unsafe fn instantiate(&self, request: &Request<'_>, callbacks: &Callbacks) -> (Component, &'static str) {
         let functions = callbacks.keep(|environment| CallbackFunctions {
-            logger: fmufit_fmi2_log,
+            logger: fmufit_log,
             allocate_memory: fmufit_allocate,
             free_memory: fmufit_free,
             step_finished: None,

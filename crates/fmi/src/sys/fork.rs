@@ -1,8 +1,9 @@
 //! Copies of this process, and what they inherit.
 
 use rustix::process::Pid;
-use std::ffi::CStr;
+use std::ffi::{CStr, OsStr, OsString};
 use std::io;
+use std::os::unix::ffi::OsStrExt;
 
 /// Copies this process: its child goes on from here with this thread alone. The child's number; `None` in the
 /// child.
@@ -33,6 +34,23 @@ pub(crate) fn overwrite_variable(name: &CStr, value: &[u8]) -> io::Result<()> {
     // environment, or allocated by `setenv`); no other thread reads them, as in `fork`.
     unsafe { std::ptr::copy_nonoverlapping(value.as_ptr(), place.cast(), value.len()) };
     Ok(())
+}
+
+/// Gives this process these environment variables, besides those of `kept`, and no others. Only called where
+/// this process has no other thread that is at work.
+pub(crate) fn replace_environment(variables: &[(OsString, OsString)], kept: &[&CStr]) {
+    use std::env::{remove_var, set_var, vars_os};
+    let is_kept = |name: &OsStr| kept.iter().any(|kept| kept.to_bytes() == name.as_bytes());
+    // What else the system lets a name be, `setenv` refuses.
+    let is_name = |name: &OsStr| !name.is_empty() && !name.as_bytes().contains(&b'=');
+    for (name, _) in vars_os().filter(|(name, _)| is_name(name) && !is_kept(name)) {
+        // SAFETY: no other thread reads the environment, as the caller has promised.
+        unsafe { remove_var(name) };
+    }
+    for (name, value) in variables.iter().filter(|(name, _)| is_name(name) && !is_kept(name)) {
+        // SAFETY: as above.
+        unsafe { set_var(name, value) };
+    }
 }
 
 /// Closes all descriptors of this process but the three standard ones.

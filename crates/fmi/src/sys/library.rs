@@ -29,8 +29,8 @@ pub(crate) struct Library {
     pub(super) values: Box<dyn Values>,
     pub(super) version: Box<dyn Version>,
     path: PathBuf,
-    /// Messages go to the instance that is called on their thread (FMI 1.0).
-    logs_by_thread: bool,
+    /// What may be the cause where a call fails.
+    hint: Option<Arc<str>>,
     /// Callbacks of instances that are gone, for the next ones: never freed, for the FMU may still use them,
     /// at last in its destructors.
     retired: Mutex<Vec<Callbacks>>,
@@ -57,6 +57,8 @@ impl Library {
     getters! {
         /// The file.
         pub(crate) path(self) -> &Path = &self.path;
+        /// What may be the cause where a call fails.
+        pub(crate) hint(self) -> Option<&Arc<str>> = self.hint.as_ref();
         /// Who is inside of it has a turn of this.
         #[inline]
         pub(crate) lock(self) -> &Arc<FairLock> = &self.handle.lock;
@@ -79,6 +81,7 @@ impl Library {
         kind: InterfaceKind,
         model_identifier: &str,
         options: &LoaderOptions,
+        hint: Option<&str>,
     ) -> Result<Self> {
         let (handle, path) = match from {
             LoadFrom::Loaded(library) => (Arc::clone(&library.handle), &*library.path),
@@ -112,8 +115,7 @@ impl Library {
             let functions = Functions::load(&symbols)?;
             check_types(&functions, path)?;
             let (path, retired) = (path.to_owned(), Mutex::default());
-            let logs_by_thread = prefix.is_some();
-            Ok(Self { functions, values, version, path, logs_by_thread, retired, handle })
+            Ok(Self { functions, values, version, path, hint: hint.map(Arc::from), retired, handle })
         }
     }
 
@@ -145,9 +147,7 @@ impl Library {
     /// Callbacks for a new instance.
     pub(super) fn callbacks(&self, filter: LogFilter) -> Callbacks {
         let retired = self.retired.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        retired
-            .inspect(|known| known.renew(filter))
-            .unwrap_or_else(|| Callbacks::new(filter, self.logs_by_thread))
+        retired.inspect(|known| known.renew(filter)).unwrap_or_else(|| Callbacks::new(filter))
     }
 
     /// Takes the callbacks of an instance that is gone.

@@ -1,8 +1,9 @@
 /* What Rust cannot write: variadic logger callbacks, and the memory callbacks of FMI 1.0 and 2.0.
  *
- * The logger asks whether a message is wanted at all, expands it into a buffer of fixed size on the stack and hands pointer and length to the sink
- * that the environment names. There is no global state (but one pointer per thread for FMI 1.0, see callbacks.rs),
- * and every pointer that an FMU passes may be NULL. */
+ * The logger asks whether a message is wanted at all, expands it into a buffer of fixed size on the stack and passes
+ * pointer and length to the sink of the instance that the thread is calling (see callbacks.rs). The environment that an
+ * FMU passes is never dereferenced: FMUs are known that pass NULL or a constant. Every pointer that an FMU passes may be
+ * NULL. */
 
 #include <stdarg.h>
 #include <stddef.h>
@@ -20,6 +21,38 @@ struct fmufit_environment {
                  size_t text_length);
     void *data;
 };
+
+#if defined(_MSC_VER)
+#define THREAD_LOCAL __declspec(thread)
+#else
+#define THREAD_LOCAL _Thread_local
+#endif
+
+/* The environment of the instance that this thread has called last. Environments are never freed. */
+static THREAD_LOCAL const struct fmufit_environment *current;
+
+/* The environment at an address, or NULL if there is none; set before the first instance is made. */
+static const struct fmufit_environment *(*find)(const void *address);
+
+void fmufit_set_find(const struct fmufit_environment *(*function)(const void *address))
+{
+    find = function;
+}
+
+void fmufit_enter(const struct fmufit_environment *environment)
+{
+    current = environment;
+}
+
+/* Receiver of a message. A thread that belongs to the FMU calls no instance: then the address that it passes is
+ * compared with those of the environments. */
+static const struct fmufit_environment *receiver(const void *passed)
+{
+    if (current != NULL || find == NULL) {
+        return current;
+    }
+    return find(passed);
+}
 
 static size_t bounded_length(const char *text, size_t limit)
 {
@@ -83,7 +116,7 @@ static void expand(const struct fmufit_environment *environment, int status, con
     size_t length = 0;
     int written = -1;
 
-    if (environment == NULL || environment->sink == NULL || !environment->admits(environment->data, status)) {
+    if (environment == NULL || !environment->admits(environment->data, status)) {
         return;
     }
     if (message == NULL) {
@@ -105,40 +138,20 @@ static void expand(const struct fmufit_environment *environment, int status, con
                       category == NULL ? 0 : bounded_length(category, NAME_SIZE), text, length);
 }
 
-void fmufit_fmi2_log(void *component_environment, const char *instance_name, int status, const char *category,
-                     const char *message, ...)
+/* FMI 2.0; for FMI 1.0 the first argument is the component. */
+void fmufit_log(void *passed, const char *instance_name, int status, const char *category, const char *message, ...)
 {
     va_list arguments;
     (void)instance_name;
     va_start(arguments, message);
-    expand(component_environment, status, category, message, arguments);
+    expand(receiver(passed), status, category, message, arguments);
     va_end(arguments);
 }
 
-#if defined(_MSC_VER)
-#define THREAD_LOCAL __declspec(thread)
-#else
-#define THREAD_LOCAL _Thread_local
-#endif
-
-static THREAD_LOCAL void *current_environment;
-
-void *fmufit_fmi1_enter(void *environment)
+/* FMI 3.0, whose logger takes a finished text. */
+void fmufit_fmi3_log(void *passed, int status, const char *category, const char *message)
 {
-    void *before = current_environment;
-    current_environment = environment;
-    return before;
-}
-
-void fmufit_fmi1_log(void *component, const char *instance_name, int status, const char *category,
-                     const char *message, ...)
-{
-    va_list arguments;
-    (void)component;
-    (void)instance_name;
-    va_start(arguments, message);
-    expand(current_environment, status, category, message, arguments);
-    va_end(arguments);
+    fmufit_log(passed, NULL, status, category, "%s", message == NULL ? "" : message);
 }
 
 void *fmufit_allocate(size_t count, size_t size)

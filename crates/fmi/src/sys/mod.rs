@@ -76,6 +76,7 @@ mod raw_instance;
 mod symbols;
 mod types;
 mod versioned_functions;
+mod worker_state;
 
 #[cfg(target_os = "linux")]
 pub use before_main::is_loaded_to_serve;
@@ -86,7 +87,7 @@ pub(crate) use environment::Inside;
 #[cfg(unix)]
 pub(crate) use faults::tell_faults;
 #[cfg(unix)]
-pub(crate) use fork::{close_inherited, fork, overwrite_variable};
+pub(crate) use fork::{close_inherited, fork, overwrite_variable, replace_environment};
 pub(crate) use library::{Library, LoadFrom};
 pub use platform::LoaderOptions;
 pub(crate) use raw_instance::{Fault, RawInstance, SavedSlot, Sizes};
@@ -95,6 +96,11 @@ pub(crate) use shared_page::{Page, tell_calls};
 pub(crate) use shared_page::{is_worker, note_run, note_start};
 pub(crate) use types::{Direction, EventInfo, Experiment, IntervalAnswer, Qualifier, Request, StepInfo};
 pub use types::{ElementDependency, InterfaceKind};
+#[cfg(unix)]
+pub(crate) use worker_state::{
+    REFUSED, has_kept_instances, set_avoided_calls, set_confined, set_instance_suffix,
+};
+pub(crate) use worker_state::{forget_refusal, instance_suffix, refusal};
 
 #[cfg(test)]
 mod tests {

@@ -25,8 +25,8 @@ struct Shared {
     /// The last call: the place of its name, from 1; 0: none.
     call: AtomicU32,
     n_names: AtomicU32,
-    /// Not 0: an allocation had failed when a signal came.
-    no_memory: AtomicU32,
+    /// What had failed when a signal came: [`NO_MEMORY`], [`REFUSED`] or nothing.
+    failed: AtomicU32,
     /// The bits of the simulated time.
     time: AtomicU64,
     names: [[AtomicU8; NAME]; NAMES],
@@ -46,6 +46,12 @@ struct Turns {
 }
 
 const LENGTH: usize = size_of::<Shared>();
+
+/// An allocation.
+pub(super) const NO_MEMORY: u32 = 1;
+
+/// A call that the sandbox does not allow.
+pub(super) const REFUSED: u32 = 2;
 
 /// The last call that a worker has made, as the other process finds it.
 #[derive(Debug, Clone, PartialEq)]
@@ -145,7 +151,12 @@ impl Page {
 
     /// True if an allocation had failed when a signal came.
     pub(crate) fn is_without_memory(&self) -> bool {
-        self.shared().no_memory.load(Ordering::Relaxed) != 0
+        self.shared().failed.load(Ordering::Relaxed) == NO_MEMORY
+    }
+
+    /// True if the sandbox had refused something when a signal came.
+    pub(crate) fn is_refused(&self) -> bool {
+        self.shared().failed.load(Ordering::Relaxed) == REFUSED
     }
 
     /// The last call; `None` before the first one.
@@ -270,10 +281,10 @@ pub(crate) fn note_start() {
     }
 }
 
-/// Tells that an allocation had failed when a signal came.
-pub(super) fn note_no_memory() {
+/// Tells what had failed when a signal came.
+pub(super) fn note_failed(what: u32) {
     if let Some(page) = PAGE.get() {
-        page.shared().no_memory.store(1, Ordering::Relaxed);
+        page.shared().failed.store(what, Ordering::Relaxed);
     }
 }
 

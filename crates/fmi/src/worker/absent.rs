@@ -36,6 +36,16 @@ impl Workers {
     }
 
     /// Not reached.
+    pub fn hold(self: &Arc<Self>) -> Held {
+        match **self {}
+    }
+
+    /// Not reached.
+    pub fn n_changes(&self) -> u64 {
+        match *self {}
+    }
+
+    /// Not reached.
     pub fn n_idle(&self, _: &Load) -> usize {
         match *self {}
     }
@@ -60,6 +70,10 @@ impl Workers {
         match **self {}
     }
 }
+
+/// Not made.
+#[derive(Debug)]
+pub enum Held {}
 
 /// Returns at once.
 pub fn serve_if_worker(_: impl FnOnce() -> Box<dyn Service + Send>) {}

@@ -1,9 +1,6 @@
 //! The folders of worker processes.
 
-use super::handshake::{FOLDER, TEMPORARY};
-use crate::sys::overwrite_variable;
 use std::io::ErrorKind;
-use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::SystemTime;
@@ -47,17 +44,10 @@ pub(super) fn worker_folder(template: &Path, number: u32) -> PathBuf {
     template.with_extension(format!("{number:010}"))
 }
 
-/// Makes the folder of this process, for nobody else, and goes there.
-pub(super) fn enter(folder: &Path) -> std::io::Result<()> {
+/// Makes the folder of this process, for nobody else.
+pub(super) fn make(folder: &Path) -> std::io::Result<()> {
     use std::os::unix::fs::DirBuilderExt;
-    std::fs::DirBuilder::new().mode(0o700).create(folder)?;
-    std::env::set_current_dir(folder)
-}
-
-/// Makes the folder of this process, which is a copy of another one, that for temporary files as well.
-pub(super) fn leave_for(folder: &Path) -> std::io::Result<()> {
-    enter(folder)?;
-    [FOLDER, TEMPORARY].iter().try_for_each(|name| overwrite_variable(name, folder.as_os_str().as_bytes()))
+    std::fs::DirBuilder::new().mode(0o700).create(folder)
 }
 
 /// Removes a folder in which something may be made meanwhile. A confined worker empties it; the process that

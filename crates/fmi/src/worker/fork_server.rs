@@ -12,6 +12,7 @@ use super::launcher::Launcher;
 use super::limits::WorkerLimits;
 use super::load::{Load, LoadId};
 use super::printed::Printed;
+use super::surroundings::Surroundings;
 use crate::error::FmiError;
 use crate::sys::{PRELOAD, PRELOADED_BEFORE};
 use log::LevelFilter;
@@ -56,6 +57,12 @@ pub(super) struct Start {
     pub(super) level: LevelFilter,
     /// It [prepares](super::Service::prepare) before it says that it is there.
     pub(super) is_prepared: bool,
+    pub(super) surroundings: Surroundings,
+    /// Functions that are not called because they have ended a worker (see
+    /// [`WorkerEnd::call_at_end_of_run`](crate::error::WorkerEnd::call_at_end_of_run)).
+    pub(super) avoided_calls: Vec<String>,
+    /// From 0, other than that of all other workers of this program that run at the same time.
+    pub(super) place: u32,
 }
 
 /// First message of a worker, before any foreign code runs in it.
@@ -205,18 +212,16 @@ impl Template {
         self.is_over.load(Ordering::Relaxed)
     }
 
-    /// Has a worker with these descriptors started; does not wait for it. Its number, and what it has loaded
-    /// if the template could load it.
+    /// Has a worker with these descriptors started, which gets the next number; does not wait for it. Its
+    /// number, and what it has loaded if the template could load it.
     pub(super) fn begin_worker(
         &self,
-        limits: &WorkerLimits,
-        is_prepared: bool,
+        mut start: Start,
         descriptors: [BorrowedFd<'_>; DESCRIPTORS],
     ) -> Result<(u32, Option<LoadId>), FmiError> {
         let mut orders = self.orders();
         orders.n_started += 1;
-        let level = log::max_level();
-        let start = Start { number: orders.n_started, limits: *limits, level, is_prepared };
+        start.number = orders.n_started;
         let asked = Frame::of(&start).map_err(no_worker)?;
         match orders.send(Order::Start, &asked, &descriptors) {
             Ok(()) => Ok((start.number, orders.load)),

@@ -3,9 +3,10 @@
 //! An FMU is foreign machine code: it crashes, hangs, leaks, calls `exit`, keeps values in statics. Whatever
 //! evaluates a model more than once asks [`Workers`] to do it. A program that calls [`serve_if_worker`] first
 //! in its `main` is started once, as a template: it loads what is to be evaluated, and copies itself whenever
-//! a worker is needed. A worker has a socket pair (see [`Frame`] for what is said), a folder of its own as
-//! working folder and for temporary files, and limits that it sets on itself. It runs one FMU in one thread.
-//! It ends when the socket is closed, at the latest with the process that has started it.
+//! a worker is needed. A worker has a socket pair (see [`Frame`] for what is said), the working folder and
+//! the environment variables of its caller, a separate folder for temporary files, and limits that it sets on
+//! itself. It runs one FMU in one thread. It ends when the socket is closed, at the latest with the process
+//! that has started it.
 
 #[cfg(not(unix))]
 mod absent;
@@ -38,6 +39,8 @@ mod sandbox;
 mod sandbox;
 mod service;
 #[cfg(unix)]
+mod surroundings;
+#[cfg(unix)]
 mod worker_main;
 #[cfg(unix)]
 mod worker_process;
@@ -45,7 +48,7 @@ mod worker_process;
 mod workers;
 
 #[cfg(not(unix))]
-pub use absent::{ForkServer, Workers, serve_if_worker, start_fork_server};
+pub use absent::{ForkServer, Held, Workers, serve_if_worker, start_fork_server};
 #[cfg(unix)]
 pub use fork_server::{ForkServer, start_fork_server};
 #[cfg(unix)]
@@ -59,4 +62,4 @@ pub use load::Load;
 pub use sandbox::check_sandbox;
 pub use service::Service;
 #[cfg(unix)]
-pub use workers::Workers;
+pub use workers::{Held, Workers};

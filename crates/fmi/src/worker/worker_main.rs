@@ -1,6 +1,6 @@
 //! The worker process itself: it limits itself, and answers until the other end of its socket is closed.
 
-use super::folder::{leave_for, remove};
+use super::folder::{make, remove};
 use super::fork_server::{Arrival, DESCRIPTORS, Hello, Start};
 use super::frame::{Frame, FrameSize};
 use super::limits::limit_self;
@@ -8,7 +8,9 @@ use super::notes::{Notes, take_lines};
 use super::sandbox::confine;
 use super::service::Service;
 use crate::error::{ReportedError, ReportedErrorKind};
-use crate::sys::{Page, tell_calls, tell_faults};
+use crate::sys::{
+    Page, has_kept_instances, set_avoided_calls, set_confined, set_instance_suffix, tell_calls, tell_faults,
+};
 use base::RunContext;
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::fs::{Mode, OFlags};
@@ -81,7 +83,10 @@ fn begin(service: &mut dyn Service, worker: Worker) -> io::Result<Connection> {
     rustix::process::setpgid(None, None)?;
     rustix::stdio::dup2_stdout(&output)?;
     rustix::stdio::dup2_stderr(output)?;
-    leave_for(&folder)?;
+    make(&folder)?;
+    start.surroundings.enter(&folder)?;
+    set_avoided_calls(start.avoided_calls.clone());
+    set_instance_suffix(start.place);
     log::set_max_level(start.level);
     let (socket, page) = (UnixStream::from(socket), File::from(page));
     // No foreign code has run in this process, so nobody else can have written this.
@@ -94,6 +99,7 @@ fn begin(service: &mut dyn Service, worker: Worker) -> io::Result<Connection> {
         // Where this fails, so does what is asked, and says why.
         let _ = catch_unwind(AssertUnwindSafe(|| service.provide_files()));
         confine(&folder)?;
+        set_confined();
     }
     Ok(Connection { socket, page, folder, start, has_loaded })
 }
@@ -125,7 +131,7 @@ fn serve(mut service: Box<dyn Service + Send>, connection: &Connection) -> io::R
             std::process::abort();
         }
         // What the model needs may be gone with the folder.
-        answer.is_last |= !folder.is_dir();
+        answer.is_last |= !folder.is_dir() || has_kept_instances();
         answer.write(asked.number, &mut answers, &mut buffer)?;
         page.note_answer(asked.number);
     }

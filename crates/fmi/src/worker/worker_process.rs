@@ -1,25 +1,27 @@
 //! One worker process, as the process sees it that has started it.
 
 use super::end::{ProcessEnd, in_words};
-use super::fork_server::{Arrival, Hello, Template, no_worker};
+use super::fork_server::{Arrival, Hello, Start, Template, no_worker};
 use super::frame::{Frame, FrameSize, PatientWriter, decode};
 use super::isolation::Question;
 use super::limits::WorkerLimits;
 use super::load::LoadId;
 use super::notes::Notes;
 use super::printed::Printed;
+use super::surroundings::Surroundings;
 use crate::description::Quirk;
 use crate::error::{EndKind, FmiError, WorkerEnd};
-use crate::sys::Page;
+use crate::sys::{Page, REFUSED};
 use base::RunContext;
 use rustix::process::{Pid, Signal, kill_process};
 use serde::de::DeserializeOwned;
+use std::collections::BTreeSet;
 use std::io::{self, BufReader, ErrorKind};
 use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::process::ExitStatus;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, LazyLock};
+use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use std::thread::available_parallelism;
 use std::time::{Duration, Instant};
 
@@ -60,6 +62,9 @@ pub(super) struct Process {
     pid: Option<Pid>,
     /// Its number among those of the template.
     number_of_worker: u32,
+    _place: Place,
+    /// Functions that it does not call.
+    pub(super) avoided_calls: Vec<String>,
     template: Arc<Template>,
     end: ProcessEnd,
     socket: BufReader<UnixStream>,
@@ -91,18 +96,32 @@ impl Process {
         template: &Arc<Template>,
         limits: &WorkerLimits,
         is_prepared: bool,
+        surroundings: Surroundings,
+        avoided_calls: &[String],
     ) -> Result<Self, FmiError> {
         let (socket, theirs) = UnixStream::pair().map_err(no_worker)?;
         socket.set_read_timeout(Some(LOOK)).map_err(no_worker)?;
         socket.set_write_timeout(Some(LOOK)).map_err(no_worker)?;
         let (page, file) = Page::new().map_err(no_worker)?;
         let (printed, pipe) = Printed::pipe().map_err(no_worker)?;
+        let (level, place) = (log::max_level(), Place::take());
+        let start = Start {
+            number: 0,
+            limits: *limits,
+            level,
+            is_prepared,
+            surroundings,
+            avoided_calls: avoided_calls.to_vec(),
+            place: place.0,
+        };
         let (number_of_worker, loaded) =
-            template.begin_worker(limits, is_prepared, [theirs.as_fd(), file.as_fd(), pipe.as_fd()])?;
+            template.begin_worker(start, [theirs.as_fd(), file.as_fd(), pipe.as_fd()])?;
         // It holds the other ends.
         Ok(Self {
             pid: None,
             number_of_worker,
+            _place: place,
+            avoided_calls: avoided_calls.to_vec(),
             template: Arc::clone(template),
             end: ProcessEnd::default(),
             socket: BufReader::with_capacity(BUFFER, socket),
@@ -246,8 +265,9 @@ impl Process {
                 self.template.end_in_words().unwrap_or_else(|| "it does not answer".to_owned())
             ),
         };
+        let hint = self.page.is_refused().then(|| REFUSED.to_owned());
         let (function, time) = last.map_or((None, None), |last| (Some(last.function), last.time));
-        WorkerEnd { kind, what, function, time, output: self.printed.last_words() }
+        WorkerEnd { kind, what, function, time, output: self.printed.last_words(), hint }
     }
 
     /// True if it was ended, or its answer was not valid.
@@ -293,6 +313,29 @@ fn size_of(pid: Pid) -> Option<u64> {
     let text = std::fs::read_to_string(format!("/proc/{}/statm", pid.as_raw_nonzero())).ok()?;
     let pages: u64 = text.split(' ').nth(1)?.parse().ok()?;
     Some(pages * rustix::param::page_size() as u64)
+}
+
+/// Number of a worker among those of this program that run at the same time: the smallest that is free.
+#[derive(Debug)]
+struct Place(u32);
+
+static TAKEN: Mutex<BTreeSet<u32>> = Mutex::new(BTreeSet::new());
+
+impl Place {
+    fn take() -> Self {
+        let mut taken = TAKEN.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut place = 0;
+        while !taken.insert(place) {
+            place += 1;
+        }
+        Self(place)
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        TAKEN.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.0);
+    }
 }
 
 /// One more, as long as it lives.

@@ -7,10 +7,12 @@ use super::isolation::{AskedProcess, Question};
 use super::launcher::Launcher;
 use super::limits::{AnswerLimits, WorkerLimits};
 use super::load::{Load, LoadId};
+use super::surroundings::Surroundings;
 use super::worker_process::{NoAnswer, Process};
-use crate::description::Quirk;
+use crate::description::{Quirk, QuirkKind};
 use crate::error::{EndKind, FmiError, ReportedError, ReportedErrorKind};
 use base::RunContext;
+use std::cell::Cell;
 use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -55,6 +57,16 @@ struct Idle {
     is_watched: bool,
     /// Whose they are: a child that was forked meanwhile has none.
     owner: u32,
+    /// Working folder and environment variables of the caller.
+    surroundings: Surroundings,
+    /// Number of times that these have changed.
+    n_changes: u64,
+    /// Calls, and longer uses, under way.
+    n_held: usize,
+    /// Calls at the end of a run that have ended a worker: new workers leave them out.
+    avoided_calls: Vec<String>,
+    /// Quirks that this process has found, and has told nobody of.
+    quirks: Vec<Quirk>,
 }
 
 impl Idle {
@@ -62,6 +74,23 @@ impl Idle {
     fn lent_to(&self, load: &Load) -> impl Iterator<Item = LoadId> {
         let loaded = self.processes.iter().filter_map(|(process, _)| process.loaded);
         loaded.filter(|loaded| loaded.owner == load.id.owner)
+    }
+
+    /// The processes that are not to be asked any more; they end when they are dropped.
+    fn take_processes(&mut self) -> (Vec<(Process, Instant)>, Option<Process>) {
+        (std::mem::take(&mut self.processes), self.begun.take())
+    }
+}
+
+/// While this lives, workers have the working folder and the environment variables that the caller had at its
+/// begin.
+#[derive(Debug)]
+pub struct Held(Arc<Workers>);
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        let mut idle = self.0.idle();
+        idle.n_held = idle.n_held.saturating_sub(1);
     }
 }
 
@@ -77,18 +106,46 @@ impl Workers {
         &self.limits
     }
 
+    /// Begins a piece of work of several calls, in all of which workers have the working folder and the
+    /// environment variables that this process has now, or had at the begin of work that is under way. A call
+    /// alone is such a piece, too.
+    pub fn hold(self: &Arc<Self>) -> Held {
+        let mut idle = self.idle();
+        idle.n_held += 1;
+        let mut outdated = None;
+        if idle.n_held == 1 {
+            let present = Surroundings::present();
+            if idle.surroundings != present {
+                idle.surroundings = present;
+                idle.n_changes += 1;
+                // All of them are idle: none is in a call.
+                outdated = Some(idle.take_processes());
+            }
+        }
+        drop(idle);
+        drop(outdated);
+        Held(Arc::clone(self))
+    }
+
+    /// Number of times that the caller has had another working folder or other environment variables than at
+    /// the call before: answers on either side are not to be compared.
+    pub fn n_changes(&self) -> u64 {
+        self.idle().n_changes
+    }
+
     /// Starts the program of the workers, has it load this, and the first worker copied from it, in the
     /// background: that takes longer than a short evaluation.
-    pub fn prepare(&self, load: &Load) {
+    pub fn prepare(self: &Arc<Self>, load: &Load) {
         self.prepare_one_of(1, load, false);
     }
 
     /// Has a second worker started in the background, and its model loaded: it will be needed soon.
-    pub fn prepare_second(&self, load: &Load) {
+    pub fn prepare_second(self: &Arc<Self>, load: &Load) {
         self.prepare_one_of(2, load, true);
     }
 
-    fn prepare_one_of(&self, n: usize, load: &Load, is_prepared: bool) {
+    fn prepare_one_of(self: &Arc<Self>, n: usize, load: &Load, is_prepared: bool) {
+        let _held = self.hold();
         let are_there = |idle: &Idle| idle.begun.is_some() || idle.lent_to(load).count() >= n;
         if !are_there(&self.idle()) {
             // Who needs a worker meets the same error.
@@ -102,7 +159,11 @@ impl Workers {
     }
 
     fn begin(&self, load: &Load, is_prepared: bool) -> Result<Process, FmiError> {
-        Process::begin(&self.template(load)?, &self.limits, is_prepared)
+        let template = self.template(load)?;
+        let idle = self.idle();
+        let (surroundings, avoided_calls) = (idle.surroundings.clone(), idle.avoided_calls.clone());
+        drop(idle);
+        Process::begin(&template, &self.limits, is_prepared, surroundings, &avoided_calls)
     }
 
     /// The process that workers are copied from.
@@ -138,6 +199,8 @@ impl Workers {
     /// Asks a worker that has loaded `load`, has `accept` read the answer, and returns that with the quirks of
     /// the model that the worker has found. A worker whose answer is not accepted is ended. Where a worker
     /// ends otherwise than by a time limit, the same is asked once more in a fresh one, unless it was one.
+    /// Where it dies at the end of a run, when the rows are complete, a fresh one that leaves out that call is
+    /// asked in any case.
     ///
     /// # Errors
     /// [`FmiError::ReportedError`]: what the worker says; [`FmiError::WorkerEnded`]: it ended twice, or once by the time limit; [`FmiError::NoWorker`] or
@@ -150,36 +213,74 @@ impl Workers {
         accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
         whom: AskedProcess,
     ) -> Result<(T, Vec<Quirk>), FmiError> {
+        let _held = self.hold();
         let is_fresh = matches!(whom, AskedProcess::Fresh | AskedProcess::FreshOnce);
+        let is_of_end = Cell::new(false);
         let mut call = |process: Option<Process>| {
+            is_of_end.set(false);
             let mut process = match process {
                 Some(process) => process,
                 None => self.new_process(load, question.context)?,
             };
             let (accepted, can_go_on) = self.call_in(&mut process, load, question, answer, accept);
+            is_of_end.set(self.avoid_call_at_end_of_run(&process, &accepted));
             // Otherwise it ends here.
             if can_go_on && whom != AskedProcess::FreshOnce {
                 self.give_back(process);
             }
             accepted
         };
-        let process = self.idle_process(load, whom);
-        let was_used = process.is_some();
-        let error = match call(process) {
-            Err(error) => error,
-            outcome => return outcome,
-        };
-        let is_tried_again = match &error {
-            FmiError::WorkerEnded(end) => end.kind != EndKind::Hung,
-            // A process that was used before may have lost what it needs.
-            FmiError::ReportedError(told) => was_used && told.is_of_process(),
-            _ => false,
-        };
-        if is_fresh || !is_tried_again {
-            return Err(error);
+        let mut process = self.idle_process(load, whom);
+        let mut n_left = u32::from(!is_fresh);
+        loop {
+            let was_used = process.is_some();
+            let error = match call(process.take()) {
+                Err(error) => error,
+                Ok((accepted, mut quirks)) => {
+                    quirks.append(&mut self.idle().quirks);
+                    return Ok((accepted, quirks));
+                }
+            };
+            let is_tried_again = match &error {
+                FmiError::WorkerEnded(end) => end.kind != EndKind::Hung,
+                // A process that was used before may have lost what it needs.
+                FmiError::ReportedError(told) => was_used && told.is_of_process(),
+                _ => false,
+            };
+            if !is_of_end.get() {
+                if n_left == 0 || !is_tried_again {
+                    return Err(error);
+                }
+                n_left -= 1;
+            }
+            log::info!("{error}; the same is tried once more in a fresh process");
         }
-        log::info!("{error}; the same is tried once more in a fresh process");
-        call(None)
+    }
+
+    /// Notes a call at the end of a run that has ended a process, so that new ones leave it out. True if this
+    /// process did not leave it out: what was asked can be asked again.
+    fn avoid_call_at_end_of_run<T>(&self, process: &Process, answer: &Result<T, FmiError>) -> bool {
+        let Err(FmiError::WorkerEnded(end)) = answer else { return false };
+        let Some(function) = end.call_at_end_of_run() else { return false };
+        let is_known = |calls: &[String]| calls.iter().any(|call| call == function);
+        if is_known(&process.avoided_calls) {
+            return false;
+        }
+        let mut idle = self.idle();
+        if is_known(&idle.avoided_calls) {
+            return true;
+        }
+        idle.avoided_calls.push(function.to_owned());
+        let message = format!(
+            "{function} does not return at the end of a run ({}): the rows of the run count, the function is not called any more, and \
+             processes with instances that it would have freed are replaced",
+            end.what
+        );
+        idle.quirks.push(Quirk { kind: QuirkKind::Promise, message, line: 0 });
+        let outdated = idle.take_processes();
+        drop(idle);
+        drop(outdated);
+        true
     }
 
     /// The answer and the quirks; and whether the process can be asked again.
@@ -225,7 +326,7 @@ impl Workers {
         if idle.owner != this {
             idle.processes.clear();
             (idle.begun, idle.template) = (None, None);
-            (idle.owner, idle.is_watched) = (this, false);
+            (idle.owner, idle.is_watched, idle.n_held) = (this, false, 0);
         }
         idle
     }

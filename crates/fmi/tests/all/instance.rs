@@ -5,6 +5,7 @@
 use crate::support;
 
 use fmi::{FmiError, Fmu, FmuCache, MAX_EVENT_ITERATIONS, OpenOptions, Session, SimulateOptions, Value};
+use std::time::Duration;
 use support::{evil, model};
 
 /// Send, but not Sync: the latter would let two threads call into one instance.
@@ -231,7 +232,7 @@ fn an_unchanged_file_is_opened_once() {
     before.simulate(&SimulateOptions::new().final_time(1.0)).unwrap();
     assert!(matches!(cache.open(folder.path().join("none.fmu")), Err(FmiError::Io { .. })));
     // Other options are another FMU, and both are kept.
-    let options = OpenOptions { tool_is_present: true, ..OpenOptions::default() };
+    let options = OpenOptions { compile_time: Duration::from_secs(1), ..OpenOptions::default() };
     let plain = cache.open(&path).unwrap();
     let other = cache.open_with(&path, &options).unwrap();
     assert!(!other.is_same(&plain));

@@ -34,6 +34,7 @@ typedef struct {
     double known; /* u as the initialization mode found it */
     int initialized, broken;
 #endif
+    int logs; /* it was asked to log */
     double y; /* x where the derivatives were computed last */
     int restored;
     double restored_k;
@@ -81,10 +82,16 @@ static void start_values(Model *m) {
 #ifdef ONE_SET
     m->u = m->has_u = m->is_late = 0;
 #endif
+#ifdef AT_START
+    AT_START;
+#endif
 }
 
+#ifndef LOG_ENVIRONMENT
+#define LOG_ENVIRONMENT m->functions.componentEnvironment
+#endif
 static void say(Model *m, fmi2Status status, const char *text) {
-    m->functions.logger(m->functions.componentEnvironment, "evil", status, "logAll", text);
+    m->functions.logger(LOG_ENVIRONMENT, "evil", status, "logAll", text);
 }
 
 #ifdef LOGS_LATE
@@ -130,6 +137,9 @@ EXPORT fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String 
 #ifdef INSTANCES
     if (n_made++ >= INSTANCES) return NULL;
 #endif
+#ifdef AT_INSTANTIATE
+    AT_INSTANTIATE;
+#endif
     enter();
 #ifdef DIES_WITH_TWO_INSTANCES
     if (alive++ > 0) abort();
@@ -138,6 +148,7 @@ EXPORT fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String 
     leave();
     if (m == NULL) return NULL;
     memcpy(&m->functions, functions, sizeof *functions);
+    m->logs = logging;
     start_values(m);
 #ifdef REMEMBERS_IN_INSTANCE
     m->remembered = 0;
@@ -163,6 +174,9 @@ EXPORT void fmi2FreeInstance(fmi2Component c) {
     Model *m = c;
     if (m->fatal) abort();
     upset(FREE);
+#ifdef AT_FREE
+    AT_FREE;
+#endif
 #ifdef LOGS_LATE
     {
         pthread_t thread;
@@ -210,6 +224,12 @@ EXPORT fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     leak();
 #endif
     upset(INITIALIZE);
+#ifdef AT_INITIALIZE
+    {
+        Model *m = c;
+        AT_INITIALIZE;
+    }
+#endif
 #ifdef OVERRIDES_K
     K((Model *)c) = 1.5;
 #endif
@@ -238,11 +258,17 @@ EXPORT fmi2Status fmi2Terminate(fmi2Component c) {
     if (K((Model *)c) > FAULT_ABOVE) FAULT;
 #endif
     upset(END);
+#ifdef AT_TERMINATE
+    AT_TERMINATE;
+#endif
     return TERMINATE;
 }
 
 EXPORT fmi2Status fmi2Reset(fmi2Component c) {
     Model *m = c;
+#ifdef AT_RESET
+    AT_RESET;
+#endif
 #if defined(LYING_RESET)
     double k = K(m);
     start_values(m);

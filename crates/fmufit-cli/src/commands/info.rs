@@ -12,7 +12,7 @@ use serde::Serialize;
 use serde_json::{Value as Json, json};
 
 pub(crate) fn run(arguments: &Info, console: &Console) -> Result<Exit, Error> {
-    let fmu = Fmu::open(&arguments.model).map_err(Error::input)?;
+    let fmu = arguments.limits.open(&arguments.model)?;
     let description = fmu.description();
     let is_asked = |variable: &&Variable| match &arguments.causality {
         Some(word) => variable.causality.name().eq_ignore_ascii_case(word),

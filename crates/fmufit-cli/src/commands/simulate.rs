@@ -28,7 +28,7 @@ pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error
     if arguments.sandbox {
         check_sandbox().map_err(Error::input)?;
     }
-    let fmu = Fmu::open(&arguments.model).map_err(Error::input)?;
+    let fmu = arguments.limits.open(&arguments.model)?;
     let units = short_form::assignments(&arguments.unit, "VARIABLE=UNIT, as in --unit u=V")?;
     let units = units.iter().map(|(variable, unit)| (&variable[..], &unit[..]));
     let fmu = fmu.with_units(units).map_err(Error::input)?;

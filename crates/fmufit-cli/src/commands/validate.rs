@@ -9,7 +9,7 @@ use calibration::CalibrationError;
 use calibration::visible_line;
 use dfo::Value;
 use fmi::worker::check_sandbox;
-use fmi::{Fmu, SimulateOptions, Trajectory};
+use fmi::{SimulateOptions, Trajectory};
 use ode::Termination;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -46,7 +46,7 @@ pub(crate) fn run(arguments: &Validate, console: &Console) -> Result<Exit, Error
     if arguments.sandbox {
         check_sandbox().map_err(Error::input)?;
     }
-    let fmu = Fmu::open(&arguments.model).map_err(Error::input)?;
+    let fmu = arguments.limits.open(&arguments.model)?;
     let timeout = Value::Number(arguments.timeout).read_time("--timeout").map_err(Error::input)?;
     let experiment = &fmu.description().default_experiment;
     let mut options = SimulateOptions::default();

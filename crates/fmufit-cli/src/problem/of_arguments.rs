@@ -5,8 +5,8 @@ use super::short_form;
 use crate::arguments::Problem;
 use crate::console::Console;
 use crate::error::Error;
-use calibration::{CsvRequest, Data, find_column};
-use dfo::Value;
+use calibration::{CsvRequest, Data, SimulationSettings, find_column};
+use dfo::{Record, Value};
 use fmi::Fmu;
 use fmi::description::Causality;
 use fmi::worker::Isolation;
@@ -27,10 +27,16 @@ pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<Pro
         || problem.extension().is_some_and(|suffix| {
             ["fmu", "ssp", "ssd"].iter().any(|known| suffix.eq_ignore_ascii_case(known))
         });
+    let settings = short_form::options(setting)?.into_iter().map(|(name, value)| match (&name[..], value) {
+        // The word for no isolation, not the default.
+        ("isolation", Value::Nothing) => (name, Value::Text(Isolation::None.name().to_owned())),
+        (_, value) => (name, value),
+    });
+    let settings: Record = settings.collect();
     let mut file = match data {
         Some(data) if is_model => {
             let input = match input.is_empty() {
-                true => driven(problem, data, time.as_deref(), console)?,
+                true => driven(problem, data, time.as_deref(), &settings, console)?,
                 false => input.clone(),
             };
             let times = (time.as_deref(), *start_time);
@@ -68,12 +74,10 @@ pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<Pro
             ProblemFile::read(problem)?
         }
     };
-    let settings = short_form::options(setting)?.into_iter().map(|(name, value)| match (&name[..], value) {
-        // The word for no isolation, not the default.
-        ("isolation", Value::Nothing) => (name, Value::Text(Isolation::None.name().to_owned())),
-        (_, value) => (name, value),
-    });
-    file.set("settings", settings.chain(sandbox.then(|| ("sandbox".to_owned(), Value::Flag(true)))));
+    file.set(
+        "settings",
+        settings.into_iter().chain(sandbox.then(|| ("sandbox".to_owned(), Value::Flag(true)))),
+    );
     if !unit.is_empty() {
         let units = short_form::assignments(unit, "VARIABLE=UNIT, as in --unit room.T=K")?;
         let units = units.into_iter().map(|(variable, unit)| (variable, Value::Text(unit)));
@@ -83,8 +87,15 @@ pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<Pro
 }
 
 /// The inputs that columns of the recording are called as, which drive them.
-fn driven(model: &Path, data: &Path, time: Option<&str>, console: &Console) -> Result<Vec<String>, Error> {
-    let fmu = Fmu::open(model).map_err(Error::input)?;
+fn driven(
+    model: &Path,
+    data: &Path,
+    time: Option<&str>,
+    settings: &Record,
+    console: &Console,
+) -> Result<Vec<String>, Error> {
+    let settings = SimulationSettings::from_record(settings).map_err(Error::input)?;
+    let fmu = Fmu::open_with(model, &settings.open_options()).map_err(Error::input)?;
     let inputs = fmu.description().variables.iter().filter(|v| v.causality == Causality::Input);
     let inputs: Vec<&String> = inputs.map(|variable| &variable.name).collect();
     if inputs.is_empty() {

@@ -258,14 +258,19 @@ impl ProblemFile {
             self.error("", "model is missing: give the path of an FMU, model = \"plant.fmu\"")
         })?;
         let path: PathBuf = model.read("model").map_err(|error| self.located("model", error.into()))?;
-        Fmu::open(self.folder.join(path)).map_err(|error| self.located("model", error.into()))
+        let options = self.settings()?.open_options();
+        Fmu::open_with(self.folder.join(path), &options).map_err(|error| self.located("model", error.into()))
+    }
+
+    /// The settings of the simulations.
+    fn settings(&self) -> Result<SimulationSettings, Error> {
+        let settings = SimulationSettings::from_record(&self.fields("settings")?);
+        settings.map_err(|error| self.located("settings", error.into()))
     }
 
     /// The calibration: the recordings are read, unless the context is over.
     pub(crate) fn calibration(&self, context: &RunContext<'_>) -> Result<Calibration, Error> {
-        let mut builder = Calibration::builder(self.model()?);
-        let settings = SimulationSettings::from_record(&self.fields("settings")?);
-        builder = builder.settings(settings.map_err(|error| self.located("settings", error.into()))?);
+        let mut builder = Calibration::builder(self.model()?).settings(self.settings()?);
         for (path, fields) in self.tables("parameters")? {
             let parameter = Parameter::from_record(&fields).map_err(|error| self.located(&path, error))?;
             builder = builder.parameter(parameter);

@@ -26,7 +26,6 @@ use calibration::{
     Problem, Severity, SimulationExecutor, UncertaintyOptions, Verdict,
 };
 use dfo::{Progress, Query, RobustLoss, Termination, Want};
-use fmi::OpenOptions;
 use numpy::PyArray1;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -94,11 +93,11 @@ impl PyCalibration {
         settings: PyRecord,
         parameters: Vec<PyParameter>,
     ) -> PyResult<Self> {
+        let settings = settings.settings(py)?;
         let fmu = match model {
             Source::Open(fmu) => fmu.get().fmu.clone(),
-            Source::Path(path) => files::open(py, path, &OpenOptions::default())?,
+            Source::Path(path) => files::open(py, path, &settings.open_options())?,
         };
-        let settings = settings.settings(py)?;
         let parameters = parameters.into_iter().map(|p| p.check(py)).collect::<PyResult<Vec<_>>>()?;
         // The name of an experiment, where there are several.
         let is_one = experiments.len() == 1;

@@ -25,7 +25,6 @@ struct OpenFields {
     show_log: bool,
     deepbind: bool,
     lazy: bool,
-    tool_is_present: bool,
     max_description_bytes: Option<u64>,
     max_elements: Option<usize>,
 }
@@ -46,7 +45,6 @@ impl From<OpenFields> for OpenOptions {
                 elements: fields.max_elements.unwrap_or(limits.elements),
             },
             loader: LoaderOptions { deepbind: fields.deepbind, lazy: fields.lazy },
-            tool_is_present: fields.tool_is_present,
             logging: LogOptions {
                 asked: fields.logging,
                 categories: fields.log_categories,

@@ -244,7 +244,9 @@ impl Model {
                     true => ControlFlow::Break(()),
                     false => ControlFlow::Continue(()),
                 };
-                loan.session.as_mut().map(|session| session.simulate_with(&options, &mut poll))
+                let session = loan.session.as_mut()?;
+                let outcome = session.simulate_with(&options, &mut poll);
+                Some(outcome.map_err(|error| explained(session, &self.apart, &options, error)))
             };
             let outcome = watch.run_here(run);
             callbacks.release();
@@ -255,7 +257,9 @@ impl Model {
             let run = move |_: &CallingThread| {
                 let outcome = loan.session.as_mut().map(|session| match limits {
                     Some(limits) => simulate_apart(session, &mut lock(&apart), limits, &options),
-                    None => session.simulate(&options),
+                    None => session
+                        .simulate(&options)
+                        .map_err(|error| explained(session, &apart, &options, error)),
                 });
                 releasing.release();
                 drop(loan);
@@ -296,6 +300,23 @@ fn simulate_apart(
     let flag = options.cancel.clone();
     let context = flag.as_deref().map_or_else(RunContext::new, |flag| RunContext::new().flagged(flag));
     process.simulate(&session.with_values(options), &context)
+}
+
+/// The error of a simulation, with what the model logs where it had not said why a call failed: the same in a
+/// process of its own tells.
+fn explained(
+    session: &Session,
+    apart: &Mutex<Option<ModelProcess>>,
+    options: &SimulateOptions,
+    error: FmiError,
+) -> FmiError {
+    if error.call_failure().is_none_or(|failure| !failure.log.is_empty()) {
+        return error;
+    }
+    match simulate_apart(session, &mut lock(apart), WorkerLimits::default(), options) {
+        Err(FmiError::ReportedError(told)) if !told.log.is_empty() => FmiError::ReportedError(told),
+        _ => error,
+    }
 }
 
 impl Model {

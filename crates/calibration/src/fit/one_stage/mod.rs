@@ -67,6 +67,7 @@ impl Calibration {
         options: FitOptions<'_>,
         within: Option<RunContext<'_>>,
     ) -> Result<(Fit, KeptResiduals), CalibrationError> {
+        let _held = self.hold();
         let mut job = Job::new(self, options, within)?;
         self.choose_method(&mut job.run, &job.held, &job.objective)?;
         let (run, wants_preflight) = (job.run.clone(), job.wants_preflight);

@@ -552,8 +552,12 @@ impl Calibration {
         run.choose(&class).map_err(|error| self.name_parameter(error))
     }
 
-    /// The optimiser knows parameters by number, the user by name.
-    fn name_parameter(&self, source: dfo::Error) -> CalibrationError {
+    /// The optimiser knows parameters by number, the user by name; and of a failure what the model has
+    /// returned, not what it logs where it is asked to.
+    fn name_parameter(&self, mut source: dfo::Error) -> CalibrationError {
+        if let (dfo::Error::AllStartsFailed(found), Ok(remote)) = (&mut source, &self.evaluator().remote) {
+            found.failures.iter_mut().for_each(|(reason, _)| remote.explain_reason(reason));
+        }
         match source.parameter() {
             Some(index) => {
                 let name = self.parameters()[index].name().to_owned();

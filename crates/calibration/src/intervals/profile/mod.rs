@@ -91,6 +91,7 @@ impl Calibration {
         options: &ProfileOptions,
         context: &RunContext<'_>,
     ) -> Result<Profile, CalibrationError> {
+        let _held = self.hold();
         self.check_length(&fit.x)?;
         if self.known_solver().is_none() {
             self.set_solver(fit.solver.clone())?;

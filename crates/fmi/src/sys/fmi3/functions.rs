@@ -1,7 +1,7 @@
 //! The table of the functions of an FMI 3.0 library (FMI 3.0.x, chapters 2, 3 and 4), bound by name.
 
 use crate::error::Status;
-use crate::sys::callbacks::{Callbacks, fmi3_log};
+use crate::sys::callbacks::{Callbacks, fmufit_fmi3_log};
 use crate::sys::function::{Answer, call};
 use crate::sys::functions::{Derivative, Functions, derivative};
 use crate::sys::symbols::table;
@@ -76,7 +76,7 @@ impl Version for Fmi3 {
         // SAFETY: the strings end in NUL; the environment is on the heap and never freed.
         match request.kind {
             InterfaceKind::ModelExchange => self.instantiate_model.make(|instantiate| unsafe {
-                instantiate(name, token, resources, visible, logging, environment, fmi3_log)
+                instantiate(name, token, resources, visible, logging, environment, fmufit_fmi3_log)
             }),
             // SAFETY: the same; there are no variables for intermediate updates.
             InterfaceKind::CoSimulation => self.instantiate_slave.make(|instantiate| unsafe {
@@ -91,7 +91,7 @@ impl Version for Fmi3 {
                     std::ptr::null(),
                     0,
                     environment,
-                    fmi3_log,
+                    fmufit_fmi3_log,
                     None,
                 )
             }),

@@ -13,6 +13,7 @@ use crate::sys::functions::{Functions, GetVector, Plain, derivative};
 use crate::sys::library::Library;
 use crate::sys::shared_page;
 use crate::sys::types::{Component, Direction, ElementDependency, EventInfo, Experiment, Request, StepInfo};
+use crate::sys::worker_state::{is_avoided, note_kept, refusal};
 use std::ffi::{CString, c_int};
 use std::mem::ManuallyDrop;
 use std::path::PathBuf;
@@ -113,11 +114,11 @@ impl RawInstance {
         let callbacks = library.callbacks(request.log_filter);
         // SAFETY: the callbacks are never freed: they are leaked, or go back to the library.
         let (component, function) = unsafe {
-            let _current = callbacks.enter();
+            callbacks.enter();
             library.version.instantiate(request, &callbacks)
         };
         if component.is_null() {
-            let failure = failure(&callbacks, function, Status::Error, None);
+            let failure = failure(&callbacks, library, function, Status::Error, None);
             library.retire(callbacks);
             return Err(FmiError::Call(Box::new(failure)));
         }
@@ -175,7 +176,7 @@ impl RawInstance {
 
     /// Data of an error about `call`.
     pub(crate) fn failure(&self, call: &'static str, status: Status) -> CallFailure {
-        failure(&self.callbacks, call, status, self.time)
+        failure(&self.callbacks, &self.library, call, status, self.time)
     }
 
     /// The one place where a status becomes a result.
@@ -226,7 +227,14 @@ impl RawInstance {
         if expected == found { Ok(()) } else { wrong_length(function, expected, found) }
     }
 
-    plain! { enter_configuration exit_configuration terminate enter_event_mode enter_continuous_time_mode enter_step_mode }
+    plain! { enter_configuration exit_configuration enter_event_mode enter_continuous_time_mode enter_step_mode }
+
+    pub(crate) fn terminate(&mut self) -> Outcome {
+        match is_avoided(self.library.functions.terminate.name) {
+            true => Ok(()),
+            false => self.plain(|functions| &functions.terminate),
+        }
+    }
 
     /// Calls a function that takes nothing but the component.
     fn plain(&mut self, function: impl Fn(&Functions) -> &Function<Plain>) -> Outcome {
@@ -286,6 +294,10 @@ impl RawInstance {
 
     pub(crate) fn reset(&mut self) -> Outcome {
         (self.time, self.memory.is_step_repeated) = (None, false);
+        let name = self.library.functions.reset.name;
+        if is_avoided(name) {
+            return Err(Fault::Missing(name));
+        }
         self.recover(|raw| raw.plain(|functions| &functions.reset))
     }
 
@@ -442,11 +454,12 @@ impl RawInstance {
             self.callbacks.log().go_on();
             self.set_time_told(time);
         }
-        if self.to_look_into > 0 || self.callbacks.is_by_thread() {
+        if self.to_look_into > 0 {
             return self.vector_one_by_one(time, states, get, values);
         }
         let point = &self.library.functions;
         let one = OneCall::enter(self.library.lock());
+        self.callbacks.enter();
         let c = self.component;
         // SAFETY (of the three calls): the component is alive and ours alone (`&mut self`), both slices have as many places as
         // the function reads or fills.
@@ -479,7 +492,7 @@ impl RawInstance {
     ) -> Outcome {
         let point = &self.library.functions;
         let one = OneCall::enter(self.library.lock());
-        let _current = self.callbacks.enter();
+        self.callbacks.enter();
         let c = self.component;
         // SAFETY: as for `vector_at`.
         let mut changes = false;
@@ -510,9 +523,16 @@ fn wrong_length(call: &'static str, expected: usize, found: usize) -> Outcome {
 }
 
 /// Data of an error about `call`, with the last lines of the log.
-fn failure(callbacks: &Callbacks, call: &'static str, status: Status, time: Option<f64>) -> CallFailure {
+fn failure(
+    callbacks: &Callbacks,
+    library: &Library,
+    call: &'static str,
+    status: Status,
+    time: Option<f64>,
+) -> CallFailure {
     let (log, dropped_log_lines) = callbacks.log().last(LINES_IN_ERRORS);
-    CallFailure { call, status, variables: Vec::new(), time, log, dropped_log_lines }
+    let hints = library.hint().cloned().into_iter().chain(refusal().map(Arc::from)).collect();
+    CallFailure { call, status, variables: Vec::new(), time, log, dropped_log_lines, hints }
 }
 
 /// A vector of as many zeros, if there is memory for it.
@@ -537,21 +557,27 @@ unsafe impl Send for Left {}
 impl Left {
     /// Frees it. The thread is inside of the library.
     fn free(mut self) {
-        if self.library.is_fatal() {
-            // A call of another instance has returned `Fatal` meanwhile.
+        let is_kept = is_avoided(self.library.functions.free.name);
+        if is_kept {
+            note_kept();
+        }
+        if is_kept || self.library.is_fatal() {
+            // Or a call of another instance has returned `Fatal` meanwhile.
             std::mem::forget(self);
             return;
         }
         let _inside = Inside::enter(self.library.lock());
-        let (functions, current) = (&self.library.functions, self.callbacks.enter());
-        // SAFETY: the component is alive and made these states.
-        unsafe { self.saved.free(&functions.free_state, self.component) };
+        self.callbacks.enter();
+        let functions = &self.library.functions;
+        if !is_avoided(functions.free_state.name) {
+            // SAFETY: the component is alive and made these states.
+            unsafe { self.saved.free(&functions.free_state, self.component) };
+        }
         if let Some(free) = functions.free.pointer {
             functions.free.note_call();
             // SAFETY: the component is alive, ours alone, and gone after this.
             unsafe { free(self.component) };
         }
-        drop(current);
         self.library.retire(self.callbacks);
     }
 }

@@ -10,7 +10,7 @@ macro_rules! run {
                 let answer = {
                     let ($library, $component) = (&**$self.library, $self.component);
                     let _call = crate::sys::environment::OneCall::enter($library.lock());
-                    let _current = $self.callbacks.enter();
+                    $self.callbacks.enter();
                     // SAFETY: the component is alive and ours alone (`&mut self`); lengths were checked by the caller of
                     // this macro or are those of the slices passed.
                     #[allow(unused_unsafe)]

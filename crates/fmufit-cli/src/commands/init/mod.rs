@@ -11,7 +11,6 @@ use crate::interrupt::Interrupt;
 use crate::output_paths::check_written;
 use crate::problem::{ProblemFile, short_form};
 use calibration::{CsvRequest, Data, PreflightOptions, RunContext};
-use fmi::Fmu;
 use fmi::worker::check_sandbox;
 use matching::{Columns, Pair};
 use proposal::Proposed;
@@ -26,7 +25,7 @@ pub(crate) fn run(arguments: &Init, console: &Console) -> Result<Exit, Error> {
     if arguments.sandbox {
         check_sandbox().map_err(Error::input)?;
     }
-    let fmu = Fmu::open(model).map_err(Error::input)?;
+    let fmu = arguments.limits.open(model)?;
     let request = CsvRequest { time: arguments.time.as_deref(), ..CsvRequest::default() };
     let recording = Data::read_csv(data, request).map_err(Error::of_arguments)?;
     let columns = Columns::matched(&fmu, &recording, named(&arguments.output)?, named(&arguments.input)?)?;
@@ -35,15 +34,9 @@ pub(crate) fn run(arguments: &Init, console: &Console) -> Result<Exit, Error> {
     let folder = base::files::folder_of(problem);
     let (model_path, data_path) = (relative(model, folder)?, relative(data, folder)?);
     let text = |proposed: &Proposed| {
-        text::text(
-            &fmu,
-            &model_path,
-            &data_path,
-            &columns,
-            arguments.time.as_deref(),
-            proposed,
-            arguments.sandbox,
-        )
+        let (time, bytes) = (arguments.time.as_deref(), arguments.limits.max_description_bytes);
+        let settings = (bytes, arguments.sandbox);
+        text::text(&fmu, &model_path, &data_path, &columns, time, settings, proposed)
     };
     let mut why_not = None;
     if !columns.has_outputs() {

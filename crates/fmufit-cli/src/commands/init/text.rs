@@ -17,8 +17,8 @@ pub(super) fn text(
     data: &str,
     columns: &Columns,
     time: Option<&str>,
+    (max_description_bytes, sandbox): (Option<u64>, bool),
     proposed: &Proposed,
-    sandbox: bool,
 ) -> String {
     let description = fmu.description();
     let mut lines = vec![
@@ -86,18 +86,20 @@ pub(super) fn text(
     lines.extend(proposed.confounded.iter().map(|remark| format!("# {}", one_line(remark))));
     proposed.active().for_each(|candidate| lines.extend(parameter(candidate)));
     lines.extend(left_out(&proposed.candidates));
-    lines.extend(settings(&columns.without_unit, sandbox));
+    lines.extend(settings(&columns.without_unit, max_description_bytes, sandbox));
     lines.join("\n") + "\n"
 }
 
-/// The settings by their defaults, as comments, but for the sandbox; `without_unit`: variables of which the model states no unit,
-/// and their columns do.
-fn settings(without_unit: &[Pair], sandbox: bool) -> Vec<String> {
+/// The settings by their defaults, as comments, but for those of the command line; `without_unit`: variables of
+/// which the model states no unit, and their columns do; `max_description_bytes`: the limit with which the model
+/// was opened.
+fn settings(without_unit: &[Pair], max_description_bytes: Option<u64>, sandbox: bool) -> Vec<String> {
     let (settings, fit) = (SimulationSettings::default(), FitOptions::default());
     let tolerances = fit.run.tolerances;
     let objectives = CostKind::named().map(|kind| kind.name().to_owned()).collect::<Vec<_>>();
     let methods = AnyMethod::names().collect::<Vec<_>>().join(", ");
     let mut lines = vec!["[settings]".to_owned()];
+    lines.extend(max_description_bytes.map(|bytes| format!("max_description_bytes = {bytes}")));
     lines.extend(sandbox.then(|| {
         "sandbox = true               # the model writes into a folder of its own only, and opens no connections".to_owned()
     }));

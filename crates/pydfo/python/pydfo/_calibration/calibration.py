@@ -20,7 +20,7 @@ from .._args import text as _text
 from .._args import values as _values
 from .._args.keywords import also_called, argument_names, explained, given_once
 from .._errors import CalibrationWarning
-from .._model.files import OpenOptions
+from .._model.files import OpenOptions, size_limit
 from .._optimize import evaluate as _evaluate
 from .._optimize.fmin import Callback, check_callback, combine, listen
 from .._optimize.live_line import DELAY, LiveLine, is_watched
@@ -132,6 +132,8 @@ class Calibration(Evaluation):
         Confine the processes of the FMU: they write into a folder of their own only, which is removed with them, open no
         connections and reach no other process (Linux with Landlock; SECURITY.md lists what remains possible). An error where the
         system cannot do that, with ``isolation="none"``, and with inputs that are functions.
+    max_description_bytes : int, optional
+        Largest size of ``modelDescription.xml`` where `model` is a path; default 64 MiB. An FMUModel has its own limit.
     units : dict of str to str, optional
         Units of outputs and inputs of which the model states none: ``{"room.T": "K"}``. Columns that state a unit are converted to it.
     time : str, optional
@@ -188,6 +190,7 @@ class Calibration(Evaluation):
         isolation: Literal["process", "none"] = "process",
         memory_limit: SupportsFloat | None = None,
         sandbox: bool = False,
+        max_description_bytes: int | None = None,
         interior_samples: SupportsIndex | None = None,
         units: Mapping[str, str] | None = None,
         initial_states: Mapping[str, SupportsFloat | str | Parameter] | None = None,
@@ -236,10 +239,13 @@ class Calibration(Evaluation):
             "isolation": isolation,
             "memory_limit": memory_limit,
             "sandbox": sandbox,
+            "max_description_bytes": max_description_bytes,
             "units": dict(_values.units(units)),
         }
         self._model = path_of(model)
         self._opened: OpenOptions | None = getattr(model, "_opened", None)
+        if self._opened is None and max_description_bytes is not None:
+            self._opened = OpenOptions(max_description_bytes=size_limit("max_description_bytes", max_description_bytes))
         opened = getattr(model, "_fmu", None)
         source = opened if isinstance(opened, _core.Fmu) else self._model
         self._functions = [

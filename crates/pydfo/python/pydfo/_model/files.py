@@ -27,7 +27,6 @@ class OpenOptions:
     show_log: bool = False
     deepbind: bool = False
     lazy: bool = False
-    tool_is_present: bool = False
     max_description_bytes: int | None = None
     max_elements: int | None = None
 

@@ -125,8 +125,6 @@ class FMUModel:
     lazy : bool
         Functions of the library are looked up when they are first called (RTLD_LAZY): for libraries that lack some which
         are never called.
-    tool_is_present : bool
-        Run the FMU although it says that it needs the tool that made it.
     max_description_bytes : int, optional
         How large ``modelDescription.xml`` may be; default 64 MiB. Reading it takes at most eight times as much memory.
     max_elements : int, optional
@@ -162,7 +160,6 @@ class FMUModel:
         logging: bool | str | Sequence[str] = False,
         deepbind: bool = False,
         lazy: bool = False,
-        tool_is_present: bool = False,
         max_description_bytes: int | None = None,
         max_elements: int | None = None,
     ) -> None:
@@ -176,7 +173,6 @@ class FMUModel:
             show_log=log_level is not None,
             deepbind=_values.flag("deepbind", deepbind),
             lazy=_values.flag("lazy", lazy),
-            tool_is_present=_values.flag("tool_is_present", tool_is_present),
             max_description_bytes=size_limit("max_description_bytes", max_description_bytes),
             max_elements=size_limit("max_elements", max_elements),
         )
