@@ -296,7 +296,10 @@ mod tests {
         fit.report.optima = vec![optimum(2.0 * fit.report.fun), optimum(3.0 * fit.report.fun)];
         let text = fit.to_string();
         assert!(text.contains("the best point that it met within its limits, below all minima"), "{text}");
-        assert!(text.contains("6 local searches have ended at 2 minima, and the result is better than all"), "{text}");
+        assert!(
+            text.contains("6 local searches have ended at 2 minima, and the result is better than all"),
+            "{text}"
+        );
         fit.report.optima[0] = optimum(fit.report.fun);
         let text = fit.to_string();
         assert!(text.contains("The fit took the lowest minimum that it found within its limits"), "{text}");
