@@ -348,6 +348,8 @@ def test_resampling_takes_means():
     assert cost({"time": TIME[:40], "x": X[:40]}, resample=0.2) == pytest.approx(cost(by_hand), rel=1e-9)
     with pytest.raises(BadCalibrationError, match="rows every 0.01 s cannot be made of rows every 0.05"):
         cost({"time": TIME, "x": X}, resample=0.01)
+    with pytest.raises(BadCalibrationError, match="11 weights of output 'x' for 41 rows of data before resample takes means"):
+        cost({"time": TIME, "x": X}, resample=0.2, weights={"x": np.full(11, 2.0)})
 
 
 def tank(data, **own):

@@ -192,8 +192,9 @@ pub(crate) fn weights_of_rows(
         }
         Weight::Column(column) => (data.series(column)?, format!(" in column '{column}'")),
         Weight::Rows(weights) if weights.len() != n => {
+            let when = if experiment.resample.is_some() { " before resample takes means" } else { "" };
             return setup(format!(
-                "{} weights of output '{variable}' for {n} rows of {}: give a number, or one weight per row",
+                "{} weights of output '{variable}' for {n} rows of {}{when}: give a number, or one weight per row",
                 weights.len(),
                 data.source()
             ));

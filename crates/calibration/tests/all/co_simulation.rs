@@ -43,7 +43,7 @@ fn stepping(defines: &[&str]) -> tempfile::TempDir {
 fn curves_meet_the_simulated_measurements_when_results_depend_on_the_communication_step() {
     for step in [None, Some(0.25)] {
         let folder = stepping(&["ONE_EULER_STEP"]);
-        let t = vec![0.3, 0.5, 1.1, 2.0];
+        let t: Vec<f64> = vec![0.3, 0.5, 1.1, 2.0];
         let y: Vec<f64> = t.iter().map(|t| (-2.0 * t).exp()).collect();
         let data = Data::from_columns(t.clone(), [("y".to_owned(), y)]).unwrap();
         let calibration = Calibration::builder(Fmu::open(folder.path()).unwrap())
