@@ -90,8 +90,8 @@ pub(super) fn text(
     lines.join("\n") + "\n"
 }
 
-/// The settings by their defaults, as comments, but for the sandbox; `without_unit`: variables of which the model states no unit,
-/// and their columns do.
+/// The settings by their defaults, as comments, but for the sandbox; `without_unit`: variables of which the
+/// model states no unit, and their columns do.
 fn settings(without_unit: &[Pair], sandbox: bool) -> Vec<String> {
     let (settings, fit) = (SimulationSettings::default(), FitOptions::default());
     let tolerances = fit.run.tolerances;
