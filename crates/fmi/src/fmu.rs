@@ -416,8 +416,8 @@ impl Fmu {
         }
     }
 
-    /// True in a worker process: it does not repeat a simulation, but says that it is to be asked again. So the
-    /// other process knows how many simulations an answer can take.
+    /// True in a worker process: it does not repeat a simulation, but says that it is to be asked again. So
+    /// the other process knows how many simulations an answer can take.
     pub fn leaves_repetition(&self) -> bool {
         let is_left = is_worker();
         self.inner.is_to_be_repeated.fetch_or(is_left, Ordering::Relaxed);

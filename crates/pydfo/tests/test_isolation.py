@@ -240,7 +240,7 @@ def test_sandbox_confines_simulations_and_fits(tmp_path):
     assert outside.exists()
     outside.unlink()
     for more in ({}, {"isolation": "process"}):
-        assert same_bits(model.simulate(sandbox=True, **asked), sound.simulate(**asked))
+        assert same_bits(model.simulate(sandbox=True, **more, **asked), sound.simulate(**asked))
     assert decay(fmu, sandbox=True).cost([3.0]) == decay(tmp_path / "sound.fmu").cost([3.0])
     assert not outside.exists() and inside.read_text() == "kept"
     # The same model without a sandbox is not simulated by a process that has one.

@@ -507,8 +507,8 @@ impl Remote {
         }
     }
 
-    /// A simulation of a comparison, and the residuals at the start with the seconds that they took. It has at
-    /// most so many samples, and so many residuals.
+    /// A simulation of a comparison, and the residuals at the start with the seconds that they took. It has
+    /// at most so many samples, and so many residuals.
     pub(crate) fn compare(
         &self,
         task: ComparisonTask,
@@ -612,8 +612,8 @@ fn unsaid(error: io::Error) -> FmiError {
     FmiError::BadSetting(error.to_string())
 }
 
-/// Reads an evaluation with so many residuals and this cutoff. The cost is that of its residuals, for the worker
-/// may have made it up.
+/// Reads an evaluation with so many residuals and this cutoff. The cost is that of its residuals, for the
+/// worker may have made it up.
 fn evaluated(answer: &Frame, n: usize, cutoff: f64) -> io::Result<Evaluated> {
     let evaluated: Evaluated = answer.head()?;
     let numbers = &answer.numbers;

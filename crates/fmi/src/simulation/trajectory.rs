@@ -108,8 +108,8 @@ impl PartialEq for ValueColumn {
 }
 
 impl Trajectory {
-    /// True if all columns have their rows, and all variables their columns. One that another process has sent
-    /// may be none that a simulation can have.
+    /// True if all columns have their rows, and all variables their columns. One that another process has
+    /// sent may be none that a simulation can have.
     pub fn is_consistent(&self) -> bool {
         let rows = self.time.len();
         let has = |range: &Range<usize>, n: usize| range.start <= range.end && range.end <= n;

@@ -250,8 +250,8 @@ impl Template {
         Some(in_words(status))
     }
 
-    /// True if a process is a child of the template, as its workers are; on systems that do not tell, true for
-    /// any process.
+    /// True if a process is a child of the template, as its workers are; on systems that do not tell, true
+    /// for any process.
     pub(super) fn is_parent_of(&self, pid: Pid) -> bool {
         let parent = |pid: u32| -> Option<u32> {
             let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;

@@ -48,8 +48,8 @@ impl FromStr for Isolation {
 pub struct Question<'a> {
     /// The question.
     pub asked: &'a Frame,
-    /// Ends the wait for the answer: it is looked at every 10 ms, and the worker has 0.1 s to answer once it is
-    /// over.
+    /// Ends the wait for the answer: it is looked at every 10 ms, and the worker has 0.1 s to answer once it
+    /// is over.
     pub context: &'a RunContext<'a>,
     /// Limits of the answer: a simulation that takes longer than its time and 0.25 s ends the worker, and so
     /// does an answer that is larger.
