@@ -85,7 +85,7 @@ def test_a_model_that_fails_without_its_tool_says_so(tmp_path):
     tool = ("modelIdentifier=", 'needsExecutionTool="true" modelIdentifier=')
     path = fmus.evil(tmp_path / "tool.fmu", "NOT_INSTANTIABLE", replacements=[tool])
     for isolation in ("none", "process"):
-        with pytest.raises(FmuError, match=r"no licence for evil; .*to run \(needsExecutionTool\), which may be missing"):
+        with pytest.raises(pydfo.SimulationError, match=r"no licence for evil; .*to run \(needsExecutionTool\), which may be missing"):
             FMUModel(path).simulate(final_time=1.0, isolation=isolation)
     crashes = fmus.evil(tmp_path / "crash.fmu", "AT_INITIALIZE=abort()", replacements=[tool])
     with pytest.raises(pydfo.SimulationError, match=r"abort in fmi2ExitInitializationMode.*which may be missing"):
