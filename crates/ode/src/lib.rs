@@ -35,6 +35,7 @@ mod stepper;
 mod stopwatch;
 mod system;
 mod tableau;
+mod times;
 
 pub use driver::{Driver, EndConditions, Stopped};
 pub use error::{ErrorKind, Evaluated, NotFinite, Report, SimulationError, Termination, Undetermined};
@@ -48,3 +49,4 @@ pub use system::{
     Argument, CallError, CallResult, Direction, EventCause, EventOutcome, EventVisit, HybridSystem,
     InputStop, StepAction,
 };
+pub use times::time_tolerance;

@@ -10,9 +10,6 @@ use std::ops::Range;
 /// More rows than this are taken for a mistake.
 const MAX_ROWS: usize = 100_000_000;
 
-/// Unit round-off of double precision.
-const U: f64 = f64::EPSILON / 2.0;
-
 impl SimulateOptions {
     /// Resolves span and rows.
     pub(crate) fn grid(&self, experiment: &DefaultExperiment) -> Result<Grid> {
@@ -43,7 +40,7 @@ impl SimulateOptions {
                 Number(end)
             )));
         }
-        let time_tolerance = 100.0 * U * start.abs().max(end.abs()).max(end - start);
+        let time_tolerance = ode::time_tolerance(start, end);
         let mut interval = self.output_interval;
         let times: Vec<f64> = match (&self.times, self.output_interval, self.ncp) {
             (Some(times), ..) => snap(times, start..end, time_tolerance, &self.suggested(experiment))?,
