@@ -76,7 +76,7 @@ impl Core {
 
 /// The events of a run by hand.
 fn settle(core: &mut Core, time: f64) -> Result<EventOutcome> {
-    core.settle_events(time, ode::time_tolerance(time, time), MAX_EVENT_ITERATIONS)
+    core.settle_events(time, core.progress.time_tolerance(time), MAX_EVENT_ITERATIONS)
 }
 
 impl Instance<Initialization, CoSimulation> {
@@ -107,8 +107,8 @@ impl Instance<StepMode, CoSimulation> {
     /// # Errors
     /// The FMU refuses. A step that it computes in part or not at all is no error: see [`StepOutcome`].
     pub fn do_step(&mut self, time: f64, step: f64) -> Result<StepOutcome> {
-        let tolerance = ode::time_tolerance(time, time + step);
         let core = self.core();
+        let tolerance = core.progress.time_tolerance(time + step);
         let (end, mut t, mut length) = (time + step, time, step);
         loop {
             if core.has_events_at(t, tolerance) {

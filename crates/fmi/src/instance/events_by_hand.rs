@@ -103,6 +103,7 @@ impl Core {
     /// A clock ticks by itself and there is no event mode for it; an interval that makes no sense.
     pub(super) fn begin_clocks(&mut self, handles_events: bool) -> Result<()> {
         let start = self.raw.time().unwrap_or(0.0);
+        self.progress.start = Some(start);
         let fmu = self.fmu.clone();
         let given = std::mem::take(&mut self.progress.intervals);
         let clocks = fmu.description().variables.iter().enumerate().filter_map(|(index, variable)| {

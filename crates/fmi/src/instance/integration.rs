@@ -37,8 +37,8 @@ impl Instance<ContinuousTime> {
     /// instance is freed then.
     pub fn integrate(mut self, start: f64, end: f64, options: Options) -> Result<Integrated> {
         let mut driver = Driver::new(options)?;
-        let tolerance = ode::time_tolerance(start, end);
         let core = self.core();
+        let tolerance = core.progress.time_tolerance(end);
         let floor = core.progress.time_at(start, tolerance);
         if core.inputs_cross()? {
             core.call(RawInstance::enter_event_mode)?;
@@ -54,6 +54,7 @@ impl Instance<ContinuousTime> {
             core,
             n_states,
             n_indicators,
+            end,
             tolerance,
             is_over: false,
             floor,
@@ -83,7 +84,9 @@ struct ByHand<'a> {
     core: &'a mut Core,
     n_states: usize,
     n_indicators: usize,
-    /// Times closer than this are one.
+    end: f64,
+    /// Times closer than this are one: in the whole run, whose steps have added up their rounding errors, and
+    /// not in this step alone.
     tolerance: f64,
     /// The model has ended the simulation, in event mode.
     is_over: bool,
@@ -105,6 +108,12 @@ impl ByHand<'_> {
         let t = t.max(self.floor);
         self.call(|raw| raw.set_time(t))?;
         if x.is_empty() { Ok(()) } else { self.call(|raw| raw.set_continuous_states(x)) }
+    }
+
+    /// The next time event; one that is at the end but for rounding is there.
+    fn next_event(&self) -> Option<f64> {
+        let is_at_end = |next: f64| next > self.end && next - self.end <= self.tolerance;
+        self.core.progress.next_event.map(|next| if is_at_end(next) { self.end } else { next })
     }
 
     fn read_states(&mut self, x: &mut [f64]) -> CallResult<()> {
@@ -145,7 +154,7 @@ impl HybridSystem for ByHand<'_> {
     fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
         self.read_states(x)?;
         self.commit(t0, x);
-        Ok(EventOutcome { next_time: self.core.progress.next_event, ..EventOutcome::default() })
+        Ok(EventOutcome { next_time: self.next_event(), ..EventOutcome::default() })
     }
 
     fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
@@ -172,7 +181,9 @@ impl HybridSystem for ByHand<'_> {
     }
 
     fn handle_event(&mut self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
-        let time = visit.time.max(self.floor);
+        let announced = self.core.progress.next_event.filter(|_| visit.cause.time);
+        let is_here = |next: &f64| *next - visit.time <= self.tolerance;
+        let time = visit.time.max(self.floor).max(announced.filter(is_here).unwrap_or(visit.time));
         self.set_point(time, x)?;
         self.floor = time;
         self.core.progress.floor = Some(time);
@@ -186,6 +197,6 @@ impl HybridSystem for ByHand<'_> {
         } else {
             self.call(RawInstance::enter_continuous_time_mode)?;
         }
-        Ok(outcome)
+        Ok(EventOutcome { next_time: self.next_event(), ..outcome })
     }
 }

@@ -113,7 +113,7 @@ impl Instance<EventMode> {
     pub fn update_discrete_states(&mut self, limit: u32) -> Result<EventOutcome> {
         let core = self.core();
         let time = core.raw.time().unwrap_or(0.0);
-        core.settle_events(time, ode::time_tolerance(time, time), limit)
+        core.settle_events(time, core.progress.time_tolerance(time), limit)
     }
 
     /// Goes on in continuous time.

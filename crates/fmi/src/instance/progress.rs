@@ -7,6 +7,8 @@ use std::sync::Arc;
 /// Saved with each state of the FMU, and brought back with it: all that a later run depends on.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Progress {
+    /// Time of the initialization.
+    pub(super) start: Option<f64>,
     /// Values set before the experiment is set up: the position of the variable, each once. They are set once
     /// more then, when the structural parameters have their values.
     pub(super) set_before_setup: Vec<(usize, Value)>,
@@ -35,6 +37,11 @@ pub(super) fn note<T>(values: &mut Vec<(usize, T)>, index: usize, value: T) {
 }
 
 impl Progress {
+    /// Times closer than this are one, in a run that has come to `time`.
+    pub(super) fn time_tolerance(&self, time: f64) -> f64 {
+        ode::time_tolerance(self.start.unwrap_or(time), time)
+    }
+
     /// The next tick known.
     pub(super) fn next_tick(&self) -> Option<f64> {
         self.schedules.iter().filter_map(|schedule| schedule.next).min_by(f64::total_cmp)

@@ -9,10 +9,10 @@ use fmi::{
     CoSimulation, ContinuousTime, Fmu, Inputs, Instance, InstanceOptions, Instantiated, Integrated,
     InterfaceChoice, MAX_EVENT_ITERATIONS, SimulateOptions, StepMode, Value,
 };
-use support::{arrays, fixture};
+use support::{Folder, arrays, fixture};
 
-fn sampled() -> Fmu {
-    fixture("sampled", |xml| xml).open()
+fn sampled() -> Folder {
+    fixture("sampled", |xml| xml)
 }
 
 /// In continuous time at `start`.
@@ -37,9 +37,12 @@ fn number<P: fmi::Readable, K>(instance: &mut Instance<P, K>, name: &str) -> f64
 /// n after k ticks, and x, the integral of n; steps add up their rounding errors.
 #[test]
 fn a_tick_at_the_end_of_a_step_counts_when_rounding_puts_it_behind_the_end() {
-    let fmu = sampled();
+    let folder = sampled();
+    let fmu = folder.open();
     for method in Method::ALL {
-        for (start, period, step) in [(0.0, 0.1, 0.1), (0.0, 0.7, 0.7), (-2.0, 0.3, 0.1), (1e6, 0.1, 0.1)] {
+        for (start, period, step) in
+            [(0.0, 0.1, 0.1), (0.0, 0.7, 0.7), (-2.0, 0.3, 0.1), (-5.0, 0.1, 0.1), (1e6, 0.1, 0.1)]
+        {
             let mut instance = fmu.instantiate().unwrap();
             instance.set("period", period).unwrap();
             let (mut instance, mut time) = (begun(instance, start), start);
@@ -59,7 +62,8 @@ fn a_tick_at_the_end_of_a_step_counts_when_rounding_puts_it_behind_the_end() {
 
 #[test]
 fn a_simulation_ends_with_the_tick_at_its_end_when_rounding_puts_it_behind_the_end() {
-    let fmu = sampled();
+    let folder = sampled();
+    let fmu = folder.open();
     for method in Method::ALL {
         for k in 1..=100_u32 {
             let end: f64 = format!("{:.1}", 0.1 * f64::from(k)).parse().unwrap();
@@ -79,7 +83,8 @@ fn a_simulation_ends_with_the_tick_at_its_end_when_rounding_puts_it_behind_the_e
 /// Compares with an instance that was never saved.
 #[test]
 fn a_restored_state_goes_on_as_if_nothing_had_happened_since_when_it_was_saved() {
-    let fmu = sampled();
+    let folder = sampled();
+    let fmu = folder.open();
     let method = Method::Auto;
     let plain = |ends: &[f64]| {
         let mut instance = begun(fmu.instantiate().unwrap(), 0.0);
@@ -107,7 +112,8 @@ fn a_restored_state_goes_on_as_if_nothing_had_happened_since_when_it_was_saved()
 
 #[test]
 fn values_set_before_the_initialization_go_with_a_reset_and_an_earlier_state() {
-    let fmu = sampled();
+    let folder = sampled();
+    let fmu = folder.open();
     let period = |instance: Instance<Instantiated>| {
         number(&mut instance.enter_initialization(0.0, None, None).unwrap(), "period")
     };
@@ -149,7 +155,8 @@ fn arrays_take_the_sizes_that_structural_parameters_give_them_in_any_order() {
 /// x' = n + 10 on, where "on" is whether u was above 0.5 at the last event: at 1 s it jumps there.
 #[test]
 fn an_input_that_takes_an_indicator_across_zero_is_an_event_when_it_is_set_between_two_steps() {
-    let fmu = sampled();
+    let folder = sampled();
+    let fmu = folder.open();
     let by_hand = |values: &[(f64, f64)]| {
         let mut instance = fmu.instantiate().unwrap();
         instance.set("period", 10.0).unwrap();
@@ -181,7 +188,8 @@ fn stepping(fmu: &Fmu) -> Instance<StepMode, CoSimulation> {
 
 #[test]
 fn discrete_inputs_of_a_co_simulation_are_set_in_event_mode() {
-    let fmu = sampled();
+    let folder = sampled();
+    let fmu = folder.open();
     let mut instance = stepping(&fmu);
     instance.do_step(0.0, 0.0625).unwrap();
     instance.set("gear", 2.0).unwrap();
