@@ -59,7 +59,7 @@ LAYERS = {
         commands
     """,
     "ode": """
-        sparsity stats stages stopwatch tableau
+        sparsity stats stages stopwatch tableau times
         system options error
         error_norm event lu observer
         sampling step_size stepper

@@ -1,13 +1,15 @@
-//! Times as numbers: how far two numbers may differ that are the same time.
+//! When two numbers are the same time.
 
 /// Returns the largest difference of two numbers that are the same time, in a span from `start` to `end`:
-/// 100 units of rounding of the largest of both ends and the length of the span. The last digit of a time is
-/// coarser the larger the time is: 2e-7 s for seconds since 1970.
+/// `100 u max(|start|, |end|, |end - start|)`, where `u` is the unit round-off. Whatever compares times follows
+/// this rule: events, inputs, ticks of clocks, rows, the end of a run. The last digit of a time is coarser the
+/// larger the time is: 2e-7 s for seconds since 1970.
 ///
 /// ```
 /// let (a, b) = (0.1 + 0.2, 0.3);
 /// assert!(a != b && (a - b).abs() <= base::time_tolerance(0.0, 0.3));
 /// ```
 pub fn time_tolerance(start: f64, end: f64) -> f64 {
-    50.0 * f64::EPSILON * start.abs().max(end.abs()).max(end - start)
+    const U: f64 = f64::EPSILON / 2.0;
+    100.0 * U * start.abs().max(end.abs()).max((end - start).abs())
 }

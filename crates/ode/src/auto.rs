@@ -11,6 +11,7 @@
 use crate::error::Undetermined;
 use crate::explicit_rk::{Dop853, ExplicitRk};
 use crate::implicit::{Bdf, Radau5};
+use crate::lu;
 use crate::stepper::{Attempt, Consistency, Equations, Properties, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 use crate::tableau::Tsit5;
@@ -78,7 +79,8 @@ pub(crate) struct Auto {
     bdf_has_begun: bool,
     /// The system has a mass matrix: Radau5 alone, which no trial has to choose.
     only_radau5: bool,
-    /// Right-hand sides of a Jacobian, as far as they are known.
+    /// Right-hand sides of a Jacobian, as far as they are known, and as many as its decompositions take where
+    /// they could do with far less.
     jacobian_cost: f64,
     hits: u32,
     clean: u32,
@@ -366,8 +368,9 @@ impl Stepper for Auto {
         self.radau5_has_begun = self.only_radau5;
         self.bdf_has_begun = false;
         self.bdf_is_next = false;
-        let pattern = system.jacobian_pattern();
-        self.jacobian_cost = pattern.map_or(system.n_states(), |p| p.widest_column()) as f64;
+        let n = system.n_states();
+        let pattern = system.jacobian_pattern().filter(|p| p.n_states() == n);
+        self.jacobian_cost = pattern.map_or(n as f64, |p| p.widest_column() as f64 + lu::needless_work(p));
         self.patience = if self.explicit == Active::Tsit5 { PATIENCE } else { 1.0 };
         self.caution = 1.0;
         self.left_at = None;

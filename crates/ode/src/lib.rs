@@ -48,3 +48,4 @@ pub use system::{
     Argument, CallError, CallResult, Direction, EventCause, EventOutcome, EventVisit, HybridSystem,
     InputStop, StepAction,
 };
+pub use base::time_tolerance;

@@ -117,11 +117,13 @@ pub enum ChatteringPolicy {
     /// between them as Filippov defines it, up to an error of the order of this step (A. F. Filippov,
     /// Differential Equations with Discontinuous Righthand Sides, 1988, section 8). Where events change
     /// states and accumulate (bounces), the indicator is held at zero, on the side that it came from in the
-    /// run, whatever its sign: it crosses where it is found on the other side, and is put back to zero where
-    /// its event leaves it there and has not let it pass. For this a hundred such events within ten steps of
-    /// sliding (at most a thousandth of a unit of time) are too many. The other indicators are located as
-    /// ever. Counted in [`Stats::chattering`](crate::Stats::chattering), too. Methods with a fixed step end
-    /// with the error.
+    /// run, whatever its sign: it crosses where it is found on the other side. Where its event leaves it
+    /// there and has not let it pass, what the event changes is made as strong as it takes: to zero at once
+    /// where the indicator depends on it, else (a body whose speed is reversed) with the speed that leads
+    /// back to zero. States that the event has not changed are never moved. For this a hundred such events
+    /// within ten steps of sliding (at most a thousandth of a unit of time) are too many. The other
+    /// indicators are located as ever. Counted in [`Stats::chattering`](crate::Stats::chattering), too.
+    /// Methods with a fixed step end with the error.
     Slide,
 }
 

@@ -72,6 +72,16 @@ impl Sampler {
         Ok(observer.sample(&Sample { time, index, side, states: here.x, outputs: &self.outputs }))
     }
 
+    /// Delivers a row that nobody asked for, behind an event.
+    pub(crate) fn record(
+        &mut self,
+        system: &mut (impl HybridSystem + ?Sized),
+        here: &Here<'_>,
+        observer: &mut (impl Observer + ?Sized),
+    ) -> CallResult<ControlFlow<()>> {
+        self.emit(system, here, here.t, None, Side::Right, observer)
+    }
+
     /// Delivers the next requested time; the caller stands there.
     pub(crate) fn deliver(
         &mut self,
@@ -121,7 +131,7 @@ impl Sampler {
             }
         }
         if here.record && !any {
-            return self.emit(system, here, here.t, None, Side::Right, observer);
+            return self.record(system, here, observer);
         }
         Ok(ControlFlow::Continue(()))
     }

@@ -56,7 +56,8 @@ pub struct EventCause {
 /// One visit of the model's event mode.
 #[derive(Debug, Clone, Copy)]
 pub struct EventVisit<'a> {
-    /// Time of the event.
+    /// Time of the event: that of the model's own time event where there is one within
+    /// [rounding](crate::time_tolerance), though it may lie so much behind the end of the run.
     pub time: f64,
     /// Causes of the event.
     pub cause: EventCause,

@@ -174,6 +174,103 @@ def test_a_wrong_argument_of_a_step_leaves_the_instance_as_it_is(ball, wrong):
         ball.restore_state(None)
 
 
+@pytest.fixture(scope="module")
+def sampled(tmp_path_factory):
+    """Ticks every 0.1 s, strict about times; x' = n + 10 on + 100 gear, on = (u > 0.5 at the last event)."""
+    return fmus.compiled("sampled", tmp_path_factory.mktemp("sampled") / "sampled.fmu")
+
+
+def test_repeated_steps_meet_every_tick(sampled):
+    with fmi.instantiate(sampled, "ME") as instance:
+        instance.initialize()
+        counts = []
+        for _ in range(50):
+            assert instance.do_step(0.1).complete
+            counts.append(instance.get("n"))
+        assert counts == list(range(1, 51))
+        assert instance.time == pytest.approx(5.0) and instance.next_event == 51 * 0.1
+
+
+@pytest.mark.parametrize("isolation", ["none", "process"])
+@pytest.mark.parametrize("solver", ["auto", "rk4", "radau5"])
+def test_a_tick_at_the_end_counts_when_rounding_puts_it_behind_the_end(sampled, solver, isolation):
+    model = FMUModel(sampled, kind="ME")
+    ends = [round(0.1 * k, 1) for k in range(1, 101)]
+    assert sum(0.1 * k > end for k, end in enumerate(ends, 1)) > 20
+    for k, end in list(enumerate(ends, 1))[:: 1 if solver == "auto" else 9]:
+        res = model.simulate(final_time=end, times=[end], outputs=["n"], solver=solver, isolation=isolation)
+        assert res["n"].tolist() == [k] and res["time"].tolist() == [end]
+
+
+def test_a_fit_to_data_that_end_with_a_tick(sampled):
+    t = np.array([0.0, 0.1, 0.2, 0.3])
+    data = {"time": t, "x": np.array([0.0, 0.0, 0.1, 0.3])}
+    fit = pydfo.Calibration(FMUModel(sampled, kind="ME"), data, ["x"], [pydfo.Parameter("period", 0.095, 0.05, 0.105)]).fit()
+    assert fit.cost < 1e-6
+
+
+def test_a_restored_state_keeps_the_ticks_to_come(sampled):
+    with fmi.instantiate(sampled, "ME") as instance:
+        instance.initialize()
+        instance.do_step(0.25)
+        saved = instance.save_state()
+        instance.do_step(0.5)
+        there = instance.get(["x", "n"]), instance.next_event
+        instance.restore_state(saved)
+        assert instance.next_event == 0.30000000000000004 and instance.time == 0.25
+        instance.do_step(0.5)
+        assert (instance.get(["x", "n"]), instance.next_event) == there
+
+
+def test_a_reset_forgets_what_was_set():
+    with fmi.instantiate(example_fmu("dahlquist")) as instance:
+        instance.set("k", 2.0)
+        instance.reset()
+        instance.initialize()
+        assert instance.get("k") == 1.0
+
+
+def test_an_input_across_a_switch_is_an_event(sampled):
+    with fmi.instantiate(sampled, "ME") as instance:
+        instance.set("period", 10.0)
+        instance.initialize()
+        for k in range(20):
+            instance.set("u", 0.05 * (k + 1))
+            instance.do_step(0.1)
+        # Above 0.5 from 1 s on.
+        assert instance.get("on") == 1.0 and instance.get("x") == pytest.approx(10.0)
+
+
+def test_discrete_inputs_of_a_co_simulation_wait_for_event_mode(sampled):
+    with fmi.instantiate(sampled, "CS") as instance:
+        instance.initialize()
+        instance.set({"gear": 1.0, "u": 1.0})
+        assert instance.get("gear") == 1.0
+        instance.do_step(0.0625)
+        assert instance.get(["x", "on", "visits"]) == [110 * 0.0625, 1.0, 2.0]
+
+
+@pytest.mark.parametrize("kind", ["ME", "CS"])
+def test_clocks_tick_by_hand(tmp_path, kind):
+    with fmi.instantiate(fmus.compiled("clocks", tmp_path / "clocks.fmu"), kind) as instance:
+        instance.initialize()
+        for _ in range(4):
+            if instance.do_step(0.25).event:
+                instance.handle_events()
+        assert instance.get(["n_sample", "n_third", "n_growing", "n_optional"]) == [11, 3, 4, 2]
+        assert instance.next_event == pytest.approx(1.05)
+
+
+@pytest.mark.parametrize("names", [("n", "k"), ("k", "n")])
+def test_values_of_a_model_fit_its_instance_in_any_order(tmp_path, names):
+    model = FMUModel(fmus.compiled("arrays", tmp_path / "arrays.fmu"))
+    values = {"n": 2, "k": [3.0, 4.0]}
+    model.set({name: values[name] for name in names})
+    with fmi.instantiate(model) as instance:
+        instance.initialize()
+        assert np.asarray(instance.get("k")).tolist() == [3.0, 4.0]
+
+
 def test_results_are_written_and_handed_to_other_libraries(tmp_path, monkeypatch):
     result = FMUModel(example_fmu("bouncing_ball")).simulate(final_time=1, ncp=4, outputs=["h", "bounces", "resting"])
     result.to_csv(tmp_path / "out.csv")

@@ -2,6 +2,7 @@
 
 use super::assignments::resolve;
 use super::phases::{Initialization, Instance, Readable};
+use super::progress::note;
 use crate::description::{Causality, ClockKind, Interval, Variable};
 use crate::error::{FmiError, Result};
 use crate::sys::Qualifier;
@@ -14,9 +15,12 @@ impl<K> Instance<Initialization, K> {
     pub fn set_clock_interval(&mut self, name: &str, interval: Interval) -> Result<()> {
         let core = self.core();
         let fmu = core.fmu().clone();
-        let variable = &fmu.description().variables[resolve(fmu.description(), name)?];
+        let index = resolve(fmu.description(), name)?;
+        let variable = &fmu.description().variables[index];
         check_interval(variable, interval)?;
-        core.call(|raw| raw.set_interval(variable.value_reference, interval))
+        core.call(|raw| raw.set_interval(variable.value_reference, interval))?;
+        note(&mut core.progress.intervals, index, interval);
+        Ok(())
     }
 }
 

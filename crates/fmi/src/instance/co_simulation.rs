@@ -74,35 +74,63 @@ impl Core {
     }
 }
 
-/// The events that the model makes by itself.
-fn just_events(core: &mut Core, time: f64) -> Result<EventOutcome> {
-    core.iterate_events(time, 0.0, MAX_EVENT_ITERATIONS, &mut |_| Ok(()))
+/// The events of a run by hand.
+fn settle(core: &mut Core, time: f64) -> Result<EventOutcome> {
+    core.settle_events(time, core.progress.time_tolerance(time), MAX_EVENT_ITERATIONS)
 }
 
 impl Instance<Initialization, CoSimulation> {
     /// Ends the initialization; the initial events happen.
     ///
     /// # Errors
-    /// The FMU refuses.
-    pub fn exit_initialization(self) -> Result<Instance<StepMode, CoSimulation>> {
+    /// A clock would tick by itself, which takes an event mode, and there is none; the FMU refuses.
+    pub fn exit_initialization(mut self) -> Result<Instance<StepMode, CoSimulation>> {
+        let has_event_mode = self.core().raw.has_event_mode();
+        self.core().begin_clocks(has_event_mode)?;
         let mut instance: Instance<StepMode, CoSimulation> =
             self.step_to(RawInstance::exit_initialization)?;
         let core = instance.core();
         let time = core.raw.time().unwrap_or(0.0);
-        if core.raw.has_event_mode() {
-            core.run_event_mode(time, just_events)?;
+        if has_event_mode {
+            core.run_event_mode(time, settle)?;
         }
         Ok(instance)
     }
 }
 
 impl Instance<StepMode, CoSimulation> {
-    /// Lets the model compute the step from `time`, where it stands, to `time + step`.
+    /// Lets the model compute the step from `time`, where it stands, to `time + step`. Where the model has
+    /// asked for event mode, inputs wait for it, or a clock is due, the events at `time` happen first, and so
+    /// they do where a clock ticks within the step. Those at its end are for
+    /// [`handle_events`](Self::handle_events), or the next step.
     ///
     /// # Errors
     /// The FMU refuses. A step that it computes in part or not at all is no error: see [`StepOutcome`].
     pub fn do_step(&mut self, time: f64, step: f64) -> Result<StepOutcome> {
-        self.core().do_step(time, step, &|| Ok(()))
+        let core = self.core();
+        let tolerance = core.progress.time_tolerance(time + step);
+        let (end, mut t, mut length) = (time + step, time, step);
+        loop {
+            if core.has_events_at(t, tolerance) {
+                core.call(RawInstance::enter_event_mode)?;
+                let events = |core: &mut Core, t| core.settle_events(t, tolerance, MAX_EVENT_ITERATIONS);
+                if core.run_event_mode(t, events)?.terminate {
+                    return Ok(StepOutcome { terminate: true, reached: Some(t), ..StepOutcome::default() });
+                }
+            }
+            let tick = core.progress.next_tick().filter(|tick| *tick < end - tolerance);
+            let outcome = core.do_step(t, tick.map_or(length, |tick| tick - t), &|| Ok(()))?;
+            core.progress.is_event_asked = outcome.event && core.raw.has_event_mode();
+            match tick {
+                Some(tick) if outcome.complete && !outcome.early && !outcome.terminate => {
+                    (t, length) = (tick, end - tick);
+                }
+                _ => {
+                    let event = outcome.event || outcome.complete && core.has_events_at(end, tolerance);
+                    return Ok(StepOutcome { event, ..outcome });
+                }
+            }
+        }
     }
 
     /// Lets the model's events at `time`, where it stands, happen; after a step whose outcome asks for it.
@@ -112,7 +140,7 @@ impl Instance<StepMode, CoSimulation> {
     pub fn handle_events(&mut self, time: f64) -> Result<EventOutcome> {
         let core = self.core();
         core.call(RawInstance::enter_event_mode)?;
-        core.run_event_mode(time, just_events)
+        core.run_event_mode(time, settle)
     }
 
     /// Sets the first derivatives of real inputs with respect to time, for the next step.

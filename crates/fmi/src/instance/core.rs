@@ -3,6 +3,7 @@
 
 use super::assignments::{self, Assignments};
 use super::integer_codec;
+use super::progress::Progress;
 use crate::description::{ModelDescription, Structure, Value, Variable, VariableKind};
 use crate::error::{FmiError, LogLine, Result, Status};
 use crate::fmu::Fmu;
@@ -19,20 +20,14 @@ pub(crate) struct Core {
     pub(super) _library: Option<Arc<LoadedLibrary>>,
     pub(super) fmu: Fmu,
     pub(super) structure: Structure,
-    /// Values set by hand before the experiment is set up.
-    pub(super) set_before_setup: Assignments,
+    /// Of an instance that is driven by hand.
+    pub(super) progress: Progress,
 }
 
 impl Core {
     /// Of an instance whose structural parameters have their start values.
     pub(crate) fn new(raw: RawInstance, fmu: Fmu) -> Self {
-        Self {
-            raw,
-            _library: None,
-            fmu,
-            structure: Structure::default(),
-            set_before_setup: Assignments::default(),
-        }
+        Self { raw, _library: None, fmu, structure: Structure::default(), progress: Progress::default() }
     }
 
     pub(crate) fn fmu(&self) -> &Fmu {

@@ -17,8 +17,6 @@ pub enum Integrated {
     Reached {
         /// The instance at the end.
         instance: Instance<ContinuousTime>,
-        /// The next time event of the model.
-        next_event: Option<f64>,
     },
     /// The model has ended the simulation.
     Ended {
@@ -31,20 +29,24 @@ pub enum Integrated {
 
 impl Instance<ContinuousTime> {
     /// Integrates the states from `start`, where the instance stands, to `end`, and handles the events on the
-    /// way; inputs stay as they are. `next_event` is the time event that the model has announced.
+    /// way; inputs stay as they are. Where an event indicator has changed its domain because inputs were set,
+    /// that is an event at `start`.
     ///
     /// # Errors
     /// Options that make no sense; the solver fails ([`FmiError::Simulation`]), or the FMU refuses. The
     /// instance is freed then.
-    pub fn integrate(
-        mut self,
-        start: f64,
-        end: f64,
-        next_event: Option<f64>,
-        options: Options,
-    ) -> Result<Integrated> {
+    pub fn integrate(mut self, start: f64, end: f64, options: Options) -> Result<Integrated> {
         let mut driver = Driver::new(options)?;
         let core = self.core();
+        let tolerance = core.progress.time_tolerance(end);
+        let floor = core.progress.time_at(start, tolerance);
+        if core.inputs_cross()? {
+            core.call(RawInstance::enter_event_mode)?;
+            if core.settle_events(floor, tolerance, MAX_EVENT_ITERATIONS)?.terminate {
+                return Ok(Integrated::Ended { instance: self.into_phase(), time: start });
+            }
+            core.call(RawInstance::enter_continuous_time_mode)?;
+        }
         let description = core.fmu.description();
         let (n_states, n_indicators) =
             (core.structure.states(description), core.structure.indicators(description));
@@ -52,26 +54,28 @@ impl Instance<ContinuousTime> {
             core,
             n_states,
             n_indicators,
-            next_event,
+            end,
+            tolerance,
             is_over: false,
-            floor: start,
+            floor,
             last: (start, Vec::new()),
         };
         let report = driver.run(&mut system, start, end, &[], &mut Ignore).map_err(FmiError::Simulation)?;
-        let ByHand { next_event, is_over, last: (time, states), .. } = system;
+        let ByHand { is_over, floor, last: (time, states), .. } = system;
         if is_over || report.termination == Termination::StoppedByModel {
             // The wish to end comes from event mode, or from a completed step.
             if !is_over {
                 self.core().call(RawInstance::enter_event_mode)?;
             }
+            self.core().progress.next_event = None;
             return Ok(Integrated::Ended { instance: self.into_phase(), time });
         }
         // What was looked at last need not be the end.
-        self.set_time(end)?;
+        self.set_time(end.max(floor))?;
         if !states.is_empty() {
             self.set_continuous_states(&states)?;
         }
-        Ok(Integrated::Reached { instance: self, next_event })
+        Ok(Integrated::Reached { instance: self })
     }
 }
 
@@ -80,7 +84,10 @@ struct ByHand<'a> {
     core: &'a mut Core,
     n_states: usize,
     n_indicators: usize,
-    next_event: Option<f64>,
+    end: f64,
+    /// Times closer than this are one: in the whole run, whose steps have added up their rounding errors, and
+    /// not in this step alone.
+    tolerance: f64,
     /// The model has ended the simulation, in event mode.
     is_over: bool,
     /// Time of the last event, behind which the model is not taken back.
@@ -101,6 +108,12 @@ impl ByHand<'_> {
         let t = t.max(self.floor);
         self.call(|raw| raw.set_time(t))?;
         if x.is_empty() { Ok(()) } else { self.call(|raw| raw.set_continuous_states(x)) }
+    }
+
+    /// The next time event; one that is at the end but for rounding is there.
+    fn next_event(&self) -> Option<f64> {
+        let is_at_end = |next: f64| next > self.end && next - self.end <= self.tolerance;
+        self.core.progress.next_event.map(|next| if is_at_end(next) { self.end } else { next })
     }
 
     fn read_states(&mut self, x: &mut [f64]) -> CallResult<()> {
@@ -141,7 +154,7 @@ impl HybridSystem for ByHand<'_> {
     fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
         self.read_states(x)?;
         self.commit(t0, x);
-        Ok(EventOutcome { next_time: self.next_event, ..EventOutcome::default() })
+        Ok(EventOutcome { next_time: self.next_event(), ..EventOutcome::default() })
     }
 
     fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
@@ -168,19 +181,22 @@ impl HybridSystem for ByHand<'_> {
     }
 
     fn handle_event(&mut self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
-        self.set_point(visit.time, x)?;
-        self.floor = visit.time;
+        let announced = self.core.progress.next_event.filter(|_| visit.cause.time);
+        let is_here = |next: &f64| *next - visit.time <= self.tolerance;
+        let time = visit.time.max(self.floor).max(announced.filter(is_here).unwrap_or(visit.time));
+        self.set_point(time, x)?;
+        self.floor = time;
+        self.core.progress.floor = Some(time);
         self.call(RawInstance::enter_event_mode)?;
-        let settled = self.core.iterate_events(visit.time, 0.0, MAX_EVENT_ITERATIONS, &mut |_| Ok(()));
+        let settled = self.core.settle_events(time, self.tolerance, MAX_EVENT_ITERATIONS);
         let outcome = settled.map_err(CallError::failed)?;
-        self.next_event = outcome.next_time;
         self.read_states(x)?;
-        self.commit(visit.time, x);
+        self.commit(time, x);
         if outcome.terminate {
             self.is_over = true;
         } else {
             self.call(RawInstance::enter_continuous_time_mode)?;
         }
-        Ok(outcome)
+        Ok(EventOutcome { next_time: self.next_event(), ..outcome })
     }
 }

@@ -106,12 +106,14 @@ impl<P: Running> Instance<P> {
 
 impl Instance<EventMode> {
     /// Updates the discrete states until they settle, at most `limit` rounds (see [`MAX_EVENT_ITERATIONS`]).
+    /// Clocks whose intervals are known tick when they are due; those that are triggered are set by hand.
     ///
     /// # Errors
     /// [`FmiError::EventIteration`] when they do not settle; the FMU refuses.
     pub fn update_discrete_states(&mut self, limit: u32) -> Result<EventOutcome> {
-        let time = self.core().raw.time().unwrap_or(0.0);
-        self.core().iterate_events(time, 0.0, limit, &mut |_| Ok(()))
+        let core = self.core();
+        let time = core.raw.time().unwrap_or(0.0);
+        core.settle_events(time, core.progress.time_tolerance(time), limit)
     }
 
     /// Goes on in continuous time.
@@ -141,12 +143,16 @@ impl Instance<ContinuousTime> {
         /// # Errors
         /// A slice has not the length of the state vector; the FMU refuses.
         right_hand_side(time: f64, states: &[f64], derivatives: &mut [f64]) -> ();
-        /// Says that a step has been completed, and that the instance will not be taken back behind it.
-        /// Returns whether the model wants to enter event mode, and whether it wants to end the simulation.
-        ///
-        /// # Errors
-        /// The FMU refuses.
-        completed_integrator_step() -> (bool, bool);
+    }
+
+    /// Says that a step has been completed, and that the instance will not be taken back behind it. Returns
+    /// whether the model wants to enter event mode, and whether it wants to end the simulation.
+    ///
+    /// # Errors
+    /// The FMU refuses.
+    pub fn completed_integrator_step(&mut self) -> Result<(bool, bool)> {
+        self.core().progress.before_inputs = None;
+        self.core().call(RawInstance::completed_integrator_step)
     }
 
     /// Enters event mode.

@@ -2,6 +2,7 @@
 
 use super::assignments::{self, Assignments};
 use super::core::Core;
+use super::progress::{Progress, note};
 use crate::description::{Causality, Structure, Value, Variable, VariableKind};
 use crate::error::{FmiError, LogLine, Result};
 use crate::fmu::Fmu;
@@ -49,6 +50,18 @@ pub trait Phase: sealed::Sealed {
     fn is_before_setup() -> bool {
         false
     }
+
+    /// True if the model is being integrated.
+    #[doc(hidden)]
+    fn is_continuous_time() -> bool {
+        false
+    }
+
+    /// True between two communication points.
+    #[doc(hidden)]
+    fn is_step_mode() -> bool {
+        false
+    }
 }
 
 /// A phase in which values can be read: all but [`Instantiated`] (FMI 2.0.x, section 3.2.3).
@@ -91,12 +104,12 @@ phases! {
         "in event mode only inputs and tunable parameters can be set",
     );
     /// Continuous-time mode: time, states and continuous inputs are set here.
-    ContinuousTime(Readable, Running) |v| assignments::check_settable_in_continuous_time(v);
+    ContinuousTime(Readable, Running) |v| assignments::check_settable_in_continuous_time(v), is_continuous_time;
     /// Between two communication points: inputs are set and steps are made here (co-simulation).
     StepMode(Readable) |v| assignments::check_settable_when_discrete(
         v,
         "between steps only inputs and tunable parameters can be set",
-    );
+    ), is_step_mode;
     /// Reconfiguration mode: tunable structural parameters are set here.
     Reconfiguration(Readable) |v| assignments::check_settable_in_reconfiguration(v), is_configuration;
     /// Ended: values can be read.
@@ -112,6 +125,7 @@ pub struct SavedState {
     phase: &'static str,
     /// The structural parameters are part of the state, and with them the sizes of the arrays.
     structure: Structure,
+    progress: Progress,
 }
 
 /// The last part of the type's name.
@@ -150,6 +164,12 @@ impl<P, K> Instance<P, K> {
         &self.core.fmu
     }
 
+    /// The next time event of the model or tick of one of its clocks, as far as it is known since its last
+    /// events.
+    pub fn next_event(&self) -> Option<f64> {
+        self.core.progress.next_event
+    }
+
     /// The last lines the FMU logged, oldest first, and the number of others that were not kept: earlier
     /// ones, and those beyond the rate limit (see [`InstanceOptions`](crate::InstanceOptions)).
     pub fn log(&self) -> (Vec<LogLine>, u64) {
@@ -177,13 +197,15 @@ impl<P, K> Instance<P, K> {
         self.core.set_logging(true, &categories)
     }
 
-    /// Saves the complete state of the instance.
+    /// Saves the complete state of the instance, with what a later run of it depends on besides: the time
+    /// event and the ticks to come, values that were set and are not in effect yet.
     ///
     /// # Errors
     /// The FMU cannot, or refuses.
     pub fn save_state(&mut self) -> Result<SavedState> {
         let slot = self.core.call(RawInstance::save_state)?;
-        Ok(SavedState { slot, phase: phase_name::<P>(), structure: self.core.structure.clone() })
+        let (structure, progress) = (self.core.structure.clone(), self.core.progress.clone());
+        Ok(SavedState { slot, phase: phase_name::<P>(), structure, progress })
     }
 
     fn check_own(&self, state: &SavedState) -> Result<()> {
@@ -201,6 +223,7 @@ impl<P, K> Instance<P, K> {
         if !fresh.core.structure.is_default() {
             fresh.core.configure(&Assignments::default(), &Structure::default())?;
         }
+        fresh.core.progress = Progress::default();
         fresh.core.raw.clear_log();
         Ok(fresh)
     }
@@ -214,6 +237,9 @@ impl<P: Readable, K> Instance<P, K> {
     pub fn get(&mut self, name: &str) -> Result<Value> {
         let fmu = self.core.fmu.clone();
         let index = assignments::resolve(fmu.description(), name)?;
+        if let Some((_, value)) = self.core.progress.waiting.iter().find(|(known, _)| *known == index) {
+            return Ok(value.clone());
+        }
         self.core.value(&fmu.description().variables[index])
     }
 
@@ -277,7 +303,9 @@ impl<P: Readable, K> Instance<P, K> {
 }
 
 impl<P: Phase, K> Instance<P, K> {
-    /// Sets a variable.
+    /// Sets a variable. Before the initialization an array may be given as many elements as it will have when
+    /// all structural parameters are set. Between two steps of a co-simulation with an event mode all but
+    /// continuous inputs wait for that mode, which is entered before the next step at the latest.
     ///
     /// # Errors
     /// There is no such variable, the value has the wrong type or is not finite, the variable cannot be set
@@ -287,16 +315,32 @@ impl<P: Phase, K> Instance<P, K> {
         let index = assignments::resolve(fmu.description(), name)?;
         let variable = &fmu.description().variables[index];
         P::check_settable(variable)?;
+        let value = value.into();
         let mut values = Assignments::default();
         let elements = self.core.elements(variable);
-        let value = assignments::convert(variable, &value.into(), elements)?;
+        if let (true, Some(n), Value::Array(given)) = (P::is_before_setup(), elements, &value)
+            && given.len() != n
+        {
+            // A structural parameter that is set later may give it this size.
+            let value = assignments::convert(variable, &value, Some(given.len()))?;
+            note(&mut self.core.progress.set_before_setup, index, value);
+            return Ok(());
+        }
+        let value = assignments::convert(variable, &value, elements)?;
         values.push(variable, &value, elements)?;
         if variable.causality != Causality::StructuralParameter {
+            if P::is_step_mode() && self.core.waits_for_events(variable) {
+                note(&mut self.core.progress.waiting, index, value);
+                return Ok(());
+            }
+            if P::is_continuous_time() {
+                self.core.note_indicators();
+            }
             self.core.apply(&values)?;
-            return match P::is_before_setup() {
-                true => self.core.set_before_setup.push(variable, &value, elements),
-                false => Ok(()),
-            };
+            if P::is_before_setup() {
+                note(&mut self.core.progress.set_before_setup, index, value);
+            }
+            return Ok(());
         }
         let mut structure = self.core.structure.clone();
         structure.set(index, &value);
@@ -322,6 +366,7 @@ impl<P: Phase, K> Instance<P, K> {
         }
         self.core.call(|raw| raw.restore_state(&state.slot))?;
         self.core.restructure(&state.structure);
+        self.core.progress.clone_from(&state.progress);
         Ok(())
     }
 }
@@ -351,8 +396,13 @@ impl<K> Instance<Instantiated, K> {
         let experiment = Experiment { tolerance: relative_tolerance, start: start_time, stop: stop_time };
         self.core.call(|raw| raw.setup_experiment(&experiment))?;
         // What the call above has made anew gets the values that were set before it.
-        let set = std::mem::take(&mut self.core.set_before_setup);
-        self.core.apply(&set)?;
+        let fmu = self.core.fmu.clone();
+        let mut values = Assignments::default();
+        for (index, value) in std::mem::take(&mut self.core.progress.set_before_setup) {
+            let variable = &fmu.description().variables[index];
+            values.push(variable, &value, self.core.elements(variable))?;
+        }
+        self.core.apply(&values)?;
         self.core.check_sizes()?;
         self.step_to(RawInstance::enter_initialization)
     }
@@ -363,7 +413,8 @@ impl Instance<Initialization> {
     ///
     /// # Errors
     /// The FMU refuses.
-    pub fn exit_initialization(self) -> Result<Instance<EventMode>> {
+    pub fn exit_initialization(mut self) -> Result<Instance<EventMode>> {
+        self.core.begin_clocks(true)?;
         self.step_to(RawInstance::exit_initialization)
     }
 }

@@ -31,8 +31,6 @@ pub(crate) struct System {
     /// The point last committed: what `get` refers to after a run.
     last_time: f64,
     last_states: Vec<f64>,
-    /// The time event that the model announced.
-    announced: Option<f64>,
     pub(super) reader: OutputReader,
     /// Time of the last event as the model saw it: a rounding error later than the driver's at most, and
     /// never gone back behind.
@@ -59,7 +57,6 @@ impl System {
             states: vec![0.0; n],
             last_time: plan.start,
             last_states: vec![0.0; n],
-            announced: None,
             floor: f64::NEG_INFINITY,
             is_point_of_states: false,
             running: Running::new(plan),
@@ -77,7 +74,6 @@ impl System {
         self.set_time = None;
         self.set_states = None;
         self.reader.begin(&self.running);
-        self.announced = None;
         self.floor = f64::NEG_INFINITY;
         self.last_time = start;
         Ok(())
@@ -319,8 +315,7 @@ impl System {
             .in_event_mode()
             .and_then(|core| clocks.iterate_events(&plan.clocks, core, t, (recorded, buffers), outside));
         match settled {
-            Ok((outcome, announced)) => {
-                self.announced = announced;
+            Ok(outcome) => {
                 self.note_outcome(&outcome);
                 Ok(outcome)
             }
@@ -543,28 +538,21 @@ impl HybridSystem for Integration<'_> {
     }
 
     fn handle_event(&mut self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
-        let (t, plan) = (visit.time, &self.running.plan);
-        // Of two instants within rounding the model must see the later one, or its time event would not be due.
-        let seen = match self.announced {
-            Some(next) if visit.cause.time && next > t && next - t <= plan.time_tolerance => {
-                next.min(plan.end.max(t))
-            }
-            _ => t,
-        };
-        self.set_point(seen, x)?;
-        self.floor = seen;
+        let t = visit.time.max(self.floor);
+        self.set_point(t, x)?;
+        self.floor = t;
         self.enter_event_mode()?;
         if visit.cause.input {
             self.jump(t)?;
         }
-        let outcome = self.system.iterate_events(seen, self.outside)?;
+        let outcome = self.system.iterate_events(t, self.outside)?;
         if outcome.states_changed {
             self.read_states(x)?;
         }
         self.leave_event_mode(&outcome)?;
         self.running.note(x);
         self.commit(t, x);
-        self.set_time = outcome.terminate.then_some(seen);
+        self.set_time = outcome.terminate.then_some(t);
         self.set_states = outcome.terminate.then_some(());
         self.states.copy_from_slice(x);
         let System { reader, running, .. } = &mut *self.system;

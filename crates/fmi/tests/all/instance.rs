@@ -299,8 +299,8 @@ fn integration_by_hand_handles_events() {
     let options = || fmi::ode::Options { relative_tolerance: 1e-10, ..fmi::ode::Options::default() };
     let mut instance = running(&folder.open());
     for (start, end) in [(0.0, 0.3), (0.3, 0.7)] {
-        instance = match instance.integrate(start, end, None, options()).unwrap() {
-            fmi::Integrated::Reached { instance, next_event: None } => instance,
+        instance = match instance.integrate(start, end, options()).unwrap() {
+            fmi::Integrated::Reached { instance } if instance.next_event().is_none() => instance,
             other => panic!("{other:?}"),
         };
     }
@@ -323,7 +323,7 @@ fn integration_by_hand_ends_with_the_model() {
     let next = instance.update_discrete_states(MAX_EVENT_ITERATIONS).unwrap().next_time;
     assert_eq!(next, Some(1.0));
     let instance = instance.enter_continuous_time().unwrap();
-    match instance.integrate(0.0, 20.0, next, fmi::ode::Options::default()).unwrap() {
+    match instance.integrate(0.0, 20.0, fmi::ode::Options::default()).unwrap() {
         fmi::Integrated::Ended { mut instance, time } => {
             assert_eq!(time, 9.0);
             assert_eq!(instance.get("counter").unwrap(), Value::Integer(10));

@@ -8,6 +8,7 @@ mod promises;
 mod support;
 
 mod arrays;
+mod by_hand;
 mod clocks;
 mod co_simulation;
 mod description;

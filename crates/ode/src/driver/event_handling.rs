@@ -76,10 +76,10 @@ where
         let space = &mut *self.space;
         space.x_mid.copy_from_slice(&space.x);
         // Of two instants within rounding the model is shown the later one, or its time event would not be due.
-        if let Some(next) = self.next_time_event.filter(|_| cause.time) {
-            self.t = self.t.max(next.min(self.end));
-        }
-        let visit = EventVisit { time: self.t, cause, crossings: &space.domains.crossings };
+        let announced = self.next_time_event.filter(|_| cause.time).unwrap_or(self.t);
+        let time = self.t.max(announced);
+        self.t = time.min(self.end);
+        let visit = EventVisit { time, cause, crossings: &space.domains.crossings };
         let outcome = self.system.handle_event(&visit, &mut space.x);
         let outcome = self.with_states(outcome)?;
         self.count(cause);

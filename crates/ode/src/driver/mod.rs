@@ -134,7 +134,8 @@ impl Driver {
     ///
     /// `times` are in the order of the integration and lie within the span; a time listed twice gives the
     /// left limit, then the value after the events of that instant; a time listed once gives the latter.
-    /// Times are equal within `100 u max(|t|, end - start)`. Each run is independent of those before.
+    /// Times are equal within the [tolerance](crate::time_tolerance) of the span. Each run is independent of
+    /// those before.
     ///
     /// # Errors
     /// [`SimulationError`] says why, where and with which numbers; samples delivered before it stay valid.
@@ -253,7 +254,8 @@ where
             return Err(ErrorKind::ToleranceCount { given: list.len(), states: n }.into());
         }
         let space = &mut *self.space;
-        for v in [&mut space.x, &mut space.x_new, &mut space.x_mid, &mut space.slope, &mut space.nominals] {
+        let Space { x, x_new, x_mid, jump, slope, nominals, .. } = &mut *space;
+        for v in [x, x_new, x_mid, jump, slope, nominals] {
             v.clear();
             v.resize(n, 0.0);
         }
@@ -409,8 +411,9 @@ where
         }
         let eventful = self.more_events_here(eventful)? || eventful;
         // A crossing so near is at this instant: the samples here wait for it.
-        let waits = !eventful && !action.terminate && self.t < self.end - self.time_tolerance;
-        if !(waits && self.space.domains.is_about_to_cross(began, self.t, self.time_tolerance)) {
+        if !action.terminate && self.t < self.end - self.time_tolerance && self.is_about_to_cross()? {
+            self.record_here(eventful)?;
+        } else {
             self.sample_here(eventful)?;
         }
         if action.terminate {

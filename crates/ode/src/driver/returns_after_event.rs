@@ -149,64 +149,83 @@ where
         Ok(Inside::Again { h, why: Shrink::Returned })
     }
 
-    /// After an event while indicators slide: where it has left one beyond zero, and has not let it pass, the
-    /// states are moved to where it is zero, by as little as possible beside their sizes. `true`: some were.
+    /// After an event while indicators slide, before which the states were `x_mid`: where it has left one
+    /// beyond zero, and has not let it pass, it is made as strong as it takes to bring that one back. What
+    /// the event has not changed is not moved. `true`: some states were.
     pub(super) fn hold_at_zero(&mut self) -> Step<bool> {
+        let Space { x, x_mid, jump, .. } = &mut *self.space;
+        jump.iter_mut().zip(x.iter().zip(&*x_mid)).for_each(|(jump, (x, before))| *jump = x - before);
         let mut moved = false;
         for i in 0..self.space.domains.len() {
             if self.space.domains.is_behind(i) {
-                match self.move_to_zero(i) {
-                    Ok(has_moved) => moved |= has_moved,
-                    Err(CallError::Discard) => {}
+                let share = match self.share_to_zero(i) {
+                    Ok(share) => share,
+                    Err(CallError::Discard) => continue,
                     Err(failed) => return Err(no_retreat(failed)),
+                };
+                let Space { x, jump, .. } = &mut *self.space;
+                if let Some(share) = share {
+                    x.iter_mut().zip(&*jump).for_each(|(x, jump)| *x += share * jump);
+                    moved = true;
                 }
             }
         }
         Ok(moved)
     }
 
-    /// One step of Newton's method. `false`: the event has let the indicator pass, which slides no more.
-    fn move_to_zero(&mut self, i: usize) -> CallResult<bool> {
-        let Space { x, x_mid, x_new: gradient, slope: before, weights, domains, .. } = &mut *self.space;
+    /// The share of what the event has changed that brings indicator `i` back to zero when it is done once
+    /// more: there at once, if the indicator depends on a state that was changed; else, if its slope does, as
+    /// that of a body that bounces, by the flow. `None`: nothing is needed, or the event has let the
+    /// indicator pass, which slides no more.
+    fn share_to_zero(&mut self, i: usize) -> CallResult<Option<f64>> {
+        let Space { x, x_mid, x_new, jump, slope: before, domains, weights, .. } = &mut *self.space;
         let (z0, t, step) = (domains.base[i], self.t, self.sliding.usual());
-        self.stats.event_indicators += 4 + x.len() as u64;
-        let mut slope_along = |dx: &[f64]| {
-            let mut change = |s: f64| {
-                let (at, s) = later(t, s);
-                move_along(x_mid, s, x, dx);
-                domains.value_at(i, |z| read_indicators(self.system, at, x_mid, z)).map(|z| z - z0)
-            };
-            Ok((4.0 * change(0.5 * step)? - change(step)?) / step)
+        let dx = self.stepper.derivative();
+        let system = &mut *self.system;
+        let count = &mut self.stats.event_indicators;
+        let mut change_along = |system: &mut S, s: f64, dx: &[f64]| {
+            *count += 1;
+            let (at, s) = later(t, s);
+            move_along(x_mid, s, x, dx);
+            domains.value_at(i, |z| read_indicators(system, at, x_mid, z)).map(|z| z - z0)
         };
-        let (after, before) = (slope_along(self.stepper.derivative())?, slope_along(before)?);
+        let mut slope_along = |dx: &[f64]| {
+            let half = change_along(system, 0.5 * step, dx)?;
+            Ok((4.0 * half - change_along(system, step, dx)?) / step)
+        };
+        let (after, before) = (slope_along(dx)?, slope_along(before)?);
+        // Where the states were before the event.
+        move_along(x_mid, -1.0, x, jump);
+        self.stats.event_indicators += 1;
+        let by_event = z0 - domains.value_at(i, |z| read_indicators(self.system, t, x_mid, z))?;
         if domains.passes(i, after, before) {
             domains.release(i);
-            return Ok(false);
+            return Ok(None);
         }
-        let mut sum = 0.0;
-        for k in 0..x.len() {
-            x_mid.copy_from_slice(x);
-            x_mid[k] += f64::EPSILON.sqrt() * x[k].abs().max(weights.scale(k));
-            let z = domains.value_at(i, |z| read_indicators(self.system, t, x_mid, z))?;
-            let derivative = (z - z0) / (x_mid[k] - x[k]);
-            gradient[k] = derivative * weights.scale(k) * weights.scale(k);
-            sum += derivative * gradient[k];
+        if by_event != 0.0 {
+            let share = (domains.next_to_zero(i, z0) - z0) / by_event;
+            return Ok(Some(share).filter(|share| share.abs() <= 1.0));
         }
-        if sum > 0.0 {
-            let back = z0 - domains.next_to_zero(i, z0);
-            x.iter_mut().zip(&*gradient).for_each(|(x, g)| *x -= back * g / sum);
-        }
-        Ok(true)
+        let mut equations = Equations { system: &mut *self.system, weights, stats: &mut self.stats };
+        let (at, s) = later(t, step);
+        move_along(x_mid, s, x, dx);
+        equations.derivatives(at, x_mid, x_new)?;
+        x_new.iter_mut().zip(dx).for_each(|(d, dx)| *d = 0.5 * (*d + dx));
+        move_along(x_mid, s, x, x_new);
+        self.stats.event_indicators += 1;
+        let z1 = domains.value_at(i, |z| read_indicators(self.system, at, x_mid, z))?;
+        let curvature = 2.0 * (z1 - z0 - s * after) / (s * s);
+        Ok(domains.share_of_bounce(i, step, [before, after, curvature]))
     }
 }
 
 /// The time `s` after `t`, and how much later that is: far from zero times are coarse.
-fn later(t: f64, s: f64) -> (f64, f64) {
+pub(super) fn later(t: f64, s: f64) -> (f64, f64) {
     (t + s, t + s - t)
 }
 
 /// Where `x` is after the time `s` if it moves on as it does now.
-fn move_along(to: &mut [f64], s: f64, x: &[f64], dx: &[f64]) {
+pub(super) fn move_along(to: &mut [f64], s: f64, x: &[f64], dx: &[f64]) {
     for ((to, x), d) in to.iter_mut().zip(x).zip(dx) {
         *to = x + s * d;
     }

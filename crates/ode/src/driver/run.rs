@@ -10,6 +10,7 @@ use crate::sampling::Sampler;
 use crate::stats::Stats;
 use crate::stepper::Stepper;
 use crate::system::{CallError, HybridSystem, InputStop};
+use base::time_tolerance;
 
 /// Unit round-off of double precision.
 pub(super) const U: f64 = f64::EPSILON / 2.0;
@@ -20,6 +21,8 @@ pub(super) struct Space {
     pub(super) x: Vec<f64>,
     pub(super) x_new: Vec<f64>,
     pub(super) x_mid: Vec<f64>,
+    /// What the last event has added to the states.
+    pub(super) jump: Vec<f64>,
     pub(super) slope: Vec<f64>,
     pub(super) nominals: Vec<f64>,
     pub(super) weights: ErrorWeights,
@@ -117,7 +120,7 @@ where
         Task { start, end, times, observer, watch }: Task<'a, O>,
     ) -> Self {
         let span = end - start;
-        let time_tolerance = 100.0 * U * start.abs().max(end.abs()).max(span);
+        let time_tolerance = time_tolerance(start, end);
         let fixed_step =
             (!stepper.properties().has_error_estimate).then(|| options.step_size.unwrap_or(span / 500.0));
         Self {

@@ -1,6 +1,7 @@
 //! Samples on the way: inside of a step, left of an event, after everything at an instant.
 
-use super::run::{Run, Space, Step, finish, no_retreat};
+use super::returns_after_event::{later, move_along};
+use super::run::{Run, Space, Step, finish, no_retreat, read_indicators};
 use crate::error::Termination;
 use crate::observer::{Observer, StepView};
 use crate::sampling::Here;
@@ -38,6 +39,37 @@ where
         let here =
             Here { t: self.t, x, time_tolerance: self.time_tolerance, record: self.options.record_events };
         follow(sampler.deliver_left(self.system, self.times, &here, self.observer))
+    }
+
+    /// The row behind an event that is recorded where the samples at the current time wait for another event.
+    pub(super) fn record_here(&mut self, after_event: bool) -> Step<()> {
+        if !(after_event && self.options.record_events) {
+            return Ok(());
+        }
+        let Space { x, sampler, .. } = &mut *self.space;
+        let here = Here { t: self.t, x, time_tolerance: self.time_tolerance, record: true };
+        follow(sampler.record(self.system, &here, self.observer))
+    }
+
+    /// True if samples are due at the current time, and an indicator crosses there, too: within rounding
+    /// behind it, as the flow leads on. The samples show what comes of it.
+    pub(super) fn is_about_to_cross(&mut self) -> Step<bool> {
+        let Space { x, x_mid, domains, sampler, .. } = &mut *self.space;
+        let is_due = sampler.due_before(self.times, self.t + self.time_tolerance).is_some();
+        if !is_due || !domains.any_next_to_zero() {
+            return Ok(false);
+        }
+        // With a mass matrix the right-hand side is not the slope of the states.
+        if self.system.mass_matrix().is_some() {
+            return Ok(true);
+        }
+        let (at, s) = later(self.t, 2.0 * self.time_tolerance);
+        move_along(x_mid, s, x, self.stepper.derivative());
+        self.stats.event_indicators += 1;
+        match domains.crosses_up_to(|z| read_indicators(self.system, at, x_mid, z)) {
+            Err(CallError::Discard) => Ok(false),
+            crosses => crosses.map_err(no_retreat),
+        }
     }
 
     /// All samples still due at the current time, after everything that happened there.

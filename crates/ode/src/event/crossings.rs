@@ -2,7 +2,10 @@
 
 use super::domains::{CLEAN_STEPS, Domains, any_flips, crosses, flipped, is_behind};
 use super::returns_within_step::SMALL;
-use crate::system::Direction;
+use crate::system::{CallResult, Direction};
+
+/// Below this share of its largest value an indicator may be next to zero in time.
+const NEXT_TO_ZERO: f64 = 1e-6;
 
 impl Domains {
     /// Writes down the direction of every crossing up to the end, after the time `elapsed`, that is an event;
@@ -83,11 +86,20 @@ impl Domains {
         self.crossings.fill(0);
     }
 
-    /// True if an indicator that goes on as in the step before, from `began` to `now`, may change its domain
-    /// within the time `time_tolerance`.
-    pub(crate) fn is_about_to_cross(&self, began: f64, now: f64, time_tolerance: f64) -> bool {
-        let reach = 2.0 * time_tolerance / (now - began);
-        self.base.iter().zip(&self.before).any(|(z, last)| z.abs() < reach * (z - last).abs())
+    /// True if an indicator is so small, beside its largest value so far, that only one that passes through
+    /// all its values in a tiny part of a run is far from zero in time.
+    pub(crate) fn any_next_to_zero(&self) -> bool {
+        self.base.iter().zip(&self.largest).any(|(z, largest)| z.abs() < NEXT_TO_ZERO * largest)
+    }
+
+    /// True if an indicator has an event up to a point, at which `evaluate` fills them in, behind the start
+    /// of the next step.
+    pub(crate) fn crosses_up_to(
+        &mut self,
+        evaluate: impl FnOnce(&mut [f64]) -> CallResult<()>,
+    ) -> CallResult<bool> {
+        evaluate(&mut self.mid)?;
+        Ok(self.any_crosses(&self.base, &self.mid))
     }
 
     /// Notes which domain indicator `i`, which crosses, comes from: the one that it leaves, unless it was

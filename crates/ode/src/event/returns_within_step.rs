@@ -1,6 +1,6 @@
 //! Indicators that are next to zero when a step begins, and may leave their domain and come back within it.
 
-use super::domains::{Domains, SinceEvent, flipped, is_behind};
+use super::domains::{CLEAN_STEPS, Domains, SinceEvent, flipped, is_behind};
 use crate::system::CallResult;
 use crate::system::Direction;
 
@@ -264,6 +264,24 @@ impl Domains {
     /// True if indicator `i` has just crossed, is held, and is still beyond zero after its event.
     pub(crate) fn is_behind(&self, i: usize) -> bool {
         self.is_held(i) && self.crossings[i] != 0 && self.base[i] != 0.0 && self.is_beyond(i, self.base[i])
+    }
+
+    /// The share of the bounce of indicator `i`, which has changed its slope from `before` to `after`, that
+    /// is to be added for it to come back to zero against its `curvature`. `None`: it does so by itself; or
+    /// it is no body that bounces, whose impact has the speed that its curvature makes in the steps of
+    /// sliding.
+    pub(crate) fn share_of_bounce(
+        &self,
+        i: usize,
+        step: f64,
+        [before, after, curvature]: [f64; 3],
+    ) -> Option<f64> {
+        let outwards = if self.from_above[i] { -1.0 } else { 1.0 };
+        let (impact, pull) = (before * outwards, curvature * outwards);
+        let is_bounce = pull > 0.0 && impact <= f64::from(CLEAN_STEPS) * step * pull;
+        let needed = (2.0 * pull * self.base[i].abs()).sqrt() + after * outwards;
+        let share = needed / (impact - after * outwards);
+        (is_bounce && share > 0.0 && share.is_finite()).then_some(share)
     }
 
     /// True if the event of indicator `i` has let it pass: it leads on away from the domain it came from,

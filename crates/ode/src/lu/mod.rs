@@ -2,6 +2,7 @@
 //! once there is room; sparse where the pattern is known and it is worth it.
 
 use crate::sparsity::JacobianPattern;
+use crate::stats::Stats;
 use crate::system::CallResult;
 use dense::DenseLu;
 use scalar::Scalar;
@@ -24,10 +25,28 @@ const SPARSE_SHARE: f64 = 0.05;
 /// True if matrices of this pattern are kept and decomposed as sparse ones: none without the feature
 /// `sparse`.
 pub(crate) fn is_sparse(pattern: &JacobianPattern) -> bool {
+    cfg!(feature = "sparse") && is_large_and_empty(pattern)
+}
+
+fn is_large_and_empty(pattern: &JacobianPattern) -> bool {
     let n = pattern.n_states();
-    cfg!(feature = "sparse")
-        && n >= SPARSE_ROWS
-        && (pattern.n_entries() as f64) <= SPARSE_SHARE * (n as f64) * (n as f64)
+    n >= SPARSE_ROWS && (pattern.n_entries() as f64) <= SPARSE_SHARE * (n as f64) * (n as f64)
+}
+
+/// Right-hand sides that take as long as the real and the complex decomposition of a matrix of this pattern,
+/// where it is dense only for want of the feature `sparse`; else 0.
+pub(crate) fn needless_work(pattern: &JacobianPattern) -> f64 {
+    if cfg!(feature = "sparse") || !is_large_and_empty(pattern) {
+        return 0.0;
+    }
+    let n = pattern.n_states() as u64;
+    let linear_algebra = dense_operations(n, 1) + dense_operations(n, 4);
+    Stats { linear_algebra, ..Stats::default() }.work(pattern.n_states())
+}
+
+/// Floating-point operations of a dense decomposition, of which each of a place takes `per_place`.
+fn dense_operations(n: u64, per_place: u64) -> u64 {
+    per_place * 2 * n * n * n / 3
 }
 
 /// The factors of a square matrix.
@@ -80,7 +99,7 @@ impl<T: Scalar> Lu<T> {
             }
             None => {
                 let n = self.dense.pivots.len() as u64;
-                (per_place * 2 * n * n * n / 3, per_place * 2 * n * n)
+                (dense_operations(n, per_place), per_place * 2 * n * n)
             }
         }
     }

@@ -90,6 +90,77 @@ fn sliding_ends_where_the_fields_let_go() {
     }
 }
 
+/// `x' = v`, `v' = -force r`, where the event keeps `r` in the states: 1 where `weight x + v` has become positive, -1 where it has
+/// become negative. `x(0) = v(0) = r(0) = 1`.
+struct Relay {
+    weight: f64,
+    force: f64,
+    /// One indicator for each direction, or one for both.
+    two_indicators: bool,
+    /// Time and states after the last event.
+    last: (f64, Vec<f64>),
+}
+
+impl HybridSystem for Relay {
+    fn n_states(&self) -> usize {
+        3
+    }
+    fn n_event_indicators(&self) -> usize {
+        if self.two_indicators { 2 } else { 1 }
+    }
+    fn event_direction(&self, indicator: usize) -> Direction {
+        match (self.two_indicators, indicator) {
+            (true, 0) => Direction::Up,
+            (true, _) => Direction::Down,
+            _ => Direction::Both,
+        }
+    }
+    fn start(&mut self, _: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        x.fill(1.0);
+        Ok(EventOutcome::default())
+    }
+    fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        assert!(t != self.last.0 || x[..2] == self.last.1[..2], "{:?} at {t} became {x:?}", self.last.1);
+        dx.copy_from_slice(&[x[1], -self.force * x[2], 0.0]);
+        Ok(())
+    }
+    fn event_indicators(&mut self, _: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
+        z.fill(self.weight * x[0] + x[1]);
+        Ok(())
+    }
+    fn handle_event(&mut self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
+        x[2] = if visit.crossings.contains(&1) { 1.0 } else { -1.0 };
+        self.last = (visit.time, x.to_vec());
+        Ok(EventOutcome { states_changed: true, ..EventOutcome::default() })
+    }
+}
+
+/// On the surface `v = -weight x`, so `x` decays from where the parabola has reached it.
+#[test]
+fn states_that_an_event_does_not_change_are_never_moved_when_it_slides() {
+    for &method in ADAPTIVE {
+        for (weight, force, end) in [(1.0, 3.0, 1.0), (1.0, 3.0, 5.0), (2.0, 6.0, 2.0), (0.5, 2.0, 3.0)] {
+            for two_indicators in [true, false] {
+                let mut seen = Recorder::default();
+                let mut system = Relay { weight, force, two_indicators, last: (f64::NAN, vec![]) };
+                let mut driver = driver(method, ChatteringPolicy::Slide);
+                driver.run(&mut system, 0.0, end, &[end], &mut seen).unwrap();
+                // weight (1 + t - force t^2 / 2) + 1 - force t = 0
+                let (a, b, c) = (0.5 * weight * force, force - weight, -(weight + 1.0));
+                let t = (-b + (b * b - 4.0 * a * c).sqrt()) / (2.0 * a);
+                let x = (1.0 + t - 0.5 * force * t * t) * (-weight * (end - t)).exp();
+                let found = &seen.rows[0].3;
+                let is_right = (found[0] - x).abs() < 5e-4 && (found[1] + weight * x).abs() < 5e-4;
+                assert!(
+                    is_right,
+                    "{} {weight} {force} {end} {two_indicators}: {found:?}, not {x}",
+                    method.name()
+                );
+            }
+        }
+    }
+}
+
 #[test]
 fn a_ball_that_never_rests_slides_on_the_floor() {
     let limit = 2.558_633_965_585_808_4;

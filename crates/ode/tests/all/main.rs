@@ -23,6 +23,7 @@ mod mass_matrix;
 mod methods;
 mod pulses;
 mod reasons;
+mod same_instant;
 mod sliding;
 mod sparse;
 mod stopping;

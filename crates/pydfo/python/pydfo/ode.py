@@ -246,7 +246,8 @@ def solve(
         1e-3 where the span is longer than 1000): fail; go on and log a warning (an error still where time stands still);
         or go on in steps of 1e-5 of the span at whose ends the events happen, which slides along a border that the
         solution cannot leave. Bodies that bounce less and less are held where their event function is zero then, on the side
-        they came from; with "slide" a hundred bounces within 1e-4 of the span are too many.
+        they came from, by what `on_event` has changed, made as strong as it takes: other states are never moved. With "slide"
+        a hundred bounces within 1e-4 of the span are too many.
     max_steps, max_events : int, optional
         Limits.
     max_time : float, optional

@@ -50,13 +50,6 @@ impl Phase {
     }
 }
 
-/// The instance and what the model has announced.
-struct State {
-    phase: Phase,
-    /// Next time event.
-    next_event: Option<f64>,
-}
-
 /// What a call finds wrong.
 enum Refusal {
     Fmi(FmiError),
@@ -92,7 +85,7 @@ type Outcome<T> = Result<T, Refusal>;
 /// Works with the instance in the phases named; in others the call is refused.
 macro_rules! within {
     ($state:expr, $call:literal, $needed:literal, [$($phase:ident),+], $instance:ident => $body:expr) => {
-        match &mut $state.phase {
+        match &mut *$state {
             $(Phase::$phase($instance) => Ok($body?),)+
             Phase::Freed(reason) => Err(Refusal::Freed(reason)),
             other => Err(Refusal::Phase { call: $call, phase: other.name(), needed: $needed }),
@@ -103,9 +96,9 @@ macro_rules! within {
 /// Leads the instance from one phase to another; where that fails, the instance is freed.
 macro_rules! lead {
     ($state:expr, $call:literal, $needed:literal, {$($from:ident => $to:ident),+}, $instance:ident => $body:expr) => {
-        match std::mem::replace(&mut $state.phase, Phase::Freed(LOST)) {
+        match std::mem::replace(&mut *$state, Phase::Freed(LOST)) {
             $(Phase::$from($instance) => {
-                $state.phase = Phase::$to($body?);
+                *$state = Phase::$to($body?);
                 Ok(())
             })+
             other => {
@@ -113,7 +106,7 @@ macro_rules! lead {
                     Phase::Freed(reason) => Refusal::Freed(reason),
                     other => Refusal::Phase { call: $call, phase: other.name(), needed: $needed },
                 };
-                $state.phase = other;
+                *$state = other;
                 Err(refusal)
             }
         }
@@ -128,7 +121,7 @@ macro_rules! anywhere {
         ])
     };
     (@ $state:expr, $instance:ident => $body:expr, [$($phase:ident),+]) => {
-        match &mut $state.phase {
+        match &mut *$state {
             $(Phase::$phase($instance) => Ok($body?),)+
             Phase::Freed(reason) => Err(Refusal::Freed(reason)),
         }
@@ -155,14 +148,14 @@ pub(crate) struct PySavedState {
 pub(crate) struct PyInstance {
     fmu: fmi::Fmu,
     kind: InterfaceKind,
-    state: Arc<Mutex<State>>,
+    state: Arc<Mutex<Phase>>,
 }
 
 impl PyInstance {
     fn with<T: Send>(
         &self,
         py: Python<'_>,
-        work: impl FnOnce(&mut State) -> Outcome<T> + Send,
+        work: impl FnOnce(&mut Phase) -> Outcome<T> + Send,
     ) -> PyResult<T> {
         let outcome = py.detach(|| work(&mut lock(&self.state)));
         logs::pass_on(py)?;
@@ -184,7 +177,7 @@ impl PyInstance {
         &self,
         py: Python<'py>,
         n: usize,
-        fill: impl FnOnce(&mut State, &mut [f64]) -> Outcome<()> + Send,
+        fill: impl FnOnce(&mut Phase, &mut [f64]) -> Outcome<()> + Send,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
         let mut values = vec![0.0; n];
         self.with(py, |state| fill(state, &mut values))?;
@@ -216,7 +209,7 @@ impl PyInstance {
         });
         logs::pass_on(py)?;
         let phase = made.map_err(|e| fmu_error::raise(py, &e))?;
-        let state = Arc::new(Mutex::new(State { phase, next_event: None }));
+        let state = Arc::new(Mutex::new(phase));
         Ok(Self { fmu, kind, state })
     }
 
@@ -230,12 +223,13 @@ impl PyInstance {
 
     #[getter]
     fn phase(&self, py: Python<'_>) -> &'static str {
-        py.detach(|| lock(&self.state).phase.name())
+        py.detach(|| lock(&self.state).name())
     }
 
     #[getter]
     fn next_event(&self, py: Python<'_>) -> Option<f64> {
-        py.detach(|| lock(&self.state).next_event)
+        let next = |state: &mut Phase| anywhere!(state, instance => Ok::<_, FmiError>(instance.next_event()));
+        py.detach(|| next(&mut lock(&self.state)).unwrap_or(None))
     }
 
     fn get<'py>(&self, py: Python<'py>, names: Vec<String>) -> PyResult<Vec<Bound<'py, PyAny>>> {
@@ -285,10 +279,8 @@ impl PyInstance {
     /// The fields of `pydfo.fmi.EventInfo`.
     fn update_discrete_states<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let outcome = self.with(py, |state| {
-            let outcome = within!(state, "update_discrete_states", "event", [Event], instance =>
-                instance.update_discrete_states(MAX_EVENT_ITERATIONS))?;
-            state.next_event = outcome.next_time;
-            Ok(outcome)
+            within!(state, "update_discrete_states", "event", [Event], instance =>
+                instance.update_discrete_states(MAX_EVENT_ITERATIONS))
         })?;
         Ok(dict!(py; outcome => states_changed, nominals_changed, terminate, next_time))
     }
@@ -497,7 +489,6 @@ impl PyInstance {
 
     fn reset(&self, py: Python<'_>) -> PyResult<()> {
         self.with(py, |state| {
-            state.next_event = None;
             lead!(state, "reset", "", {
                 Made => Made, Initialization => Made, Event => Made, Continuous => Made, Terminated => Made,
                 SlaveMade => SlaveMade, SlaveInitialization => SlaveMade, Step => SlaveMade,
@@ -508,7 +499,7 @@ impl PyInstance {
 
     fn close(&self, py: Python<'_>) {
         py.detach(|| {
-            let left = std::mem::replace(&mut lock(&self.state).phase, Phase::Freed(CLOSED));
+            let left = std::mem::replace(&mut *lock(&self.state), Phase::Freed(CLOSED));
             drop(left);
         });
     }
@@ -516,26 +507,26 @@ impl PyInstance {
 
 /// Integrates an instance in continuous-time mode; the time that is reached, and whether the model has ended
 /// the simulation.
-fn integrate(state: &mut State, start: f64, end: f64, options: ode::Options) -> Outcome<(f64, bool)> {
+fn integrate(state: &mut Phase, start: f64, end: f64, options: ode::Options) -> Outcome<(f64, bool)> {
     let instance: fmi::Instance<ContinuousTime, ModelExchange> =
-        match std::mem::replace(&mut state.phase, Phase::Freed(LOST)) {
+        match std::mem::replace(&mut *state, Phase::Freed(LOST)) {
             Phase::Continuous(instance) => instance,
             other => {
                 let refusal = match &other {
                     Phase::Freed(reason) => Refusal::Freed(reason),
                     other => Refusal::Phase { call: "do_step", phase: other.name(), needed: "continuous" },
                 };
-                state.phase = other;
+                *state = other;
                 return Err(refusal);
             }
         };
-    match instance.integrate(start, end, state.next_event, options)? {
-        Integrated::Reached { instance, next_event } => {
-            (state.phase, state.next_event) = (Phase::Continuous(instance), next_event);
+    match instance.integrate(start, end, options)? {
+        Integrated::Reached { instance } => {
+            *state = Phase::Continuous(instance);
             Ok((end, false))
         }
         Integrated::Ended { instance, time } => {
-            (state.phase, state.next_event) = (Phase::Event(instance), None);
+            *state = Phase::Event(instance);
             Ok((time, true))
         }
     }

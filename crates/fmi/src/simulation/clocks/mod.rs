@@ -1,7 +1,6 @@
 //! Clocks (FMI 3.0) in simulations: `state` has them while it runs.
 
 mod plan;
-mod schedule;
 mod state;
 
 pub(crate) use plan::{ClockInputs, ClockPlan, Clocked};

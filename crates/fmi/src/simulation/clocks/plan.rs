@@ -1,25 +1,17 @@
 //! The clocks of a simulation, resolved and checked: who ticks when, and what is set when they tick.
 
-use super::schedule::Schedule;
-use crate::description::{
-    Causality, ClockKind, ClockTiming, Interval, ModelDescription, Variable, VariableKind,
-};
+use crate::description::{Causality, ClockKind, Interval, ModelDescription, Variable, VariableKind};
 use crate::error::{FmiError, Result};
 use crate::instance::assignments::resolve;
-use crate::instance::{Core, check_interval};
+use crate::instance::{Core, TimedClock, check_interval};
 use crate::simulation::input_table::{HeldTable, InputTable};
-use crate::sys::{IntervalAnswer, Qualifier, RawInstance};
 use std::collections::HashMap;
 use std::sync::Arc;
 
 /// A clock whose ticks the importer schedules.
 #[derive(Debug)]
 pub(super) struct Timed {
-    pub(super) reference: u32,
-    pub(super) name: Arc<str>,
-    pub(super) timing: ClockTiming,
-    /// The interval that the importer gives it in initialization mode.
-    given: Option<Interval>,
+    pub(super) clock: TimedClock,
     /// 0 where its ticks are left out.
     pub(super) enabled: Option<InputTable>,
 }
@@ -121,13 +113,8 @@ impl ClockPlan {
             } else {
                 let enabled = inputs.enabled.iter().find(|(clock, _)| *clock == index);
                 let enabled = enabled.map(|(_, column)| column.clone());
-                plan.timed.push(Timed {
-                    reference,
-                    name: name(variable),
-                    timing: *timing,
-                    given: given.get(&index).copied(),
-                    enabled,
-                });
+                let clock = TimedClock::new(variable, *timing, given.get(&index).copied());
+                plan.timed.push(Timed { clock, enabled });
             }
         }
         for clocked in &inputs.clocked {
@@ -171,60 +158,9 @@ impl ClockPlan {
 
 impl ClockPlan {
     pub(super) fn name_of(&self, reference: u32) -> Option<&Arc<str>> {
-        let timed = self.timed.iter().map(|clock| (clock.reference, &clock.name));
+        let timed = self.timed.iter().map(|timed| (timed.clock.reference, &timed.clock.name));
         let triggered = self.triggered.iter().map(|clock| (clock.reference, &clock.name));
         let watched = self.watched.iter().map(|(reference, name)| (*reference, name));
         timed.chain(triggered).chain(watched).find(|(known, _)| *known == reference).map(|(_, name)| name)
-    }
-}
-
-impl Timed {
-    /// The first ticks, asked for in initialization mode where the description does not say them.
-    pub(super) fn first(&self, core: &mut Core, start: f64) -> Result<Schedule> {
-        match self.timing.kind {
-            ClockKind::Changing | ClockKind::Countdown => {
-                let answer = self.interval(core)?;
-                if answer.qualifier == Qualifier::NotYetKnown {
-                    return Ok(Schedule::IDLE);
-                }
-                self.check(answer.interval, false)?;
-                Ok(Schedule::once(start + answer.interval.value()))
-            }
-            _ => {
-                if let Some(given) = self.given {
-                    core.call(|raw| raw.set_interval(self.reference, given))?;
-                }
-                let mut shift = self.timing.shift;
-                if self.timing.interval.is_none() {
-                    let (reference, fraction) = (self.reference, self.timing.supports_fraction);
-                    shift = core.call(|raw| raw.get_shift(reference, fraction))?;
-                }
-                let interval = match self.given.or(self.timing.interval) {
-                    Some(interval) => interval,
-                    None => self.interval(core)?.interval,
-                };
-                self.check(interval, true)?;
-                self.check(shift, false)?;
-                Ok(Schedule::periodic(start, shift, interval, 0))
-            }
-        }
-    }
-
-    pub(super) fn interval(&self, core: &mut Core) -> Result<IntervalAnswer> {
-        let (reference, fraction) = (self.reference, self.timing.supports_fraction);
-        core.call(|raw: &mut RawInstance| raw.get_interval(reference, fraction))
-    }
-
-    pub(super) fn check(&self, interval: Interval, positive: bool) -> Result<()> {
-        let value = interval.value();
-        if value.is_finite() && (value > 0.0 || (value == 0.0 && !positive)) {
-            return Ok(());
-        }
-        let least = if positive { "positive" } else { "not negative" };
-        Err(FmiError::BadSetting(format!(
-            "the {} clock {} has an interval or shift of {interval:?}: it must be finite and {least}",
-            self.timing.kind.name(),
-            self.name
-        )))
     }
 }

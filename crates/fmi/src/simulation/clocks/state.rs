@@ -5,14 +5,12 @@
 //! sums; fractions are multiplied out before they are divided. The rules are those of FMI 3.0.x, sections
 //! 2.2.8.3 and 2.3.5.
 
-use super::plan::ClockPlan;
-use super::schedule::Schedule;
-use crate::description::{ClockKind, Interval, VariableKind};
+use super::plan::{ClockPlan, Timed};
+use crate::description::VariableKind;
 use crate::error::{FmiError, Result};
-use crate::instance::{Core, MAX_EVENT_ITERATIONS};
+use crate::instance::{Core, MAX_EVENT_ITERATIONS, Schedule, next_instant};
 use crate::simulation::outputs::OutputBuffers;
 use crate::simulation::shared_observer::SharedObserver;
-use crate::sys::Qualifier;
 use ode::EventOutcome;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -46,7 +44,8 @@ impl ClockState {
     pub(crate) fn name_of_next<'a>(&self, plan: &'a ClockPlan) -> Option<&'a str> {
         let next = self.next(plan)?;
         let timed = plan.timed.iter().zip(&self.schedules);
-        let timed = timed.filter(|(_, schedule)| schedule.next == Some(next)).map(|(clock, _)| &*clock.name);
+        let timed =
+            timed.filter(|(_, schedule)| schedule.next == Some(next)).map(|(timed, _)| &*timed.clock.name);
         let triggered = plan.triggered.iter().zip(&self.passed);
         let triggered = triggered
             .filter(|(clock, passed)| clock.times.get(**passed) == Some(&next))
@@ -66,8 +65,8 @@ impl ClockState {
                 .iter()
                 .map(|clock| clock.times.partition_point(|time| *time < start - plan.time_tolerance)),
         );
-        for clock in &plan.timed {
-            let schedule = clock.first(core, start)?;
+        for timed in &plan.timed {
+            let schedule = timed.clock.first(core, start)?;
             self.schedules.push(schedule);
         }
         for (clocked, _) in &plan.clocked {
@@ -92,14 +91,12 @@ impl ClockState {
     fn take_due(&mut self, plan: &ClockPlan, t: f64) {
         self.ticked.clear();
         self.active.clear();
-        for (i, (clock, schedule)) in plan.timed.iter().zip(&mut self.schedules).enumerate() {
-            let Some(time) = schedule.next.filter(|next| *next <= t + plan.time_tolerance) else { continue };
-            match clock.timing.kind {
-                ClockKind::Changing | ClockKind::Countdown => schedule.next = None,
-                _ => schedule.advance(),
-            }
+        for (i, (Timed { clock, enabled }, schedule)) in
+            plan.timed.iter().zip(&mut self.schedules).enumerate()
+        {
+            let Some(time) = clock.take_due(schedule, t, plan.time_tolerance) else { continue };
             self.ticked.push((i, time));
-            if clock.enabled.as_ref().is_none_or(|enabled| enabled.held(t + plan.time_tolerance) != 0.0) {
+            if enabled.as_ref().is_none_or(|enabled| enabled.held(t + plan.time_tolerance) != 0.0) {
                 self.active.push(clock.reference);
                 self.ticks.push(Tick { time, clock: Arc::clone(&clock.name) });
             }
@@ -116,8 +113,7 @@ impl ClockState {
 
     /// The events of an instant, in event mode: activates the clocks that are due, updates the discrete
     /// states until they settle, and notes what ticks follow. `next_time` of the outcome is the next event
-    /// that the model announced or the next tick; that of the model alone comes second. Each round may be
-    /// ended from `outside`.
+    /// that the model announced or the next tick. Each round may be ended from `outside`.
     pub(crate) fn iterate_events(
         &mut self,
         plan: &ClockPlan,
@@ -125,7 +121,7 @@ impl ClockState {
         t: f64,
         outputs: (&[u32], &mut OutputBuffers),
         outside: &SharedObserver<'_>,
-    ) -> Result<(EventOutcome, Option<f64>)> {
+    ) -> Result<EventOutcome> {
         let first = self.ticks.len();
         let mut total = EventOutcome::default();
         for _ in 0..MAX_EVENT_ITERATIONS {
@@ -160,9 +156,8 @@ impl ClockState {
                 *ticked = t;
             }
         }
-        let announced = total.next_time;
-        total.next_time = [announced, self.next(plan)].into_iter().flatten().min_by(f64::total_cmp);
-        Ok((total, announced))
+        total.next_time = next_instant(total.next_time, self.next(plan), plan.time_tolerance);
+        Ok(total)
     }
 
     /// Sets the clocks that tick, and the inputs that belong to them.
@@ -201,34 +196,9 @@ impl ClockState {
 
     /// Asks for the intervals that may have changed in this visit.
     fn learn(&mut self, plan: &ClockPlan, core: &mut Core, t: f64) -> Result<()> {
-        for (i, clock) in plan.timed.iter().enumerate() {
+        for (i, timed) in plan.timed.iter().enumerate() {
             let tick = self.ticked.iter().find(|(clock, _)| *clock == i).map(|(_, time)| *time);
-            let asks = match clock.timing.kind {
-                ClockKind::Changing => tick.is_some(),
-                ClockKind::Countdown => true,
-                ClockKind::Tunable => clock.timing.interval.is_none(),
-                _ => false,
-            };
-            if !asks {
-                continue;
-            }
-            let answer = clock.interval(core)?;
-            let schedule = &mut self.schedules[i];
-            match (clock.timing.kind, answer.qualifier) {
-                (ClockKind::Tunable, Qualifier::Changed) => {
-                    clock.check(answer.interval, true)?;
-                    *schedule =
-                        Schedule::periodic(tick.unwrap_or(t), Interval::Decimal(0.0), answer.interval, 1);
-                }
-                (ClockKind::Countdown, Qualifier::NotYetKnown) => schedule.next = None,
-                // The standard wants "changed" after a tick; what else can be meant with a clock that has just ticked?
-                (ClockKind::Changing, Qualifier::Unchanged | Qualifier::Changed)
-                | (ClockKind::Countdown, Qualifier::Changed) => {
-                    clock.check(answer.interval, false)?;
-                    *schedule = Schedule::once(tick.unwrap_or(t) + answer.interval.value());
-                }
-                _ => {}
-            }
+            timed.clock.learn(core, &mut self.schedules[i], tick, t)?;
         }
         Ok(())
     }

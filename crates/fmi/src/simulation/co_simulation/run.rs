@@ -291,6 +291,10 @@ impl Run<'_, '_> {
                 time = stop;
             }
         }
+        // Of two instants within rounding the later one, or the model's time event would not be due.
+        if let Some(event) = event.filter(|event| *event <= plan.end) {
+            time = if event - time <= time_tolerance { time.max(event) } else { time };
+        }
         let regular = grid.is_some_and(|(next, _)| (next - time).abs() <= time_tolerance);
         let step = match grid {
             // From one regular point to the next, unless rounding would lead beyond the end.
@@ -382,7 +386,7 @@ impl Run<'_, '_> {
             return Ok(false);
         }
         let outcome = self.timed(Call::Events, Self::visit_event_mode)?;
-        self.next_event = outcome.next_time.filter(|next| *next > self.t + self.plan.time_tolerance);
+        self.next_event = outcome.next_time.filter(|next| *next > self.t);
         self.stats.events += 1;
         self.stats.input_events += u64::from(cause.input);
         self.stats.step_events += u64::from(cause.step);

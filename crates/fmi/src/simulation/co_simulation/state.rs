@@ -62,7 +62,7 @@ impl CoSimulationState {
         let Running { plan, current, clocks, buffers, .. } = &mut self.running;
         let events = |core: &mut Core, time| {
             let recorded = (&*plan.outputs().clocks, buffers);
-            clocks.iterate_events(&plan.clocks, core, time, recorded, outside).map(|(outcome, _)| outcome)
+            clocks.iterate_events(&plan.clocks, core, time, recorded, outside)
         };
         let outcome = current.core()?.run_event_mode(time, events);
         // Between two rounds, or after an error, the model is nowhere.

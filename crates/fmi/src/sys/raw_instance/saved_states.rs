@@ -10,7 +10,7 @@ impl RawInstance {
     pub(crate) fn save_state(&mut self) -> Result<SavedSlot, Fault> {
         let (index, mut pointer) = self.saved.vacant_slot();
         let outcome = run!(self, |library, c| call!(library.functions.save_state, c, &raw mut pointer));
-        self.saved.fill_slot(index, pointer, outcome)
+        self.saved.fill_slot(index, pointer, self.time, outcome)
     }
 
     /// Saves the state of a new instance, for [`restore_origin`](Self::restore_origin).
@@ -44,7 +44,7 @@ impl RawInstance {
     pub(crate) fn restore_state(&mut self, saved: &SavedSlot) -> Outcome {
         let function = self.library.functions.restore_state;
         let pointer = self.saved.pointer(saved).ok_or(Fault::Discard(function.name))?;
-        self.time = None;
+        self.time = saved.time;
         self.recover(|raw| run!(raw, |_library, c| call!(function, c, pointer)))
     }
 }

@@ -12,6 +12,8 @@ use std::sync::{Arc, Weak};
 pub(crate) struct SavedSlot {
     owner: Arc<()>,
     slot: Arc<usize>,
+    /// The time last set when it was saved.
+    pub(super) time: Option<f64>,
 }
 
 /// The states an instance has saved.
@@ -65,13 +67,14 @@ impl SavedStates {
         &mut self,
         index: usize,
         pointer: StatePointer,
+        time: Option<f64>,
         outcome: Outcome,
     ) -> Result<SavedSlot, Fault> {
         self.slots[index].pointer = pointer;
         outcome?;
         let slot = Arc::new(index);
         self.slots[index].token = Arc::downgrade(&slot);
-        Ok(SavedSlot { owner: Arc::clone(&self.identity), slot })
+        Ok(SavedSlot { owner: Arc::clone(&self.identity), slot, time })
     }
 
     /// The pointer behind a token; `None` if the token is of another instance.

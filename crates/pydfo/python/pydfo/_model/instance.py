@@ -56,7 +56,8 @@ class StepInfo:
     terminate : bool
         The model wants to end the simulation here.
     event : bool
-        Co-simulation with an event mode (FMI 3.0): the model asks for `Instance.handle_events`.
+        Co-simulation with an event mode (FMI 3.0): the model asks for `Instance.handle_events`, or a clock is due. What is not
+        handled then is handled at the start of the next step.
     early : bool
         Co-simulation (FMI 3.0): the model has returned early.
     """
@@ -109,6 +110,12 @@ class Instance:
     A call in another phase is a ValueError that names the phase it needs. Where a call that leads to another phase fails, the
     instance is freed. Instances do not wait for each other, and nothing of the FMU is checked: for simulations that shall be
     the same each time, use `FMUModel`. As a context manager the instance is closed at the end.
+
+    Steps handle events as a simulation does. Clocks with an interval tick when they are due; triggered ones are set by hand
+    (True). An event indicator that an input takes across zero, set between two steps, is an event at the start of the next one.
+    Between two steps of a co-simulation with an event mode (FMI 3.0) all but continuous inputs wait for that mode: for
+    `handle_events`, or the start of the next step. Before the initialization an array may be given the size that structural
+    parameters will give it.
 
     Parameters
     ----------
@@ -182,7 +189,7 @@ class Instance:
 
     @property
     def next_event(self) -> float | None:
-        """The time event in s that the model announced last (model exchange); None if there is none."""
+        """The next time event in s that the model has announced, or tick of one of its clocks; None if there is none."""
         return self._native.next_event
 
     # --- values -------------------------------------------------------------------------------------------------------
@@ -377,7 +384,7 @@ class Instance:
     ) -> StepInfo:
         """Goes on by `step` s, with the inputs as they are.
 
-        Co-simulation lets the model make the step. Model exchange integrates it with a method of `FMUModel.simulate` and handles
+        Co-simulation lets the model make the step; where a clock ticks within it, its events happen there. Model exchange integrates it with a method of `FMUModel.simulate` and handles
         the events on the way; from event mode, where discrete inputs are set, it goes on in continuous time first. Each step
         starts its method anew, so many small steps take longer than one simulation.
 
@@ -416,7 +423,8 @@ class Instance:
         return StepInfo(time=self._time, complete=not is_over, terminate=is_over)
 
     def handle_events(self) -> EventInfo:
-        """Lets the events happen that the model asked for at the end of the last step (co-simulation, FMI 3.0)."""
+        """Lets the events happen that are due at the end of the last step, and sets the inputs that wait for them
+        (co-simulation, FMI 3.0)."""
         return EventInfo(**self._native.handle_events(self._time if self._time is not None else 0.0))
 
     def set_input_derivatives(self, names: str | Iterable[str], values: npt.ArrayLike) -> None:
@@ -427,7 +435,8 @@ class Instance:
     # --- states, log, end ---------------------------------------------------------------------------------------------
 
     def save_state(self) -> SavedState:
-        """A copy of the complete state of the instance, for `restore_state`.
+        """A copy of the complete state of the instance, for `restore_state`: that of the FMU, the time, the events and ticks
+        to come, and values that were set and are not in effect yet.
 
         Raises
         ------

@@ -1,22 +1,64 @@
 //! When a clock ticks next: ticks are multiples, never sums, and fractions are exact for as long as they can
 //! be.
 
-use crate::description::Interval;
+use crate::description::{ClockTiming, Interval, Variable};
+use crate::error::{FmiError, Result};
+use std::sync::Arc;
+
+/// A clock whose ticks the importer schedules.
+#[derive(Debug, Clone)]
+pub(crate) struct TimedClock {
+    pub(crate) reference: u32,
+    pub(crate) name: Arc<str>,
+    pub(crate) timing: ClockTiming,
+    /// The interval that the importer gives it in initialization mode.
+    pub(crate) given: Option<Interval>,
+}
+
+impl TimedClock {
+    /// Of a clock of the model with this timing.
+    pub(crate) fn new(variable: &Variable, timing: ClockTiming, given: Option<Interval>) -> Self {
+        Self { reference: variable.value_reference, name: Arc::from(variable.name.as_str()), timing, given }
+    }
+
+    /// Refuses an interval or shift that is negative or not finite; an interval of 0 if it is to be positive.
+    pub(crate) fn check(&self, interval: Interval, positive: bool) -> Result<()> {
+        let value = interval.value();
+        if value.is_finite() && (value > 0.0 || (value == 0.0 && !positive)) {
+            return Ok(());
+        }
+        let least = if positive { "positive" } else { "not negative" };
+        Err(FmiError::BadSetting(format!(
+            "the {} clock {} has an interval or shift of {interval:?}: it must be finite and {least}",
+            self.timing.kind.name(),
+            self.name
+        )))
+    }
+}
+
+/// The next instant of a time event that the model has announced and of a tick: the earlier one; of two that
+/// are one within `tolerance` that of the model, which must see it.
+pub(crate) fn next_instant(announced: Option<f64>, tick: Option<f64>, tolerance: f64) -> Option<f64> {
+    match (announced, tick) {
+        (Some(announced), Some(tick)) if announced > tick + tolerance => Some(tick),
+        (announced, tick) => announced.or(tick),
+    }
+}
 
 /// When a clock ticks next.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Schedule {
+pub(crate) struct Schedule {
     origin: f64,
     shift: Interval,
     interval: Interval,
     /// Number of the next tick, counted from 0 at `origin + shift`.
     number: u64,
     /// The next tick; none while it is not known.
-    pub(super) next: Option<f64>,
+    pub(crate) next: Option<f64>,
 }
 
 impl Schedule {
-    pub(super) const IDLE: Schedule = Schedule {
+    pub(crate) const IDLE: Schedule = Schedule {
         origin: 0.0,
         shift: Interval::Decimal(0.0),
         interval: Interval::Decimal(0.0),
@@ -24,14 +66,14 @@ impl Schedule {
         next: None,
     };
 
-    pub(super) fn periodic(origin: f64, shift: Interval, interval: Interval, number: u64) -> Self {
+    pub(crate) fn periodic(origin: f64, shift: Interval, interval: Interval, number: u64) -> Self {
         let mut schedule = Self { origin, shift, interval, number, next: None };
         schedule.next = Some(schedule.time_of(number));
         schedule
     }
 
     /// One tick only.
-    pub(super) fn once(time: f64) -> Self {
+    pub(crate) fn once(time: f64) -> Self {
         Self { next: Some(time), ..Self::IDLE }
     }
 
@@ -50,7 +92,7 @@ impl Schedule {
         }
     }
 
-    pub(super) fn advance(&mut self) {
+    pub(crate) fn advance(&mut self) {
         self.number += 1;
         self.next = Some(self.time_of(self.number));
     }

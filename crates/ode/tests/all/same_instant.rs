@@ -1,0 +1,143 @@
+//! Events that rounding alone tells apart, or from the end of the run, are events of one instant, with every method.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use crate::common;
+
+use common::{Driver, *};
+use ode::*;
+
+/// Ticks at `start + k period`, each of which counts only if the system is shown its very time, and `x' = n`.
+struct Ticks {
+    start: f64,
+    period: f64,
+    n: u32,
+    /// It may be shown no event before this.
+    shown: f64,
+}
+
+impl Ticks {
+    fn next(&self) -> f64 {
+        self.start + f64::from(self.n + 1) * self.period
+    }
+}
+
+impl HybridSystem for Ticks {
+    fn n_states(&self) -> usize {
+        1
+    }
+    fn n_outputs(&self) -> usize {
+        1
+    }
+    fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        (self.start, self.n, self.shown, x[0]) = (t0, 0, t0, 0.0);
+        Ok(EventOutcome { next_time: Some(self.next()), ..EventOutcome::default() })
+    }
+    fn derivatives(&mut self, _: f64, _: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        dx[0] = f64::from(self.n);
+        Ok(())
+    }
+    fn outputs(&mut self, _: f64, _: &[f64], y: &mut [f64]) -> CallResult<()> {
+        y[0] = f64::from(self.n);
+        Ok(())
+    }
+    fn handle_event(&mut self, visit: &EventVisit<'_>, _: &mut [f64]) -> CallResult<EventOutcome> {
+        assert!(visit.time >= self.shown && visit.cause.time);
+        self.shown = visit.time;
+        self.n += u32::from(visit.time >= self.next());
+        Ok(EventOutcome { next_time: Some(self.next()), ..EventOutcome::default() })
+    }
+}
+
+/// The end of a run is what a person writes for `start + k * period`.
+#[test]
+fn a_tick_at_the_end_counts_when_rounding_puts_it_behind_the_end() {
+    let mut behind = 0;
+    for method in Method::ALL {
+        for start in [0.0, -3.0, 0.1, 1e3, 1e6] {
+            for (period, digits) in [(0.1, 1), (0.3, 1), (1.0 / 3.0, 17), (0.7, 1)] {
+                for k in (1..=100_u32).step_by(if start == 0.0 { 1 } else { 7 }) {
+                    let tick = start + f64::from(k) * period;
+                    let end: f64 = format!("{tick:.digits$}").parse().unwrap();
+                    behind += u32::from(tick > end);
+                    let mut seen = Recorder::default();
+                    let mut driver = Driver::new(Options { method, ..Options::default() }).unwrap();
+                    let mut system = Ticks { start, period, n: 0, shown: start };
+                    let report = driver.run(&mut system, start, end, &[end], &mut seen).unwrap();
+                    let what = format!("{} from {start} to {end} by {period}", method.name());
+                    assert_eq!((report.termination, report.time), (Termination::Finished, end), "{what}");
+                    assert_eq!(report.stats.time_events, u64::from(k), "{what}");
+                    // x is the integral of the ticks before.
+                    let [found, n] = seen.rows.last().unwrap().3[..] else { panic!("{what}") };
+                    let x = 0.5 * f64::from(k * (k - 1)) * period;
+                    assert_eq!(n, f64::from(k), "{what}");
+                    assert!((found - x).abs() < 1e-6 * x.max(1.0), "{what}: {found}, not {x}");
+                }
+            }
+        }
+    }
+    assert!(behind > 100, "{behind}");
+}
+
+/// A time event at `at` and an indicator that a state makes pass zero there, or two indicators: each adds 1 to the last state.
+struct Two {
+    at: f64,
+    by_time: bool,
+}
+
+impl HybridSystem for Two {
+    fn n_states(&self) -> usize {
+        2
+    }
+    fn n_event_indicators(&self) -> usize {
+        2
+    }
+    fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
+        x.copy_from_slice(&[0.5 * t0, 0.0]);
+        Ok(EventOutcome { next_time: Some(self.at).filter(|_| self.by_time), ..EventOutcome::default() })
+    }
+    fn derivatives(&mut self, _: f64, _: &[f64], dx: &mut [f64]) -> CallResult<()> {
+        dx.copy_from_slice(&[0.5, 0.0]);
+        Ok(())
+    }
+    fn event_indicators(&mut self, t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
+        z[0] = 3.0 * (x[0] - 0.5 * self.at);
+        z[1] = if self.by_time { -1.0 } else { t - self.at };
+        Ok(())
+    }
+    fn handle_event(&mut self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
+        let crossed = visit.crossings.iter().filter(|c| **c != 0).count();
+        x[1] += crossed as f64 + f64::from(u8::from(visit.cause.time));
+        Ok(EventOutcome { states_changed: true, ..EventOutcome::default() })
+    }
+}
+
+#[test]
+fn a_row_shows_what_comes_of_all_events_of_its_time_when_there_are_two() {
+    let mut wrong = Vec::new();
+    for method in Method::ALL {
+        for relative_tolerance in [1e-4, 1e-6, 1e-9] {
+            for (start, span) in [(0.0, 3.0), (-1.0, 2.0), (1000.0, 3.0)] {
+                for k in 0..40 {
+                    for (by_time, record_events) in [(false, false), (true, false), (true, true)] {
+                        let at = start + span * (0.1 + 0.8 * (0.618_033_988_749_895 * f64::from(k)).fract());
+                        let options =
+                            Options { method, relative_tolerance, record_events, ..Options::default() };
+                        let mut seen = Recorder::default();
+                        let mut driver = Driver::new(options).unwrap();
+                        let times = [at, start + span];
+                        let mut system = Two { at, by_time };
+                        driver.run(&mut system, start, start + span, &times, &mut seen).unwrap();
+                        let asked = seen.rows.iter().filter(|row| row.1.is_some());
+                        let counts: Vec<f64> = asked.map(|row| row.3[1]).collect();
+                        if counts != [2.0, 2.0] {
+                            let name = method.name();
+                            wrong.push(format!("{name} {relative_tolerance:e} {at} {by_time}: {counts:?}"));
+                        }
+                    }
+                }
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{} wrong:\n{}", wrong.len(), wrong[..wrong.len().min(12)].join("\n"));
+}
