@@ -104,6 +104,7 @@ impl Calibration {
                 return Ok(());
             }
         };
+        findings.extend(subjects.iter().flat_map(|subject| model::start_values(self.fmu(), subject)));
         let outputs = Outputs::new(self, start, None);
         findings.extend(at_start::findings(subjects, &outputs));
         findings.extend(signals::findings(subjects, &outputs));
@@ -126,6 +127,7 @@ impl Calibration {
     ) -> Vec<Finding> {
         let subjects = self.subjects();
         let mut doubts = self.findings_of_description_and_data(&subjects, &end.x);
+        doubts.extend(subjects.iter().flat_map(|subject| model::start_values(self.fmu(), subject)));
         if let Some(start) = start {
             let outputs = Outputs::new(self, start, Some(end));
             doubts.extend(at_start::findings(&subjects, &outputs));

@@ -121,6 +121,9 @@ pub(crate) struct Request<'py> {
     /// The FMU with units that its description does not state.
     #[pyo3(item(16))]
     described: Option<Bound<'py, Fmu>>,
+    /// Those of the start values that are initial states.
+    #[pyo3(item(17))]
+    initial_states: Vec<String>,
 }
 
 #[pymethods]
@@ -321,6 +324,7 @@ impl Model {
             let set = ParameterSet::read(path).and_then(|set| set.values(description));
             options.start_values.extend(set.map_err(|e| error::calibration(py, &e))?);
         }
+        options.initial_states = request.initial_states;
         options.clock_intervals =
             request.clock_intervals.into_iter().map(|(name, interval)| (name, interval.into())).collect();
         options.outputs = request.outputs;
