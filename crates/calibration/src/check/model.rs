@@ -15,11 +15,16 @@ pub(super) fn construction_warnings(warnings: &[SetupWarning]) -> Vec<Finding> {
     warnings.iter().map(finding).collect()
 }
 
-/// Start values that had no effect in a simulation.
-pub(super) fn start_values(fmu: &Fmu, subject: &ExperimentSubject<'_>) -> Vec<Finding> {
+/// Start values that had no effect in a simulation; also numbers for initial states where these are start
+/// values, in co-simulation.
+pub(super) fn start_values(
+    fmu: &Fmu,
+    is_co_simulation: bool,
+    subject: &ExperimentSubject<'_>,
+) -> Vec<Finding> {
     let ExperimentSubject { prefix, experiment, .. } = subject;
     let numbers = experiment.initial_states.iter().filter_map(|(name, initial)| match initial {
-        InitialState::Value(value) => Some((name, *value)),
+        InitialState::Value(value) if is_co_simulation => Some((name, *value)),
         _ => None,
     });
     let starts = experiment.start_values.iter().filter_map(|(name, value)| Some((name, value.as_number()?)));

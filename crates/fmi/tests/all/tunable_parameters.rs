@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 use example_models::{ExampleKind, example_fmu_as};
-use fmi::{FmiError, Fmu, Inputs, SimulateOptions};
+use fmi::{FmiError, Fmu, Inputs, Session, SimulateOptions};
 
 fn model(kind: ExampleKind) -> Fmu {
     Fmu::open(example_fmu_as("switched_input", kind).unwrap()).unwrap()
@@ -42,6 +42,10 @@ fn tunable_parameter_with_one_row_has_its_value_from_before_the_initialization()
     };
     let set = fmu.simulate(&set.start_value("K", 1.25)).unwrap();
     assert_eq!(driven.columns, set.columns);
+    // The value set before has no effect.
+    let mut session = Session::new(fmu);
+    session.set("K", 7.0).unwrap();
+    assert_eq!(session.simulate(&options(vec![0.0], vec![1.25])).unwrap().columns, set.columns);
 }
 
 #[test]
