@@ -175,7 +175,7 @@ fn state_without_effect_is_an_error_or_a_finding() {
         in_check && fit.findings().iter().any(|f| f.sentence.starts_with(sentence))
     };
     let co_simulation = computing(true);
-    let given = |folder, initial: Option<InitialState>| {
+    let given = |folder: &tempfile::TempDir, initial: Option<InitialState>| {
         calibration_of(folder, |experiment| match initial {
             Some(initial) => experiment.initial_state("x", initial),
             None => experiment.start_value("x", 2.0),

@@ -369,7 +369,7 @@ fn every_row_of_a_held_input_is_a_communication_point() {
     let times: Vec<f64> = (0..=100).map(|k| 0.01 * f64::from(k)).collect();
     let options = |values: Vec<f64>| {
         let inputs = Inputs::new().series("u", times.clone(), values);
-        SimulateOptions::new().times([0.0, 1.0]).step_size(0.5).inputs(inputs).outputs(["x"])
+        SimulateOptions::new().final_time(1.0).times([0.0, 1.0]).step_size(0.5).inputs(inputs).outputs(["x"])
     };
     // The library has no function that sets derivatives, whatever the description says.
     for more in ["", " canInterpolateInputs=\"true\""] {
@@ -385,8 +385,13 @@ fn every_row_of_a_held_input_is_a_communication_point() {
     }
     // Where derivatives are passed on, a straight line needs none either.
     let inputs = Inputs::new().series("u", times.clone(), times.clone());
-    let options =
-        |passed| SimulateOptions::new().times([0.0, 1.0]).inputs(inputs.clone()).input_derivatives(passed);
+    let options = |passed| {
+        SimulateOptions::new()
+            .final_time(1.0)
+            .times([0.0, 1.0])
+            .inputs(inputs.clone())
+            .input_derivatives(passed)
+    };
     let steps = |passed| slave("switched_input").simulate(&options(passed)).unwrap().stats.accepted_steps;
     assert_eq!((steps(true), steps(false)), (1, 100));
 }
