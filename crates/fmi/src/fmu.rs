@@ -15,6 +15,7 @@ use crate::open_options::{LogOptions, OpenOptions};
 use crate::sys::{InterfaceKind, Library, LoadFrom, is_worker};
 use crate::worker::{WorkerLimits, Workers};
 use crate::{platform, source};
+use base::Number;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -403,14 +404,16 @@ impl Fmu {
         self.inner.n_unchecked.load(Ordering::Relaxed)
     }
 
-    /// Makes a simulation, and once more where it has found out that its rows were read too early
-    /// ([`FmiError::ReadBetweenSteps`]); in a worker process it [is asked](Self::leaves_repetition) for once
-    /// more.
-    pub fn repeat_if_read_early<T, E>(&self, mut simulate: impl FnMut() -> Result<T, E>) -> Result<T, E> {
+    /// Makes a simulation, and again if it failed and has shown how the model must be run: its rows were read
+    /// too early ([`FmiError::ReadBetweenSteps`]), or a co-simulation refused the step to its stop time. In a
+    /// worker process the repetition [is left to the caller](Self::leaves_repetition).
+    pub fn repeat_if_learned<T, E>(&self, mut simulate: impl FnMut() -> Result<T, E>) -> Result<T, E> {
+        let known_now =
+            || (self.before_reading(), self.reset_knowledge(InterfaceKind::CoSimulation).stop_time);
         loop {
-            let known = self.before_reading();
+            let known = known_now();
             match simulate() {
-                Err(_) if self.before_reading() != known && !self.leaves_repetition() => {}
+                Err(_) if known_now() != known && !self.leaves_repetition() => {}
                 outcome => return outcome,
             }
         }
@@ -455,6 +458,26 @@ impl Fmu {
     /// Way in which instances are reset; `None` before it was tried.
     pub fn reuse_of(&self, kind: InterfaceKind) -> Option<Reuse> {
         self.reset_knowledge(kind).reuse
+    }
+
+    /// Notes that the start value of a state, a guess by the description, is not its value after the
+    /// initialization.
+    pub(crate) fn note_ineffective_start_value(&self, name: &str, given: f64, found: f64) {
+        let message = format!(
+            "{}, and is {} after the initialization: the start value is a guess (initial=\"approx\"). In model exchange \
+             initial_states sets the state after the initialization; otherwise set the parameters from which the model \
+             computes it",
+            start_value_given(name, given),
+            Number(found)
+        );
+        self.note_quirk(QuirkKind::Start, message);
+    }
+
+    /// Message that the start value of a state, a guess by the description, had no effect in a simulation.
+    pub fn ineffective_start_value(&self, name: &str, value: f64) -> Option<String> {
+        let beginning = start_value_given(name, value) + ",";
+        let mut messages = self.quirks_seen().into_iter().filter(|quirk| quirk.kind == QuirkKind::Start);
+        messages.find(|quirk| quirk.message.starts_with(&beginning)).map(|quirk| quirk.message)
     }
 
     /// State of knowledge about the reset of instances of one interface.
@@ -745,4 +768,9 @@ impl Fmu {
             other => other,
         }
     }
+}
+
+/// Beginning of the message about a start value without effect.
+fn start_value_given(name: &str, value: f64) -> String {
+    format!("{name} was given the start value {}", Number(value))
 }

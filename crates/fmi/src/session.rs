@@ -4,10 +4,10 @@ use crate::description::{Causality, Structure, Value, VariableKind};
 use crate::error::Result;
 use crate::fmu::{Fmu, InterfaceChoice};
 use crate::instance::assignments::{check_settable_at_start, convert};
-use crate::simulation::SimulateOptions;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::trajectory::Trajectory;
 use crate::simulation::variable_elements::{Starts, VariableElement, element_value};
+use crate::simulation::{Inputs, SimulateOptions};
 use crate::simulators::Simulator;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -246,10 +246,16 @@ impl Session {
         let mut references: Vec<u32> = Vec::new();
         let mut values: Vec<f64> = Vec::new();
         let (mut parameters, mut others) = (Vec::new(), Vec::new());
+        // Of a tunable parameter that is driven the start value has no effect, as that of an input.
+        let driven =
+            options.inputs.iter().flat_map(Inputs::names).filter_map(|name| description.variable(name));
+        let driven: Vec<u32> =
+            driven.filter(|v| v.is_tunable_parameter()).map(|v| v.value_reference).collect();
         for (name, value) in std::mem::take(&mut options.start_values) {
             let single = description.variable(&name).filter(|variable| {
                 variable.kind == VariableKind::Real
                     && variable.dimensions.is_empty()
+                    && !driven.contains(&variable.value_reference)
                     && !matches!(variable.causality, Causality::Input | Causality::StructuralParameter)
             });
             let number = value.as_number().filter(|number| number.is_finite());

@@ -181,7 +181,12 @@ pub(crate) struct Simulate {
     /// given several times
     #[arg(long = "set", value_name = "NAME=VALUE | @FILE.ssv")]
     pub(crate) values: Vec<String>,
-    /// A CSV file with a column `time`, and one for each input that is called as its column
+    /// Value of a continuous state at the start, also if the initialization computes another one (model
+    /// exchange); may be given several times
+    #[arg(long = "initial-state", value_name = "NAME=NUMBER")]
+    pub(crate) initial_states: Vec<String>,
+    /// A CSV file with a column `time`, and one for each input or tunable parameter that is called as its
+    /// column
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) input: Option<PathBuf>,
     /// Name of its column of times, where it is not `time`

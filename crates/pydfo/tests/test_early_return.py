@@ -18,7 +18,7 @@ def path(tmp_path_factory):
 
 def test_events_end_steps_early(path):
     line = {"time": [0.0, 3.0], "u": [0.0, 3.0]}
-    res = FMUModel(path).simulate(0, 3, times=[0.0, 1.0, 2.0, 3.0], input=line)
+    res = FMUModel(path).simulate(0, 3, times=[0.0, 1.0, 2.0, 3.0], input=line, step_size=0.5)
     points = np.array([0.0, 0.5, 1.0, 1.5, 1.7, 2.0, 2.5, 2.7, 3.0])
     assert res["x"][-1] == pytest.approx(points[:-1] @ np.diff(points), abs=1e-13)
     assert res.events.time == pytest.approx([1.7, 2.7], abs=1e-14) and set(res.events.kind) == {"step"}

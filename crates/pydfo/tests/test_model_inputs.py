@@ -159,7 +159,7 @@ def test_a_function_alone_for_one_input(tmp_path):
         ({"time": [0, 1], "u": np.zeros((2, 2))}, "one-dimensional"),
         ({"time": [0, 1], "gear": [1, 1.5]}, "not an integer"),
         ({"time": [0, 1], "enabled": [1, 2]}, "0 or 1"),
-        ({"time": [0, 1], "K": [1, 2]}, "not an input"),
+        ({"time": [0, 1], "T": [1, 2]}, "neither an input nor a tunable parameter.*parameter and variability fixed"),
         ({"time": [0, 1], "u": [1, 2], "gear": lambda t: 1}, "continuous inputs of floating-point type"),
         (("u", np.zeros((3, 3))), r"\(3, 3\)"),
         (("u", np.zeros(3)), r"\(3,\)"),
@@ -359,3 +359,49 @@ def test_rows_of_inputs_that_make_steps_are_said(caplog, tmp_path):
         assert res.stats.accepted_steps == 100
     said = [record.getMessage() for record in caplog.records if "communication points" in record.getMessage()]
     assert len(said) == 1 and "99 times" in said[0] and "step 0.5" in said[0]
+
+
+GAINS = {"time": [0.0, 1.0], "K": [3.0, -1.0]}
+
+
+def gains(t):
+    """x of the lag with u = 1 and the gains above."""
+    return np.where(t <= 1, lag(0.0, 3.0, t), lag(lag(0.0, 3.0, 1.0), -1.0, t - 1))
+
+
+@pytest.mark.parametrize("kind", ["ME", "CS"])
+def test_tunable_parameter_is_driven_like_an_input(kind, tmp_path):
+    model = FMUModel(example_fmu("switched_input", kind=kind), kind=kind)
+    times = np.linspace(0, 2, 9)
+    found = model.simulate(0, 2, times=times, inputs={**GAINS, "u": [1.0, 1.0]}, outputs=["x"], **TIGHT)
+    assert np.allclose(found["x"], gains(times), atol=1e-8)
+    path = tmp_path / "gains.csv"
+    path.write_text("time,u,K,enabled,gear\n0,1,3,1,1\n1,1,-1,1,1\n")
+    assert np.array_equal(model.simulate(0, 2, times=times, inputs=path, outputs=["x"], **TIGHT)["x"], found["x"])
+
+
+def test_fit_with_a_tunable_parameter_that_a_column_drives():
+    times = np.linspace(0, 2, 41)
+    table = {"time": times, "x": 1.5 * gains(times), "gain": np.where(times < 1, 3.0, -1.0)}
+    for kind in ("ME", "CS"):
+        fmu = example_fmu("switched_input", kind=kind)
+        fit = Calibration(fmu, table, ["x"], [Parameter("u", 1.0, 0.1, 5.0)], inputs={"K": "gain"}, kind=kind).fit()
+        assert fit.x[0] == pytest.approx(1.5, abs=1e-4)
+
+
+def test_simulation_of_more_than_a_million_steps_is_named(caplog, tmp_path):
+    path = tmp_path / "m.fmu"
+    path.write_bytes(example_fmu("dahlquist", kind="CS").read_bytes())
+    FMUModel(path).simulate(0, 1, ncp=2, step_size=9e-7)
+    assert any("makes 1111111 steps" in record.getMessage() for record in caplog.records)
+
+
+def test_initial_state_of_a_simulation():
+    model = FMUModel(example_fmu("dahlquist"))
+    found = model.simulate(0, 1, initial_states={"x": 2.5}, **TIGHT)
+    assert np.allclose(found["x"], 2.5 * np.exp(-found.time), atol=1e-8)
+    assert model.simulate(0, 1)["x"][0] == 1.0
+    with pytest.raises(KeyError):
+        model.simulate(0, 1, initial_states={"z": 2.5})
+    with pytest.raises(TypeError):
+        model.simulate(0, 1, initial_states={"x": "high"})

@@ -202,7 +202,7 @@ fn initial(series: &Series<'_>, subject: &ExperimentSubject<'_>, place: Place) -
         Finding::warning(
             series.name(subject),
             format!("the first measurement is {first}, the simulation starts at {at_start}"),
-            "give the initial state (start_values or initial_states), or fit it",
+            "give the initial state (initial_states), or fit it",
         )
     })
 }

@@ -104,6 +104,7 @@ impl Calibration {
                 return Ok(());
             }
         };
+        findings.extend(self.ineffective_start_values(subjects));
         let outputs = Outputs::new(self, start, None);
         findings.extend(at_start::findings(subjects, &outputs));
         findings.extend(signals::findings(subjects, &outputs));
@@ -126,6 +127,7 @@ impl Calibration {
     ) -> Vec<Finding> {
         let subjects = self.subjects();
         let mut doubts = self.findings_of_description_and_data(&subjects, &end.x);
+        doubts.extend(self.ineffective_start_values(&subjects));
         if let Some(start) = start {
             let outputs = Outputs::new(self, start, Some(end));
             doubts.extend(at_start::findings(&subjects, &outputs));
@@ -221,6 +223,12 @@ impl Calibration {
             start_time: self.evaluator().simulations[k].options.start_time.unwrap_or_default(),
         };
         names.into_iter().enumerate().map(subject).collect()
+    }
+
+    /// Start values that had no effect in the simulations so far.
+    fn ineffective_start_values(&self, subjects: &[ExperimentSubject<'_>]) -> Vec<Finding> {
+        let of = |subject| model::start_values(self.fmu(), self.is_co_simulation(), subject);
+        subjects.iter().flat_map(of).collect()
     }
 
     /// Findings that need no simulation.

@@ -6,12 +6,33 @@ use crate::problem::column_units::declared;
 use crate::problem::definition::Problem;
 use crate::problem::experiment::InitialState;
 use crate::problem::warning::SetupWarning;
+use fmi::Fmu;
 use fmi::description::{Causality, Variable};
 
 /// Warnings from the construction of the calibration, as findings.
 pub(super) fn construction_warnings(warnings: &[SetupWarning]) -> Vec<Finding> {
     let finding = |warning: &SetupWarning| Finding::new(warning.severity(), "setup", warning.to_string(), "");
     warnings.iter().map(finding).collect()
+}
+
+/// Start values that had no effect in a simulation; also numbers for initial states where these are start
+/// values, in co-simulation.
+pub(super) fn start_values(
+    fmu: &Fmu,
+    is_co_simulation: bool,
+    subject: &ExperimentSubject<'_>,
+) -> Vec<Finding> {
+    let ExperimentSubject { prefix, experiment, .. } = subject;
+    let numbers = experiment.initial_states.iter().filter_map(|(name, initial)| match initial {
+        InitialState::Value(value) if is_co_simulation => Some((name, *value)),
+        _ => None,
+    });
+    let starts = experiment.start_values.iter().filter_map(|(name, value)| Some((name, value.as_number()?)));
+    let finding = |(name, value): (&String, f64)| {
+        let message = fmu.ineffective_start_value(name, value)?;
+        Some(Finding::warning(format!("{prefix}start value of '{name}'"), message, ""))
+    };
+    numbers.chain(starts).filter_map(finding).collect()
 }
 
 /// Priors beside measurements whose noise no weight states.

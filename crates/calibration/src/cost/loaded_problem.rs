@@ -134,13 +134,13 @@ impl LoadedProblem {
         mut lend: impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, CostFailure>,
     ) -> Result<f64, CostFailure> {
         let before = self.fmu.n_unchecked_runs();
-        let outcome = self.fmu.repeat_if_read_early(|| self.evaluate_once(x, rule, out, stats, &mut lend));
+        let outcome = self.fmu.repeat_if_learned(|| self.evaluate_once(x, rule, out, stats, &mut lend));
         if self.fmu.n_unchecked_runs() == before || !matches!(outcome, Err(CostFailure::Above)) {
             return outcome;
         }
         // A model whose variables are computed late shows that at the end of a step only, and the run was cut off before.
         let whole = CostRule { cutoff: f64::INFINITY, ..rule };
-        let reread = self.fmu.repeat_if_read_early(|| self.evaluate_once(x, whole, out, stats, &mut lend));
+        let reread = self.fmu.repeat_if_learned(|| self.evaluate_once(x, whole, out, stats, &mut lend));
         match reread {
             Ok(cost) if cost <= rule.cutoff => Ok(cost),
             Err(CostFailure::Cancelled) => Err(CostFailure::Cancelled),

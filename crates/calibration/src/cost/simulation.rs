@@ -12,9 +12,10 @@ use crate::problem::measurements::Measurements;
 use crate::problem::parameter::Parameter;
 use crate::problem::warning::SetupWarning;
 use base::Number;
+use fmi::description::Causality;
 use fmi::{
-    FmiError, Fmu, Inputs, InterfaceKind, SharedSimulator, SimulateOptions, SimulationPlan, Simulator,
-    Trajectory, Value,
+    FmiError, Fmu, Inputs, InterfaceKind, ModelDescription, SharedSimulator, SimulateOptions, SimulationPlan,
+    Simulator, Trajectory, Value,
 };
 use ode::{Method, Observer, Report};
 use std::borrow::Cow;
@@ -74,15 +75,18 @@ impl Simulation {
         let mut start_values: Vec<_> = experiment.start_values.iter().filter(is_constant).cloned().collect();
         start_values.extend(initial_values(experiment, start_time, &mut assigned)?);
         let names: Vec<String> = assigned.variables.iter().map(|(name, _)| name.clone()).collect();
+        let run = settings.run_of_fits(description);
+        let initial_states = initial_states(experiment, &names, description, fmu.choose(run.kind)?);
         let times = comparison.schedule(|_| 0.0, start_time).times;
         let options = SimulateOptions {
             start_time: Some(start_time),
             final_time: Some(final_time),
             start_values,
+            initial_states,
             parameters: names.clone(),
             outputs: Some(experiment.outputs.iter().map(|o| o.variable.clone()).collect()),
             inputs: inputs(&signals, assigned.input_shifts(&start)),
-            run: settings.run_of_fits(description),
+            run,
             ..SimulateOptions::default()
         };
         let schedule = comparison.schedule(|output| assigned.outputs[output].0.in_model(&start), start_time);
@@ -272,6 +276,31 @@ impl Simulation {
         }
         Ok(trajectory)
     }
+}
+
+/// The variables that have their values when the simulation starts, whatever the initialization computes:
+/// initial states, and what is fitted and no parameter of the model. A co-simulation cannot set them after
+/// the initialization, so a number for one is a start value there.
+fn initial_states(
+    experiment: &Experiment,
+    fitted: &[String],
+    description: &ModelDescription,
+    kind: InterfaceKind,
+) -> Vec<String> {
+    let is_required = |(_, initial): &&(String, InitialState)| {
+        kind == InterfaceKind::ModelExchange || !matches!(initial, InitialState::Value(_))
+    };
+    let is_state = |name: &&String| {
+        // An element of an array has no name of its own.
+        let array = name.split('[').next().unwrap_or_default();
+        let variable = description.variable(name).or_else(|| description.variable(array));
+        variable.is_some_and(|v| matches!(v.causality, Causality::Local | Causality::Output))
+    };
+    let given = experiment.initial_states.iter().filter(is_required).map(|(name, _)| name);
+    let mut names: Vec<String> = given.chain(fitted.iter().filter(is_state)).cloned().collect();
+    names.sort_unstable();
+    names.dedup();
+    names
 }
 
 /// Refuses times of rows that no simulation has.

@@ -135,7 +135,9 @@ impl Fit {
         let fitted = calibration.simulate_variables(k, &self.x, None, &outputs, context)?;
         let method = calibration.solver(context)?.method;
         let simulation = &calibration.evaluator().simulations[k];
-        let options = simulation.recording(&self.x, method, None, &outputs);
+        let mut options = simulation.recording(&self.x, method, None, &outputs);
+        // The copy has fitted values as its start values only.
+        options.initial_states.retain(|state| options.start_values.iter().any(|(name, _)| name == state));
         let copied = if calibration.evaluator().remote.is_ok() {
             let limits = calibration.problem().settings.worker_limits();
             ModelProcess::new(copy, limits).and_then(|process| process.simulate(&options, context))

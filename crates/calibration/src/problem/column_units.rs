@@ -120,9 +120,9 @@ fn convert_weights(
 pub type InputColumn = (String, String);
 
 /// The recording with those of its columns that have the names of inputs of a model (units may follow the
-/// name, and its case may differ where one column and one input only can be meant) in the units of these;
-/// which they are; what could not be converted, and the inputs without a column, but for those whose values
-/// are `given` otherwise.
+/// name, and its case may differ where one column and one input only can be meant) or of tunable parameters,
+/// in the units of these; which they are; what could not be converted, and the inputs without a column, but
+/// for those whose values are `given` otherwise.
 ///
 /// # Errors
 /// No column has the name of an input, or several have that of one; a column has two units; a unit is one of
@@ -168,7 +168,8 @@ pub fn recorded_inputs(
 
 /// The inputs that columns are called by, with these.
 fn input_columns(data: &Data, description: &ModelDescription) -> Result<Vec<InputColumn>, String> {
-    let is_input = |name: &&str| declared(description, name).is_some_and(|v| v.causality == Causality::Input);
+    let can_drive = |v: &Variable| v.causality == Causality::Input || v.is_tunable_parameter();
+    let is_input = |name: &&str| declared(description, name).is_some_and(can_drive);
     let driven = |column: &str| [column, parts(column).0].into_iter().find(is_input).map(str::to_owned);
     let mut pairs: Vec<InputColumn> = Vec::new();
     for (variable, column) in data.names().filter_map(|column| Some((driven(column)?, column))) {

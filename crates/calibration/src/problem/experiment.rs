@@ -40,7 +40,9 @@ pub struct Experiment {
     pub(crate) delays: Vec<(String, f64)>,
 }
 
-/// Initial value of a state in an experiment.
+/// Initial value of a state in an experiment. In model exchange a state that the initialization computes
+/// (`initial="approx"` or `"calculated"`) is set after it. In co-simulation such a state is an error if it is
+/// measured or fitted, and a finding if it is a number.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum InitialState {
     /// This value, in the unit of the model.

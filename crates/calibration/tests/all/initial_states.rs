@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+use crate::support::faulty;
 use calibration::{
     Calibration, CalibrationError, Data, Experiment, FitOptions, InitialState, Parameter, Weight,
 };
@@ -120,4 +121,74 @@ fn standard_errors_count_the_noise_of_a_measured_start() {
     assert!((0.55..1.5).contains(&mean), "{mean}");
     // Nor is what it leaves an offset.
     assert!(offsets == 0, "{offsets}");
+}
+
+/// x' = -k x, whose state is 3 after the initialization, whatever it is given.
+fn computing(is_co_simulation: bool) -> tempfile::TempDir {
+    let folder = faulty(&["COMPUTES_X=3"]);
+    let path = folder.path().join("modelDescription.xml");
+    let xml = std::fs::read_to_string(&path)
+        .unwrap()
+        .replace("initial=\"exact\"><Real start=\"1\"", "initial=\"approx\"><Real start=\"1\"");
+    let interface =
+        "<CoSimulation modelIdentifier=\"evil\" canHandleVariableCommunicationStepSize=\"true\"/>";
+    let xml = match is_co_simulation {
+        true => xml.replace("<ModelExchange modelIdentifier=\"evil\"/>", interface),
+        false => xml,
+    };
+    std::fs::write(&path, xml).unwrap();
+    folder
+}
+
+/// The calibration of `k` to a decay from 2 with k = 0.7.
+fn calibration_of(
+    folder: &tempfile::TempDir,
+    complete: impl FnOnce(Experiment) -> Experiment,
+) -> Result<Calibration, CalibrationError> {
+    let experiment = Experiment::new(recording(|t| 2.0 * (-0.7 * t).exp())).output("x", "x");
+    Calibration::builder(Fmu::open(folder.path()).unwrap())
+        .experiment(complete(experiment))
+        .parameter(Parameter::new("k", 1.0).bounds(0.1, 3.0))
+        .settings(RunSettings { relative_tolerance: Some(1e-9), ..RunSettings::default() })
+        .build()
+}
+
+#[test]
+fn state_that_the_model_computes_is_set_after_the_initialization() {
+    let folder = computing(false);
+    let start = Parameter::new("x0", 1.0).bounds(0.5, 5.0);
+    for initial in [InitialState::Value(2.0), InitialState::Measured, start.into()] {
+        let calibration =
+            calibration_of(&folder, |experiment| experiment.initial_state("x", initial.clone())).unwrap();
+        let fit = calibration.fit(FitOptions::default()).unwrap();
+        assert!((fit.x[0] - 0.7).abs() < 1e-4, "{initial:?}: {:?}", fit.x);
+        assert!(fit.x.get(1).is_none_or(|x0| (x0 - 2.0).abs() < 1e-4), "{:?}", fit.x);
+    }
+}
+
+#[test]
+fn state_without_effect_is_an_error_or_a_finding() {
+    let is_said = |calibration: &Calibration| {
+        let sentence = "x was given the start value 2, and is 3 after the initialization";
+        let fit = calibration.fit(FitOptions::default()).unwrap();
+        let in_check = calibration.check().findings.iter().any(|f| f.sentence.starts_with(sentence));
+        in_check && fit.findings().iter().any(|f| f.sentence.starts_with(sentence))
+    };
+    let co_simulation = computing(true);
+    let given = |folder: &tempfile::TempDir, initial: Option<InitialState>| {
+        calibration_of(folder, |experiment| match initial {
+            Some(initial) => experiment.initial_state("x", initial),
+            None => experiment.start_value("x", 2.0),
+        })
+        .unwrap()
+    };
+    assert!(is_said(&given(&computing(false), None)));
+    assert!(is_said(&given(&co_simulation, None)));
+    assert!(is_said(&given(&co_simulation, Some(InitialState::Value(2.0)))));
+    let start = Parameter::new("x0", 1.0).bounds(0.5, 5.0);
+    for initial in [InitialState::Measured, start.into()] {
+        let calibration = given(&co_simulation, Some(initial));
+        let error = calibration.fit(FitOptions::default()).unwrap_err().to_string();
+        assert!(error.contains("x starts with 3 instead of"), "{error}");
+    }
 }

@@ -71,6 +71,11 @@ pub struct Variable {
 }
 
 impl Variable {
+    /// True for a parameter that may change during a simulation. Inputs of a simulation may drive it.
+    pub fn is_tunable_parameter(&self) -> bool {
+        self.causality == Causality::Parameter && self.variability == Variability::Tunable
+    }
+
     /// Smallest and largest value of a variable of an integer type.
     pub(crate) fn integer_range(&self) -> Option<(i128, i128)> {
         let kind = if self.is_narrow { VariableKind::Integer } else { self.kind };

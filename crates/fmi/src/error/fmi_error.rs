@@ -316,6 +316,20 @@ pub enum FmiError {
         /// The value that it has.
         found: f64,
     },
+    /// A variable that was to have a value at the start of a simulation has another one.
+    #[error(
+        "{name} starts with {found} instead of {given}: the initialization computes it. In model exchange initial states are set after \
+         the initialization (kind = \"ME\"); otherwise set the parameters from which the model computes it",
+        given = Number(*.given), found = Number(*.found)
+    )]
+    StateNotTaken {
+        /// The variable.
+        name: String,
+        /// The value that it was given.
+        given: f64,
+        /// The value that it has.
+        found: f64,
+    },
     /// NaN or an infinity where a number is needed.
     #[error("{name} = {value}: a finite number is needed", value = Number(*.value))]
     NotFinite {

@@ -14,8 +14,8 @@ mod private_copy;
 mod reset_knowledge;
 
 pub(crate) use loaded::{LoadedLibrary, Setting};
-pub(crate) use reset_knowledge::ResetKnowledge;
 pub use reset_knowledge::Reuse;
+pub(crate) use reset_knowledge::{ResetKnowledge, StopTime};
 
 use crate::archive::Archive;
 use crate::error::FmiError;

@@ -85,6 +85,14 @@ pub(crate) struct Grid {
     pub(crate) interval: Option<f64>,
 }
 
+impl Grid {
+    /// The distance of the rows, or its mean.
+    pub(crate) fn mean_interval(&self) -> f64 {
+        let n = self.times.len().saturating_sub(1).max(1);
+        self.interval.unwrap_or((self.end - self.start) / n as f64)
+    }
+}
+
 /// `n` equal intervals: `start + k h`, never a sum, and the end itself; fewer where the rows could not be
 /// told apart.
 fn uniform(start: f64, end: f64, time_tolerance: f64, n: usize) -> Result<Vec<f64>> {

@@ -57,13 +57,15 @@ impl InputTable {
         }
     }
 
+    /// Times of the rows that have another value than the row before.
+    pub(crate) fn changes(&self) -> impl Iterator<Item = f64> + '_ {
+        let rows = self.values.windows(2).zip(&self.times[1..]);
+        rows.filter(|(pair, _)| pair[0] != pair[1]).map(|(_, time)| *time)
+    }
+
     /// Where the held value changes.
     pub(crate) fn held_stops(&self, stops: &mut Vec<InputStop>) {
-        for row in 1..self.times.len() {
-            if self.values[row] != self.values[row - 1] {
-                stops.push(InputStop { time: self.times[row], jump: true });
-            }
-        }
+        stops.extend(self.changes().map(|time| InputStop { time, jump: true }));
     }
 
     /// Moves rows that are within `time_tolerance` of one of the instants onto it.

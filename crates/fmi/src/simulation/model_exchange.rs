@@ -31,12 +31,25 @@ pub(crate) struct System {
     /// The point last committed: what `get` refers to after a run.
     last_time: f64,
     last_states: Vec<f64>,
+    initial_states: Vec<InitialState>,
     pub(super) reader: OutputReader,
     /// Time of the last event as the model saw it: a rounding error later than the driver's at most, and
     /// never gone back behind.
     floor: f64,
     /// There are states and no continuous inputs: time and states are all of a point.
     is_point_of_states: bool,
+}
+
+/// An initial state of a run.
+#[derive(Debug, Clone, Copy)]
+struct InitialState {
+    /// Position among those of the plan.
+    index: usize,
+    /// Position in the state vector.
+    position: usize,
+    value: f64,
+    /// The value in the state vector: of a negated alias the opposite.
+    state: f64,
 }
 
 const NOT_THE_STATE: &str = "has another value than the continuous state that it is by the description";
@@ -57,6 +70,7 @@ impl System {
             states: vec![0.0; n],
             last_time: plan.start,
             last_states: vec![0.0; n],
+            initial_states: Vec::new(),
             floor: f64::NEG_INFINITY,
             is_point_of_states: false,
             running: Running::new(plan),
@@ -66,7 +80,8 @@ impl System {
     /// Brings a fresh instance into event mode at the start time: values, inputs, initialization.
     pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<()> {
         let (start, end) = (self.running.plan.start, self.running.plan.end);
-        let core = self.running.begin(raw, input, Some(end))?;
+        let mut core = self.running.begin(raw, input, Some(end))?;
+        self.take_initial_states(&mut core, input)?;
         self.sent.clone_from(&self.running.inputs.continuous);
         self.is_point_of_states =
             self.running.plan.n_states > 0 && self.running.plan.inputs.continuous.is_empty();
@@ -77,6 +92,56 @@ impl System {
         self.floor = f64::NEG_INFINITY;
         self.last_time = start;
         Ok(())
+    }
+
+    /// Takes over the initial states of a run. One that is no state must have its value already.
+    fn take_initial_states(&mut self, core: &mut Core, input: RunInput<'_>) -> Result<()> {
+        let (plan, list) = (&self.running.plan, &mut self.initial_states);
+        list.clear();
+        if plan.values.initial.required.is_empty() {
+            return Ok(());
+        }
+        let is_described = plan.fmu().description().fmi_version.major > 1;
+        let references = if is_described { Vec::new() } else { core.call(RawInstance::state_references)? };
+        for (index, required) in plan.values.initial.required.iter().enumerate() {
+            let Some(position) = required.position(plan.fmu(), &references) else {
+                required.check(core, plan.fmu(), required.value(input.parameters))?;
+                continue;
+            };
+            let value = required.value(input.parameters);
+            let is_negated = plan.fmu().description().variables[required.place.variable].negated;
+            let state = if is_negated { -value } else { value };
+            list.push(InitialState { index, position, value, state });
+        }
+        Ok(())
+    }
+
+    /// Sets the initial states in which the model has other values than these, in continuous-time mode. The
+    /// model stands in event mode before and after it. Returns whether there were any.
+    fn set_initial_states(&mut self, x: &mut [f64]) -> CallResult<bool> {
+        let mut differs = false;
+        for InitialState { position, state, .. } in &self.initial_states {
+            if let Some(x) = x.get_mut(*position) {
+                differs |= !same_bits(*x, *state);
+                *x = *state;
+            }
+        }
+        if !differs {
+            return Ok(false);
+        }
+        self.running.current.enter(Mode::Continuous, RawInstance::enter_continuous_time_mode)?;
+        self.call(|raw| raw.set_continuous_states(x))?;
+        // The model may compute its variables with the derivatives only.
+        self.reader.evaluate(&mut self.running)?;
+        let Self { running: Running { plan, current, .. }, initial_states, .. } = self;
+        let required = &plan.values.initial.required;
+        let checked = current.core().and_then(|core| {
+            // The state vector may have another order than the description says.
+            initial_states.iter().try_for_each(|one| required[one.index].check(core, plan.fmu(), one.value))
+        });
+        checked.map_err(|error| current.fail(error))?;
+        self.enter_event_mode()?;
+        Ok(true)
     }
 
     /// Value of a variable at the point last committed.
@@ -303,6 +368,7 @@ impl System {
         }
         let set = current.in_event_mode().and_then(|core| {
             inputs.set_held(core, &plan.inputs)?;
+            inputs.set_parameters(core, &plan.inputs)?;
             send(&plan.inputs, inputs, sent, core)
         });
         set.map_err(|error| current.fail(error))
@@ -443,8 +509,14 @@ impl HybridSystem for Integration<'_> {
     }
 
     fn start(&mut self, t0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
-        let outcome = self.system.iterate_events(t0, self.outside)?;
+        let mut outcome = self.system.iterate_events(t0, self.outside)?;
         self.read_states(x)?;
+        if !outcome.terminate && self.set_initial_states(x)? {
+            let EventOutcome { nominals_changed, .. } = outcome;
+            outcome = self.system.iterate_events(t0, self.outside)?;
+            outcome.nominals_changed |= nominals_changed;
+            self.read_states(x)?;
+        }
         self.compare_states(x)?;
         self.leave_event_mode(&outcome)?;
         self.running.note(x);

@@ -67,9 +67,11 @@ pub struct RunSettings {
     /// it is given here or there: a co-simulation has a default of its own.
     pub relative_tolerance: Option<f64>,
     /// Model exchange: step of the fixed-step methods; default: a 500th of the span. Co-simulation: the
-    /// communication step; default: that of the default experiment, else the distance of the rows. Where the
-    /// model takes steps of any length, there are further communication points at the rows and wherever an
-    /// input jumps or changes its slope.
+    /// communication step; default: the larger of that of the default experiment and the distance of the
+    /// rows; of a model that takes steps of one length, that of the default experiment unless it makes more
+    /// than 1e6 steps, else the distance of the rows. A model that takes steps of any length has further
+    /// communication points: the rows, and the times at which an input jumps or changes its slope, or, if it
+    /// is not told derivatives of inputs, at which an input has another value than in the row before.
     pub step_size: Option<f64>,
     /// Largest step of the adaptive methods.
     pub max_step: Option<f64>,
@@ -132,6 +134,12 @@ pub struct SimulateOptions {
     /// Values for parameters and variables with a start value, set before the initialization. Of several for
     /// one variable the last counts.
     pub start_values: Vec<(String, Value)>,
+    /// Names among `start_values` and `parameters` of variables that have their values when the simulation
+    /// starts, also where the initialization computes others (`initial="approx"` or `"calculated"`). In model
+    /// exchange continuous states are set after the initialization, with the function that sets continuous
+    /// states, and an event iteration follows. Elsewhere a simulation that starts with another value fails
+    /// with [`FmiError::StateNotTaken`](crate::FmiError::StateNotTaken).
+    pub initial_states: Vec<String>,
     /// Intervals between the ticks of clocks (FMI 3.0): for input clocks whose intervals are fixed or
     /// tunable.
     pub clock_intervals: Vec<(String, Interval)>,
@@ -206,6 +214,14 @@ impl SimulateOptions {
         self
     }
 
+    /// Adds to [`start_values`](Self::start_values) and [`initial_states`](Self::initial_states).
+    #[must_use]
+    pub fn initial_state(mut self, name: impl Into<String>, value: f64) -> Self {
+        let name = name.into();
+        self.initial_states.push(name.clone());
+        self.start_value(name, value)
+    }
+
     /// Sets [`parameters`](Self::parameters).
     #[must_use]
     pub fn parameters<N: Into<String>>(mut self, names: impl IntoIterator<Item = N>) -> Self {
@@ -235,7 +251,7 @@ impl SimulateOptions {
                 same_inputs && flag($cancel) == flag(&other.$cancel) $(&& *$field == other.$field)+
             }};
         }
-        same!(but inputs, cancel; start_time, final_time, times, output_interval, ncp, start_values, clock_intervals,
+        same!(but inputs, cancel; start_time, final_time, times, output_interval, ncp, start_values, initial_states, clock_intervals,
             parameters, outputs, run, halve_steps, between_steps, max_work, record_events)
     }
 

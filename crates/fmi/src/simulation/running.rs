@@ -237,11 +237,15 @@ impl Running {
         let experiment = Experiment { tolerance: plan.tolerance, start: plan.start, stop };
         // First, because some models make their data in this call.
         core.call(|raw| raw.setup_experiment(&experiment))?;
-        plan.values.set_up(&mut core, input, signed)?;
         inputs.begin(&plan.inputs, plan.start);
         if !inputs.continuous_at(&plan.inputs, plan.start) {
             return Err(inputs.bad_function_value(plan.start));
         }
+        let set_up = |core: &mut Core, signed: &mut Vec<f64>| {
+            plan.values.set_up(core, input, signed)?;
+            inputs.set_parameters(core, &plan.inputs)
+        };
+        set_up(&mut core, signed)?;
         let mut is_refused = false;
         let set_inputs = |core: &mut Core, signed: &mut Vec<f64>| {
             plan.values.set_up_inputs(core, input, signed)?;
@@ -256,7 +260,7 @@ impl Running {
         if is_refused && core.call(RawInstance::reset).is_ok() {
             // Models that take values of inputs in initialization mode only, as FMI 2.0 has it for those without `initial`.
             core.call(|raw| raw.setup_experiment(&experiment))?;
-            plan.values.set_up(&mut core, input, signed)?;
+            set_up(&mut core, signed)?;
         }
         core.check_sizes()?;
         core.call(RawInstance::enter_initialization)?;

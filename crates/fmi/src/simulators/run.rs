@@ -5,7 +5,7 @@ use crate::cancel_request::CancelRequest;
 use crate::description::{Causality, QuirkKind};
 use crate::error::FmiError;
 use crate::libraries::Reuse;
-use crate::sys::{Inside, forget_refusal, is_worker, note_run, refusal};
+use crate::sys::{Inside, InterfaceKind, forget_refusal, is_worker, note_run, refusal};
 use base::Number;
 use ode::{
     Checks, ErrorKind, Ignore, Limits, Observer, Report, Seconds, SimulationError, Stats, Termination,
@@ -173,8 +173,21 @@ impl Simulator {
         self.engine.run_initial_events()
     }
 
-    /// Initializes a new instance, or one that was brought back and has the values it was given.
+    /// Initializes an instance, and compares it with its start values and initial states.
     fn start(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
+        self.start_instance(parameters)?;
+        let plan = Arc::clone(&self.plan);
+        let core = self.engine.running().current.core()?;
+        plan.values.initial.compare_guesses(core, plan.fmu(), parameters);
+        match plan.kind {
+            // They are set when the run begins.
+            InterfaceKind::ModelExchange => Ok(()),
+            InterfaceKind::CoSimulation => plan.values.initial.check_required(core, plan.fmu(), parameters),
+        }
+    }
+
+    /// Initializes a new instance, or one that was brought back and has the values it was given.
+    fn start_instance(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
         self.began = Instant::now();
         let (instance, is_used) = match self.fresh_instance() {
             // The last run's instance could not be ended or reset, which is nothing of this run's.

@@ -136,7 +136,7 @@ impl Simulator {
         poll: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<Trajectory, FmiError> {
         let plan = Arc::clone(&self.plan);
-        plan.fmu().repeat_if_read_early(|| {
+        plan.fmu().repeat_if_learned(|| {
             let mut recorder = Recorder::new(&plan, &mut *poll)?;
             let report = self.run(parameters, &mut recorder)?;
             let running = self.engine.running();

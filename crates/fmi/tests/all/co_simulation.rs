@@ -350,3 +350,125 @@ fn after_an_error_an_instance_can_only_be_brought_back() {
     assert!(instance.do_step(0.0, 0.25).unwrap().complete);
     assert_eq!(instance.get("y").unwrap(), y);
 }
+
+/// x' = u, with u held over each step: the evil model with an input.
+fn integrator(more: &str) -> Folder {
+    evil_with(&["LATCHES"], |xml| {
+        let interface = format!(
+            "<CoSimulation modelIdentifier=\"evil\" canHandleVariableCommunicationStepSize=\"true\"{more}/>"
+        );
+        let input = r#"<ScalarVariable name="u" valueReference="7" causality="input" variability="continuous">
+            <Real start="0"/></ScalarVariable></ModelVariables>"#;
+        xml.replace("<ModelExchange modelIdentifier=\"evil\"/>", &interface)
+            .replace("</ModelVariables>", input)
+    })
+}
+
+#[test]
+fn every_row_of_a_held_input_is_a_communication_point() {
+    let times: Vec<f64> = (0..=100).map(|k| 0.01 * f64::from(k)).collect();
+    let options = |values: Vec<f64>| {
+        let inputs = Inputs::new().series("u", times.clone(), values);
+        SimulateOptions::new().final_time(1.0).times([0.0, 1.0]).step_size(0.5).inputs(inputs).outputs(["x"])
+    };
+    // The library has no function that sets derivatives, whatever the description says.
+    for more in ["", " canInterpolateInputs=\"true\""] {
+        let folder = integrator(more);
+        let fmu = folder.open();
+        let ramp = fmu.simulate(&options(times.clone())).unwrap();
+        close(ramp.final_value("x").unwrap().unwrap(), 1.495, 1e-12);
+        assert_eq!(ramp.stats.accepted_steps, 100, "{more}");
+        // A constant needs no points.
+        let constant = fmu.simulate(&options(vec![2.0; 101])).unwrap();
+        close(constant.final_value("x").unwrap().unwrap(), 3.0, 1e-12);
+        assert_eq!(constant.stats.accepted_steps, 2);
+    }
+    // Where derivatives are passed on, a straight line needs none either.
+    let inputs = Inputs::new().series("u", times.clone(), times.clone());
+    let options = |passed| {
+        SimulateOptions::new()
+            .final_time(1.0)
+            .times([0.0, 1.0])
+            .inputs(inputs.clone())
+            .input_derivatives(passed)
+    };
+    let steps = |passed| slave("switched_input").simulate(&options(passed)).unwrap().stats.accepted_steps;
+    assert_eq!((steps(true), steps(false)), (1, 100));
+}
+
+#[test]
+fn communication_step_is_the_larger_of_stated_step_and_row_distance() {
+    let stated = |step: &str, variable: bool| {
+        evil_with(&[], |xml| {
+            let interface = format!(
+                "<CoSimulation modelIdentifier=\"evil\" canHandleVariableCommunicationStepSize=\"{variable}\"/>"
+            );
+            xml.replace("<ModelExchange modelIdentifier=\"evil\"/>", &interface)
+                .replace("stopTime=\"1\"", &format!("stopTime=\"1\" stepSize=\"{step}\""))
+        })
+    };
+    let steps = |step: &str, variable: bool, options: &SimulateOptions| {
+        let folder = stated(step, variable);
+        let result = folder.open().simulate(options).unwrap();
+        close(result.final_value("y").unwrap().unwrap(), (-1f64).exp(), 1e-9);
+        result.stats.accepted_steps
+    };
+    let rows = SimulateOptions::new().ncp(20);
+    assert_eq!(steps("1e-8", true, &rows), 20);
+    assert_eq!(steps("1e-8", false, &rows), 20);
+    assert_eq!(steps("1e-3", true, &rows), 20);
+    assert_eq!(steps("1e-3", true, &rows.clone().step_size(1e-3)), 1000);
+    // A model with steps of one length keeps the one it states.
+    assert_eq!(steps("1e-3", false, &rows), 1000);
+    let irregular = SimulateOptions::new().times([0.0, 0.25, 1.0]);
+    assert_eq!(steps("1e-8", true, &irregular), 3);
+}
+
+/// The evil model with steps of one length, or of any.
+fn with_stop_time(faults: &[&str], variable: bool) -> Folder {
+    evil_with(faults, |xml| {
+        let interface = format!(
+            "<CoSimulation modelIdentifier=\"evil\" canHandleVariableCommunicationStepSize=\"{variable}\"/>"
+        );
+        xml.replace("<ModelExchange modelIdentifier=\"evil\"/>", &interface)
+    })
+}
+
+#[test]
+fn every_co_simulation_is_told_a_stop_time() {
+    for variable in [true, false] {
+        let folder = with_stop_time(&["NEEDS_STOP"], variable);
+        for (end, step) in [(1.0, 0.1), (0.97, 0.1), (0.3, 0.1)] {
+            let options = SimulateOptions::new().final_time(end).times([0.0, end]).step_size(step);
+            let result = folder.open().simulate(&options).unwrap();
+            assert_eq!((result.termination, result.time.len()), (Termination::Finished, 2));
+        }
+    }
+}
+
+#[test]
+fn stop_time_is_withheld_when_the_last_step_was_refused_because_of_it() {
+    // 0.1 + 0.1 + 0.1 > 0.3.
+    let options = SimulateOptions::new().final_time(0.3).step_size(0.1).output_interval(0.1);
+    for status in ["fmi2Error", "fmi2Discard"] {
+        let folder = with_stop_time(&[&format!("STRICT_STOP={status}")], false);
+        let fmu = folder.open();
+        for _ in 0..2 {
+            let result = fmu.simulate(&options).unwrap();
+            assert_eq!(result.time.len(), 4);
+            for (t, y) in result.time.iter().zip(result.get("y").unwrap()) {
+                close(*y, (-t).exp(), 1e-12);
+            }
+        }
+        let quirks: Vec<String> = fmu.quirks_seen().into_iter().map(|quirk| quirk.message).collect();
+        assert!(quirks.len() == 1 && quirks[0].contains("the stop time 0.3"), "{quirks:?}");
+    }
+    // A model whose last step fails anyway is told the stop time as before.
+    let folder = with_stop_time(&["NEEDS_STOP", "FAILS_BEYOND=0.25"], false);
+    let fmu = folder.open();
+    for _ in 0..2 {
+        let error = fmu.simulate(&options).unwrap_err();
+        assert_eq!(error.call_failure().unwrap().call, "fmi2DoStep", "{error}");
+    }
+    assert!(fmu.quirks_seen().is_empty());
+}

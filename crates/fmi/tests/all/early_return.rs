@@ -10,10 +10,10 @@ use fmi::{BetweenSteps, Inputs, SimulateOptions, SimulationPlan, Simulator};
 use std::sync::Arc;
 use support::{fixture, fixture_with};
 
-/// u = t.
+/// u = t, in steps of 0.5.
 fn ramp() -> SimulateOptions {
     let inputs = Inputs::new().series("u", vec![0.0, 3.0], vec![0.0, 3.0]);
-    SimulateOptions::new().inputs(inputs).times([0.0, 1.0, 2.0, 3.0])
+    SimulateOptions::new().inputs(inputs).times([0.0, 1.0, 2.0, 3.0]).step_size(0.5)
 }
 
 /// x where u is held from each of these points to the next.

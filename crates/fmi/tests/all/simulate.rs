@@ -340,7 +340,8 @@ fn bad_tables_name_variable_row_and_number() {
         (new().series("enabled", vec![0.0, 1.0], vec![1.0, 2.0]), "input enabled: 2 in row 1 is not 0 or 1"),
         (new().function("gear", |t| t), "continuous inputs of floating-point type only"),
         (new().function("u", |t| t).function("u", |t| t), "input u: it is given twice"),
-        (new().function("K", |t| t), "input K: it is not an input"),
+        (new().function("T", |t| t), "input T: it is neither an input nor a tunable parameter"),
+        (new().function("K", |t| t), "continuous inputs of floating-point type only"),
         (new().function("uu", |t| t), "did you mean u"),
     ] {
         let problem = problem(inputs);

@@ -49,6 +49,16 @@ EXPORT fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2
         say(m, fmi2Error, "the step begins elsewhere");
         return fmi2Error;
     }
+#ifdef STRICT_STOP
+    /* Its own time is a sum of steps. */
+    if (m->has_stop && m->time + step > m->stop) {
+        say(m, fmi2Error, "a step beyond the stop time");
+        return STRICT_STOP;
+    }
+#endif
+#ifdef FAILS_BEYOND
+    if (time + step > FAILS_BEYOND) return fmi2Error;
+#endif
 #ifdef PARTIAL_STEPS
     if (step > 0.0301) {
         solve(m, 0.03);

@@ -40,6 +40,8 @@ typedef struct {
     double restored_k;
     double remembered;
     double made_k; /* k when the instance was made */
+    double stop;
+    int has_stop;
     fmi2CallbackFunctions functions;
 } Model;
 
@@ -193,7 +195,15 @@ EXPORT void fmi2FreeInstance(fmi2Component c) {
 
 EXPORT fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real start,
                                       fmi2Boolean has_stop, fmi2Real stop) {
-    (void)has_tolerance; (void)tolerance; (void)has_stop; (void)stop;
+    (void)has_tolerance; (void)tolerance;
+#ifdef NEEDS_STOP
+    if (!has_stop) {
+        say(c, fmi2Error, "a stop time is needed");
+        return fmi2Error;
+    }
+#endif
+    ((Model *)c)->stop = stop;
+    ((Model *)c)->has_stop = has_stop;
     ((Model *)c)->time = start;
 #ifdef BEGINS_IN_SETUP
     K((Model *)c) = 1;
@@ -229,6 +239,9 @@ EXPORT fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
         Model *m = c;
         AT_INITIALIZE;
     }
+#endif
+#ifdef COMPUTES_X
+    ((Model *)c)->x = COMPUTES_X;
 #endif
 #ifdef OVERRIDES_K
     K((Model *)c) = 1.5;

@@ -58,6 +58,9 @@ static ModelStatus initialize(void *instance, double time, ModelProblem *problem
     Memory *memory = (Memory *)instance;
     (void)time;
     memory->next = 0.5;
+#ifdef COMPUTES_X
+    memory->x = COMPUTES_X;
+#endif
     memory->fault = memory->k < 10 ? 0 : (int32_t)memory->k;
     switch (memory->fault) {
     case NO_START:

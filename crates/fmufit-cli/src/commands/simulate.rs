@@ -174,6 +174,14 @@ fn options(arguments: &Simulate, fmu: &Fmu, console: &Console) -> Result<Simulat
         let value = value_of(fmu.description(), &name, &value)?;
         options = options.start_value(name, value);
     }
+    for (name, value) in
+        short_form::assignments(&arguments.initial_states, "NAME=NUMBER, as in --initial-state level=0.1")?
+    {
+        let number = value.parse().map_err(|_| {
+            Error::input(format!("--initial-state {name}={value}: '{value}' is not a number"))
+        })?;
+        options = options.initial_state(name, number);
+    }
     if let Some(path) = &arguments.input {
         let request = CsvRequest { time: arguments.time.as_deref(), ..CsvRequest::default() };
         let data = Data::read_csv(path, request).map_err(Error::of_arguments)?;

@@ -192,6 +192,12 @@ impl Fmu {
         list_of_terminals(py, &terminals)
     }
 
+    /// Names of the parameters that may change during a simulation.
+    fn tunable_parameters(&self) -> Vec<&str> {
+        let variables = self.description().variables.iter();
+        variables.filter(|v| v.is_tunable_parameter()).map(|v| v.name.as_str()).collect()
+    }
+
     /// Names of the variables of a causality.
     fn names_of(&self, causality: &str) -> Vec<&str> {
         let variables = self.description().variables.iter();

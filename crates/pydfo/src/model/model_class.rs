@@ -124,6 +124,9 @@ pub(crate) struct Request<'py> {
     described: Option<Bound<'py, Fmu>>,
     #[pyo3(item(17))]
     sandbox: bool,
+    /// Those of the start values that are initial states.
+    #[pyo3(item(18))]
+    initial_states: Vec<String>,
 }
 
 impl Request<'_> {
@@ -364,6 +367,7 @@ impl Model {
             let set = ParameterSet::read(path).and_then(|set| set.values(description));
             options.start_values.extend(set.map_err(|e| error::calibration(py, &e))?);
         }
+        options.initial_states = request.initial_states;
         options.clock_intervals =
             request.clock_intervals.into_iter().map(|(name, interval)| (name, interval.into())).collect();
         options.outputs = request.outputs;

@@ -116,13 +116,24 @@ impl Calibration {
             }
         }
         let starts = states(description).into_iter().filter_map(|name| description.variable(name));
-        let starts = starts
-            .filter(|v| v.initial != Some(Initial::Calculated))
-            .filter_map(|v| number(OmittedKind::StartValue, v));
+        // A start value that is a guess may have no effect; an initial state is set in model exchange.
+        let has_effect = |v: &&Variable| {
+            let mut states = problem.experiments.iter().flat_map(|e| &e.initial_states);
+            v.initial == Some(Initial::Exact)
+                || v.initial == Some(Initial::Approx)
+                    && !self.is_co_simulation()
+                    && states.any(|(name, _)| is_same(description, name, &v.name))
+        };
+        let starts = starts.filter(has_effect).filter_map(|v| number(OmittedKind::StartValue, v));
+        let is_driven = |v: &Variable| {
+            let mut inputs = problem.experiments.iter().flat_map(|e| &e.inputs);
+            inputs.any(|(name, _)| is_same(description, name, &v.name))
+        };
         let is_held = |v: &&Variable| {
             v.causality == Causality::Parameter
                 && matches!(v.variability, Variability::Fixed | Variability::Tunable)
                 && v.initial != Some(Initial::Calculated)
+                && !is_driven(v)
         };
         let held =
             description.variables.iter().filter(is_held).filter_map(|v| number(OmittedKind::HeldValue, v));

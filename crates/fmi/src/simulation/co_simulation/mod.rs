@@ -46,6 +46,7 @@ impl CoSimulationState {
             longest: f64::INFINITY,
             next_event: None,
             discards: 0,
+            holds_inputs: true,
             is_elsewhere: false,
             tried: 0.0,
             stats: Stats { runs: 1, ..Stats::default() },
@@ -65,7 +66,10 @@ impl CoSimulationState {
         match exit {
             Exit::Normal(termination) => Ok(Report { termination, time, stats }),
             Exit::Error(kind) => {
-                self.running.current.broken |= matches!(kind, ErrorKind::Model(_));
+                if matches!(kind, ErrorKind::Model(_)) {
+                    self.running.current.broken = true;
+                    self.note_failure();
+                }
                 let error = SimulationError {
                     kind,
                     time,

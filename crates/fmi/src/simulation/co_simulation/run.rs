@@ -2,8 +2,9 @@
 
 use super::state::{Call, CoSimulationState};
 use crate::description::QuirkKind;
-use crate::error::FmiError;
+use crate::error::{FmiError, Status};
 use crate::instance::StepOutcome;
+use crate::libraries::StopTime;
 use crate::simulation::plan::{Communication, SimulationPlan};
 use crate::simulation::running::Running;
 use crate::simulation::shared_observer::SharedObserver;
@@ -72,6 +73,8 @@ pub(super) struct Run<'a, 'o> {
     /// The time event that the model announced.
     pub(super) next_event: Option<f64>,
     pub(super) discards: u32,
+    /// The model is told values of inputs, but no derivatives: it holds them over a step.
+    pub(super) holds_inputs: bool,
     /// The model has been found to stand elsewhere than at the end of a step.
     pub(super) is_elsewhere: bool,
     pub(super) tried: f64,
@@ -109,6 +112,8 @@ impl Run<'_, '_> {
     pub(super) fn start(&mut self) -> Step<()> {
         let initial = self.timed(Call::Events, |run| run.stepping.run_initial_events(run.outside))?;
         self.next_event = initial.next_time;
+        let raw = &self.stepping.running.current.core()?.raw;
+        self.holds_inputs = !(self.communication.input_derivatives && raw.can_set_input_derivatives());
         self.sample_here()?;
         if initial.terminate {
             return Err(Exit::Normal(Termination::StoppedByModel));
@@ -135,8 +140,18 @@ impl Run<'_, '_> {
             let outcome = current.core()?.do_step(run.t, target.step, &|| run.outside.check());
             current.broken |= outcome.is_err();
             outcome
-        })?;
+        });
+        let outcome = match outcome {
+            Err(error) => {
+                if error.call_failure().is_some_and(|failure| failure.status == Status::Error) {
+                    self.note_last_step(&target, true);
+                }
+                return Err(error.into());
+            }
+            Ok(outcome) => outcome,
+        };
         if outcome.complete {
+            self.note_last_step(&target, false);
             self.discards = 0;
             self.longest = f64::INFINITY;
             self.check_internal_time(&target, &outcome);
@@ -169,6 +184,10 @@ impl Run<'_, '_> {
             } else {
                 Err(Exit::Normal(Termination::StoppedByModel))
             };
+        }
+        if (terminate || !can_retry) && !event && self.note_last_step(target, true) {
+            let core = self.stepping.running.current.core()?;
+            return Err(core.error(Fault::Discard(core.raw.step_function())).into());
         }
         if terminate {
             return Ok(());
@@ -233,6 +252,28 @@ impl Run<'_, '_> {
         Ok(())
     }
 
+    /// Notes whether a step to the stop time was refused. Returns true if the next run treats the stop time
+    /// in another way, so that this one is repeated.
+    fn note_last_step(&mut self, target: &Target, is_refused: bool) -> bool {
+        let CoSimulationState { stop, is_stop_told, .. } = *self.stepping;
+        if target.time < stop - self.plan.time_tolerance {
+            return false;
+        }
+        let mut knowledge = self.plan.fmu().reset_knowledge(self.plan.kind);
+        let known = knowledge.stop_time;
+        knowledge.stop_time = known.after_last_step(is_stop_told, is_refused);
+        let now = knowledge.stop_time;
+        drop(knowledge);
+        if known != now && now == StopTime::Withheld {
+            let message = format!(
+                "the model refuses the step that ends at the stop time {} if it is told that time: it is not told",
+                Number(stop)
+            );
+            self.plan.fmu().note_quirk(QuirkKind::Promise, message);
+        }
+        known != now
+    }
+
     /// Notes the first time at which a model stands elsewhere than at the end of a step that it calls
     /// complete: it has the values of another time there.
     fn check_internal_time(&mut self, target: &Target, outcome: &StepOutcome) {
@@ -282,8 +323,9 @@ impl Run<'_, '_> {
             time = next.min(time);
         }
         let input = plan.inputs.next_stop(self.t).map(|stop| stop.time);
+        let input_row = plan.inputs.next_row(self.t).filter(|_| self.holds_inputs);
         let retry = Some(self.t + self.longest);
-        let stops = [self.row_before(time - time_tolerance), input, retry];
+        let stops = [self.row_before(time - time_tolerance), input, input_row, retry];
         let stops = stops.into_iter().flatten().map(|stop| self.stop_before(stop));
         let event = self.next_event.filter(|next| *next > self.t + time_tolerance);
         for stop in stops.chain(event) {
@@ -365,11 +407,7 @@ impl Run<'_, '_> {
         }
         // The versions with this call have no other floating-point type.
         let (references, n) = inputs.continuous.reals();
-        match current.core()?.call(|raw| raw.set_input_derivatives(references, &slopes[..n])) {
-            // Offered, but not there: then inputs are held, as for everybody else.
-            Ok(()) | Err(FmiError::MissingFunction(_)) => Ok(()),
-            Err(error) => Err(error.into()),
-        }
+        Ok(current.core()?.call(|raw| raw.set_input_derivatives(references, &slopes[..n]))?)
     }
 
     /// The events of this point, in event mode: those of the model, and the jumps of inputs. Returns whether
@@ -385,7 +423,7 @@ impl Run<'_, '_> {
         if cause == EventCause::default() {
             return Ok(false);
         }
-        let outcome = self.timed(Call::Events, Self::visit_event_mode)?;
+        let outcome = self.timed(Call::Events, |run| run.visit_event_mode(jumped))?;
         self.next_event = outcome.next_time.filter(|next| *next > self.t);
         self.stats.events += 1;
         self.stats.input_events += u64::from(cause.input);
@@ -396,32 +434,36 @@ impl Run<'_, '_> {
         Ok(outcome.terminate)
     }
 
-    fn visit_event_mode(&mut self) -> Step<EventOutcome> {
+    fn visit_event_mode(&mut self, jumped: bool) -> Step<EventOutcome> {
         self.compute_continuous()?;
         let Running { inputs, current, .. } = &mut self.stepping.running;
         let core = current.core()?;
         core.call(RawInstance::enter_event_mode)?;
         inputs.set_held(core, &self.plan.inputs)?;
+        if jumped {
+            inputs.set_parameters(core, &self.plan.inputs)?;
+        }
         self.plan.inputs.continuous.set(core, &inputs.continuous)?;
         Ok(self.stepping.run_event_mode(self.t, self.outside)?)
     }
 
-    /// The inputs of the next step, and their derivatives: where there is an event mode only the continuous
-    /// ones, for the others were set there.
+    /// The inputs of the next step, and their derivatives; tunable parameters if one has changed. With an
+    /// event mode only the continuous inputs: the others were set there.
     fn set_inputs(&mut self, target: &Target) -> Step<()> {
         let event_mode = self.stepping.running.current.core()?.raw.has_event_mode();
-        if !event_mode {
-            self.stepping.running.inputs.pass(&self.plan.inputs, self.t);
-        }
+        let jumped = !event_mode && self.stepping.running.inputs.pass(&self.plan.inputs, self.t);
         self.compute_continuous()?;
         let Running { inputs, current, .. } = &mut self.stepping.running;
         let core = current.core()?;
         if !event_mode {
             inputs.set_held(core, &self.plan.inputs)?;
         }
+        if jumped {
+            inputs.set_parameters(core, &self.plan.inputs)?;
+        }
         let continuous = &self.plan.inputs.continuous;
         continuous.set(core, &inputs.continuous)?;
-        if self.communication.input_derivatives && !continuous.is_empty() {
+        if !self.holds_inputs && !continuous.is_empty() {
             self.set_input_derivatives(target)?;
         }
         Ok(())

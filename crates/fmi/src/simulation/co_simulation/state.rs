@@ -4,7 +4,7 @@
 use crate::description::Variable;
 use crate::error::Result;
 use crate::instance::Core;
-use crate::simulation::plan::SimulationPlan;
+use crate::simulation::plan::{Communication, SimulationPlan};
 use crate::simulation::running::{Current, Mode, Running};
 use crate::simulation::shared_observer::SharedObserver;
 use crate::simulation::variable_elements::RunInput;
@@ -24,6 +24,9 @@ pub(crate) struct CoSimulationState {
     /// Derivatives of outputs at the end of a step, where there are some.
     pub(super) ends: Vec<f64>,
     pub(super) stopwatch: Stopwatch<{ Call::KINDS }>,
+    /// The stop time, and whether the model was told it.
+    pub(super) stop: f64,
+    pub(super) is_stop_told: bool,
 }
 
 impl CoSimulationState {
@@ -36,6 +39,8 @@ impl CoSimulationState {
             slopes: vec![0.0; plan.inputs.continuous.start().len()],
             ends: Vec::with_capacity(plan.outputs().smooth.0.len()),
             stopwatch: Stopwatch::new(),
+            stop: plan.end,
+            is_stop_told: false,
             running: Running::new(plan),
         }
     }
@@ -43,11 +48,20 @@ impl CoSimulationState {
     /// Brings a fresh instance to the start time: values, inputs, initialization.
     pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<()> {
         let plan = &self.running.plan;
-        let ends_exactly = plan.communication.as_ref().is_some_and(|c| c.ends_exactly);
-        let stop = ends_exactly.then_some(plan.end);
-        let core = Some(self.running.begin(raw, input, stop)?);
+        let stop = |c: &Communication| c.stop_time(plan.start, plan.end, plan.time_tolerance);
+        self.stop = plan.communication.as_ref().map_or(plan.end, stop);
+        self.is_stop_told = plan.fmu().reset_knowledge(plan.kind).stop_time.is_told();
+        let began = self.running.begin(raw, input, self.is_stop_told.then_some(self.stop));
+        let core = Some(began.inspect_err(|_| self.note_failure())?);
         self.running.current = Current { core, mode: Mode::Step, ..Current::default() };
         Ok(())
+    }
+
+    /// Notes that the model failed.
+    pub(super) fn note_failure(&self) {
+        let plan = &self.running.plan;
+        let mut knowledge = plan.fmu().reset_knowledge(plan.kind);
+        knowledge.stop_time = knowledge.stop_time.after_failure(self.is_stop_told);
     }
 
     /// Lets the initial events happen, where there is an event mode.

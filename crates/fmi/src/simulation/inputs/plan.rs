@@ -1,5 +1,5 @@
-//! Time-varying inputs: tables and functions; linear between rows for continuous floating-point inputs, held
-//! for everything else.
+//! Time-varying inputs and tunable parameters: tables and functions; linear between rows for continuous
+//! floating-point inputs, held for everything else.
 
 use super::texts::TextInput;
 use crate::description::{Causality, ClockKind, Value, Variability, Variable, VariableKind};
@@ -17,12 +17,15 @@ use std::sync::Arc;
 /// A function of time.
 pub type InputFunction = Arc<dyn Fn(f64) -> f64 + Send + Sync>;
 
-/// Sources that drive the inputs of a model.
+/// Sources that drive the inputs of a model, and its tunable parameters.
 ///
 /// Continuous inputs of floating-point type are linear between the rows of their table, all other inputs
 /// (texts, too: [`values`](Self::values)) keep the value of a row until the next; outside of the table the
 /// first and the last row hold. A time listed twice is a jump: the first of the two rows is the limit from
 /// the left. Jumps and changes of held values are events; changes of slope are hit by steps.
+///
+/// Tunable parameters are held. They have their first value from before the initialization on, and change at
+/// events in model exchange and at communication points in co-simulation.
 ///
 /// ```
 /// use fmi::Inputs;
@@ -171,7 +174,44 @@ impl Inputs {
 #[derive(Debug, Clone)]
 pub(super) struct Held {
     pub(super) column: HeldTable,
+    pub(super) is_parameter: bool,
     pub(super) target: Target,
+}
+
+/// Variables that are held from row to row.
+#[derive(Debug, Clone, Default)]
+pub(super) struct HeldSlots {
+    pub(super) reals: Slots<f64>,
+    pub(super) packed: Vec<(VariableKind, Slots<i64>)>,
+    pub(super) texts: Vec<TextInput>,
+}
+
+impl HeldSlots {
+    /// The place of a variable of numbers, or of an element of one.
+    fn place(&mut self, starts: &Starts<'_>, place: VariableElement) -> Result<Target> {
+        let variable = &starts.description.variables[place.variable];
+        let (kind, reference) = (variable.kind, variable.value_reference);
+        if kind == VariableKind::Real {
+            return Ok(Target::Real(self.reals.place(reference, place.element, || starts.reals(place))?));
+        }
+        let group = match self.packed.iter().position(|(known, _)| *known == kind) {
+            Some(group) => group,
+            None => {
+                self.packed.push((kind, Slots::default()));
+                self.packed.len() - 1
+            }
+        };
+        let slots = &mut self.packed[group].1;
+        Ok(Target::Packed(group, slots.place(reference, place.element, || starts.words(place))?))
+    }
+
+    /// The variables, each by its type and reference.
+    fn references(&self) -> impl Iterator<Item = (VariableKind, u32)> + '_ {
+        let of = |kind: VariableKind| move |reference: &u32| (kind, *reference);
+        let packed = self.packed.iter().flat_map(move |(kind, slots)| slots.references.iter().map(of(*kind)));
+        let reals = self.reals.references.iter().map(of(VariableKind::Real));
+        reals.chain(self.texts.iter().map(TextInput::reference)).chain(packed)
+    }
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -191,13 +231,17 @@ pub(crate) struct InputPlan {
     pub(super) functions: Vec<(InputFunction, usize)>,
     pub(crate) continuous: FloatSlots,
     pub(super) held: Vec<Held>,
-    pub(crate) held_reals: Slots<f64>,
-    pub(crate) held_packed: Vec<(VariableKind, Slots<i64>)>,
-    pub(super) texts: Vec<TextInput>,
+    pub(super) held_inputs: HeldSlots,
+    /// Tunable parameters.
+    pub(super) parameters: HeldSlots,
     /// Instants of jumps, ascending.
     pub(super) jumps: Vec<f64>,
     /// Jumps and kinks, ascending.
     pub(super) stops: Vec<InputStop>,
+    /// Times of rows at which a continuous input has another value than in the row before, ascending; in
+    /// co-simulation.
+    pub(super) rows: Vec<f64>,
+    pub(super) is_sampled: bool,
     /// Times closer than this are one.
     pub(super) time_tolerance: f64,
     /// Variables that are driven.
@@ -218,12 +262,18 @@ impl fmt::Debug for InputPlan {
 
 impl InputPlan {
     /// Resolves and checks the inputs; `time_tolerance` is the distance within which times are equal.
+    /// `is_sampled`: the model sees values of inputs at communication points only.
     ///
     /// # Errors
-    /// Unknown names, variables that are not inputs, tables whose rows cannot be used.
-    pub(crate) fn new(starts: &Starts<'_>, inputs: &Inputs, time_tolerance: f64) -> Result<Self> {
+    /// Unknown names, variables that cannot be driven, tables whose rows cannot be used.
+    pub(crate) fn new(
+        starts: &Starts<'_>,
+        inputs: &Inputs,
+        time_tolerance: f64,
+        is_sampled: bool,
+    ) -> Result<Self> {
         let description = starts.description;
-        let mut plan = Self { time_tolerance, ..Self::default() };
+        let mut plan = Self { time_tolerance, is_sampled, ..Self::default() };
         let mut stops = Vec::new();
         // Those of type Real come first, as `FloatSlots` wants it.
         let place_of =
@@ -234,10 +284,13 @@ impl InputPlan {
         for (k, (place, source)) in sources.iter().enumerate() {
             let (place, Source { name, values: source }) = (*place, source);
             let variable = &description.variables[place.variable];
-            if variable.causality != Causality::Input {
+            if variable.causality != Causality::Input && !variable.is_tunable_parameter() {
                 return Err(bad(
                     variable,
-                    format!("it is not an input but a variable of causality {}", variable.causality),
+                    format!(
+                        "it is neither an input nor a tunable parameter, but a variable of causality {} and variability {}",
+                        variable.causality, variable.variability
+                    ),
                 ));
             }
             let earlier = sources[..k].iter().find(|(driven, _)| driven.overlaps(place, description));
@@ -271,7 +324,8 @@ impl InputPlan {
                     plan.functions.push((function, at));
                 }
                 SourceValues::Function(_) => {
-                    let problem = "a function can drive continuous inputs of floating-point type only; use a table, whose changes are events";
+                    let problem = "a function can drive continuous inputs of floating-point type only; use a table, whose changes are \
+                         events";
                     return Err(bad(variable, problem.to_owned()));
                 }
                 SourceValues::Any(times, values) if !variable.kind.is_number() => {
@@ -283,8 +337,11 @@ impl InputPlan {
                     check_rows(variable, times, &numbers)?;
                     let column = InputTable { times: Arc::clone(times), values: numbers.into() };
                     column.held_stops(&mut stops);
-                    plan.held.push(Held { column: column.into(), target: Target::Text(plan.texts.len()) });
-                    plan.texts.push(text);
+                    let slots = plan.held_slots(variable);
+                    slots.texts.push(text);
+                    let target = Target::Text(slots.texts.len() - 1);
+                    let is_parameter = variable.is_tunable_parameter();
+                    plan.held.push(Held { column: column.into(), is_parameter, target });
                 }
                 SourceValues::Any(times, values) => {
                     let converted: Vec<Value> =
@@ -326,6 +383,9 @@ impl InputPlan {
         if is_linear(variable) {
             let column = column.times(if variable.negated { -1.0 } else { 1.0 });
             column.linear_stops(self.time_tolerance, stops);
+            if self.is_sampled {
+                self.rows.extend(column.changes());
+            }
             let at = self.continuous.place(starts, place)?;
             self.linear.push((column, at));
             return Ok(());
@@ -359,24 +419,16 @@ impl InputPlan {
         self.hold(starts, place, column)
     }
 
+    /// The held variables that this one belongs to.
+    fn held_slots(&mut self, variable: &Variable) -> &mut HeldSlots {
+        if variable.is_tunable_parameter() { &mut self.parameters } else { &mut self.held_inputs }
+    }
+
     fn hold(&mut self, starts: &Starts<'_>, place: VariableElement, column: HeldTable) -> Result<()> {
         let variable = &starts.description.variables[place.variable];
-        let (kind, reference) = (variable.kind, variable.value_reference);
-        let target = if kind == VariableKind::Real {
-            Target::Real(self.held_reals.place(reference, place.element, || starts.reals(place))?)
-        } else {
-            let group = match self.held_packed.iter().position(|(known, _)| *known == kind) {
-                Some(group) => group,
-                None => {
-                    self.held_packed.push((kind, Slots::default()));
-                    self.held_packed.len() - 1
-                }
-            };
-            let slots = &mut self.held_packed[group].1;
-            Target::Packed(group, slots.place(reference, place.element, || starts.words(place))?)
-        };
-        let column = if variable.negated { column.negated(kind) } else { column };
-        self.held.push(Held { column, target });
+        let target = self.held_slots(variable).place(starts, place)?;
+        let column = if variable.negated { column.negated(variable.kind) } else { column };
+        self.held.push(Held { column, is_parameter: variable.is_tunable_parameter(), target });
         Ok(())
     }
 
@@ -413,6 +465,8 @@ impl InputPlan {
 
     /// Merges stops of all columns that are one instant, and moves the rows there onto it.
     pub(super) fn take_stops(&mut self, mut stops: Vec<InputStop>) {
+        self.rows.sort_by(f64::total_cmp);
+        self.rows.dedup();
         stops.sort_by(|a, b| a.time.total_cmp(&b.time));
         let mut first = f64::NEG_INFINITY;
         for stop in stops {
@@ -436,24 +490,34 @@ impl InputPlan {
 
     /// The variables that are driven, each by its type and reference.
     pub(crate) fn references(&self) -> impl Iterator<Item = (VariableKind, u32)> + '_ {
-        let reals = self.held_reals.references.iter();
-        let packed = self.held_packed.iter();
-        let texts = self.texts.iter().map(TextInput::reference);
-        self.continuous.references().chain(reals.map(|r| (VariableKind::Real, *r))).chain(texts).chain(
-            packed.flat_map(|(kind, slots)| slots.references.iter().map(|reference| (*kind, *reference))),
-        )
+        let held = self.held_inputs.references().chain(self.parameters.references());
+        self.continuous.references().chain(held)
     }
 
-    /// Number of stops between these times.
-    pub(crate) fn stops_within(&self, start: f64, end: f64) -> usize {
-        let up_to = |t: f64| self.stops.partition_point(|stop| stop.time <= t);
-        up_to(end - self.time_tolerance).saturating_sub(up_to(start + self.time_tolerance))
+    /// Those that are set before the initialization, too.
+    pub(crate) fn early_references(&self) -> impl Iterator<Item = (VariableKind, u32)> + '_ {
+        self.parameters.references()
+    }
+
+    /// Number of the times between these at which the inputs jump or change their slope, or if they are held
+    /// between communication points, have another value.
+    pub(crate) fn n_points_within(&self, start: f64, end: f64, are_held: bool) -> usize {
+        let is_within = |time: f64| time > start + self.time_tolerance && time <= end - self.time_tolerance;
+        let stops = self.stops.iter().filter(|stop| is_within(stop.time)).count();
+        let rows = self.rows.iter().filter(|row| is_within(**row)).count();
+        if are_held { stops.max(rows) } else { stops }
     }
 
     /// The first stop after `t`.
     pub(crate) fn next_stop(&self, t: f64) -> Option<InputStop> {
         let next = self.stops.partition_point(|stop| stop.time <= t + self.time_tolerance);
         self.stops.get(next).copied()
+    }
+
+    /// The first row after `t` with another value of a continuous input.
+    pub(crate) fn next_row(&self, t: f64) -> Option<f64> {
+        let next = self.rows.partition_point(|row| *row <= t + self.time_tolerance);
+        self.rows.get(next).copied()
     }
 }
 

@@ -1,6 +1,6 @@
 //! Where a run stands in its inputs: which jumps have happened, and the values for the next calls.
 
-use super::plan::{InputPlan, Target};
+use super::plan::{HeldSlots, InputPlan, Target};
 use crate::error::{FmiError, Result};
 use crate::instance::Core;
 use ode::Stopwatch;
@@ -12,16 +12,45 @@ pub(crate) struct InputState {
     passed: usize,
     cursors: Vec<usize>,
     pub(crate) continuous: Vec<f64>,
-    pub(crate) held_reals: Vec<f64>,
-    /// Lanes, by the groups of the plan.
-    pub(crate) held_packed: Vec<Vec<i64>>,
-    /// The number of the value that each text has.
-    texts: Vec<usize>,
+    held_inputs: HeldValues,
+    parameters: HeldValues,
     /// Seconds in functions of the user since the start: a sum over all calls, each of which adds what is
     /// known of it when it ends, so that also differences of it mean the time between.
     in_functions: f64,
     /// All functions at one instant are one call: one of them may do the work for the others.
     stopwatch: Stopwatch<1>,
+}
+
+/// The values of variables that are held from row to row.
+#[derive(Debug, Default)]
+struct HeldValues {
+    reals: Vec<f64>,
+    /// Lanes, by the groups of the plan.
+    packed: Vec<Vec<i64>>,
+    /// The number of the value that each text has.
+    texts: Vec<usize>,
+}
+
+impl HeldValues {
+    fn new(slots: &HeldSlots) -> Self {
+        Self {
+            reals: slots.reals.start.clone(),
+            packed: slots.packed.iter().map(|(_, slots)| slots.start.clone()).collect(),
+            texts: vec![0; slots.texts.len()],
+        }
+    }
+
+    /// Sets the variables, one call per type.
+    fn set(&self, core: &mut Core, slots: &HeldSlots) -> Result<()> {
+        core.set_reals(&slots.reals.references, &self.reals)?;
+        for ((kind, slots), words) in slots.packed.iter().zip(&self.packed) {
+            core.call(|raw| raw.set_packed(*kind, &slots.references, words))?;
+        }
+        for (text, number) in slots.texts.iter().zip(&self.texts) {
+            text.set(core, *number)?;
+        }
+        Ok(())
+    }
 }
 
 impl InputState {
@@ -31,9 +60,8 @@ impl InputState {
             passed: 0,
             cursors: vec![0; plan.linear.len()],
             continuous: plan.continuous.start().to_vec(),
-            held_reals: plan.held_reals.start.clone(),
-            held_packed: plan.held_packed.iter().map(|(_, slots)| slots.start.clone()).collect(),
-            texts: vec![0; plan.texts.len()],
+            held_inputs: HeldValues::new(&plan.held_inputs),
+            parameters: HeldValues::new(&plan.parameters),
             in_functions: 0.0,
             stopwatch: Stopwatch::new(),
         }
@@ -64,12 +92,16 @@ impl InputState {
             None => t,
         };
         for held in &plan.held {
+            let (values, slots) = match held.is_parameter {
+                true => (&mut self.parameters, &plan.parameters),
+                false => (&mut self.held_inputs, &plan.held_inputs),
+            };
             match held.target {
-                Target::Real(i) => self.held_reals[i] = held.column.column.held(now),
+                Target::Real(i) => values.reals[i] = held.column.column.held(now),
                 Target::Packed(group, i) => {
-                    self.held_packed[group][i] = held.column.word(plan.held_packed[group].0, now);
+                    values.packed[group][i] = held.column.word(slots.packed[group].0, now);
                 }
-                Target::Text(i) => self.texts[i] = held.column.column.held(now) as usize,
+                Target::Text(i) => values.texts[i] = held.column.column.held(now) as usize,
             }
         }
         self.passed > before
@@ -96,16 +128,14 @@ impl InputState {
 }
 
 impl InputState {
-    /// Sets the held inputs, one call per type.
+    /// Sets the held inputs.
     pub(crate) fn set_held(&self, core: &mut Core, plan: &InputPlan) -> Result<()> {
-        core.set_reals(&plan.held_reals.references, &self.held_reals)?;
-        for ((kind, slots), words) in plan.held_packed.iter().zip(&self.held_packed) {
-            core.call(|raw| raw.set_packed(*kind, &slots.references, words))?;
-        }
-        for (text, number) in plan.texts.iter().zip(&self.texts) {
-            text.set(core, *number)?;
-        }
-        Ok(())
+        self.held_inputs.set(core, &plan.held_inputs)
+    }
+
+    /// Sets the tunable parameters: before the initialization, and when there was a jump.
+    pub(crate) fn set_parameters(&self, core: &mut Core, plan: &InputPlan) -> Result<()> {
+        self.parameters.set(core, &plan.parameters)
     }
 
     /// Error for a value that [`continuous_at`](Self::continuous_at) has refused.
@@ -133,13 +163,13 @@ mod tests {
         let mut stops = Vec::new();
         linear.iter().for_each(|c| c.linear_stops(plan.time_tolerance, &mut stops));
         held.iter().for_each(|c| c.held_stops(&mut stops));
-        plan.held_reals.start = vec![0.0; held.len()];
+        plan.held_inputs.reals.start = vec![0.0; held.len()];
         plan.continuous = FloatSlots::of_zeros(linear.len());
         plan.linear = linear.into_iter().zip(0..).collect();
         plan.held = held
             .into_iter()
             .enumerate()
-            .map(|(i, column)| Held { column: column.into(), target: Target::Real(i) })
+            .map(|(i, column)| Held { column: column.into(), is_parameter: false, target: Target::Real(i) })
             .collect();
         plan.take_stops(stops);
         plan
@@ -153,17 +183,17 @@ mod tests {
         );
         let mut state = InputState::new(&plan);
         state.begin(&plan, 0.0);
-        assert_eq!(state.held_reals, [7.0]);
+        assert_eq!(state.held_inputs.reals, [7.0]);
         for (t, u) in [(0.5, 0.5), (1.0, 1.0), (1.5, 1.0)] {
             assert!(state.continuous_at(&plan, t));
             assert_eq!(state.continuous, [u], "t = {t}");
         }
         state.pass(&plan, 1.0);
-        assert_eq!(state.held_reals, [8.0]);
+        assert_eq!(state.held_inputs.reals, [8.0]);
         state.continuous_at(&plan, 1.0);
         assert_eq!(state.continuous, [5.0]);
         state.pass(&plan, 1.5);
-        assert_eq!(state.held_reals, [9.0]);
+        assert_eq!(state.held_inputs.reals, [9.0]);
     }
 
     #[test]
@@ -180,7 +210,7 @@ mod tests {
         assert_eq!(state.continuous, [1.0]);
         state.pass(&plan, 0.3);
         state.continuous_at(&plan, 0.3);
-        assert_eq!((state.continuous[0], state.held_reals[0]), (5.0, 8.0));
+        assert_eq!((state.continuous[0], state.held_inputs.reals[0]), (5.0, 8.0));
         assert_eq!(plan.next_stop(0.3), None);
         assert_eq!(plan.next_stop(0.0).map(|stop| (stop.time, stop.jump)), Some((near, true)));
     }

@@ -17,6 +17,9 @@ use base::Number;
 /// More steps than this are taken for a mistake.
 const MAX_STEPS: f64 = 1e9;
 
+/// A run of more steps than this is named before it begins.
+pub(super) const MANY_STEPS: f64 = 1e6;
+
 /// The communication points of a simulation.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Communication {
@@ -26,8 +29,6 @@ pub(crate) struct Communication {
     pub(crate) variable: bool,
     /// The model's own step: all points but those of events are multiples of it.
     internal: Option<f64>,
-    /// The stop time may be told: no step leads beyond it.
-    pub(crate) ends_exactly: bool,
     /// The FMU extrapolates inputs.
     pub(crate) extrapolates: bool,
     /// It does so from their derivatives, and is told them.
@@ -56,8 +57,13 @@ impl Communication {
             return Err(FmiError::BadSetting(problem));
         }
         let variable = capabilities.can_handle_variable_communication_step_size;
-        let suggested = experiment.step_size.filter(makes_sense);
-        let step = options.run.step_size.or(suggested).or(grid.interval.filter(makes_sense));
+        let stated = experiment.step_size.filter(makes_sense);
+        // A model that takes steps of one length may refuse any other than the one it states, and its rows between
+        // steps are interpolated. The stated step stays unless it makes too many steps.
+        let stays = |stated: f64| !variable && span / stated <= MANY_STEPS;
+        let stated =
+            stated.map(|stated| if stays(stated) { stated } else { stated.max(grid.mean_interval()) });
+        let step = options.run.step_size.or(stated).or(grid.interval.filter(makes_sense));
         // 500 steps where nobody says anything, as many as there are rows by default.
         let step = if variable { step } else { step.or(Some(span / 500.0).filter(makes_sense)) };
         let internal = capabilities.fixed_internal_step_size;
@@ -88,19 +94,22 @@ impl Communication {
             );
             return Err(FmiError::BadSetting(problem));
         }
-        let communication = Self {
+        Ok(Self {
             step,
             variable,
             internal,
-            ends_exactly: variable,
             extrapolates: capabilities.can_interpolate_inputs,
             input_derivatives: capabilities.can_interpolate_inputs
                 && options.run.input_derivatives != Some(false),
             output_derivatives: capabilities.max_output_derivative_order > 0,
-        };
-        // The last step leads beyond an end that is no multiple.
-        let ends_between = communication.steps_around(grid.start, grid.end, grid.time_tolerance).is_some();
-        Ok(Self { ends_exactly: variable && !ends_between, ..communication })
+        })
+    }
+
+    /// The stop time that the model is told: the final time, or the end of the last step where that leads
+    /// beyond the final time.
+    pub(crate) fn stop_time(&self, start: f64, end: f64, time_tolerance: f64) -> f64 {
+        let last = self.fixed_step().and_then(|step| around(step, start, end, time_tolerance));
+        last.map_or(end, |(_, above)| above)
     }
 
     /// The multiples of the model's own step next to `time`, before and after it; none where it is one, or
@@ -140,14 +149,14 @@ impl Communication {
         }
     }
 
-    /// Message about inputs that make more communication points than the step.
-    pub(crate) fn check_inputs(&self, grid: &Grid, stops: usize) -> Option<String> {
-        let step = self.step.filter(|_| self.variable && self.internal.is_none())?;
+    /// Message about inputs that make more communication points than the step that was asked for.
+    pub(crate) fn check_inputs(&self, grid: &Grid, asked: Option<f64>, points: usize) -> Option<String> {
+        let step = asked.filter(|_| self.variable && self.internal.is_none())?;
         let regular = ((grid.end - grid.start) / step).ceil();
-        (stops as f64 > regular).then(|| {
+        (points as f64 > regular).then(|| {
             format!(
-                "the inputs jump or change their slope at {stops} times, which are communication points in addition to those of \
-                 the step {}: the model steps from one to the next",
+                "the inputs change at {points} times, which are communication points in addition to those of the step {}: the \
+                 model steps from one to the next",
                 Number(step)
             )
         })
@@ -189,8 +198,30 @@ mod tests {
         let step = |step, suggested| communication(step, suggested, false).unwrap().step;
         assert_eq!(step(Some(0.3), Some(0.2)), Some(0.3));
         assert_eq!(step(None, Some(0.2)), Some(0.2));
+        assert_eq!(step(None, Some(0.01)), Some(0.01));
         assert_eq!(step(None, Some(-1.0)), Some(0.1));
         assert_eq!(step(None, None), Some(0.1));
+    }
+
+    #[test]
+    fn step_is_the_larger_of_stated_step_and_interval_unless_asked_for() {
+        let step = |step, suggested, variable| communication(step, suggested, variable).unwrap().step;
+        for (suggested, variable, expected) in
+            [(1e-8, true, 0.1), (0.01, true, 0.1), (0.25, true, 0.25), (1e-8, false, 0.1), (1e-12, true, 0.1)]
+        {
+            assert_eq!(step(None, Some(suggested), variable), Some(expected), "{suggested} {variable}");
+        }
+        assert_eq!(step(Some(0.003), Some(0.01), true), Some(0.003));
+    }
+
+    #[test]
+    fn stop_time_is_the_end_of_the_last_step() {
+        let stop = |step, variable, end| {
+            communication(Some(step), None, variable).unwrap().stop_time(0.0, end, 1e-13)
+        };
+        assert_eq!((stop(0.3, true, 1.0), stop(0.25, false, 1.0)), (1.0, 1.0));
+        assert_eq!(stop(0.1, false, 0.3), 0.3);
+        assert!((stop(0.3, false, 1.0) - 1.2).abs() < 1e-15);
     }
 
     #[test]

@@ -2,12 +2,16 @@
 //! checked.
 
 mod communication;
+mod initial_values;
 mod jacobian;
 mod read_back;
 mod run_values;
 
 pub(crate) use communication::Communication;
+use communication::MANY_STEPS;
+use initial_values::StatePositions;
 pub(crate) use read_back::ReadBackBuffers;
+use run_values::InitialStates;
 pub(crate) use run_values::RunValues;
 
 use crate::cancel_request::CancelRequest;
@@ -22,6 +26,7 @@ use crate::simulation::options::SimulateOptions;
 use crate::simulation::outputs::{OutputContext, OutputPlan, Recorded, Selection, states};
 use crate::simulation::variable_elements::Starts;
 use crate::sys::InterfaceKind;
+use base::Number;
 use jacobian::JacobianPlan;
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -95,16 +100,28 @@ impl SimulationPlan {
         }
         let method = options.method_options(&description.default_experiment);
         method.check()?;
-        let (given, structure) = run_values::resolve_start_values(description, &options.start_values)?;
+        let states_by_default = states(description, &Structure::default());
+        let initial = InitialStates {
+            names: &options.initial_states,
+            positions: StatePositions::new(description, &states_by_default),
+            are_set: kind == InterfaceKind::ModelExchange,
+        };
+        let (given, structure) =
+            run_values::resolve_start_values(description, &options.start_values, &initial)?;
         let starts = Starts { description, structure: &structure, given: &given };
         let no_inputs = Inputs::default();
-        let inputs =
-            InputPlan::new(&starts, options.inputs.as_ref().unwrap_or(&no_inputs), grid.time_tolerance)?;
-        if let Some(communication) = &communication
-            && let Some(message) =
-                communication.check_inputs(&grid, inputs.stops_within(grid.start, grid.end))
-        {
-            fmu.say_once(log::Level::Warn, "rows of inputs", &message);
+        let inputs = InputPlan::new(
+            &starts,
+            options.inputs.as_ref().unwrap_or(&no_inputs),
+            grid.time_tolerance,
+            communication.as_ref().is_some_and(|communication| communication.variable),
+        )?;
+        if let Some(communication) = &communication {
+            let are_held = !communication.input_derivatives;
+            let points = inputs.n_points_within(grid.start, grid.end, are_held);
+            if let Some(message) = communication.check_inputs(&grid, options.run.step_size, points) {
+                fmu.say_once(log::Level::Warn, "rows of inputs", &message);
+            }
         }
         let has_events = kind == InterfaceKind::ModelExchange || interface.capabilities.uses_event_mode();
         let clocks = if has_events {
@@ -112,8 +129,10 @@ impl SimulationPlan {
         } else {
             ClockPlan::without_event_mode(description, &inputs.clocks, &options.clock_intervals)?
         };
-        let values = RunValues::new(&starts, &options.parameters, &inputs.driven)?;
         let states = states(description, &structure);
+        let positions = StatePositions::new(description, &states);
+        let initial = InitialStates { positions, ..initial };
+        let values = RunValues::new(&starts, &options.parameters, &initial, &inputs.driven)?;
         let n_states = structure.states(description);
         let described = || {
             let variable = |i: usize| states.get(i).copied().flatten();
@@ -149,6 +168,9 @@ impl SimulationPlan {
             warned_of_nominals: AtomicBool::new(false),
         };
         plan.take_outputs(description, options.outputs.as_deref(), &states)?;
+        if let Some(message) = plan.many_steps() {
+            fmu.say_once(log::Level::Warn, "steps", &message);
+        }
         if !has_events && !plan.outputs.plan.clocks.is_empty() {
             let problem = "clocks are recorded, which tick in event mode, and this co-simulation has none";
             return Err(FmiError::BadSetting(problem.to_owned()));
@@ -262,6 +284,24 @@ impl SimulationPlan {
     /// points, or it is integrated.
     pub fn regular_communication_step(&self) -> Option<f64> {
         self.communication.as_ref()?.step
+    }
+
+    /// Message about a run of more than [`MANY_STEPS`] steps of one length, or rows of a co-simulation.
+    fn many_steps(&self) -> Option<String> {
+        let fixed = || self.options.step_size.filter(|_| self.options.method.is_fixed_step());
+        let step = self.communication_step().or_else(fixed)?;
+        let rows = if self.communication.is_some() { self.times.len() as f64 } else { 0.0 };
+        let steps = ((self.end - self.start) / step).max(rows);
+        (steps > MANY_STEPS).then(|| {
+            format!(
+                "the simulation from {} to {} makes {} steps, the longest of {}, which may take long. Set a larger step_size or \
+                 fewer rows",
+                Number(self.start),
+                Number(self.end),
+                Number(steps.round()),
+                Number(step)
+            )
+        })
     }
 
     /// Refuses outputs that are not single numbers, so that there is one column for each name.

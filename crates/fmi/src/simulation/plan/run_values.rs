@@ -1,5 +1,6 @@
 //! Values that runs set in their instances: structure, start values and parameters.
 
+use super::initial_values::{InitialValues, StatePositions};
 use super::read_back::{Lost, ReadBack, ReadBackBuffers};
 use crate::description::{Causality, ModelDescription, Structure, Value, Variable, VariableKind};
 use crate::error::{FmiError, Result};
@@ -20,7 +21,18 @@ struct RunParameter {
     slot: usize,
     /// -1 for negated aliases.
     sign: f64,
-    is_input: bool,
+    set: SetAt,
+}
+
+/// When a parameter of a run is set.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum SetAt {
+    /// Before the initialization.
+    Early,
+    /// In initialization mode, too: an input.
+    Initialization,
+    /// After the initialization only: an initial state that the model calculates.
+    Start,
 }
 
 /// The values of a run, resolved and checked.
@@ -40,6 +52,39 @@ pub(crate) struct RunValues {
     pub(super) parameter_starts: Vec<f64>,
     /// Values that are read back from a reused instance.
     pub(crate) read_back: ReadBack,
+    /// Values that variables have when the simulation starts.
+    pub(crate) initial: InitialValues,
+}
+
+/// Initial states, and which of them are set after the initialization.
+pub(super) struct InitialStates<'a> {
+    pub(super) names: &'a [String],
+    /// Of the state vector; empty in co-simulation.
+    pub(super) positions: StatePositions,
+    /// The interface is model exchange.
+    pub(super) are_set: bool,
+}
+
+impl InitialStates<'_> {
+    /// Refuses a variable that can be set neither before the initialization nor after it.
+    fn check_settable(
+        &self,
+        description: &ModelDescription,
+        place: VariableElement,
+        name: &str,
+    ) -> Result<()> {
+        // Descriptions of FMI 1.0 do not say which variables are states.
+        let may_be_state =
+            || self.positions.of(description, place).is_some() || description.fmi_version.major == 1;
+        match self.are_set && self.has(name) && may_be_state() {
+            true => Ok(()),
+            false => check_settable_at_start(&description.variables[place.variable]),
+        }
+    }
+
+    fn has(&self, name: &str) -> bool {
+        self.names.iter().any(|known| known == name)
+    }
 }
 
 impl RunValues {
@@ -50,13 +95,20 @@ impl RunValues {
     pub(super) fn new(
         starts: &Starts<'_>,
         parameters: &[String],
+        initial: &InitialStates<'_>,
         driven: &[VariableElement],
     ) -> Result<Self> {
         let description = starts.description;
         let mut values = Self { structure: starts.structure.clone(), ..Self::default() };
-        values.take_parameters(starts, parameters, driven)?;
+        values.take_parameters(starts, parameters, initial, driven)?;
+        let places: Vec<VariableElement> = values.parameters.iter().map(|one| one.place).collect();
+        values.initial = InitialValues::new(starts, initial.names, &places, &initial.positions)?;
         for (index, value) in starts.given {
             let variable = &description.variables[*index];
+            if check_settable_at_start(variable).is_err() {
+                // An initial state that the model calculates.
+                continue;
+            }
             let list = match variable.causality {
                 Causality::StructuralParameter => &mut values.structural,
                 Causality::Input => &mut values.start.inputs,
@@ -81,12 +133,13 @@ impl RunValues {
         &mut self,
         starts: &Starts<'_>,
         names: &[String],
+        initial: &InitialStates<'_>,
         driven: &[VariableElement],
     ) -> Result<()> {
         for name in names {
             let place = VariableElement::of_name(starts.description, starts.structure, name)?;
             let variable = &starts.description.variables[place.variable];
-            check_settable_at_start(variable)?;
+            initial.check_settable(starts.description, place, name)?;
             if !variable.kind.is_float() {
                 return Err(assignments::not_settable(
                     variable,
@@ -112,9 +165,13 @@ impl RunValues {
             if driven.iter().any(is_same) {
                 return Err(assignments::not_settable(variable, "it is driven by the inputs"));
             }
-            let is_input = variable.causality == Causality::Input;
+            let set = match variable.causality {
+                Causality::Input => SetAt::Initialization,
+                _ if check_settable_at_start(variable).is_err() => SetAt::Start,
+                _ => SetAt::Early,
+            };
             let sign = if variable.negated { -1.0 } else { 1.0 };
-            self.parameters.push(RunParameter { place, slot: 0, sign, is_input });
+            self.parameters.push(RunParameter { place, slot: 0, sign, set });
             self.parameter_names.push(name.clone());
         }
         // Those of type Real come first, as `FloatSlots` wants it.
@@ -122,8 +179,11 @@ impl RunValues {
             for parameter in &mut self.parameters {
                 let kind = starts.description.variables[parameter.place.variable].kind;
                 if (kind == VariableKind::Real) == of_reals {
-                    let slots =
-                        if parameter.is_input { &mut self.input_slots } else { &mut self.parameter_slots };
+                    let slots = match parameter.set {
+                        SetAt::Early => &mut self.parameter_slots,
+                        SetAt::Initialization => &mut self.input_slots,
+                        SetAt::Start => continue,
+                    };
                     parameter.slot = slots.place(starts, parameter.place)?;
                 }
             }
@@ -135,9 +195,11 @@ impl RunValues {
 
     /// Default value of a parameter.
     fn start_of(&self, starts: &Starts<'_>, parameter: &RunParameter) -> f64 {
-        let slots = if parameter.is_input { &self.input_slots } else { &self.parameter_slots };
         match (parameter.place.element, starts.of(parameter.place.variable)) {
-            (Some(_), _) => slots.start()[parameter.slot],
+            (Some(_), _) if parameter.set == SetAt::Early => self.parameter_slots.start()[parameter.slot],
+            (Some(_), _) if parameter.set == SetAt::Initialization => {
+                self.input_slots.start()[parameter.slot]
+            }
             (None, Some(Value::Real(x))) if x.is_finite() => *x,
             (None, Some(Value::Integer(i))) => *i as f64,
             _ => 0.0,
@@ -153,6 +215,7 @@ impl RunValues {
         for slots in [&self.parameter_slots, &self.input_slots] {
             settings.extend(slots.references().map(|(kind, reference)| (true, kind, reference)));
         }
+        settings.extend(inputs.early_references().map(|(kind, reference)| (true, kind, reference)));
         settings.extend(inputs.references().map(|(kind, reference)| (false, kind, reference)));
         settings.sort_unstable();
         settings.dedup();
@@ -207,7 +270,7 @@ impl RunValues {
             core.configure(&self.structural, &self.structure)?;
         }
         core.apply(&input.start.early)?;
-        self.set_parameters(core, &self.parameter_slots, false, input.parameters, buffer)
+        self.set_parameters(core, &self.parameter_slots, SetAt::Early, input.parameters, buffer)
     }
 
     /// Gives the inputs that do not vary their values, in initialization mode; `buffer` is used on the way.
@@ -218,7 +281,7 @@ impl RunValues {
         buffer: &mut Vec<f64>,
     ) -> Result<()> {
         core.apply(&input.start.inputs)?;
-        self.set_parameters(core, &self.input_slots, true, input.parameters, buffer)
+        self.set_parameters(core, &self.input_slots, SetAt::Initialization, input.parameters, buffer)
     }
 
     /// Sets the parameters of a run that are inputs, or the others.
@@ -226,14 +289,14 @@ impl RunValues {
         &self,
         core: &mut Core,
         slots: &FloatSlots,
-        inputs: bool,
+        set: SetAt,
         values: &[f64],
         buffer: &mut Vec<f64>,
     ) -> Result<()> {
         buffer.clear();
         buffer.extend_from_slice(slots.start());
         for (parameter, value) in self.parameters.iter().zip(values) {
-            if parameter.is_input == inputs {
+            if parameter.set == set {
                 buffer[parameter.slot] = value * parameter.sign;
             }
         }
@@ -281,6 +344,7 @@ impl RunValues {
 pub(super) fn resolve_start_values(
     description: &ModelDescription,
     values: &[(String, Value)],
+    initial: &InitialStates<'_>,
 ) -> Result<(Vec<(usize, Value)>, Structure)> {
     let mut resolved: Vec<(usize, Value)> = Vec::with_capacity(values.len());
     let mut places: HashMap<usize, usize> = HashMap::with_capacity(values.len());
@@ -296,10 +360,10 @@ pub(super) fn resolve_start_values(
     }
     structure.check(description).map_err(|(_, problem)| FmiError::BadSetting(problem))?;
     for (name, value) in values {
-        let VariableElement { variable: index, element } =
-            VariableElement::of_name(description, &structure, name)?;
+        let place = VariableElement::of_name(description, &structure, name)?;
+        let VariableElement { variable: index, element } = place;
         let variable = &description.variables[index];
-        check_settable_at_start(variable)?;
+        initial.check_settable(description, place, name)?;
         let value =
             match element {
                 Some(element) => Starts { description, structure: &structure, given: &resolved }

@@ -45,6 +45,11 @@ impl RawInstance {
         }
     }
 
+    /// True if the library has the function that sets derivatives of inputs.
+    pub(crate) fn can_set_input_derivatives(&self) -> bool {
+        self.library.functions.set_input_derivatives.pointer.is_some()
+    }
+
     /// Sets first derivatives of real inputs with respect to time.
     pub(crate) fn set_input_derivatives(&mut self, references: &[u32], values: &[f64]) -> Outcome {
         self.length(self.library.functions.set_input_derivatives.name, references.len(), values.len())?;

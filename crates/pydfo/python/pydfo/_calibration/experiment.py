@@ -38,7 +38,7 @@ class Experiment:
     outputs : dict of str to str, or list of str
         Which output of the model was measured by which column.
     inputs : dict, or list of str, optional
-        What drives each input of the model: a column, a number (constant), or a function of time. A function is smooth, always
+        What drives each input and tunable parameter of the model: a column, a number (constant), or a function of time. A function is smooth, always
         gives the same, and can be imported where the calibration is to be pickled.
     window : (float, float), optional
         Only measurements at times in this interval count, in s: one of `windows`.
@@ -63,7 +63,8 @@ class Experiment:
     initial_states : dict, optional
         What states of the model are at the start: a number, "measured" (the recording of the column that is compared with the
         state, at the start of the simulation, without offset and delay; an error where there is none), or a `Parameter` of this experiment alone with start and bounds, whose name plays no part: it
-        is called ``x[run1]``.
+        is called ``x[run1]``. In model exchange a state that the initialization computes (``initial="approx"``, ``"calculated"``) is
+        set after it. In a co-simulation such a state is an error if it is fitted or measured, and a warning if it is a number.
     windows : sequence of (float, float), optional
         Only measurements at times in one of these intervals count, in s.
     warm_up : float, optional

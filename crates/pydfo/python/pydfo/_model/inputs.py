@@ -67,11 +67,12 @@ def normalize(
 
 
 def _recording(path: str, fmu: _core.Fmu, start_values: list[str], parameter_set: str | None) -> list[Table]:
-    """The columns of a file that have the names of inputs."""
+    """The columns of a file that have the names of inputs or tunable parameters."""
     found = _data.read(path, [], None)
     if found.table is not None:
         # Elements of arrays and units follow the name; its case may differ.
-        inputs, names = {name.split("[")[0].lower() for name in fmu.names_of("input")}, found.table.names()
+        driven = fmu.names_of("input") + fmu.tunable_parameters()
+        inputs, names = {name.split("[")[0].lower() for name in driven}, found.table.names()
         named = [name for name in names if re.split(r"[\[(]", name)[0].strip().lower() in inputs]
         found = _data.read(path, named, None)
     series = _core.recorded_inputs(fmu, found.path, found.table, start_values, parameter_set)

@@ -54,6 +54,8 @@ class Request(NamedTuple):
     #: The FMU with units that its description does not state.
     described: _core.Fmu | None
     sandbox: bool
+    #: Those of the start values that are initial states.
+    initial_states: list[str]
 
 
 LOG_LEVELS = ("nothing", "fatal", "error", "warning", "info", "verbose", "debug", "all")
@@ -277,6 +279,7 @@ class FMUModel:
         output_interval: SupportsFloat | None = None,
         ncp: SupportsFloat | None = None,
         start_values: Mapping[str, object] | PathLike | None = None,
+        initial_states: Mapping[str, SupportsFloat] | None = None,
         clock_intervals: Mapping[str, SupportsFloat | tuple[int, int]] | None = None,
         relative_tolerance: SupportsFloat | None = None,
         solver: str = "auto",
@@ -327,8 +330,10 @@ class FMUModel:
             Tables are linear between rows for continuous inputs of type Real (or Float32), and held for all others; a time
             listed twice is a jump. Jumps are events, and a step ends at every row where the slope changes: no pulse is too
             short to be seen. So a co-simulation communicates at each such row, too, also where that is more often than
-            `step_size` says (the log says so once); one that takes steps of one length only takes the inputs over at its
-            steps. Functions can drive continuous inputs of these types and should be smooth. Of a triggered clock (FMI 3.0) the rows that hold
+            `step_size` says (the log says so once). If the model is not told derivatives of its inputs, it communicates at every
+            row at which an input changes. One that takes steps of one length only takes the inputs over at its
+            steps. Tunable parameters are driven like inputs. They are held from row to row, and change at events in model
+            exchange and at communication points in co-simulation. Functions can drive continuous inputs of these types and should be smooth. Of a triggered clock (FMI 3.0) the rows that hold
             True are its ticks; a clock with an interval that can be deactivated leaves its ticks out where it holds False.
         outputs : str or iterable of str, optional
             Variables to record: names, elements of arrays (``name[2,1]``, counted from 1), patterns (``*`` stands for any
@@ -343,7 +348,14 @@ class FMUModel:
             Number of intervals between the rows; default 500. At most one of `times`, `output_interval` and `ncp` may be
             given.
         start_values : dict of str to value, or path, optional
-            Values for this simulation only, on top of those set; or the path of an SSP parameter file (``.ssv``).
+            Values for this simulation only, on top of those set; or the path of an SSP parameter file (``.ssv``). The start
+            value of a state with ``initial="approx"`` is a guess; a warning is logged if the state starts with another value.
+        initial_states : dict of str to float, optional
+            Values of continuous states at the start of this simulation, also of those with ``initial="approx"`` or
+            ``"calculated"``. In model exchange a state that the initialization has given another value is set after the
+            initialization (``setContinuousStates``), and an event iteration follows. What the model computed from the state
+            during the initialization, such as parameters, stays as it is. A co-simulation cannot set states after the
+            initialization: it fails if a state starts with another value.
         clock_intervals : dict of str to float or tuple of int, optional
             Intervals in s between the ticks of input clocks whose intervals are fixed or tunable (FMI 3.0); a tuple is a
             fraction, counter and resolution.
@@ -354,8 +366,9 @@ class FMUModel:
             taken as "auto", "tsit5", "radau5" and "auto".
         step_size : float, optional
             Model exchange: step of the methods with a fixed step; default: a 500th of the span. Co-simulation: the
-            communication step; default: that of the default experiment, else the distance of the rows. Where the model
-            can step to any time, it communicates at the rows of the result and of the inputs, too.
+            communication step; default: the larger of the step of the default experiment and the distance of the rows; for
+            a model that takes steps of one length only, the step of the default experiment, unless that makes more than
+            1e6 steps. Where the model can step to any time, it communicates at the rows of the result and of the inputs, too.
         max_step : float, optional
             Largest step of the other methods.
         interior_samples : int, optional
@@ -419,6 +432,10 @@ class FMUModel:
             Whatever an input function raises comes out as it is.
         """
         values, parameter_set = _values.values_or_file("start_values", start_values)
+        states: list[tuple[str, object]] = [
+            (name, _values.number(f"initial_states[{name!r}]", value))  # type: ignore[arg-type]
+            for name, value in _values.pairs("initial_states", initial_states)
+        ]
         described = self._fmu.with_units(_values.units(units)) if units is not None else None
         tables: list[_inputs.Table] = []
         functions: list[_inputs.Function] = []
@@ -431,7 +448,7 @@ class FMUModel:
             times=None if times is None else _values.vector("times", times),
             output_interval=_values.optional_number("output_interval", output_interval),
             ncp=_values.limit("ncp", ncp, 1),
-            start_values=values,
+            start_values=values + states,
             clock_intervals=_intervals(clock_intervals),
             outputs=self._outputs(outputs),
             tables=tables,
@@ -452,6 +469,7 @@ class FMUModel:
             parameter_set=parameter_set,
             described=described,
             sandbox=_values.flag("sandbox", sandbox),
+            initial_states=[name for name, _ in states],
         )
         result = SimulationResult(**self._model.simulate(request))
         if len(result.time) and (said := _inputs.held_beyond(tables, float(result.time[0]), float(result.time[-1]))):
