@@ -408,7 +408,7 @@ def test_children_of_a_killed_program_do_not_hold_its_checkpoint(tmp_path):
         return float((x[0] - 1) ** 2 + 3 * (x[1] + 0.5) ** 2)
 
     path = tmp_path / "run.ckpt"
-    killed = subprocess.Popen([sys.executable, "-c", ORPHANS, path], stdout=subprocess.PIPE, text=True)
+    killed = subprocess.Popen([sys.executable, "-c", ORPHANS, path], stdout=subprocess.PIPE, text=True, start_new_session=True)
     orphan = int(killed.stdout.readline())
     try:
         assert killed.wait(timeout=60) == -9
@@ -417,5 +417,5 @@ def test_children_of_a_killed_program_do_not_hold_its_checkpoint(tmp_path):
         resumed = pydfo.minimize(cost, [0.2, 0.3], checkpoint=path, options={"problem": "x"}, resume="never", **asked)
         assert resumed.success
     finally:
-        os.kill(orphan, 9)
+        os.killpg(killed.pid, 9)
         killed.stdout.close()
