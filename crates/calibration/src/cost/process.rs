@@ -133,8 +133,8 @@ struct Processes {
     load: Load,
     /// The same with the log of the model switched on.
     logging: Load,
-    /// Reasons of failures without a message of the model that were repeated with its log switched on, and the
-    /// messages with it.
+    /// Reasons of failures without a message of the model that were repeated with its log switched on, and
+    /// the messages with it.
     explained: Mutex<BTreeMap<String, Option<String>>>,
     /// No answer is checked for its dependence on earlier requests.
     is_checked: AtomicBool,
