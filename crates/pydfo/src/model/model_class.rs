@@ -296,9 +296,11 @@ fn simulate_apart(
     limits: WorkerLimits,
     options: &SimulateOptions,
 ) -> Result<Trajectory, FmiError> {
+    // One with other limits is not asked.
+    drop(apart.take_if(|process| *process.limits() != limits));
     let process = match apart {
-        Some(process) if *process.limits() == limits => process,
-        _ => apart.insert(ModelProcess::new(session.fmu(), limits)?),
+        Some(process) => process,
+        None => apart.insert(ModelProcess::new(session.fmu(), limits)?),
     };
     let flag = options.cancel.clone();
     let context = flag.as_deref().map_or_else(RunContext::new, |flag| RunContext::new().flagged(flag));
