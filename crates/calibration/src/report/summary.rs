@@ -113,7 +113,7 @@ impl Summary {
 /// Sentence on the termination and the quality of the fit.
 fn sentence(fit: &Fit) -> String {
     let are_several = fit.report.optima.len() > 1;
-    let ended = match &fit.report.termination {
+    let ended = match fit.report.termination.ended() {
         Termination::MaxEvaluations | Termination::MaxTime if are_several => {
             "The fit took the best minimum that it found within its limits"
         }
