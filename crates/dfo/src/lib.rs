@@ -76,9 +76,10 @@ pub use methods::{
     Restarts, Scheme, Selection, StepPlan, Strategy,
 };
 pub use outcome::answer::{Answer, Answers, Failure, FailureKind, Outcome, Want};
-pub use outcome::termination::Termination;
+pub use outcome::termination::{Cause, Termination};
 pub use outcome::trace::{Trace, TraceEntry};
 pub use problem::loss::{Loss, RobustLoss};
+pub use problem::m_estimator::MeanScore;
 pub use problem::objective::{
     ByRef, Fallible, Objective, Query, ResidualFunction, Residuals, WithQuery, fallible, residuals,
     with_query,

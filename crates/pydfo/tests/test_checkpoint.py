@@ -323,6 +323,27 @@ def test_a_checkpoint_that_cannot_be_written_is_said_at_once(tmp_path, workers):
     assert "could not be saved" in ended
 
 
+FULL_AT_THE_END = """
+import resource, sys
+import numpy as np, pydfo
+t = np.linspace(0, 4, 60)
+x = np.exp(-1.5 * t) + 0.01 * np.random.default_rng(1).standard_normal(t.size)
+calibration = pydfo.Calibration(pydfo.example_fmu("dahlquist"), {"time": t, "x": x}, ["x"], [pydfo.Parameter("k", 1.0, 0.1, 5.0)])
+plain = calibration.fit()
+soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+fit = calibration.fit(checkpoint=sys.argv[1], callback=lambda _: resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard)))
+resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+print(fit.termination, "could not be saved" in fit.message, fit.message.startswith("converged"))
+print(fit.stderr.tolist() == plain.stderr.tolist(), fit.usable, [f.sentence for f in fit.findings] == [f.sentence for f in plain.findings])
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits of file sizes")
+def test_fit_has_standard_errors_and_findings_when_its_last_checkpoint_cannot_be_written(tmp_path):
+    run = subprocess.run([sys.executable, "-c", FULL_AT_THE_END, tmp_path / "fit.ckpt"], capture_output=True, text=True, check=True)
+    assert run.stdout.splitlines() == ["not-saved True True", "True True True"], run.stdout + run.stderr
+
+
 def test_what_is_lost_of_a_file_is_said(tmp_path, caplog):
     path = tmp_path / "run.ckpt"
     run = functools.partial(minimize, rosenbrock, [-1.2, 1.0], method="nelder-mead", checkpoint=path)

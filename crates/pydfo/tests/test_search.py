@@ -23,7 +23,8 @@ def found(result):
 def test_a_global_search_reports_the_minima_and_the_reason():
     by_cost = pydfo.minimize(lambda x: float(np.sum(himmelblau(x) ** 2)), bounds=BOX, search="global", rng=1)
     assert by_cost.method == "multistart" and "global search" in by_cost.method_reason
-    assert by_cost.success and by_cost.fun < 1e-8 and by_cost.optima[0].fun == by_cost.fun
+    # The budget ends before four minima are probably all there are.
+    assert by_cost.termination == "max-evaluations" and by_cost.fun < 1e-8 and by_cost.optima[0].fun == by_cost.fun
     fit = pydfo.least_squares(himmelblau, [0.0, 0.0], BOX, search="global", rng=1)
     assert fit.method == "multistart" and "residuals" in fit.method_reason
     assert found(fit) == 4 and fit.nfev < 700 and fit.cost < 1e-12

@@ -374,14 +374,9 @@ impl Calibration {
                 done.ended = Some(fit.report.termination);
                 break;
             }
-            let is_last = match &fit.report.termination {
-                Termination::Interrupted
-                | Termination::StoppedByObserver
-                | Termination::Aborted(_)
-                | Termination::NotSaved(_) => true,
-                Termination::Target => stage.limits.target.is_none(),
-                _ => false,
-            };
+            let termination = &fit.report.termination;
+            let is_last = termination.cause().is_request()
+                || (*termination.ended() == Termination::Target && stage.limits.target.is_none());
             if k == 0 {
                 done.at_start = kept.at_start().map(<[f64]>::to_vec);
             }

@@ -114,7 +114,7 @@ impl Summary {
 fn sentence(fit: &Fit) -> String {
     let are_several = fit.report.optima.len() > 1;
     let is_below_minima = fit.report.optima.first().is_some_and(|lowest| fit.report.fun < lowest.cost);
-    let ended = match &fit.report.termination {
+    let ended = match fit.report.termination.ended() {
         Termination::MaxEvaluations | Termination::MaxTime if is_below_minima => {
             "The fit took the best point that it met within its limits, below all minima that it found"
         }

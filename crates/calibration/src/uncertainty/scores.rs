@@ -3,8 +3,7 @@
 
 use crate::problem::objective::NamedCost;
 use crate::problem::residual_layout::ResidualLayout;
-use crate::uncertainty::p_values::{MEDIAN_DEVIATION, median};
-use dfo::RobustLoss;
+use dfo::{MeanScore, RobustLoss};
 use nalgebra::DVector;
 
 /// Form of the cost that a fit minimises, as a function of the residuals.
@@ -50,12 +49,9 @@ pub(crate) struct Working {
 }
 
 impl Working {
-    /// For an M-estimator with these losses the covariance `mean psi^2 / (mean psi')^2 (J'J)^-1` comes out,
-    /// times the square of `1 + p/N var(psi') / (mean psi')^2` (Huber, Robust Statistics, 1981, section 7.6),
-    /// p parameters and N residuals. The slope of the mean score is taken over the bandwidth of a density
-    /// estimate (Silverman, Density Estimation, 1986, section 3.4: `0.9 s N^(-1/5)`) to both sides: where the
-    /// loss is narrow against the noise, slopes at the few residuals that lie within are much too steep. With
-    /// the likelihood an output counts by the inverse of its variance, which is Fisher's information.
+    /// For an M-estimator with these losses the covariance of [`MeanScore`] comes out, p parameters and N
+    /// residuals. With the likelihood an output counts by the inverse of its variance, which is Fisher's
+    /// information.
     pub(crate) fn new(
         criterion: Criterion,
         layout: &ResidualLayout,
@@ -87,8 +83,8 @@ impl Working {
         {
             // Residuals of priors have the standard deviation one.
             for (i, plain) in plain.iter().enumerate().skip(layout.n_measurements()) {
-                let root = slope(loss, *plain, 1.0).max(f64::EPSILON).sqrt();
-                (own.roots[i], own.residuals[i]) = (root, score(loss, *plain) / root);
+                let root = loss.score_slope(*plain, 1.0).max(f64::EPSILON).sqrt();
+                (own.roots[i], own.residuals[i]) = (root, loss.score(*plain) / root);
                 own.corrections[i] = root * root;
             }
         }
@@ -108,49 +104,13 @@ impl Working {
     }
 
     fn count_robustly(&mut self, loss: RobustLoss, rows: &[usize], p_by_n: f64) {
-        let n = rows.len() as f64;
-        let of =
-            |values: &dyn Fn(f64) -> f64| rows.iter().map(|i| values(self.residuals[*i])).sum::<f64>() / n;
-        let mut sorted: Vec<f64> = rows.iter().map(|i| self.residuals[*i]).collect();
-        let middle = median(&mut sorted);
-        sorted.iter_mut().for_each(|r| *r = (*r - middle).abs());
-        let mean_square = of(&|r| r * r);
-        let spread = (median(&mut sorted) / MEDIAN_DEVIATION).max(1e-6 * mean_square.sqrt());
-        let width = 0.9 * spread * n.powf(-0.2);
-        let mean_of_all = of(&|r| slope(loss, r, width));
-        let mean = mean_slope(loss, rows.iter().map(|i| self.residuals[*i]), width, p_by_n);
-        // A loss that falls far from zero may have no mean slope; that of normal residuals (Stein's identity) is above zero.
-        let least = of(&|r| score(loss, r) * r) / mean_square;
-        let variance = of(&|r| (slope(loss, r, width) - mean_of_all).powi(2));
-        let mean = mean.max(least);
-        let correction = (1.0 + p_by_n * variance / (mean * mean)).powi(2);
-        for &i in rows {
-            self.residuals[i] = score(loss, self.residuals[i]) / mean.sqrt();
-            (self.roots[i], self.corrections[i]) = (mean.sqrt(), correction);
+        let plain: Vec<f64> = rows.iter().map(|i| self.residuals[*i]).collect();
+        let Some(MeanScore { slope, correction }) = loss.mean_score(&plain, p_by_n) else { return };
+        for (&i, plain) in rows.iter().zip(plain) {
+            self.residuals[i] = loss.score(plain) / slope.sqrt();
+            (self.roots[i], self.corrections[i]) = (slope.sqrt(), correction);
         }
     }
-}
-
-/// The mean slope of the score, without as many of the residuals next to zero as there are parameters: with a
-/// narrow loss a fit goes through so many measurements, nearly, and these say nothing of how many residuals
-/// of others lie there (Schrader and McKean in Dodge, ed., Statistical Data Analysis Based on the L1 Norm,
-/// 1987).
-fn mean_slope(loss: RobustLoss, residuals: impl Iterator<Item = f64>, width: f64, p_by_n: f64) -> f64 {
-    let mut sorted: Vec<f64> = residuals.collect();
-    sorted.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
-    let n_fitted = (p_by_n * sorted.len() as f64).round() as usize;
-    let others = sorted.get(n_fitted..).filter(|others| !others.is_empty()).unwrap_or(&sorted);
-    others.iter().map(|r| slope(loss, *r, width)).sum::<f64>() / others.len() as f64
-}
-
-/// Half the derivative of what a residual counts.
-fn score(loss: RobustLoss, r: f64) -> f64 {
-    loss.transform(r) * loss.slope(r)
-}
-
-/// The slope of the score over a width to both sides.
-fn slope(loss: RobustLoss, r: f64, width: f64) -> f64 {
-    (score(loss, r + width) - score(loss, r - width)) / (2.0 * width)
 }
 
 #[cfg(test)]
@@ -199,10 +159,6 @@ mod tests {
         let expected = (1.0 + 0.02 * ((0.47 + 1.06 / 3.0) * 0.49 - 0.49 * 0.49) / (0.49 * 0.49_f64)).powi(2);
         assert!((working.corrections[0] - expected).abs() < 2e-3, "{}", working.corrections[0]);
         assert!((working.residuals[98] * working.roots[98] - 1.0).abs() < 1e-12);
-        // Two residuals that a fit of two parameters has made zero say nothing of the density there.
-        let narrow = RobustLoss::new(Loss::Huber, 0.01).unwrap();
-        let exact = mean_slope(narrow, [0.0, 0.0].into_iter().chain(r.iter().copied()), 0.5, 2.0 / 102.0);
-        assert_eq!(exact, mean_slope(narrow, r.iter().copied(), 0.5, 0.0));
         let likelihood = Working::new(Criterion::Likelihood, &layout, &r, &groups, 2);
         let squares: f64 = likelihood.residuals.iter().map(|r| r * r).sum();
         assert!((squares - 100.0).abs() < 1e-9);

@@ -112,7 +112,7 @@ impl Calibration {
             loose: Vec::new(),
             n_checks: 0,
         };
-        if !is_over(&report.termination) {
+        if !report.termination.cause().allows_evaluations() {
             return found;
         }
         let (mut checked, mut loose) = (StuckParameters::default(), Vec::new());
@@ -129,7 +129,7 @@ impl Calibration {
                 .ok_or_else(|| CostFailure::failed(FailureKind::Error, "there is no cost".to_owned()))
         };
         // The budget of the search is no budget for these, but what an evaluation has shown need not cost another one.
-        let is_spent = report.termination == Termination::MaxEvaluations;
+        let is_spent = *report.termination.ended() == Termination::MaxEvaluations;
         for Candidate { index, side, is_likely, is_sure } in candidates {
             let is_at = is_sure || (is_spent && is_likely) || {
                 let parameter = &self.parameters()[index];
@@ -244,21 +244,4 @@ impl Calibration {
         let to = if upper - from >= from - lower { (from + by).min(upper) } else { (from - by).max(lower) };
         outer(parameter, to)
     }
-}
-
-/// True if simulations may follow a run with this termination: neither time nor an interrupt ended it, and
-/// the model still works.
-pub(crate) fn is_over(termination: &Termination) -> bool {
-    matches!(
-        termination,
-        Termination::Converged
-            | Termination::Noise
-            | Termination::ConstantCost
-            | Termination::Target
-            | Termination::Collapsed
-            | Termination::Stalled
-            | Termination::MaxEvaluations
-            | Termination::MaxIterations
-            | Termination::StoppedByObserver
-    )
 }

@@ -4,11 +4,11 @@
 use crate::problem::space::Space;
 use crate::values::choices::Transform;
 use base::RunContext;
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, RowDVector};
 use serde::{Deserialize, Serialize};
 
-/// Singular values of the Jacobian with columns of length one that are smaller than this part of the largest
-/// count as zero: a Jacobian from differences is not more accurate (square root of the rounding unit).
+/// Pivots of the Jacobian with columns of length one that are smaller than this part of the largest count as
+/// zero: a Jacobian from differences is not more accurate (square root of the rounding unit).
 const RANK_TOLERANCE: f64 = 1.5e-8;
 
 /// Within this part of its size from a bound a parameter lies at it.
@@ -25,84 +25,10 @@ pub struct LinearModel {
     pub active: Vec<i8>,
 }
 
-/// Noise of residuals relative to their change over the size of a parameter: the least of these that agrees
-/// with the points.
-const NOISE: [f64; 4] = [1e-8, 1e-6, 1e-4, 1e-2];
-
-/// Differences of residuals that are looked at together.
-const AT_ONCE: usize = 1 << 18;
-
 /// Rows of the Jacobian that are factorised together: those of ten columns fit into a cache.
 const ROWS_AT_ONCE: usize = 1 << 12;
 
-/// Curvature over the size of a parameter relative to the derivatives, up to which a misfit is no noise.
-const BENT: f64 = 10.0;
-
 impl LinearModel {
-    /// By regression on points of a search: their places in units of the sizes of the working coordinates and
-    /// their residuals. `best`: the point itself, its place and its residuals. A point at the distance d from
-    /// it is wrong by d^2 for curvature, and by the noise; its weight is the inverse of their sum. `None`
-    /// where the points span no more than a plane, or where there are many residuals and the context is over.
-    pub(crate) fn regression<'a>(
-        space: &Space,
-        x: &[f64],
-        z: &[f64],
-        residuals: &[f64],
-        points: impl Iterator<Item = (&'a [f64], &'a [f64])> + Clone,
-        context: &RunContext<'_>,
-    ) -> Option<Self> {
-        let (n, m) = (z.len(), residuals.len());
-        let moved = |place: &[f64]| place.iter().zip(z).map(|(a, b)| a - b).collect::<Vec<f64>>();
-        let others: Vec<(Vec<f64>, f64, &[f64])> = points
-            .map(|(place, residuals)| (moved(place), residuals))
-            .map(|(step, residuals)| {
-                let length = step.iter().map(|s| s * s).sum::<f64>().sqrt();
-                (step, length, residuals)
-            })
-            .filter(|(_, length, residuals)| *length > 0.0 && length.is_finite() && residuals.len() == m)
-            .collect();
-        if n == 0 {
-            return Self::new(space, x, m, |_, _| 0.0);
-        }
-        if others.len() < n {
-            return None;
-        }
-        let mut found = None;
-        for noise in NOISE {
-            let weights: Vec<f64> = others.iter().map(|(_, d, _)| 1.0 / (d * d + noise)).collect();
-            let steps = DMatrix::from_fn(others.len(), n, |k, j| weights[k] * others[k].0[j]);
-            let svd = steps.clone().try_svd(true, true, f64::EPSILON, most_sweeps(steps.ncols()))?;
-            if svd.singular_values.min() <= RANK_TOLERANCE * svd.singular_values.max() {
-                break;
-            }
-            let at_once = (AT_ONCE / others.len()).max(1);
-            if m > at_once && context.is_over() {
-                return None;
-            }
-            let (mut transposed, mut misfit) = (DMatrix::zeros(n, m), 0.0);
-            for from in (0..m).step_by(at_once) {
-                if from > 0 && context.is_over() {
-                    return None;
-                }
-                let len = at_once.min(m - from);
-                let weighted = DMatrix::from_fn(others.len(), len, |k, i| {
-                    weights[k] * (others[k].2[from + i] - residuals[from + i])
-                });
-                let solved = svd.solve(&weighted, 0.0).ok()?;
-                misfit += (&steps * &solved - weighted).norm_squared();
-                transposed.columns_mut(from, len).copy_from(&solved);
-            }
-            let freedom = (others.len() - n).max(1) as f64;
-            let agrees = misfit <= BENT * BENT * freedom * transposed.norm_squared();
-            found = Some(transposed);
-            if agrees {
-                break;
-            }
-        }
-        let jacobian = found?;
-        Self::new(space, x, m, |i, k| jacobian[(k, i)] / space.size(k))
-    }
-
     /// From the derivatives of residual `i` by working coordinate `k` at the point `x`, of `m` residuals.
     /// `None` where one of them is not finite in the user's units.
     pub(crate) fn new(
@@ -149,8 +75,8 @@ pub struct Covariance {
 
 impl Covariance {
     /// `s^2 (J' J)^-1` of the parameters that are not held, with `s^2 = r' r / (m - n)` (Seber and Wild,
-    /// Nonlinear Regression, 1989, section 2.1.2), by the singular values of J with its columns scaled to
-    /// length one.
+    /// Nonlinear Regression, 1989, section 2.1.2), by a QR factorisation with column pivoting of J with its
+    /// columns scaled to length one.
     ///
     /// `None` where there are many residuals and the context is over.
     pub(crate) fn new(
@@ -180,18 +106,21 @@ impl Covariance {
         }
         let length = |(most, sum): (&f64, &f64)| if *sum > 0.0 { most * sum.sqrt() } else { 1.0 };
         let lengths: Vec<f64> = largest.iter().zip(&squares).map(length).collect();
-        // The triangle of a QR factorisation, rows added block by block, has the same singular values.
+        // Rows are added block by block to the triangle of a QR factorisation.
         let mut columns = DMatrix::zeros(0, p);
-        for (block, rows) in jacobian.chunks(ROWS_AT_ONCE * n).enumerate().filter(|_| p > 0) {
-            if block > 0 && context.is_over() {
-                return None;
+        let blocks = jacobian.chunks(ROWS_AT_ONCE * n.max(1));
+        for (block, rows) in blocks.enumerate().filter(|_| p > 0) {
+            if block > 0 {
+                if context.is_over() {
+                    return None;
+                }
+                columns = columns.qr().r();
             }
             let above = columns.nrows();
-            let stacked = DMatrix::from_fn(above + rows.len() / n, p, |i, k| match i.checked_sub(above) {
+            columns = DMatrix::from_fn(above + rows.len() / n, p, |i, k| match i.checked_sub(above) {
                 Some(i) => rows[i * n + free[k]] / lengths[k],
                 None => columns[(i, k)],
             });
-            columns = stacked.qr().r();
         }
         let (inverse, determined) = inverse_of_normal_matrix(columns, p);
         let mut matrix = vec![0.0; n * n];
@@ -231,33 +160,40 @@ impl Covariance {
     }
 }
 
-/// So many sweeps a decomposition of so many columns may take in all.
-fn most_sweeps(n: usize) -> usize {
-    10_000.max(100 * n)
-}
-
-/// `(A' A)^+` for columns of length one or zero, and which of the unknowns have no part in the null space.
+/// A generalised inverse of `A' A` for columns of length one or zero, and which of the unknowns have no part
+/// in the null space: of these it is the inverse, whichever generalised inverse it is (Searle, Linear Models,
+/// 1971, section 5.4).
 fn inverse_of_normal_matrix(columns: DMatrix<f64>, p: usize) -> (DMatrix<f64>, Vec<bool>) {
-    let nothing = (DMatrix::zeros(p, p), vec![false; p]);
-    if p == 0 || columns.nrows() == 0 {
-        return nothing;
-    }
-    // Rows of zeros, so that all p right singular vectors are there.
-    let rows = columns.nrows().max(p);
-    let columns = columns.resize_vertically(rows, 0.0);
-    let Some(svd) = columns.try_svd(false, true, f64::EPSILON, most_sweeps(p)) else { return nothing };
-    let Some(v_t) = svd.v_t else { return nothing };
-    let smallest = RANK_TOLERANCE * svd.singular_values.max();
     let mut inverse = DMatrix::zeros(p, p);
+    if p == 0 || columns.nrows() == 0 || columns.iter().any(|a| !a.is_finite()) {
+        return (inverse, vec![false; p]);
+    }
+    let qr = columns.col_piv_qr();
+    let r = qr.r();
+    let mut order = RowDVector::from_fn(p, |_, k| k);
+    qr.p().permute_columns(&mut order);
+    let diagonal: Vec<f64> = (0..r.nrows()).map(|k| r[(k, k)].abs()).collect();
+    let smallest = RANK_TOLERANCE * diagonal.iter().copied().fold(0.0, f64::max);
+    let rank = diagonal.iter().take_while(|d| **d > smallest).count();
     let mut determined = vec![true; p];
-    for (k, s) in svd.singular_values.iter().enumerate() {
-        for a in 0..p {
-            if *s > smallest {
-                (0..p).for_each(|b| inverse[(a, b)] += v_t[(k, a)] / s * (v_t[(k, b)] / s));
-            } else if v_t[(k, a)].abs() > RANK_TOLERANCE.sqrt() {
-                determined[a] = false;
-            }
+    order.iter().skip(rank).for_each(|k| determined[*k] = false);
+    let kept = r.view((0, 0), (rank, rank));
+    let (Some(root), Some(dependent)) = (
+        kept.solve_upper_triangular(&DMatrix::identity(rank, rank)),
+        kept.solve_upper_triangular(&r.view((0, rank), (rank, p - rank)).into_owned()),
+    ) else {
+        return (inverse, vec![false; p]);
+    };
+    for null in dependent.column_iter() {
+        // The vector of the null space has a one for the dependent column.
+        let length = (1.0 + null.norm_squared()).sqrt();
+        for (k, share) in null.iter().enumerate() {
+            determined[order[k]] &= share.abs() <= RANK_TOLERANCE.sqrt() * length;
         }
+    }
+    let product = &root * root.transpose();
+    for (a, &i) in order.iter().take(rank).enumerate() {
+        order.iter().take(rank).enumerate().for_each(|(b, &j)| inverse[(i, j)] = product[(a, b)]);
     }
     (inverse, determined)
 }
@@ -314,47 +250,6 @@ mod tests {
         let zero = computed(&[1.0, 2.0], &[1.0, 0.0, 1.0, 0.0], &[0, 0]);
         assert_eq!(zero.undetermined, [1]);
         assert_eq!(computed(&[], &[], &[-1]).matrix, [0.0]);
-    }
-
-    #[test]
-    fn a_regression_finds_the_derivatives_through_curvature_and_noise() {
-        let space = Space::new(&[1.0, 10.0], Bounds::unbounded(2), &[], &[]).unwrap();
-        let r = |z: &[f64], noise: f64| {
-            let smooth = [z[0] * z[0] + 2.0 * z[1], z[0] - z[1] * z[1], (z[0] * z[1]).exp()];
-            smooth
-                .iter()
-                .enumerate()
-                .map(|(i, r)| r + noise * (1e7 * (z[0] + 3.0 * z[1]) + i as f64).sin())
-                .collect()
-        };
-        for (noise, tolerance) in [(0.0, 1e-3), (1e-7, 2e-3), (1e-3, 0.2)] {
-            let best = [1.0, 1.0];
-            let places: Vec<Vec<f64>> = (0..40)
-                .map(|k| {
-                    let (d, angle) = (0.5f64.powi(k), 2.4 * f64::from(k));
-                    vec![best[0] + d * angle.cos(), best[1] + d * angle.sin()]
-                })
-                .collect();
-            let values: Vec<Vec<f64>> = places.iter().map(|z| r(z, noise)).collect();
-            let at_best: Vec<f64> = r(&best, noise);
-            let points = places.iter().map(Vec::as_slice).zip(values.iter().map(Vec::as_slice));
-            let context = RunContext::new();
-            let model =
-                LinearModel::regression(&space, &[1.0, 10.0], &best, &at_best, points, &context).unwrap();
-            let e = 1f64.exp();
-            let expected = [2.0, 0.2, 1.0, -0.2, e, 0.1 * e];
-            for (k, (j, expected)) in model.jacobian.iter().zip(expected).enumerate() {
-                let scale = if k % 2 == 0 { 1.0 } else { 10.0 };
-                assert!((j - expected).abs() * scale < tolerance, "{noise} {:?}", model.jacobian);
-            }
-        }
-        let line = [([1.5, 1.0], [0.0]), ([2.0, 1.0], [1.0])];
-        let points = line.iter().map(|(z, r)| (&z[..], &r[..]));
-        let context = RunContext::new();
-        assert_eq!(
-            LinearModel::regression(&space, &[1.0, 10.0], &[1.0, 1.0], &[1.0], points, &context),
-            None
-        );
     }
 
     #[test]

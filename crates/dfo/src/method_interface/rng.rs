@@ -18,6 +18,8 @@ pub(crate) enum Purpose {
     Generation = 2,
     /// Random numbers of a restart.
     Restart = 3,
+    /// Seeds of the searches within a search.
+    Start = 4,
 }
 
 /// A stream of random numbers.
@@ -33,6 +35,14 @@ pub(crate) struct Stream {
 pub(crate) fn draw_seed() -> u64 {
     // The standard library's hasher keys are the system's randomness. 53 bits survive every number format.
     RandomState::new().build_hasher().finish() >> 11
+}
+
+/// The seed of a search from a point within a search with this seed.
+pub(crate) fn seed_at(seed: u64, start: &[f64]) -> u64 {
+    start.iter().fold(seed, |seed, x| {
+        let [low, high] = halves(x.to_bits());
+        Stream::new(seed, Purpose::Start, low.into(), high as usize).bits() >> 11
+    })
 }
 
 impl Stream {

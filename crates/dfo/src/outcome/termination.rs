@@ -18,6 +18,8 @@ pub enum Termination {
     Collapsed,
     /// The same, and only one vertex has a cost: nothing was learned.
     OneFiniteVertex,
+    /// The tolerance tests passed, but points around the best one fail: a lower cost may lie between them.
+    BesideFailures,
     /// No point of the simplex or population has a cost any more, though earlier ones had.
     AllFailed,
     /// More than the share of all evaluations that was allowed has failed.
@@ -39,13 +41,47 @@ pub enum Termination {
     Interrupted,
     /// The objective asked to end the run, with this message.
     Aborted(String),
-    /// The checkpoint could not be written, for this reason; the result is whole.
-    NotSaved(String),
+    /// The run ended, and its last checkpoint could not be written; the result is whole.
+    NotSaved {
+        /// Why it could not be written.
+        reason: String,
+        /// Why the run ended.
+        ended: Box<Termination>,
+    },
     /// The tolerance tests passed, but every point had the same cost: nothing was learned.
     ConstantCost,
     /// The search ended beyond all quantities: the cost fell below -1e50, so it has no minimum. Or the
     /// minimum of a sum of squares lies at infinity: the parameters grew, and the cost still falls that way.
     Unbounded,
+}
+
+/// What ended a run ([`Termination::cause`]), and so what may follow it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Cause {
+    /// The search came to an end of its own.
+    Search,
+    /// A limit of evaluations, iterations or of the cost.
+    Limit,
+    /// A callback.
+    Callback,
+    /// The limit of time.
+    Time,
+    /// The objective: its points fail, or it has no minimum.
+    Objective,
+    /// An interrupt, or an error in the objective.
+    Interrupt,
+}
+
+impl Cause {
+    /// True if further evaluations around the result are allowed and may succeed.
+    pub fn allows_evaluations(self) -> bool {
+        matches!(self, Self::Search | Self::Limit | Self::Callback)
+    }
+
+    /// True if the caller asked for the end of all that is under way.
+    pub fn is_request(self) -> bool {
+        matches!(self, Self::Callback | Self::Interrupt)
+    }
 }
 
 /// A cost that has fallen below this counts as unbounded: no quantity in any unit is as large. On the way to
@@ -60,6 +96,35 @@ impl Termination {
         matches!(self, Self::Converged | Self::Target | Self::AllFixed)
     }
 
+    /// Why the search ended, also where the checkpoint could not be written then.
+    pub fn ended(&self) -> &Self {
+        match self {
+            Self::NotSaved { ended, .. } => ended,
+            ended => ended,
+        }
+    }
+
+    /// What ended the run.
+    pub fn cause(&self) -> Cause {
+        match self {
+            Self::Converged
+            | Self::Noise
+            | Self::ConstantCost
+            | Self::Collapsed
+            | Self::BesideFailures
+            | Self::Stalled
+            | Self::AllFixed => Cause::Search,
+            Self::Target | Self::MaxEvaluations | Self::MaxIterations => Cause::Limit,
+            Self::StoppedByObserver => Cause::Callback,
+            Self::MaxTime => Cause::Time,
+            Self::OneFiniteVertex | Self::AllFailed | Self::TooManyFailed | Self::Unbounded => {
+                Cause::Objective
+            }
+            Self::Interrupted | Self::Aborted(_) => Cause::Interrupt,
+            Self::NotSaved { ended, .. } => ended.cause(),
+        }
+    }
+
     /// A short name, fit for tables and files.
     pub fn name(&self) -> &'static str {
         match self {
@@ -68,6 +133,7 @@ impl Termination {
             Self::Target => "target",
             Self::Collapsed => "collapsed",
             Self::OneFiniteVertex => "one-finite-vertex",
+            Self::BesideFailures => "beside-failures",
             Self::AllFailed => "all-failed",
             Self::TooManyFailed => "too-many-failed",
             Self::Stalled => "stalled",
@@ -78,7 +144,7 @@ impl Termination {
             Self::StoppedByObserver => "stopped-by-observer",
             Self::Interrupted => "interrupted",
             Self::Aborted(_) => "aborted",
-            Self::NotSaved(_) => "not-saved",
+            Self::NotSaved { .. } => "not-saved",
             Self::ConstantCost => "constant-cost",
             Self::Unbounded => "unbounded",
         }
@@ -89,7 +155,7 @@ impl fmt::Display for Termination {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Aborted(message) => write!(f, "aborted: {message}"),
-            Self::NotSaved(message) => write!(f, "not saved: {message}"),
+            Self::NotSaved { reason, ended } => write!(f, "{ended}, not saved: {reason}"),
             other => f.write_str(other.name()),
         }
     }

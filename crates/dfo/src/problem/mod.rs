@@ -1,6 +1,7 @@
 //! The problem: objective, loss, search space.
 
 pub(crate) mod loss;
+pub(crate) mod m_estimator;
 pub(crate) mod memory;
 pub(crate) mod objective;
 pub(crate) mod option_texts;

@@ -590,7 +590,9 @@ impl<M: Method> Drive<M> {
     fn unless_unsaved(&self, termination: Termination) -> Termination {
         match (termination, &self.unsaved) {
             (hard @ (Termination::Aborted(_) | Termination::Interrupted), _) => hard,
-            (_, Some(error)) if !self.by_hand => Termination::NotSaved(error.to_string()),
+            (termination, Some(error)) if !self.by_hand => {
+                Termination::NotSaved { reason: error.to_string(), ended: Box::new(termination) }
+            }
             (termination, _) => termination,
         }
     }

@@ -8,6 +8,7 @@ use crate::method_interface::tolerances::{Limits, ToleranceTests};
 use crate::outcome::termination::{Termination, UNBOUNDED};
 use crate::outcome::trace::Trace;
 use crate::problem::loss::RobustLoss;
+use crate::problem::m_estimator::MeanScore;
 use base::{Number, RunContext};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -172,8 +173,8 @@ impl Report {
     /// `s^2 = r' r / (m - n)`, over the free parameters that lie at no bound. `None` without residuals or
     /// Jacobian.
     ///
-    /// With a loss, r and J are those of the residuals as they counted (see [`RobustLoss`]), so that an
-    /// outlier adds as little to s as it did to the cost.
+    /// With a loss it is that of the M-estimator: r are the scores of the residuals over the slope of their
+    /// mean, times the root of the correction for small samples ([`MeanScore`]).
     pub fn covariance(&self) -> Option<Covariance> {
         self.covariance_unless(&RunContext::new())
     }
@@ -181,13 +182,14 @@ impl Report {
     /// The same; `None`, too, where there are many residuals and the context is over.
     pub fn covariance_unless(&self, context: &RunContext<'_>) -> Option<Covariance> {
         let (residuals, jacobian) = (self.residuals.as_ref()?, self.jacobian.as_ref()?);
-        if self.loss.is_linear() {
+        let n_free = self.active.iter().filter(|active| **active == 0).count();
+        let mean = self.loss.mean_score(residuals, n_free as f64 / residuals.len() as f64);
+        let Some(MeanScore { slope, correction }) = mean.filter(|_| !self.loss.is_linear()) else {
             return Covariance::new(residuals, jacobian, &self.active, context);
-        }
-        let counted: Vec<f64> = residuals.iter().map(|r| self.loss.transform(*r)).collect();
-        let n = self.x.len();
-        let weighted = jacobian.iter().enumerate().map(|(k, j)| j * self.loss.slope(residuals[k / n]));
-        Covariance::new(&counted, &weighted.collect::<Vec<_>>(), &self.active, context)
+        };
+        let factor = correction.sqrt() / slope;
+        let working: Vec<f64> = residuals.iter().map(|r| factor * self.loss.score(*r)).collect();
+        Covariance::new(&working, jacobian, &self.active, context)
     }
 
     /// The sum of the squares of the plain residuals: with the linear loss the cost.
@@ -310,7 +312,7 @@ fn message<M: Method + ?Sized>(
     let details = method.details();
     let tests = details.tests.map_or_else(String::new, |t| t.to_string());
     let with_tests = |text: String| if tests.is_empty() { text } else { format!("{text}; {tests}") };
-    let message = match termination {
+    let ended = match termination {
         Termination::Converged => format!("converged; {tests}"),
         Termination::Noise => {
             let is_known = details.tests.is_some_and(|tests| tests.x_passed);
@@ -341,6 +343,9 @@ fn message<M: Method + ?Sized>(
         Termination::OneFiniteVertex => with_tests(
             "not converged: only one vertex of the simplex has a cost, all others failed".to_owned(),
         ),
+        Termination::BesideFailures => with_tests(
+            "not converged: points around the best one fail, and a lower cost may lie between them".to_owned(),
+        ),
         Termination::AllFailed => {
             with_tests("not converged: every point failed after some that did not".to_owned())
         }
@@ -365,16 +370,17 @@ fn message<M: Method + ?Sized>(
         Termination::StoppedByObserver => with_tests("stopped by the callback".to_owned()),
         Termination::Interrupted => with_tests("interrupted".to_owned()),
         Termination::Aborted(reason) => format!("aborted by the objective: {reason}"),
-        Termination::NotSaved(reason) => {
-            with_tests(format!("ended, and its last state could not be saved: {reason}"))
+        Termination::NotSaved { reason, ended } => {
+            let ended = message(method, ledger, limits, ended, fun, seconds);
+            return format!("{ended}; the last state could not be saved: {reason}");
         }
     };
     let message = match (details.roughness, details.handed_over) {
         (Some(roughness), Some(points)) => {
-            format!("{message}; nelder-mead took over after {points} evaluations: {roughness}")
+            format!("{ended}; nelder-mead took over after {points} evaluations: {roughness}")
         }
-        (Some(roughness), None) if !termination.is_success() => format!("{message}; {roughness}"),
-        _ => message,
+        (Some(roughness), None) if !termination.is_success() => format!("{ended}; {roughness}"),
+        _ => ended,
     };
     if let Some(cost) = ledger.trace.constant() {
         format!("{message}; the cost was {} at all {} points", Number(cost), ledger.n_evaluations)

@@ -5,8 +5,8 @@ use crate::common;
 
 use common::{methods_for_costs, probe, rosenbrock, timeless};
 use dfo::{
-    AnyMethod, Checkpoint, CmaEs, Error, Lookahead, MethodOptions, Minimize, NelderMead, Outcome, Query,
-    Report, Resume, Termination, by_hand, minimize, with_query,
+    AnyMethod, Cause, Checkpoint, CmaEs, Error, Lookahead, MethodOptions, Minimize, NelderMead, Outcome,
+    Query, Report, Resume, Termination, by_hand, minimize, with_query,
 };
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -357,12 +357,12 @@ fn a_file_that_cannot_be_written_any_more_costs_no_result() {
         let report = run(&cost).unwrap();
         // The run goes on, and says at its end that nothing of it is stored.
         assert!(report.n_evaluations > 151, "{report}");
-        assert!(matches!(&report.termination, Termination::NotSaved(why) if why.contains("run")), "{report}");
-        assert!(
-            report.message.starts_with("ended, and its last state could not be saved: checkpoint"),
-            "{}",
-            report.message
-        );
+        let Termination::NotSaved { reason, ended } = &report.termination else { panic!("{report}") };
+        let is_own = matches!(ended.cause(), Cause::Limit | Cause::Search);
+        assert!(reason.contains("run") && is_own && report.termination.cause() == ended.cause(), "{report}");
+        assert_eq!(report.termination.ended(), &**ended);
+        let message = &report.message;
+        assert!(message.contains("; the last state could not be saved: checkpoint"), "{message}");
         assert!(!report.is_success() && report.n_evaluations > 150);
         assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)));
         // Where there is no place from the start on, nothing is evaluated.

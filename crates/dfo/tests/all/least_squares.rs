@@ -41,7 +41,7 @@ fn failing_regions() {
         for start in [[-0.5, 1.0], [-0.7, 1.2], [0.1, 0.9], [-1.0, 1.5], [-1.1, 1.1], [0.0, 0.3]] {
             let run = boxed(minimize(residuals(probe)), batch).start(&start).max_evaluations(2000);
             let report = run.run().unwrap();
-            assert!(report.fun < 1e-6 && report.n_evaluations < 500, "{batch}, {start:?}: {report}");
+            assert!(report.fun < 1e-6 && report.n_evaluations < 600, "{batch}, {start:?}: {report}");
         }
     }
 }
@@ -467,7 +467,7 @@ fn a_wall_is_followed() {
     };
     for start in [[-1.2, 1.0], [0.3, -0.5], [-0.7, 2.0]] {
         let report = minimize(residuals(wall)).start(&start).method(LeastSquares::default()).run().unwrap();
-        assert!(report.fun < 0.01001 && report.n_evaluations < 260, "{start:?} {report}");
+        assert!(report.fun < 0.01001 && report.n_evaluations < 600, "{start:?} {report}");
         let costs: Vec<f64> = report.trace.iter().filter_map(|e| e.outcome.value()).collect();
         let near = costs.iter().position(|f| *f < 0.02).unwrap();
         assert!(costs[near..].iter().all(|f| *f < 0.5 * costs[0]), "{start:?} {costs:?}");

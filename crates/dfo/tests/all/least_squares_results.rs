@@ -1,10 +1,12 @@
 //! What a run on residuals gives back besides its best point: residuals, Jacobian, covariance, and losses.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
+use crate::problems::nist::regressions;
 use dfo::{
     BatchView, Checkpoint, Error, LeastSquares, Loss, NelderMead, Objective, Outcome, Query, Report,
     RobustLoss, Tolerances, Transform, by_hand, least_squares, minimize, minimize_batches, residuals,
 };
+use nalgebra::DMatrix;
 
 const TIMES: usize = 9;
 
@@ -179,5 +181,174 @@ fn a_loss_that_bends_between_the_points_does_not_hide_the_slope() {
             assert!(fit.is_success(), "{fit}");
             assert!(fit.fun - best.fun < 0.05, "{kind:?} {seed}: {} above", fit.fun - best.fun);
         }
+    }
+}
+
+/// Standard deviations by the closed form of the Jacobian, over those of a report.
+fn ratios<const N: usize>(report: &Report, row: impl Fn(usize) -> [f64; N]) -> [f64; N] {
+    let m = report.residuals.as_ref().unwrap().len();
+    let j = DMatrix::from_fn(m, N, |i, k| row(i)[k]);
+    let inverse = (j.transpose() * j).try_inverse().unwrap();
+    let variance = report.sum_of_squares().unwrap() / (m - N) as f64;
+    let covariance = report.covariance().unwrap();
+    std::array::from_fn(|k| (covariance.matrix[k * (N + 1)] / (variance * inverse[(k, k)])).sqrt())
+}
+
+fn time(k: usize) -> f64 {
+    4.0 * k as f64 / 49.0
+}
+
+/// About standard normal.
+fn noise(k: usize) -> f64 {
+    let dice = |k: usize| ((k * 7919 + 13) % 1009) as f64 / 1009.0 - 0.5;
+    (0..6).map(|i| dice(6 * k + i + 1)).sum::<f64>() * 2f64.sqrt()
+}
+
+#[test]
+fn covariance_is_that_of_the_closed_form_when_huge_residuals_were_met() {
+    for (offset, deviation) in [(10.0, 0.2), (10.0, 1e-3), (823.5, 0.2), (823.5, 1e-3)] {
+        let residuals = |x: &[f64], out: &mut Vec<f64>| {
+            let model = |k: usize| x[0] - x[1] * (-x[2] * time(k)).exp();
+            let measured = |k: usize| offset - 5.3 * (-8.2 * time(k)).exp() + deviation * noise(k);
+            out.extend((0..50).map(|k| model(k) - measured(k)));
+        };
+        let report = least_squares(residuals).start(&[1.0; 3]).run().unwrap();
+        let x = &report.x;
+        let row = |k: usize| {
+            let decay = (-x[2] * time(k)).exp();
+            [1.0, -decay, x[1] * time(k) * decay]
+        };
+        let ratios = ratios(&report, row);
+        assert!(report.is_success() && ratios.iter().all(|r| (r - 1.0).abs() < 0.02), "{ratios:?} {report}");
+    }
+    for (height, start) in [(1e3, [1.0, 1.0]), (1e5, [1.0, 1.0]), (1e5, [10.0, 0.1])] {
+        let residuals = |x: &[f64], out: &mut Vec<f64>| {
+            let decay = |a: f64, b: f64, k: usize| a * (-b * time(k)).exp();
+            out.extend((0..50).map(|k| decay(x[0], x[1], k) - decay(height, 0.5, k) - 0.2 * noise(k)));
+        };
+        let report = least_squares(residuals).start(&start).run().unwrap();
+        let x = &report.x;
+        let row = |k: usize| {
+            let decay = (-x[1] * time(k)).exp();
+            [decay, -x[0] * time(k) * decay]
+        };
+        let ratios = ratios(&report, row);
+        assert!(report.is_success() && ratios.iter().all(|r| (r - 1.0).abs() < 0.02), "{ratios:?} {report}");
+    }
+}
+
+/// NIST StRD: certified standard deviations of the estimates.
+#[test]
+fn covariance_is_the_certified_one_for_hard_regressions() {
+    let certified: [(&str, &[f64]); 2] = [
+        ("MGH17", &[2.0723153551e-3, 2.2031669222e-1, 2.2175707739e-1, 4.4861358114e-4, 8.9471996575e-4]),
+        ("Eckerle4", &[1.5408051163e-2, 4.6803020753e-2, 4.6800518816e-2]),
+    ];
+    for (name, deviations) in certified {
+        let regression = regressions().into_iter().find(|regression| regression.name == name).unwrap();
+        for start in &regression.starts {
+            let report = least_squares(|x: &[f64], out: &mut Vec<f64>| out.extend(regression.residuals(x)));
+            let report = report.start(start).run().unwrap();
+            assert!(report.fun < 1.0001 * regression.best, "{name} {report}");
+            let covariance = report.covariance().unwrap();
+            for (k, expected) in deviations.iter().enumerate() {
+                let ratio = covariance.matrix[k * (deviations.len() + 1)].sqrt() / expected;
+                assert!((ratio - 1.0).abs() < 0.05, "{name} from {start:?}: {k} {ratio}");
+            }
+        }
+    }
+}
+
+#[test]
+fn covariance_is_infinite_at_any_scale_when_columns_are_collinear() {
+    type Model = fn(&[f64], f64) -> f64;
+    let models: [(Model, [usize; 2]); 4] = [
+        (|x, t| x[0] * x[1] * (-x[2] * t).exp(), [0, 1]),
+        (|x, t| (x[0] + x[1]) * (-x[2] * t).exp(), [0, 1]),
+        (|x, t| x[0] * (-(x[1] + x[2]) * t).exp(), [1, 2]),
+        (|x, t| x[0] + (x[1] + 2.0 * x[2]) * t, [1, 2]),
+    ];
+    for scale in [1e-6, 1e-2, 1.0, 1e5] {
+        for (which, (model, undetermined)) in models.iter().enumerate() {
+            for start in [[1.0, 1.0, 1.0], [3.0, 0.2, 0.1]] {
+                let residuals = |x: &[f64], out: &mut Vec<f64>| {
+                    let at = |k: usize| model(x, time(k)) - model(&[2.0, 0.5, 0.7], time(k));
+                    out.extend((0..50).map(|k| scale * (at(k) + 0.01 * noise(k))));
+                };
+                let covariance = least_squares(residuals).start(&start).run().unwrap().covariance().unwrap();
+                assert_eq!(
+                    covariance.undetermined, undetermined,
+                    "{scale:e} {which} {start:?} {covariance:?}"
+                );
+                assert!(undetermined.iter().all(|k| covariance.matrix[4 * k] == f64::INFINITY));
+                assert!(covariance.message(|k| format!("x[{k}]")).contains("do not determine"));
+            }
+        }
+    }
+}
+
+/// From a hundred parameters on the Jacobian is that of the interpolation.
+#[test]
+fn jacobian_of_many_parameters_is_that_of_their_residuals() {
+    let n = 120;
+    let residuals = |x: &[f64], out: &mut Vec<f64>| {
+        let own = |k: usize| x[k] + 0.1 * x[k] * x[(k + 1) % x.len()];
+        out.extend((0..x.len()).map(|k| own(k) - 0.9 - 0.01 * noise(k)));
+        out.extend((0..x.len()).map(|k| 0.5 * x[k] - 0.4));
+    };
+    let report = least_squares(residuals).start(&vec![1.0; n]).run().unwrap();
+    let (x, jacobian) = (&report.x, report.jacobian.as_ref().unwrap());
+    for k in 0..n {
+        let next = (k + 1) % n;
+        for j in 0..n {
+            let own = if j == k { 1.0 + 0.1 * x[next] } else { 0.0 };
+            let expected = own + if j == next { 0.1 * x[k] } else { 0.0 };
+            assert!(
+                (jacobian[k * n + j] - expected).abs() < 1e-2,
+                "{k} {j} {} {expected}",
+                jacobian[k * n + j]
+            );
+        }
+    }
+    assert!(report.is_success() && report.covariance().unwrap().undetermined.is_empty(), "{report}");
+}
+
+/// A line with noise of a tenth of outliers, 300 times: the scatter of the slope is what the covariance says.
+#[test]
+fn covariance_with_a_loss_is_the_scatter_of_the_estimates() {
+    let normal = |k: usize| {
+        // SplitMix64 (Steele, Lea and Flood 2014).
+        let uniform = |k: usize| {
+            let mut z = (k as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+            z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+            z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+            ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+        };
+        let (u, v) = (uniform(2 * k + 1), uniform(2 * k + 2));
+        (-2.0 * (1.0 - u).ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+    };
+    for (loss, scale, outliers) in
+        [(Loss::Huber, 0.1, false), (Loss::Huber, 1.0, true), (Loss::SoftL1, 0.1, false)]
+    {
+        let (mut slopes, mut deviations) = (Vec::new(), Vec::new());
+        for set in 0..300 {
+            let line = |x: &[f64], out: &mut Vec<f64>| {
+                out.extend((0..100).map(|k| {
+                    let (t, at) = (k as f64 / 99.0, 200 * set + 2 * k);
+                    let large = if outliers && (at / 2) % 10 == 3 { 20.0 * normal(at + 1) } else { 0.0 };
+                    x[0] + x[1] * t - 1.0 - 2.0 * t - normal(at) - large
+                }));
+            };
+            let report = minimize(residuals(line).loss(loss, scale).unwrap()).start(&[0.5, 0.5]);
+            let report = report.method(LeastSquares::default()).run().unwrap();
+            slopes.push(report.x[1]);
+            deviations.push(report.covariance().unwrap().matrix[3].sqrt());
+        }
+        let mean = slopes.iter().sum::<f64>() / 300.0;
+        let scatter = (slopes.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / 299.0).sqrt();
+        deviations.sort_by(f64::total_cmp);
+        let ratio = deviations[150] / scatter;
+        // Of 300 estimates the scatter has a standard error of 4 %; without the correction the ratios are 0.7 to 1.8.
+        assert!((ratio - 1.0).abs() < 0.15, "{loss:?} {scale}: {ratio}");
     }
 }

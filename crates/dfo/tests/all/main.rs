@@ -21,6 +21,7 @@ mod flow;
 mod forged_states;
 mod genetic;
 mod hand_over;
+mod honest_ends;
 mod least_squares;
 mod least_squares_results;
 mod more_wild;

@@ -251,3 +251,20 @@ fn a_cluster_with_several_minima_is_not_taken_for_one() {
     let right = reports.iter().filter(|r| r.fun <= 1e-6).count();
     assert!(wrong == 0 && right >= 15, "{right} found, {wrong} wrong");
 }
+
+/// Steps of the local searches from their starts: those of one seed would be the same for all.
+#[test]
+fn local_searches_draw_random_numbers_of_their_own() {
+    let cost = |x: &[f64]| x.iter().map(|x| (x * x - 1.0).powi(2) + 0.1 * x).sum::<f64>();
+    let method = Multistart::default().polish(Polish::CmaEs).exploration(0.0).side_by_side(4);
+    let run = minimize(cost).bounds(&[-2.0; 6], &[2.0; 6]).unwrap().method(method).seed(1);
+    let report = run.max_evaluations(140).run().unwrap();
+    let points: Vec<&[f64]> = report.trace.iter().skip(60).map(|entry| entry.x).collect();
+    let steps: Vec<Vec<f64>> =
+        points.windows(2).map(|pair| pair[0].iter().zip(pair[1]).map(|(a, b)| b - a).collect()).collect();
+    let is_same = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
+    let n_same: usize = (0..steps.len())
+        .map(|k| steps[k + 1..].iter().filter(|other| is_same(&steps[k], other)).count())
+        .sum();
+    assert_eq!(n_same, 0);
+}

@@ -129,7 +129,7 @@ fn units_do_not_change_the_path() {
             (run.x.iter().zip(units).map(|(x, c)| x * c).collect::<Vec<_>>(), run.fun, run.n_evaluations)
         };
         let units: Vec<f64> =
-            (0..start.len()).map(|k| [1048576.0, 0.125, 2f64.powi(-30)][(k + number) % 3]).collect();
+            (0..start.len()).map(|k| [4.0, 0.125, 2f64.powi(-30)][(k + number) % 3]).collect();
         assert_eq!(run(&vec![1.0; start.len()]), run(&units), "{}", f.name);
     }
 }

@@ -163,7 +163,7 @@ fn made<'py>(record: &Bound<'py, PyDict>, module: &str, class: &str) -> PyResult
 
 /// A run that an observer ended with an exception was not stopped, but aborted.
 pub(crate) fn set_raised(report: &mut Report, raised: Option<&PyErr>) {
-    if let (Some(e), Termination::StoppedByObserver) = (raised, &report.termination) {
+    if let (Some(e), Termination::StoppedByObserver) = (raised, report.termination.ended()) {
         report.message = format!("aborted by the callback: {e}");
         report.termination = Termination::Aborted(e.to_string());
     }

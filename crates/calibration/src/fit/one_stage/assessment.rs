@@ -2,7 +2,7 @@
 
 use super::misfit;
 use super::noise::{self, FitNoise};
-use super::noise_iterations::{FinalSearch, is_at_end};
+use super::noise_iterations::FinalSearch;
 use super::result::Fit;
 use super::search::{Job, SearchResult};
 use crate::cost::residual::{CostRule, PointResiduals, sum_of_squares};
@@ -19,9 +19,8 @@ use crate::uncertainty::covariance::identifiability::SEARCH;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
 use crate::uncertainty::estimate::KnownPoint;
 use crate::uncertainty::result::{Uncertainty, UncertaintyOptions};
-use crate::uncertainty::stuck_parameters::is_over;
 use base::{Number, RunContext};
-use dfo::{Report, RobustLoss, Termination, ToleranceMeasure, Tolerances};
+use dfo::{Cause, Report, RobustLoss, Termination, ToleranceMeasure, Tolerances};
 use ode::Stats;
 use std::sync::atomic::Ordering;
 
@@ -167,7 +166,7 @@ impl Calibration {
         found.extend(self.loose(tolerances, &report.x));
         if job.is_checked() {
             match &ends.end {
-                Some(end) if is_over(&report.termination) => {
+                Some(end) if report.termination.cause().allows_evaluations() => {
                     found.extend(self.check_after_fit(
                         ends.start.as_ref(),
                         end,
@@ -179,7 +178,7 @@ impl Calibration {
                         found.extend(self.large_step_after_fit(end, &job.context, stats));
                     }
                 }
-                _ if report.termination == Termination::MaxTime => {
+                _ if *report.termination.ended() == Termination::MaxTime => {
                     found.extend(self.check_of_setup(&report.x));
                 }
                 _ => {}
@@ -204,7 +203,7 @@ impl Calibration {
         let ended = self.evaluator().longest_ended.swap(0, Ordering::Relaxed) as f64 * 1e-6;
         let finished = report.trace.iter().filter(|entry| entry.outcome.value().is_some());
         let most = finished.fold(0.0, |most: f64, entry| most.max(entry.seconds));
-        let is_endless = report.termination == Termination::MaxTime
+        let is_endless = *report.termination.ended() == Termination::MaxTime
             && self.problem().settings.run.timeout.is_none()
             && ended > ENDLESS * most;
         is_endless.then(|| {
@@ -235,7 +234,7 @@ impl Calibration {
             && job.loss.is_linear()
             && made.noise.is_none()
             && job.is_whole
-            && is_at_end(&made.searched.report.termination)
+            && made.searched.report.termination.cause() == Cause::Search
             && !self.is_within_tolerance(sum_of_squares(residuals));
         let is_free = |(i, p): (usize, &Parameter)| p.lower() < p.upper() && !job.held.contains(&i);
         let n_free = self.parameters().iter().enumerate().filter(|(i, p)| is_free((*i, p))).count();
@@ -252,7 +251,7 @@ impl Calibration {
     ) -> Vec<Finding> {
         let mut found = Vec::new();
         let is_requested = job.uncertainty.is_some() && job.objective.has_uncertainty();
-        if is_requested && is_over(&searched.report.termination) && job.context.is_late() {
+        if is_requested && searched.report.termination.cause().allows_evaluations() && job.context.is_late() {
             let sentence = "the time was up before the standard errors were known";
             found.push(Finding::warning("max_time", sentence, "").of(Origin::Search));
         }
@@ -260,7 +259,8 @@ impl Calibration {
             found.extend(self.large_step_after_fit(end, &job.context, stats));
         }
         // Of a search that was ended the residuals show something that other values take away.
-        let at_end = ends.end.as_ref().filter(|_| job.is_whole && is_at_end(&searched.report.termination));
+        let is_at_end = searched.report.termination.cause() == Cause::Search;
+        let at_end = ends.end.as_ref().filter(|_| job.is_whole && is_at_end);
         if let Some(end) = at_end.filter(|end| !self.is_within_tolerance(sum_of_squares(&end.residuals))) {
             let names = self.problem().experiment_names();
             let checks =
@@ -336,7 +336,7 @@ impl Calibration {
     ) -> Option<Uncertainty> {
         let SearchResult { report, stuck, tolerances, .. } = searched;
         let options = job.uncertainty.as_ref().filter(|_| job.objective.has_uncertainty())?;
-        if !is_over(&report.termination) || job.context.is_over() {
+        if !report.termination.cause().allows_evaluations() || job.context.is_over() {
             return None;
         }
         // Two for each parameter, and an accurate one.
@@ -368,7 +368,7 @@ impl Calibration {
         match uncertainty {
             Ok(mut uncertainty) => {
                 // Whoever gives a target wants no minimum.
-                if report.termination == Termination::Target {
+                if *report.termination.ended() == Termination::Target {
                     uncertainty.findings.retain(|finding| finding.subject != SEARCH);
                 }
                 if !job.run.method.is_global() {

@@ -15,7 +15,7 @@ use crate::loaded::simulations_around::{Point, Simulations};
 use crate::problem::definition::Problem;
 use crate::problem::parameter::Parameter;
 use crate::problem::residual_layout::OutputResiduals;
-use dfo::{Checkpoint, Report, Resume, Termination};
+use dfo::{Cause, Checkpoint, Report, Resume, Termination};
 use ode::Stats;
 
 /// The last search of a fit, and what it was made with.
@@ -289,7 +289,7 @@ impl Calibration {
                 turns.at_start = (ends.start)
                     .map(|start| self.residual_layout().reweighed(&start.residuals, own.residual_layout()));
             }
-            let next = match ends.end.filter(|_| is_at_end(&searched.report.termination)) {
+            let next = match ends.end.filter(|_| searched.report.termination.cause() == Cause::Search) {
                 Some(end) => own
                     .leverages_at(&searched, &end.residuals, job, stats)?
                     .map(|leverages| turns.noise.next(self, &end.residuals, &leverages)),
@@ -412,17 +412,4 @@ impl Calibration {
             ..unstated
         })
     }
-}
-
-/// True if the search has come to its end: nothing from outside ended it.
-pub(super) fn is_at_end(termination: &Termination) -> bool {
-    matches!(
-        termination,
-        Termination::Converged
-            | Termination::Noise
-            | Termination::ConstantCost
-            | Termination::Collapsed
-            | Termination::Stalled
-            | Termination::AllFixed
-    )
 }

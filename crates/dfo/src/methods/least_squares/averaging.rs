@@ -99,7 +99,8 @@ impl LeastSquaresState {
             let (lower, upper) = self.space_around(&averaging.centre);
             let (step, predicted) = regression.minimise(averaging.radius, &lower, &upper);
             averaging.centre = sum(&averaging.centre, &step);
-            let best = self.best_of(0..self.points.len()).map_or(0.0, |k| self.points[k].cost);
+            let best_point = self.best_of(0..self.points.len()).unwrap_or(0);
+            let best = self.points[best_point].cost;
             // The minimum is known as well as the noise lets it, however wide the points lie around it.
             let x_size = averaging.radius.min(norm(&step) + regression.uncertainty(&step));
             self.tests = Some(self.judge(x_size, predicted, best));
@@ -112,7 +113,7 @@ impl LeastSquaresState {
             let is_known = is_straight && averaging.n_asked >= FEWEST * (n + 1) && predicted <= most;
             let ends = is_known && regression.minimise(wide, &lower, &upper).1 <= most;
             if may_end && (ends || self.is_halted(MOST_WITHOUT_GAIN)) {
-                self.phase = Phase::Ended(Termination::Noise);
+                self.phase = Phase::Ended(self.end_in_noise(best_point));
                 return;
             }
             trial = Some(Role::Trial { predicted, radius: averaging.radius });

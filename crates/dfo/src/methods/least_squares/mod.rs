@@ -11,6 +11,7 @@
 
 mod averaging;
 mod interpolation;
+mod jacobian;
 mod model;
 mod options;
 mod points;

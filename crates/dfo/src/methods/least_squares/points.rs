@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// something is learned.
 const INDEPENDENT: f64 = 0.03;
 /// The same where nothing better is there.
-const BARELY_INDEPENDENT: f64 = 1e-7;
+pub(super) const BARELY_INDEPENDENT: f64 = 1e-7;
 
 /// A point with a cost.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -83,7 +83,7 @@ impl Selection {
     }
 
     /// Adds a direction if enough of it is new.
-    fn add(&mut self, v: &[f64], threshold: f64) -> bool {
+    pub(super) fn add(&mut self, v: &[f64], threshold: f64) -> bool {
         let (rest, length) = (self.rest(v), norm(v));
         let new = norm(&rest);
         let added = new > threshold * length && new > 0.0;

@@ -596,9 +596,10 @@ impl Method for LeastSquaresState {
     }
 
     fn linear_model(&self, context: &RunContext<'_>) -> Option<LinearModel> {
-        let best = self.points.iter().min_by(|a, b| a.cost.total_cmp(&b.cost))?;
-        let points = self.points.iter().map(|p| (&p.z[..], &p.residuals[..]));
-        LinearModel::regression(&self.setup.space, &best.x, &best.z, &best.residuals, points, context)
+        let best = self.best_of(0..self.points.len())?;
+        let jacobian = self.jacobian(best, context)?;
+        let (space, Evaluated { x, residuals, .. }) = (&self.setup.space, &self.points[best]);
+        LinearModel::new(space, x, residuals.len(), |i, k| jacobian[(i, k)] / space.size(k))
     }
 
     fn save(&self) -> Option<Vec<u8>> {

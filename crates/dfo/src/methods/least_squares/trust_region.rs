@@ -46,6 +46,9 @@ const JUMP: f64 = 0.03;
 const ONWARD: f64 = 0.016;
 /// Where the sum does not fall to zero that is looked at so far from the start, in units of the first radius.
 const FAR: f64 = 100.0;
+/// A value so many times larger than the start, or than one, has run away: bounds as far count as none, too
+/// (`problem/space`).
+const RUN_AWAY: f64 = 1e10;
 /// Radii of the trial points of a round, in units of the trust region's, the most promising first.
 const RADII: [f64; 4] = [1.0, 0.3, 3.0, 0.1];
 /// Distance of the neighbours of a round's first trial point from it, in units of the step.
@@ -88,7 +91,7 @@ impl LeastSquaresState {
     /// The residuals of a point as a loss counts them next to the base: linear there, so that what bends
     /// within the set is the model alone. Between points whose residuals differ by the scale of the loss, its
     /// own bends would hide the slope of the cost.
-    fn residuals_near(&self, base: usize, point: usize) -> Cow<'_, [f64]> {
+    pub(super) fn residuals_near(&self, base: usize, point: usize) -> Cow<'_, [f64]> {
         let (loss, own) = (&self.setup.loss, &self.points[point].residuals);
         if loss.is_linear() || point == base {
             return Cow::Borrowed(own);
@@ -187,7 +190,7 @@ impl LeastSquaresState {
             } else if is_kept_off || is_plateau || (self.n_failed > 0 && self.delta < STUCK) {
                 self.begin_simplex();
             } else if tests.x_passed && self.is_halted(MOST_HALTED) {
-                self.phase = Phase::Ended(Termination::Noise);
+                self.phase = Phase::Ended(self.end_in_noise(base));
             } else if self.rho < SMALLEST {
                 self.phase = Phase::Ended(Termination::Collapsed);
             } else if length < 0.5 * self.rho || predicted <= nothing {
@@ -558,6 +561,14 @@ impl LeastSquaresState {
             }
             _ => Some(Stagnation { z: z.clone(), cost, n_rounds: 0 }),
         };
+    }
+
+    /// The end in noise, or that of parameters that have gone so far that their rounding may be what looks
+    /// like it.
+    pub(super) fn end_in_noise(&self, point: usize) -> Termination {
+        let space = &self.setup.space;
+        let is_far = |i: &usize| self.points[point].x[*i].abs() > RUN_AWAY * space.x0()[*i].abs().max(1.0);
+        if space.free().iter().any(is_far) { Termination::Unbounded } else { Termination::Noise }
     }
 
     /// True if it has not gone on in so many rounds for each parameter and one more.

@@ -9,7 +9,7 @@ use crate::method_interface::interface::{
     restored, saved,
 };
 use crate::method_interface::linear_model::LinearModel;
-use crate::method_interface::rng::draw_seed;
+use crate::method_interface::rng::{draw_seed, seed_at};
 use crate::method_interface::sampling::Sampling;
 use crate::method_interface::tolerances::ToleranceTests;
 use crate::methods::shared::cost::Cost;
@@ -236,11 +236,12 @@ impl MultistartState {
         Ok(())
     }
 
-    /// The problem of a search from a point.
+    /// The problem of a search from a point, with random numbers of its own.
     fn setup_at(&self, start: &[f64]) -> Setup {
-        let Setup { space, .. } = &self.core.setup;
-        let space = space.starting_at(start);
-        Setup { space, start_given: true, prior: Vec::new(), ..self.core.setup.clone() }
+        let Core { setup, seed, .. } = &self.core;
+        let space = setup.space.starting_at(start);
+        let seed = Some(seed_at(*seed, start));
+        Setup { space, seed, start_given: true, prior: Vec::new(), ..setup.clone() }
     }
 
     /// A search from a point; continued from a state where there is one.
@@ -668,16 +669,12 @@ impl Method for MultistartState {
     fn details(&self) -> MethodDetails<'_> {
         let core = &self.core;
         let exploring = self.exploration.as_ref().and_then(|method| method.details().population);
-        let is_best = |tests: &ToleranceTests| core.best.cost().is_some_and(|best| best >= tests.f_best);
         MethodDetails {
             n_iterations: core.n_iterations,
             operation: core.operation,
             tests: core.tests,
-            // Several minima leave it open whether the best one is among them, until no other is expected; an exploration
-            // has looked for that.
-            settled: (core.n_planned > 0 || core.minima.len() < 2 || core.has_all_minima())
-                && core.has_converged()
-                && core.tests.as_ref().is_some_and(is_best),
+            // Whether the best minimum is among those found is only known at the end of the method's own.
+            settled: false,
             plan: "sample, then searches side by side",
             seed: Some(core.seed),
             population: exploring.or_else(|| Some(core.sample.view())),

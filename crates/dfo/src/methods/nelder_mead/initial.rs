@@ -94,10 +94,14 @@ fn default_steps(space: &Space) -> Vec<f64> {
 }
 
 /// The point that a search for sizes started from, the steps that it found, and usual ones along the other
-/// axes. The space takes the sizes.
+/// axes. The space takes the sizes that were unknown.
 pub(super) fn around(space: &mut Space, search: &SizeSearch) -> RankedPoints {
     let found = search.found(space);
-    found.iter().for_each(|found| space.set_unit(found.k, found.size));
+    for SizeFound { k, size, .. } in &found {
+        if space.size_is_unknown(*k) {
+            space.set_unit(*k, *size);
+        }
+    }
     let (base, cost) = search.base();
     let plain = space.without_sine().starting_at(base);
     let mut simplex = from_steps(&plain, &default_steps(&plain));

@@ -126,11 +126,13 @@ impl NelderMeadState {
                 self.f_restart = Some(tests.f_best);
                 restart::orient(&mut self.simplex, &self.setup.space, side);
                 self.phase = Phase::Restarting;
-            } else if self.sizing {
-                let best = self.simplex.best();
-                let from = (self.simplex.x(best), tests.f_best);
-                self.sizes =
-                    Some(SizeSearch::beside(&self.setup.space, from, tests.f_limit, self.sizes.as_ref()));
+            } else if self.sizing || self.has_failures {
+                let (space, limit) = (&self.setup.space, tests.f_limit);
+                let from = (self.simplex.x(self.simplex.best()), tests.f_best);
+                self.sizes = Some(match self.has_failures {
+                    true => SizeSearch::beside_failures(space, from, limit, self.setup.tolerances.x_tol),
+                    false => SizeSearch::beside(space, from, limit, self.sizes.as_ref()),
+                });
                 self.phase = Phase::Checking;
                 self.size_step_told();
             } else {
@@ -178,8 +180,14 @@ impl NelderMeadState {
             (None, Cost::Failed) => self.phase = Phase::Starting,
             (Some(search), _) if !search.is_over() => {}
             (Some(search), _) => {
-                if self.phase == Phase::Checking && !search.is_lower() {
-                    return self.end(Termination::Converged);
+                if self.phase == Phase::Checking {
+                    if !search.is_lower() {
+                        return self.end(Termination::Converged);
+                    }
+                    if self.has_failures && self.restarts == 0 {
+                        return self.end(Termination::BesideFailures);
+                    }
+                    self.restarts = self.restarts.saturating_sub(1);
                 }
                 self.simplex = initial::around(space, search);
                 self.phase = if self.phase == Phase::Checking { Phase::Restarting } else { Phase::Starting };

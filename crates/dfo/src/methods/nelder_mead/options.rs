@@ -130,13 +130,13 @@ pub struct NelderMead {
     /// The starting simplex.
     #[serde(rename = "initial_simplex")]
     pub initial: InitialSimplex,
-    /// Number of times that a simplex that is flat or lies on a kink when the tests pass is built anew around
-    /// its best vertex; default 20. A simplex is flat if its vertices (nearly) lie in a plane: then it may
-    /// have stopped where the cost still falls across that plane; the new one has the size that it has then
-    /// (at least 1e-3 of the sizes). At a kink it may have collapsed; the new one has 0.05 of the sizes. A
-    /// sound simplex is not restarted, one that lies on a bound is not flat, and after a restart that found
-    /// nothing better there is none. This is no search for other minima: for those start from several points,
-    /// or use differential evolution.
+    /// Number of times that a simplex that is flat, or lies on a kink or beside points that failed, when the
+    /// tests pass is built anew around its best vertex; default 20. A simplex is flat if its vertices
+    /// (nearly) lie in a plane: then it may have stopped where the cost still falls across that plane; the
+    /// new one has the size that it has then (at least 1e-3 of the sizes). At a kink it may have collapsed;
+    /// the new one has 0.05 of the sizes. A sound simplex is not restarted, one that lies on a bound is not
+    /// flat, and after a restart that found nothing better there is none. This is no search for other minima:
+    /// for those start from several points, or use differential evolution.
     pub restarts: usize,
 }
 

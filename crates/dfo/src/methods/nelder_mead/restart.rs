@@ -35,6 +35,9 @@ struct Spread {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Spreads {
     since_start: Vec<Spread>,
+    /// True if a point failed since then.
+    #[serde(default)]
+    has_failures: bool,
     /// True once the cost is known to have kinks.
     pub(super) has_kinks: bool,
 }
@@ -53,10 +56,13 @@ impl Spreads {
     /// A point failed: next to such points the simplex is bent by them.
     pub(super) fn forget(&mut self) {
         self.since_start.clear();
+        self.has_failures = true;
     }
 
-    /// Looks for kinks in what has been seen since the last start, and forgets it.
+    /// Looks for kinks in what has been seen since the last start, and forgets it: points that failed are the
+    /// steepest.
     pub(super) fn judge(&mut self) -> bool {
+        let has_failures = std::mem::take(&mut self.has_failures);
         let list = std::mem::take(&mut self.since_start);
         self.has_kinks |= list.last().is_some_and(|last| {
             let falls_slowly =
@@ -65,7 +71,7 @@ impl Spreads {
                 list.iter().rev().find(|before| before.size >= factor * last.size).is_some_and(falls_slowly)
             })
         });
-        self.has_kinks
+        self.has_kinks || has_failures
     }
 }
 

@@ -35,7 +35,7 @@ pub(super) enum Role {
 pub(super) enum Phase {
     /// Sizes of parameters are looked for, from the start point.
     Sizing,
-    /// The same once the tests have passed, from the best vertex.
+    /// The same once the tests have passed, from the best vertex; along all parameters where points failed.
     Checking,
     /// Vertices without a known outcome are asked for: the starting ones.
     Starting,
@@ -93,6 +93,9 @@ pub struct NelderMeadState {
     pub(super) spreads: Spreads,
     /// True if there are parameters of unknown size, and the user gave no simplex.
     pub(super) sizing: bool,
+    /// True if a point has failed.
+    #[serde(default)]
+    pub(super) has_failures: bool,
     /// The last search for sizes.
     pub(super) sizes: Option<SizeSearch>,
     pub(super) phase: Phase,
@@ -133,6 +136,7 @@ impl NelderMeadState {
             f_restart: None,
             spreads: Spreads::default(),
             sizing,
+            has_failures: false,
             sizes: None,
             phase: if sizing { Phase::Sizing } else { Phase::Starting },
             ended: None,
@@ -241,6 +245,7 @@ impl Method for NelderMeadState {
             let seen = cost.map_or(Seen::Rejected, Seen::Cost);
             if matches!(outcome, Outcome::Failed(_)) {
                 self.spreads.forget();
+                self.has_failures = true;
             }
             match self.roles[k] {
                 Role::Vertex(slot) => {

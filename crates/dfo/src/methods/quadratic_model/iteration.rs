@@ -454,6 +454,13 @@ impl ModelSearch {
         hidden > 0.0 && !self.judge(predicted.max(0.0) + hidden).passed
     }
 
+    /// True if a point failed within the radius of the last start of the best one: steps keep away from it,
+    /// and what lies beyond is not seen.
+    fn is_beside_failures(&self) -> bool {
+        let u = self.points.u(self.base());
+        self.failed.iter().any(|v| norm(&self.displacement(u, v)) <= self.radius)
+    }
+
     /// The resolution is exhausted: the end, a smaller one, or another start.
     fn refine(&mut self) {
         self.fold();
@@ -468,7 +475,11 @@ impl ModelSearch {
         }
         if passed && found.is_none() && (self.roughness.is_none() || self.n_smooth >= self.restarts) {
             self.roughness = None;
-            self.phase = Phase::Ended(Termination::Converged);
+            if !self.is_beside_failures() {
+                self.phase = Phase::Ended(Termination::Converged);
+            } else if !(self.hand_over && self.hand_over()) {
+                self.phase = Phase::Ended(Termination::BesideFailures);
+            }
             return;
         }
         if self.is_flat() {

@@ -54,6 +54,14 @@ const WIDE: f64 = 100.0;
 /// the start.
 const FAR: f64 = 1e10;
 
+/// A start value below this in size counts as zero: parameters in SI units lie between a capacitance of 1e-12
+/// F and a modulus of elasticity of 1e11 Pa.
+const ZERO: f64 = 1e-12;
+
+/// A start value below this in size, the square root of the rounding unit, is a first guess of the size
+/// alone, where nothing else tells it: a parameter may be as small, or its start may stand for zero.
+const TINY: f64 = 1.5e-8;
+
 /// Logarithms of about the smallest and the largest normal number, with room for rounding.
 const LN_RANGE: (f64, f64) = (-708.0, 709.0);
 
@@ -63,7 +71,7 @@ const LARGEST_WHOLE: f64 = 9_007_199_254_740_992.0;
 /// Typical size of a parameter on its scale, as far as something tells it: the given size; else the width of
 /// the box, unless it is more than 100 times |start|; else |start|, or on a logarithmic scale 1. A
 /// logarithmic box tells a size where it reaches over at most a factor of 100 to each side of its middle. Of
-/// a parameter that starts at zero a box tells the size up to a width of 100.
+/// a parameter that starts at zero (below 1e-12 in size) a box tells the size up to a width of 100.
 ///
 /// The same rule as in [`Space`], for whoever moves parameters by a share of their size.
 pub fn typical_size(
@@ -73,11 +81,16 @@ pub fn typical_size(
     given: Option<f64>,
 ) -> Option<f64> {
     let (width, magnitude) = match transform {
-        Transform::Linear => (upper - lower, start.abs()),
+        Transform::Linear => (upper - lower, magnitude_of(start)),
         Transform::Log => (upper.ln() - lower.max(0.0).ln(), 1.0),
     };
-    let of_box = Some(width).filter(|width| *width > 0.0 && *width <= widest(transform, start.abs()));
+    let of_box = Some(width).filter(|width| *width > 0.0 && *width <= widest(transform, magnitude_of(start)));
     given.or(of_box).or(Some(magnitude).filter(|size| *size > 0.0 && size.is_finite()))
+}
+
+/// The size of a value, as far as it tells one.
+fn magnitude_of(value: f64) -> f64 {
+    if value.abs() < ZERO { 0.0 } else { value.abs() }
 }
 
 /// The widest box that tells the size of a parameter of this magnitude.
@@ -183,7 +196,7 @@ impl Space {
         self.sizes.push(known.unwrap_or(if width.is_finite() && width > 0.0 { width } else { 1.0 }));
         self.size_given.push(size.is_some());
         let linear = transform == Transform::Linear;
-        self.size_unknown.push(linear && value == 0.0 && size.is_none() && width.is_infinite());
+        self.size_unknown.push(linear && value.abs() < TINY && size.is_none() && width.is_infinite());
         self.boxed.push(width.is_finite());
         self.far.push([false; 2]);
         Ok(())
@@ -197,13 +210,14 @@ impl Space {
         let mut space = Self { is_local: Local(true), ..self.clone() };
         for (k, &i) in self.free.iter().enumerate().filter(|(k, _)| self.transforms[*k] == Transform::Linear)
         {
-            let (value, size) = (self.x0[i].abs(), if self.size_given[k] { self.sizes[k] } else { 0.0 });
+            let (value, size) =
+                (magnitude_of(self.x0[i]), if self.size_given[k] { self.sizes[k] } else { 0.0 });
             let limit = FAR * value.max(size).max(1.0);
             let far = [self.lower[k], self.upper[k]].map(|bound| bound.is_finite() && bound.abs() >= limit);
             space.far[k] = far;
             space.boxed[k] &= far == [false; 2];
-            if value == 0.0 && !self.size_given[k] && space.width(k).is_none() {
-                (space.sizes[k], space.size_unknown[k]) = (1.0, true);
+            if value < TINY && !self.size_given[k] && space.width(k).is_none() {
+                (space.sizes[k], space.size_unknown[k]) = (if value > 0.0 { value } else { 1.0 }, true);
             }
         }
         space
@@ -212,7 +226,7 @@ impl Space {
     /// True if the box is too wide to show the size of coordinate `k`, see [`typical_size`].
     fn is_wide(&self, k: usize) -> bool {
         let known = self.size_given[k].then(|| self.sizes[k]);
-        let magnitude = known.unwrap_or(self.x0[self.free[k]].abs());
+        let magnitude = known.unwrap_or(magnitude_of(self.x0[self.free[k]]));
         self.upper[k] - self.lower[k] > widest(self.transforms[k], magnitude)
     }
 
@@ -376,8 +390,8 @@ impl Space {
         self.size_given[k]
     }
 
-    /// True if nothing is known of the size of parameter `k`: it starts at zero, without a nominal size and
-    /// without a box.
+    /// True if nothing is known of the size of parameter `k`: it starts at zero or next to it, without a
+    /// nominal size and without a box.
     pub(crate) fn size_is_unknown(&self, k: usize) -> bool {
         self.size_unknown[k]
     }

@@ -38,6 +38,7 @@ STATUS: Final[dict[str, int]] = {
     "constant-cost": 15,
     "unbounded": 16,
     "too-many-failed": 17,
+    "beside-failures": 18,
 }
 
 
@@ -188,12 +189,13 @@ class OptimizeResult:
     solve_time : float
         Wall-clock time, in s.
     success : bool
-        Whether the tolerance tests passed, or the target was reached, or all parameters are fixed.
+        Whether the tolerance tests passed, or the target was reached, or all parameters are fixed. A search from several starts
+        ("multistart", ``search="global"``) that a limit ended is no success: it may have missed the best minimum.
     status : int
         0 converged, 10 target reached, 30 all parameters fixed; 1 evaluations, 2 iterations, 3 time used up; 4 stopped by
         a callback, 5 interrupted, 6 ended by an exception, 7 the checkpoint could not be written; 11 the simplex or
         population has no extent left, 12 only one vertex has a cost, 13 every point failed, 14 nothing new for long, 15 the
-        cost did not change, 16 it fell without bound.
+        cost did not change, 16 it fell without bound, 17 too many calls failed, 18 points around the best one fail.
     termination : str
         The same in a word.
     message : str
@@ -232,7 +234,8 @@ class OptimizeResult:
         With ``jac``: -1 where a parameter lies at its lower bound (fixed ones, too), 1 at its upper, else 0.
     cov : ndarray, shape (n, n), or None
         With ``jac``, the covariance of the parameters: ``s**2 * inv(J.T @ J)`` with ``s**2 = sum(r**2) / (m - n)`` over the
-        parameters that lie at no bound; zero for the others, infinite for those that the residuals do not determine.
+        parameters that lie at no bound; zero for the others, infinite for those that the residuals do not determine: combinations
+        of parameters whose effect is less than curvature and rounding of the residuals make of it.
     cov_message : str
         What is to be said of ``cov``, in words; empty if nothing is.
     """
@@ -360,10 +363,11 @@ class LeastSquaresResult(OptimizeResult):
     sum_of_squares : float
         The sum of the squares of ``fun``.
     jac : ndarray, shape (m, n), or None
-        The derivatives of ``fun`` by the parameters, whatever the loss, as the model of the method has them at the end: good
-        to a few digits, not to the last. None where the run ended before there was a model.
+        The derivatives of ``fun`` by the parameters, whatever the loss, by a regression on the points around ``x``: good to a few
+        digits, not to the last. None where the run ended before there were enough points.
     cov : ndarray, shape (n, n), or None
-        As in `OptimizeResult`. With a loss, residuals and Jacobian enter it as they count in the cost.
+        As in `OptimizeResult`. With a loss it is that of the M-estimator, as fits of a `Calibration` use it: ``s**2`` is the mean
+        square of the scores over the square of their mean slope (Huber, Robust Statistics, 1981, section 7.6).
     """
 
     cost: float

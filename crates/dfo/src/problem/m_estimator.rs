@@ -1,0 +1,130 @@
+//! What a robust loss makes of residuals in the equations that a fit solves: near their solution it is linear
+//! least squares with other residuals.
+
+use super::loss::RobustLoss;
+
+/// The median of the absolute values of a standard normal number.
+const MEDIAN_DEVIATION: f64 = 0.674_489_750_196_081_7;
+
+/// The slope of the mean score of residuals with one distribution, and the correction of their variance.
+///
+/// The covariance of the parameters is `c mean psi^2 / l^2 (J'J)^-1` with the scores `psi(r)`
+/// ([`RobustLoss::score`]), their mean slope l, and the correction c (Huber, Robust Statistics, 1981, section
+/// 7.6). So it is that of linear least squares with the residuals `psi / l`, whose variance is multiplied by
+/// c.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MeanScore {
+    /// The slope l of the mean score; above zero.
+    pub slope: f64,
+    /// The square of `1 + p/N var(psi') / l^2`: Huber's correction for small samples of N residuals and p
+    /// parameters.
+    pub correction: f64,
+}
+
+impl RobustLoss {
+    /// Half the derivative of what a residual counts.
+    pub fn score(&self, r: f64) -> f64 {
+        self.transform(r) * self.slope(r)
+    }
+
+    /// The slope of the score over a width to both sides of a residual.
+    pub fn score_slope(&self, r: f64, width: f64) -> f64 {
+        (self.score(r + width) - self.score(r - width)) / (2.0 * width)
+    }
+
+    /// The mean score of residuals, of which a fit has determined `p_by_n` parameters each; `None` where all
+    /// are zero, or one is not finite.
+    ///
+    /// Its slope is taken over the bandwidth of a density estimate (Silverman, Density Estimation, 1986,
+    /// section 3.4: `0.9 s N^(-1/5)`) to both sides: where the loss is narrow against the noise, slopes at
+    /// the few residuals that lie within are much too steep.
+    pub fn mean_score(&self, residuals: &[f64], p_by_n: f64) -> Option<MeanScore> {
+        let n = residuals.len() as f64;
+        let of = |values: &dyn Fn(f64) -> f64| residuals.iter().map(|r| values(*r)).sum::<f64>() / n;
+        let mean_square = of(&|r| r * r);
+        if !(mean_square > 0.0 && mean_square.is_finite()) {
+            return None;
+        }
+        if self.is_linear() {
+            return Some(MeanScore { slope: 1.0, correction: 1.0 });
+        }
+        let mut sorted = residuals.to_vec();
+        let middle = median(&mut sorted);
+        sorted.iter_mut().for_each(|r| *r = (*r - middle).abs());
+        let spread = (median(&mut sorted) / MEDIAN_DEVIATION).max(1e-6 * mean_square.sqrt());
+        let width = 0.9 * spread * n.powf(-0.2);
+        let mean_of_all = of(&|r| self.score_slope(r, width));
+        // A loss that falls far from zero may have no mean slope; that of normal residuals (Stein's identity) is above zero.
+        let least = of(&|r| self.score(r) * r) / mean_square;
+        let slope = self.mean_slope(residuals, width, p_by_n).max(least);
+        let variance = of(&|r| (self.score_slope(r, width) - mean_of_all).powi(2));
+        Some(MeanScore { slope, correction: (1.0 + p_by_n * variance / (slope * slope)).powi(2) })
+    }
+
+    /// The mean slope of the score, without as many of the residuals next to zero as there are parameters:
+    /// with a narrow loss a fit goes through so many measurements, nearly, and these say nothing of how many
+    /// residuals of others lie there (Schrader and McKean in Dodge, ed., Statistical Data Analysis Based on
+    /// the L1 Norm, 1987).
+    fn mean_slope(&self, residuals: &[f64], width: f64, p_by_n: f64) -> f64 {
+        let mut sorted = residuals.to_vec();
+        sorted.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
+        let n_fitted = (p_by_n * sorted.len() as f64).round() as usize;
+        let others = sorted.get(n_fitted..).filter(|others| !others.is_empty()).unwrap_or(&sorted);
+        others.iter().map(|r| self.score_slope(*r, width)).sum::<f64>() / others.len() as f64
+    }
+}
+
+/// The median; sorts.
+fn median(values: &mut [f64]) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let n = values.len();
+    0.5 * (values[(n - 1) / 2] + values[n / 2])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::problem::loss::Loss;
+
+    /// Quantiles of the normal distribution's range, and two outliers.
+    fn residuals() -> Vec<f64> {
+        let mut r: Vec<f64> = (0..98).map(|k| ((f64::from(k) + 0.5) / 98.0 - 0.5) * 4.0).collect();
+        r.extend([50.0, -50.0]);
+        r
+    }
+
+    fn loss(kind: Loss, scale: f64) -> RobustLoss {
+        RobustLoss::new(kind, scale).unwrap()
+    }
+
+    #[test]
+    fn mean_score_is_that_of_least_squares_when_the_loss_is_wide() {
+        for kind in [Loss::Linear, Loss::Huber, Loss::SoftL1, Loss::Cauchy] {
+            let MeanScore { slope, correction } = loss(kind, 1e6).mean_score(&residuals(), 0.02).unwrap();
+            assert!((slope - 1.0).abs() < 1e-6 && (correction - 1.0).abs() < 1e-6, "{kind:?}");
+        }
+    }
+
+    #[test]
+    fn mean_score_counts_the_residuals_within_the_loss_when_it_is_narrow() {
+        // Of Huber's loss with the scale 1 half the residuals lie within: mean psi' = 0.49 for all but the smoothing.
+        let MeanScore { slope, correction } = loss(Loss::Huber, 1.0).mean_score(&residuals(), 0.02).unwrap();
+        assert!((slope - 0.49).abs() < 0.02, "{slope}");
+        // Over the bandwidth 0.9 * 1 / 0.6745 * 100^(-1/5) = 0.53 it falls from 1 at 0.47 to 0 at 1.53: mean square (0.47 + 1.06 / 3) 0.49.
+        let expected = (1.0 + 0.02 * ((0.47 + 1.06 / 3.0) * 0.49 - 0.49 * 0.49) / (0.49 * 0.49_f64)).powi(2);
+        assert!((correction - expected).abs() < 2e-3, "{correction}");
+    }
+
+    #[test]
+    fn residuals_that_the_parameters_made_zero_are_left_out_of_the_mean_slope() {
+        let (narrow, r) = (loss(Loss::Huber, 0.01), residuals());
+        let with_fitted: Vec<f64> = [0.0, 0.0].into_iter().chain(r.iter().copied()).collect();
+        assert_eq!(narrow.mean_slope(&with_fitted, 0.5, 2.0 / 102.0), narrow.mean_slope(&r, 0.5, 0.0));
+    }
+
+    #[test]
+    fn residuals_without_a_size_have_no_mean_score() {
+        let huber = loss(Loss::Huber, 1.0);
+        assert_eq!([&[][..], &[0.0, 0.0], &[1.0, f64::NAN]].map(|r| huber.mean_score(r, 0.1)), [None; 3]);
+    }
+}
