@@ -3,6 +3,7 @@
 
 use crate::problem::objective::NamedCost;
 use crate::problem::residual_layout::ResidualLayout;
+use crate::uncertainty::group::Group;
 use crate::uncertainty::p_values::{MEDIAN_DEVIATION, median};
 use dfo::RobustLoss;
 use nalgebra::DVector;
@@ -32,7 +33,11 @@ impl Criterion {
     /// The cost of plain residuals.
     pub(crate) fn cost(self, layout: &ResidualLayout, residuals: &[f64]) -> f64 {
         match self {
-            Self::Loss(loss) => residuals.iter().fold(0.0, |sum, r| sum + loss.transform(*r).powi(2)),
+            Self::Loss(loss) => {
+                let (measured, priors) = residuals.split_at(layout.n_measurements());
+                let counted = measured.iter().map(|r| loss.transform(*r));
+                counted.chain(priors.iter().copied()).fold(0.0, |sum, r| sum + r * r)
+            }
             Self::Likelihood => NamedCost::Likelihood.cost(layout, residuals),
         }
     }
@@ -55,18 +60,13 @@ impl Working {
     /// p parameters and N residuals. The slope of the mean score is taken over the bandwidth of a density
     /// estimate (Silverman, Density Estimation, 1986, section 3.4: `0.9 s N^(-1/5)`) to both sides: where the
     /// loss is narrow against the noise, slopes at the few residuals that lie within are much too steep. With
-    /// the likelihood an output counts by the inverse of its variance, which is Fisher's information.
-    pub(crate) fn new(
-        criterion: Criterion,
-        layout: &ResidualLayout,
-        plain: &[f64],
-        groups: &[Vec<usize>],
-        p: usize,
-    ) -> Self {
+    /// the likelihood an output counts by the inverse of its variance, which is Fisher's information. Priors
+    /// have no loss.
+    pub(crate) fn new(criterion: Criterion, plain: &[f64], groups: &[Group], p: usize) -> Self {
         let n = plain.len();
         let mut own = Self { residuals: plain.to_vec(), roots: vec![1.0; n], corrections: vec![1.0; n] };
         for group in groups {
-            let rows: Vec<usize> = group.iter().flat_map(|k| layout.outputs[*k].range.clone()).collect();
+            let rows: Vec<usize> = group.rows().collect();
             let squares: f64 = rows.iter().map(|i| plain[*i] * plain[*i]).sum();
             if squares == 0.0 || !squares.is_finite() {
                 continue;
@@ -82,17 +82,26 @@ impl Working {
                 }
             }
         }
-        if let Criterion::Loss(loss) = criterion
-            && !loss.is_linear()
-        {
-            // Residuals of priors have the standard deviation one.
-            for (i, plain) in plain.iter().enumerate().skip(layout.n_measurements()) {
-                let root = slope(loss, *plain, 1.0).max(f64::EPSILON).sqrt();
-                (own.roots[i], own.residuals[i]) = (root, score(loss, *plain) / root);
-                own.corrections[i] = root * root;
+        own
+    }
+
+    /// Variance of the plain residuals of each output over that of the working ones.
+    pub(crate) fn plain_over_working(
+        &self,
+        layout: &ResidualLayout,
+        plain: &[f64],
+        groups: &[Group],
+    ) -> Vec<f64> {
+        let mut ratios = vec![1.0; layout.outputs.len()];
+        for group in groups {
+            let sum = |of: &[f64]| group.rows().map(|i| of[i] * of[i]).sum::<f64>();
+            let correction = group.rows().next().map_or(1.0, |i| self.corrections[i]);
+            let ratio = sum(plain) / (sum(&self.residuals) * correction);
+            if ratio > 0.0 && ratio.is_finite() {
+                group.outputs.iter().for_each(|k| ratios[*k] = ratio);
             }
         }
-        own
+        ratios
     }
 
     /// Weighs a change of the residuals as the rows of the Jacobian.
@@ -156,32 +165,17 @@ fn slope(loss: RobustLoss, r: f64, width: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::problem::residual_layout::OutputResiduals;
     use dfo::Loss;
-
-    fn layout(n: usize) -> ResidualLayout {
-        let output = OutputResiduals {
-            experiment: 0,
-            output: 0,
-            variable: "y".to_owned(),
-            column: "y".to_owned(),
-            range: 0..n,
-            times: vec![0.0; n].into(),
-            measured: vec![1.0; n].into(),
-            weights: vec![1.0; n].into(),
-        };
-        ResidualLayout { outputs: vec![output], ..ResidualLayout::default() }
-    }
 
     #[test]
     fn a_wide_loss_is_least_squares_and_a_narrow_one_that_of_an_m_estimator() {
         // Quantiles of the normal distribution, and two outliers.
         let mut r: Vec<f64> = (0..98).map(|k| ((f64::from(k) + 0.5) / 98.0 - 0.5) * 4.0).collect();
         r.extend([50.0, -50.0]);
-        let (layout, groups) = (layout(100), vec![vec![0]]);
+        let groups = [Group { outputs: vec![0], series: vec![0..100] }];
         let with = |kind, scale| {
             let criterion = Criterion::Loss(RobustLoss::new(kind, scale).unwrap());
-            Working::new(criterion, &layout, &r, &groups, 2)
+            Working::new(criterion, &r, &groups, 2)
         };
         for kind in [Loss::Linear, Loss::Huber, Loss::SoftL1, Loss::Cauchy] {
             let working = with(kind, 1e6);
@@ -203,7 +197,7 @@ mod tests {
         let narrow = RobustLoss::new(Loss::Huber, 0.01).unwrap();
         let exact = mean_slope(narrow, [0.0, 0.0].into_iter().chain(r.iter().copied()), 0.5, 2.0 / 102.0);
         assert_eq!(exact, mean_slope(narrow, r.iter().copied(), 0.5, 0.0));
-        let likelihood = Working::new(Criterion::Likelihood, &layout, &r, &groups, 2);
+        let likelihood = Working::new(Criterion::Likelihood, &r, &groups, 2);
         let squares: f64 = likelihood.residuals.iter().map(|r| r * r).sum();
         assert!((squares - 100.0).abs() < 1e-9);
     }

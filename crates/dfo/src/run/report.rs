@@ -179,9 +179,11 @@ impl Report {
         if self.loss.is_linear() {
             return Covariance::new(residuals, jacobian, &self.active, context);
         }
-        let counted: Vec<f64> = residuals.iter().map(|r| self.loss.transform(*r)).collect();
-        let n = self.x.len();
-        let weighted = jacobian.iter().enumerate().map(|(k, j)| j * self.loss.slope(residuals[k / n]));
+        let mut counted = residuals.clone();
+        self.loss.transform_all(&mut counted);
+        let (n, m) = (self.x.len(), residuals.len());
+        let slope = |i: usize| self.loss.of_residual(i, m).slope(residuals[i]);
+        let weighted = jacobian.iter().enumerate().map(|(k, j)| j * slope(k / n));
         Covariance::new(&counted, &weighted.collect::<Vec<_>>(), &self.active, context)
     }
 
@@ -194,10 +196,10 @@ impl Report {
     pub(crate) fn undo(&mut self, loss: RobustLoss) {
         self.loss = loss;
         let Some(residuals) = self.residuals.as_mut().filter(|_| !loss.is_linear()) else { return };
-        residuals.iter_mut().for_each(|s| *s = loss.inverse(*s));
-        let n = self.x.len();
+        loss.inverse_all(residuals);
+        let (n, m) = (self.x.len(), residuals.len());
         for (k, j) in self.jacobian.iter_mut().flatten().enumerate() {
-            *j /= loss.slope(residuals[k / n]);
+            *j /= loss.of_residual(k / n, m).slope(residuals[k / n]);
         }
         if self.jacobian.iter().flatten().any(|j| !j.is_finite()) {
             self.jacobian = None;
