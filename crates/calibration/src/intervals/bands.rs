@@ -118,7 +118,10 @@ impl<'a> AxisErrors<'a> {
     /// Variance of a prediction, from its changes along the axes and by the starts.
     fn variance(&self, changes: &DVector<f64>) -> VarianceEstimate {
         let of = |matrix: &DMatrix<f64>| changes.dot(&(matrix * changes));
-        VarianceEstimate { value: of(&self.covariance).max(0.0), slopes: self.slopes.iter().map(of).collect() }
+        VarianceEstimate {
+            value: of(&self.covariance).max(0.0),
+            slopes: self.slopes.iter().map(of).collect(),
+        }
     }
 
     /// Half the width of an interval.
@@ -149,7 +152,9 @@ fn usable_uncertainty(fit: &Fit, is_corrected: bool) -> Result<Uncertainty, Cali
         ));
     }
     if uncertainty.joint.is_empty() {
-        return setup("there is no prediction band: the file of this fit is of an older version; fit again".to_owned());
+        return setup(
+            "there is no prediction band: the file of this fit is of an older version; fit again".to_owned(),
+        );
     }
     if uncertainty.degrees_of_freedom == 0.0 {
         return setup(format!(
@@ -232,10 +237,11 @@ impl Calibration {
                     (column(1 + 2 * a)[row] - column(2 + 2 * a)[row]) / (step.forward + step.backward)
                 });
                 let starts = uncertainty.joint.starts.iter().zip(&by_starts);
-                let by_start = starts.map(|((experiment, _), changes)| match *experiment == output.experiment {
-                    true => changes[output.output][row],
-                    false => 0.0,
-                });
+                let by_start =
+                    starts.map(|((experiment, _), changes)| match *experiment == output.experiment {
+                        true => changes[output.output][row],
+                        false => 0.0,
+                    });
                 let changes = DVector::from_vec(along.chain(by_start).collect());
                 let mut variance = errors.variance(&changes);
                 band.standard_errors.push(variance.value.sqrt());

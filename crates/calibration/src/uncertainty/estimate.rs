@@ -154,7 +154,8 @@ impl Estimate<'_> {
             }
         }
         let mut degrees_of_freedom = vec![noise.degrees_of_freedom; n];
-        free.iter().zip(of_free).for_each(|(i, degrees)| degrees_of_freedom[*i] = degrees);
+        let known = free.iter().zip(of_free).filter(|(_, degrees)| !degrees.is_nan());
+        known.for_each(|(i, degrees)| degrees_of_freedom[*i] = degrees);
         let curvature = self.of_all(&(&factors.inverse * factors.inverse.transpose()));
         Covariances {
             covariance: self.of_all(&joint.covariance),
@@ -278,8 +279,7 @@ impl Calibration {
         let differences = differences.weighted(&working.roots);
         let factors = &Factors::new(&differences, context)?;
         let starts = self.find_changes_by_starts(starts, x, residuals, simulations)?;
-        let noise =
-            &Noise::estimate(layout, residuals, &working, &groups, &starts, &factors.base, context)?;
+        let noise = &Noise::estimate(layout, residuals, &working, &groups, &starts, &factors.base, context)?;
         let independent = noise.of_independent(layout, &factors.base, context)?;
         let by_starts = noise.changes_by_starts();
         let estimate = Estimate {
@@ -298,8 +298,7 @@ impl Calibration {
         let undetermined = || (0..free.len()).filter(|k| factors.is_undetermined[*k]);
         let is_inert =
             |k: &usize| jacobian.column(*k).norm() * differences.steps.row(*k).amax() <= differences_noise;
-        let prior_conflicts =
-            PriorConflict::all(&center, layout, &per_unit, (&jacobian, &working), context)?;
+        let prior_conflicts = PriorConflict::all(&center, layout, &per_unit, (&jacobian, &working), context)?;
         let cost = |residuals: &[f64]| known.criterion.cost(layout, residuals);
         let at = At { parameters, x, free: &free, sizes: &sizes, factors, residuals: &working.residuals };
         let gain =

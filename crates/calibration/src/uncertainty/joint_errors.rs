@@ -60,7 +60,7 @@ impl JointErrors {
 
     /// Degrees of freedom of a variance v that is a function of the parameters of the noise:
     /// `2 v^2 / var(v)` (Satterthwaite, Biometrics Bulletin 2, 1946; Kenward and Roger, Biometrics 53, 1997).
-    /// Infinite for a variance that is known.
+    /// Infinite for a variance that is known, NaN for one that is zero.
     pub(crate) fn degrees_of_freedom(&self, of: &VarianceEstimate) -> f64 {
         let n = of.slopes.len();
         let uncertainty = DMatrix::from_row_slice(n, n, &self.uncertainty);
@@ -83,5 +83,5 @@ pub(crate) fn satterthwaite(of: &VarianceEstimate, uncertainty: &DMatrix<f64>) -
     let slopes = DVector::from_column_slice(&of.slopes);
     let variance = slopes.dot(&(uncertainty * &slopes));
     let found = 2.0 * of.value * of.value / variance;
-    if found.is_nan() { f64::INFINITY } else { found.max(FEWEST) }
+    if found < FEWEST { FEWEST } else { found }
 }

@@ -3,8 +3,8 @@
 #![allow(clippy::unwrap_used)]
 
 use calibration::{
-    BandOptions, Calibration, CalibrationError, CostKind, Data, Experiment, FitOptions, InitialState, NamedCost,
-    Parameter, RunContext, Weight,
+    BandOptions, Calibration, CalibrationError, CostKind, Data, Experiment, FitOptions, InitialState,
+    NamedCost, Parameter, RunContext, Weight,
 };
 use dfo::{Loss, RobustLoss};
 use example_models::example_fmu;
@@ -158,9 +158,12 @@ fn a_measured_start_has_the_errors_of_the_delta_method_with_every_objective() {
             t.iter().map(|t| (-k * t).exp()).zip(&t).map(|(c, t)| [-t * x0 * c, c, x0 * c]).collect();
         let dot = |a: usize, b: usize| curve[1..].iter().map(|row| row[a] * row[b]).sum::<f64>();
         let (jj, jc, cc) = (dot(0, 0), dot(0, 1), dot(1, 1));
-        let squares: f64 = curve[1..].iter().zip(&x[1..]).map(|(row, x)| (row[2] - x).powi(2)).sum();
-        // The mean of the squares: that of n - 1 independent residuals and of the start, without what the fit takes.
-        let variance = squares / (f64::from(n) - 2.0 + cc - jc * jc / jj);
+        // The variance is that of a fit of k and of the start to all n measurements.
+        let r: Vec<f64> = curve[1..].iter().zip(&x[1..]).map(|(row, x)| row[2] - x).collect();
+        let with = |a: usize| curve[1..].iter().zip(&r).map(|(row, r)| row[a] * r).sum::<f64>();
+        let (jr, cr, of_start) = (with(0), with(1), cc + 1.0);
+        let taken = (jr * jr * of_start - 2.0 * jr * cr * jc + cr * cr * jj) / (jj * of_start - jc * jc);
+        let variance = (r.iter().map(|r| r * r).sum::<f64>() - taken) / (f64::from(n) - 2.0);
         let of_rate = variance * (1.0 / jj + (jc / jj).powi(2));
         let ratio = uncertainty.standard_errors[0] / of_rate.sqrt();
         assert!((ratio - 1.0).abs() < 0.02, "{ratio}");

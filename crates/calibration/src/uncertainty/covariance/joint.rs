@@ -57,7 +57,8 @@ impl JointMatrices {
             for a in 0..p + k {
                 for b in 0..p + k {
                     let scale = unit(a) * unit(b);
-                    all[place(a) * (n + k) + place(b)] = if scale == 0.0 { 0.0 } else { matrix[(a, b)] * scale };
+                    all[place(a) * (n + k) + place(b)] =
+                        if scale == 0.0 { 0.0 } else { matrix[(a, b)] * scale };
                 }
             }
             all

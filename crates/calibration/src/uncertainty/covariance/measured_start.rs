@@ -36,7 +36,8 @@ impl Calibration {
         let of = |k: usize, state: &String| {
             let is_own = |o: &OutputResiduals| o.experiment == k && o.variable == *state;
             let output = outputs.iter().position(is_own)?;
-            let (value, time) = self.evaluator().simulations[k].measured_start(state, outputs[output].output, x)?;
+            let (value, time) =
+                self.evaluator().simulations[k].measured_start(state, outputs[output].output, x)?;
             let first = outputs[output].times.first().copied()?;
             let rounding = 100.0 * f64::EPSILON * first.abs().max(time.abs());
             let row = (first <= time + rounding).then_some(outputs[output].range.start);
@@ -82,7 +83,12 @@ impl Calibration {
         let step = |start: &MeasuredStart| {
             let output = &outputs[start.output];
             let own = &residuals[output.range.clone()];
-            let squares: f64 = own.iter().zip(&output.weights).filter(|(_, w)| **w != 0.0).map(|(r, w)| (r / w) * (r / w)).sum();
+            let squares: f64 = own
+                .iter()
+                .zip(&output.weights)
+                .filter(|(_, w)| **w != 0.0)
+                .map(|(r, w)| (r / w) * (r / w))
+                .sum();
             let size = (squares / own.len() as f64).sqrt();
             let shortest = SHORTEST * start.value.abs();
             let step = if size > shortest && size.is_finite() { size } else { shortest };
@@ -93,7 +99,11 @@ impl Calibration {
         states.dedup();
         let mut found = Vec::new();
         for state in states {
-            let moved: Vec<(&MeasuredStart, f64)> = starts.iter().filter(|start| start.state == *state).map(|start| (start, step(start))).collect();
+            let moved: Vec<(&MeasuredStart, f64)> = starts
+                .iter()
+                .filter(|start| start.state == *state)
+                .map(|start| (start, step(start)))
+                .collect();
             let Ok(derived) = self.with_starts_moved(&moved) else { continue };
             let (workers, context) = (simulations.workers, simulations.context);
             let mut own = Simulations::new(&derived, RobustLoss::default(), workers, &context)?;
