@@ -67,8 +67,8 @@ pub struct PredictionBand {
     /// Standard error of the prediction: what the uncertainty of the parameters makes of it.
     #[serde(rename = "standard_error")]
     pub standard_errors: Vec<f64>,
-    /// Standard deviation of the noise of a measurement at each time: that of the residuals over the weight of
-    /// the measurement, between measurements along straight lines. NaN where all weights are zero.
+    /// Standard deviation of the noise of a measurement at each time: that of the residuals over the weight
+    /// of the measurement, between measurements along straight lines. NaN where all weights are zero.
     pub noise: Vec<f64>,
     /// The interval of the model's output: lower end.
     pub lower: Vec<f64>,
@@ -88,9 +88,6 @@ struct Step {
     forward: f64,
     backward: f64,
 }
-
-/// Simulations of all experiments, one after the other.
-type Simulated = Vec<Trajectory>;
 
 /// The errors of a fit along the principal axes of its parameters, then of the measured initial states.
 struct AxisErrors<'a> {
@@ -298,7 +295,7 @@ impl Calibration {
         steps: &[Step],
         options: &BandOptions,
         context: &RunContext<'_>,
-    ) -> Result<Simulated, CalibrationError> {
+    ) -> Result<Vec<Trajectory>, CalibrationError> {
         let point = |step: &Step, by: f64| -> Vec<f64> {
             let moved = fit.x.iter().zip(step.direction.iter()).zip(self.parameters());
             let value = |((x, d), p): ((&f64, &f64), &Parameter)| match *d {

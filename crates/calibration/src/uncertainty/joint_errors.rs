@@ -6,16 +6,16 @@ use serde::{Deserialize, Serialize};
 /// Fewer degrees of freedom than one are an accident of the estimates.
 const FEWEST: f64 = 1.0;
 
-/// A variance whose degrees of freedom are to be found, with its derivatives with respect to the parameters of
-/// the noise.
+/// A variance whose degrees of freedom are to be found, with its derivatives with respect to the parameters
+/// of the noise.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct VarianceEstimate {
     pub(crate) value: f64,
     pub(crate) slopes: Vec<f64>,
 }
 
-/// Joint covariance of the errors of the n parameters of a fit, in the user's units, and of k measured initial
-/// states, row by row.
+/// Joint covariance of the errors of the n parameters of a fit, in the user's units, and of k measured
+/// initial states, row by row.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub(crate) struct JointErrors {

@@ -121,8 +121,8 @@ pub struct Uncertainty {
     /// and it is the same. See [`uncorrected`](Self::uncorrected).
     pub uncorrected_covariance: Option<Vec<f64>>,
     /// The autocorrelation rho at lag one that the covariance supposes of the residuals of each output of
-    /// each experiment, `s^2 rho^|i - j|`, in the order of the residual vector: that of the residuals, but for
-    /// the part that the fit has taken from it; zero where it is no more than chance.
+    /// each experiment, `s^2 rho^|i - j|`, in the order of the residual vector: that of the residuals, but
+    /// for the part that the fit has taken from it; zero where it is no more than chance.
     pub autocorrelations: Vec<f64>,
     /// The chance of autocorrelations as large where the residuals are independent; 1 where none is supposed.
     #[serde(default = "certain")]

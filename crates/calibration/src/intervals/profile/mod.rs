@@ -72,7 +72,8 @@ impl Calibration {
     /// of half the second derivatives over its variance in [`Uncertainty::covariance`] (Rotnitzky and Jewell,
     /// Biometrika 77, 1990; Pace, Salvan and Sartori, Statistica Sinica 21, 2011). An interval ends where the
     /// statistic is the quantile of F with 1 and N - p degrees of freedom, the square of that of Student's t
-    /// (with those of the [variance of each parameter](Uncertainty::effective_degrees_of_freedom); Bates and Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1; Raue et al.,
+    /// (with those of the [variance of each parameter](Uncertainty::effective_degrees_of_freedom); Bates and
+    /// Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1; Raue et al.,
     /// Bioinformatics 25, 2009, with the quantile of chi-square, its limit for many measurements). It is
     /// about the optimum of the cost, which is found more accurately first. For a linear model the interval
     /// is that of the covariance.

@@ -112,8 +112,8 @@ pub struct Profile {
     pub level: f64,
     /// They end where the statistic is this.
     pub threshold: f64,
-    /// As those of [`Uncertainty`](crate::Uncertainty::degrees_of_freedom). The statistic of a parameter whose
-    /// variance has others is scaled, so that one threshold is that of all.
+    /// As those of [`Uncertainty`](crate::Uncertainty::degrees_of_freedom). The statistic of a parameter
+    /// whose variance has others is scaled, so that one threshold is that of all.
     pub degrees_of_freedom: f64,
     /// The optimum of the cost, about which the intervals are: that of the fit, found more accurately.
     pub x: Vec<f64>,

@@ -5,8 +5,8 @@ use crate::uncertainty::covariance::noise::{Noise, NoiseModel};
 use crate::uncertainty::joint_errors::{JointErrors, VarianceEstimate, satterthwaite};
 use nalgebra::DMatrix;
 
-/// Joint covariance of the errors of the p free parameters, in the coordinates of the search, and of k measured
-/// initial states.
+/// Joint covariance of the errors of the p free parameters, in the coordinates of the search, and of k
+/// measured initial states.
 pub(crate) struct JointMatrices {
     pub(crate) covariance: DMatrix<f64>,
     pub(crate) slopes: Vec<DMatrix<f64>>,

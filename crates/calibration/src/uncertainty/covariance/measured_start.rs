@@ -20,11 +20,13 @@ pub(crate) struct MeasuredStart {
     pub(crate) state: String,
     /// The output that measures it: an entry of the residual layout.
     pub(crate) output: usize,
-    /// Its residual, which is zero whatever the parameters are, so that it has no noise of its own. `None`:
-    /// it is not compared.
+    /// Its residual, which is zero whatever the parameters are. `None`: it is not compared, or has the weight
+    /// zero.
     pub(crate) row: Option<usize>,
     /// The value of the state.
     pub(crate) value: f64,
+    /// The weight of its measurement, without the sign.
+    pub(crate) weight: f64,
     /// Change of the plain residuals by a unit of the state.
     pub(crate) change: DVector<f64>,
 }
@@ -40,9 +42,12 @@ impl Calibration {
                 self.evaluator().simulations[k].measured_start(state, outputs[output].output, x)?;
             let first = outputs[output].times.first().copied()?;
             let rounding = 100.0 * f64::EPSILON * first.abs().max(time.abs());
-            let row = (first <= time + rounding).then_some(outputs[output].range.start);
+            let counts = first <= time + rounding && outputs[output].weights.first() != Some(&0.0);
+            let row = counts.then_some(outputs[output].range.start);
             let change = DVector::zeros(0);
-            Some(MeasuredStart { experiment: k, state: state.clone(), output, row, value, change })
+            // Nothing is known of the noise of measurements of weight zero.
+            let weight = outputs[output].weights.iter().find(|weight| **weight != 0.0)?.abs();
+            Some(MeasuredStart { experiment: k, state: state.clone(), output, row, value, weight, change })
         };
         let experiments = self.problem().experiments.iter().enumerate();
         let states = experiments.flat_map(|(k, e)| e.initial_states.iter().map(move |state| (k, state)));

@@ -116,8 +116,8 @@ pub(crate) struct StartNoise {
     pub(crate) along: DVector<f64>,
 }
 
-/// Estimates of the variances and autocorrelations. The parameters of the noise are the logarithms of the variances, then
-/// `artanh rho` of each group that is autocorrelated.
+/// Estimates of the variances and autocorrelations. The parameters of the noise are the logarithms of the
+/// variances, then `artanh rho` of each group that is autocorrelated.
 pub(crate) struct NoiseModel {
     /// Variance of each group.
     pub(crate) variances: Vec<f64>,
@@ -154,8 +154,8 @@ struct Moments<'a> {
 }
 
 impl NoiseModel {
-    /// With the changes by the parameters, and by measured initial states of which the noise is independent of
-    /// that of the other measurements.
+    /// With the changes by the parameters, and by measured initial states of which the noise is independent
+    /// of that of the other measurements.
     fn new(
         transforms: &[f64],
         variances: Vec<f64>,
@@ -204,8 +204,8 @@ struct Variances {
 
 impl Noise {
     /// The moments of the residuals of a fit equal their expectations: of `r'B r` this is `tr(B M S M)`
-    /// (Searle, Casella and McCulloch, Variance Components, 1992, section 5.2), with B the sum of squares of a
-    /// group for its variance and the sum of products of neighbours for its autocorrelation. So an
+    /// (Searle, Casella and McCulloch, Variance Components, 1992, section 5.2), with B the sum of squares of
+    /// a group for its variance and the sum of products of neighbours for its autocorrelation. So an
     /// autocorrelation is that of the residuals, but for the part that the fit has taken from it. Unlike the
     /// restricted likelihood this does not suppose that the columns of the Jacobian are free of noise, which
     /// they are not where weights are computed from measurements.
@@ -343,20 +343,15 @@ impl StartNoise {
         context: &RunContext<'_>,
     ) -> Result<Vec<Self>, CalibrationError> {
         let plain_over_working = working.plain_over_working(layout, plain, groups);
-        let of = |start: &MeasuredStart| -> Result<Option<Self>, CalibrationError> {
-            let Some(group) = groups.iter().position(|group| group.outputs.contains(&start.output)) else {
-                return Ok(None);
-            };
-            let Some(weight) = layout.outputs[start.output].weights.iter().find(|w| **w != 0.0) else {
-                return Ok(None);
-            };
+        let of = |start: &MeasuredStart| -> Result<Self, CalibrationError> {
+            let group = groups.iter().position(|group| group.outputs.contains(&start.output));
             // The start has the noise of a measurement, whatever a loss makes of the residuals.
-            let scale = plain_over_working[start.output].sqrt() / weight.abs();
+            let scale = plain_over_working[start.output].sqrt() / start.weight;
             let change = working.weighed(&start.change) * scale;
             let along = along(base, change.as_slice(), context)?;
-            Ok(Some(Self { group, row: start.row, scale, change, along }))
+            Ok(Self { group: group.unwrap_or(0), row: start.row, scale, change, along })
         };
-        starts.iter().filter_map(|start| of(start).transpose()).collect()
+        starts.iter().map(of).collect()
     }
 }
 
@@ -407,8 +402,8 @@ impl Whole {
     }
 }
 
-/// An orthonormal base of the changes that the parameters make of the measurements alone, and what these leave
-/// without the priors; the rows of the priors are zero.
+/// An orthonormal base of the changes that the parameters make of the measurements alone, and what these
+/// leave without the priors; the rows of the priors are zero.
 fn left_by_measurements(
     base: &DMatrix<f64>,
     residuals: &[f64],
@@ -1009,6 +1004,7 @@ mod tests {
             output: 0,
             row: Some(0),
             value: 1.0,
+            weight: 2.0,
             change,
         };
         let (mut state, mut variances, mut squares) = (9, 0.0, 0.0);

@@ -34,8 +34,8 @@ pub struct PriorConflict {
 
 impl PriorConflict {
     /// The priors that are contradicted, by the derivatives (m x p, in the coordinates of the search) of the
-    /// residuals (m), of which those of the priors are the last, and by their scores. `slopes`: of the free parameters by these
-    /// coordinates.
+    /// residuals (m), of which those of the priors are the last, and by their scores. `slopes`: of the free
+    /// parameters by these coordinates.
     pub(crate) fn all(
         at: &Center<'_>,
         layout: &ResidualLayout,
