@@ -36,6 +36,7 @@ mod stopwatch;
 mod system;
 mod tableau;
 
+pub use base::time_tolerance;
 pub use driver::{Driver, EndConditions, Stopped};
 pub use error::{ErrorKind, Evaluated, NotFinite, Report, SimulationError, Termination, Undetermined};
 pub use observer::{EventRecord, Ignore, Observer, Sample, Side, StepView};
@@ -48,4 +49,3 @@ pub use system::{
     Argument, CallError, CallResult, Direction, EventCause, EventOutcome, EventVisit, HybridSystem,
     InputStop, StepAction,
 };
-pub use base::time_tolerance;

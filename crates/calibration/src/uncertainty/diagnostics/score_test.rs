@@ -403,8 +403,7 @@ mod tests {
             let left = &errors - &base * base.tr_mul(&errors);
             let outputs = vec![output(0, left.as_slice()), output(1, left.as_slice())];
             let layout = ResidualLayout { outputs, priors: Vec::new() };
-            let working =
-                Working::new(Criterion::default(), &layout, left.as_slice(), &[vec![0], vec![1]], 2);
+            let working = Working::new(Criterion::default(), left.as_slice(), &[], 2);
             let mut changes = of_outputs(&layout, left.as_slice());
             changes.push(Change {
                 effect: OmittedKind::InputOffset,
