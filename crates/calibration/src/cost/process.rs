@@ -16,7 +16,7 @@ use ode::{Method, Stats};
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Data of a calibration that a worker loads.
 #[derive(Debug, Serialize, Deserialize)]
@@ -71,8 +71,8 @@ pub(crate) struct Compared {
     pub(crate) outcome: ComparisonOutcome,
     /// Statistics of all its simulations.
     pub(crate) stats: Stats,
-    /// Number of residuals, and the seconds that they took.
-    pub(crate) at_start: Option<(usize, f64)>,
+    /// Number of residuals.
+    pub(crate) at_start: Option<usize>,
 }
 
 /// How a point is evaluated.
@@ -92,8 +92,6 @@ pub(crate) enum ProcessChoice {
     /// The same, but the second question of this kind is asked in a new process, too, and the first one again
     /// after some of the later ones, to see whether the answers are the same.
     Checked,
-    /// Of those that have loaded the problem and are idle, the one that was asked longest ago.
-    LongestIdle,
     /// A new one.
     Fresh,
 }
@@ -101,9 +99,6 @@ pub(crate) enum ProcessChoice {
 /// Message where the answers depend on earlier requests to a process.
 pub(crate) const HIDDEN_STATE: &str = "a cost depends on what ran before it in the same process (a state that the model keeps and no variable shows): each \
                                        evaluation has a process of its own";
-
-/// The start of a process takes about so long.
-const START: Duration = Duration::from_millis(20);
 
 /// Worker processes that have loaded the same.
 #[derive(Debug)]
@@ -113,6 +108,8 @@ struct Processes {
     load: Load,
     /// No answer is checked for its dependence on earlier requests.
     is_checked: AtomicBool,
+    /// The result of a fit was compared with a fresh process.
+    is_compared: AtomicBool,
     /// Questions that were to be checked.
     n_checked: AtomicU64,
     /// The first of them, and the numbers of its answer.
@@ -134,6 +131,7 @@ impl Processes {
             workers,
             load,
             is_checked: AtomicBool::new(false),
+            is_compared: AtomicBool::new(false),
             n_checked: AtomicU64::new(0),
             first: Mutex::default(),
             frames: Mutex::default(),
@@ -154,7 +152,6 @@ impl Processes {
         asked.set_head(job).map_err(unsaid)?;
         let whom = match process {
             _ if self.fmu.has_hidden_state() => Some(AskedProcess::FreshOnce),
-            ProcessChoice::LongestIdle => Some(AskedProcess::LongestIdle),
             ProcessChoice::Fresh => Some(AskedProcess::Fresh),
             ProcessChoice::Checked if !self.is_checked.load(Ordering::Relaxed) => None,
             ProcessChoice::Any | ProcessChoice::Checked => Some(AskedProcess::Any),
@@ -181,10 +178,9 @@ impl Processes {
         Ok(())
     }
 
-    /// Asks a worker. The second question also asks a fresh one, at the same time, and the first question
-    /// again where that takes no longer than the start of a process; the 4th, 8th, 16th and so on ask the
-    /// first one again in any case. Where numbers differ, and two fresh processes agree, each question has
-    /// one of its own from now on.
+    /// Asks a worker. The second question also asks a fresh one, at the same time; the 4th, 8th, 16th and so
+    /// on ask the first one again. Where numbers differ, and two fresh processes agree, each question has one
+    /// of its own from now on.
     fn ask_checked(
         &self,
         asked: &Frame,
@@ -204,14 +200,14 @@ impl Processes {
         if !n.is_power_of_two() {
             return self.call(asked, answer, AskedProcess::Any, limit, context);
         }
-        let (began, mut again) = (Instant::now(), Frame::default());
+        let mut again = Frame::default();
         let in_fresh = |context: &RunContext<'_>| {
             let mut answer = Frame::default();
             self.call(asked, &mut answer, AskedProcess::Fresh, limit, context).map(|()| answer)
         };
         let mut in_used = || {
             self.call(asked, answer, AskedProcess::Any, limit, context)?;
-            match !is_first && (n > 2 || began.elapsed() < START) {
+            match !is_first && n > 2 {
                 true => self.call(&first, &mut again, AskedProcess::Any, limit, context),
                 false => Ok(()),
             }
@@ -300,9 +296,14 @@ impl Remote {
         self.processes.workers.prepare_second(&self.processes.load);
     }
 
-    /// Number of processes that have evaluated something, and are not asked at the moment.
-    pub(crate) fn n_idle(&self) -> usize {
-        self.processes.workers.n_idle(&self.processes.load)
+    /// True if the result of an earlier fit was compared with a fresh process.
+    pub(crate) fn is_compared(&self) -> bool {
+        self.processes.is_compared.load(Ordering::Relaxed)
+    }
+
+    /// The result of a fit has been compared with a fresh process.
+    pub(crate) fn set_compared(&self) {
+        self.processes.is_compared.store(true, Ordering::Relaxed);
     }
 
     fn ask<T>(
@@ -352,7 +353,7 @@ impl Remote {
         cost.map_err(CostFailure::from)
     }
 
-    /// A simulation of a comparison, and the residuals at the start with the seconds that they took.
+    /// A simulation of a comparison, and the residuals at the start.
     pub(crate) fn compare(
         &self,
         task: ComparisonTask,
@@ -373,8 +374,7 @@ impl Remote {
             }
         };
         *stats += taken;
-        let at_start =
-            at_start.map(|(n, seconds)| (numbers.split_off(numbers.len().saturating_sub(n)), seconds));
+        let at_start = at_start.map(|n| numbers.split_off(numbers.len().saturating_sub(n)));
         if let ComparisonOutcome::Finished { samples, .. } = &mut outcome {
             *samples = numbers;
         }
