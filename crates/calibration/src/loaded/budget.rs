@@ -50,6 +50,11 @@ impl Budget {
         Self { left: f64::INFINITY, skipped: Vec::new() }
     }
 
+    /// True if nothing is skipped.
+    pub(crate) fn is_unlimited(&self) -> bool {
+        self.left.is_infinite()
+    }
+
     /// After a search of so many evaluations.
     pub(crate) fn after(n_evaluations: usize) -> Self {
         Self { left: (SHARE * n_evaluations as f64).min(MOST), skipped: Vec::new() }

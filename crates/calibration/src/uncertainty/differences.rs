@@ -197,9 +197,10 @@ impl Center<'_> {
 }
 
 impl Differences {
-    /// Two simulations for each parameter, along the principal axes of a first guess `jacobian` (m x p, by
-    /// the coordinates of the search), or else along the axes of the parameters; and two more for each
-    /// combination whose change does not stand out from the noise, or over whose step the residuals bend.
+    /// In a fit, two simulations for each parameter, along the principal axes of a first guess `jacobian` (m
+    /// x p, by the coordinates of the search), or else along the axes of the parameters; and two more for
+    /// each combination whose change does not stand out from the noise, or over whose step the residuals
+    /// bend.
     ///
     /// # Errors
     /// Cancelled, or no simulation can be made any more; `Ok(Err(..))`: simulations fail on both sides of the
@@ -216,12 +217,25 @@ impl Differences {
         if p == 0 {
             return Ok(Ok(Self::of(DMatrix::zeros(m, 0), DMatrix::zeros(0, 0), noise)));
         }
-        let steps = match jacobian.filter(|jacobian| jacobian.iter().all(|j| j.is_finite())) {
-            Some(guess) => principal_steps(center, &guess, deviation, noise, &simulations.context)?,
-            None => center.axes(|k| match center.is_log(k) {
+        let first = || {
+            center.axes(|k| match center.is_log(k) {
                 true => FIRST,
                 false => (FIRST * center.coordinate(k).abs()).max(FIRST * USUAL * center.sizes[k]),
-            }),
+            })
+        };
+        let guess = match jacobian.filter(|jacobian| jacobian.iter().all(|j| j.is_finite())) {
+            // Whoever asks for it has the first round for the lengths of the second one.
+            None if simulations.budget.is_unlimited() => {
+                match Self::measured(center, center.with_room(first()), simulations)? {
+                    Ok(found) => Some(found.jacobian(&simulations.context)?),
+                    Err(reason) => return Ok(Err(reason)),
+                }
+            }
+            guess => guess,
+        };
+        let steps = match guess {
+            Some(guess) => principal_steps(center, &guess, deviation, noise, &simulations.context)?,
+            None => first(),
         };
         let found = match Self::measured(center, center.with_room(steps), simulations)? {
             Ok(found) => found.with_better_steps(center, deviation, noise, simulations)?,

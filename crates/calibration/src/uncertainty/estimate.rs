@@ -185,10 +185,12 @@ impl Estimate<'_> {
 
 impl Calibration {
     /// Uncertainty of a point as the result of a fit: covariance and correlation of the parameters,
-    /// parameters that the data do not determine, checks of the residuals, and the cost with a tenth of
-    /// the relative tolerance (of a fixed-step method: half the step). Takes one simulation for that, and two
-    /// for each parameter that is not held, at least twice (steps of about one standard error are found by a
-    /// first round). Simulations run in parallel. The context is looked at on the calling thread.
+    /// parameters that the data do not determine, checks of the residuals, and the cost with a tenth of the
+    /// relative tolerance (of a fixed-step method: half the step). Takes one simulation for that, two for
+    /// each parameter that is not held, twice (steps of about one standard error are found by a first round),
+    /// and two more for each combination of them whose change does not stand out from the noise of the
+    /// simulations, or over which the residuals bend. Simulations run in parallel. The context is looked at
+    /// on the calling thread.
     ///
     /// # Errors
     /// The wrong number of values; the simulation fails there, or on all sides around it;
