@@ -112,13 +112,14 @@ pub fn folder_of(path: &Path) -> &Path {
     }
 }
 
-/// Lock files of the claims of this process, by path and process (a forked child has none of its parent's), and
-/// whether the claim is shared. The system's locks belong to the process as a whole, so they exclude other
-/// processes only.
+/// Lock files of the claims of this process, by path and process (a forked child has none of its parent's),
+/// and whether the claim is shared. The system's locks belong to the process as a whole, so they exclude
+/// other processes only.
 static CLAIMED: Mutex<Vec<(PathBuf, u32, bool)>> = Mutex::new(Vec::new());
 
-/// A claim on a file that one run at a time writes again and again: a locked file next to it, which is removed
-/// with the claim. The lock ends with its process, however that ends, also if forked children live on.
+/// A claim on a file that one run at a time writes again and again: a locked file next to it, which is
+/// removed with the claim. The lock ends with its process, however that ends, also if forked children live
+/// on.
 #[derive(Debug)]
 pub struct Claim {
     /// `None`: this process has a claim on it already that is shared, or the target is not a file that is
@@ -194,8 +195,8 @@ impl Drop for Claim {
     }
 }
 
-/// Locks a file for this process. The lock is a record lock (`fcntl`, POSIX.1-2024), which forked children do not
-/// inherit: they would keep it after the end of the process.
+/// Locks a file for this process. The lock is a record lock (`fcntl`, POSIX.1-2024), which forked children do
+/// not inherit: they would keep it after the end of the process.
 #[cfg(unix)]
 fn try_lock(file: &File) -> Result<(), fs::TryLockError> {
     use rustix::io::Errno;

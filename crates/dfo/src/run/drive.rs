@@ -365,8 +365,8 @@ impl<M: Method> Drive<M> {
     }
 
     /// Submits a point again that the engine lost, if this answer is a loss and the path waits for the point.
-    /// Otherwise a loss becomes [`Outcome::Skipped`], or ends the run after [`MOST_LOSSES`] of the same point:
-    /// no decision follows from it.
+    /// Otherwise a loss becomes [`Outcome::Skipped`], or ends the run after [`MOST_LOSSES`] of the same
+    /// point: no decision follows from it.
     fn is_evaluated_again(&mut self, id: u64, answer: &mut Answer, evaluator: &mut dyn Evaluator) -> bool {
         if !answer.outcome.is_lost() {
             return false;

@@ -90,9 +90,9 @@ pub(super) fn text(
     lines.join("\n") + "\n"
 }
 
-/// The settings by their defaults, as comments, but for those of the command line; `without_unit`: variables of
-/// which the model states no unit, and their columns do; `max_description_bytes`: the limit with which the model
-/// was opened.
+/// The settings by their defaults, as comments, but for those of the command line; `without_unit`: variables
+/// of which the model states no unit, and their columns do; `max_description_bytes`: the limit with which the
+/// model was opened.
 fn settings(without_unit: &[Pair], max_description_bytes: Option<u64>, sandbox: bool) -> Vec<String> {
     let (settings, fit) = (SimulationSettings::default(), FitOptions::default());
     let tolerances = fit.run.tolerances;
