@@ -463,7 +463,8 @@ mod tests {
     #[test]
     fn a_process_that_is_no_child_of_the_template_is_not_taken_for_a_worker() {
         let template = Arc::new(Template::start(&Launcher::of("/bin/cat")).unwrap());
-        let mut process = Process::begin(&template, &WorkerLimits::default(), false).unwrap();
+        let mut process =
+            Process::begin(&template, &WorkerLimits::default(), false, Surroundings::present(), &[]).unwrap();
         let context = RunContext::new();
         for pid in [-1, 0, i32::MIN, 1, std::process::id().cast_signed()] {
             let (socket, theirs) = UnixStream::pair().unwrap();

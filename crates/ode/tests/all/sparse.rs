@@ -129,7 +129,7 @@ impl HybridSystem for Chain {
 #[test]
 fn an_explicit_method_of_auto_decomposes_no_dense_matrix_when_the_pattern_is_sparse() {
     let n = 1000;
-    let entries = (0..n).flat_map(|i| [(i, i), (i, i.saturating_sub(1))]);
+    let entries = (0..n).flat_map(|i: usize| [(i, i), (i, i.saturating_sub(1))]);
     let mut system = Chain { n, pattern: JacobianPattern::new(n, entries).unwrap() };
     let mut seen = Recorder::default();
     let report =
