@@ -105,8 +105,10 @@ impl RunValues {
         values.initial = InitialValues::new(starts, initial.names, &places, &initial.positions)?;
         for (index, value) in starts.given {
             let variable = &description.variables[*index];
-            if check_settable_at_start(variable).is_err() {
-                // An initial state that the model calculates.
+            let place = VariableElement { variable: *index, element: None };
+            let is_driven = || driven.iter().any(|one| one.overlaps(place, description));
+            // An initial state that the model calculates, or a parameter that has another value from the start.
+            if check_settable_at_start(variable).is_err() || variable.is_tunable_parameter() && is_driven() {
                 continue;
             }
             let list = match variable.causality {
