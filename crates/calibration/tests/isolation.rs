@@ -160,7 +160,8 @@ fn a_call_at_the_end_of_a_run_that_ends_the_process_costs_no_evaluation() {
         (&hang, "fmi2Terminate"),
     ] {
         let folder = faulty(faults);
-        let expected = decay(open(&faulty(&[])), settings(Isolation::None));
+        let sound = faulty(&[]);
+        let expected = decay(open(&sound), settings(Isolation::None));
         // A hang shows by the limit alone.
         let timeout = (faults.len() == hang.len()).then_some(Duration::from_millis(300));
         let calibration = decay(open(&folder), with_limit(timeout));

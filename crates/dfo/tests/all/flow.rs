@@ -87,7 +87,7 @@ fn lost_answers_change_nothing_but_their_count() {
     for name in ["nelder-mead", "pattern-search", "de", "cma-es", "multistart", "quadratic-model", "ga"] {
         let method = named(name);
         let whole = described(minimize(rosenbrock), &method, (3, 200)).run().unwrap();
-        for (width, every) in [(1, 4), (3, 7), (16, 5)] {
+        for (width, every) in [(1, 9), (3, 11), (16, 10)] {
             let n_lost = Rc::new(Cell::new(0));
             let inner = Clocked::new(width, one_in(5)).0;
             let lossy = Lossy { inner, every, n: 0, n_lost: Rc::clone(&n_lost) };

@@ -146,7 +146,7 @@ impl Process {
         let late = Instant::now() + longest;
         let Arrival { pid } = self.greeting(context, late)?;
         // A number below 1 would stand for many processes (kill(2)).
-        let pid = Pid::from_raw(pid).filter(|pid| pid.as_raw_nonzero().get() > 0);
+        let pid = Some(pid).filter(|pid| *pid > 0).and_then(Pid::from_raw);
         let Some(pid) = pid.filter(|pid| self.template.is_parent_of(*pid)) else {
             return Err(self.template.without_worker("its process is no child of that program"));
         };

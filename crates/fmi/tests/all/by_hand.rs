@@ -72,12 +72,6 @@ fn a_simulation_ends_with_the_tick_at_its_end_when_rounding_puts_it_behind_the_e
             assert_eq!(result.get("n").unwrap(), [f64::from(k)], "{} to {end}", method.name());
         }
     }
-    // In co-simulation no step leads beyond the end; ticks on the way are all there.
-    let times: Vec<f64> =
-        (1..=100_u32).map(|k| format!("{:.1}", 0.1 * f64::from(k)).parse().unwrap()).collect();
-    let options = SimulateOptions::new().final_time(10.05).times(times).outputs(["n"]);
-    let result = fmu.simulate(&options.kind(InterfaceChoice::CoSimulation)).unwrap();
-    assert_eq!(result.final_value("n").unwrap(), Some(100.0));
 }
 
 /// Compares with an instance that was never saved.

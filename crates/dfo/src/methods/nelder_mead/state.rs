@@ -243,7 +243,9 @@ impl Method for NelderMeadState {
         for (k, outcome) in outcomes.iter().enumerate() {
             let Ok(cost) = cost_of(outcome) else { continue };
             let seen = cost.map_or(Seen::Rejected, Seen::Cost);
-            if matches!(outcome, Outcome::Failed(_)) {
+            let is_above = matches!(outcome, Outcome::Above(_));
+            // Costs that are not finite are failures, also if a caller does not mark them.
+            if !is_above && outcome.value().is_none() {
                 self.spreads.forget();
                 self.has_failures = true;
             }
