@@ -59,6 +59,8 @@ __all__ = [
     "recorded_inputs",
     "solve",
     "solver_standing_for",
+    "time_tolerance",
+    "visible_line",
     "cross_validate",
     "prediction_bands",
     "profile",

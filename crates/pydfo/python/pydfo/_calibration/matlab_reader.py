@@ -95,7 +95,7 @@ def answer(path: str, request: dict[str, Any]) -> bytes:
     return out.getvalue()
 
 
-if __name__ == "__main__":
+def _main() -> None:
     try:
         result = answer(sys.argv[1], json.load(sys.stdin))
     except Exception as e:
@@ -103,3 +103,7 @@ if __name__ == "__main__":
         sys.exit(REFUSED)
     sys.stdout.buffer.write(result)
     sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    _main()
