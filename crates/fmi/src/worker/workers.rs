@@ -199,8 +199,8 @@ impl Workers {
     /// Asks a worker that has loaded `load`, has `accept` read the answer, and returns that with the quirks
     /// of the model that the worker has found. A worker whose answer is not accepted is ended. Where a worker
     /// ends otherwise than by a time limit, the same is asked once more in a fresh one, unless it was one.
-    /// Where it dies at the end of a run, when the rows are complete, a fresh one that leaves out that call
-    /// is asked in any case.
+    /// Where it dies at the end of a run, when the rows are complete, a fresh one that leaves out that call is
+    /// asked in any case.
     ///
     /// # Errors
     /// [`FmiError::ReportedError`]: what the worker says; [`FmiError::WorkerEnded`]: it ended twice, or once by the time limit; [`FmiError::NoWorker`] or
@@ -331,6 +331,11 @@ impl Workers {
         idle
     }
 
+    /// Number of idle workers that have loaded this.
+    pub fn n_idle(&self, load: &Load) -> usize {
+        self.idle().lent_to(load).filter(|loaded| *loaded == load.id).count()
+    }
+
     /// Ends the idle workers of this: nobody asks them any more.
     pub fn forget(&self, load: &Load) {
         let is_of_load = |(process, _): &mut (Process, Instant)| {
@@ -353,6 +358,7 @@ impl Workers {
                 let own = idle.processes.iter().rposition(is_of_load);
                 own.or_else(|| idle.processes.iter().rposition(is_lent))
             }
+            AskedProcess::LongestIdle => idle.processes.iter().position(is_of_load),
             AskedProcess::Fresh | AskedProcess::FreshOnce => None,
         };
         Some(idle.processes.remove(place?).0)
