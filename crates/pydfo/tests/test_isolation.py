@@ -273,16 +273,21 @@ def test_functions_as_inputs_stay_in_this_process(tmp_path):
         model.simulate(final_time=1, inputs={name: lambda t: t}, isolation="process")
 
 
-def test_a_checkpoint_belongs_to_one_process_at_a_time(tmp_path):
-    place = tmp_path / "run.checkpoint"
-    (tmp_path / "run.checkpoint.lock").write_text("4711")
-    import fcntl
+HOLDS_LOCK = """
+import fcntl, sys
+with open(sys.argv[1], "r+") as lock:
+    fcntl.lockf(lock, fcntl.LOCK_EX)
+    print("locked", flush=True)
+    sys.stdin.read()
+"""
 
-    with open(tmp_path / "run.checkpoint.lock") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+
+def test_a_checkpoint_belongs_to_one_process_at_a_time(tmp_path):
+    place, lock = tmp_path / "run.checkpoint", tmp_path / "run.checkpoint.lock"
+    lock.write_text("4711")
+    with subprocess.Popen([sys.executable, "-c", HOLDS_LOCK, lock], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as owner:
+        assert owner.stdout.readline() == b"locked\n"
         with pytest.raises(pydfo.CheckpointError, match="process 4711 is writing to it"):
             pydfo.minimize(lambda x: x[0] ** 2, [1.0], checkpoint=place, resume="never")
-    with open(tmp_path / "run.checkpoint.lock") as lock:
-        # A process that was being started meanwhile may have the file open until it runs its program.
-        fcntl.flock(lock, fcntl.LOCK_EX)
+        owner.kill()
     pydfo.minimize(lambda x: x[0] ** 2, [1.0], checkpoint=place, resume="never")
