@@ -82,8 +82,8 @@ fn a_cost_that_is_not_smooth_is_named_where_a_local_search_has_ended_in_it() {
     let near = ball("v", 5e-2, 0.7);
     assert!((near.x[0] - 0.7).abs() < 1e-3 && !warns(&near.findings(), said), "{near}");
     let far = ball("v", 5e-2, 0.6);
-    let of_e = far.uncertainty.as_ref().unwrap().standard_errors[0];
-    assert!((far.x[0] - 0.7).abs() > 5.0 * of_e && !far.is_usable(), "{far}");
+    // Twenty times as far off as the search from next to the minimum.
+    assert!((far.x[0] - 0.7).abs() > 0.02 && !far.is_usable(), "{far}");
     let errors: Vec<_> = far.findings().into_iter().filter(|f| f.severity == Severity::Error).collect();
     assert!(errors.len() == 1 && errors[0].sentence.starts_with(said), "{far}");
     // What does not hold is not printed.
