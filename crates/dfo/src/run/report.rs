@@ -47,8 +47,8 @@ pub struct Report {
     pub n_batches: usize,
     /// Failed evaluations of the path.
     pub n_failed: usize,
-    /// Answers that the engine lost (a machine or a connection was gone). The points were evaluated again, and
-    /// count once.
+    /// Answers that the engine lost (a machine or a connection was gone). The points were evaluated again,
+    /// and count once.
     #[serde(default)]
     pub n_lost: usize,
     /// Answers that count as no evaluation, because the point was known already. Where only that it lies

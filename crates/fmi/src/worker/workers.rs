@@ -199,8 +199,8 @@ impl Workers {
     /// Asks a worker that has loaded `load`, has `accept` read the answer, and returns that with the quirks
     /// of the model that the worker has found. A worker whose answer is not accepted is ended. Where a worker
     /// ends otherwise than by a time limit, the same is asked once more in a fresh one, unless it was one.
-    /// Where it dies at the end of a run, when the rows are complete, a fresh one that leaves out that call is
-    /// asked in any case.
+    /// Where it dies at the end of a run, when the rows are complete, a fresh one that leaves out that call
+    /// is asked in any case.
     ///
     /// # Errors
     /// [`FmiError::ReportedError`]: what the worker says; [`FmiError::WorkerEnded`]: it ended twice, or once by the time limit; [`FmiError::NoWorker`] or
