@@ -62,7 +62,7 @@ pub use intervals::bands::{BandOptions, PredictionBand};
 pub use intervals::profile::{ParameterProfile, Profile, ProfileEnd, ProfileOptions, ProfilePoint};
 pub use live_page::LivePage;
 pub use loaded::calibration::{Calibration, CalibrationBuilder};
-pub use loaded::simulations_around::Effort;
+pub use loaded::effort::Effort;
 pub use loaded::worker::serve_if_worker;
 pub use problem::column_units::{InputColumn, recorded_inputs};
 pub use problem::definition::{ModelFile, Problem};
@@ -80,7 +80,6 @@ pub use uncertainty::diagnostics::output_effect::{OutputEffect, OutputEffectKind
 pub use uncertainty::diagnostics::parameter_constancy::{DataSplit, PartConflict};
 pub use uncertainty::diagnostics::prior_check::PriorConflict;
 pub use uncertainty::diagnostics::residual_check::ResidualCheck;
-pub use uncertainty::diagnostics::score_test::{Omitted, OmittedKind};
 pub use uncertainty::differences::ResidualBend;
 pub use uncertainty::preflight::{ParameterCheck, Preflight, PreflightOptions};
 pub use uncertainty::result::{Estimator, Uncertainty, UncertaintyOptions};

@@ -89,15 +89,18 @@ fn the_bits_are_the_same_in_this_process_and_in_others() {
     }
 }
 
-/// The best point is evaluated again in the process that has searched and in a fresh one: neither is an evaluation of the path.
+/// The best point is evaluated again in a fresh process, which is no evaluation of the path; after a short search it is not.
 #[test]
 fn the_best_point_made_again_is_counted_beside_the_path() {
     let folder = faulty(&[]);
     let calibration = decay(open(&folder), settings(Isolation::Process));
-    let found = fit(&calibration, 1, 3);
+    let few = fit(&calibration, 1, 3);
+    assert!(few.skipped.contains(&"comparison with a fresh process".to_owned()), "{:?}", few.skipped);
+    let found = fit(&calibration, 1, 12);
     let one = calibration.simulate(&found.x, None, &RunContext::new()).unwrap()[0].stats;
     let (checks, n) = (found.stats.checks, found.report.n_evaluations);
-    assert!(n == 3 && checks.runs >= 2 && checks.steps >= 2 * one.accepted_steps, "{n}, {checks:?}");
+    assert!(n == 12 && checks.runs >= 1 && checks.steps >= one.accepted_steps, "{n}, {checks:?}");
+    assert!(!found.skipped.contains(&"comparison with a fresh process".to_owned()), "{:?}", found.skipped);
     assert!(found.stats.seconds.get() > checks.seconds.get() && checks.seconds.get() > 0.0);
 }
 
@@ -168,8 +171,7 @@ fn a_call_at_the_end_of_a_run_that_ends_the_process_costs_no_evaluation() {
             assert_eq!(costs[0], costs[1], "{faults:?}, k = {k}");
         }
         let found = fit(&calibration, 2, 60);
-        let of_sound = fit(&expected, 2, 60);
-        assert_eq!((&found.x, found.report.n_failed), (&of_sound.x, 0), "{faults:?}");
+        assert!((found.x[0] - 1.7).abs() < 1e-3 && found.report.n_failed == 0, "{faults:?}: {:?}", found.x);
         let quirks = calibration.fmu().quirks_seen();
         let named = quirks.iter().filter(|quirk| quirk.message.starts_with(function)).count();
         assert_eq!(named, 1, "{faults:?}: {quirks:?}");

@@ -61,6 +61,9 @@ pub struct Checks {
     pub runs: u64,
     /// Steps in them.
     pub steps: u64,
+    /// Right-hand sides in them.
+    #[serde(default)]
+    pub right_hand_sides: u64,
     /// Wall-clock time of the runs, with that of making their instances.
     pub seconds: Seconds,
 }
@@ -77,6 +80,7 @@ impl AddAssign for Checks {
     fn add_assign(&mut self, other: Self) {
         self.runs += other.runs;
         self.steps += other.steps;
+        self.right_hand_sides += other.right_hand_sides;
         self.seconds += other.seconds;
     }
 }
@@ -156,6 +160,7 @@ impl Stats {
         Checks {
             runs: runs + self.checks.runs,
             steps: self.accepted_steps + self.rejected_steps + self.checks.steps,
+            right_hand_sides: self.right_hand_sides + self.checks.right_hand_sides,
             seconds: self.seconds,
         }
     }

@@ -26,7 +26,7 @@ def test_the_noise_is_estimated_beside_a_prior(start: float) -> None:
     assert fit.noise is not None and fit.noise.source == "estimated" and fit.noise.settled and fit.noise.of_residuals == {"x": True}
     assert fit.noise.sd["x"] == pytest.approx(1e-3, rel=0.3)
     assert abs(fit.x[0] - 2.0) < 4 * fit.stderr[0] and fit.rms == pytest.approx(1e-3, rel=0.3)
-    assert fit.success and "estimated with the parameters" in str(fit) and fit.tolerance.n_simulations == 0
+    assert fit.success and "estimated with the parameters" in str(fit)
     low, high = fit.profile().intervals["k"]
     assert low < fit.parameters["k"] < high
     assert not [f for f in fit.findings if "prior" in f.subject]
@@ -60,6 +60,6 @@ def test_it_is_handed_on(tmp_path: Path) -> None:
 
 def test_a_small_f_tol_has_a_small_tolerance() -> None:
     fit = decay(1e-4, Normal(2.0, 1.0)).fit(f_tol=1e-8)
-    assert fit.tolerance is not None and fit.tolerance.used < fit.tolerance.stated == 1e-6 and fit.tolerance.n_simulations in (1, 2)
+    assert fit.tolerance is not None and fit.tolerance.used < fit.tolerance.stated == 1e-6
     assert any("relative_tolerance overrides it" in str(f) for f in fit.findings)
     assert decay(1e-4, Normal(2.0, 1.0), relative_tolerance=1e-6).fit(f_tol=1e-8).tolerance is None

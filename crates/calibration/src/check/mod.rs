@@ -9,12 +9,10 @@ mod options;
 mod parameters;
 mod repeated;
 mod result;
-mod sampling;
 mod scales;
 mod settings;
 mod signals;
 mod simulated_outputs;
-mod time_unit;
 mod times;
 
 pub(crate) use model::unstated_noise;
@@ -30,14 +28,10 @@ use experiment_subject::ExperimentSubject;
 use ode::Stats;
 use simulated_outputs::{Evaluations, Outputs, Place};
 
-/// A fit that moves no parameter by this factor leaves an oscillation about as fast as it was.
-const SLOWER: f64 = 1.5;
-
 impl Calibration {
     /// Looks for what does not fit, and says what to do about it: with one evaluation at the parameters'
-    /// start values, another with times a thousandth as long where the times could be in ms, and another with
-    /// half the step where that is fixed, or half the communication step of a co-simulation, and another with
-    /// the values between the rows where these are few.
+    /// start values, and another with half the step where that is fixed, or half the communication step of a
+    /// co-simulation.
     ///
     /// Looked at are the times (order, gaps, unit, start, months taken for days), the recorded values
     /// (constant, clipped, frozen, missing, placeholders, units, initial values, wrapped angles, columns that
@@ -108,22 +102,18 @@ impl Calibration {
         let outputs = Outputs::new(self, start, None);
         findings.extend(at_start::findings(subjects, &outputs));
         findings.extend(signals::findings(subjects, &outputs));
-        findings.extend(time_unit::findings(self, subjects, &outputs, evaluations)?);
         findings.extend(settings::large_step(self, start, Place::Start, evaluations)?);
-        findings.extend(sampling::finding(self, start, Place::Start, evaluations)?);
         Ok(())
     }
 
     /// Findings of a check beyond notes, evaluated again at the result of a fit: a doubt that the fitted
-    /// values have removed is left out. Empty where it is cancelled. `is_by_weights`: outputs count in the
-    /// cost by their weights.
+    /// values have removed is left out. Nothing is simulated. `is_by_weights`: outputs count in the cost by
+    /// their weights.
     pub(crate) fn check_after_fit(
         &self,
         start: Option<&PointResiduals>,
         end: &PointResiduals,
         is_by_weights: bool,
-        context: &RunContext<'_>,
-        stats: &mut Stats,
     ) -> Vec<Finding> {
         let subjects = self.subjects();
         let mut doubts = self.findings_of_description_and_data(&subjects, &end.x);
@@ -139,15 +129,6 @@ impl Calibration {
             };
             doubts.retain(|doubt| !is_certain(doubt));
             doubts.extend(found);
-            let mut evaluations = Evaluations { context: *context, n: 0, stats: Stats::default() };
-            let is_fast = !self.has_fixed_step() && sampling::may_turn_back(stats) || self.is_co_simulation();
-            let found =
-                self.findings_of_sampling_times(&subjects, &outputs, start, end, is_fast, &mut evaluations);
-            *stats += evaluations.stats;
-            match found {
-                Ok(found) => doubts.extend(found),
-                Err(_) => return Vec::new(),
-            }
         }
         if is_by_weights {
             doubts.extend(scales::finding(self, Some((&end.residuals, Place::Fitted))));
@@ -157,27 +138,6 @@ impl Calibration {
         // Notes of the construction say how the data were read.
         doubts.extend(model::construction_warnings(self.warnings()));
         doubts
-    }
-
-    /// Findings about the times of the rows that take simulations, after a fit. `is_fast`: the simulations
-    /// may oscillate between rows.
-    fn findings_of_sampling_times(
-        &self,
-        subjects: &[ExperimentSubject<'_>],
-        outputs: &Outputs<'_>,
-        start: &PointResiduals,
-        end: &PointResiduals,
-        is_fast: bool,
-        evaluations: &mut Evaluations<'_>,
-    ) -> Result<Vec<Finding>, CalibrationError> {
-        let mut found = time_unit::findings(self, subjects, outputs, evaluations)?;
-        let places = [(end, Place::Fitted), (start, Place::Start)];
-        for (at, place) in places {
-            if is_fast && found.is_empty() && (place == Place::Fitted || outputs.has_moved_by(SLOWER)) {
-                found.extend(sampling::finding(self, at, place, evaluations)?);
-            }
-        }
-        Ok(found)
     }
 
     /// Findings beyond notes that need no simulation.

@@ -10,13 +10,13 @@ pub struct CheckOptions {
     /// True to simulate at the start values; default: true.
     pub simulate: bool,
     /// Wall-clock limit of the whole check, as of a fit; what was found until then is the result, with a
-    /// finding that says so. Default: 30 s.
+    /// finding that says so. Default: none.
     pub max_time: Option<Duration>,
 }
 
 impl Default for CheckOptions {
     fn default() -> Self {
-        Self { simulate: true, max_time: Some(Duration::from_secs(30)) }
+        Self { simulate: true, max_time: None }
     }
 }
 

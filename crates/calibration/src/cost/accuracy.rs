@@ -22,6 +22,6 @@ impl Accuracy {
 
     /// Name of the setting, for messages.
     pub(crate) fn words(is_step_halved: bool) -> &'static str {
-        if is_step_halved { "half the step" } else { "a hundredth of the relative tolerance" }
+        if is_step_halved { "half the step" } else { "a tenth of the relative tolerance" }
     }
 }

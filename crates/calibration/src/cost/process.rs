@@ -22,7 +22,7 @@ use std::collections::BTreeMap;
 use std::io;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Data of a calibration that a worker loads.
 #[derive(Debug, Serialize, Deserialize)]
@@ -88,8 +88,8 @@ pub(crate) struct Compared {
     pub(crate) outcome: ComparisonOutcome,
     /// Statistics of all its simulations.
     pub(crate) stats: Stats,
-    /// Number of residuals, and the seconds that they took.
-    pub(crate) at_start: Option<(usize, f64)>,
+    /// Number of residuals.
+    pub(crate) at_start: Option<usize>,
 }
 
 /// How a point is evaluated.
@@ -109,8 +109,6 @@ pub(crate) enum ProcessChoice {
     /// The same, but the second question of this kind is asked in a new process, too, and the first one again
     /// after some of the later ones, to see whether the answers are the same.
     Checked,
-    /// Of those that have loaded the problem and are idle, the one that was asked longest ago.
-    LongestIdle,
     /// A new one.
     Fresh,
 }
@@ -121,9 +119,6 @@ pub(crate) const HIDDEN_STATE: &str = "a cost depends on what ran before it in t
 
 /// Introduces what a model logs about a failure where it is asked to log.
 const LOG_ON: &str = "the same with the log of the model switched on";
-
-/// The start of a process takes about so long.
-const START: Duration = Duration::from_millis(20);
 
 /// Worker processes that have loaded the same.
 #[derive(Debug)]
@@ -138,6 +133,8 @@ struct Processes {
     explained: Mutex<BTreeMap<String, Option<String>>>,
     /// No answer is checked for its dependence on earlier requests.
     is_checked: AtomicBool,
+    /// The result of a fit was compared with a fresh process.
+    is_compared: AtomicBool,
     /// Questions that were to be checked.
     n_checked: AtomicU64,
     /// The first of them, the numbers of its answer, and how often the surroundings had changed.
@@ -174,6 +171,7 @@ impl Processes {
             logging,
             explained: Mutex::default(),
             is_checked: AtomicBool::new(false),
+            is_compared: AtomicBool::new(false),
             n_checked: AtomicU64::new(0),
             first: Mutex::default(),
             frames: Mutex::default(),
@@ -195,7 +193,6 @@ impl Processes {
         asked.set_head(job).map_err(unsaid)?;
         let whom = match process {
             _ if self.fmu.has_hidden_state() => Some(AskedProcess::FreshOnce),
-            ProcessChoice::LongestIdle => Some(AskedProcess::LongestIdle),
             ProcessChoice::Fresh => Some(AskedProcess::Fresh),
             ProcessChoice::Checked if !self.is_checked.load(Ordering::Relaxed) => None,
             ProcessChoice::Any | ProcessChoice::Checked => Some(AskedProcess::Any),
@@ -248,10 +245,9 @@ impl Processes {
         Ok(accepted)
     }
 
-    /// Asks a worker. The second question also asks a fresh one, at the same time, and the first question
-    /// again where that takes no longer than the start of a process; the 4th, 8th, 16th and so on ask the
-    /// first one again in any case. Where numbers differ, and two fresh processes agree, each question has
-    /// one of its own from now on.
+    /// Asks a worker. The second question also asks a fresh one, at the same time; the 4th, 8th, 16th and so
+    /// on ask the first one again. Where numbers differ, and two fresh processes agree, each question has one
+    /// of its own from now on.
     fn ask_checked<T>(
         &self,
         question: &Question<'_>,
@@ -271,7 +267,7 @@ impl Processes {
         if !n.is_power_of_two() {
             return self.call(question, answer, accept, AskedProcess::Any);
         }
-        let (began, mut again) = (Instant::now(), Frame::default());
+        let mut again = Frame::default();
         // The numbers of these are compared only.
         let (asked, limits) = (question.asked, question.limits);
         let in_fresh = |context: &RunContext<'_>| {
@@ -281,7 +277,7 @@ impl Processes {
         };
         let mut in_used = || {
             let accepted = self.call(question, answer, accept, AskedProcess::Any)?;
-            if !is_first && (n > 2 || began.elapsed() < START) {
+            if !is_first && n > 2 {
                 // Another point may have an answer of another size.
                 let size = self.workers.limits().answer_size();
                 let limits = AnswerLimits { size, ..limits };
@@ -410,9 +406,14 @@ impl Remote {
         self.processes.workers.prepare_second(&self.processes.load);
     }
 
-    /// Number of processes that have evaluated something, and are not asked at the moment.
-    pub(crate) fn n_idle(&self) -> usize {
-        self.processes.workers.n_idle(&self.processes.load)
+    /// True if the result of an earlier fit was compared with a fresh process.
+    pub(crate) fn is_compared(&self) -> bool {
+        self.processes.is_compared.load(Ordering::Relaxed)
+    }
+
+    /// The result of a fit has been compared with a fresh process.
+    pub(crate) fn set_compared(&self) {
+        self.processes.is_compared.store(true, Ordering::Relaxed);
     }
 
     fn limits(&self, runs: u32, size: FrameSize) -> AnswerLimits {
@@ -507,8 +508,8 @@ impl Remote {
         }
     }
 
-    /// A simulation of a comparison, and the residuals at the start with the seconds that they took. It has
-    /// at most so many samples, and so many residuals.
+    /// A simulation of a comparison, and the residuals at the start. It has at most so many samples, and so
+    /// many residuals.
     pub(crate) fn compare(
         &self,
         task: ComparisonTask,
@@ -519,7 +520,7 @@ impl Remote {
         let mut accept = |answer: &mut Frame| {
             let compared: Compared = answer.head()?;
             // A model that ends a simulation has fewer samples.
-            let n = compared.at_start.map_or(0, |(n, _)| n);
+            let n = compared.at_start.unwrap_or_default();
             if n > answer.numbers.len() || ![0, n_residuals].contains(&n) {
                 return Err(wrong(format!("{n} residuals instead of {n_residuals}")));
             }
@@ -538,8 +539,7 @@ impl Remote {
             }
         };
         *stats += taken;
-        let at_start =
-            at_start.map(|(n, seconds)| (numbers.split_off(numbers.len().saturating_sub(n)), seconds));
+        let at_start = at_start.map(|n| numbers.split_off(numbers.len().saturating_sub(n)));
         if let ComparisonOutcome::Finished { samples, .. } = &mut outcome {
             *samples = numbers;
         }

@@ -50,8 +50,8 @@ pub(crate) struct Chosen {
 pub(crate) struct AtStart {
     /// The residuals: without a loss from a comparison of methods, else as they count.
     pub(crate) residuals: Vec<f64>,
-    /// Wall-clock seconds of its simulations.
-    pub(crate) seconds: f64,
+    /// Statistics of its simulations.
+    pub(crate) stats: Stats,
 }
 
 /// Keeps the samples of one simulation, and compares them with what was measured.
@@ -173,16 +173,16 @@ fn compare_on_problem(
             Ok(remote) => remote.compare(*task, (absolute.len(), problem.n_residuals), context, stats)?,
             Err(_) => simulate_compared(problem, task, context, stats)?,
         };
-        let at_start = at_start.map(|(residuals, seconds)| (task.method, AtStart { residuals, seconds }));
-        evaluated.extend(at_start);
+        if let (Some(residuals), ComparisonOutcome::Finished { stats, .. }) = (at_start, &outcome) {
+            evaluated.push((task.method, AtStart { residuals, stats: *stats }));
+        }
         Ok::<_, CalibrationError>(outcome)
     })?;
     let of_winner = evaluated.into_iter().find(|(method, _)| *method == compared.method);
     Ok((compared, of_winner.map(|(_, at_start)| at_start)))
 }
 
-/// A simulation of a comparison; with the residuals and the seconds that they took where they are those of an
-/// evaluation.
+/// A simulation of a comparison; with the residuals where they are those of an evaluation.
 pub(crate) fn simulate_compared(
     problem: &LoadedProblem,
     task: &ComparisonTask,
@@ -236,6 +236,6 @@ pub(crate) fn simulate_compared(
         }
     }
     let is_evaluation = is_whole && task.relative_tolerance == relative;
-    let at_start = is_evaluation.then(|| (residuals, total.seconds.get()));
+    let at_start = is_evaluation.then_some(residuals);
     Ok((ComparisonOutcome::Finished { samples: all, stats: total }, at_start))
 }

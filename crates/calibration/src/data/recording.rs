@@ -442,11 +442,6 @@ impl Data {
         Ok(masked)
     }
 
-    /// Multiplies the times with a positive factor.
-    pub(crate) fn scale_times(&mut self, factor: f64) {
-        self.time.to_mut().iter_mut().for_each(|time| *time *= factor);
-    }
-
     /// The name of a column in full, with its unit if it has one there.
     pub(crate) fn full_name(&self, column: &str) -> Option<&str> {
         Some(&self.columns[self.position(column).ok()??].name)

@@ -1,6 +1,6 @@
 //! The phases of a fit, and what each takes.
 
-use crate::loaded::simulations_around::Effort;
+use crate::loaded::effort::Effort;
 use ode::{Seconds, Stats};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -14,38 +14,32 @@ use std::time::{Duration, Instant};
 pub enum FitPhase {
     /// The integration methods are compared.
     Solver,
-    /// The tolerance of the simulations is chosen.
-    Tolerance,
     /// It is tested how the model's instances can be reused.
     ModelTest,
     /// The start is looked at.
     Preflight,
     /// The search itself.
     Search,
-    /// Bounds and parameters without effect are looked at, and what may not be meant as it was given.
+    /// The result is looked at: bounds and parameters without effect, the accuracy of its simulation, what
+    /// one more step would gain, and what may not be meant as it was given.
     Checks,
-    /// The best point is evaluated again in the processes that the fit has used; in a fresh one, too, but
-    /// while the phases after this one last, so that its time does not count here. All these are
-    /// [checks](ode::Checks).
+    /// The best point is evaluated again in a fresh process, while the phases after this one last, so that
+    /// its time does not count here. That is a [check](ode::Checks).
     FreshProcess,
-    /// The standard errors are found.
+    /// The standard errors are found: two simulations for each parameter.
     Uncertainty,
-    /// Numbers that are taken as known are varied, to see whether the residuals ask for others.
-    ScoreTest,
 }
 
 impl FitPhase {
     /// All in the order of the type, each with its key and what it is called while it lasts.
-    const ALL: [(Self, &'static str, &'static str); 9] = [
+    const ALL: [(Self, &'static str, &'static str); 7] = [
         (Self::Solver, "solver", "choosing a solver"),
-        (Self::Tolerance, "tolerance", "choosing a tolerance"),
         (Self::ModelTest, "model_test", "testing the model"),
         (Self::Preflight, "preflight", "looking at the start"),
         (Self::Search, "search", "searching"),
         (Self::Checks, "checks", "checking the result"),
         (Self::FreshProcess, "fresh_process", "comparing with a fresh process"),
         (Self::Uncertainty, "uncertainty", "standard errors"),
-        (Self::ScoreTest, "score_test", "looking for numbers that are wrong"),
     ];
 
     /// The phase as a key.

@@ -278,13 +278,11 @@ impl Calibration {
         let mut stats = Stats::default();
         // The stages have one solver and one tolerance. Where there is no time for that, the first one ends at its start.
         job.enter(FitPhase::Solver, &stats);
-        let chosen = self
-            .solver_counted(&job.context, &mut stats)
-            .and_then(|_| self.choose_tolerance(&job, None, &mut stats));
-        let tolerance = match chosen {
+        match self.solver_counted(&job.context, &mut stats) {
             Err(error) if !job.context.is_late() || job.context.is_cancelled() => return Err(error),
-            chosen => chosen.ok().flatten().map(|(tolerance, _)| tolerance),
-        };
+            _ => {}
+        }
+        let tolerance = self.choose_tolerance(&job);
         let tolerant = self.with_tolerance(tolerance.as_ref())?;
         let this = tolerant.as_ref().unwrap_or(self);
         job.enter(FitPhase::Checks, &stats);
@@ -303,7 +301,8 @@ impl Calibration {
         }
         job.phases.borrow_mut().begin(FitPhase::Checks, &stats);
         let own = made.own.take();
-        let (mut fit, _) = this.judged(own.as_ref().unwrap_or(this), &job, made, stats);
+        let (budget, _) = made.budget(this, &job.start);
+        let (mut fit, _) = this.judged(own.as_ref().unwrap_or(this), &job, made, stats, budget);
         fit.phases = job.phases.borrow_mut().costs(&fit.stats);
         fit.stages = done.fits;
         fit.uncertainty

@@ -1,7 +1,9 @@
 //! A problem with a loaded model, as its users see it: [`Calibration`](calibration::Calibration), simulations
-//! around a point, and the worker process that serves them.
+//! around a point and their budget, and the worker process that serves them.
 
+pub(crate) mod budget;
 pub(crate) mod calibration;
+pub(crate) mod effort;
 pub(crate) mod simulations_around;
 pub(crate) mod variables;
 pub(crate) mod worker;

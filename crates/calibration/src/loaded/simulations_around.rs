@@ -7,18 +7,22 @@ use crate::cost::parallel;
 use crate::cost::process::{Evaluation, ProcessChoice};
 use crate::cost::residual::CostRule;
 use crate::error::CalibrationError;
+use crate::loaded::budget::{Budget, Extra};
 use crate::loaded::calibration::Calibration;
+use crate::loaded::effort::Effort;
 use base::RunContext;
 use dfo::RobustLoss;
 use fmi::{InterfaceKind, SimulationPlan, Simulator};
-use ode::{Seconds, Stats};
-use serde::{Deserialize, Serialize};
-use std::ops::AddAssign;
+use ode::Stats;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::Instant;
 
-/// By what the relative tolerance is divided in accurate simulations.
-pub(crate) const ACCURATE: f64 = 100.0;
+/// By what the relative tolerance is divided in accurate simulations: what is left of the error is a tenth.
+pub(crate) const ACCURATE: f64 = 10.0;
+
+/// Work of an accurate simulation, in simulations of a fit: the tenth of the tolerance takes a method of
+/// order 5 this many times the steps.
+const PRICE_OF_ACCURATE: f64 = 1.6;
 
 /// Integration is not more accurate than this.
 const SMALLEST_TOLERANCE: f64 = 1e-13;
@@ -27,50 +31,12 @@ const SMALLEST_TOLERANCE: f64 = 1e-13;
 /// simulations.
 const LOOSEST_OF_EXACT: f64 = 1e-5;
 
-/// What a part of a fit took. All are equal, as wall-clock times are.
-#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Effort {
-    /// Simulations. How many [checks](ode::Checks) were made besides depends on the clock: they are not among
-    /// them.
-    pub simulations: u64,
-    /// Right-hand sides in them.
-    pub right_hand_sides: u64,
-    /// Wall-clock time.
-    #[cfg_attr(feature = "schema", schemars(with = "f64"))]
-    pub seconds: Seconds,
-}
-
-impl Effort {
-    pub(crate) fn of(stats: &Stats, elapsed: Duration) -> Self {
-        Self {
-            simulations: stats.runs,
-            right_hand_sides: stats.right_hand_sides,
-            seconds: Seconds::new(elapsed.as_secs_f64()),
-        }
-    }
-}
-
-impl PartialEq for Effort {
-    fn eq(&self, _: &Self) -> bool {
-        true
-    }
-}
-
-impl AddAssign for Effort {
-    fn add_assign(&mut self, other: Self) {
-        self.simulations += other.simulations;
-        self.right_hand_sides += other.right_hand_sides;
-        self.seconds += other.seconds;
-    }
-}
-
 /// A point to be simulated.
 #[derive(Debug, Clone)]
 pub(crate) struct Point {
     /// In the user's units.
     pub(crate) x: Vec<f64>,
-    /// With a hundredth of the relative tolerance; with a fixed-step method, with half the step.
+    /// With a tenth of the relative tolerance; with a fixed-step method, with half the step.
     pub(crate) is_accurate: bool,
 }
 
@@ -95,6 +61,10 @@ pub(crate) struct Simulations<'a> {
     /// Points that were simulated.
     pub(crate) n: usize,
     pub(crate) stats: Stats,
+    /// What those beside the standard errors took, which is a part of `stats`.
+    pub(crate) extras: Effort,
+    /// What may be made beside the standard errors.
+    pub(crate) budget: Budget,
 }
 
 impl<'a> Simulations<'a> {
@@ -107,7 +77,52 @@ impl<'a> Simulations<'a> {
     ) -> Result<Self, CalibrationError> {
         calibration.solver(context)?;
         calibration.prepare()?;
-        Ok(Self { calibration, loss, workers, context: *context, n: 0, stats: Stats::default() })
+        Ok(Self {
+            calibration,
+            loss,
+            workers,
+            context: *context,
+            n: 0,
+            stats: Stats::default(),
+            extras: Effort::default(),
+            budget: Budget::unlimited(),
+        })
+    }
+
+    /// The residuals at points that are simulated beside the standard errors; `None` where the budget does
+    /// not allow them.
+    ///
+    /// # Errors
+    /// As [`residuals`](Self::residuals).
+    pub(crate) fn extra(
+        &mut self,
+        extra: Extra,
+        points: &[Point],
+    ) -> Result<Option<Vec<PointResiduals>>, CalibrationError> {
+        let price =
+            |point: &Point| if point.is_accurate { self.calibration.price_of_accurate() } else { 1.0 };
+        let price = points.iter().map(price).sum();
+        if !self.budget.allows(extra, price) {
+            return Ok(None);
+        }
+        self.beside(points).map(Some)
+    }
+
+    /// As [`extra`](Self::extra), of what is never skipped.
+    ///
+    /// # Errors
+    /// As [`residuals`](Self::residuals).
+    pub(crate) fn beside(&mut self, points: &[Point]) -> Result<Vec<PointResiduals>, CalibrationError> {
+        self.aside(|simulations| simulations.residuals(points))
+    }
+
+    /// Counts what something simulates as no part of the standard errors.
+    pub(crate) fn aside<T>(&mut self, work: impl FnOnce(&mut Self) -> T) -> T {
+        let (before, began) = (std::mem::take(&mut self.stats), Instant::now());
+        let done = work(self);
+        self.extras += Effort::of(&self.stats, began.elapsed());
+        self.stats += before;
+        done
     }
 
     /// The residuals at these points, in their order.
@@ -177,7 +192,12 @@ impl Calibration {
         self.evaluator().simulations[0].pool.plan().kind() == InterfaceKind::CoSimulation
     }
 
-    /// With a hundredth of the relative tolerance or half the step.
+    /// Work of an accurate simulation, in simulations of a fit.
+    fn price_of_accurate(&self) -> f64 {
+        if self.has_fixed_step() { 2.0 } else { PRICE_OF_ACCURATE }
+    }
+
+    /// With a tenth of the relative tolerance or half the step.
     fn accurate(&self) -> Accuracy {
         let tolerance = self.relative_tolerance();
         match self.has_fixed_step() {

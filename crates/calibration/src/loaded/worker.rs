@@ -180,10 +180,10 @@ fn done(
             if let ComparisonOutcome::Finished { samples, .. } = &mut outcome {
                 answer.numbers.append(samples);
             }
-            let at_start = at_start.map(|(mut residuals, seconds)| {
+            let at_start = at_start.map(|mut residuals| {
                 let n = residuals.len();
                 answer.numbers.append(&mut residuals);
-                (n, seconds)
+                n
             });
             answer.set_head(&Compared { outcome, stats, at_start })
         }

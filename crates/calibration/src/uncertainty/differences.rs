@@ -7,6 +7,7 @@
 //! ratio of signal to noise is the same for all.
 
 use crate::error::CalibrationError;
+use crate::loaded::budget::Extra;
 use crate::loaded::simulations_around::{Point, PointResiduals, Simulations};
 use crate::problem::parameter::{Parameter, inner, outer};
 use crate::uncertainty::row_blocks::{go_on, product, triangle};
@@ -30,11 +31,9 @@ const FIRST: f64 = 1e-3;
 /// The change over a step shall be so many times the noise.
 const ABOVE_NOISE: f64 = 10.0;
 
-/// A change is as it was predicted within this factor.
-const AS_PREDICTED: f64 = 4.0;
-
-/// Rounds of differences along the principal axes at most: each chooses its steps by what the last one found.
-const ROUNDS: usize = 3;
+/// A step over which the residuals bend is too long where they change by more than this many times the
+/// standard deviation of a residual, or the noise that they must stand out from.
+const FAR: f64 = 4.0;
 
 /// A side of a parameter that leaves less than this part of a step is left out.
 const TOO_NARROW: f64 = 0.25;
@@ -177,6 +176,16 @@ impl Center<'_> {
         }
     }
 
+    /// The steps, or where the bounds leave no room for one of them, steps along the axes of the parameters
+    /// that go as far along each: on one side there is room for at least half the width of the bounds.
+    fn with_room(&self, steps: Vec<Step>) -> Vec<Step> {
+        if steps.iter().all(|step| self.span(step).is_some()) {
+            return steps;
+        }
+        let part = |step: &Step, k: usize| (step.direction[k] * step.length).abs();
+        self.axes(|k| steps.iter().map(|step| part(step, k)).fold(f64::MIN_POSITIVE, f64::max))
+    }
+
     fn axes(&self, lengths: impl Fn(usize) -> f64) -> Vec<Step> {
         let p = self.free.len();
         let axis = |k: usize| {
@@ -188,8 +197,10 @@ impl Center<'_> {
 }
 
 impl Differences {
-    /// `jacobian`: m x p, a first guess, by the coordinates of the search; by [`FIRST`] differences where
-    /// there is none.
+    /// In a fit, two simulations for each parameter, along the principal axes of a first guess `jacobian` (m
+    /// x p, by the coordinates of the search), or else along the axes of the parameters; and two more for
+    /// each combination whose change does not stand out from the noise, or over whose step the residuals
+    /// bend.
     ///
     /// # Errors
     /// Cancelled, or no simulation can be made any more; `Ok(Err(..))`: simulations fail on both sides of the
@@ -206,52 +217,96 @@ impl Differences {
         if p == 0 {
             return Ok(Ok(Self::of(DMatrix::zeros(m, 0), DMatrix::zeros(0, 0), noise)));
         }
-        let mut guess = match jacobian {
-            Some(jacobian) if jacobian.iter().all(|j| j.is_finite()) => jacobian,
-            _ => {
-                let length = |k: usize| match center.is_log(k) {
-                    true => FIRST,
-                    false => (FIRST * center.coordinate(k).abs()).max(FIRST * USUAL * center.sizes[k]),
-                };
-                match Self::measured(center, center.axes(length), simulations)? {
-                    Ok(found) => found.jacobian(&simulations.context)?,
+        let first = || {
+            center.axes(|k| match center.is_log(k) {
+                true => FIRST,
+                false => (FIRST * center.coordinate(k).abs()).max(FIRST * USUAL * center.sizes[k]),
+            })
+        };
+        let guess = match jacobian.filter(|jacobian| jacobian.iter().all(|j| j.is_finite())) {
+            // Whoever asks for it has the first round for the lengths of the second one.
+            None if simulations.budget.is_unlimited() => {
+                match Self::measured(center, center.with_room(first()), simulations)? {
+                    Ok(found) => Some(found.jacobian(&simulations.context)?),
                     Err(reason) => return Ok(Err(reason)),
                 }
             }
+            guess => guess,
         };
-        let mut round = 0;
-        loop {
-            round += 1;
-            let steps = principal_steps(center, &guess, deviation, noise, &simulations.context)?;
-            let columns: Vec<DVector<f64>> = steps.iter().map(|(s, _)| &s.direction * s.length).collect();
-            let predicted = product(&guess, &DMatrix::from_columns(&columns), &simulations.context)?;
-            let predicted: Vec<f64> = predicted.column_iter().map(|change| change.norm()).collect();
-            let is_narrow = steps.iter().any(|(step, _)| center.span(step).is_none());
-            let (mut steps, are_long): (Vec<Step>, Vec<bool>) = steps.into_iter().unzip();
-            if is_narrow {
-                // Along the axes of the parameters there is room: on one side at least half the width of the bounds.
-                let references = center.references(&guess, deviation);
-                steps = center.axes(|k| {
-                    let error = deviation / guess.column(k).norm();
-                    error.min(USUAL * references[k]).max(SHORTEST * USUAL * references[k])
-                });
-            }
-            let found = match Self::measured(center, steps, simulations)? {
-                Ok(found) => Self { noise: 3.0 * noise, ..found },
-                Err(reason) => return Ok(Err(reason)),
-            };
-            let is_as_predicted = (found.changes.column_iter().zip(&predicted))
-                .all(|(change, predicted)| is_within(change.norm().max(noise), predicted.max(noise)));
-            guess = found.jacobian(&simulations.context)?;
-            if is_narrow || is_as_predicted || round == ROUNDS {
-                let roughness = found.roughness(center, deviation, noise, simulations)?;
-                let found = Self { roughness, ..found };
-                return match are_long.contains(&true) && !is_narrow {
-                    true => found.without_cubic_terms(center, &are_long, simulations),
-                    false => Ok(Ok(found)),
-                };
-            }
+        let steps = match guess {
+            Some(guess) => principal_steps(center, &guess, deviation, noise, &simulations.context)?,
+            None => first(),
+        };
+        let found = match Self::measured(center, center.with_room(steps), simulations)? {
+            Ok(found) => found.with_better_steps(center, deviation, noise, simulations)?,
+            Err(reason) => return Ok(Err(reason)),
+        };
+        let roughness = found.roughness(center, deviation, noise, simulations)?;
+        Ok(Ok(Self { noise: 3.0 * noise, roughness, ..found }))
+    }
+
+    /// Steps that were too short or too long are replaced: combinations of them whose changes do not stand
+    /// out from the noise by longer ones, and steps over which the residuals bend, far beyond a standard
+    /// error, by shorter ones.
+    fn with_better_steps(
+        self,
+        center: &Center<'_>,
+        deviation: f64,
+        noise: f64,
+        simulations: &mut Simulations<'_>,
+    ) -> Result<Self, CalibrationError> {
+        let p = self.steps.ncols();
+        let jacobian = self.jacobian(&simulations.context)?;
+        let references = center.references(&jacobian, deviation);
+        let least = ABOVE_NOISE * noise;
+        let triangle =
+            triangle(&self.changes, std::slice::from_ref(&(0..self.changes.nrows())), &simulations.context)?;
+        let rows = triangle.nrows().max(p);
+        let svd = triangle.resize_vertically(rows, 0.0).try_svd(false, true, f64::EPSILON, 10_000);
+        let Some((v_t, values)) = svd.and_then(|svd| Some((svd.v_t?, svd.singular_values))) else {
+            return Ok(self);
+        };
+        let far = FAR * deviation.max(least);
+        let is_bent = |k: usize| self.bends[k] > BENT && self.changes.column(k).norm() > far;
+        // A combination of the steps, as long as it has to be.
+        let lengthened = |i: usize| {
+            let direction = &self.steps * v_t.row(i).transpose();
+            let largest = direction.component_div(&references).amax().max(f64::MIN_POSITIVE);
+            let length = (least / values[i].max(noise)).min(LONGEST / largest);
+            Step { direction, length }
+        };
+        let (mut turned, mut steps) = (None, Vec::new());
+        if (0..p).any(is_bent) {
+            let bent = (0..p).filter(|k| is_bent(*k));
+            steps.extend(bent.map(|k| {
+                let length = deviation.max(least) / self.changes.column(k).norm();
+                (k, Step { direction: self.steps.column(k).into_owned(), length })
+            }));
+        } else {
+            let weak = (0..p).filter(|i| values[*i] < least).map(|i| (i, lengthened(i)));
+            steps.extend(weak.filter(|(_, step)| step.length > 1.0 + TOO_NARROW));
+            turned = (!steps.is_empty()).then(|| v_t.transpose());
         }
+        if steps.is_empty() || steps.iter().any(|(_, step)| center.span(step).is_none()) {
+            return Ok(self);
+        }
+        let (places, steps): (Vec<usize>, Vec<Step>) = steps.into_iter().unzip();
+        let Ok(better) = Self::measured(center, steps, simulations)? else { return Ok(self) };
+        let mut own = match turned {
+            Some(v) => Self {
+                changes: product(&self.changes, &v, &simulations.context)?,
+                steps: &self.steps * v,
+                bends: vec![0.0; p],
+                ..self
+            },
+            None => self,
+        };
+        for (place, k) in places.into_iter().enumerate() {
+            own.changes.set_column(k, &better.changes.column(place));
+            own.steps.set_column(k, &better.steps.column(place));
+            own.bends[k] = better.bends[place];
+        }
+        Ok(own)
     }
 
     /// The changes over these steps.
@@ -335,7 +390,12 @@ impl Differences {
             return Ok(None);
         }
         let part = |k: &usize| Step { direction: self.steps.column(*k).into_owned(), length: PART };
-        let parts = match Self::measured(center, telling.iter().map(part).collect(), simulations) {
+        if !simulations.budget.allows(Extra::Roughness, 2.0 * telling.len() as f64) {
+            return Ok(None);
+        }
+        let parts = simulations
+            .aside(|simulations| Self::measured(center, telling.iter().map(part).collect(), simulations));
+        let parts = match parts {
             // What is known by now is more than that.
             Err(CalibrationError::Cancelled) => return Ok(None),
             parts => parts?,
@@ -351,27 +411,6 @@ impl Differences {
         };
         let rough = found.filter(|(found, is_told)| *is_told && is_rough(found)).map(|(found, _)| found);
         Ok(rough.max_by(|a, b| a.bend_of_part.total_cmp(&b.bend_of_part)))
-    }
-
-    /// Steps that were made long, so that changes stand out from the noise, are made half as long as well:
-    /// what grows with the third power of the step is taken away (Richardson's extrapolation).
-    fn without_cubic_terms(
-        mut self,
-        center: &Center<'_>,
-        are_long: &[bool],
-        simulations: &mut Simulations<'_>,
-    ) -> Result<Result<Self, String>, CalibrationError> {
-        let long: Vec<usize> = (0..are_long.len()).filter(|k| are_long[*k]).collect();
-        let steps = long.iter().map(|&k| Step { direction: self.steps.column(k).into_owned(), length: 0.5 });
-        let half = match Self::measured(center, steps.collect(), simulations)? {
-            Ok(half) => half,
-            Err(reason) => return Ok(Err(reason)),
-        };
-        for (place, &k) in long.iter().enumerate() {
-            let linear = half.changes.column(place) * (8.0 / 3.0) - self.changes.column(k) / 3.0;
-            self.changes.set_column(k, &linear);
-        }
-        Ok(Ok(self))
     }
 
     /// The same with the residuals multiplied by these factors.
@@ -402,23 +441,19 @@ fn bend(a: &[f64], c: &[f64], b: &[f64]) -> f64 {
     if change > 0.0 { bend / change } else { 0.0 }
 }
 
-fn is_within(a: f64, b: f64) -> bool {
-    a <= AS_PREDICTED * b && b <= AS_PREDICTED * a
-}
-
 fn first_reason(found: &[PointResiduals]) -> Option<String> {
     found.iter().find_map(|found| found.as_ref().err().cloned())
 }
 
 /// Steps along the principal axes of the covariance that this Jacobian stands for, each of about one standard
-/// error, and whether it was made longer than usual.
+/// error, or as long as it must be to stand out from the noise.
 fn principal_steps(
     center: &Center<'_>,
     jacobian: &DMatrix<f64>,
     deviation: f64,
     noise: f64,
     context: &RunContext<'_>,
-) -> Result<Vec<(Step, bool)>, CalibrationError> {
+) -> Result<Vec<Step>, CalibrationError> {
     let p = center.free.len();
     let references = center.references(jacobian, deviation);
     let mut triangle = triangle(jacobian, std::slice::from_ref(&(0..jacobian.nrows())), context)?;
@@ -433,8 +468,7 @@ fn principal_steps(
             let largest = axis.amax().max(f64::MIN_POSITIVE);
             let error = (deviation / values[i]).min(USUAL / largest).max(SHORTEST * USUAL / largest);
             let length = error.max(ABOVE_NOISE * noise / values[i]).min(LONGEST / largest);
-            let is_long = length > 1.01 * USUAL / largest;
-            (Step { direction: axis.component_mul(&references), length }, is_long)
+            Step { direction: axis.component_mul(&references), length }
         })
         .collect())
 }

@@ -3,19 +3,18 @@
 
 use crate::cost::residual::sum_of_squares;
 use crate::error::CalibrationError;
+use crate::loaded::budget::Extra;
 use crate::loaded::calibration::Calibration;
-use crate::loaded::simulations_around::{Effort, Point, Simulations};
+use crate::loaded::simulations_around::{Point, Simulations};
 use crate::problem::parameter::{Parameter, Scale, Target, inner};
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::covariance::autocorrelation::Dependence;
 use crate::uncertainty::covariance::matrix::{Factors, Noise, groups};
 use crate::uncertainty::covariance::remaining_decrease::At;
-use crate::uncertainty::diagnostics::candidates::{AtPoint, MOST_SIMULATIONS};
 use crate::uncertainty::diagnostics::output_effect::OutputEffect;
 use crate::uncertainty::diagnostics::parameter_constancy::{FreeParameters, PartConflict, WithNoise};
 use crate::uncertainty::diagnostics::prior_check::PriorConflict;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
-use crate::uncertainty::diagnostics::score_test::{Omitted, Score, of_outputs};
 use crate::uncertainty::diagnostics::{by_weights, output_effect};
 use crate::uncertainty::differences::{Center, Differences};
 use crate::uncertainty::p_values::OfIndependent;
@@ -27,7 +26,6 @@ use base::RunContext;
 use dfo::{ParameterKind, RobustLoss};
 use nalgebra::{DMatrix, DVector};
 use std::thread::available_parallelism;
-use std::time::Instant;
 
 /// Data at a point that are known before its uncertainty is estimated.
 #[derive(Default)]
@@ -45,17 +43,14 @@ pub(crate) struct KnownPoint<'a> {
     pub(crate) f_tol: f64,
     /// Form of the cost as a function of the residuals.
     pub(crate) criterion: Criterion,
-    /// Simulations, at most, of numbers that are taken as known and varied to see whether the residuals ask
-    /// for others.
-    pub(crate) most_of_score_test: usize,
 }
 
 /// The residuals at a point.
 struct CenterResiduals {
     residuals: Vec<f64>,
-    /// Those of more accurate simulations; `None`: they fail.
+    /// Those of more accurate simulations; `None`: they fail, or were skipped.
     accurate: Option<Vec<f64>>,
-    /// Size of the difference.
+    /// Size of the difference; where it is not known, the relative tolerance of the measurements.
     simulation_error: f64,
 }
 
@@ -106,9 +101,6 @@ struct OfFit<'a> {
     variances: &'a [f64],
     independent: &'a [OfIndependent],
     free: &'a [usize],
-    working: &'a Working,
-    /// See [`KnownPoint`].
-    most_of_score_test: usize,
 }
 
 /// Covariances of all parameters, n x n, in the user's units.
@@ -193,10 +185,12 @@ impl Estimate<'_> {
 
 impl Calibration {
     /// Uncertainty of a point as the result of a fit: covariance and correlation of the parameters,
-    /// parameters that the data do not determine, checks of the residuals, and the cost with a hundredth of
-    /// the relative tolerance (of a fixed-step method: half the step). Takes one simulation for that, and two
-    /// for each parameter that is not held, at least twice (steps of about one standard error are found by a
-    /// first round). Simulations run in parallel. The context is looked at on the calling thread.
+    /// parameters that the data do not determine, checks of the residuals, and the cost with a tenth of the
+    /// relative tolerance (of a fixed-step method: half the step). Takes one simulation for that, two for
+    /// each parameter that is not held, twice (steps of about one standard error are found by a first round),
+    /// and two more for each combination of them whose change does not stand out from the noise of the
+    /// simulations, or over which the residuals bend. Simulations run in parallel. The context is looked at
+    /// on the calling thread.
     ///
     /// # Errors
     /// The wrong number of values; the simulation fails there, or on all sides around it;
@@ -217,13 +211,7 @@ impl Calibration {
             )));
         }
         let (held, criterion) = (options.held.clone(), options.criterion());
-        let known = KnownPoint {
-            f_tol: 1e-4,
-            held,
-            criterion,
-            most_of_score_test: MOST_SIMULATIONS,
-            ..KnownPoint::default()
-        };
+        let known = KnownPoint { f_tol: 1e-4, held, criterion, ..KnownPoint::default() };
         self.uncertainty_of(x, options.estimator, &known, &mut simulations)
     }
 
@@ -330,8 +318,6 @@ impl Calibration {
             variances: &noise.variances,
             independent: &independent,
             free: &free,
-            working: &working,
-            most_of_score_test: known.most_of_score_test,
         };
         self.explain_residuals(&mut uncertainty, &of_fit, simulations)?;
         uncertainty.n_simulations = simulations.n - before;
@@ -391,26 +377,32 @@ impl Calibration {
         known: &KnownPoint<'_>,
         simulations: &mut Simulations<'_>,
     ) -> Result<CenterResiduals, CalibrationError> {
-        let mut points = vec![Point { x: x.to_vec(), is_accurate: true }];
-        if known.residuals.is_none() {
-            points.push(Point::new(x.to_vec()));
-        }
-        let mut found = simulations.residuals(&points)?;
         let residuals = match known.residuals {
             Some(plain) => plain.to_vec(),
-            None => found.swap_remove(1).map_err(|message| self.failed_at(x, message, None))?,
+            None => {
+                let found = simulations.residuals(&[Point::new(x.to_vec())])?.swap_remove(0);
+                found.map_err(|message| self.failed_at(x, message, None))?
+            }
         };
-        let accurate = found.swap_remove(0).ok();
-        // That of a fixed step is the same on all sides.
-        let simulation_error = accurate.as_ref().filter(|_| !self.has_fixed_step()).map_or(0.0, |accurate| {
-            accurate.iter().zip(&residuals).map(|(a, r)| (a - r) * (a - r)).sum::<f64>().sqrt()
-        });
+        let points = [Point { x: x.to_vec(), is_accurate: true }];
+        let found = simulations.extra(Extra::Accuracy, &points)?;
+        let is_simulated = found.is_some();
+        let accurate = found.and_then(|mut found| found.swap_remove(0).ok());
+        let simulation_error = match &accurate {
+            // That of a fixed step is the same on all sides.
+            _ if self.has_fixed_step() => 0.0,
+            Some(accurate) => {
+                accurate.iter().zip(&residuals).map(|(a, r)| (a - r) * (a - r)).sum::<f64>().sqrt()
+            }
+            None if is_simulated => 0.0,
+            // What the method keeps to.
+            None => self.relative_tolerance() * self.residual_layout().size_of_measurements(),
+        };
         Ok(CenterResiduals { residuals, accurate, simulation_error })
     }
 
-    /// Finds causes of residuals that are no noise: weights, and terms that the model lacks, numbers that it
-    /// has wrong, or parts of the measurements that ask for other values, the latter where the cost is a
-    /// plain sum of squares.
+    /// Finds causes of residuals that are no noise: weights, and terms that the model lacks, or parts of the
+    /// measurements that ask for other values, the latter where the cost is a plain sum of squares.
     fn explain_residuals(
         &self,
         uncertainty: &mut Uncertainty,
@@ -425,15 +417,6 @@ impl Calibration {
         if is_minimum {
             let (checks, n) = (&mut uncertainty.residual_checks, layout.n_measurements());
             by_weights::mark(checks, &uncertainty.residuals, n, jacobian, independent, context)?;
-        }
-        if is_minimum && !uncertainty.is_exact && of_fit.most_of_score_test > 0 {
-            let mut stats = std::mem::take(&mut simulations.stats);
-            let began = Instant::now();
-            let omitted = self.omitted(uncertainty, of_fit, simulations);
-            uncertainty.score_test = Effort::of(&simulations.stats, began.elapsed());
-            stats += simulations.stats;
-            simulations.stats = stats;
-            uncertainty.omitted = omitted?;
         }
         if !of_fit.is_linear || uncertainty.is_exact {
             return Ok(());
@@ -454,48 +437,6 @@ impl Calibration {
             uncertainty.part_conflict = found;
         }
         Ok(())
-    }
-
-    /// The number that is taken as known and that the residuals ask most to be another one.
-    fn omitted(
-        &self,
-        uncertainty: &Uncertainty,
-        of_fit: &OfFit<'_>,
-        simulations: &mut Simulations<'_>,
-    ) -> Result<Option<Omitted>, CalibrationError> {
-        let (layout, context) = (self.residual_layout(), simulations.context);
-        let OfFit { factors, by_starts, variances, free, working, .. } = *of_fit;
-        let Uncertainty { residuals, autocorrelations, x, residual_checks, .. } = uncertainty;
-        let is_systematic = residual_checks.iter().any(ResidualCheck::is_systematic);
-        let plain: Vec<f64> =
-            variances.iter().zip(&working.roots).map(|(v, root)| v / (root * root)).collect();
-        let mut changes = self.changes_by_candidates(
-            &AtPoint { x, residuals, variances: &plain },
-            of_fit.most_of_score_test,
-            simulations,
-        )?;
-        let errors: Vec<f64> = uncertainty.errors_of_search().collect();
-        changes.extend(of_outputs(layout, residuals));
-        let none = vec![0.0; autocorrelations.len()];
-        let find = |autocorrelations: &[f64], is_noise: bool| {
-            let score = Score {
-                layout,
-                names: &self.problem().experiment_names(),
-                working,
-                noise: WithNoise { values: &working.residuals, variances, autocorrelations },
-                changes: (&factors.base, by_starts),
-                inverse: &factors.inverse,
-                free: (free, &errors),
-                is_noise,
-                checks: (residual_checks, of_fit.independent),
-            };
-            Omitted::find(&score, &changes, &context)
-        };
-        match find(autocorrelations, true)? {
-            // Of what lasts a supposed autocorrelation hides the most.
-            None if is_systematic => find(&none, false),
-            found => Ok(found),
-        }
     }
 
     /// The value of a parameter; of one whose bounds have zero between them, its size where that is larger.

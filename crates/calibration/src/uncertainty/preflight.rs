@@ -17,7 +17,6 @@ use ode::Stats;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::thread::available_parallelism;
-use std::time::Instant;
 
 /// A parameter is moved by this part of its size.
 const MOVE: f64 = 0.01;
@@ -56,7 +55,7 @@ pub struct Preflight {
     pub confounded: Vec<(usize, usize, f64)>,
     /// Cost at the start.
     pub cost: f64,
-    /// The same with a hundredth of the relative tolerance, or with half the step; `None` where that
+    /// The same with a tenth of the relative tolerance, or with half the step; `None` where that
     /// simulation failed.
     pub accurate_cost: Option<f64>,
     /// The difference of both relative to the cost (0 where the residuals are all error of the simulations):
@@ -107,7 +106,7 @@ pub struct ParameterCheck {
 
 impl Calibration {
     /// Looks before a fit at what would spoil it: each parameter is moved by a hundredth of its size (one
-    /// simulation each, in parallel), and the start is simulated once more with a hundredth of the relative
+    /// simulation each, in parallel), and the start is simulated once more with a tenth of the relative
     /// tolerance (with a fixed-step method: half the step). The context is looked at on the calling thread.
     ///
     /// # Errors
@@ -133,17 +132,15 @@ impl Calibration {
         self.check_length(&start)?;
         let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
         let mut simulations = Simulations::new(self, options.loss, workers, context)?;
-        let AtStart { residuals, seconds: seconds_per_evaluation } = match known {
+        let AtStart { residuals, stats: of_start } = match known {
             Some(known) => known.clone(),
             None => {
-                // One alone, on a machine that does nothing else: that is its time.
-                let began = Instant::now();
                 let at_start = simulations.residuals(&[Point::new(start.clone())])?.swap_remove(0);
-                let seconds = began.elapsed().as_secs_f64();
                 let residuals = at_start.map_err(|message| self.failed_at(&start, message, None))?;
-                known.insert(AtStart { residuals, seconds }).clone()
+                known.insert(AtStart { residuals, stats: simulations.stats }).clone()
             }
         };
+        let seconds_per_evaluation = of_start.seconds.get();
         let parameters = self.parameters();
         let free: Vec<usize> =
             (0..start.len()).filter(|&i| parameters[i].lower() < parameters[i].upper()).collect();

@@ -3,11 +3,9 @@
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, table};
 use crate::findings::shown_text::{digits, visible_line};
-use crate::loaded::simulations_around::Effort;
 use crate::uncertainty::diagnostics::parameter_constancy::PartConflict;
 use crate::uncertainty::diagnostics::prior_check::PriorConflict;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
-use crate::uncertainty::diagnostics::score_test::Omitted;
 use crate::uncertainty::differences::ResidualBend;
 use crate::uncertainty::scores::Criterion;
 use base::Number;
@@ -161,7 +159,7 @@ pub struct Uncertainty {
     pub findings: Vec<Finding>,
     /// The cost, as the fit has it.
     pub cost: f64,
-    /// The cost with a hundredth of the relative tolerance, or with half the step; `None` where that
+    /// The cost with a tenth of the relative tolerance, or with half the step; `None` where that
     /// simulation failed.
     pub accurate_cost: Option<f64>,
     /// By how many of its standard errors that accuracy moves the parameter that it moves most.
@@ -190,9 +188,6 @@ pub struct Uncertainty {
     /// Parts of the measurements that ask for different values.
     #[serde(default)]
     pub part_conflict: Option<PartConflict>,
-    /// A number that the fit takes as known and that the residuals ask to be another one.
-    #[serde(default)]
-    pub omitted: Option<Omitted>,
     /// The cost has a robust loss.
     #[serde(default)]
     pub has_loss: bool,
@@ -203,9 +198,6 @@ pub struct Uncertainty {
     pub residuals: Vec<f64>,
     /// Points that were simulated to find out.
     pub n_simulations: usize,
-    /// What of that it took to look for a number that the residuals ask to be [another one](Self::omitted).
-    #[serde(default)]
-    pub score_test: Effort,
 }
 
 fn certain() -> f64 {

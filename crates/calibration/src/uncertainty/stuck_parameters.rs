@@ -2,6 +2,7 @@
 
 use crate::cost::failure::CostFailure;
 use crate::cost::residual::CostRule;
+use crate::loaded::budget::{Budget, Extra};
 use crate::loaded::calibration::Calibration;
 use crate::problem::objective::CostKind;
 use crate::problem::parameter::{Parameter, inner, outer};
@@ -50,6 +51,8 @@ pub(crate) struct StuckParameters {
     pub(crate) loose: Vec<usize>,
     /// Simulations that were made to find out.
     pub(crate) n_checks: usize,
+    /// What the budget did not allow.
+    pub(crate) skipped: Vec<Extra>,
 }
 
 /// Nearer to its bound than this share of its size a parameter is at it: the optimiser's scaling rounds.
@@ -88,37 +91,42 @@ pub(crate) struct EndedRun<'a> {
     pub(crate) report: &'a Report,
     pub(crate) kind: &'a CostKind,
     pub(crate) tolerances: &'a Tolerances,
+    /// The standard errors are found as well: their simulations show which parameters have an effect.
+    pub(crate) has_errors: bool,
 }
 
 impl Calibration {
     /// Parameters at their bounds and without effect. What the evaluations of the run leave open is
     /// simulated, unless time or an interrupt ended the run: one simulation at the bound for each parameter
-    /// that ended as near to it as the tolerance of the run, one with the parameter moved for each that no
-    /// evaluation has shown to change the cost. No budget of the search counts them.
+    /// that ended as near to it as the tolerance of the run, one with the parameter moved for each that an
+    /// evaluation has shown not to change the cost, or where there are no standard errors to tell, that none
+    /// has shown to change it, as far as the budget allows. No budget of the search counts them.
     pub(crate) fn stuck_parameters(
         &self,
         run: &EndedRun<'_>,
+        budget: &mut Budget,
         context: &RunContext<'_>,
         stats: &mut Stats,
     ) -> StuckParameters {
-        let EndedRun { start, held, report, kind, tolerances } = *run;
+        let EndedRun { start, held, report, kind, tolerances, has_errors } = *run;
         let mut candidates = self.near_bound(report, tolerances);
         candidates.retain(|c| !held.contains(&c.index));
         let mut suspects = self.suspects(start, report, kind);
-        suspects.retain(|s| !held.contains(&s.index));
-        let mut found = StuckParameters {
+        suspects.retain(|s| !held.contains(&s.index) && (s.is_seen || !has_errors));
+        let found = StuckParameters {
             at_bound: candidates.iter().filter(|c| c.is_likely).map(|c| (c.index, c.side)).collect(),
             without_effect: suspects.iter().filter(|s| s.is_seen).map(|s| s.index).collect(),
-            loose: Vec::new(),
-            n_checks: 0,
+            ..StuckParameters::default()
         };
         if !report.termination.cause().allows_evaluations() {
             return found;
         }
-        let (mut checked, mut loose) = (StuckParameters::default(), Vec::new());
+        let (mut at_bound, mut without_effect, mut loose) = (Vec::new(), Vec::new(), Vec::new());
+        let mut n_checks = 0;
         let mut residuals = vec![0.0; self.n_residuals()];
+        let mut is_allowed = || budget.allows(Extra::StuckParameter, 1.0);
         let mut cost_with = |index: usize, value: f64| {
-            checked.n_checks += 1;
+            n_checks += 1;
             let mut x = report.x.clone();
             x[index] = value;
             let rule = CostRule::whole(report.loss, context);
@@ -131,7 +139,11 @@ impl Calibration {
         // The budget of the search is no budget for these, but what an evaluation has shown need not cost another one.
         let is_spent = *report.termination.ended() == Termination::MaxEvaluations;
         for Candidate { index, side, is_likely, is_sure } in candidates {
-            let is_at = is_sure || (is_spent && is_likely) || {
+            let is_at = if is_sure || is_spent && is_likely {
+                true
+            } else if !is_allowed() {
+                is_likely
+            } else {
                 let parameter = &self.parameters()[index];
                 match cost_with(index, side.of(parameter)) {
                     Ok(cost) => cost <= report.fun || self.is_equal_cost(kind, report.fun, cost),
@@ -140,37 +152,39 @@ impl Calibration {
                 }
             };
             if is_at {
-                checked.at_bound.push((index, side));
+                at_bound.push((index, side));
+            }
+        }
+        for Suspect { index, is_seen } in suspects {
+            if is_seen && is_spent || !is_allowed() {
+                without_effect.extend(is_seen.then_some(index));
+                continue;
+            }
+            match cost_with(index, self.moved(&self.parameters()[index], report.x[index], MOVE)) {
+                Ok(cost) if self.is_equal_cost(kind, report.fun, cost) => without_effect.push(index),
+                Err(CostFailure::Cancelled) => break,
+                _ => {}
             }
         }
         // Of a sum of squares a standard error takes the mean square of the residuals.
         let n_free = self.parameters().iter().filter(|p| p.lower() < p.upper()).count();
         let degrees = self.n_residuals().saturating_sub(n_free);
         let is_told = kind.is_sum_of_squares() && degrees > 0 && !is_spent;
-        for (index, _) in checked.at_bound.iter().filter(|_| is_told).copied().collect::<Vec<_>>() {
-            match cost_with(index, self.moved(&self.parameters()[index], report.x[index], HALF)) {
-                Ok(cost) if cost - report.fun < report.fun / degrees as f64 => loose.push(index),
-                Err(CostFailure::Cancelled) => break,
-                _ => {}
+        for (index, _) in at_bound.iter().filter(|(index, _)| is_told && !without_effect.contains(index)) {
+            if !is_allowed() {
+                break;
             }
-        }
-        for Suspect { index, is_seen } in suspects {
-            if is_seen && is_spent {
-                checked.without_effect.push(index);
-                continue;
-            }
-            match cost_with(index, self.moved(&self.parameters()[index], report.x[index], MOVE)) {
-                Ok(cost) if self.is_equal_cost(kind, report.fun, cost) => checked.without_effect.push(index),
+            match cost_with(*index, self.moved(&self.parameters()[*index], report.x[*index], HALF)) {
+                Ok(cost) if cost - report.fun < report.fun / degrees as f64 => loose.push(*index),
                 Err(CostFailure::Cancelled) => break,
                 _ => {}
             }
         }
         if context.is_over() {
-            found.n_checks = checked.n_checks;
-            return found;
+            return StuckParameters { n_checks, ..found };
         }
-        loose.retain(|index| !checked.without_effect.contains(index));
-        StuckParameters { loose, ..checked }
+        let skipped = budget.skipped().to_vec();
+        StuckParameters { at_bound, without_effect, loose, n_checks, skipped }
     }
 
     /// Parameters that ended near a bound.

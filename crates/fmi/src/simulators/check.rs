@@ -234,6 +234,7 @@ impl Check<'_> {
         };
         if let Some(stats) = stats {
             self.checks.steps += stats.accepted_steps + stats.rejected_steps;
+            self.checks.right_hand_sides += stats.right_hand_sides;
         }
         if self.watch.is_stopped { Err(simulator.ended(ErrorKind::Cancelled)) } else { Ok(probe) }
     }

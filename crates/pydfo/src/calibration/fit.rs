@@ -67,6 +67,7 @@ impl PyFit {
         stats.set_item("phases", phases.collect::<PyResult<Vec<_>>>()?.into_py_dict(py)?)?;
         Ok(dict!(py;
             fit => start_cost, start_rms, rms, objective, n_checks;
+            "skipped": &fit.skipped,
             "success": fit.is_success(),
             "usable": fit.is_usable(),
             "stats": stats,

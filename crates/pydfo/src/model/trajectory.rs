@@ -34,6 +34,7 @@ impl<'py> IntoPyObject<'py> for Counts {
             restarts, chattering;
             "check_runs": stats.checks.runs,
             "check_steps": stats.checks.steps,
+            "check_right_hand_sides": stats.checks.right_hand_sides,
             "seconds": stats.seconds.get(),
             "seconds_in_model": stats.seconds_in_model.get(),
         ))

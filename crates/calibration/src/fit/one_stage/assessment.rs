@@ -10,6 +10,7 @@ use crate::findings::finding::{Finding, Origin, Severity};
 use crate::findings::shown_text::digits;
 use crate::fit::output_fit::{EndResiduals, KeptResiduals};
 use crate::fit::phase::FitPhase;
+use crate::loaded::budget::{Budget, Extra};
 use crate::loaded::calibration::Calibration;
 use crate::loaded::simulations_around::Simulations;
 use crate::problem::objective::{CostKind, NamedCost};
@@ -30,14 +31,12 @@ const LOOSE: f64 = 0.1;
 /// A simulation that has run so many times as long as all others may have no end.
 const ENDLESS: f64 = 10.0;
 
-/// The search has so many evaluations for each simulation of the [score test](Uncertainty::omitted), which
-/// makes these at least: one number moved, with a better step where the first one was none.
-const EVALUATIONS_PER_QUESTION: usize = 5;
-const FEWEST_QUESTIONS: usize = 3;
+/// Simulations with so many right-hand sides together are made one after the other: they take about as long
+/// as to start a process and threads, 1 to 2 ms (`benches/whole_fits.md`).
+const FEW_RIGHT_HAND_SIDES: u64 = 20_000;
 
-/// Simulations that take no longer together are made one after the other: to start a process and threads
-/// takes 1 to 2 ms.
-const FEW_SECONDS: f64 = 3e-3;
+/// Work of a simulation with half the step.
+const HALF_STEP: f64 = 2.0;
 
 /// What is said of a fit whose search has ended by itself, and what follows it has been ended.
 const ENDED_EARLY: &str =
@@ -46,23 +45,24 @@ const ENDED_EARLY: &str =
 impl Calibration {
     /// The fit of which the searches are made, with the residuals that they have computed, by the weights of
     /// this calibration. `own`: that with the weights and the tolerance of the fit; `stats`: what the
-    /// searches took.
+    /// searches took; `budget`: what may be simulated besides.
     pub(crate) fn judged(
         &self,
         own: &Self,
         job: &Job<'_>,
         made: FinalSearch,
         mut stats: Stats,
+        mut budget: Budget,
     ) -> (Fit, KeptResiduals) {
         let SearchResult { report, residuals, start_cost, .. } = &made.searched;
         let Job { start, objective, loss, context, .. } = job;
         job.enter(FitPhase::Checks, &stats);
         let ends = own.end_residuals(&report.x, residuals, *loss, context, &mut stats);
-        let mut findings = own.findings_of_search(job, &made, &ends, &mut stats);
+        let mut findings = own.findings_of_search(job, &made, &ends, &mut budget, &mut stats);
         let outputs =
             ends.end.as_ref().map_or_else(Vec::new, |end| own.output_fits(end, ends.start.as_ref()));
         job.enter(FitPhase::Uncertainty, &stats);
-        let uncertainty = own.uncertainty_of_fit(job, &made.searched, &ends, &mut stats);
+        let uncertainty = own.uncertainty_of_fit(job, &made.searched, &ends, &mut budget, &mut stats);
         // The search has ended by itself; what follows it has not.
         if context.is_cancelled() && report.termination != Termination::Interrupted {
             findings.push(
@@ -71,7 +71,8 @@ impl Calibration {
             );
         }
         if uncertainty.is_none() {
-            findings.extend(own.findings_without_uncertainty(job, &made.searched, &ends, &mut stats));
+            let found = own.findings_without_uncertainty(job, &made.searched, &ends, &mut budget, &mut stats);
+            findings.extend(found);
         }
         let is_estimated = made.noise.as_ref().is_some_and(|noise| noise.estimated().is_some());
         let mut rms = |x: &[f64], cost: f64| match residuals.at(x) {
@@ -100,11 +101,12 @@ impl Calibration {
         let unit = |p: &Parameter| p.unit(description).map(str::to_owned);
         let kept_by = own.residual_layout().clone();
         let SearchResult { report, stuck, residuals, start_cost, preflight, solver, .. } = made.searched;
+        budget.add_skipped(&stuck.skipped);
+        let mut without_effect = stuck.without_effect;
+        without_effect.extend(uncertainty.iter().flat_map(|uncertainty| &uncertainty.without_effect));
+        without_effect.sort_unstable();
+        without_effect.dedup();
         job.enter(FitPhase::FreshProcess, &stats);
-        if let Some(uncertainty) = &uncertainty {
-            let (from, to) = (FitPhase::Uncertainty, FitPhase::ScoreTest);
-            job.phases.borrow_mut().move_part(uncertainty.score_test, from, to);
-        }
         let fit = Fit {
             units: parameters.iter().map(unit).collect(),
             bounds: parameters.iter().map(|p| (p.lower(), p.upper())).collect(),
@@ -131,8 +133,14 @@ impl Calibration {
             phases: Vec::new(),
             uncertainty,
             at_bound: stuck.at_bound,
-            without_effect: stuck.without_effect,
+            without_effect,
             n_checks: stuck.n_checks,
+            skipped: budget
+                .skipped()
+                .iter()
+                .filter(|_| !job.is_part)
+                .map(|extra| extra.name().to_owned())
+                .collect(),
             stats,
             solver,
             report,
@@ -146,6 +154,7 @@ impl Calibration {
         job: &Job<'_>,
         made: &FinalSearch,
         ends: &EndResiduals,
+        budget: &mut Budget,
         stats: &mut Stats,
     ) -> Vec<Finding> {
         let SearchResult { report, tolerances, raised, stuck, .. } = &made.searched;
@@ -171,10 +180,8 @@ impl Calibration {
                         ends.start.as_ref(),
                         end,
                         !job.objective.is_likelihood(),
-                        &job.context,
-                        stats,
                     ));
-                    if self.is_co_simulation() {
+                    if self.is_co_simulation() && budget.allows(Extra::Accuracy, HALF_STEP) {
                         found.extend(self.large_step_after_fit(end, &job.context, stats));
                     }
                 }
@@ -247,6 +254,7 @@ impl Calibration {
         job: &Job<'_>,
         searched: &SearchResult,
         ends: &EndResiduals,
+        budget: &mut Budget,
         stats: &mut Stats,
     ) -> Vec<Finding> {
         let mut found = Vec::new();
@@ -255,7 +263,8 @@ impl Calibration {
             let sentence = "the time was up before the standard errors were known";
             found.push(Finding::warning("max_time", sentence, "").of(Origin::Search));
         }
-        if let Some(end) = ends.end.as_ref().filter(|_| self.has_fixed_step() && job.is_checked()) {
+        let end = ends.end.as_ref().filter(|_| self.has_fixed_step() && job.is_checked());
+        if let Some(end) = end.filter(|_| budget.allows(Extra::Accuracy, HALF_STEP)) {
             found.extend(self.large_step_after_fit(end, &job.context, stats));
         }
         // Of a search that was ended the residuals show something that other values take away.
@@ -332,6 +341,7 @@ impl Calibration {
         job: &Job<'_>,
         searched: &SearchResult,
         ends: &EndResiduals,
+        budget: &mut Budget,
         stats: &mut Stats,
     ) -> Option<Uncertainty> {
         let SearchResult { report, stuck, tolerances, .. } = searched;
@@ -339,10 +349,11 @@ impl Calibration {
         if !report.termination.cause().allows_evaluations() || job.context.is_over() {
             return None;
         }
-        // Two for each parameter, and an accurate one.
-        let n_simulations = (2 * self.parameters().len() + 2) * self.problem().experiments.len();
-        let work = stats.seconds.get() / stats.runs.max(1) as f64 * n_simulations as f64;
-        let workers = if work < FEW_SECONDS { Some(1) } else { options.workers.or(job.run.workers) };
+        // Two for each parameter.
+        let n_simulations = (2 * self.parameters().len() * self.problem().experiments.len()) as u64;
+        let work = stats.right_hand_sides / stats.runs.max(1) * n_simulations;
+        let is_little = work < FEW_RIGHT_HAND_SIDES && stats.right_hand_sides > 0;
+        let workers = if is_little { Some(1) } else { options.workers.or(job.run.workers) };
         let workers = workers.unwrap_or(1);
         let mut simulations = Simulations::new(self, RobustLoss::default(), workers, &job.context).ok()?;
         let is_likelihood = job.objective.is_likelihood();
@@ -361,10 +372,19 @@ impl Calibration {
                 ToleranceMeasure::Absolute => tolerances.f_tol / report.fun.abs(),
             },
             criterion,
-            most_of_score_test: (report.n_evaluations / EVALUATIONS_PER_QUESTION).max(FEWEST_QUESTIONS),
         };
+        // Of several stages the last word has the accuracy at the end of all.
+        if job.is_part {
+            *budget = Budget::after(0);
+        }
+        std::mem::swap(budget, &mut simulations.budget);
         let uncertainty = self.uncertainty_of(&report.x, options.estimator, &known, &mut simulations);
+        std::mem::swap(budget, &mut simulations.budget);
         *stats += simulations.stats;
+        let mut phases = job.phases.borrow_mut();
+        phases.enter(FitPhase::Checks, stats);
+        phases.move_part(simulations.extras, FitPhase::Uncertainty, FitPhase::Checks);
+        drop(phases);
         match uncertainty {
             Ok(mut uncertainty) => {
                 // Whoever gives a target wants no minimum.

@@ -23,6 +23,7 @@ use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Origin, Severity};
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::FitPhase;
+use crate::loaded::budget::Extra;
 use crate::loaded::calibration::Calibration;
 use base::RunContext;
 pub(crate) use noise_iterations::FinalSearch;
@@ -84,9 +85,14 @@ impl Calibration {
             job.enter(FitPhase::FreshProcess, &stats);
             let (own, best) = (made.own.take(), made.best());
             let own = own.as_ref().unwrap_or(self);
+            let (mut budget, has_room) = made.budget(self, &job.start);
+            let is_due = has_room && own.is_comparable(&best);
+            if !has_room && own.is_comparable(&best) {
+                budget.skip(Extra::FreshProcess);
+            }
             let ((mut fit, kept), again, checks) =
-                own.beside_fresh_process(&best, job.loss, &job.context, || {
-                    self.judged(own, &job, made, stats)
+                own.beside_fresh_process(&best, is_due, job.loss, &job.context, || {
+                    self.judged(own, &job, made, stats, budget)
                 });
             fit.stats.add_checks(checks);
             fit.phases = job.phases.borrow_mut().costs(&fit.stats);

@@ -10,6 +10,7 @@ use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Origin, Severity};
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::FitPhase;
+use crate::loaded::budget::Budget;
 use crate::loaded::calibration::Calibration;
 use crate::loaded::simulations_around::{Point, Simulations};
 use crate::problem::definition::Problem;
@@ -31,6 +32,16 @@ impl FinalSearch {
     /// A search with the weights and the tolerance of the calibration that was asked.
     pub(crate) fn of(searched: SearchResult) -> Self {
         Self { own: None, searched, noise: None, tolerance: None }
+    }
+
+    /// What may be simulated besides the search, the comparison with a fresh process taken off; and whether
+    /// there is room for that.
+    pub(crate) fn budget(&self, calibration: &Calibration, start: &[f64]) -> (Budget, bool) {
+        let SearchResult { report, solver, stuck, .. } = &self.searched;
+        let mut budget = Budget::after(report.n_evaluations);
+        budget.take(calibration.simulations_for_solver(solver, start) + stuck.n_checks as f64);
+        let has_room = budget.take(1.0);
+        (budget, has_room)
     }
 
     /// The result of the search, and the residuals there, if they are known.
@@ -207,26 +218,18 @@ impl Calibration {
         }
         job.enter(FitPhase::Solver, stats);
         let (_, compared) = self.solver_counted(&job.context, stats)?;
-        Ok(compared.filter(|_| job.start == self.start()).map(|AtStart { residuals, seconds }| AtStart {
+        Ok(compared.filter(|_| job.start == self.start()).map(|AtStart { residuals, stats }| AtStart {
             residuals: residuals.into_iter().map(|r| job.loss.transform(r)).collect(),
-            seconds,
+            stats,
         }))
     }
 
     /// All searches of a fit, with what comes before them.
     pub(super) fn made(&self, job: &mut Job<'_>, stats: &mut Stats) -> Result<FinalSearch, CalibrationError> {
-        let mut at_start = self.start_by_solver(job, stats)?;
-        *job.at_start.borrow_mut() = at_start.as_ref().map(|known| known.residuals.clone());
-        let chosen = match job.is_part {
-            true => None,
-            false => {
-                job.enter(FitPhase::Tolerance, stats);
-                self.choose_tolerance(job, at_start.take(), stats)?
-            }
-        };
-        let (tolerance, known) = chosen.unzip();
+        let tolerance = if job.is_part { None } else { self.choose_tolerance(job) };
         let tolerant = self.with_tolerance(tolerance.as_ref())?;
-        let at_start = at_start.or(known.flatten());
+        let at_start = self.start_by_solver(job, stats)?.filter(|_| tolerant.is_none());
+        *job.at_start.borrow_mut() = at_start.as_ref().map(|known| known.residuals.clone());
         let this = tolerant.as_ref().unwrap_or(self);
         let rule = job.noise;
         let estimates = rule == NoiseRule::Estimated
@@ -283,6 +286,8 @@ impl Calibration {
                 },
             };
             turns.add_to(&mut searched);
+            // What estimates the noise belongs to the search.
+            job.enter(FitPhase::Search, stats);
             let (x, known) = (&searched.report.x, &searched.residuals);
             let ends = own.end_residuals(x, known, job.loss, &job.context, stats);
             if turns.noise.n_rounds == 1 {
@@ -332,7 +337,7 @@ impl Calibration {
         from.outputs
             .iter()
             .all(is_one)
-            .then(|| AtStart { residuals: to.reweighed(&known.residuals, from), seconds: known.seconds })
+            .then(|| AtStart { residuals: to.reweighed(&known.residuals, from), stats: known.stats })
     }
 
     /// Leverages of the residuals at the end of a search; `None`: it was interrupted meanwhile, or

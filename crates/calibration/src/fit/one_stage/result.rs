@@ -80,11 +80,17 @@ pub struct Fit {
     /// number: their values say nothing.
     pub without_effect: Vec<usize>,
     /// Simulations made after the run to find out about both: at the bound, for each parameter that ended as
-    /// near to it as `x_tol`; with the parameter moved, for each that no evaluation has shown to change the
-    /// cost (those of a first simplex show it, because they differ in one parameter alone). They are none of
-    /// the run's evaluations, which its budget counts, are not made after an interrupt or when the time is
-    /// up, and are part of `stats`.
+    /// near to it as `x_tol`; with the parameter moved, for each that an evaluation has shown not to change
+    /// the cost, and without standard errors, which show it, for each that none has shown to change it (those
+    /// of a first simplex show it, because they differ in one parameter alone). They are none of the run's
+    /// evaluations, which its budget counts, are not made after an interrupt or when the time is up, and are
+    /// part of `stats`.
     pub n_checks: usize,
+    /// What was not looked at after the search because the search was short: all that is simulated besides
+    /// the search and the standard errors takes at most a quarter of the evaluations of the search, and
+    /// no more than four simulations of the result. Empty: nothing was skipped.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub skipped: Vec<String>,
     /// Quality of fit of each output, in the order of the residual vector; empty where the run was ended from
     /// outside.
     pub outputs: Vec<OutputFit>,

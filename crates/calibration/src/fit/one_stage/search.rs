@@ -11,7 +11,9 @@ use crate::findings::shown_text::digits;
 use crate::fit::live::{LiveFit, lock};
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::{FitPhase, Phases};
+use crate::loaded::budget::Budget;
 use crate::loaded::calibration::Calibration;
+use crate::loaded::effort::Effort;
 use crate::problem::objective::CostKind;
 use crate::problem::parameter::{Parameter, Scale};
 use crate::uncertainty::preflight::{Preflight, PreflightOptions};
@@ -23,13 +25,14 @@ use dfo::{
     ProblemClass, Progress, Query, Record, Report, Resume, RobustLoss, RunOptions, Search, Termination,
     ToleranceMeasure, Tolerances, Trace, Wait, Want,
 };
-use ode::Stats;
+use ode::{Method, Stats};
 use std::cell::RefCell;
 use std::collections::{HashMap, VecDeque};
 use std::ops::ControlFlow;
 use std::rc::Rc;
 use std::sync::{Arc, Mutex};
 use std::thread::available_parallelism;
+use std::time::Duration;
 
 /// The objective of one fit, which adds up what its simulations take.
 struct Counted<'a> {
@@ -353,6 +356,14 @@ impl Calibration {
         if let Ok(remote) = &self.evaluator().remote {
             remote.set_checked();
         }
+        if let Some(known) = &at_start {
+            // It is the first evaluation of the search.
+            let effort = Effort::of(
+                &known.stats,
+                Duration::try_from_secs_f64(known.stats.seconds.get()).unwrap_or_default(),
+            );
+            job.phases.borrow_mut().move_part(effort, FitPhase::Solver, FitPhase::Search);
+        }
         let known = at_start.take().map(|known| known.residuals);
         job.at_start.borrow_mut().clone_from(&known);
         let (report, residuals) = self.run_once(job, &run, known, stats)?;
@@ -363,8 +374,11 @@ impl Calibration {
             report: &report,
             kind: &job.objective,
             tolerances: &run.tolerances,
+            has_errors: job.uncertainty.is_some() && job.objective.has_uncertainty(),
         };
-        let stuck = self.stuck_parameters(&ended, context, stats);
+        let mut budget = Budget::after(report.n_evaluations);
+        budget.take(self.simulations_for_solver(solver, start));
+        let stuck = self.stuck_parameters(&ended, &mut budget, context, stats);
         Ok(SearchResult {
             start_cost: start_cost_in(&report, start),
             report,
@@ -375,6 +389,18 @@ impl Calibration {
             tolerances: run.tolerances,
             raised,
         })
+    }
+
+    /// Simulations by which the solver was chosen and that are no evaluation of a search from this start: in
+    /// this fit or in an earlier one.
+    pub(crate) fn simulations_for_solver(&self, solver: &ChosenSolver, start: &[f64]) -> f64 {
+        match (self.problem().settings.run.method, solver.method) {
+            _ if self.is_co_simulation() => 0.0,
+            (Method::Auto, Method::Auto) => f64::from(u8::from(start != self.start())),
+            (Method::Auto, Method::Bdf) => 2.0,
+            (Method::Auto, _) => 1.0,
+            _ => 0.0,
+        }
     }
 
     /// The options of the optimiser for a search: with the identity of its problem, and what earlier searches

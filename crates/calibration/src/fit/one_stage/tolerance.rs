@@ -2,28 +2,24 @@
 
 use super::noise::{EstimatedNoise, NoiseRule};
 use super::search::Job;
-use crate::cost::accuracy::Accuracy;
-use crate::cost::residual::sum_of_squares;
-use crate::cost::solver::AtStart;
-use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
 use crate::loaded::calibration::Calibration;
 use crate::problem::residual_layout::OutputResiduals;
 use base::Number;
 use dfo::{RobustLoss, ToleranceMeasure};
 use fmi::InterfaceKind;
-use ode::Stats;
 use serde::{Deserialize, Serialize};
 
 /// The relative tolerance that was chosen for the simulations of a fit, where it was not given.
 ///
-/// The start is simulated with the tolerance T of the calibration (that of the model, but at most 1e-6) and
-/// with a tenth of it; the residuals differ by `d`, which is about the error of the first. Near the best
-/// values, where the residuals are noise of the size s, that makes the cost uncertain by `2 d / (N s) + d^2 /
-/// (N s^2)` of itself (its error and the noise are independent): the tolerance is the first of T, T / 10, T /
-/// 100 and so on for which that is below 0.3 `f_tol`, with d in proportion. s is estimated from the
-/// differences between neighbouring measurements. Where `f_tol` is 100 times the tolerance of the model or
-/// more, nothing is simulated, and T is used.
+/// Residuals of simulations with a tolerance T are supposed to be off by T times the measurements: by the
+/// norm `d`. Near the best values, where the N residuals are noise of the size s, that makes the cost
+/// uncertain by `2 d / (N s) + d^2 / (N s^2)` of itself (error and noise are independent). The tolerance is
+/// the first of T, T / 10, T / 100 and so on for which that is below 0.3 `f_tol`; T is that of the
+/// calibration (that of the model, but at most 1e-6). s is estimated from the differences between
+/// neighbouring measurements. Where `f_tol` is 100 times the tolerance of the model or more, T is used.
+/// Nothing is simulated for that; the [uncertainty](super::Fit::uncertainty) of the fit compares with a
+/// simulation of higher accuracy.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
@@ -32,12 +28,9 @@ pub struct ChosenTolerance {
     pub used: f64,
     /// That of the model, or the default.
     pub stated: f64,
-    /// Relative uncertainty of the cost near the best values with T; `None`: it was not estimated, or the
-    /// start cannot be simulated.
+    /// Relative uncertainty of the cost near the best values that is expected with T; `None`: it was not
+    /// estimated.
     pub noise: Option<f64>,
-    /// Simulations of the start that were made for it, and that the search could not use. They are part of
-    /// the fit's `stats`.
-    pub n_simulations: usize,
 }
 
 /// The cost may be uncertain by this part of `f_tol`: the error of one point is not that of another.
@@ -65,57 +58,38 @@ impl ChosenTolerance {
 }
 
 impl Calibration {
-    /// Chooses the tolerance of a fit from its start, with the residuals there, as they count, where they
-    /// are known with the tolerance of the calibration; hands on those that are known with the chosen one.
-    /// `None`: it was given, a co-simulation has its own, the step is fixed, or `f_tol` is zero.
-    pub(crate) fn choose_tolerance(
-        &self,
-        job: &Job<'_>,
-        known: Option<AtStart>,
-        stats: &mut Stats,
-    ) -> Result<Option<(ChosenTolerance, Option<AtStart>)>, CalibrationError> {
-        let Job { start, loss, context, .. } = job;
-        let (loss, tolerances) = (*loss, &job.run.tolerances);
+    /// Chooses the tolerance of a fit. `None`: it was given, a co-simulation has its own, the step is fixed,
+    /// or `f_tol` is zero.
+    pub(crate) fn choose_tolerance(&self, job: &Job<'_>) -> Option<ChosenTolerance> {
+        let (loss, tolerances) = (job.loss, &job.run.tolerances);
         let stated = self.fmu().description().default_experiment.tolerance.filter(|t| *t > 0.0 && *t < 1.0);
         let plan = self.evaluator().simulations[0].pool.plan();
         let is_given = self.problem().settings.run.relative_tolerance.is_some();
         let has_own = stated.is_none() && plan.kind() != InterfaceKind::ModelExchange;
         if is_given || has_own || self.has_fixed_step() || tolerances.f_tol == 0.0 {
-            return Ok(None);
+            return None;
         }
-        let first_used = plan.relative_tolerance();
-        let stated = stated.unwrap_or(first_used);
-        let mut chosen = ChosenTolerance { used: first_used, stated, noise: None, n_simulations: 0 };
+        let first = plan.relative_tolerance();
+        let stated = stated.unwrap_or(first);
+        let chosen = ChosenTolerance { used: first, stated, noise: None };
         let is_relative = tolerances.measure == ToleranceMeasure::Relative;
         // But for the rounding of a product.
         if is_relative && stated <= SMALL_ENOUGH * tolerances.f_tol * (1.0 + 1e-9) {
-            return Ok(Some((chosen, known)));
+            return Some(chosen);
         }
-        let mut simulated = |tolerance: f64| {
-            let (accuracy, before) = (Accuracy::Tolerance(tolerance), stats.seconds.get());
-            let residuals = self.residuals_with(Some(accuracy), start, loss, context, stats)?;
-            let seconds = stats.seconds.get() - before;
-            Ok::<_, CalibrationError>(residuals.map(|residuals| AtStart { residuals, seconds }))
+        let (n, size) = (self.n_measurements() as f64, self.residual_layout().size_of_measurements());
+        let least = self.squares_of_noise(loss).max(f64::MIN_POSITIVE);
+        let uncertain = |tolerance: f64| {
+            let error = tolerance * size;
+            2.0 * error / (n * least).sqrt() + error * error / least
         };
-        let first = if known.is_some() { known } else { simulated(first_used)? };
-        let second = if first.is_some() { simulated(first_used / 10.0)? } else { None };
-        let (Some(first), Some(second)) = (first, second) else { return Ok(Some((chosen, None))) };
-        let error =
-            first.residuals.iter().zip(&second.residuals).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt();
-        let n = self.n_measurements() as f64;
-        let least = self.squares_of_noise(loss).min(sum_of_squares(&first.residuals)).max(f64::MIN_POSITIVE);
-        let uncertain = |error: f64| 2.0 * error / (n * least).sqrt() + error * error / least;
         let most = SHARE * if is_relative { tolerances.f_tol } else { tolerances.f_tol / least };
+        let part = |tenths: i32| first / 10f64.powi(tenths);
         let mut tenths = 0;
-        let part = |tenths: i32| 10f64.powi(tenths);
-        while uncertain(error / part(tenths)) > most && first_used / part(tenths + 1) >= SMALLEST {
+        while uncertain(part(tenths)) > most && part(tenths + 1) >= SMALLEST {
             tenths += 1;
         }
-        chosen.noise = Some(uncertain(error));
-        chosen.used = first_used / part(tenths);
-        chosen.n_simulations = if tenths < 2 { 1 } else { 2 };
-        let known = usize::try_from(tenths).ok().and_then(|k| [first, second].into_iter().nth(k));
-        Ok(Some((chosen, known)))
+        Some(ChosenTolerance { used: part(tenths), noise: Some(uncertain(first)), ..chosen })
     }
 
     /// The sum of the squared residuals that noise leaves, by the differences between neighbouring

@@ -481,7 +481,6 @@ impl Uncertainty {
         said.extend(self.accuracy_finding(f_tol));
         said.extend(self.rough_cost());
         said.extend(self.not_at_minimum());
-        said.extend(self.omitted.iter().map(|omitted| omitted.finding(&self.names)));
         said.extend(self.part_conflict.iter().map(|conflict| conflict.finding(&self.names)));
         said.extend(self.prior_conflicts.iter().map(|c| c.finding(&self.names[c.parameter])));
         // What is known of the parameters alone explains the others.

@@ -2,6 +2,7 @@
 
 use crate::cost::residual::sum_of_squares;
 use crate::error::CalibrationError;
+use crate::loaded::budget::Extra;
 use crate::loaded::simulations_around::{Point, Simulations};
 use crate::problem::parameter::{Parameter, inner, outer};
 use crate::uncertainty::covariance::matrix::Factors;
@@ -15,7 +16,8 @@ const LEAST_GAIN: f64 = 0.01;
 /// Nor is one that moves no parameter by this part of its size: the default `x_tol` of a fit.
 const SHORTEST: f64 = 1e-4;
 
-/// Parts of the step that are simulated: along a curved valley the first ones lead out of it.
+/// Parts of the step that are simulated, one after the other, until one gains: along a curved valley the
+/// first ones lead out of it.
 const PARTS: [f64; 3] = [1.0, 0.25, 1.0 / 16.0];
 
 /// What is left to gain at a point.
@@ -41,7 +43,8 @@ pub(crate) struct At<'a> {
 
 impl At<'_> {
     /// The part of the cost that the step to the minimum of the linear model takes away: predicted, and where
-    /// that is more than noise, simulated. A gain that no simulation confirms is none.
+    /// that is more than noise, simulated; what the budget leaves out of the shorter ones is no gain. A gain
+    /// that no simulation confirms is none.
     pub(crate) fn left_to_gain(
         &self,
         cost: &dyn Fn(&[f64]) -> f64,
@@ -57,15 +60,23 @@ impl At<'_> {
         if !(is_step && is_long) {
             return Ok(Gain::default());
         }
-        let points: Vec<Point> = PARTS.iter().map(|part| Point::new(self.moved(&step, *part))).collect();
-        let found = simulations.residuals(&points)?;
-        let costs: Vec<f64> = found.into_iter().flatten().map(|residuals| cost(&residuals)).collect();
-        if costs.is_empty() {
-            return Ok(Gain { part: (gained / all).min(1.0), is_at_failures: true });
+        let mut is_at_failures = true;
+        for (k, part) in PARTS.into_iter().enumerate() {
+            let point = [Point::new(self.moved(&step, part))];
+            let found = match k {
+                0 => Some(simulations.beside(&point)?),
+                _ => simulations.extra(Extra::ShorterSteps, &point)?,
+            };
+            let Some(mut found) = found else { return Ok(Gain::default()) };
+            let Ok(residuals) = found.swap_remove(0) else { continue };
+            is_at_failures = false;
+            let part = (known_cost - cost(&residuals)) / known_cost.abs().max(f64::MIN_POSITIVE);
+            if part > LEAST_GAIN {
+                return Ok(Gain { part, is_at_failures });
+            }
         }
-        let least = costs.into_iter().fold(f64::INFINITY, f64::min);
-        let part = (known_cost - least) / known_cost.abs().max(f64::MIN_POSITIVE);
-        Ok(Gain { part: if part > LEAST_GAIN { part } else { 0.0 }, is_at_failures: false })
+        let part = if is_at_failures { (gained / all).min(1.0) } else { 0.0 };
+        Ok(Gain { part, is_at_failures })
     }
 
     /// The point at a part of a step in the coordinates of the search, inside of the bounds.

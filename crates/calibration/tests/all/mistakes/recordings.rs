@@ -31,51 +31,6 @@ fn example(name: &str, factor: f64) -> Data {
 }
 
 #[test]
-fn times_in_minutes_are_named() {
-    let minutes: Vec<f64> = times(55, 1.0 / 300.0);
-    let x = decay(&minutes, 60.0, 1e-3);
-    let calibration = calibration(
-        vec![recording(&minutes, x)],
-        Parameter::new("k", 1.5).bounds(0.01, 1e3).scale(Scale::Log),
-        SimulationSettings::default(),
-    );
-    let said = "the times look as if they were in min";
-    assert!(warns(&calibration.check().findings, said), "{}", calibration.check());
-    let fit = calibration.fit(FitOptions::default()).unwrap();
-    assert!((fit.x[0] - 60.0).abs() < 1.0 && warns(&fit.findings(), said), "{fit}");
-    // A short recording that the model follows is none.
-    let short = times(61, 0.005);
-    let fit = fitted(recording(&short, decay(&short, 2.0, 1e-3)), k());
-    assert!(warnings(&fit.findings()).is_empty(), "{fit}");
-}
-
-#[test]
-fn times_that_are_numbers_of_rows_or_in_another_unit_are_named() {
-    // A decay by 0.5 per second, minute or hour, whose times last as the model suggests but for the first.
-    let seconds = times(201, 0.05);
-    let rows = times(201, 1.0);
-    for (t, start, said) in [
-        (&rows, 0.4, "the times look like numbers of rows"),
-        (&seconds, 0.01, "the times look as if they were in min"),
-        (&seconds, 2e-4, "the times look as if they were in h"),
-    ] {
-        let calibration = calibration(
-            vec![recording(t, decay(&seconds, 0.5, 1e-2))],
-            rate(start),
-            SimulationSettings::default(),
-        );
-        assert!(warns(&calibration.check().findings, said), "{}", calibration.check());
-        let fit = calibration.fit(FitOptions::default()).unwrap();
-        assert!(fit.report.is_success() && warns(&fit.findings(), said), "{fit}");
-    }
-    // Bounds keep the parameters of a tank from making up for it, and the fit is poor.
-    let fit = tank(example("quad_tank", 1.0 / 60.0)).fit(FitOptions::default()).unwrap();
-    assert!(warns(&fit.findings(), "in min"), "{fit}");
-    let fit = tank(example("quad_tank", 1.0)).fit(FitOptions::default()).unwrap();
-    assert!(!warns(&fit.findings(), "in min"), "{fit}");
-}
-
-#[test]
 fn times_of_sound_setups_are_not_accused() {
     let dice = |k: usize| 0.5 + 0.5 * noise(k);
     for k in 0..100 {
@@ -221,35 +176,6 @@ fn a_column_that_stays_at_its_limit_below_the_simulation_is_clipped() {
     );
     let sound = of(2.0);
     assert!(!sound.to_string().contains("clipped"), "{sound}");
-}
-
-#[test]
-fn rows_too_far_apart_for_the_simulation_are_named() {
-    // The van der Pol oscillator with mu = 0.1 has a period of 6.29 s: rows every 5 s show one of 24 s.
-    let t = times(30, 5.0);
-    let settings = SimulationSettings::default();
-    let oscillator = |t: &[f64], columns: Vec<f64>| {
-        let data = Data::from_columns(t.to_vec(), [("x0".to_owned(), columns)]).unwrap();
-        Calibration::builder(open("van_der_pol"))
-            .experiment(Experiment::new(data).output("x0", "x0"))
-            .parameter(Parameter::new("mu", 0.12).bounds(0.05, 5.0))
-            .settings(settings.clone())
-            .build()
-            .unwrap()
-    };
-    let simulated = |t: &[f64]| {
-        let series = oscillator(t, vec![0.0; t.len()]).simulate(&[0.1], None, &RunContext::new()).unwrap();
-        series[0].columns[0].iter().enumerate().map(|(k, x)| x + 0.01 * noise(k)).collect::<Vec<f64>>()
-    };
-    let coarse = oscillator(&t, simulated(&t));
-    let said = "turns back within the 5 s from row to row";
-    assert!(warns(&coarse.check().findings, said), "{}", coarse.check());
-    let fit = coarse.fit(FitOptions::default()).unwrap();
-    assert!(warns(&fit.findings(), said), "{fit}");
-    let t = times(60, 2.5);
-    let fine = oscillator(&t, simulated(&t));
-    assert!(!warns(&fine.check().findings, "turns back"), "{}", fine.check());
-    assert!(!warns(&fine.fit(FitOptions::default()).unwrap().findings(), "turns back"));
 }
 
 #[test]

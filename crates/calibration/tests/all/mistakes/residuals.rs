@@ -3,8 +3,8 @@
 use super::{calibration, decay, fitted, k, noise, open, recording, sound, times, warnings, warns};
 use calibration::dfo::{Limits, Loss, RobustLoss, RunOptions};
 use calibration::{
-    Calibration, Compared, CostKind, CustomCost, Data, DataSplit, Experiment, Fit, FitOptions, OmittedKind,
-    Origin, OutputEffectKind, Parameter, Severity, SimulationSettings, UncertaintyOptions, Weight,
+    Calibration, Compared, CostKind, CustomCost, Data, DataSplit, Experiment, Fit, FitOptions, Origin,
+    Parameter, Severity, SimulationSettings, UncertaintyOptions, Weight,
 };
 use fmi::SimulateOptions;
 
@@ -269,44 +269,6 @@ fn recordings_that_ask_for_other_values_are_named() {
     );
     let same = fit([2.0, 2.0]);
     assert!(warnings(&same.findings()).is_empty(), "{same}");
-}
-
-#[test]
-fn a_start_value_that_is_wrong_is_asked_for() {
-    let t = times(121, 0.025);
-    let measured = |start: f64| -> Vec<f64> {
-        t.iter().enumerate().map(|(k, t)| start * (-2.0 * t).exp() + 0.02 * noise(k)).collect()
-    };
-    let wrong = fitted(recording(&t, measured(1.03)), k());
-    let omitted = wrong.uncertainty.as_ref().unwrap().omitted.clone().unwrap();
-    assert!(omitted.chance.is_some_and(|chance| chance < 1e-3), "{omitted:?}");
-    let asked: Vec<String> = wrong.findings().iter().map(ToString::to_string).collect();
-    let said = asked.iter().find(|finding| finding.contains("the residuals ask for")).unwrap();
-    assert!(said.starts_with("warning: ") && said.contains("start value of x"), "{said}");
-    assert!(said.contains("with it k moves by"), "{said}");
-    let right = fitted(recording(&t, measured(1.0)), k());
-    assert_eq!(right.uncertainty.as_ref().unwrap().omitted, None);
-    // One that is given, and one that a parameter holds, are asked for from where they are.
-    let given = recording(&t, measured(1.23)).initial_state("x", 1.2);
-    let held = Parameter::new("x0", 1.2).variables(["x"]).fixed(true);
-    let fixed = Calibration::builder(open("dahlquist"))
-        .parameter(k())
-        .parameter(held)
-        .experiment(recording(&t, measured(1.23)))
-        .build()
-        .unwrap();
-    for fit in [fitted(given, k()), fixed.fit(FitOptions::default()).unwrap()] {
-        let asked = fit.uncertainty.as_ref().unwrap().omitted.clone().unwrap();
-        assert!((asked.value / asked.held_at - 1.23 / 1.2).abs() < 0.01, "{asked:?}");
-        assert!(
-            asked.held_at == 1.2 || asked.effect == OmittedKind::Output(OutputEffectKind::Factor),
-            "{asked:?}"
-        );
-    }
-    // The start is fitted, too.
-    let experiment =
-        recording(&t, measured(1.03)).initial_state("x", Parameter::new("x0", 1.0).bounds(0.5, 2.0));
-    assert_eq!(fitted(experiment, k()).uncertainty.as_ref().unwrap().omitted, None);
 }
 
 #[test]

@@ -25,7 +25,9 @@ fn a_fixed_step_that_is_too_large_is_compared_with_half_of_it() {
             && preflight.to_string().contains("with half the step\n         -> give a smaller")
     );
     assert!(preflight.parameters[0].has_effect);
-    let fit = coarse.fit(FitOptions { preflight: true, ..FitOptions::default() }).unwrap();
+    // A search that is long enough for one more simulation.
+    let run = dfo::RunOptions { method: dfo::NelderMead::default().into(), ..FitOptions::default_run() };
+    let fit = coarse.fit(FitOptions { preflight: true, run, ..FitOptions::default() }).unwrap();
     assert!(fit.report.is_success() && (fit.x[0] - 1.6).abs() < 0.1, "{fit}");
     assert!(warns(&fit.findings(), "with half the step"), "{fit}");
     // The error of a fixed step is no noise, and no reason to end early.

@@ -100,11 +100,11 @@ class Calibration(Evaluation):
     relative_tolerance : float, optional
         Of the integration; default: that of the model's default experiment, but at most 1e-6 (a larger one makes the cost noisy), else
         1e-6. A fit simulates with a smaller one where it needs it: unless its `f_tol` is 100 times the model's tolerance or more, it
-        simulates the start with a tenth, and takes so many tenths that the cost is uncertain by less than `f_tol` near the best values
-        (``fit.tolerance``, and a note among the findings).
+        takes so many tenths that errors of that part of the measurements leave the cost uncertain by less than `f_tol` near the best
+        values (``fit.tolerance``, and a note among the findings).
     solver : str
-        "auto", "tsit5", "dop853", "radau5", "bdf", "rk4" or "euler". With "auto" methods are compared at the first use, at
-        the parameters' start values, see `solver`.
+        "auto", "tsit5", "dop853", "radau5", "bdf", "rk4" or "euler". With "auto" a stiff model is found at the first use, at
+        the parameters' start values, and simulated with an implicit method from then on, see `solver`.
     step_size, max_step : float, optional
         Step of the fixed-step methods, or the communication step of co-simulation; largest step of the other methods;
         in s. Measurements between the steps of a co-simulation that cannot stop there are compared with values interpolated
@@ -511,23 +511,22 @@ class Calibration(Evaluation):
         return fit
 
     @explained
-    def check(self, simulate: bool = True, *, max_time: SupportsFloat | None = 30.0) -> _check.Check:
+    def check(self, simulate: bool = True, *, max_time: SupportsFloat | None = None) -> _check.Check:
         """Looks for what does not fit between model, recordings and parameters, and says what to do about it.
 
         Looked at are the times (gaps, unit, start, months taken for days), the recorded values (constant, clipped, frozen, missing,
         placeholders, in other units than the model, far from the simulation at the start, wrapped angles, columns that are swapped,
-        recordings that are there twice, too coarse means, turns of the simulation between the rows), inputs that nothing drives, that
-        end early, or whose column is all zero, frozen, missing for long or in another unit, values, ranges and start values that the
-        model states for its parameters, and how accurate the simulations are.
+        recordings that are there twice, too coarse means), inputs that nothing drives, that end early, or whose column is all zero,
+        frozen, missing for long or in another unit, values, ranges and start values that the model states for its parameters, and how
+        accurate the simulations are.
 
         Parameters
         ----------
         simulate : bool
-            Whether to simulate all experiments once at the start values (and once with times a thousandth as long, where they could be
-            in ms; and once with half the step, where that is fixed, or half the communication step; and once with the values between
-            the rows, where these are few).
+            Whether to simulate all experiments once at the start values (and once with half the step, where that is fixed, or half
+            the communication step).
         max_time : float, optional
-            Wall-clock limit of the whole check in s; None: no limit. What was found until then is the result, with a finding that says so.
+            Wall-clock limit of the whole check in s; default: none. What was found until then is the result, with a finding that says so.
 
         Returns
         -------
@@ -569,7 +568,7 @@ class Calibration(Evaluation):
         """Looks before a fit at what would spoil it; ``print(calibration.preflight())`` shows a table.
 
         Each parameter is moved by a hundredth of its size (one simulation each, in parallel), and the start is simulated once
-        more with a hundredth of the relative tolerance (with a fixed-step solver: half the step).
+        more with a tenth of the relative tolerance (with a fixed-step solver: half the step).
 
         Parameters
         ----------
@@ -598,7 +597,7 @@ class Calibration(Evaluation):
         """Uncertainty of a point as the result of a fit: standard errors, correlation, what the data cannot tell.
 
         From central differences of the residuals over steps of about one standard error along the principal axes of the
-        covariance, and one simulation with a hundredth of the relative tolerance (with a fixed-step solver: half the step); all in parallel.
+        covariance, and one simulation with a tenth of the relative tolerance (with a fixed-step solver: half the step); all in parallel.
 
         Parameters
         ----------

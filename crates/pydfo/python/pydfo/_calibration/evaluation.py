@@ -27,7 +27,7 @@ class ComparedSolver(NamedTuple):
     """Right-hand sides, directional derivatives, evaluations of event indicators, and linear algebra in equivalents of a
     right-hand side. Of a method that was given up: what it had done then, at least."""
     deviation: float | None
-    """Largest difference from a simulation with a tenth of the tolerance, in tolerances of the sample."""
+    """Largest difference from Radau5, in tolerances of the sample; None: it was not compared."""
     verdict: str
     """"agrees", "differs", "given up", "not compared", or "failed: " and why."""
 
@@ -100,9 +100,9 @@ class Evaluation:
 
         The one that was named; or, with "auto", the winner of a comparison at the parameters' start values, which is held at the
         first use and counts work, never time: if the model is not stiff there, "auto" stays (an explicit method, which gives
-        way to an implicit one where the model becomes stiff); else BDF, Radau5 and "auto" are compared, and the one with the
-        least work, an error counted as more of it and that of "auto" twice, is taken of those whose samples are within 5
-        tolerances of a simulation with a tenth of the tolerance. A fit that is resumed from a checkpoint takes the method from there. See `solver_comparison` for the numbers.
+        way to an implicit one where the model becomes stiff); else Radau5 is taken, unless it takes twice the work of "auto"; models
+        of 16 states and more are simulated with BDF, too, which is taken where it agrees within 5 tolerances and takes less work, its
+        error counted as more of it. A fit that is resumed from a checkpoint takes the method from there. See `solver_comparison` for the numbers.
         """
         return self._native.solver()
 

@@ -80,10 +80,8 @@ class ChosenTolerance(NamedTuple):
     stated: float
     """That of the model, or the default."""
     noise: float | None
-    """How uncertain the cost would be near the best values, as part of it, with the tolerance of the calibration; None: it was not
-    looked at."""
-    n_simulations: int
-    """Simulations of the start that were made for it; they are part of `Fit.stats`."""
+    """How uncertain the cost is expected to be near the best values, as part of it, with the tolerance of the calibration; None: it
+    was not looked at."""
 
 
 def _noise(found: Any) -> FitNoise | None:
@@ -104,6 +102,7 @@ _UNKNOWN: dict[str, Any] = {
     "usable": True,
     "at_bound": {},
     "n_checks": 0,
+    "skipped": [],
     "objective": "",
 }
 
@@ -146,9 +145,13 @@ class Fit(OptimizeResult):
         nothing.
     n_checks : int
         Simulations made after the run to find out about both: at the bound, for each parameter that ended as near to it as
-        `x_tol`; with the parameter moved, for each that no evaluation has shown to change the cost (those of a first simplex
-        show it, because they differ in one parameter alone). They do not count in ``nfev`` nor
-        in its limit, are not made after an interrupt or when the time is up, and are part of `stats`.
+        `x_tol`; with the parameter moved, for each that an evaluation has shown not to change the cost, and without standard errors,
+        which show it, for each that none has shown to change it (those of a first simplex show it, because they differ in one
+        parameter alone). They do not count in ``nfev`` nor in its limit, are not made after an interrupt or when the time is up, and are part of `stats`.
+    skipped : list of str
+        What was not looked at after the search because the search was short. All that is simulated besides the search and the
+        standard errors takes at most a quarter of the evaluations of the search, and no more than four simulations of the result.
+        A "simulation of higher accuracy" that was skipped leaves `Uncertainty.accurate_cost` None.
     outputs : list of OutputFit
         How well each output is reproduced: RMS at the end and at the start, fit percentage. (Empty: interrupted twice.)
     scaled_rms : float or None
@@ -186,6 +189,7 @@ class Fit(OptimizeResult):
     at_bound: dict[str, str]
     without_effect: list[str]
     n_checks: int
+    skipped: list[str]
     usable: bool
     # The page that shows it, see `Calibration.fit`.
     _page: _core.LivePage | None = None

@@ -83,7 +83,7 @@ class Uncertainty:
     verdict : list of str
         The same in sentences; empty if nothing is to be said.
     cost, accurate_cost : float
-        The cost, and the same with a hundredth of the relative tolerance, or with half the step of a fixed-step solver (None: that simulation failed).
+        The cost, and the same with a tenth of the relative tolerance, or with half the step of a fixed-step solver (None: that simulation failed).
     jacobian : ndarray, shape (m, n)
         Derivatives of the residuals by the parameters; zero for those that are held.
     n_simulations : int
@@ -186,7 +186,7 @@ class Preflight:
     confounded : list of (str, str, float)
         Pairs that move the outputs the same way at the start, with the correlation that their estimates would have.
     cost, accurate_cost : float
-        The cost at the start, and with a hundredth of the relative tolerance, or with half the step of a fixed-step solver (None: that simulation failed).
+        The cost at the start, and with a tenth of the relative tolerance, or with half the step of a fixed-step solver (None: that simulation failed).
     noise : float
         The difference of both relative to the cost.
     seconds_per_evaluation, expected_seconds : float

@@ -54,9 +54,9 @@ class SimulationStats:
         Restarts of the method after events that changed something.
     chattering : int
         How often state events were found to follow each other while time hardly advanced, and the run went on.
-    check_runs, check_steps : int
-        Simulations made besides, and their steps: short ones to check how the model can be brought back to its beginning, and at the end
-        of a fit those of its best point again, in a fresh worker and in the used ones. They are in no other count, but in `seconds`.
+    check_runs, check_steps, check_right_hand_sides : int
+        Simulations made besides, their steps and right-hand sides: short ones to check how the model can be brought back to its
+        beginning, and after a fit its best point again in a fresh worker. They are in no other count, but in `seconds`.
     seconds : float
         Wall-clock time in s, from bringing the model to its beginning. Loading it and waiting for other simulations of it
         do not count. Of a fit: the sum over all simulations, so with several workers more than the fit took.
@@ -66,9 +66,9 @@ class SimulationStats:
         1 us, one of 61 is timed and stands for all.
     phases : dict
         Of a fit: what each of its phases took, as ``{"simulations": .., "right_hand_sides": .., "seconds": ..}`` (wall-clock
-        time) under the names ``solver`` and ``tolerance`` (their choice), ``model_test``, ``preflight``, ``search``, ``checks``,
-        ``fresh_process``, ``uncertainty`` (standard errors) and ``score_test`` (whether the residuals ask for another start value,
-        held parameter or offset of an input). The simulations of `check_runs` are not among them, their time is.
+        time) under the names ``solver`` (its choice), ``model_test``, ``preflight``, ``search``, ``checks`` (of the result),
+        ``fresh_process`` and ``uncertainty`` (standard errors: two simulations for each parameter). The simulations of `check_runs`
+        are not among them, their time is.
     """
 
     runs: int
@@ -90,6 +90,7 @@ class SimulationStats:
     chattering: int
     check_runs: int = field(compare=False)
     check_steps: int = field(compare=False)
+    check_right_hand_sides: int = field(compare=False)
     seconds: float = field(compare=False)
     seconds_in_model: float = field(compare=False)
     phases: dict[str, dict[str, float]] = field(default_factory=dict, compare=False)
