@@ -18,8 +18,6 @@ pub(crate) enum Extra {
     Accuracy,
     /// Shorter steps of least squares from the result.
     ShorterSteps,
-    /// Residuals over shorter steps.
-    Roughness,
 }
 
 impl Extra {
@@ -30,7 +28,6 @@ impl Extra {
             Self::FreshProcess => "comparison with a fresh process",
             Self::Accuracy => "simulation of higher accuracy",
             Self::ShorterSteps => "shorter steps from the result",
-            Self::Roughness => "roughness of the residuals",
         }
     }
 }
@@ -113,6 +110,6 @@ mod tests {
         let mut budget = Budget::after(1000);
         assert!(budget.allows(Extra::ShorterSteps, 4.0) && !budget.allows(Extra::Accuracy, 0.1));
         let mut unlimited = Budget::unlimited();
-        assert!((0..9).all(|_| unlimited.allows(Extra::Roughness, 2.0)) && unlimited.skipped().is_empty());
+        assert!((0..9).all(|_| unlimited.allows(Extra::ShorterSteps, 2.0)) && unlimited.skipped().is_empty());
     }
 }

@@ -113,16 +113,11 @@ impl<'a> Simulations<'a> {
     /// # Errors
     /// As [`residuals`](Self::residuals).
     pub(crate) fn beside(&mut self, points: &[Point]) -> Result<Vec<PointResiduals>, CalibrationError> {
-        self.aside(|simulations| simulations.residuals(points))
-    }
-
-    /// Counts what something simulates as no part of the standard errors.
-    pub(crate) fn aside<T>(&mut self, work: impl FnOnce(&mut Self) -> T) -> T {
         let (before, began) = (std::mem::take(&mut self.stats), Instant::now());
-        let done = work(self);
+        let found = self.residuals(points);
         self.extras += Effort::of(&self.stats, began.elapsed());
         self.stats += before;
-        done
+        found
     }
 
     /// The residuals at these points, in their order.

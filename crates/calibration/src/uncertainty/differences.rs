@@ -7,7 +7,6 @@
 //! ratio of signal to noise is the same for all.
 
 use crate::error::CalibrationError;
-use crate::loaded::budget::Extra;
 use crate::loaded::simulations_around::{Point, PointResiduals, Simulations};
 use crate::problem::parameter::{Parameter, inner, outer};
 use crate::uncertainty::row_blocks::{go_on, product, triangle};
@@ -38,8 +37,8 @@ const FAR: f64 = 4.0;
 /// A side of a parameter that leaves less than this part of a step is left out.
 const TOO_NARROW: f64 = 0.25;
 
-/// Where residuals bend by more than this part of their change over a step of about one standard error, they
-/// are looked at over this part of all steps over which they change by at least this part of their deviation.
+/// Where residuals bend by more than this part of their change over a step of about one standard error, over
+/// which they change by at least this part of their deviation, they are looked at over this part of it.
 const BENT: f64 = 0.1;
 const PART: f64 = 1.0 / 16.0;
 const TELLING: f64 = 0.3;
@@ -242,6 +241,7 @@ impl Differences {
             Err(reason) => return Ok(Err(reason)),
         };
         let roughness = found.roughness(center, deviation, noise, simulations)?;
+        let found = found.without_cubic_terms(center, deviation, simulations)?;
         Ok(Ok(Self { noise: 3.0 * noise, roughness, ..found }))
     }
 
@@ -371,8 +371,9 @@ impl Differences {
         Self { changes, steps, noise, bends: Vec::new(), roughness: None }
     }
 
-    /// Looks at a sixteenth of the steps, where the residuals bend over one of them. Switching times that
-    /// jump with the parameters make them bend as much over any step.
+    /// Looks at a sixteenth of the step over which the residuals bend most: a simulation of a smooth model is
+    /// a sixteenth of the change away there, up to as small a part of its bend. Switching times that jump
+    /// with the parameters make them bend as much over any step.
     fn roughness(
         &self,
         center: &Center<'_>,
@@ -381,36 +382,52 @@ impl Differences {
         simulations: &mut Simulations<'_>,
     ) -> Result<Option<ResidualBend>, CalibrationError> {
         let change = |k: usize| self.changes.column(k).norm();
-        let telling =
-            (0..self.bends.len()).filter(|k| change(*k) >= TELLING * deviation && self.bends[*k] > 0.0);
-        let telling: Vec<usize> = telling.collect();
-        let is_bent =
-            |k: &usize| self.bends[*k] > BENT && 2.0 * change(*k) * self.bends[*k] > BEND_ABOVE_NOISE * noise;
-        if !telling.iter().any(is_bent) {
-            return Ok(None);
-        }
-        let part = |k: &usize| Step { direction: self.steps.column(*k).into_owned(), length: PART };
-        if !simulations.budget.allows(Extra::Roughness, 2.0 * telling.len() as f64) {
-            return Ok(None);
-        }
-        let parts = simulations
-            .aside(|simulations| Self::measured(center, telling.iter().map(part).collect(), simulations));
-        let parts = match parts {
+        let is_bent = |k: &usize| {
+            self.bends[*k] > BENT
+                && change(*k) >= TELLING * deviation
+                && 2.0 * change(*k) * self.bends[*k] > BEND_ABOVE_NOISE * noise
+        };
+        let bent = (0..self.bends.len()).filter(is_bent);
+        let Some(k) = bent.max_by(|a, b| self.bends[*a].total_cmp(&self.bends[*b])) else { return Ok(None) };
+        let part = Step { direction: self.steps.column(k).into_owned(), length: PART };
+        let Some((from, to)) = center.span(&part) else { return Ok(None) };
+        let by = if to > 0.0 { to } else { from };
+        let found = match simulations.beside(&[Point::new(center.moved(&part, by))]) {
             // What is known by now is more than that.
             Err(CalibrationError::Cancelled) => return Ok(None),
-            parts => parts?,
+            found => found?.swap_remove(0),
         };
-        let Ok(parts) = parts else { return Ok(None) };
-        let found = telling.iter().enumerate().map(|(place, k)| {
-            let found = ResidualBend { bend: self.bends[*k], bend_of_part: parts.bends[place] };
-            let size = 2.0 * parts.changes.column(place).norm() * found.bend_of_part;
-            (found, size > BEND_ABOVE_NOISE * noise)
-        });
-        let is_rough = |ResidualBend { bend, bend_of_part }: &ResidualBend| {
-            *bend_of_part > (STILL_BENT * bend).max(LEAST_BENT)
-        };
-        let rough = found.filter(|(found, is_told)| *is_told && is_rough(found)).map(|(found, _)| found);
-        Ok(rough.max_by(|a, b| a.bend_of_part.total_cmp(&b.bend_of_part)))
+        let Ok(residuals) = found else { return Ok(None) };
+        let column = self.changes.column(k);
+        let off =
+            residuals.iter().zip(center.residuals).zip(&column).map(|((r, c), change)| r - c - by * change);
+        let size = off.map(|off| off * off).sum::<f64>().sqrt();
+        let found = ResidualBend { bend: self.bends[k], bend_of_part: size / (by.abs() * column.norm()) };
+        let is_rough = found.bend_of_part > (STILL_BENT * found.bend).max(LEAST_BENT);
+        Ok((is_rough && 2.0 * size > BEND_ABOVE_NOISE * noise).then_some(found))
+    }
+
+    /// Steps that were made long, so that changes stand out from the noise, are made half as long as well:
+    /// what grows with the third power of the step is taken away (Richardson's extrapolation).
+    fn without_cubic_terms(
+        mut self,
+        center: &Center<'_>,
+        deviation: f64,
+        simulations: &mut Simulations<'_>,
+    ) -> Result<Self, CalibrationError> {
+        let references = center.references(&self.jacobian(&simulations.context)?, deviation);
+        let is_long = |k: &usize| self.steps.column(*k).component_div(&references).amax() > 1.01 * USUAL;
+        let long: Vec<usize> = (0..self.steps.ncols()).filter(is_long).collect();
+        if long.is_empty() {
+            return Ok(self);
+        }
+        let steps = long.iter().map(|&k| Step { direction: self.steps.column(k).into_owned(), length: 0.5 });
+        let Ok(half) = Self::measured(center, steps.collect(), simulations)? else { return Ok(self) };
+        for (place, &k) in long.iter().enumerate() {
+            let linear = half.changes.column(place) * (8.0 / 3.0) - self.changes.column(k) / 3.0;
+            self.changes.set_column(k, &linear);
+        }
+        Ok(self)
     }
 
     /// The same with the residuals multiplied by these factors.

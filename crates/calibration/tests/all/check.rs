@@ -3,10 +3,9 @@
 #![allow(clippy::unwrap_used)]
 
 use calibration::RunContext;
-use calibration::dfo::{DifferentialEvolution, RunOptions};
 use calibration::{
     Calibration, CalibrationBuilder, Check, CheckOptions, Data, Experiment, Finding, FitOptions, Parameter,
-    PreflightOptions, Scale, Severity,
+    PreflightOptions, Severity,
 };
 use example_models::example_fmu;
 use fmi::RunSettings;
@@ -328,24 +327,6 @@ fn what_a_check_says_of_the_start_is_judged_again_after_the_fit() {
     let fit = calibration.fit(FitOptions::default()).unwrap();
     assert!((fit.x[1] - 0.9).abs() < 0.02 && !fit.to_string().contains(said), "{fit}");
     assert!(!fit.report.message.contains("measurement"), "{}", fit.report.message);
-    // Times in ms, which the fit makes up for by a parameter that is a thousandth.
-    let t: Vec<f64> = (0..61).map(|k| 50.0 * f64::from(k)).collect();
-    let x = t.iter().enumerate().map(|(k, t)| (-2e-3 * t).exp() + 1e-3 * noise(k)).collect();
-    let experiment = Experiment::new(Data::from_columns(t, [("x".to_owned(), x)]).unwrap()).output("x", "x");
-    let calibration = Calibration::builder(open("dahlquist"))
-        .experiment(experiment)
-        .parameter(Parameter::new("k", 1.5).bounds(1e-4, 10.0).scale(Scale::Log))
-        .build()
-        .unwrap();
-    let global = RunOptions {
-        method: DifferentialEvolution::default().into(),
-        seed: Some(1),
-        ..FitOptions::default_run()
-    };
-    let fit = calibration.fit(FitOptions { run: global, ..FitOptions::default() }).unwrap();
-    assert!((fit.x[0] - 2e-3).abs() < 1e-4, "{fit}");
-    let in_ms = |f: &Finding| f.severity == Severity::Warning && f.sentence.contains("as if they were in ms");
-    assert!(fit.findings().iter().any(in_ms), "{fit}");
 }
 
 /// Rows of an input cut the steps of a fixed-step method: half of what is really taken is compared.

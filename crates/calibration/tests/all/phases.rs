@@ -44,7 +44,8 @@ fn every_simulation_is_counted_and_none_is_made_twice() {
     // The end and the start were among the evaluations. The accurate simulation has twice as many steps, and one initialisation.
     let expected = evaluations + fit.report.n_speculative + fit.n_checks + uncertainty.n_simulations;
     assert_eq!(fit.stats.right_hand_sides, one * expected as u64 + (one - 1), "{fit}");
-    assert_eq!(uncertainty.n_simulations, 1 + 2);
+    // The end is no minimum: one more step of least squares was simulated, too.
+    assert_eq!(uncertainty.n_simulations, 1 + 2 + 1);
 }
 
 /// Whoever ends a fit after its search has its result, which says what is missing.
@@ -195,7 +196,7 @@ fn what_surrounds_a_search_takes_a_part_of_it() {
         let x = exact.get("x0").unwrap().iter().enumerate().map(noisy).collect();
         (t, "van_der_pol", "x0", x, Parameter::new("mu", start).bounds(0.1, 5.0))
     };
-    let all = [decay(1.9), decay(1.0), decay(8.0), oscillator(1.4), oscillator(0.5), oscillator(4.0)];
+    let all = [decay(1.9), decay(1.0), decay(8.0), oscillator(1.4), oscillator(0.5), oscillator(2.5)];
     for (t, model, output, values, parameter) in all {
         let start = parameter.start();
         let data = Data::from_columns(t, [(output.to_owned(), values)]).unwrap();

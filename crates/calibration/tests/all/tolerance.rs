@@ -70,7 +70,10 @@ fn the_tolerance_leaves_the_cost_as_smooth_as_f_tol_asks() {
             let fit = calibration.fit(run(f_tol)).unwrap();
             let chosen = fit.tolerance.unwrap();
             let uncertainty = fit.uncertainty.as_ref().unwrap();
-            let uncertain = (uncertainty.accurate_cost.unwrap() / uncertainty.cost - 1.0).abs();
+            let tight = RunSettings { relative_tolerance: Some(1e-11), ..RunSettings::default() };
+            let accurate = oscillator(&folder, noise).settings(tight).build().unwrap();
+            let accurate = accurate.cost(&fit.x, &RunContext::new()).unwrap();
+            let uncertain = (accurate / uncertainty.cost - 1.0).abs();
             assert!(!is_noisy(&fit) && uncertain <= f_tol, "{noise} {f_tol}: {uncertain} {fit}");
             assert!(chosen.stated == 1e-4 && chosen.noise.is_some());
             assert!((fit.x[0] - 1.5).abs() < 5.0 * uncertainty.standard_errors[0], "{fit}");

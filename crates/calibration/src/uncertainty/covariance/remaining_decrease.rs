@@ -61,11 +61,11 @@ impl At<'_> {
             return Ok(Gain::default());
         }
         let mut is_at_failures = true;
-        for (k, part) in PARTS.into_iter().enumerate() {
+        for part in PARTS {
             let point = [Point::new(self.moved(&step, part))];
-            let found = match k {
-                0 => Some(simulations.beside(&point)?),
-                _ => simulations.extra(Extra::ShorterSteps, &point)?,
+            let found = match is_at_failures {
+                true => Some(simulations.beside(&point)?),
+                false => simulations.extra(Extra::ShorterSteps, &point)?,
             };
             let Some(mut found) = found else { return Ok(Gain::default()) };
             let Ok(residuals) = found.swap_remove(0) else { continue };
