@@ -6,8 +6,8 @@
 /// coarser the larger the time is: 2e-7 s for seconds since 1970.
 ///
 /// ```
-/// let (a, b) = (0.1 + 0.2, 0.3);
-/// assert!(a != b && (a - b).abs() <= base::time_tolerance(0.0, 0.3));
+/// let (a, b) = (0.1 + 0.2, 0.3_f64);
+/// assert!(a != b && (a - b).abs() <= base::time_tolerance(0.0, b));
 /// ```
 pub fn time_tolerance(start: f64, end: f64) -> f64 {
     const U: f64 = f64::EPSILON / 2.0;
