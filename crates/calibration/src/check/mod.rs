@@ -202,6 +202,7 @@ impl Calibration {
         findings.extend(parameters::nominals(parameters));
         findings.extend(parameters::far_from_own_start(parameters, x, description));
         findings.extend(settings::loose_tolerance(self));
+        findings.extend(settings::many_steps(self));
         findings.extend(repeated::findings(self, subjects));
         for subject in subjects {
             findings.extend(model::inputs(subject));

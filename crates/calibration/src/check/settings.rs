@@ -30,6 +30,12 @@ pub(super) fn loose_tolerance(calibration: &Calibration) -> Option<Finding> {
     })
 }
 
+/// More than a million steps of one length in a simulation.
+pub(super) fn many_steps(calibration: &Calibration) -> Option<Finding> {
+    let sentence = calibration.evaluator().simulations.iter().find_map(|s| s.pool.plan().many_steps())?;
+    Some(Finding::warning("step", sentence, "set a larger step_size"))
+}
+
 /// A fixed step, or the communication step of a co-simulation, that is too large: half of it changes an
 /// output by more than counts, of a co-simulation that was fitted by more than its residuals. One evaluation,
 /// where there is such a step.

@@ -109,6 +109,8 @@ pub(crate) enum ProcessChoice {
     /// The same, but the second question of this kind is asked in a new process, too, and the first one again
     /// after some of the later ones, to see whether the answers are the same.
     Checked,
+    /// Of those that have loaded the problem and are idle, the one that was asked longest ago.
+    LongestIdle,
     /// A new one.
     Fresh,
 }
@@ -133,8 +135,6 @@ struct Processes {
     explained: Mutex<BTreeMap<String, Option<String>>>,
     /// No answer is checked for its dependence on earlier requests.
     is_checked: AtomicBool,
-    /// The result of a fit was compared with a fresh process.
-    is_compared: AtomicBool,
     /// Questions that were to be checked.
     n_checked: AtomicU64,
     /// The first of them, the numbers of its answer, and how often the surroundings had changed.
@@ -171,7 +171,6 @@ impl Processes {
             logging,
             explained: Mutex::default(),
             is_checked: AtomicBool::new(false),
-            is_compared: AtomicBool::new(false),
             n_checked: AtomicU64::new(0),
             first: Mutex::default(),
             frames: Mutex::default(),
@@ -193,6 +192,7 @@ impl Processes {
         asked.set_head(job).map_err(unsaid)?;
         let whom = match process {
             _ if self.fmu.has_hidden_state() => Some(AskedProcess::FreshOnce),
+            ProcessChoice::LongestIdle => Some(AskedProcess::LongestIdle),
             ProcessChoice::Fresh => Some(AskedProcess::Fresh),
             ProcessChoice::Checked if !self.is_checked.load(Ordering::Relaxed) => None,
             ProcessChoice::Any | ProcessChoice::Checked => Some(AskedProcess::Any),
@@ -406,14 +406,9 @@ impl Remote {
         self.processes.workers.prepare_second(&self.processes.load);
     }
 
-    /// True if the result of an earlier fit was compared with a fresh process.
-    pub(crate) fn is_compared(&self) -> bool {
-        self.processes.is_compared.load(Ordering::Relaxed)
-    }
-
-    /// The result of a fit has been compared with a fresh process.
-    pub(crate) fn set_compared(&self) {
-        self.processes.is_compared.store(true, Ordering::Relaxed);
+    /// Number of processes that have evaluated something, and are not asked at the moment.
+    pub(crate) fn n_idle(&self) -> usize {
+        self.processes.workers.n_idle(&self.processes.load)
     }
 
     fn limits(&self, runs: u32, size: FrameSize) -> AnswerLimits {

@@ -301,7 +301,7 @@ impl Calibration {
         }
         job.phases.borrow_mut().begin(FitPhase::Checks, &stats);
         let own = made.own.take();
-        let (budget, _) = made.budget(this, &job.start);
+        let budget = made.budget(this, &job.start);
         let (mut fit, _) = this.judged(own.as_ref().unwrap_or(this), &job, made, stats, budget);
         fit.phases = job.phases.borrow_mut().costs(&fit.stats);
         fit.stages = done.fits;

@@ -24,6 +24,9 @@ pub(crate) const ACCURATE: f64 = 10.0;
 /// order 5 this many times the steps.
 const PRICE_OF_ACCURATE: f64 = 1.6;
 
+/// The same with half the step.
+const HALF_STEP: f64 = 2.0;
+
 /// Integration is not more accurate than this.
 const SMALLEST_TOLERANCE: f64 = 1e-13;
 
@@ -188,8 +191,8 @@ impl Calibration {
     }
 
     /// Work of an accurate simulation, in simulations of a fit.
-    fn price_of_accurate(&self) -> f64 {
-        if self.has_fixed_step() { 2.0 } else { PRICE_OF_ACCURATE }
+    pub(crate) fn price_of_accurate(&self) -> f64 {
+        if self.has_fixed_step() || self.is_co_simulation() { HALF_STEP } else { PRICE_OF_ACCURATE }
     }
 
     /// With a tenth of the relative tolerance or half the step.

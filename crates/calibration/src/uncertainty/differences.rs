@@ -53,6 +53,11 @@ const LEAST_BENT: f64 = 0.4;
 /// A bend below so many times the error of the simulations is theirs.
 const BEND_ABOVE_NOISE: f64 = 10.0;
 
+/// With the changes `a1 + a3 + a5` over a step, Richardson's extrapolation leaves `a1 - a5 / 4`. What is left
+/// is no change where it is less than this part of what was taken away, `a3 + 5 a5 / 4`: for `a5 = a3 / 8` that
+/// much is left of `a1 = 0`.
+const LEFT_OVER: f64 = 1.0 / 32.0;
+
 /// Rounding of a simulated value relative to what was measured.
 const ROUNDING: f64 = 1e-13;
 
@@ -424,7 +429,11 @@ impl Differences {
         let steps = long.iter().map(|&k| Step { direction: self.steps.column(k).into_owned(), length: 0.5 });
         let Ok(half) = Self::measured(center, steps.collect(), simulations)? else { return Ok(self) };
         for (place, &k) in long.iter().enumerate() {
-            let linear = half.changes.column(place) * (8.0 / 3.0) - self.changes.column(k) / 3.0;
+            let mut linear = half.changes.column(place) * (8.0 / 3.0) - self.changes.column(k) / 3.0;
+            let cubic = self.changes.column(k) - &linear;
+            if linear.norm() <= LEFT_OVER * cubic.norm() {
+                linear.fill(0.0);
+            }
             self.changes.set_column(k, &linear);
         }
         Ok(self)

@@ -365,6 +365,25 @@ fn a_fixed_step_is_halved_where_the_rows_of_an_input_cut_it() {
     assert!(!said_with(0.5).0);
 }
 
+#[test]
+fn a_simulation_of_more_than_a_million_steps_is_named_before_it_runs() {
+    let findings = |step: f64| {
+        let columns = [("x1".to_owned(), vec![0.06, 0.061, 0.062])];
+        let experiment = Experiment::new(Data::from_columns(vec![0.0, 10.0, 20.0], columns).unwrap())
+            .output("qt.x1", "x1")
+            .constant_input("u1", 5.0)
+            .constant_input("u2", 5.0);
+        let settings =
+            RunSettings { method: ode::Method::Euler, step_size: Some(step), ..RunSettings::default() };
+        let builder = Calibration::builder(open("quad_tank")).experiment(experiment).settings(settings);
+        let calibration = builder.parameter(Parameter::new("qt.a1", 3e-6)).build().unwrap();
+        calibration.check_with(&NO_SIMULATION, &RunContext::new()).unwrap().to_string()
+    };
+    let steps = "makes 2e9 steps, the longest of 1e-8";
+    assert!(findings(1e-8).contains(steps), "{}", findings(1e-8));
+    assert!(!findings(1e-3).contains("steps"), "{}", findings(1e-3));
+}
+
 /// Columns that drive inputs are looked at as those that are measured.
 #[test]
 fn mistakes_in_columns_of_inputs_are_named() {

@@ -11,9 +11,9 @@ pub const MAX_EVENT_ITERATIONS: u32 = 100;
 
 impl Core {
     /// Updates the discrete states until they settle. What the model says in any of the rounds counts: flags
-    /// of early rounds are not lost. A next event time that is `time` itself is one more round; one that lies
-    /// before `time` by more than `tolerance` is passed on. `before_round` looks at the model, and may end
-    /// the iteration.
+    /// of early rounds are not lost. A next event time that is `time` itself is one more round, unless the
+    /// model keeps its own time (co-simulation), which may be before that; one that lies before `time` by more
+    /// than `tolerance` is passed on. `before_round` looks at the model, and may end the iteration.
     pub(crate) fn iterate_events(
         &mut self,
         time: f64,
@@ -33,7 +33,8 @@ impl Core {
             if outcome.terminate {
                 return Ok(outcome);
             }
-            let due = info.next_event_time.is_some_and(|next| next <= time && time - next <= tolerance);
+            let due = !self.raw.has_event_mode()
+                && info.next_event_time.is_some_and(|next| next <= time && time - next <= tolerance);
             if !info.new_discrete_states_needed && !due {
                 return Ok(outcome);
             }

@@ -72,6 +72,16 @@ fn a_simulation_ends_with_the_tick_at_its_end_when_rounding_puts_it_behind_the_e
             assert_eq!(result.get("n").unwrap(), [f64::from(k)], "{} to {end}", method.name());
         }
     }
+    // In co-simulation no step leads beyond the end; ticks on the way are all there, each at its row.
+    let times: Vec<f64> =
+        (1..=100_u32).map(|k| format!("{:.1}", 0.1 * f64::from(k)).parse().unwrap()).collect();
+    for step in [None, Some(0.1), Some(0.05)] {
+        let mut options = SimulateOptions::new().final_time(10.05).times(times.clone()).outputs(["n"]);
+        options.run.step_size = step;
+        let result = fmu.simulate(&options.kind(InterfaceChoice::CoSimulation)).unwrap();
+        let expected: Vec<f64> = (1..=100_u32).map(f64::from).collect();
+        assert_eq!(result.get("n").unwrap(), expected, "{step:?}");
+    }
 }
 
 /// Compares with an instance that was never saved.

@@ -35,9 +35,6 @@ const ENDLESS: f64 = 10.0;
 /// as to start a process and threads, 1 to 2 ms (`benches/whole_fits.md`).
 const FEW_RIGHT_HAND_SIDES: u64 = 20_000;
 
-/// Work of a simulation with half the step.
-const HALF_STEP: f64 = 2.0;
-
 /// What is said of a fit whose search has ended by itself, and what follows it has been ended.
 const ENDED_EARLY: &str =
     "what follows the search was ended before it was complete: findings and standard errors may be missing";
@@ -181,7 +178,7 @@ impl Calibration {
                         end,
                         !job.objective.is_likelihood(),
                     ));
-                    if self.is_co_simulation() && budget.allows(Extra::Accuracy, HALF_STEP) {
+                    if self.is_co_simulation() && budget.allows(Extra::Accuracy, self.price_of_accurate()) {
                         found.extend(self.large_step_after_fit(end, &job.context, stats));
                     }
                 }
@@ -258,13 +255,13 @@ impl Calibration {
         stats: &mut Stats,
     ) -> Vec<Finding> {
         let mut found = Vec::new();
-        let is_requested = job.uncertainty.is_some() && job.objective.has_uncertainty();
+        let is_requested = job.has_uncertainty();
         if is_requested && searched.report.termination.cause().allows_evaluations() && job.context.is_late() {
             let sentence = "the time was up before the standard errors were known";
             found.push(Finding::warning("max_time", sentence, "").of(Origin::Search));
         }
         let end = ends.end.as_ref().filter(|_| self.has_fixed_step() && job.is_checked());
-        if let Some(end) = end.filter(|_| budget.allows(Extra::Accuracy, HALF_STEP)) {
+        if let Some(end) = end.filter(|_| budget.allows(Extra::Accuracy, self.price_of_accurate())) {
             found.extend(self.large_step_after_fit(end, &job.context, stats));
         }
         // Of a search that was ended the residuals show something that other values take away.

@@ -85,13 +85,15 @@ impl Calibration {
             job.enter(FitPhase::FreshProcess, &stats);
             let (own, best) = (made.own.take(), made.best());
             let own = own.as_ref().unwrap_or(self);
-            let (mut budget, has_room) = made.budget(self, &job.start);
-            let is_due = has_room && own.is_comparable(&best);
-            if !has_room && own.is_comparable(&best) {
-                budget.skip(Extra::FreshProcess);
-            }
+            let mut budget = made.budget(self, &job.start);
+            let price = own.price_of_comparison(&best);
+            let price = price.filter(|price| budget.allows(Extra::FreshProcess, *price as f64));
+            // What an accurate simulation of the result leaves: whether there is one must not depend on
+            // the number of workers.
+            let reserved = if job.has_uncertainty() { own.price_of_accurate() } else { 0.0 };
+            let most_used = price.map(|price| price - 1 + budget.left_beside(reserved));
             let ((mut fit, kept), again, checks) =
-                own.beside_fresh_process(&best, is_due, job.loss, &job.context, || {
+                own.beside_fresh_process(&best, most_used, job.loss, &job.context, || {
                     self.judged(own, &job, made, stats, budget)
                 });
             fit.stats.add_checks(checks);

@@ -34,14 +34,12 @@ impl FinalSearch {
         Self { own: None, searched, noise: None, tolerance: None }
     }
 
-    /// What may be simulated besides the search, the comparison with a fresh process taken off; and whether
-    /// there is room for that.
-    pub(crate) fn budget(&self, calibration: &Calibration, start: &[f64]) -> (Budget, bool) {
+    /// What may still be simulated besides the search.
+    pub(crate) fn budget(&self, calibration: &Calibration, start: &[f64]) -> Budget {
         let SearchResult { report, solver, stuck, .. } = &self.searched;
         let mut budget = Budget::after(report.n_evaluations);
         budget.take(calibration.simulations_for_solver(solver, start) + stuck.n_checks as f64);
-        let has_room = budget.take(1.0);
-        (budget, has_room)
+        budget
     }
 
     /// The result of the search, and the residuals there, if they are known.

@@ -1,8 +1,8 @@
-//! The best point of a fit, evaluated again in a process that was never asked before: whether a cost depends
-//! on what ran before it.
+//! The best point of a fit, evaluated again in a process that was never asked before, and in those that the
+//! fit has used: whether a cost depends on what ran before it.
 
 use crate::cost::failure::CostFailure;
-use crate::cost::parallel::beside;
+use crate::cost::parallel::{beside, map};
 use crate::cost::process::{Evaluation, ProcessChoice, Remote};
 use crate::cost::residual::CostRule;
 use crate::loaded::calibration::Calibration;
@@ -51,30 +51,34 @@ impl Calibration {
         self.evaluator().remote.is_ok() && self.fmu().has_hidden_state()
     }
 
-    /// True if the best point of a fit can be compared with a fresh process: the model runs in processes that
-    /// serve more than one evaluation, none of its fits was compared before, and its residuals are known.
-    pub(super) fn is_comparable(&self, best: &BestPoint) -> bool {
-        let is_open = self.evaluator().remote.as_ref().is_ok_and(|remote| !remote.is_compared());
-        is_open && !self.is_apart() && best.residuals.is_some()
+    /// Simulations that compare the best point of a fit with a fresh process: one more where the residuals are
+    /// not known, by a process that has evaluated others. `None`: the model runs in no processes, or each
+    /// evaluation has one of its own.
+    pub(super) fn price_of_comparison(&self, best: &BestPoint) -> Option<usize> {
+        let is_open = self.evaluator().remote.is_ok() && !self.is_apart();
+        is_open.then(|| 1 + usize::from(best.residuals.is_none()))
     }
 
-    /// Evaluates a point again in a fresh process while `work` is done, if that `is_due`; with what that
-    /// takes. Where it gives other residuals than before, each evaluation has a process of its own from now
-    /// on.
+    /// Evaluates a point again in at most `most_used` processes that have evaluated others and are idle, and
+    /// in a fresh one while `work` is done; with what that takes. `None`: in none. Where these give other
+    /// residuals than before, each evaluation has a process of its own from now on.
     pub(super) fn beside_fresh_process<T>(
         &self,
         best: &BestPoint,
-        is_due: bool,
+        most_used: Option<usize>,
         loss: RobustLoss,
         context: &RunContext<'_>,
         work: impl FnOnce() -> T,
     ) -> (T, Reproducibility, Checks) {
-        let remote = self.evaluator().remote.as_ref().ok().filter(|_| is_due && !context.is_over());
-        let (Some(remote), Some(known)) = (remote, &best.residuals) else {
+        let remote = self.evaluator().remote.as_ref().ok().filter(|_| !context.is_over());
+        let (Some(remote), Some(most_used)) = (remote, most_used) else {
             return (work(), Reproducibility::Same, Checks::default());
         };
         let repeated = Repeated { calibration: self, remote, best, loss, taken: Mutex::default() };
-        let known = bits(known);
+        let n = remote.n_idle().min(most_used);
+        let used = map(n, n, context, &|_, context| repeated.by(ProcessChoice::LongestIdle, context));
+        let used = used.into_iter().flatten().flatten();
+        let known: Vec<Bits> = best.residuals.iter().map(|known| bits(known)).chain(used).collect();
         let task = |context: &RunContext<'_>| repeated.compare(&known, context);
         let (Ok(done), found) = beside(context, task, || Ok::<T, Infallible>(work()));
         let taken = repeated.taken.into_inner().unwrap_or_else(PoisonError::into_inner);
@@ -83,13 +87,13 @@ impl Calibration {
 }
 
 impl Repeated<'_> {
-    fn compare(&self, known: &Bits, context: &RunContext<'_>) -> Reproducibility {
-        let Some(first) = self.in_fresh(context) else { return Reproducibility::Same };
-        self.remote.set_compared();
-        if *known == first {
+    fn compare(&self, known: &[Bits], context: &RunContext<'_>) -> Reproducibility {
+        let fresh = || self.by(ProcessChoice::Fresh, context);
+        let Some(first) = fresh() else { return Reproducibility::Same };
+        if known.iter().all(|known| *known == first) {
             return Reproducibility::Same;
         }
-        match self.in_fresh(context) {
+        match fresh() {
             Some(second) if second == first => {
                 self.calibration.fmu().note_hidden_state();
                 Reproducibility::Other
@@ -99,13 +103,12 @@ impl Repeated<'_> {
         }
     }
 
-    /// The residuals at the point by a fresh process; `None`: nothing was found out.
-    fn in_fresh(&self, context: &RunContext<'_>) -> Option<Bits> {
+    /// The residuals at the point by such a process; `None`: nothing was found out.
+    fn by(&self, process: ProcessChoice, context: &RunContext<'_>) -> Option<Bits> {
         let rule = CostRule::whole(self.loss, context);
         let mut residuals = vec![0.0; self.calibration.n_residuals()];
         let method = self.calibration.method(context).ok()?;
-        let (evaluation, mut stats) =
-            (Evaluation { method, accuracy: None, process: ProcessChoice::Fresh }, Stats::default());
+        let (evaluation, mut stats) = (Evaluation { method, accuracy: None, process }, Stats::default());
         let found = self.remote.evaluate(&self.best.x, evaluation, rule, &mut residuals, &mut stats);
         let n_simulations = self.calibration.problem().experiments.len() as u64;
         *self.taken.lock().unwrap_or_else(PoisonError::into_inner) += stats.as_checks(n_simulations);

@@ -286,6 +286,11 @@ impl Job<'_> {
         self.spent = UsedLimits::default();
     }
 
+    /// True if standard errors are asked for, and the objective has some.
+    pub(crate) fn has_uncertainty(&self) -> bool {
+        self.uncertainty.is_some() && self.objective.has_uncertainty()
+    }
+
     /// Begins a phase. `stats`: of all simulations of the fit so far.
     pub(crate) fn enter(&self, phase: FitPhase, stats: &Stats) {
         self.phases.borrow_mut().enter(phase, stats);
@@ -374,7 +379,7 @@ impl Calibration {
             report: &report,
             kind: &job.objective,
             tolerances: &run.tolerances,
-            has_errors: job.uncertainty.is_some() && job.objective.has_uncertainty(),
+            has_errors: job.has_uncertainty(),
         };
         let mut budget = Budget::after(report.n_evaluations);
         budget.take(self.simulations_for_solver(solver, start));

@@ -340,8 +340,15 @@ impl Run<'_, '_> {
         let regular = grid.is_some_and(|(next, _)| (next - time).abs() <= time_tolerance);
         let step = match grid {
             // From one regular point to the next, unless rounding would lead beyond the end.
-            Some((_, step)) if regular && self.on_grid && self.t + step <= plan.end.max(time) => step,
-            _ => self.length(time),
+            Some((_, step))
+                if regular
+                    && self.on_grid
+                    && self.t + step <= plan.end.max(time)
+                    && self.reaches(event, time, step) =>
+            {
+                step
+            }
+            _ => self.length(time, event),
         };
         Target { time, step, regular }
     }
@@ -357,11 +364,23 @@ impl Run<'_, '_> {
         if below > self.t + self.plan.time_tolerance { below } else { above }
     }
 
+    /// True if a step of this length to `time` leads to the event that the model has announced for that
+    /// time, to the last bit: before it the model has no event.
+    fn reaches(&self, event: Option<f64>, time: f64, length: f64) -> bool {
+        event.is_none_or(|event| time < event || self.t + length >= event)
+    }
+
     /// The length of a step to `time`: one that was used before, where it is the same but for rounding.
-    fn length(&mut self, time: f64) -> f64 {
-        let (length, most) = (time - self.t, self.plan.end.max(time));
-        let is_same =
-            |known: &&f64| (**known - length).abs() <= self.plan.time_tolerance && self.t + **known <= most;
+    fn length(&mut self, time: f64, event: Option<f64>) -> f64 {
+        let (mut length, most) = (time - self.t, self.plan.end.max(time));
+        if !self.reaches(event, time, length) {
+            length = length.next_up();
+        }
+        let is_same = |known: &&f64| {
+            (**known - length).abs() <= self.plan.time_tolerance
+                && self.t + **known <= most
+                && self.reaches(event, time, **known)
+        };
         if let Some(known) = self.lengths.iter().find(is_same) {
             return *known;
         }

@@ -169,7 +169,8 @@ impl SimulationPlan {
         };
         plan.take_outputs(description, options.outputs.as_deref(), &states)?;
         if let Some(message) = plan.many_steps() {
-            fmu.say_once(log::Level::Warn, "steps", &message);
+            let message = &format!("{message}. Set a larger step_size or fewer rows");
+            fmu.say_once(log::Level::Warn, "steps", message);
         }
         if !has_events && !plan.outputs.plan.clocks.is_empty() {
             let problem = "clocks are recorded, which tick in event mode, and this co-simulation has none";
@@ -286,16 +287,16 @@ impl SimulationPlan {
         self.communication.as_ref()?.step
     }
 
-    /// Message about a run of more than [`MANY_STEPS`] steps of one length, or rows of a co-simulation.
-    fn many_steps(&self) -> Option<String> {
+    /// What takes long in a run of more than 1e6 steps of one length, or rows of a co-simulation; `None`: the
+    /// run has fewer.
+    pub fn many_steps(&self) -> Option<String> {
         let fixed = || self.options.step_size.filter(|_| self.options.method.is_fixed_step());
         let step = self.communication_step().or_else(fixed)?;
         let rows = if self.communication.is_some() { self.times.len() as f64 } else { 0.0 };
         let steps = ((self.end - self.start) / step).max(rows);
         (steps > MANY_STEPS).then(|| {
             format!(
-                "the simulation from {} to {} makes {} steps, the longest of {}, which may take long. Set a larger step_size or \
-                 fewer rows",
+                "the simulation from {} to {} makes {} steps, the longest of {}, which may take long",
                 Number(self.start),
                 Number(self.end),
                 Number(steps.round()),
