@@ -146,6 +146,18 @@ impl Simulation {
         }
     }
 
+    /// The value at `x` of a state that is measured by an output, counted from 0, and the time of that
+    /// measurement.
+    pub(crate) fn measured_start(&self, state: &str, output: usize, x: &[f64]) -> Option<(f64, f64)> {
+        let fixed = self.options.start_values.iter().find(|(name, _)| name == state);
+        let value = match fixed {
+            Some((_, Value::Real(value))) => *value,
+            _ => self.named_values(x).find(|(name, _)| *name == state)?.1,
+        };
+        let delay = self.assigned.outputs[output].0.in_model(&[]);
+        Some((value, self.options.start_time.unwrap_or_default() + delay))
+    }
+
     /// Offset that is added to each output at `x`.
     pub(crate) fn output_offsets(&self, x: &[f64]) -> Vec<f64> {
         self.assigned.outputs.iter().map(|(_, offset)| offset.in_model(x)).collect()

@@ -100,7 +100,7 @@ fn the_interval_of_a_linear_model_is_that_of_its_covariance() {
         // The quantile of Student's t for 98 degrees of freedom.
         let t = 1.984_467_5;
         near(found.threshold, t * t, 1e-5);
-        assert_eq!(found.degrees_of_freedom, 98);
+        assert_eq!(found.degrees_of_freedom, 98.0);
         for (k, p) in found.parameters.iter().enumerate() {
             let (low, high) = p.interval();
             near(low, found.x[k] - t * errors[k], 0.01 * errors[k]);

@@ -164,11 +164,15 @@ impl EstimatedNoise {
     pub(super) fn next(&self, calibration: &Calibration, residuals: &[f64], leverages: &[f64]) -> Self {
         let (problem, layout) = (calibration.problem(), calibration.residual_layout());
         let mut next = self.clone();
+        // Residuals of zero whatever the parameters are: of rows from which a simulation starts, and of weight zero.
+        let starts = calibration.measured_starts(&calibration.start());
+        let is_start = |i: &usize| starts.iter().any(|start| start.row == Some(*i));
         for noise in &mut next.outputs {
             let (mut squares, mut degrees, mut weighted) = (0.0, 0.0, Vec::new());
             let same = layout.outputs.iter().filter(|o| o.variable == noise.variable);
             for output in same.filter(|o| self.is_of(problem, o)) {
-                for (k, i) in output.range.clone().enumerate() {
+                let rows = output.range.clone().enumerate();
+                for (k, i) in rows.filter(|(k, i)| output.weights[*k] != 0.0 && !is_start(i)) {
                     squares += residuals[i] * residuals[i];
                     degrees += 1.0 - leverages[i];
                     weighted.push(output.measured[k] * base(problem, output, k));
@@ -206,13 +210,6 @@ impl EstimatedNoise {
     pub(super) fn of_weighted(&self, problem: &Problem, output: &OutputResiduals) -> f64 {
         let sd = self.sd(&output.variable, weight(problem, output)).unwrap_or(0.0);
         sd * output.weights[0] / base(problem, output, 0)
-    }
-
-    /// The standard deviation of the measurements of an output where all of them have the same.
-    pub(crate) fn of_measurements(&self, problem: &Problem, output: &OutputResiduals) -> Option<f64> {
-        let sd = self.sd(&output.variable, weight(problem, output))?;
-        let first = base(problem, output, 0);
-        (0..output.weights.len()).all(|k| base(problem, output, k) == first).then(|| sd / first)
     }
 
     /// A problem with the weights of the fit.

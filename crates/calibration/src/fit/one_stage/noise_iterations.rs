@@ -207,9 +207,9 @@ impl Calibration {
         }
         job.enter(FitPhase::Solver, stats);
         let (_, compared) = self.solver_counted(&job.context, stats)?;
-        Ok(compared.filter(|_| job.start == self.start()).map(|AtStart { residuals, seconds }| AtStart {
-            residuals: residuals.into_iter().map(|r| job.loss.transform(r)).collect(),
-            seconds,
+        Ok(compared.filter(|_| job.start == self.start()).map(|AtStart { mut residuals, seconds }| {
+            job.loss.transform_all(&mut residuals);
+            AtStart { residuals, seconds }
         }))
     }
 
@@ -249,7 +249,7 @@ impl Calibration {
         Ok(made)
     }
 
-    fn has_priors(&self) -> bool {
+    pub(super) fn has_priors(&self) -> bool {
         !self.residual_layout().priors.is_empty()
     }
 
