@@ -9,7 +9,7 @@ use calibration::{
 };
 use dfo::{
     AnyMethod, Checkpoint, LeastSquares, Limits, Loss, NelderMead, Resume, RobustLoss, RunOptions, Search,
-    Termination,
+    Termination, Tolerances,
 };
 use example_models::example_fmu;
 use fmi::Fmu;
@@ -399,6 +399,8 @@ fn a_prior_counts_by_its_square_whatever_the_loss_of_the_measurements_is() {
     let off: Vec<f64> = (0..n).map(|_| 0.5 + noise * normal()).collect();
     let x = t.iter().zip(&off).map(|(t, off)| (-t).exp() + off).collect();
     let data = Data::from_columns(t, [("x".to_owned(), x)]).unwrap();
+    let tolerances = Tolerances { x_tol: 1e-8, f_tol: 1e-12, ..Tolerances::default() };
+    let accurate = RunOptions { tolerances, ..run(LeastSquares::default()) };
     for mean in [0.5, 0.44, 0.3, 0.0] {
         for kind in [Loss::Huber, Loss::SoftL1, Loss::Cauchy] {
             let loss = RobustLoss::new(kind, scale).unwrap();
@@ -406,7 +408,7 @@ fn a_prior_counts_by_its_square_whatever_the_loss_of_the_measurements_is() {
             let offset = Parameter::new("off", 0.4).bounds(-5.0, 5.0).offset_of("x").prior(prior);
             let calibration = dahlquist(data.clone(), 1.0 / noise).parameter(offset).build().unwrap();
             let fit = calibration
-                .fit(FitOptions { loss, noise: NoiseRule::Stated, ..run(LeastSquares::default()).into() })
+                .fit(FitOptions { loss, noise: NoiseRule::Stated, ..accurate.clone().into() })
                 .unwrap();
             // Half the derivative of the cost, whose zero is found by bisection.
             let slope = |at: f64| {
