@@ -27,6 +27,9 @@ const SIGNIFICANT: f64 = 1.96;
 /// Bisections of the transform `artanh rho`, which is below 12 for any series that fits into memory.
 const BISECTIONS: usize = 24;
 
+/// Rounds over the groups that are autocorrelated: the variances couple their equations weakly.
+const ROUNDS: usize = 3;
+
 /// Step of the derivatives with respect to the transform.
 const DIFFERENCE: f64 = 0.05;
 
@@ -254,13 +257,8 @@ impl Noise {
         let starts = StartNoise::all(layout, plain, working, groups, starts, base, context)?;
         let n_measurements = layout.n_measurements();
         let whole = Whole::new(base, residuals, groups, &starts, context)?;
-        let mut of_fit = Moments::new(
-            &whole.groups,
-            &whole.base,
-            whole.residuals,
-            n_measurements..residuals.len(),
-            context,
-        )?;
+        let priors = n_measurements..residuals.len();
+        let mut of_fit = Moments::new(&whole.groups, &whole.base, whole.residuals, priors.clone(), context)?;
         for (g, group) in groups.iter().enumerate() {
             of_fit.squares[g] = of_fit.squares[g].max(least(group)) * correction(group);
         }
@@ -282,13 +280,12 @@ impl Noise {
             .collect();
         let (mut autocorrelated, mut chance) = (None, 1.0);
         if degrees_of_freedom > 0.0 && base.ncols() > 0 && may_last.contains(&true) {
-            let (transforms, by_chance) = match layout.priors.is_empty() {
+            let (transforms, by_chance) = match priors.is_empty() {
                 true => of_fit.autocorrelations(&may_last, degrees_of_freedom, context)?,
                 false => {
-                    let priors = n_measurements..residuals.len();
                     let (base, left) =
                         left_by_measurements(&whole.base, &of_fit.residuals, &priors, context)?;
-                    let alone = Moments::new(&whole.groups, &base, left, priors, context)?;
+                    let alone = Moments::new(&whole.groups, &base, left, priors.clone(), context)?;
                     alone.autocorrelations(&may_last, alone.degrees_of_freedom(), context)?
                 }
             };
@@ -296,7 +293,7 @@ impl Noise {
                 (autocorrelated, chance) = (Some(model(&transforms)?), by_chance);
             }
         }
-        let priors = base.rows(n_measurements, layout.priors.len()).into_owned();
+        let priors = base.rows_range(priors);
         let of_priors = priors.tr_mul(&priors);
         let mut variances = working.corrections.clone();
         for (group, variance) in groups.iter().zip(&independent.variances) {
@@ -534,14 +531,41 @@ impl<'a> Moments<'a> {
         degrees_of_freedom: f64,
         context: &RunContext<'_>,
     ) -> Result<(Vec<f64>, f64), CalibrationError> {
-        let n = self.groups.len();
-        let mut transforms = vec![0.0; n];
+        let mut transforms = vec![0.0; self.groups.len()];
         let (mut largest, mut lasting) = (0.0_f64, Vec::new());
-        let candidates: Vec<usize> = (0..n).filter(|g| may_last[*g]).collect();
-        let (found, mut components) = self.estimate(&transforms, degrees_of_freedom, context)?;
-        let of_equal =
-            self.covariance_of_moments(&found.values, &transforms, &candidates, &components, context)?;
-        for (k, &g) in candidates.iter().enumerate() {
+        let mut open: Vec<usize> = (0..self.groups.len()).filter(|g| may_last[*g]).collect();
+        let n_candidates = open.len() as f64;
+        // One after the other: noise that lasts in one group leaves some of it in the residuals of others.
+        while let Some((deviations, g)) =
+            self.most_significant(&transforms, &open, degrees_of_freedom, context)?
+        {
+            largest = largest.max(deviations);
+            open.retain(|other| *other != g);
+            lasting.push(g);
+            let rounds = if lasting.len() == 1 { 1 } else { ROUNDS };
+            for _ in 0..rounds {
+                for &g in &lasting {
+                    transforms[g] = self.transform(g, &transforms, degrees_of_freedom, context)?;
+                }
+            }
+        }
+        Ok((transforms, (Normal::standard().sf(largest) * n_candidates).min(1.0)))
+    }
+
+    /// The group of which the sum of products is larger than that of independent residuals by most standard
+    /// deviations, if these are significant.
+    fn most_significant(
+        &self,
+        transforms: &[f64],
+        open: &[usize],
+        degrees_of_freedom: f64,
+        context: &RunContext<'_>,
+    ) -> Result<Option<(f64, usize)>, CalibrationError> {
+        let n = self.groups.len();
+        let (found, components) = self.estimate(transforms, degrees_of_freedom, context)?;
+        let rhos: Vec<f64> = transforms.iter().map(|z| z.tanh()).collect();
+        let of_equal = self.covariance_of_moments(&found.values, &rhos, open, &components, context)?;
+        let deviations = open.iter().enumerate().map(|(k, &g)| {
             let of_pairs = |range: &Range<usize>| {
                 self.residuals[range.clone()].windows(2).map(|pair| (pair[0] * pair[1]).powi(2)).sum::<f64>()
             };
@@ -550,31 +574,33 @@ impl<'a> Moments<'a> {
             let of_equal =
                 of_equal[(n + k, n + k)] - 2.0 * part * of_equal[(g, n + k)] + part * part * of_equal[(g, g)];
             let deviation = of_any.max(of_equal).sqrt();
-            let deviations = -self.excess(g, &components, degrees_of_freedom) / deviation;
-            if deviations > SIGNIFICANT {
-                largest = largest.max(deviations);
-                lasting.push(g);
+            (-self.excess(g, &components, degrees_of_freedom) / deviation, g)
+        });
+        Ok(deviations.filter(|(own, _)| *own > SIGNIFICANT).max_by(|a, b| a.0.total_cmp(&b.0)))
+    }
+
+    /// The transform of the autocorrelation of a group, beside those of the others.
+    fn transform(
+        &self,
+        g: usize,
+        transforms: &[f64],
+        degrees_of_freedom: f64,
+        context: &RunContext<'_>,
+    ) -> Result<f64, CalibrationError> {
+        let most = (-1.0 / self.groups[g].longest() as f64).exp().atanh();
+        let mut components = self.components(transforms, context)?;
+        let (mut low, mut high) = (0.0, most);
+        components[g] = self.component(g, most.tanh(), context)?;
+        if self.excess(g, &components, degrees_of_freedom) > 0.0 {
+            for _ in 0..BISECTIONS {
+                go_on(context)?;
+                let middle = 0.5 * (low + high);
+                components[g] = self.component(g, middle.tanh(), context)?;
+                let is_above = self.excess(g, &components, degrees_of_freedom) > 0.0;
+                if is_above { high = middle } else { low = middle }
             }
         }
-        let rounds = if lasting.len() == 1 { 1 } else { 3 };
-        for _ in 0..rounds {
-            for &g in &lasting {
-                let most = (-1.0 / self.groups[g].longest() as f64).exp().atanh();
-                let (mut low, mut high) = (0.0, most);
-                components[g] = self.component(g, most.tanh(), context)?;
-                if self.excess(g, &components, degrees_of_freedom) > 0.0 {
-                    for _ in 0..BISECTIONS {
-                        go_on(context)?;
-                        let middle = 0.5 * (low + high);
-                        components[g] = self.component(g, middle.tanh(), context)?;
-                        let is_above = self.excess(g, &components, degrees_of_freedom) > 0.0;
-                        if is_above { high = middle } else { low = middle }
-                    }
-                }
-                transforms[g] = high;
-            }
-        }
-        Ok((transforms, (Normal::standard().sf(largest) * candidates.len() as f64).min(1.0)))
+        Ok(high)
     }
 
     /// The variances with these transforms of the autocorrelations, and what they were found with.
