@@ -8,6 +8,7 @@ use crate::error::CalibrationError;
 use crate::problem::assignment::{Affine, Assignments, tied_values};
 use crate::problem::column_units::convert_columns;
 use crate::problem::definition::{Element, Problem};
+use crate::problem::experiment::InitialState;
 use crate::problem::parameter::Parameter;
 use crate::problem::residual_layout::{PriorResidual, ResidualLayout};
 use crate::problem::row_means::take_means;
@@ -242,6 +243,14 @@ fn layout(problem: &Problem, simulations: &[Simulation], elements: &[Element]) -
             residuals.experiment = k;
             residuals.variable = measured.variable.clone();
             residuals.column = measured.column.clone();
+            let is_own = |(state, initial): &(String, InitialState)| {
+                *state == residuals.variable && *initial == InitialState::Measured
+            };
+            residuals.starts_simulation = experiment.initial_states.iter().any(is_own)
+                && residuals
+                    .times
+                    .first()
+                    .is_some_and(|first| simulation.starts_at(residuals.output, *first));
             layout.outputs.push(residuals);
         }
     }

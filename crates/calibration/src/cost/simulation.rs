@@ -146,16 +146,19 @@ impl Simulation {
         }
     }
 
-    /// The value at `x` of a state that is measured by an output, counted from 0, and the time of that
-    /// measurement.
-    pub(crate) fn measured_start(&self, state: &str, output: usize, x: &[f64]) -> Option<(f64, f64)> {
-        let fixed = self.options.start_values.iter().find(|(name, _)| name == state);
-        let value = match fixed {
-            Some((_, Value::Real(value))) => *value,
-            _ => self.named_values(x).find(|(name, _)| *name == state)?.1,
-        };
-        let delay = self.assigned.outputs[output].0.in_model(&[]);
-        Some((value, self.options.start_time.unwrap_or_default() + delay))
+    /// The value of a measured initial state at `x`.
+    pub(crate) fn measured_start(&self, state: &str, x: &[f64]) -> Option<f64> {
+        match self.options.start_values.iter().find(|(name, _)| name == state) {
+            Some((_, Value::Real(value))) => Some(*value),
+            _ => self.named_values(x).find(|(name, _)| *name == state).map(|(_, value)| value),
+        }
+    }
+
+    /// True if it starts at this time of the measurements of an output, counted from 0, or later.
+    pub(crate) fn starts_at(&self, output: usize, time: f64) -> bool {
+        let (delay, _) = self.assigned.outputs[output];
+        let start = self.options.start_time.unwrap_or_default();
+        delay.is_constant() && time - delay.in_model(&[]) <= start + base::time_tolerance(start, time)
     }
 
     /// Offset that is added to each output at `x`.

@@ -274,7 +274,7 @@ impl Calibration {
         let jacobian = differences.jacobian(context)?;
         let (differences_noise, roughness) = (differences.noise, differences.roughness);
         let starts = self.measured_starts(x);
-        let groups = groups(layout, residuals, estimator, known.criterion, &starts);
+        let groups = groups(layout, residuals, estimator, known.criterion);
         let working = Working::new(known.criterion, residuals, &groups, free.len());
         let differences = differences.weighted(&working.roots);
         let factors = &Factors::new(&differences, context)?;

@@ -28,9 +28,4 @@ impl Group {
     pub(crate) fn n_pairs(&self) -> usize {
         self.series.iter().map(|range| range.len().saturating_sub(1)).sum()
     }
-
-    /// Length of the longest series.
-    pub(crate) fn longest(&self) -> usize {
-        self.series.iter().map(Range::len).max().unwrap_or(0)
-    }
 }

@@ -164,15 +164,12 @@ impl EstimatedNoise {
     pub(super) fn next(&self, calibration: &Calibration, residuals: &[f64], leverages: &[f64]) -> Self {
         let (problem, layout) = (calibration.problem(), calibration.residual_layout());
         let mut next = self.clone();
-        // Residuals of zero whatever the parameters are: of rows from which a simulation starts, and of weight zero.
-        let starts = calibration.measured_starts(&calibration.start());
-        let is_start = |i: &usize| starts.iter().any(|start| start.row == Some(*i));
         for noise in &mut next.outputs {
             let (mut squares, mut degrees, mut weighted) = (0.0, 0.0, Vec::new());
             let same = layout.outputs.iter().filter(|o| o.variable == noise.variable);
             for output in same.filter(|o| self.is_of(problem, o)) {
-                let rows = output.range.clone().enumerate();
-                for (k, i) in rows.filter(|(k, i)| output.weights[*k] != 0.0 && !is_start(i)) {
+                for i in output.noisy_rows() {
+                    let k = i - output.range.start;
                     squares += residuals[i] * residuals[i];
                     degrees += 1.0 - leverages[i];
                     weighted.push(output.measured[k] * base(problem, output, k));

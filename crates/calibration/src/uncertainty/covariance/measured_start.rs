@@ -38,11 +38,8 @@ impl Calibration {
         let of = |k: usize, state: &String| {
             let is_own = |o: &OutputResiduals| o.experiment == k && o.variable == *state;
             let output = outputs.iter().position(is_own)?;
-            let (value, time) =
-                self.evaluator().simulations[k].measured_start(state, outputs[output].output, x)?;
-            let first = outputs[output].times.first().copied()?;
-            let rounding = 100.0 * f64::EPSILON * first.abs().max(time.abs());
-            let counts = first <= time + rounding && outputs[output].weights.first() != Some(&0.0);
+            let value = self.evaluator().simulations[k].measured_start(state, x)?;
+            let counts = outputs[output].starts_simulation && outputs[output].weights.first() != Some(&0.0);
             let row = counts.then_some(outputs[output].range.start);
             let change = DVector::zeros(0);
             // Nothing is known of the noise of measurements of weight zero.

@@ -5,5 +5,6 @@ pub(crate) mod identifiability;
 pub(crate) mod joint;
 pub(crate) mod matrix;
 pub(crate) mod measured_start;
+pub(crate) mod moments;
 pub(crate) mod noise;
 pub(crate) mod remaining_decrease;

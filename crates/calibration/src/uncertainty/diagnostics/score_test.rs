@@ -9,7 +9,7 @@ use crate::uncertainty::diagnostics::output_effect::{Changes, OutputEffectKind};
 use crate::uncertainty::diagnostics::parameter_constancy::WithNoise;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
 use crate::uncertainty::p_values::{BY_CHANCE, OfIndependent};
-use crate::uncertainty::row_blocks::{along, beside, go_on, thin_svd};
+use crate::uncertainty::row_blocks::{along, go_on, thin_svd};
 use crate::uncertainty::scores::Working;
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};
@@ -175,7 +175,9 @@ impl Omitted {
         }
         let mut known = (*base).clone();
         for change in *by_starts {
-            known = beside(&known, change.as_slice(), context)?;
+            let at = known.ncols();
+            known = known.insert_column(at, 0.0);
+            known.set_column(at, change);
         }
         for mut column in known.column_iter_mut() {
             go_on(context)?;
@@ -372,7 +374,9 @@ fn what(effect: OmittedKind, variable: &str, experiment: Option<&str>) -> String
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::uncertainty::covariance::noise::groups;
     use crate::uncertainty::p_values::normal_numbers;
+    use crate::uncertainty::result::Estimator;
     use crate::uncertainty::scores::Criterion;
 
     /// Two outputs of n rows, the second three times as noisy, a fit of two parameters to both, and an input
@@ -391,6 +395,7 @@ mod tests {
             times: (0..n).map(|i| i as f64).collect::<Vec<_>>().into(),
             measured: (k * n..(k + 1) * n).map(|i| simulated(i) - left[i]).collect::<Vec<_>>().into(),
             weights: vec![1.0; n].into(),
+            starts_simulation: false,
         };
         let t = |i: usize| (i % n) as f64 / n as f64;
         let base = DMatrix::from_fn(2 * n, 2, |i, j| (3.0 * t(i) * (j as f64 + 1.0)).cos()).qr().q();
@@ -403,8 +408,8 @@ mod tests {
             let left = &errors - &base * base.tr_mul(&errors);
             let outputs = vec![output(0, left.as_slice()), output(1, left.as_slice())];
             let layout = ResidualLayout { outputs, priors: Vec::new() };
-            let working =
-                Working::new(Criterion::default(), &layout, left.as_slice(), &[vec![0], vec![1]], 2);
+            let groups = groups(&layout, left.as_slice(), Estimator::Sandwich, Criterion::default());
+            let working = Working::new(Criterion::default(), left.as_slice(), &groups, 2);
             let mut changes = of_outputs(&layout, left.as_slice());
             changes.push(Change {
                 effect: OmittedKind::InputOffset,
