@@ -28,8 +28,8 @@ const DIFFERENCE: f64 = 0.05;
 /// Degrees of freedom that are so near to a whole number are that number.
 const ROUNDING: f64 = 1e-6;
 
-/// Two moments of the residuals `r = M e` of each group, with `M = I - U U'`: the sum of squares `r'P r`, then
-/// the sum of products of neighbours `r'A r`. The covariance of e is `S = sum_g s_g^2 R_g + S_0`, see
+/// Two moments of the residuals `r = M e` of each group, with `M = I - U U'`: the sum of squares `r'P r`,
+/// then the sum of products of neighbours `r'A r`. The covariance of e is `S = sum_g s_g^2 R_g + S_0`, see
 /// [`Noise`](super::noise::Noise).
 pub(crate) struct Moments<'a> {
     groups: &'a [Group],

@@ -540,7 +540,8 @@ mod tests {
         assert!(significant <= 24, "{significant} of 400");
     }
 
-    /// A line through all rows: the noise of the second output leaves a smooth part in the residuals of the first.
+    /// A line through all rows: the noise of the second output leaves a smooth part in the residuals of the
+    /// first.
     #[test]
     fn groups_have_autocorrelations_of_their_own() {
         let (mut state, line) = (2, line(240));
