@@ -5,7 +5,6 @@ use crate::uncertainty::group::Group;
 use crate::uncertainty::row_blocks::{go_on, inner_products};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};
-use statrs::distribution::{ContinuousCDF, Normal};
 use std::ops::Range;
 
 /// An unbiased variance below this part of the mean square is an accident: the group is too small for a
@@ -18,9 +17,6 @@ const SIGNIFICANT: f64 = 1.96;
 
 /// Bisections of the transform `artanh rho`, which is below 12 for any series that fits into memory.
 const BISECTIONS: usize = 24;
-
-/// Rounds over the groups that are autocorrelated: the variances couple their equations weakly.
-const ROUNDS: usize = 3;
 
 /// Step of the derivatives with respect to the transform.
 const DIFFERENCE: f64 = 0.05;
@@ -63,11 +59,6 @@ pub(crate) struct Variances {
     is_unbiased: bool,
 }
 
-/// Number of the sum of products of a group among the moments.
-fn product(g: usize) -> usize {
-    2 * g + 1
-}
-
 impl<'a> Moments<'a> {
     /// `priors`: rows whose errors have the variance one.
     pub(crate) fn new(
@@ -92,6 +83,10 @@ impl<'a> Moments<'a> {
         Ok(Self { groups, base, of_priors, residuals, found, grams, degrees_of_freedom })
     }
 
+    fn n_rows(&self) -> f64 {
+        self.groups.iter().map(Group::n_rows).sum::<usize>() as f64
+    }
+
     /// Lets the sum of squares of a group be no less.
     pub(crate) fn raise_squares(&mut self, g: usize, least: f64) {
         self.found[2 * g] = self.found[2 * g].max(least);
@@ -107,7 +102,7 @@ impl<'a> Moments<'a> {
         let [inner, products] = of_base(group, self.base, rho, context)?;
         let mut means: Vec<f64> = self.grams.iter().map(|gram| gram.dot(&inner)).collect();
         means[2 * h] += group.n_rows() as f64 - 2.0 * inner.trace();
-        means[product(h)] += rho * group.n_pairs() as f64 - 2.0 * products.trace();
+        means[2 * h + 1] += rho * group.n_pairs() as f64 - 2.0 * products.trace();
         Ok(Component { inner, means })
     }
 
@@ -120,114 +115,58 @@ impl<'a> Moments<'a> {
         let of = |(g, z): (usize, &f64)| self.component(g, *z, context);
         let components = transforms.iter().enumerate().map(of).collect::<Result<_, _>>()?;
         let mut variances = Variances { transforms, components, values: Vec::new(), is_unbiased: true };
-        self.settle(&mut variances);
+        self.solve(&mut variances);
         Ok(variances)
     }
 
-    /// Lets the sums of squares be their expectations, whatever the variances become.
+    /// Lets the sums of squares be their expectations, with variances that can be.
     fn solve(&self, of: &mut Variances) {
-        let n = self.groups.len();
+        let (n, n_rows) = (self.groups.len(), self.n_rows());
         let shares = DMatrix::from_fn(n, n, |g, h| of.components[h].means[2 * g]);
         let left = DVector::from_fn(n, |g, _| self.found[2 * g] - self.grams[2 * g].dot(&self.of_priors));
-        of.values = shares.lu().solve(&left).map(|found| found.as_slice().to_vec()).unwrap_or_default();
-    }
-
-    /// The same with variances that can be.
-    fn settle(&self, of: &mut Variances) {
-        self.solve(of);
-        let n_rows: usize = self.groups.iter().map(Group::n_rows).sum();
         let plainly = |g: usize| match self.groups[g].n_rows() {
             0 => 0.0,
-            count => self.found[2 * g] / count as f64 * n_rows as f64 / self.degrees_of_freedom,
+            count => self.found[2 * g] / count as f64 * n_rows / self.degrees_of_freedom,
         };
-        let is_sound = |g: usize| of.values[g] > LEAST * plainly(g);
-        let n = self.groups.len();
-        of.is_unbiased = self.degrees_of_freedom > 0.0
-            && of.values.len() == n
-            && (0..n).all(|g| is_sound(g) || self.found[2 * g] == 0.0);
-        of.values = match of.is_unbiased {
-            true => of.values.iter().map(|value| value.max(0.0)).collect(),
-            false => (0..n).map(plainly).collect(),
+        let is_sound = |(g, value): (usize, &f64)| *value > LEAST * plainly(g) || self.found[2 * g] == 0.0;
+        let solved = shares.lu().solve(&left);
+        let sound =
+            solved.filter(|all| self.degrees_of_freedom > 0.0 && all.iter().enumerate().all(is_sound));
+        of.is_unbiased = sound.is_some();
+        of.values = match sound {
+            Some(found) => found.iter().map(|value| value.max(0.0)).collect(),
+            None => (0..n).map(plainly).collect(),
         };
     }
 
-    /// The sum of products of a group less its expectation.
-    fn excess(&self, g: usize, of: &Variances) -> f64 {
-        let parts = of.values.iter().zip(&of.components);
-        let mean: f64 = parts.map(|(value, own)| value * own.means[product(g)]).sum();
-        self.found[product(g)] - mean - self.grams[product(g)].dot(&self.of_priors)
-    }
-
-    /// Transforms of the autocorrelations of the groups, zero where there is none, and the probability of the
-    /// largest one in independent residuals. `may_last`: groups that may have one.
-    pub(crate) fn autocorrelations(
+    /// The transform of the autocorrelation of the only group, and by how many standard deviations its sum of
+    /// products is larger than that of independent residuals; `None`: that is no chance.
+    pub(crate) fn autocorrelation(
         &self,
-        may_last: &[bool],
         context: &RunContext<'_>,
-    ) -> Result<(Vec<f64>, f64), CalibrationError> {
-        let mut variances = self.variances(vec![0.0; self.groups.len()], context)?;
-        let mut open: Vec<usize> = (0..self.groups.len()).filter(|g| may_last[*g]).collect();
-        let (n_candidates, mut largest, mut lasting) = (open.len() as f64, 0.0_f64, Vec::new());
-        // One after the other: noise that lasts in one group leaves some of it in the residuals of others.
-        while let Some((deviations, g)) = self.most_significant(&variances, &open, context)? {
-            largest = largest.max(deviations);
-            open.retain(|other| *other != g);
-            lasting.push(g);
-            let rounds = if lasting.len() == 1 { 1 } else { ROUNDS };
-            for _ in 0..rounds {
-                lasting.iter().try_for_each(|g| self.explain(*g, &mut variances, context))?;
-            }
+    ) -> Result<Option<(f64, f64)>, CalibrationError> {
+        let excess = |of: &Variances| self.found[1] - of.values[0] * of.components[0].means[1];
+        let independent = self.variances(vec![0.0], context)?;
+        let covariance = self.covariance(&independent, context)?;
+        // The mean of the products follows from the squares that were found.
+        let part = independent.components[0].means[1] / independent.components[0].means[0];
+        let of_equal =
+            covariance[(1, 1)] - 2.0 * part * covariance[(0, 1)] + part * part * covariance[(0, 0)];
+        let of_any: f64 = neighbours(&self.groups[0], self.residuals).map(|product| product * product).sum();
+        let deviations = excess(&independent) / of_any.max(of_equal).sqrt();
+        if deviations.is_nan() || deviations < SIGNIFICANT {
+            return Ok(None);
         }
-        Ok((variances.transforms, (Normal::standard().sf(largest) * n_candidates).min(1.0)))
-    }
-
-    /// The group of which the sum of products is larger than its expectation by most standard deviations, if
-    /// these are significant.
-    fn most_significant(
-        &self,
-        of: &Variances,
-        open: &[usize],
-        context: &RunContext<'_>,
-    ) -> Result<Option<(f64, usize)>, CalibrationError> {
-        let covariance = self.covariance(of, context)?;
-        let deviations = open.iter().map(|&g| {
-            let (a, b, means) = (2 * g, product(g), &of.components[g].means);
-            // The mean of the products follows from the squares that were found.
-            let part = means[b] / means[a];
-            let of_equal =
-                covariance[(b, b)] - 2.0 * part * covariance[(a, b)] + part * part * covariance[(a, a)];
-            let of_any: f64 =
-                neighbours(&self.groups[g], self.residuals).map(|product| product * product).sum();
-            (self.excess(g, of) / of_any.max(of_equal).sqrt(), g)
-        });
-        Ok(deviations.filter(|(own, _)| *own > SIGNIFICANT).max_by(|a, b| a.0.total_cmp(&b.0)))
-    }
-
-    /// Finds the autocorrelation of a group that explains its sum of products, beside those of the others.
-    fn explain(
-        &self,
-        g: usize,
-        of: &mut Variances,
-        context: &RunContext<'_>,
-    ) -> Result<(), CalibrationError> {
-        let longest = self.groups[g].series.iter().map(Range::len).max().unwrap_or(0);
+        let longest = self.groups[0].series.iter().map(Range::len).max().unwrap_or(0);
         let (mut low, mut high) = (0.0, (-1.0 / longest as f64).exp().atanh());
-        let mut is_enough = |z: f64| -> Result<bool, CalibrationError> {
-            go_on(context)?;
-            of.transforms[g] = z;
-            of.components[g] = self.component(g, z, context)?;
-            self.solve(of);
-            Ok(self.excess(g, of) < 0.0)
-        };
+        let is_enough = |z: f64| self.variances(vec![z], context).map(|of| excess(&of) < 0.0);
         if is_enough(high)? {
             for _ in 0..BISECTIONS {
                 let middle = 0.5 * (low + high);
                 if is_enough(middle)? { high = middle } else { low = middle }
             }
-            is_enough(high)?;
         }
-        self.settle(of);
-        Ok(())
+        Ok(Some((high, deviations)))
     }
 
     /// Covariance of the logarithms of the variances, then of the transforms that are not zero.
@@ -239,7 +178,7 @@ impl<'a> Moments<'a> {
         let n = self.groups.len();
         let lasting = || (0..n).filter(|g| of.transforms[*g] > 0.0);
         // The equations are those of the sums of squares, and of the products of groups that last.
-        let used: Vec<usize> = (0..n).map(|g| 2 * g).chain(lasting().map(product)).collect();
+        let used: Vec<usize> = (0..n).map(|g| 2 * g).chain(lasting().map(|g| 2 * g + 1)).collect();
         let by = |means: &[f64], factor: f64| DVector::from_fn(used.len(), |a, _| means[used[a]] * factor);
         let parts = of.components.iter().zip(&of.values);
         let mut columns: Vec<DVector<f64>> = parts.map(|(own, value)| by(&own.means, *value)).collect();
@@ -254,11 +193,10 @@ impl<'a> Moments<'a> {
             let found = &inverse * of_moments * inverse.transpose();
             found.iter().all(|value| value.is_finite()).then_some(found)
         };
-        let n_rows: usize = self.groups.iter().map(Group::n_rows).sum();
         Ok(match exact() {
             Some(exact) if of.is_unbiased => exact,
             _ => DMatrix::from_diagonal(&DVector::from_fn(used.len(), |a, _| match self.groups.get(a) {
-                Some(group) => 2.0 * n_rows as f64 / (group.n_rows() as f64 * self.degrees_of_freedom),
+                Some(group) => 2.0 * self.n_rows() / (group.n_rows() as f64 * self.degrees_of_freedom),
                 None => 0.0,
             })),
         })

@@ -13,6 +13,7 @@ use crate::uncertainty::row_blocks::{ThinSvd, along, thin_svd, weighted_products
 use crate::uncertainty::scores::{Criterion, Working};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};
+use statrs::distribution::{ContinuousCDF, Normal};
 use std::collections::BTreeMap;
 
 /// A combination of columns of about unit length that is shorter than this is rounding.
@@ -120,9 +121,9 @@ impl Noise {
     /// A group has an autocorrelation where its sum of products is larger than that of independent residuals
     /// by 1.96 standard deviations: those of residuals of one variance, and those of residuals of any,
     /// `sum r_i^2 r_(i+1)^2` (Lo and MacKinlay, Rev. Financial Studies 1, 1988). At most it is that of noise
-    /// that lasts as long as the series, `exp(-1 / n)`: longer noise is an offset. The autocorrelation is
-    /// taken from what the measurements alone leave, for a prior that pulls the parameters away leaves a
-    /// constant in all residuals.
+    /// that lasts as long as the series, `exp(-1 / n)`: longer noise is an offset. It is taken from what the
+    /// parameters leave of the group alone: a prior that pulls them away, or noise of another group, changes
+    /// the residuals by what the parameters do, which would look like noise that lasts.
     ///
     /// The covariance of the estimates is that of quadratic forms of normal errors,
     /// `cov(r'B r, r'C r) = 2 tr(B M S M C M S M)`.
@@ -168,25 +169,23 @@ impl Noise {
             NoiseModel::new(found, uncertainty, (groups, base, &starts), context)
         };
         let independent = model(vec![0.0; groups.len()])?;
-        let may_last = groups.iter().zip(&is_rounding).map(|(group, is_rounding)| {
-            !is_rounding && group.n_rows() > base.ncols() + 2 && group.n_pairs() > 0
-        });
-        let may_last: Vec<bool> = may_last.collect();
-        let (mut autocorrelated, mut chance) = (None, 1.0);
-        if moments.degrees_of_freedom > 0.0 && base.ncols() > 0 && may_last.contains(&true) {
-            let (transforms, by_chance) = if priors.is_empty() {
-                moments.autocorrelations(&may_last, context)?
-            } else {
-                let (mut measured, mut of_measured) = (whole_base.clone(), residuals.clone());
-                measured.rows_range_mut(priors.clone()).fill(0.0);
-                of_measured[priors.clone()].fill(0.0);
-                let (measured, of_measured) = left_by(&measured, &of_measured, context)?;
-                let alone = Moments::new(&own_groups, &measured, &of_measured, priors.clone(), context)?;
-                alone.autocorrelations(&may_last, context)?
-            };
-            if transforms.iter().any(|z| *z > 0.0) {
-                (autocorrelated, chance) = (Some(model(transforms)?), by_chance);
+        let (mut transforms, mut largest, mut n_candidates) = (vec![0.0; groups.len()], 0.0_f64, 0.0);
+        if moments.degrees_of_freedom > 0.0 && base.ncols() > 0 {
+            for (g, group) in own_groups.iter().enumerate() {
+                if is_rounding[g] || group.n_rows() <= base.ncols() + 2 || group.n_pairs() == 0 {
+                    continue;
+                }
+                n_candidates += 1.0;
+                if let Some((transform, deviations)) = alone(group, &whole_base, &residuals, context)? {
+                    transforms[g] = transform;
+                    largest = largest.max(deviations);
+                }
             }
+        }
+        let (mut autocorrelated, mut chance) = (None, 1.0);
+        if largest > 0.0 {
+            autocorrelated = Some(model(transforms)?);
+            chance = (Normal::standard().sf(largest) * n_candidates).min(1.0);
         }
         let degrees_of_freedom = moments.degrees_of_freedom;
         let priors = base.rows_range(priors);
@@ -293,6 +292,25 @@ fn with_starts(
     }
     let (base, residuals) = left_by(&columns, &residuals, context)?;
     Ok((base, residuals, groups))
+}
+
+/// The autocorrelation of a group from what the parameters leave of it alone, see [`Moments::autocorrelation`].
+fn alone(
+    group: &Group,
+    base: &DMatrix<f64>,
+    residuals: &[f64],
+    context: &RunContext<'_>,
+) -> Result<Option<(f64, f64)>, CalibrationError> {
+    let rows: Vec<usize> = group.series.iter().cloned().flatten().collect();
+    let of_rows: Vec<f64> = rows.iter().map(|row| residuals[*row]).collect();
+    let (base, residuals) = left_by(&base.select_rows(&rows), &of_rows, context)?;
+    let mut end = 0;
+    let series = group.series.iter().map(|range| {
+        end += range.len();
+        end - range.len()..end
+    });
+    let own = [Group { series: series.collect(), ..Group::default() }];
+    Moments::new(&own, &base, &residuals, 0..0, context)?.autocorrelation(context)
 }
 
 /// An orthonormal base of columns of about unit length, and what they leave of the residuals.
