@@ -78,7 +78,7 @@ def test_autocorrelated_residuals_have_one_answer_and_the_other_on_request(tmp_p
     assert f"+- {fit.stderr[0]:.2g}"[:6] in str(fit) and "uncorrected" in str(fit) and "corrected for" in str(uncertainty)
     fit.report(tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
-    assert f"{low:.4g}"[:5] in page and f"{high:.4g}"[:5] in page and "uncorrected" in page
+    assert f"{low:.2f} to {high:.2f}" in page and "uncorrected" in page
 
 
 def test_a_likelihood_has_standard_errors_and_a_plot_of_its_negative_costs():

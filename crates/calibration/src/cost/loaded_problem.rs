@@ -8,6 +8,7 @@ use crate::error::CalibrationError;
 use crate::problem::assignment::{Affine, Assignments, tied_values};
 use crate::problem::column_units::convert_columns;
 use crate::problem::definition::{Element, Problem};
+use crate::problem::experiment::InitialState;
 use crate::problem::parameter::Parameter;
 use crate::problem::residual_layout::{PriorResidual, ResidualLayout};
 use crate::problem::row_means::take_means;
@@ -161,7 +162,7 @@ impl LoadedProblem {
         let running =
             CostRule { cutoff: rule.cutoff * (1.0 + 2.0 * self.n_residuals as f64 * f64::EPSILON), ..rule };
         let (mut rest, priors) = out.split_at_mut(self.layout.n_measurements());
-        let mut sum = self.prior_residuals(x, rule, priors)?;
+        let mut sum = self.prior_residuals(x, priors)?;
         if sum > running.cutoff {
             return Err(CostFailure::Above);
         }
@@ -186,15 +187,11 @@ impl LoadedProblem {
         if cost > rule.cutoff { Err(CostFailure::Above) } else { Ok(cost) }
     }
 
-    /// The residuals of the priors, and the sum of their squares.
-    pub(crate) fn prior_residuals(
-        &self,
-        x: &[f64],
-        rule: CostRule<'_>,
-        out: &mut [f64],
-    ) -> Result<f64, CostFailure> {
+    /// The residuals of the priors, and the sum of their squares: a loss is that of measurements, which may
+    /// have outliers.
+    pub(crate) fn prior_residuals(&self, x: &[f64], out: &mut [f64]) -> Result<f64, CostFailure> {
         for (PriorResidual { parameter, prior, .. }, out) in self.layout.priors.iter().zip(&mut *out) {
-            *out = rule.loss.transform(prior.residual(x[*parameter]));
+            *out = prior.residual(x[*parameter]);
             if !out.is_finite() {
                 let (name, value) = (self.parameters[*parameter].name(), Number(x[*parameter]));
                 let reason = format!("the prior of '{name}' is not defined at {value}");
@@ -246,6 +243,14 @@ fn layout(problem: &Problem, simulations: &[Simulation], elements: &[Element]) -
             residuals.experiment = k;
             residuals.variable = measured.variable.clone();
             residuals.column = measured.column.clone();
+            let is_own = |(state, initial): &(String, InitialState)| {
+                *state == residuals.variable && *initial == InitialState::Measured
+            };
+            residuals.starts_simulation = experiment.initial_states.iter().any(is_own)
+                && residuals
+                    .times
+                    .first()
+                    .is_some_and(|first| simulation.starts_at(residuals.output, *first));
             layout.outputs.push(residuals);
         }
     }

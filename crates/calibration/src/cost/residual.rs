@@ -109,6 +109,7 @@ impl Comparison {
             times: counted.times.clone(),
             measured: counted.values.clone(),
             weights: counted.weights.clone(),
+            starts_simulation: false,
         };
         self.outputs.iter().enumerate().map(of_output).collect()
     }

@@ -146,6 +146,21 @@ impl Simulation {
         }
     }
 
+    /// The value of a measured initial state at `x`.
+    pub(crate) fn measured_start(&self, state: &str, x: &[f64]) -> Option<f64> {
+        match self.options.start_values.iter().find(|(name, _)| name == state) {
+            Some((_, Value::Real(value))) => Some(*value),
+            _ => self.named_values(x).find(|(name, _)| *name == state).map(|(_, value)| value),
+        }
+    }
+
+    /// True if it starts at this time of the measurements of an output, counted from 0, or later.
+    pub(crate) fn starts_at(&self, output: usize, time: f64) -> bool {
+        let (delay, _) = self.assigned.outputs[output];
+        let start = self.options.start_time.unwrap_or_default();
+        delay.is_constant() && time - delay.in_model(&[]) <= start + base::time_tolerance(start, time)
+    }
+
     /// Offset that is added to each output at `x`.
     pub(crate) fn output_offsets(&self, x: &[f64]) -> Vec<f64> {
         self.assigned.outputs.iter().map(|(_, offset)| offset.in_model(x)).collect()

@@ -196,7 +196,7 @@ pub(crate) fn simulate_compared(
     let (mut all, mut total) = (Vec::new(), Stats::default());
     let mut residuals = vec![0.0; problem.n_residuals];
     let (mut rest, priors) = residuals.split_at_mut(problem.layout.n_measurements());
-    let mut is_whole = problem.prior_residuals(&start, rule, priors).is_ok();
+    let mut is_whole = problem.prior_residuals(&start, priors).is_ok();
     for simulation in &problem.simulations {
         let (part, others) = rest.split_at_mut(simulation.comparison.n_residuals());
         rest = others;

@@ -32,6 +32,9 @@ impl Fit {
             // As long as the recordings.
             fields.remove("jacobian");
             fields.remove("residuals");
+            // What predictions are made of.
+            fields.remove("joint");
+            fields.remove("uncorrected_joint");
             // Those of the fit have them.
             fields.remove("findings");
             fields.insert("verdict".to_owned(), self.uncertainty.as_ref().map(Uncertainty::verdict).into());

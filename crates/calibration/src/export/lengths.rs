@@ -74,6 +74,15 @@ fn check_uncertainty(uncertainty: &Uncertainty, n: usize, place: &str) -> Result
         ("jacobian", uncertainty.jacobian.len(), m * n),
     ];
     lengths.into_iter().try_for_each(|(field, found, wanted)| same(place, field, found, wanted))?;
+    let n_outputs = uncertainty.residual_checks.len();
+    for (field, joint) in [
+        ("joint", Some(&uncertainty.joint).filter(|joint| !joint.is_empty())),
+        ("uncorrected_joint", uncertainty.uncorrected_joint.as_ref()),
+    ] {
+        if joint.is_some_and(|joint| !joint.is_sound(n, n_outputs)) {
+            return Err(format!("the parts of {place}.{field} do not fit together"));
+        }
+    }
     let lists = [
         ("held", &uncertainty.held),
         ("undetermined", &uncertainty.undetermined),

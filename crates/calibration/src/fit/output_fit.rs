@@ -105,7 +105,8 @@ impl KeptResiduals {
 
     /// Those at a point, without the loss.
     fn plain(&self, x: &[f64], loss: RobustLoss) -> Option<PointResiduals> {
-        let residuals = self.at(x)?.iter().map(|r| loss.inverse(*r)).collect();
+        let mut residuals = self.at(x)?.to_vec();
+        loss.inverse_all(&mut residuals);
         Some(PointResiduals { x: x.to_vec(), residuals })
     }
 }

@@ -2,10 +2,12 @@
 
 use crate::cost::parallel;
 use crate::error::CalibrationError;
-use crate::fit::one_stage::{Fit, FitNoise};
+use crate::fit::one_stage::Fit;
 use crate::loaded::calibration::Calibration;
 use crate::problem::parameter::{Parameter, inner, outer};
 use crate::problem::residual_layout::OutputResiduals;
+use crate::uncertainty::covariance::measured_start::MeasuredStart;
+use crate::uncertainty::joint_errors::{JointErrors, VarianceEstimate};
 use crate::uncertainty::result::{Uncertainty, check_level};
 use crate::uncertainty::row_blocks::go_on;
 use base::{Number, RunContext};
@@ -65,9 +67,9 @@ pub struct PredictionBand {
     /// Standard error of the prediction: what the uncertainty of the parameters makes of it.
     #[serde(rename = "standard_error")]
     pub standard_errors: Vec<f64>,
-    /// Standard deviation of the noise of a measurement, from the residuals of this output over all
-    /// experiments.
-    pub noise: f64,
+    /// Standard deviation of the noise of a measurement at each time: that of the residuals over the weight
+    /// of the measurement, between measurements along straight lines. NaN where all weights are zero.
+    pub noise: Vec<f64>,
     /// The interval of the model's output: lower end.
     pub lower: Vec<f64>,
     /// Upper end.
@@ -81,20 +83,51 @@ pub struct PredictionBand {
 /// A step along a principal axis, forward and backward as parts of one standard error.
 struct Step {
     direction: DVector<f64>,
+    /// The axis over the root of its variance.
+    axis: DVector<f64>,
     forward: f64,
     backward: f64,
 }
 
-/// Quantiles of Student's t: for the uncertainty of the parameters, and for the noise of a measurement.
-struct Quantiles {
-    of_parameters: f64,
-    of_noise: f64,
+/// The errors of a fit along the principal axes of its parameters, then of the measured initial states.
+struct AxisErrors<'a> {
+    joint: &'a JointErrors,
+    covariance: DMatrix<f64>,
+    slopes: Vec<DMatrix<f64>>,
+    level: f64,
 }
 
-impl Quantiles {
-    /// Half the width of an interval, from the variance that the parameters leave and the noise.
-    fn width(&self, variance: f64, noise: f64) -> f64 {
-        (self.of_parameters * self.of_parameters * variance + (self.of_noise * noise).powi(2)).sqrt()
+impl<'a> AxisErrors<'a> {
+    /// `errors`: the standard errors; `steps` along the axes of the correlation.
+    fn new(joint: &'a JointErrors, errors: &[f64], steps: &[Step], level: f64) -> Self {
+        let (n, k) = (errors.len(), joint.starts.len());
+        // The inverse of the axes, scaled by standard errors.
+        let mut inverse = DMatrix::zeros(steps.len() + k, n + k);
+        for (a, step) in steps.iter().enumerate() {
+            (0..n).filter(|i| step.axis[*i] != 0.0).for_each(|i| inverse[(a, i)] = step.axis[i] / errors[i]);
+        }
+        inverse.view_mut((steps.len(), n), (k, k)).fill_with_identity();
+        let along = |of: &[f64]| &inverse * joint.matrix(of) * inverse.transpose();
+        let slopes = joint.slopes.iter().map(|slope| along(slope)).collect();
+        Self { covariance: along(&joint.covariance), slopes, joint, level }
+    }
+
+    /// Variance of a prediction, from its changes along the axes and by the starts.
+    fn variance(&self, changes: &DVector<f64>) -> VarianceEstimate {
+        let of = |matrix: &DMatrix<f64>| changes.dot(&(matrix * changes));
+        VarianceEstimate {
+            value: of(&self.covariance).max(0.0),
+            slopes: self.slopes.iter().map(of).collect(),
+        }
+    }
+
+    /// Half the width of an interval.
+    fn width(&self, variance: &VarianceEstimate) -> Result<f64, CalibrationError> {
+        if variance.value == 0.0 {
+            return Ok(0.0);
+        }
+        let degrees = self.joint.degrees_of_freedom(variance);
+        Ok(check_level(self.level, degrees)? * variance.value.sqrt())
     }
 }
 
@@ -115,7 +148,12 @@ fn usable_uncertainty(fit: &Fit, is_corrected: bool) -> Result<Uncertainty, Cali
             names.join(", ")
         ));
     }
-    if uncertainty.degrees_of_freedom == 0 {
+    if uncertainty.joint.is_empty() {
+        return setup(
+            "there is no prediction band: the file of this fit is of an older version; fit again".to_owned(),
+        );
+    }
+    if uncertainty.degrees_of_freedom == 0.0 {
         return setup(format!(
             "there is no prediction band: {} residuals are no more than the parameters that were fitted, and say nothing of the \
              noise; fit fewer parameters, or give more measurements",
@@ -127,13 +165,13 @@ fn usable_uncertainty(fit: &Fit, is_corrected: bool) -> Result<Uncertainty, Cali
 
 impl Calibration {
     /// Predicts the outputs at the parameters of a fit, with the uncertainty that the covariance of the
-    /// parameters leaves (delta method; Seber and Wild, Nonlinear Regression, 1989, section 5.1): the
-    /// variance of an output y is `J C J'`, with `J = dy/dx` and C the [covariance](Uncertainty::covariance).
-    /// With `C = L L'`, L the principal axes, it is the sum of the squares of the changes of y over one
-    /// standard error along each axis, which are taken from two simulations each. A new measurement has the
-    /// variance of the residuals of this output on top. Intervals are by Student's t, with the fewest
-    /// [degrees of freedom](Uncertainty::effective_degrees_of_freedom) of the parameters; autocorrelated
-    /// residuals are in the covariance.
+    /// parameters and of measured initial states leaves (delta method; Seber and Wild, Nonlinear Regression,
+    /// 1989, section 5.1): the variance of an output y is `J C J'`, with J the derivatives of y with respect
+    /// to both. They are differences over one standard error along each principal axis of the
+    /// [covariance](Uncertainty::covariance), and of each start, from two simulations each. A new measurement
+    /// has the variance of the noise on top, by its [weight](PredictionBand::noise). Intervals are by
+    /// Student's t with the degrees of freedom of the variance at each time (Satterthwaite, Biometrics
+    /// Bulletin 2, 1946). Autocorrelated residuals are in the covariance.
     ///
     /// # Errors
     /// A fit without [uncertainty](Fit::uncertainty), without degrees of freedom, or with parameters that the
@@ -148,11 +186,7 @@ impl Calibration {
         let _held = self.hold();
         self.check_length(&fit.x)?;
         let uncertainty = &usable_uncertainty(fit, options.is_corrected)?;
-        let fewest = uncertainty.effective_degrees_of_freedom.iter().copied().fold(f64::INFINITY, f64::min);
-        let quantiles = Quantiles {
-            of_parameters: check_level(options.level, fewest)?,
-            of_noise: check_level(options.level, uncertainty.degrees_of_freedom as f64)?,
-        };
+        check_level(options.level, 1.0)?;
         let layout = self.residual_layout();
         let known: Vec<&str> = layout.outputs.iter().map(|output| output.variable.as_str()).collect();
         let chosen = options.outputs.as_deref();
@@ -166,44 +200,93 @@ impl Calibration {
         if context.is_over() {
             return Err(CalibrationError::Cancelled);
         }
+        let of_fit = self.of_fit(fit)?;
+        let weighed = of_fit.as_ref().unwrap_or(self).residual_layout();
         let steps = self.principal_steps(fit, uncertainty);
+        let errors = AxisErrors::new(&uncertainty.joint, &uncertainty.standard_errors, &steps, options.level);
         let simulated = self.simulated_beside(fit, &steps, options, context)?;
+        let by_starts = self.changes_by_starts(fit, &uncertainty.joint, options, context)?;
         let is_chosen = |name: &str| chosen.is_none_or(|chosen| chosen.iter().any(|c| c == name));
-        let outputs = layout.outputs.iter().filter(|output| is_chosen(&output.variable));
-        let band = |output: &OutputResiduals| {
+        let outputs = layout.outputs.iter().enumerate().filter(|(_, output)| is_chosen(&output.variable));
+        let band = |(k, output): (usize, &OutputResiduals)| {
             go_on(context)?;
             let n = self.problem().experiments.len();
             let column = |i: usize| simulated[i * n + output.experiment].columns[output.output].as_slice();
-            let values = column(0).to_vec();
-            let mut variances = vec![0.0; values.len()];
-            for (k, step) in steps.iter().enumerate() {
-                let length = step.forward + step.backward;
-                let ends = column(1 + 2 * k).iter().zip(column(2 + 2 * k));
-                for (variance, (f, b)) in variances.iter_mut().zip(ends) {
-                    *variance += ((f - b) / length) * ((f - b) / length);
-                }
-            }
-            let noise = self.noise_of(output, fit, uncertainty);
-            let at = |sign: f64, noise: f64| -> Vec<f64> {
-                let width = |v: &f64| sign * quantiles.width(*v, noise);
-                values.iter().zip(&variances).map(|(y, v)| y + width(v)).collect()
-            };
-            let declared = self.fmu().description().variable(&output.variable);
-            Ok(PredictionBand {
+            let (values, times) = (column(0).to_vec(), simulated[output.experiment].time.clone());
+            let (variance_of, residual_variance) = uncertainty.joint.outputs[k];
+            let noise = noise_at(&times, &weighed.outputs[k], residual_variance);
+            let mut band = PredictionBand {
                 experiment: self.evaluator().simulations[output.experiment].name.clone(),
                 variable: output.variable.clone(),
-                unit: declared.and_then(|variable| variable.unit.clone()),
-                times: simulated[output.experiment].time.clone(),
-                lower: at(-1.0, 0.0),
-                upper: at(1.0, 0.0),
-                measured_lower: at(-1.0, noise),
-                measured_upper: at(1.0, noise),
-                standard_errors: variances.iter().map(|v| v.sqrt()).collect(),
-                values,
+                unit: None,
+                standard_errors: Vec::with_capacity(times.len()),
+                lower: values.clone(),
+                upper: values.clone(),
+                measured_lower: values.clone(),
+                measured_upper: values.clone(),
                 noise,
-            })
+                values,
+                times,
+            };
+            let declared = self.fmu().description().variable(&output.variable);
+            band.unit = declared.and_then(|variable| variable.unit.clone());
+            for row in 0..band.values.len() {
+                let along = steps.iter().enumerate().map(|(a, step)| {
+                    (column(1 + 2 * a)[row] - column(2 + 2 * a)[row]) / (step.forward + step.backward)
+                });
+                let starts = uncertainty.joint.starts.iter().zip(&by_starts);
+                let by_start =
+                    starts.map(|((experiment, _), changes)| match *experiment == output.experiment {
+                        true => changes[output.output][row],
+                        false => 0.0,
+                    });
+                let changes = DVector::from_vec(along.chain(by_start).collect());
+                let mut variance = errors.variance(&changes);
+                band.standard_errors.push(variance.value.sqrt());
+                let width = errors.width(&variance)?;
+                band.lower[row] -= width;
+                band.upper[row] += width;
+                let of_noise = band.noise[row] * band.noise[row];
+                variance.value += of_noise;
+                variance.slopes[variance_of] += of_noise;
+                let width = errors.width(&variance)?;
+                band.measured_lower[row] -= width;
+                band.measured_upper[row] += width;
+            }
+            Ok(band)
         };
         outputs.map(band).collect()
+    }
+
+    /// Derivatives of the outputs of the experiment of each measured initial state with respect to the state.
+    fn changes_by_starts(
+        &self,
+        fit: &Fit,
+        joint: &JointErrors,
+        options: &BandOptions,
+        context: &RunContext<'_>,
+    ) -> Result<Vec<Vec<Vec<f64>>>, CalibrationError> {
+        let known = self.measured_starts(&fit.x);
+        let n = fit.x.len();
+        let of = |(k, (experiment, state)): (usize, &(usize, String))| {
+            let is_own = |start: &&MeasuredStart| (start.experiment, &start.state) == (*experiment, state);
+            let Some(start) = known.iter().find(is_own) else {
+                return Err(CalibrationError::Setup(format!(
+                    "there is no prediction band: '{state}' is not measured any more at the start of the simulation"
+                )));
+            };
+            let step = joint.of(n + k).value.sqrt().max(SHORTEST * start.value.abs());
+            let side = |by: f64| -> Result<Trajectory, CalibrationError> {
+                let moved = self.with_starts_moved(&[(start, by)])?;
+                moved.simulate_experiment(*experiment, &fit.x, options.times.as_deref(), context)
+            };
+            let (above, below) = (side(step)?, side(-step)?);
+            let column = |(a, b): (&Vec<f64>, &Vec<f64>)| {
+                a.iter().zip(b).map(|(a, b)| (a - b) / (2.0 * step)).collect()
+            };
+            Ok(above.columns.iter().zip(&below.columns).map(column).collect())
+        };
+        joint.starts.iter().enumerate().map(of).collect()
     }
 
     /// The experiments simulated at the parameters of a fit, and at both ends of each step.
@@ -244,18 +327,6 @@ impl Calibration {
         Ok(found)
     }
 
-    /// Standard deviation of the noise of a measurement of an output.
-    fn noise_of(&self, output: &OutputResiduals, fit: &Fit, uncertainty: &Uncertainty) -> f64 {
-        let estimated = fit.noise.as_ref().and_then(FitNoise::estimated);
-        let of_fit = estimated.and_then(|noise| noise.of_measurements(self.problem(), output));
-        of_fit.unwrap_or_else(|| {
-            let own = || fit.outputs.iter().filter(|own| own.variable == output.variable);
-            let squares: f64 = own().map(|output| output.n as f64 * output.rms * output.rms).sum();
-            let (n, dof) = (uncertainty.residuals.len() as f64, uncertainty.degrees_of_freedom as f64);
-            (squares / own().map(|output| output.n).sum::<usize>() as f64 * n / dof).sqrt()
-        })
-    }
-
     /// Steps of one standard error along the principal axes of the correlation, in the coordinates of the
     /// search, as far as the bounds let them go.
     fn principal_steps(&self, fit: &Fit, uncertainty: &Uncertainty) -> Vec<Step> {
@@ -270,9 +341,10 @@ impl Calibration {
         let axes = SymmetricEigen::new(correlation);
         let largest = axes.eigenvalues.max();
         let step = |k: usize| {
-            let mut direction = DVector::zeros(n);
+            let (mut direction, mut axis) = (DVector::zeros(n), DVector::zeros(n));
             for (a, &i) in free.iter().enumerate() {
-                direction[i] = axes.eigenvectors[(a, k)] * axes.eigenvalues[k].sqrt() * errors[i];
+                let (part, root) = (axes.eigenvectors[(a, k)], axes.eigenvalues[k].sqrt());
+                (direction[i], axis[i]) = (part * root * errors[i], part / root);
             }
             let (mut part, mut forward, mut backward) = (0.0_f64, f64::INFINITY, f64::INFINITY);
             for (i, p) in self.parameters().iter().enumerate().filter(|(i, _)| direction[*i] != 0.0) {
@@ -297,10 +369,31 @@ impl Calibration {
                 (false, true) => (forward, 0.0),
                 _ => (forward, backward),
             };
-            Step { direction, forward, backward }
+            Step { direction, axis, forward, backward }
         };
         let is_real = |k: &usize| axes.eigenvalues[*k] > ROUNDING * largest;
         let steps = (0..free.len()).filter(is_real).map(step);
         steps.filter(|step| step.forward + step.backward > 0.0).collect()
     }
+}
+
+/// Standard deviations of the noise of measurements of an output at these times, from the variance of its
+/// residuals.
+fn noise_at(times: &[f64], output: &OutputResiduals, residual_variance: f64) -> Vec<f64> {
+    let known: Vec<(f64, f64)> = output
+        .times
+        .iter()
+        .zip(&output.weights)
+        .filter(|(_, weight)| **weight != 0.0)
+        .map(|(time, weight)| (*time, residual_variance.sqrt() / weight.abs()))
+        .collect();
+    let at = |time: &f64| {
+        let next = known.partition_point(|(t, _)| t < time);
+        match (next.checked_sub(1).map(|before| known[before]), known.get(next).copied()) {
+            (Some((from, a)), Some((to, b))) => a + (b - a) * (time - from) / (to - from),
+            (Some((_, sd)), None) | (None, Some((_, sd))) => sd,
+            (None, None) => f64::NAN,
+        }
+    };
+    times.iter().map(at).collect()
 }

@@ -206,27 +206,26 @@ impl Calibration {
         self.evaluator.layout.n_measurements()
     }
 
-    /// The root of the mean squared weighted residual of the measurements, from the cost at `x` (with the
-    /// loss of a fit, of what they count): the priors have their part of the cost, and are no measurements.
+    /// The root of the mean squared weighted residual of the measurements, from the cost at `x` (with a loss,
+    /// of what they count): the priors have their part of the cost, and are no measurements.
     ///
     /// # Panics
     /// `x` has another length than there are parameters.
-    pub fn rms(&self, x: &[f64], cost: f64, loss: RobustLoss) -> f64 {
-        let priors = if self.residual_layout().priors.is_empty() { 0.0 } else { self.prior_cost(x, loss) };
+    pub fn rms(&self, x: &[f64], cost: f64) -> f64 {
+        let priors = if self.residual_layout().priors.is_empty() { 0.0 } else { self.prior_cost(x) };
         let squares = cost - priors;
         // The rounding of a difference.
         (if squares < 0.0 { 0.0 } else { squares } / self.n_measurements() as f64).sqrt()
     }
 
-    /// The part of the cost at `x` that is that of the priors, with the loss of a fit; NaN where one is not
-    /// defined.
+    /// The part of the cost at `x` that is that of the priors: the sum of the squares of their residuals,
+    /// whatever the loss of a fit is. NaN where one is not defined.
     ///
     /// # Panics
     /// `x` has another length than there are parameters.
-    pub fn prior_cost(&self, x: &[f64], loss: RobustLoss) -> f64 {
+    pub fn prior_cost(&self, x: &[f64]) -> f64 {
         let mut residuals = vec![0.0; self.residual_layout().priors.len()];
-        let rule = CostRule::whole(loss, &RunContext::new());
-        self.evaluator.prior_residuals(x, rule, &mut residuals).unwrap_or(f64::NAN)
+        self.evaluator.prior_residuals(x, &mut residuals).unwrap_or(f64::NAN)
     }
 
     /// The parameters that are [tied](Parameter::tied), with their values at `x`: of such that follow a local

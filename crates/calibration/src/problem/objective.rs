@@ -242,7 +242,7 @@ impl NamedCost {
                     }
                     let (mut n, mut sum, mut measured) = (0, 0.0, 0.0);
                     for output in layout.outputs.iter().filter(is_same) {
-                        n += output.measured.len();
+                        n += output.noisy_rows().count();
                         sum += squares(&residuals[output.range.clone()]);
                         measured += output
                             .measured
@@ -251,7 +251,7 @@ impl NamedCost {
                             .map(|(m, w)| (m * w) * (m * w))
                             .sum::<f64>();
                     }
-                    let n = n as f64;
+                    let n = f64::max(n as f64, f64::MIN_POSITIVE);
                     // An output that is reproduced to rounding has no likelihood: its variance counts as that of rounding.
                     let least = (measured * f64::EPSILON * f64::EPSILON).max(f64::MIN_POSITIVE);
                     total += 0.5 * n * (sum.max(least) / n).ln();
@@ -306,6 +306,7 @@ mod tests {
                 measured: (0..range.len()).map(|i| i as f64).collect(),
                 weights: vec![weight; range.len()].into(),
                 range,
+                starts_simulation: false,
             };
         let outputs = vec![output(0, "x", 0..2, 1.0), output(0, "y", 2..5, 2.0), output(1, "x", 5..7, 1.0)];
         ResidualLayout { outputs, ..ResidualLayout::default() }
@@ -323,6 +324,18 @@ mod tests {
         let likelihood = 2.0 * (25.0_f64 / 4.0).ln() + 1.5 * (10.0_f64 / 3.0).ln();
         assert!((cost(NamedCost::Likelihood) - likelihood).abs() < 1e-14);
         assert!(NamedCost::Likelihood.cost(&layout, &[0.0; 7]).is_finite());
+    }
+
+    #[test]
+    fn likelihood_counts_no_row_without_noise() {
+        let (r, expected) =
+            ([0.0, -2.0, 3.0, 0.0, -1.0, 2.0, 4.0], 1.5 * 8.0_f64.ln() + 1.5 * (10.0_f64 / 3.0).ln());
+        let (mut of_start, mut of_zero) = (layout(), layout());
+        of_start.outputs[0].starts_simulation = true;
+        of_zero.outputs[0].weights = vec![0.0, 1.0].into();
+        for layout in [of_start, of_zero] {
+            assert!((NamedCost::Likelihood.cost(&layout, &r) - expected).abs() < 1e-14);
+        }
     }
 
     #[test]

@@ -33,6 +33,20 @@ pub struct OutputResiduals {
     pub measured: Series,
     /// Weights of the differences.
     pub weights: Series,
+    /// True if a simulation starts from the first of the measurements: its residual is zero whatever the
+    /// parameters are.
+    #[serde(default)]
+    pub starts_simulation: bool,
+}
+
+impl OutputResiduals {
+    /// The residuals that have noise: neither of weight zero nor of the measurement that a simulation starts
+    /// from.
+    pub(crate) fn noisy_rows(&self) -> impl Iterator<Item = usize> + '_ {
+        let of_start = self.starts_simulation.then_some(self.range.start);
+        let rows = self.range.clone().zip(&self.weights);
+        rows.filter(move |(row, weight)| **weight != 0.0 && Some(*row) != of_start).map(|(row, _)| row)
+    }
 }
 
 /// The residual of a prior.

@@ -2,6 +2,7 @@
 
 use super::number::{rounded, with_error};
 use crate::findings::finding::{Finding, counts};
+use crate::findings::shown_text::digits;
 use crate::fit::one_stage::Fit;
 use crate::fit::phase::PhaseCost;
 use crate::problem::objective::CostKind;
@@ -22,7 +23,7 @@ const FEW_DIGITS: usize = 4;
 const LISTED: usize = 4;
 
 /// Fewer degrees of freedom are told beside the standard errors.
-const FEW_DEGREES: usize = 6;
+const FEW_DEGREES: f64 = 6.0;
 
 /// Level of the intervals: 95 %.
 const LEVEL: f64 = 0.95;
@@ -166,13 +167,12 @@ fn sentence(fit: &Fit) -> String {
 /// The sentence about standard errors, with their degrees of freedom where these are few: a value lies within
 /// one standard error less often then than 68 % (with one degree of freedom 50 %).
 fn with_few_degrees(fit: &Fit, errors: String) -> String {
-    match fit.uncertainty.as_ref().map(|uncertainty| uncertainty.degrees_of_freedom) {
-        Some(1) => errors.replacen("errors:", "errors, with 1 degree of freedom:", 1),
-        Some(n @ 2..FEW_DEGREES) => {
-            errors.replacen("errors:", &format!("errors, with {n} degrees of freedom:"), 1)
-        }
-        _ => errors,
+    let degrees = fit.uncertainty.as_ref().map_or(0.0, |uncertainty| uncertainty.degrees_of_freedom);
+    if degrees == 0.0 || degrees >= FEW_DEGREES {
+        return errors;
     }
+    let unit = if degrees == 1.0 { "degree" } else { "degrees" };
+    errors.replacen("errors:", &format!("errors, with {} {unit} of freedom:", digits(degrees)), 1)
 }
 
 /// The standard errors of what was fitted, relative to the values: of each parameter, or of many the smallest

@@ -7,9 +7,9 @@ use crate::loaded::budget::Extra;
 use crate::loaded::calibration::Calibration;
 use crate::loaded::simulations_around::{Point, Simulations};
 use crate::problem::parameter::{Parameter, Scale, Target, inner};
-use crate::problem::residual_layout::ResidualLayout;
-use crate::uncertainty::covariance::autocorrelation::Dependence;
-use crate::uncertainty::covariance::matrix::{Factors, Noise, groups};
+use crate::uncertainty::covariance::joint::JointMatrices;
+use crate::uncertainty::covariance::matrix::Factors;
+use crate::uncertainty::covariance::noise::{Noise, groups};
 use crate::uncertainty::covariance::remaining_decrease::At;
 use crate::uncertainty::diagnostics::output_effect::OutputEffect;
 use crate::uncertainty::diagnostics::parameter_constancy::{FreeParameters, PartConflict, WithNoise};
@@ -17,6 +17,8 @@ use crate::uncertainty::diagnostics::prior_check::PriorConflict;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
 use crate::uncertainty::diagnostics::{by_weights, output_effect};
 use crate::uncertainty::differences::{Center, Differences};
+use crate::uncertainty::group::Group;
+use crate::uncertainty::joint_errors::JointErrors;
 use crate::uncertainty::p_values::OfIndependent;
 use crate::uncertainty::result::{Estimator, Uncertainty, UncertaintyOptions, errors_and_correlation};
 use crate::uncertainty::row_blocks::{along, go_on};
@@ -82,9 +84,12 @@ struct Estimate<'a> {
     /// Derivative of each of them by its coordinate in the search.
     per_unit: &'a [f64],
     factors: &'a Factors,
+    groups: &'a [Group],
     noise: &'a Noise,
-    /// Changes of the working residuals by one standard deviation of each measured initial state.
-    by_starts: &'a [DVector<f64>],
+    /// Experiment and name of each measured initial state.
+    starts: &'a [(usize, String)],
+    /// Variance of the plain residuals of each output over that of its working residuals.
+    plain: &'a [f64],
 }
 
 /// What the residuals of a fit are looked at with.
@@ -106,69 +111,69 @@ struct OfFit<'a> {
 /// Covariances of all parameters, n x n, in the user's units.
 struct Covariances {
     covariance: Vec<f64>,
-    /// That of uncorrelated residuals, where the other is corrected for autocorrelation.
+    /// The covariance of uncorrelated residuals, where the other is corrected for autocorrelation.
     uncorrected: Option<Vec<f64>>,
     /// Diagonal of the inverse of half the cost's second derivatives.
     curvature: Vec<f64>,
-    /// Of each parameter.
+    /// Degrees of freedom of each variance.
     degrees_of_freedom: Vec<f64>,
-    /// Of each output.
+    /// Autocorrelation of each output.
     autocorrelations: Vec<f64>,
-    /// The chance of autocorrelations as large where there are none.
-    chance: f64,
+    /// With the errors of measured initial states, corrected and uncorrected.
+    joint: JointErrors,
+    uncorrected_joint: Option<JointErrors>,
 }
 
 impl Estimate<'_> {
-    fn covariances(
-        &self,
-        working: &Working,
-        layout: &ResidualLayout,
-        outputs: &[Vec<usize>],
-        context: &RunContext<'_>,
-    ) -> Result<Covariances, CalibrationError> {
-        let Self { n, free, factors, noise, .. } = *self;
-        let dependence = match noise.degrees_of_freedom {
-            0 => None,
-            _ => {
-                let Noise { groups, variances, .. } = noise;
-                Dependence::find(&factors.base, &working.residuals, groups, variances, context)?
+    fn covariances(&self, n_outputs: usize) -> Covariances {
+        let Self { n, free, factors, groups, noise, .. } = *self;
+        let independent = JointMatrices::new(factors, noise, &noise.independent);
+        let degrees = |joint: &JointMatrices| (0..free.len()).map(|k| joint.degrees_of_freedom(k)).collect();
+        let mut of_free: Vec<f64> = degrees(&independent);
+        let (mut joint, mut autocorrelations) = (independent, vec![0.0; n_outputs]);
+        let (mut uncorrected, mut uncorrected_joint) = (None, None);
+        let mut variances = &noise.independent.variances;
+        if let Some(model) = &noise.autocorrelated {
+            let mut corrected = JointMatrices::new(factors, noise, model);
+            corrected.raise_to(&joint);
+            let own: Vec<f64> = degrees(&corrected);
+            of_free.iter_mut().zip(own).for_each(|(degrees, own)| *degrees = degrees.min(own));
+            uncorrected = Some(self.of_all(&joint.covariance));
+            uncorrected_joint = Some(self.joint(&joint, variances, n_outputs));
+            (joint, variances) = (corrected, &model.variances);
+            for (group, rho) in groups.iter().zip(&model.autocorrelations) {
+                group.outputs.iter().for_each(|k| autocorrelations[*k] = *rho);
             }
-        };
-        let most = noise.degrees_of_freedom as f64;
-        let mut degrees_of_freedom = vec![most; n];
-        let mut of_starts = DMatrix::zeros(free.len(), free.len());
-        for change in self.by_starts {
-            let step = &factors.inverse * along(&factors.base, change.as_slice(), context)?;
-            of_starts += &step * step.transpose();
         }
-        let of_independent = factors.covariance(&noise.variances, context)? + &of_starts;
-        let independent = self.of_all(&of_independent);
-        let (covariance, uncorrected) = match &dependence {
-            None => (independent, None),
-            Some(dependence) => {
-                let (mut corrected, degrees) = dependence.covariance(&factors.inverse, most, context)?;
-                corrected += &of_starts;
-                not_below(&mut corrected, &of_independent);
-                free.iter().zip(&degrees).for_each(|(&i, degrees)| degrees_of_freedom[i] = *degrees);
-                (self.of_all(&corrected), Some(independent))
-            }
-        };
-        let mut autocorrelations = vec![0.0; layout.outputs.len()];
-        for (g, group) in outputs.iter().enumerate() {
-            let of_group = dependence.as_ref().map_or(0.0, |found| found.autocorrelation(g));
-            group.iter().for_each(|k| autocorrelations[*k] = of_group);
-        }
+        let mut degrees_of_freedom = vec![noise.degrees_of_freedom; n];
+        let known = free.iter().zip(of_free).filter(|(_, degrees)| !degrees.is_nan());
+        known.for_each(|(i, degrees)| degrees_of_freedom[*i] = degrees);
         let curvature = self.of_all(&(&factors.inverse * factors.inverse.transpose()));
-        let curvature = curvature.into_iter().step_by(n + 1).collect();
-        let chance = dependence.map_or(1.0, |found| found.chance());
-        Ok(Covariances { covariance, uncorrected, curvature, degrees_of_freedom, autocorrelations, chance })
+        Covariances {
+            covariance: self.of_all(&joint.covariance),
+            uncorrected,
+            curvature: curvature.into_iter().step_by(n + 1).collect(),
+            degrees_of_freedom,
+            autocorrelations,
+            joint: self.joint(&joint, variances, n_outputs),
+            uncorrected_joint,
+        }
+    }
+
+    fn joint(&self, joint: &JointMatrices, variances: &[f64], n_outputs: usize) -> JointErrors {
+        let Self { n, free, per_unit, factors, groups, starts, plain, .. } = *self;
+        let mut outputs = vec![(0, 0.0); n_outputs];
+        for (g, group) in groups.iter().enumerate() {
+            group.outputs.iter().for_each(|k| outputs[*k] = (g, variances[g] * plain[*k]));
+        }
+        joint.of_all(n, (free, per_unit, &factors.is_undetermined), starts, outputs)
     }
 
     /// A covariance of the free parameters, in the coordinates of the search, as one of all in the user's
     /// units: infinite variances, and no covariances, where the data do not determine a parameter.
     fn of_all(&self, of_free: &DMatrix<f64>) -> Vec<f64> {
         let Self { n, free, per_unit, factors, noise, .. } = *self;
-        let is_open = |k: usize| factors.is_undetermined[k] || noise.degrees_of_freedom == 0;
+        let is_open = |k: usize| factors.is_undetermined[k] || noise.degrees_of_freedom == 0.0;
         let mut matrix = vec![0.0; n * n];
         for (a, &i) in free.iter().enumerate() {
             for (b, &j) in free.iter().enumerate() {
@@ -256,25 +261,32 @@ impl Calibration {
             .map_err(|message| self.failed_at(x, format!("around this point: {message}"), None))?;
         let jacobian = differences.jacobian(context)?;
         let (differences_noise, roughness) = (differences.noise, differences.roughness);
-        let outputs = groups(layout, residuals, estimator, known.criterion);
-        let working = Working::new(known.criterion, layout, residuals, &outputs, free.len());
+        let starts = self.measured_starts(x);
+        let groups = groups(layout, residuals, estimator, known.criterion);
+        let working = Working::new(known.criterion, residuals, &groups, free.len());
         let differences = differences.weighted(&working.roots);
         let factors = &Factors::new(&differences, context)?;
-        let noise =
-            &Noise::estimate(layout, residuals, &working, &outputs, &factors.base, free.len(), context)?;
+        let starts = self.find_changes_by_starts(starts, x, residuals, simulations)?;
+        let noise = &Noise::estimate(layout, residuals, &working, &groups, &starts, &factors.base, context)?;
         let independent = noise.of_independent(layout, &factors.base, context)?;
-        let by_starts = self.changes_by_measured_starts(x, residuals, &noise.variances, simulations)?;
-        let by_starts: Vec<_> = by_starts.iter().map(|change| working.weighed(change)).collect();
-        let covariances =
-            Estimate { n: x.len(), free: &free, per_unit: &per_unit, factors, noise, by_starts: &by_starts }
-                .covariances(&working, layout, &outputs, context)?;
+        let by_starts = noise.changes_by_starts();
+        let estimate = Estimate {
+            n: x.len(),
+            free: &free,
+            per_unit: &per_unit,
+            factors,
+            groups: &groups,
+            noise,
+            starts: &starts.iter().map(|start| (start.experiment, start.state.clone())).collect::<Vec<_>>(),
+            plain: &working.plain_over_working(layout, residuals, &groups),
+        };
+        let covariances = estimate.covariances(layout.outputs.len());
         let is_exact = self.is_within_tolerance(sum_of_squares(residuals));
         let is_linear = known.criterion.is_sum_of_squares();
         let undetermined = || (0..free.len()).filter(|k| factors.is_undetermined[*k]);
         let is_inert =
             |k: &usize| jacobian.column(*k).norm() * differences.steps.row(*k).amax() <= differences_noise;
-        let prior_conflicts =
-            is_linear.then(|| PriorConflict::all(&center, layout, &per_unit, &jacobian, context));
+        let prior_conflicts = PriorConflict::all(&center, layout, &per_unit, (&jacobian, &working), context)?;
         let cost = |residuals: &[f64]| known.criterion.cost(layout, residuals);
         let at = At { parameters, x, free: &free, sizes: &sizes, factors, residuals: &working.residuals };
         let gain =
@@ -284,9 +296,11 @@ impl Calibration {
             correlation,
             uncorrected_covariance: covariances.uncorrected,
             autocorrelations: covariances.autocorrelations,
-            chance_of_autocorrelation: covariances.chance,
+            chance_of_autocorrelation: noise.chance,
             effective_degrees_of_freedom: covariances.degrees_of_freedom,
             covariance: covariances.covariance,
+            joint: covariances.joint,
+            uncorrected_joint: covariances.uncorrected_joint,
             standard_errors,
             degrees_of_freedom: noise.degrees_of_freedom,
             undetermined: undetermined().map(|k| free[k]).collect(),
@@ -299,7 +313,7 @@ impl Calibration {
             roughness,
             simulation_noise: at_center.part_of(differences_noise),
             is_at_failures: gain.is_at_failures,
-            prior_conflicts: prior_conflicts.transpose()?.unwrap_or_default(),
+            prior_conflicts,
             has_loss: !is_linear && known.criterion != Criterion::Likelihood,
             jacobian: of_all(&jacobian, x.len(), &free, &per_unit, context)?,
             residual_checks: self.residual_checks(residuals, &independent, &by_starts, context)?,
@@ -492,18 +506,6 @@ fn of_all(
         own.zip(&jacobian.column(k)).for_each(|(to, from)| *to = from / per_unit[k]);
     }
     Ok(by_all)
-}
-
-/// Scales a covariance so that no variance is below that of the other: an autoregression that describes a
-/// misfit leaves hardly any variance to a parameter whose effect changes its sign from row to row.
-fn not_below(covariance: &mut DMatrix<f64>, least: &DMatrix<f64>) {
-    for k in 0..covariance.nrows() {
-        let factor = (least[(k, k)] / covariance[(k, k)]).sqrt();
-        if factor > 1.0 {
-            covariance.row_mut(k).scale_mut(factor);
-            covariance.column_mut(k).scale_mut(factor);
-        }
-    }
 }
 
 /// Derivative of a parameter by its coordinate in the search.

@@ -4,6 +4,8 @@ pub(crate) mod covariance;
 pub(crate) mod diagnostics;
 pub(crate) mod differences;
 pub(crate) mod estimate;
+pub(crate) mod group;
+pub(crate) mod joint_errors;
 pub(crate) mod p_values;
 pub(crate) mod preflight;
 pub(crate) mod result;

@@ -7,6 +7,7 @@ use crate::uncertainty::diagnostics::parameter_constancy::PartConflict;
 use crate::uncertainty::diagnostics::prior_check::PriorConflict;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
 use crate::uncertainty::differences::ResidualBend;
+use crate::uncertainty::joint_errors::JointErrors;
 use crate::uncertainty::scores::Criterion;
 use base::Number;
 use dfo::RobustLoss;
@@ -118,21 +119,25 @@ pub struct Uncertainty {
     /// and it is the same. See [`uncorrected`](Self::uncorrected).
     pub uncorrected_covariance: Option<Vec<f64>>,
     /// The autocorrelation rho at lag one that the covariance supposes of the residuals of each output of
-    /// each experiment, `s^2 rho^|i - j|`, in the order of the residual vector: by restricted maximum
-    /// likelihood; zero where it is no more than chance.
+    /// each experiment, `s^2 rho^|i - j|`, in the order of the residual vector: that of the residuals, but
+    /// for the part that the fit has taken from it; zero where it is no more than chance.
     pub autocorrelations: Vec<f64>,
-    /// The chance of autocorrelations as large where the residuals are independent, by the ratio of the
-    /// likelihoods; 1 where none is supposed.
+    /// The chance of autocorrelations as large where the residuals are independent; 1 where none is supposed.
     #[serde(default = "certain")]
     pub chance_of_autocorrelation: f64,
-    /// Degrees of freedom of the quantile of Student's t for each parameter: fewer than
-    /// [`degrees_of_freedom`](Self::degrees_of_freedom) where residuals are autocorrelated and the standard
-    /// error is known less well (Satterthwaite).
+    /// Degrees of freedom of the quantile of Student's t for each parameter: twice the square of its variance
+    /// over the variance of that estimate (Satterthwaite, Biometrics Bulletin 2, 1946). With one variance for
+    /// all residuals these are the [`degrees_of_freedom`](Self::degrees_of_freedom). They are fewer where the
+    /// variance is mostly that of an output with few measurements, or where residuals are autocorrelated, and
+    /// more where it is mostly that of a prior.
     pub effective_degrees_of_freedom: Vec<f64>,
     /// The residuals of each output of each experiment, in the order of the residual vector.
     pub residual_checks: Vec<ResidualCheck>,
-    /// Number of residuals less that of the parameters that are not held.
-    pub degrees_of_freedom: usize,
+    /// Number of measurements less the number of parameters that they determine: the trace of the projection
+    /// onto the changes by the parameters, over the residuals of the measurements. Without priors it is the
+    /// number of parameters that are not held; a prior as good as the measurements counts one half of them.
+    /// Measurements of weight zero do not count, nor those from which a simulation starts.
+    pub degrees_of_freedom: f64,
     /// Parameters that are fixed, held, lie at a bound, or are no continuous numbers, by number: taken as
     /// known.
     pub held: Vec<usize>,
@@ -196,6 +201,12 @@ pub struct Uncertainty {
     pub jacobian: Vec<f64>,
     /// The residuals, m, before a loss.
     pub residuals: Vec<f64>,
+    /// Covariance of the parameters and of measured initial states together, from which predictions are made.
+    #[serde(default)]
+    pub(crate) joint: JointErrors,
+    /// The same for independent residuals.
+    #[serde(default)]
+    pub(crate) uncorrected_joint: Option<JointErrors>,
     /// Points that were simulated to find out.
     pub n_simulations: usize,
 }
@@ -232,7 +243,11 @@ impl Uncertainty {
         if let Some(covariance) = own.uncorrected_covariance.take() {
             (own.standard_errors, own.correlation) = errors_and_correlation(&covariance, own.x.len());
             own.covariance = covariance;
-            own.effective_degrees_of_freedom.fill(own.degrees_of_freedom as f64);
+            if let Some(joint) = own.uncorrected_joint.take() {
+                let degrees = |i: usize| joint.degrees_of_freedom(&joint.of(i));
+                own.effective_degrees_of_freedom = (0..own.x.len()).map(degrees).collect();
+                own.joint = joint;
+            }
             own.autocorrelations.fill(0.0);
         }
         own
@@ -301,7 +316,7 @@ impl fmt::Display for Uncertainty {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let uncorrected = self.uncorrected_errors();
         let corrected = if uncorrected.is_some() { ", corrected for autocorrelated residuals" } else { "" };
-        let (estimator, degrees) = (self.estimator, self.degrees_of_freedom);
+        let (estimator, degrees) = (self.estimator, digits(self.degrees_of_freedom));
         writeln!(f, "standard errors: {estimator}{corrected}, {degrees} degrees of freedom")?;
         let names: Vec<_> = self.names.iter().map(|name| visible_line(name)).collect();
         let width = names.iter().map(|name| name.len()).max().unwrap_or(0);

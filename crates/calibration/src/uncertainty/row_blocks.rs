@@ -107,19 +107,6 @@ pub(crate) fn scaled(
     })
 }
 
-/// A matrix with one more column.
-pub(crate) fn beside(
-    matrix: &DMatrix<f64>,
-    last: &[f64],
-    context: &RunContext<'_>,
-) -> Result<DMatrix<f64>, CalibrationError> {
-    let p = matrix.ncols();
-    filled(matrix.nrows(), p + 1, TOUCHED * (p + 1), context, |mut rows, block| {
-        rows.columns_mut(0, p).copy_from(&matrix.rows_range(block.clone()));
-        rows.column_mut(p).copy_from_slice(&last[block]);
-    })
-}
-
 /// The products `a'b` of the columns of two matrices.
 pub(crate) fn inner_products(
     a: DMatrixView<'_, f64>,
@@ -204,9 +191,7 @@ mod tests {
         assert!((&svd.u * diagonal * svd.v_t - &tall).amax() < 1e-12);
         let factors: Vec<f64> = (0..tall.nrows()).map(|i| 1.0 / (i + 1) as f64).collect();
         let of_rows = scaled(&tall, &factors, &context).unwrap();
-        assert!(
-            of_rows.row(7) == tall.row(7) / 8.0 && beside(&tall, &factors, &context).unwrap()[(4, p)] == 0.2
-        );
+        assert!(of_rows.row(7) == tall.row(7) / 8.0);
         let weighted = weighted_products(&tall, &factors, &context).unwrap();
         assert!((weighted - tall.tr_mul(&of_rows)).amax() < 1e-12 * tall.amax());
         let squares = tall.tr_mul(&tall);

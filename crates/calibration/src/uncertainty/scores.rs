@@ -3,6 +3,7 @@
 
 use crate::problem::objective::NamedCost;
 use crate::problem::residual_layout::ResidualLayout;
+use crate::uncertainty::group::Group;
 use dfo::{MeanScore, RobustLoss};
 use nalgebra::DVector;
 
@@ -31,7 +32,11 @@ impl Criterion {
     /// The cost of plain residuals.
     pub(crate) fn cost(self, layout: &ResidualLayout, residuals: &[f64]) -> f64 {
         match self {
-            Self::Loss(loss) => residuals.iter().fold(0.0, |sum, r| sum + loss.transform(*r).powi(2)),
+            Self::Loss(loss) => {
+                let (measured, priors) = residuals.split_at(layout.n_measurements());
+                let counted = measured.iter().map(|r| loss.transform(*r));
+                counted.chain(priors.iter().copied()).fold(0.0, |sum, r| sum + r * r)
+            }
             Self::Likelihood => NamedCost::Likelihood.cost(layout, residuals),
         }
     }
@@ -51,18 +56,12 @@ pub(crate) struct Working {
 impl Working {
     /// For an M-estimator with these losses the covariance of [`MeanScore`] comes out, p parameters and N
     /// residuals. With the likelihood an output counts by the inverse of its variance, which is Fisher's
-    /// information.
-    pub(crate) fn new(
-        criterion: Criterion,
-        layout: &ResidualLayout,
-        plain: &[f64],
-        groups: &[Vec<usize>],
-        p: usize,
-    ) -> Self {
+    /// information. Priors have no loss.
+    pub(crate) fn new(criterion: Criterion, plain: &[f64], groups: &[Group], p: usize) -> Self {
         let n = plain.len();
         let mut own = Self { residuals: plain.to_vec(), roots: vec![1.0; n], corrections: vec![1.0; n] };
         for group in groups {
-            let rows: Vec<usize> = group.iter().flat_map(|k| layout.outputs[*k].range.clone()).collect();
+            let rows: Vec<usize> = group.rows().collect();
             let squares: f64 = rows.iter().map(|i| plain[*i] * plain[*i]).sum();
             if squares == 0.0 || !squares.is_finite() {
                 continue;
@@ -78,17 +77,26 @@ impl Working {
                 }
             }
         }
-        if let Criterion::Loss(loss) = criterion
-            && !loss.is_linear()
-        {
-            // Residuals of priors have the standard deviation one.
-            for (i, plain) in plain.iter().enumerate().skip(layout.n_measurements()) {
-                let root = loss.score_slope(*plain, 1.0).max(f64::EPSILON).sqrt();
-                (own.roots[i], own.residuals[i]) = (root, loss.score(*plain) / root);
-                own.corrections[i] = root * root;
+        own
+    }
+
+    /// Variance of the plain residuals of each output over that of the working ones.
+    pub(crate) fn plain_over_working(
+        &self,
+        layout: &ResidualLayout,
+        plain: &[f64],
+        groups: &[Group],
+    ) -> Vec<f64> {
+        let mut ratios = vec![1.0; layout.outputs.len()];
+        for group in groups {
+            let sum = |of: &[f64]| group.rows().map(|i| of[i] * of[i]).sum::<f64>();
+            let correction = group.rows().next().map_or(1.0, |i| self.corrections[i]);
+            let ratio = sum(plain) / (sum(&self.residuals) * correction);
+            if ratio > 0.0 && ratio.is_finite() {
+                group.outputs.iter().for_each(|k| ratios[*k] = ratio);
             }
         }
-        own
+        ratios
     }
 
     /// Weighs a change of the residuals as the rows of the Jacobian.
@@ -116,32 +124,18 @@ impl Working {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::problem::residual_layout::OutputResiduals;
     use dfo::Loss;
-
-    fn layout(n: usize) -> ResidualLayout {
-        let output = OutputResiduals {
-            experiment: 0,
-            output: 0,
-            variable: "y".to_owned(),
-            column: "y".to_owned(),
-            range: 0..n,
-            times: vec![0.0; n].into(),
-            measured: vec![1.0; n].into(),
-            weights: vec![1.0; n].into(),
-        };
-        ResidualLayout { outputs: vec![output], ..ResidualLayout::default() }
-    }
 
     #[test]
     fn a_wide_loss_is_least_squares_and_a_narrow_one_that_of_an_m_estimator() {
         // Quantiles of the normal distribution, and two outliers.
         let mut r: Vec<f64> = (0..98).map(|k| ((f64::from(k) + 0.5) / 98.0 - 0.5) * 4.0).collect();
         r.extend([50.0, -50.0]);
-        let (layout, groups) = (layout(100), vec![vec![0]]);
+        let groups =
+            [Group { outputs: vec![0], series: std::iter::once(0..100).collect(), starts: Vec::new() }];
         let with = |kind, scale| {
             let criterion = Criterion::Loss(RobustLoss::new(kind, scale).unwrap());
-            Working::new(criterion, &layout, &r, &groups, 2)
+            Working::new(criterion, &r, &groups, 2)
         };
         for kind in [Loss::Linear, Loss::Huber, Loss::SoftL1, Loss::Cauchy] {
             let working = with(kind, 1e6);
@@ -159,7 +153,7 @@ mod tests {
         let expected = (1.0 + 0.02 * ((0.47 + 1.06 / 3.0) * 0.49 - 0.49 * 0.49) / (0.49 * 0.49_f64)).powi(2);
         assert!((working.corrections[0] - expected).abs() < 2e-3, "{}", working.corrections[0]);
         assert!((working.residuals[98] * working.roots[98] - 1.0).abs() < 1e-12);
-        let likelihood = Working::new(Criterion::Likelihood, &layout, &r, &groups, 2);
+        let likelihood = Working::new(Criterion::Likelihood, &r, &groups, 2);
         let squares: f64 = likelihood.residuals.iter().map(|r| r * r).sum();
         assert!((squares - 100.0).abs() < 1e-9);
     }

@@ -4,8 +4,10 @@
 
 use crate::support::faulty;
 use calibration::{
-    Calibration, CalibrationError, Data, Experiment, FitOptions, InitialState, Parameter, Weight,
+    BandOptions, Calibration, CalibrationError, CostKind, Data, Experiment, FitOptions, InitialState,
+    NamedCost, Parameter, RunContext, Weight,
 };
+use dfo::{Loss, RobustLoss};
 use example_models::example_fmu;
 use fmi::Fmu;
 use fmi::RunSettings;
@@ -190,5 +192,61 @@ fn state_without_effect_is_an_error_or_a_finding() {
         let calibration = given(&co_simulation, Some(initial));
         let error = calibration.fit(FitOptions::default()).unwrap_err().to_string();
         assert!(error.contains("x starts with 3 instead of"), "{error}");
+    }
+}
+
+/// `x' = -k x` from a measured start: the errors of k and of the curve are those of the delta method, with every
+/// form of the cost that is least squares in the end.
+#[test]
+fn a_measured_start_has_the_errors_of_the_delta_method_with_every_objective() {
+    let n = 21;
+    let t: Vec<f64> = (0..n).map(|i| 0.1 * f64::from(i)).collect();
+    // Looks like chance: the phases of a sine that are far apart.
+    let noise = |i: usize| 0.02 * (((i as f64 * 12.9898).sin() * 43758.5453).abs().fract() - 0.5);
+    let x: Vec<f64> = t.iter().enumerate().map(|(i, t)| (-K * t).exp() + noise(i)).collect();
+    let wide = RobustLoss::new(Loss::Huber, 1e6).unwrap();
+    let likelihood = CostKind::Named(NamedCost::Likelihood);
+    for (objective, loss, weight) in [
+        (CostKind::SumOfSquares, RobustLoss::default(), 1.0),
+        (CostKind::SumOfSquares, RobustLoss::default(), 100.0),
+        (likelihood.clone(), RobustLoss::default(), 1.0),
+        (likelihood, RobustLoss::default(), 100.0),
+        (CostKind::SumOfSquares, wide, 100.0),
+    ] {
+        let data = Data::from_columns(t.clone(), [("x".to_owned(), x.clone())]).unwrap();
+        let experiment = Experiment::new(data).weighted_output("x", "x", Weight::Constant(weight));
+        let calibration = Calibration::builder(Fmu::open(example_fmu("dahlquist").unwrap()).unwrap())
+            .experiment(experiment.initial_state("x", InitialState::Measured))
+            .parameter(k())
+            .settings(RunSettings { relative_tolerance: Some(1e-10), ..RunSettings::default() })
+            .build()
+            .unwrap();
+        let fit = calibration.fit(FitOptions { objective, loss, ..FitOptions::default() }).unwrap();
+        let uncertainty = fit.uncertainty.as_ref().unwrap();
+        assert_eq!(uncertainty.autocorrelations, [0.0]);
+        assert_eq!(uncertainty.degrees_of_freedom, f64::from(n) - 2.0);
+        // With j the derivative by k, c that by the start, and e the residuals: the step is -j'(e + c e_0) / j'j.
+        let (k, x0) = (fit.x[0], x[0]);
+        let curve: Vec<[f64; 3]> =
+            t.iter().map(|t| (-k * t).exp()).zip(&t).map(|(c, t)| [-t * x0 * c, c, x0 * c]).collect();
+        let dot = |a: usize, b: usize| curve[1..].iter().map(|row| row[a] * row[b]).sum::<f64>();
+        let (jj, jc, cc) = (dot(0, 0), dot(0, 1), dot(1, 1));
+        // The variance is that of a fit of k and of the start to all n measurements.
+        let r: Vec<f64> = curve[1..].iter().zip(&x[1..]).map(|(row, x)| row[2] - x).collect();
+        let with = |a: usize| curve[1..].iter().zip(&r).map(|(row, r)| row[a] * r).sum::<f64>();
+        let (jr, cr, of_start) = (with(0), with(1), cc + 1.0);
+        let taken = (jr * jr * of_start - 2.0 * jr * cr * jc + cr * cr * jj) / (jj * of_start - jc * jc);
+        let variance = (r.iter().map(|r| r * r).sum::<f64>() - taken) / (f64::from(n) - 2.0);
+        let of_rate = variance * (1.0 / jj + (jc / jj).powi(2));
+        let ratio = uncertainty.standard_errors[0] / of_rate.sqrt();
+        assert!((ratio - 1.0).abs() < 0.02, "{ratio}");
+        let options = BandOptions { times: Some(vec![0.0, 0.3, 2.0]), ..BandOptions::default() };
+        let band = calibration.prediction_bands(&fit, &options, &RunContext::new()).unwrap().swap_remove(0);
+        for (t, got) in [0.0, 0.3, 2.0_f64].iter().zip(&band.standard_errors) {
+            let c = (-k * t).exp();
+            let j = -t * x0 * c;
+            let expected = (variance * (j * j / jj + (c - j * jc / jj).powi(2))).sqrt();
+            assert!((got / expected - 1.0).abs() < 0.02, "{t}: {got} {expected}");
+        }
     }
 }

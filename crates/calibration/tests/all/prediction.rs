@@ -50,11 +50,11 @@ fn the_band_is_that_of_the_delta_method() {
         // Student's t with 38 degrees of freedom.
         let (half, of_measured) = (band.upper[i] - band.values[i], band.measured_upper[i] - band.values[i]);
         assert!((half / (2.02439 * band.standard_errors[i]) - 1.0).abs() < 1e-4, "{half}");
-        let whole = 2.02439 * (band.standard_errors[i].powi(2) + band.noise.powi(2)).sqrt();
+        let whole = 2.02439 * (band.standard_errors[i].powi(2) + band.noise[i].powi(2)).sqrt();
         assert!((of_measured / whole - 1.0).abs() < 1e-4);
         assert!((band.lower[i] + band.upper[i] - 2.0 * band.values[i]).abs() < 1e-12);
     }
-    assert!((band.noise - fit.rms * (40.0_f64 / 38.0).sqrt()).abs() < 1e-9);
+    assert!(band.noise.iter().all(|sd| (sd - fit.rms * (40.0_f64 / 38.0).sqrt()).abs() < 1e-9));
     // The same for any number of workers; narrower for a lower level.
     let one = BandOptions { workers: Some(1), ..options.clone() };
     assert_eq!(&calibration.prediction_bands(&fit, &one, &RunContext::new()).unwrap()[0], band);
@@ -94,7 +94,7 @@ fn a_band_of_parameters_on_a_log_scale_is_that_of_linear_ones() {
 fn a_band_without_degrees_of_freedom_is_refused() {
     let calibration = calibration(vec![recording(2.0, 1.0).window(0.0, 0.1)], false);
     let fit = calibration.fit(FitOptions::default()).unwrap();
-    assert_eq!(fit.uncertainty.as_ref().unwrap().degrees_of_freedom, 0);
+    assert_eq!(fit.uncertainty.as_ref().unwrap().degrees_of_freedom, 0.0);
     let error = calibration.prediction_bands(&fit, &BandOptions::default(), &RunContext::new()).unwrap_err();
     assert!(error.to_string().contains("2 residuals are no more than the parameters"), "{error}");
 }
@@ -191,4 +191,33 @@ fn recordings_that_cannot_be_left_out_are_named() {
         .cross_validate(&CrossValidationOptions::default(), &RunContext::new().asking(&|| true))
         .unwrap_err();
     assert!(matches!(error, calibration::CalibrationError::Cancelled));
+}
+
+/// A new measurement has the noise that the weight of its row states, at that row.
+#[test]
+fn a_band_of_new_measurements_has_the_noise_of_each_row() {
+    let sd = |i: usize| if i < 20 { 0.001 } else { 0.1 };
+    let t: Vec<f64> = (0..40).map(|i| i as f64 / 10.0).collect();
+    let x: Vec<f64> = t.iter().enumerate().map(|(i, t)| (-2.0 * t).exp() + sd(i) / 0.1 * noise(i)).collect();
+    let data = Data::from_columns(t.clone(), [("x".to_owned(), x)]).unwrap();
+    let weights = calibration::Weight::Rows((0..40).map(|i| 1.0 / sd(i)).collect());
+    let one = calibration(vec![Experiment::new(data).weighted_output("x", "x", weights)], false);
+    let fit = one.fit(FitOptions::default()).unwrap();
+    let options = BandOptions { times: Some(vec![0.5, 1.95, 3.0]), ..BandOptions::default() };
+    let band = one.prediction_bands(&fit, &options, &RunContext::new()).unwrap().swap_remove(0);
+    let found = fit.rms * (40.0_f64 / 38.0).sqrt();
+    for (got, sd) in band.noise.iter().zip([0.001, 0.0505, 0.1]) {
+        assert!((got / (found * sd) - 1.0).abs() < 1e-9, "{got}");
+    }
+    // Two recordings with weights of their own have noise of their own.
+    let recorded = |k: f64, sd: f64| {
+        let x = t.iter().enumerate().map(|(i, t)| (-k * t).exp() + sd / 0.01 * noise(i)).collect();
+        let data = Data::from_columns(t.clone(), [("x".to_owned(), x)]).unwrap();
+        Experiment::new(data).weighted_output("x", "x", calibration::Weight::Constant(1.0 / sd))
+    };
+    let two = calibration(vec![recorded(2.0, 0.001), recorded(2.0, 0.1)], false);
+    let fit = two.fit(FitOptions::default()).unwrap();
+    let bands = two.prediction_bands(&fit, &options, &RunContext::new()).unwrap();
+    let ratio = bands[1].noise[0] / bands[0].noise[0];
+    assert!((50.0..200.0).contains(&ratio), "{ratio}");
 }

@@ -2,7 +2,6 @@
 #![allow(clippy::unwrap_used)]
 
 use calibration::RunContext;
-use calibration::dfo::RobustLoss;
 use calibration::{
     Calibration, CalibrationError, Data, Experiment, Fit, FitOptions, Parameter, SavedFit, Stage,
 };
@@ -71,7 +70,7 @@ fn without_its_model_a_fit_shows_its_numbers() {
     std::fs::rename(&place, &moved).unwrap();
     let saved = SavedFit::from_bytes(&bytes, "decay.fit").unwrap();
     let described = saved.calibration().unwrap();
-    assert_eq!(described.rms(&fit.x, fit.cost, RobustLoss::default()), fit.rms);
+    assert_eq!(described.rms(&fit.x, fit.cost), fit.rms);
     assert_eq!(described.fmu().description().variable("x").unwrap().name, "x");
     assert_eq!(saved.fit.to_bytes(&described).unwrap(), bytes, "it can be saved again");
     let check = |error: CalibrationError, expected: &str| {

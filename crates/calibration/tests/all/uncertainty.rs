@@ -54,7 +54,7 @@ fn a_decay_has_the_errors_of_its_closed_form() {
         let uncertainty = fit.uncertainty.unwrap();
         let error = (fit.cost / 59.0 / sum).sqrt();
         near(uncertainty.standard_errors[0], error, 1e-3);
-        assert_eq!((uncertainty.degrees_of_freedom, &uncertainty.correlation[..]), (59, &[1.0][..]));
+        assert_eq!((uncertainty.degrees_of_freedom, &uncertainty.correlation[..]), (59.0, &[1.0][..]));
         // The quantile of Student's t for 59 degrees of freedom.
         let (low, high) = uncertainty.confidence_intervals(0.95).unwrap()[0];
         match scale {
@@ -268,10 +268,8 @@ fn autocorrelated_residuals_are_said_and_corrected() {
         uncertainty.confidence_intervals(0.95).map(|ends| ends[0].1 - ends[0].0).unwrap()
     };
     assert!(width(&uncertainty) > 2.0 * width(&uncorrected));
-    assert_eq!(
-        (uncorrected.effective_degrees_of_freedom[0], &uncorrected.autocorrelations[..]),
-        (79.0, &[0.0][..])
-    );
+    near(uncorrected.effective_degrees_of_freedom[0], 79.0, 1e-9);
+    assert_eq!(uncorrected.autocorrelations, [0.0]);
     assert!(uncertainty.to_string().contains("corrected for autocorrelated residuals"), "{uncertainty}");
     let verdict = uncertainty.verdict();
     assert!(verdict.iter().any(|said| said.contains("autocorrelated (0.9")), "{verdict:?}");

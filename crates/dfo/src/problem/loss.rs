@@ -37,12 +37,19 @@ pub enum Loss {
 pub struct RobustLoss {
     kind: Loss,
     scale: f64,
+    /// Residuals at the end that count by their squares.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    spared: usize,
+}
+
+fn is_zero(n: &usize) -> bool {
+    *n == 0
 }
 
 impl Default for RobustLoss {
     /// The square.
     fn default() -> Self {
-        Self { kind: Loss::Linear, scale: 1.0 }
+        Self { kind: Loss::Linear, scale: 1.0, spared: 0 }
     }
 }
 
@@ -65,7 +72,7 @@ impl RobustLoss {
     /// A scale that is not from 1e-300 to 1e300.
     pub fn new(kind: Loss, scale: f64) -> Result<Self, Error> {
         if (1e-300..=1e300).contains(&scale) {
-            return Ok(Self { kind, scale });
+            return Ok(Self { kind, scale, spared: 0 });
         }
         Err(Error::Option {
             name: "the scale of the loss",
@@ -96,6 +103,29 @@ impl RobustLoss {
             let scale = Value::Number(scale.unwrap_or(1.0));
             RecordError::range("positive and finite (1e-300 to 1e300)").of("f_scale", &scale).into()
         })
+    }
+
+    /// The same for all but the last residuals of a vector: these count by their squares, as the residuals of
+    /// priors do.
+    pub fn sparing(self, n_last: usize) -> Self {
+        Self { spared: if self.is_linear() { 0 } else { n_last }, ..self }
+    }
+
+    /// The loss of the residual `k` of `n`.
+    pub fn of_residual(&self, k: usize, n: usize) -> Self {
+        if k + self.spared < n { Self { spared: 0, ..*self } } else { Self::default() }
+    }
+
+    /// Replaces each residual by what [`transform`](Self::transform) makes of it.
+    pub fn transform_all(&self, residuals: &mut [f64]) {
+        let n = residuals.len().saturating_sub(self.spared);
+        residuals[..n].iter_mut().for_each(|r| *r = self.transform(*r));
+    }
+
+    /// Replaces each residual by what [`inverse`](Self::inverse) makes of it.
+    pub fn inverse_all(&self, residuals: &mut [f64]) {
+        let n = residuals.len().saturating_sub(self.spared);
+        residuals[..n].iter_mut().for_each(|s| *s = self.inverse(*s));
     }
 
     /// The loss.
@@ -149,8 +179,9 @@ impl RobustLoss {
     /// not finite is a failure that names it.
     pub fn cost(&self, residuals: &mut [f64], cutoff: f64) -> Outcome {
         let mut sum = 0.0;
+        let n = residuals.len().saturating_sub(self.spared);
         for (k, r) in residuals.iter_mut().enumerate() {
-            *r = self.transform(*r);
+            *r = if k < n { self.transform(*r) } else { *r };
             sum += *r * *r;
             if !r.is_finite() {
                 return Outcome::not_finite(format!("residual {k} is {r}"));
@@ -209,6 +240,23 @@ mod tests {
     fn all(scale: f64) -> [RobustLoss; 4] {
         [Loss::Linear, Loss::SoftL1, Loss::Huber, Loss::Cauchy]
             .map(|kind| RobustLoss::new(kind, scale).unwrap())
+    }
+
+    #[test]
+    fn spared_residuals_count_by_their_squares() {
+        let loss = RobustLoss::new(Loss::Huber, 1.0).unwrap().sparing(1);
+        let mut residuals = [3.0, 3.0];
+        // 2 * 3 - 1 of the first, 9 of the second.
+        assert_eq!(loss.cost(&mut residuals, f64::INFINITY), Outcome::Value(residuals[0].powi(2) + 9.0));
+        assert!((residuals[0].powi(2) - 5.0).abs() < 1e-14);
+        loss.inverse_all(&mut residuals);
+        assert!((residuals[0] - 3.0).abs() < 1e-14 && residuals[1] == 3.0);
+        loss.transform_all(&mut residuals);
+        assert!((residuals[0].powi(2) - 5.0).abs() < 1e-14 && residuals[1] == 3.0);
+        assert_eq!(loss.of_residual(0, 2).kind(), Loss::Huber);
+        assert!(loss.of_residual(1, 2).is_linear() && !loss.is_linear());
+        let stored = serde_json::to_string(&loss).unwrap();
+        assert_eq!(serde_json::from_str::<RobustLoss>(&stored).unwrap(), loss);
     }
 
     #[test]

@@ -187,8 +187,9 @@ impl Report {
         let Some(MeanScore { slope, correction }) = mean.filter(|_| !self.loss.is_linear()) else {
             return Covariance::new(residuals, jacobian, &self.active, context);
         };
-        let factor = correction.sqrt() / slope;
-        let working: Vec<f64> = residuals.iter().map(|r| factor * self.loss.score(*r)).collect();
+        let (factor, m) = (correction.sqrt() / slope, residuals.len());
+        let score = |(k, r): (usize, &f64)| factor * self.loss.of_residual(k, m).score(*r);
+        let working: Vec<f64> = residuals.iter().enumerate().map(score).collect();
         Covariance::new(&working, jacobian, &self.active, context)
     }
 
@@ -201,10 +202,10 @@ impl Report {
     pub(crate) fn undo(&mut self, loss: RobustLoss) {
         self.loss = loss;
         let Some(residuals) = self.residuals.as_mut().filter(|_| !loss.is_linear()) else { return };
-        residuals.iter_mut().for_each(|s| *s = loss.inverse(*s));
-        let n = self.x.len();
+        loss.inverse_all(residuals);
+        let (n, m) = (self.x.len(), residuals.len());
         for (k, j) in self.jacobian.iter_mut().flatten().enumerate() {
-            *j /= loss.slope(residuals[k / n]);
+            *j /= loss.of_residual(k / n, m).slope(residuals[k / n]);
         }
         if self.jacobian.iter().flatten().any(|j| !j.is_finite()) {
             self.jacobian = None;

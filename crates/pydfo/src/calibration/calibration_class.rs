@@ -239,7 +239,7 @@ impl PyCalibration {
 
     /// The rms at `x`, from the cost without a loss.
     fn rms(&self, x: Vec<f64>, cost: f64) -> f64 {
-        self.inner().rms(&x, cost, RobustLoss::default())
+        self.inner().rms(&x, cost)
     }
 
     /// Name of the integration method that is in use; None: not chosen yet.

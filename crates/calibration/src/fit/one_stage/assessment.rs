@@ -73,7 +73,7 @@ impl Calibration {
         }
         let is_estimated = made.noise.as_ref().is_some_and(|noise| noise.estimated().is_some());
         let mut rms = |x: &[f64], cost: f64| match residuals.at(x) {
-            _ if objective.is_sum_of_squares() && !is_estimated => Some(self.rms(x, cost, *loss)),
+            _ if objective.is_sum_of_squares() && !is_estimated => Some(self.rms(x, cost)),
             // Of another cost, or by other weights, the residuals have to be known.
             Some(known) => Some(self.rms_of(known, own.residual_layout())),
             None => {

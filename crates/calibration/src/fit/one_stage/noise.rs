@@ -168,7 +168,8 @@ impl EstimatedNoise {
             let (mut squares, mut degrees, mut weighted) = (0.0, 0.0, Vec::new());
             let same = layout.outputs.iter().filter(|o| o.variable == noise.variable);
             for output in same.filter(|o| self.is_of(problem, o)) {
-                for (k, i) in output.range.clone().enumerate() {
+                for i in output.noisy_rows() {
+                    let k = i - output.range.start;
                     squares += residuals[i] * residuals[i];
                     degrees += 1.0 - leverages[i];
                     weighted.push(output.measured[k] * base(problem, output, k));
@@ -206,13 +207,6 @@ impl EstimatedNoise {
     pub(super) fn of_weighted(&self, problem: &Problem, output: &OutputResiduals) -> f64 {
         let sd = self.sd(&output.variable, weight(problem, output)).unwrap_or(0.0);
         sd * output.weights[0] / base(problem, output, 0)
-    }
-
-    /// The standard deviation of the measurements of an output where all of them have the same.
-    pub(crate) fn of_measurements(&self, problem: &Problem, output: &OutputResiduals) -> Option<f64> {
-        let sd = self.sd(&output.variable, weight(problem, output))?;
-        let first = base(problem, output, 0);
-        (0..output.weights.len()).all(|k| base(problem, output, k) == first).then(|| sd / first)
     }
 
     /// A problem with the weights of the fit.

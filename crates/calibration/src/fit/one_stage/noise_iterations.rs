@@ -216,9 +216,9 @@ impl Calibration {
         }
         job.enter(FitPhase::Solver, stats);
         let (_, compared) = self.solver_counted(&job.context, stats)?;
-        Ok(compared.filter(|_| job.start == self.start()).map(|AtStart { residuals, stats }| AtStart {
-            residuals: residuals.into_iter().map(|r| job.loss.transform(r)).collect(),
-            stats,
+        Ok(compared.filter(|_| job.start == self.start()).map(|AtStart { mut residuals, stats }| {
+            job.loss.transform_all(&mut residuals);
+            AtStart { residuals, stats }
         }))
     }
 
@@ -250,7 +250,7 @@ impl Calibration {
         Ok(made)
     }
 
-    fn has_priors(&self) -> bool {
+    pub(super) fn has_priors(&self) -> bool {
         !self.residual_layout().priors.is_empty()
     }
 

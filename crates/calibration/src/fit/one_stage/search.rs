@@ -260,7 +260,8 @@ impl<'a> Job<'a> {
             held: options.held,
             cutoffs: options.cutoffs && options.objective.is_sum_of_squares(),
             objective: options.objective,
-            loss: options.loss,
+            // Outliers are those of measurements.
+            loss: options.loss.sparing(calibration.residual_layout().priors.len()),
             noise: options.noise,
             wants_preflight: options.preflight,
             uncertainty: options.uncertainty,
@@ -415,6 +416,9 @@ impl Calibration {
         let mut problem = self.problem_hash(solver);
         if !job.loss.is_linear() {
             problem += &format!(", loss {}", job.loss);
+            if self.has_priors() {
+                problem += ", quadratic priors";
+            }
         }
         if !job.objective.is_sum_of_squares() {
             problem += &format!(", objective {}", job.objective.name());

@@ -72,7 +72,8 @@ impl Calibration {
     /// of half the second derivatives over its variance in [`Uncertainty::covariance`] (Rotnitzky and Jewell,
     /// Biometrika 77, 1990; Pace, Salvan and Sartori, Statistica Sinica 21, 2011). An interval ends where the
     /// statistic is the quantile of F with 1 and N - p degrees of freedom, the square of that of Student's t
-    /// (Bates and Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1; Raue et al.,
+    /// (with those of the [variance of each parameter](Uncertainty::effective_degrees_of_freedom); Bates and
+    /// Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1; Raue et al.,
     /// Bioinformatics 25, 2009, with the quantile of chi-square, its limit for many measurements). It is
     /// about the optimum of the cost, which is found more accurately first. For a linear model the interval
     /// is that of the covariance.
@@ -110,25 +111,26 @@ impl Calibration {
         let n = fit.x.len();
         let asked = profiled(fit, &held, options)?;
         let n_free = n - held.len();
-        let degrees_of_freedom = self.n_residuals().saturating_sub(n_free);
-        if degrees_of_freedom == 0 {
-            let n = self.n_residuals();
-            return Err(CalibrationError::Setup(format!(
-                "{n} residuals say nothing of the noise of a fit of {n_free} parameters: there is no profile without more of them"
-            )));
+        let n_residuals = self.n_residuals();
+        let without_noise = || {
+            CalibrationError::Setup(format!(
+                "{n_residuals} residuals say nothing of the noise of a fit of {n_free} parameters: there is no profile without more of them"
+            ))
+        };
+        if n_residuals <= n_free {
+            return Err(without_noise());
         }
-        let quantile = check_level(options.level, degrees_of_freedom as f64)?;
-        let threshold = quantile * quantile;
+        let normal = check_level(options.level, f64::INFINITY)?.powi(2);
         let estimator = fit.uncertainty.as_ref().map(|uncertainty| uncertainty.estimator).unwrap_or_default();
         let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
         let size = |i: usize| self.size_of(&self.parameters()[i], fit.x[i]);
         let step = |i: usize| step_of(fit.uncertainty.as_ref(), i).unwrap_or_else(|| 0.01 * size(i));
         let mut refits = Refits {
             calibration: self,
-            loss: fit.report.loss,
+            loss: fit.report.loss.sparing(self.residual_layout().priors.len()),
             held: &held,
             sizes: (0..n).map(step).collect(),
-            f_tol: refit::F_TOL * threshold / (self.n_residuals() as f64).max(threshold),
+            f_tol: refit::F_TOL * normal / (n_residuals as f64).max(normal),
             stats: Mutex::default(),
         };
         let statistic = format!("{held:?} {estimator:?} {} {}", fit.report.loss, options.is_corrected);
@@ -143,13 +145,18 @@ impl Calibration {
             self.uncertainty_and_curvature(&optimum.x, estimator, &known, &mut simulations)?;
         let uncertainty = if options.is_corrected { uncertainty } else { uncertainty.uncorrected() };
         n_simulations += simulations.n;
+        let degrees_of_freedom = uncertainty.degrees_of_freedom;
+        if degrees_of_freedom == 0.0 {
+            return Err(without_noise());
+        }
+        let threshold = check_level(options.level, degrees_of_freedom)?.powi(2);
         refits.sizes = (0..n).map(|i| step_of(Some(&uncertainty), i).unwrap_or(refits.sizes[i])).collect();
         let per_rise = |i: usize| -> Result<f64, CalibrationError> {
             let own = check_level(options.level, uncertainty.effective_degrees_of_freedom[i])?;
             let found = curvature[i] / uncertainty.covariance[i * n + i] * threshold / (own * own);
             // Of one that is not determined, or at its bound, nothing else is known.
             let is_known = found > 0.0 && found.is_finite();
-            Ok(if is_known { found } else { degrees_of_freedom as f64 / optimum.cost })
+            Ok(if is_known { found } else { degrees_of_freedom / optimum.cost })
         };
         let origins = (asked.iter())
             .map(|&i| {

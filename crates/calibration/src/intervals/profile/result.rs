@@ -112,8 +112,9 @@ pub struct Profile {
     pub level: f64,
     /// They end where the statistic is this.
     pub threshold: f64,
-    /// Residuals less fitted parameters.
-    pub degrees_of_freedom: usize,
+    /// As those of [`Uncertainty`](crate::Uncertainty::degrees_of_freedom). The statistic of a parameter
+    /// whose variance has others is scaled, so that one threshold is that of all.
+    pub degrees_of_freedom: f64,
     /// The optimum of the cost, about which the intervals are: that of the fit, found more accurately.
     pub x: Vec<f64>,
     /// The cost there, as the fit has it.
@@ -139,7 +140,7 @@ impl fmt::Display for Profile {
         writeln!(
             f,
             "profile likelihood: {level} % intervals, {} degrees of freedom, threshold {}",
-            self.degrees_of_freedom,
+            digits(self.degrees_of_freedom),
             digits(self.threshold)
         )?;
         write!(f, "{:<width$}  {:>12}  {:>12}  {:>12}", "parameter", "optimum", "lower", "upper")?;

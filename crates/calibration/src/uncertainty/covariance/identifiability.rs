@@ -5,7 +5,8 @@ use crate::cost::accuracy::Accuracy;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Origin, Severity};
 use crate::findings::shown_text::digits;
-use crate::uncertainty::covariance::matrix::{Factors, Noise, compressed};
+use crate::uncertainty::covariance::matrix::{Factors, compressed};
+use crate::uncertainty::covariance::noise::Noise;
 use crate::uncertainty::diagnostics::residual_check::{CORRELATED, ResidualCheck};
 use crate::uncertainty::differences::{Differences, ResidualBend};
 use crate::uncertainty::p_values::BY_CHANCE;
@@ -188,7 +189,7 @@ impl Uncertainty {
         sizes: &[f64],
         context: &RunContext<'_>,
     ) -> Result<(), CalibrationError> {
-        if noise.degrees_of_freedom == 0 {
+        if noise.degrees_of_freedom == 0.0 {
             return Ok(());
         }
         let is_about_zero = |k: usize| self.is_about_zero.get(free[k]).copied().unwrap_or_default();
@@ -243,7 +244,7 @@ impl Uncertainty {
         let mut find = |names: String, sentence: String, remedy: &str| {
             said.push(Finding::warning(names, sentence, remedy).of(Origin::Search));
         };
-        if self.degrees_of_freedom == 0 && self.held.len() < self.n() {
+        if self.degrees_of_freedom == 0.0 && self.held.len() < self.n() {
             let sentence = "there are no more residuals than parameters: nothing is known of their errors";
             find("parameters".to_owned(), sentence.to_owned(), "");
         }
@@ -454,7 +455,7 @@ impl Uncertainty {
         }
         let n_free = self.n() - self.held.len();
         // Of exact residuals no variance is known that values could be compared with.
-        if self.identifiable.len() < n_free && self.degrees_of_freedom > 0 && !self.is_exact {
+        if self.identifiable.len() < n_free && self.degrees_of_freedom > 0.0 && !self.is_exact {
             let (severity, sentence) = match self.identifiable.is_empty() {
                 true => {
                     let sentence = "the data tell none of the parameters to half of its value";

@@ -4,63 +4,124 @@ use crate::error::CalibrationError;
 use crate::loaded::calibration::Calibration;
 use crate::loaded::simulations_around::{Point, Simulations};
 use crate::problem::experiment::InitialState;
+use crate::problem::residual_layout::OutputResiduals;
 use dfo::RobustLoss;
-use fmi::Value;
 use nalgebra::DVector;
 
+/// The step of a start that has no noise is this part of it.
+const SHORTEST: f64 = 1e-6;
+
+/// An initial state of an experiment that is a measured value.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct MeasuredStart {
+    /// The experiment, counted from 0.
+    pub(crate) experiment: usize,
+    /// The state.
+    pub(crate) state: String,
+    /// The output that measures it: an entry of the residual layout.
+    pub(crate) output: usize,
+    /// Its residual, which is zero whatever the parameters are. `None`: it is not compared, or has the weight
+    /// zero.
+    pub(crate) row: Option<usize>,
+    /// The value of the state.
+    pub(crate) value: f64,
+    /// The weight of its measurement, without the sign.
+    pub(crate) weight: f64,
+    /// Change of the plain residuals by a unit of the state.
+    pub(crate) change: DVector<f64>,
+}
+
 impl Calibration {
-    /// Changes of the residuals by one standard deviation of the noise of each measured initial state: a
-    /// column for each state of each experiment, from one simulation for each state. `variances`: of the
-    /// residuals.
+    /// The measured initial states of all experiments, with their changes yet to be found.
+    pub(crate) fn measured_starts(&self, x: &[f64]) -> Vec<MeasuredStart> {
+        let outputs = &self.residual_layout().outputs;
+        let of = |k: usize, state: &String| {
+            let is_own = |o: &OutputResiduals| o.experiment == k && o.variable == *state;
+            let output = outputs.iter().position(is_own)?;
+            let value = self.evaluator().simulations[k].measured_start(state, x)?;
+            let counts = outputs[output].starts_simulation && outputs[output].weights.first() != Some(&0.0);
+            let row = counts.then_some(outputs[output].range.start);
+            let change = DVector::zeros(0);
+            // Nothing is known of the noise of measurements of weight zero.
+            let weight = outputs[output].weights.iter().find(|weight| **weight != 0.0)?.abs();
+            Some(MeasuredStart { experiment: k, state: state.clone(), output, row, value, weight, change })
+        };
+        let experiments = self.problem().experiments.iter().enumerate();
+        let states = experiments.flat_map(|(k, e)| e.initial_states.iter().map(move |state| (k, state)));
+        let measured = states.filter(|(_, (_, initial))| *initial == InitialState::Measured);
+        measured.filter_map(|(k, (state, _))| of(k, state)).collect()
+    }
+
+    /// A calibration of the same problem in which these starts are numbers, each moved by its step.
+    ///
+    /// # Errors
+    /// A problem that cannot be loaded.
+    pub(crate) fn with_starts_moved(
+        &self,
+        moved: &[(&MeasuredStart, f64)],
+    ) -> Result<Self, CalibrationError> {
+        let mut problem = self.problem().clone();
+        for (start, step) in moved {
+            let states = &mut problem.experiments[start.experiment].initial_states;
+            let own = states.iter_mut().find(|(name, _)| *name == start.state);
+            own.into_iter().for_each(|(_, initial)| *initial = InitialState::Value(start.value + step));
+        }
+        self.derived_beside(problem)
+    }
+
+    /// Finds the changes of the residuals by measured initial states, from one simulation for each state. The
+    /// steps are about the noise of its measurements. Starts of which the simulation fails are left out.
     ///
     /// # Errors
     /// [`CalibrationError::Cancelled`].
-    pub(crate) fn changes_by_measured_starts(
+    pub(crate) fn find_changes_by_starts(
         &self,
+        starts: Vec<MeasuredStart>,
         x: &[f64],
         residuals: &[f64],
-        variances: &[f64],
         simulations: &mut Simulations<'_>,
-    ) -> Result<Vec<DVector<f64>>, CalibrationError> {
-        let experiments = &self.problem().experiments;
-        let measured = |state: &(String, InitialState)| state.1 == InitialState::Measured;
-        let all = experiments.iter().flat_map(|e| e.initial_states.iter().filter(|s| measured(s)));
-        let mut states: Vec<&String> = all.map(|(state, _)| state).collect();
+    ) -> Result<Vec<MeasuredStart>, CalibrationError> {
+        let outputs = &self.residual_layout().outputs;
+        let step = |start: &MeasuredStart| {
+            let output = &outputs[start.output];
+            let own = &residuals[output.range.clone()];
+            let squares: f64 = own
+                .iter()
+                .zip(&output.weights)
+                .filter(|(_, w)| **w != 0.0)
+                .map(|(r, w)| (r / w) * (r / w))
+                .sum();
+            let size = (squares / own.len() as f64).sqrt();
+            let shortest = SHORTEST * start.value.abs();
+            let step = if size > shortest && size.is_finite() { size } else { shortest };
+            if step > 0.0 { step } else { SHORTEST }
+        };
+        let mut states: Vec<&String> = starts.iter().map(|start| &start.state).collect();
         states.sort();
         states.dedup();
-        let mut columns = Vec::new();
+        let mut found = Vec::new();
         for state in states {
-            let mut problem = self.problem().clone();
-            let mut moved = Vec::new();
-            for (k, experiment) in problem.experiments.iter_mut().enumerate() {
-                let initial = experiment.initial_states.iter_mut().find(|s| s.0 == *state && measured(s));
-                let output =
-                    self.residual_layout().outputs.iter().find(|o| o.experiment == k && o.variable == *state);
-                let starts = &self.evaluator().simulations[k].options.start_values;
-                let start = starts.iter().find(|(name, _)| name == state).map(|(_, value)| value);
-                if let (Some((_, initial)), Some(output), Some(Value::Real(start))) = (initial, output, start)
-                {
-                    let first = output.range.start;
-                    *initial = InitialState::Value(start + variances[first].sqrt() / output.weights[0].abs());
-                    moved.push(k);
-                }
-            }
-            let Ok(derived) = self.derived_beside(problem) else { continue };
+            let moved: Vec<(&MeasuredStart, f64)> = starts
+                .iter()
+                .filter(|start| start.state == *state)
+                .map(|start| (start, step(start)))
+                .collect();
+            let Ok(derived) = self.with_starts_moved(&moved) else { continue };
             let (workers, context) = (simulations.workers, simulations.context);
             let mut own = Simulations::new(&derived, RobustLoss::default(), workers, &context)?;
-            let found = own.residuals(&[Point::new(x.to_vec())])?.swap_remove(0);
+            let there = own.residuals(&[Point::new(x.to_vec())])?.swap_remove(0);
             simulations.n += own.n;
             simulations.stats += own.stats;
-            let Ok(found) = found else { continue };
-            for k in moved {
-                let mut column = DVector::zeros(residuals.len());
-                let outputs = self.residual_layout().outputs.iter().filter(|output| output.experiment == k);
-                for i in outputs.flat_map(|output| output.range.clone()) {
-                    column[i] = found[i] - residuals[i];
+            let Ok(there) = there else { continue };
+            for (start, step) in moved {
+                let mut change = DVector::zeros(residuals.len());
+                let rows = outputs.iter().filter(|output| output.experiment == start.experiment);
+                for i in rows.flat_map(|output| output.range.clone()).filter(|i| Some(*i) != start.row) {
+                    change[i] = (there[i] - residuals[i]) / step;
                 }
-                columns.push(column);
+                found.push(MeasuredStart { change, ..start.clone() });
             }
         }
-        Ok(columns)
+        Ok(found)
     }
 }

@@ -1,8 +1,10 @@
-//! The covariance of the parameters: from the changes of the residuals, with autocorrelation and measured
-//! initial states; and the parameters that the data do not determine.
+//! The covariance of the parameters: the noise of the residuals, with autocorrelation and measured initial
+//! states, what it leaves to the parameters, and the parameters that the data do not determine.
 
-pub(crate) mod autocorrelation;
 pub(crate) mod identifiability;
+pub(crate) mod joint;
 pub(crate) mod matrix;
 pub(crate) mod measured_start;
+pub(crate) mod moments;
+pub(crate) mod noise;
 pub(crate) mod remaining_decrease;

@@ -153,6 +153,7 @@ mod tests {
             times: (0..n).map(t).collect(),
             measured: (0..n).map(|i| slope(k * n) * t(i)).collect(),
             weights: vec![1.0; n].into(),
+            starts_simulation: false,
         };
         let layout = ResidualLayout { outputs: vec![output(0), output(1)], priors: Vec::new() };
         let mut checks =

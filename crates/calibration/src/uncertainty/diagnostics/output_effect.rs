@@ -207,6 +207,7 @@ mod tests {
                 times: t.clone().into(),
                 measured: measured.into(),
                 weights: vec![2.0; t.len()].into(),
+                starts_simulation: false,
             };
             let found =
                 OutputEffect::find(&output, &residuals, &left(&residuals, &base), &base, &RunContext::new())

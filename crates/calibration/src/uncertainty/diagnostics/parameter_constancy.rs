@@ -314,6 +314,7 @@ mod tests {
             times: (0..n).map(|i| i as f64).collect::<Vec<_>>().into(),
             measured: vec![0.0; n].into(),
             weights: vec![1.0; n].into(),
+            starts_simulation: false,
         };
         ResidualLayout { outputs: vec![output(0), output(1)], priors: Vec::new() }
     }

@@ -7,7 +7,8 @@ use crate::problem::parameter::{inner, outer};
 use crate::problem::prior::Prior;
 use crate::problem::residual_layout::ResidualLayout;
 use crate::uncertainty::differences::Center;
-use crate::uncertainty::row_blocks::{ThinSvd, thin_svd};
+use crate::uncertainty::row_blocks::{ThinSvd, scaled, thin_svd};
+use crate::uncertainty::scores::Working;
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -33,27 +34,27 @@ pub struct PriorConflict {
 
 impl PriorConflict {
     /// The priors that are contradicted, by the derivatives (m x p, in the coordinates of the search) of the
-    /// residuals (m), of which those of the priors are the last. `slopes`: of the free parameters by these
-    /// coordinates.
+    /// residuals (m), of which those of the priors are the last, and by their scores. `slopes`: of the free
+    /// parameters by these coordinates.
     pub(crate) fn all(
         at: &Center<'_>,
         layout: &ResidualLayout,
         slopes: &[f64],
-        jacobian: &DMatrix<f64>,
+        (jacobian, working): (&DMatrix<f64>, &Working),
         context: &RunContext<'_>,
     ) -> Result<Vec<Self>, CalibrationError> {
-        let Center { parameters, x, free, residuals, .. } = *at;
+        let Center { parameters, x, free, .. } = *at;
         let (n, p) = (layout.n_measurements(), free.len());
         if layout.priors.is_empty() || n <= p {
             return Ok(Vec::new());
         }
-        let mut j = jacobian.rows(0, n).into_owned();
+        let mut j = scaled(&jacobian.rows(0, n).into_owned(), &working.roots[..n], context)?;
         let lengths: Vec<f64> = j.column_iter().map(|column| column.norm()).collect();
         // What the measurements do not move has an infinite standard error, and contradicts nothing.
         for (mut column, length) in j.column_iter_mut().zip(&lengths).filter(|(_, length)| **length > 0.0) {
             column /= *length;
         }
-        let r = DVector::from_column_slice(&residuals[..n]);
+        let r = DVector::from_column_slice(&working.residuals[..n]);
         let Some(ThinSvd { u, values, v_t }) = thin_svd(&j, context)? else { return Ok(Vec::new()) };
         let along = u.tr_mul(&r);
         let step = |k: usize| -> f64 { (0..p).map(|i| -v_t[(i, k)] * along[i] / values[i]).sum() };

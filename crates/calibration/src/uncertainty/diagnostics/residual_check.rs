@@ -383,6 +383,7 @@ mod tests {
             times: (0..400).map(f64::from).collect(),
             measured: vec![1.0; 400].into(),
             weights: vec![1.0; 400].into(),
+            starts_simulation: false,
         };
         let layout = ResidualLayout { outputs: vec![output], priors: Vec::new() };
         let checks = ResidualCheck::all(&layout, &["a".to_owned()], &r, None, &RunContext::new());

@@ -93,14 +93,16 @@ impl LeastSquaresState {
     /// own bends would hide the slope of the cost.
     pub(super) fn residuals_near(&self, base: usize, point: usize) -> Cow<'_, [f64]> {
         let (loss, own) = (&self.setup.loss, &self.points[point].residuals);
+        let n = own.len();
         if loss.is_linear() || point == base {
             return Cow::Borrowed(own);
         }
-        let counted = |(at_base, own): (&f64, &f64)| {
+        let counted = |(k, (at_base, own)): (usize, (&f64, &f64))| {
+            let loss = loss.of_residual(k, n);
             let plain = loss.inverse(*at_base);
             at_base + loss.slope(plain) * (loss.inverse(*own) - plain)
         };
-        self.points[base].residuals.iter().zip(own).map(counted).collect()
+        self.points[base].residuals.iter().zip(own).enumerate().map(counted).collect()
     }
 
     /// Makes the set from a point and those nearest to it.

@@ -340,7 +340,8 @@ class Calibration(Evaluation):
         callback : callable, optional
             Called after each iteration with a `Progress`, on the calling thread; StopIteration or True end the fit.
         loss, f_scale : optional
-            What a residual counts, see `least_squares`, by every method: "soft_l1", "huber" and "cauchy" keep outliers from deciding.
+            What a residual of a measurement counts, see `least_squares`, by every method: "soft_l1", "huber" and "cauchy" keep outliers
+            from deciding. Priors count by their squares.
             Cost and rms of the fit are those of what the residuals count then; `Fit.residuals` has the plain ones.
         start : array_like or dict, optional
             Another start than that of the parameters.

@@ -48,7 +48,7 @@ class Profile:
         The level of the intervals.
     parameters : dict of str to float
         The optimum of the fit's cost, about which the intervals are: that of the fit, found more accurately.
-    degrees_of_freedom : int
+    degrees_of_freedom : float
         Residuals less parameters that were fitted.
     interrupted : bool
         Whether Ctrl-C ended it: some sides are not complete.
@@ -67,7 +67,7 @@ class Profile:
     points: dict[str, FloatArray]
     level: float
     threshold: float
-    degrees_of_freedom: int
+    degrees_of_freedom: float
     interrupted: bool
     autocorrelated: bool
     n_simulations: int

@@ -61,10 +61,12 @@ class Uncertainty:
         Standard errors that suppose independent residuals; None where no output has autocorrelated ones, and they are the same.
     autocorrelations : ndarray, shape (k,)
         The autocorrelation at lag one that the covariance supposes for each of `residual_checks`: zero where it is no more than chance.
-    degrees_of_freedom : int
-        Residuals less parameters that are not held.
+    degrees_of_freedom : float
+        Number of measurements less the number of parameters that they determine: without priors the number of those that are not held; a
+        prior as good as the measurements counts one half. Measurements of weight zero do not count, nor those from which a simulation starts.
     effective_degrees_of_freedom : ndarray, shape (n,)
-        Those of each parameter's confidence interval: fewer where residuals are autocorrelated.
+        Degrees of freedom of each parameter's confidence interval (Satterthwaite): fewer where its variance is mostly that of an output
+        with few measurements, or where residuals are autocorrelated; more where it is mostly that of a prior.
     residual_checks : list of ResidualCheck
         What the residuals of each output look like.
     held : list of str
@@ -99,7 +101,7 @@ class Uncertainty:
     uncorrected_stderr: FloatArray | None
     autocorrelations: FloatArray
     effective_degrees_of_freedom: FloatArray
-    degrees_of_freedom: int
+    degrees_of_freedom: float
     held: list[str]
     undetermined: list[str]
     without_effect: list[str]

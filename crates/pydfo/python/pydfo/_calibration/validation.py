@@ -225,8 +225,9 @@ class PredictionBand:
     """The prediction."""
     standard_error: FloatArray
     """Its standard error: what the uncertainty of the parameters makes of it."""
-    noise: float
-    """Standard deviation of the noise of a measurement, from the residuals."""
+    noise: FloatArray
+    """Standard deviation of the noise of a measurement at each time: that of the residuals over the weight of the measurement, between
+    measurements along straight lines."""
     lower: FloatArray
     """The interval of the model's output: lower end."""
     upper: FloatArray

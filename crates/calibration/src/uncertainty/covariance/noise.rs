@@ -1,0 +1,629 @@
+//! The noise of the residuals: one variance and one autocorrelation for each group of outputs, from the
+//! moments of the residuals of a fit, and how well they are known.
+
+use crate::error::CalibrationError;
+use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
+use crate::uncertainty::covariance::measured_start::MeasuredStart;
+use crate::uncertainty::covariance::moments::{Moments, Variances};
+use crate::uncertainty::diagnostics::residual_check::{is_rounding, square_of_rounding};
+use crate::uncertainty::group::Group;
+use crate::uncertainty::p_values::OfIndependent;
+use crate::uncertainty::result::Estimator;
+use crate::uncertainty::row_blocks::{ThinSvd, along, thin_svd, weighted_products};
+use crate::uncertainty::scores::{Criterion, Working};
+use base::RunContext;
+use nalgebra::{DMatrix, DVector};
+use statrs::distribution::{ContinuousCDF, Normal};
+use std::collections::BTreeMap;
+
+/// A combination of columns of about unit length that is shorter than this is rounding.
+const ROUNDING: f64 = 1e-10;
+
+/// The groups of the outputs: those of a variable of the model, over all of its recordings with the same
+/// weight ([`Estimator::Sandwich`]) or with any (the likelihood); one group of all with
+/// [`Estimator::Pooled`], and where all residuals are rounding.
+pub(crate) fn groups(
+    layout: &ResidualLayout,
+    residuals: &[f64],
+    estimator: Estimator,
+    criterion: Criterion,
+) -> Vec<Group> {
+    let is_all_rounding =
+        layout.outputs.iter().all(|output| is_rounding(output, &residuals[output.range.clone()]));
+    let mut groups: BTreeMap<(&str, Option<u64>), Group> = BTreeMap::new();
+    for (k, output) in layout.outputs.iter().enumerate() {
+        let key = match (estimator, criterion) {
+            (_, Criterion::Likelihood) => (output.variable.as_str(), None),
+            (Estimator::Sandwich, _) if !is_all_rounding => key(output),
+            _ => ("", None),
+        };
+        let group = groups.entry(key).or_default();
+        group.outputs.push(k);
+        let first = output.range.start;
+        let rows: Vec<usize> = output.range.clone().filter(|i| output.weights[i - first] != 0.0).collect();
+        group.starts.extend(rows.first().filter(|i| output.starts_simulation && **i == first));
+        let runs = rows.chunk_by(|a, b| a + 1 == *b);
+        group.series.extend(runs.map(|run| run[0]..run[run.len() - 1] + 1));
+    }
+    groups.into_values().collect()
+}
+
+/// Recordings that share a variance: those of a variable with the same constant weight, which states how
+/// large the noise is, and those whose samples have weights of their own.
+fn key(output: &OutputResiduals) -> (&str, Option<u64>) {
+    let first = output.weights.first();
+    let constant = first.filter(|first| output.weights.iter().all(|weight| weight == *first));
+    (&output.variable, constant.map(|weight| weight.to_bits()))
+}
+
+/// The noise of the working residuals: `S = sum_g s_g^2 (R_g + D_g D_g') + S_0`.
+///
+/// R_g is the correlation of a first-order autoregression over each series of a group. D_g has the changes of
+/// all residuals by one standard deviation of the measurements of the group that simulations start from. S_0
+/// is the identity for priors, which are residuals in units of their standard deviations.
+///
+/// For the estimate of the noise a measured initial state is one more parameter, and the row of its
+/// measurement a residual like others: S is then diagonal but for the autocorrelation.
+pub(crate) struct Noise {
+    /// Variance of each residual if they are independent.
+    pub(crate) variances: Vec<f64>,
+    /// Rows with noise of their own, less the trace of the projection onto the changes by the parameters over
+    /// these rows (Hastie and Tibshirani, Generalized Additive Models, 1990, section 3.5): a prior takes away
+    /// no degree of freedom, and the measurements lose one only for what they determine themselves.
+    pub(crate) degrees_of_freedom: f64,
+    /// With independent residuals.
+    pub(crate) independent: NoiseModel,
+    /// With autocorrelated residuals, where any of them are.
+    pub(crate) autocorrelated: Option<NoiseModel>,
+    /// Probability of autocorrelations as large in independent residuals.
+    pub(crate) chance: f64,
+    /// U'S_0 U.
+    pub(crate) of_priors: DMatrix<f64>,
+    /// The noise of measured initial states.
+    pub(crate) starts: Vec<StartNoise>,
+}
+
+/// The noise of a measured initial state.
+pub(crate) struct StartNoise {
+    /// Group of its measurement.
+    pub(crate) group: usize,
+    /// Row of its measurement; `None`: it is not compared.
+    row: Option<usize>,
+    /// Standard deviation of the state over that of a working residual of the group.
+    pub(crate) scale: f64,
+    /// Change of the working residuals by that standard deviation of a working residual.
+    change: DVector<f64>,
+    /// U' times the change.
+    pub(crate) along: DVector<f64>,
+}
+
+/// Estimates of the variances and autocorrelations. The parameters of the noise are the logarithms of the
+/// variances, then `artanh rho` of each group that is autocorrelated.
+pub(crate) struct NoiseModel {
+    /// Variance of each group.
+    pub(crate) variances: Vec<f64>,
+    /// Autocorrelation at lag one of each group.
+    pub(crate) autocorrelations: Vec<f64>,
+    /// `U' dS U` for the derivative of S with respect to each parameter.
+    pub(crate) slopes: Vec<DMatrix<f64>>,
+    /// Covariance of the parameters.
+    pub(crate) uncertainty: DMatrix<f64>,
+}
+
+impl Noise {
+    /// The moments of the residuals of a fit equal their expectations: of `r'B r` this is `tr(B M S M)`
+    /// (Searle, Casella and McCulloch, Variance Components, 1992, section 5.2), with B the sum of squares of
+    /// a group for its variance and the sum of products of neighbours for its autocorrelation. So an
+    /// autocorrelation is that of the residuals, but for the part that the fit has taken from it. Unlike the
+    /// restricted likelihood this does not suppose that the columns of the Jacobian are free of noise, which
+    /// they are not where weights are computed from measurements.
+    ///
+    /// A group has an autocorrelation where its sum of products is larger than that of independent residuals
+    /// by 1.96 standard deviations: those of residuals of one variance, and those of residuals of any,
+    /// `sum r_i^2 r_(i+1)^2` (Lo and MacKinlay, Rev. Financial Studies 1, 1988). At most it is that of noise
+    /// that lasts as long as the series, `exp(-1 / n)`: longer noise is an offset. It is taken from what the
+    /// parameters leave of the group alone: a prior that pulls them away, or noise of another group, changes
+    /// the residuals by what the parameters do, which would look like noise that lasts.
+    ///
+    /// The covariance of the estimates is that of quadratic forms of normal errors,
+    /// `cov(r'B r, r'C r) = 2 tr(B M S M C M S M)`, with the residuals of the fit for autocorrelations, too.
+    ///
+    /// Where the unbiased equations leave no variance to one of several groups, all have the variance
+    /// `r'r / n_g` times N over the degrees of freedom.
+    ///
+    /// # Errors
+    /// [`CalibrationError::Cancelled`].
+    pub(crate) fn estimate(
+        layout: &ResidualLayout,
+        plain: &[f64],
+        working: &Working,
+        groups: &[Group],
+        starts: &[MeasuredStart],
+        base: &DMatrix<f64>,
+        context: &RunContext<'_>,
+    ) -> Result<Self, CalibrationError> {
+        let starts = StartNoise::all(layout, plain, working, groups, starts, base, context)?;
+        let (whole_base, mut residuals, own_groups) =
+            with_starts(base, &working.residuals, groups, &starts, context)?;
+        residuals.iter_mut().zip(&working.corrections).for_each(|(r, factor)| *r *= factor.sqrt());
+        let priors = layout.n_measurements()..working.residuals.len();
+        let mut moments = Moments::new(&own_groups, &whole_base, &residuals, priors.clone(), context)?;
+        let is_rounded = |k: &usize| {
+            let output = &layout.outputs[*k];
+            is_rounding(output, &plain[output.range.clone()])
+        };
+        let is_rounding: Vec<bool> = groups.iter().map(|g| g.outputs.iter().all(is_rounded)).collect();
+        if !is_rounding.iter().all(|is| *is) {
+            // An exact output beside others: less than rounding would be a variance that rounding of the derivatives outweighs.
+            let least = |k: &usize| {
+                let output = &layout.outputs[*k];
+                working.roots[output.range.start].powi(2) * square_of_rounding(output)
+            };
+            for (g, group) in groups.iter().enumerate() {
+                moments.raise_squares(g, group.outputs.iter().map(least).sum());
+            }
+        }
+        let model = |transforms: Vec<f64>| -> Result<NoiseModel, CalibrationError> {
+            let found = moments.variances(transforms, context)?;
+            let uncertainty = moments.uncertainty(&found, context)?;
+            NoiseModel::new(found, uncertainty, (groups, base, &starts), context)
+        };
+        let independent = model(vec![0.0; groups.len()])?;
+        let (mut transforms, mut largest, mut n_candidates) = (vec![0.0; groups.len()], 0.0_f64, 0.0);
+        if moments.degrees_of_freedom > 0.0 && base.ncols() > 0 {
+            for (g, group) in own_groups.iter().enumerate() {
+                if is_rounding[g] || group.n_rows() <= base.ncols() + 2 || group.n_pairs() == 0 {
+                    continue;
+                }
+                n_candidates += 1.0;
+                if let Some((transform, deviations)) = alone(group, &whole_base, &residuals, context)? {
+                    transforms[g] = transform;
+                    largest = largest.max(deviations);
+                }
+            }
+        }
+        let (mut autocorrelated, mut chance) = (None, 1.0);
+        if largest > 0.0 {
+            autocorrelated = Some(model(transforms)?);
+            chance = (Normal::standard().sf(largest) * n_candidates).min(1.0);
+        }
+        let degrees_of_freedom = moments.degrees_of_freedom;
+        let priors = base.rows_range(priors);
+        let of_priors = priors.tr_mul(&priors);
+        let mut variances = working.corrections.clone();
+        for (group, variance) in groups.iter().zip(&independent.variances) {
+            let ranges = group.outputs.iter().map(|k| layout.outputs[*k].range.clone());
+            ranges.for_each(|range| variances[range].fill(*variance));
+        }
+        Ok(Self { variances, degrees_of_freedom, independent, autocorrelated, chance, of_priors, starts })
+    }
+
+    /// The covariance that independent errors leave to the residuals of each output, U the base; none where
+    /// all have many.
+    pub(crate) fn of_independent(
+        &self,
+        layout: &ResidualLayout,
+        base: &DMatrix<f64>,
+        context: &RunContext<'_>,
+    ) -> Result<Vec<OfIndependent>, CalibrationError> {
+        if layout.outputs.iter().all(|output| OfIndependent::is_of_many(output.range.len())) {
+            return Ok(Vec::new());
+        }
+        let middle = weighted_products(base, &self.variances, context)?;
+        let of = |output: &OutputResiduals| {
+            let rows = base.rows(output.range.start, output.range.len());
+            OfIndependent::of_fit(rows.as_view(), &(&middle / self.variances[output.range.start]))
+        };
+        Ok(layout.outputs.iter().map(of).collect())
+    }
+
+    /// Changes of the working residuals by one standard deviation of each measured initial state.
+    pub(crate) fn changes_by_starts(&self) -> Vec<DVector<f64>> {
+        let of = |start: &StartNoise| &start.change * self.independent.variances[start.group].sqrt();
+        self.starts.iter().map(of).collect()
+    }
+}
+
+impl NoiseModel {
+    /// With the changes by the parameters, and by measured initial states of which the noise is independent
+    /// of that of the other measurements.
+    fn new(
+        found: Variances,
+        uncertainty: DMatrix<f64>,
+        (groups, base, starts): (&[Group], &DMatrix<f64>, &[StartNoise]),
+        context: &RunContext<'_>,
+    ) -> Result<Self, CalibrationError> {
+        let mut slopes = found.slopes(groups, base, context)?;
+        for start in starts {
+            slopes[start.group] += &start.along * start.along.transpose() * found.values[start.group];
+        }
+        let autocorrelations = found.transforms.iter().map(|z| z.tanh()).collect();
+        Ok(Self { variances: found.values, autocorrelations, slopes, uncertainty })
+    }
+}
+
+impl StartNoise {
+    fn all(
+        layout: &ResidualLayout,
+        plain: &[f64],
+        working: &Working,
+        groups: &[Group],
+        starts: &[MeasuredStart],
+        base: &DMatrix<f64>,
+        context: &RunContext<'_>,
+    ) -> Result<Vec<Self>, CalibrationError> {
+        let plain_over_working = working.plain_over_working(layout, plain, groups);
+        let of = |start: &MeasuredStart| -> Result<Self, CalibrationError> {
+            let group = groups.iter().position(|group| group.outputs.contains(&start.output));
+            // The start has the noise of a measurement, whatever a loss makes of the residuals.
+            let scale = plain_over_working[start.output].sqrt() / start.weight;
+            let change = working.weighed(&start.change) * scale;
+            let along = along(base, change.as_slice(), context)?;
+            Ok(Self { group: group.unwrap_or(0), row: start.row, scale, change, along })
+        };
+        starts.iter().map(of).collect()
+    }
+}
+
+/// The base, the residuals and the groups of a fit in which measured initial states are parameters, too.
+/// Measurements of starts that are not compared are rows behind all others.
+fn with_starts(
+    base: &DMatrix<f64>,
+    residuals: &[f64],
+    groups: &[Group],
+    starts: &[StartNoise],
+    context: &RunContext<'_>,
+) -> Result<(DMatrix<f64>, Vec<f64>, Vec<Group>), CalibrationError> {
+    let (mut groups, mut residuals, m, q) = (groups.to_vec(), residuals.to_vec(), base.nrows(), base.ncols());
+    if starts.is_empty() {
+        return Ok((base.clone(), residuals, groups));
+    }
+    for start in starts.iter().filter(|start| start.row.is_none()) {
+        groups[start.group].series.push(residuals.len()..residuals.len() + 1);
+        residuals.push(0.0);
+    }
+    let mut columns = base.clone().resize(residuals.len(), q + starts.len(), 0.0);
+    let mut behind = m..;
+    for (s, start) in starts.iter().enumerate() {
+        let mut column = columns.column_mut(q + s);
+        column.rows_mut(0, m).copy_from(&start.change);
+        column[start.row.or_else(|| behind.next()).unwrap_or(m)] = -1.0;
+        column.normalize_mut();
+    }
+    let (base, residuals) = left_by(&columns, &residuals, context)?;
+    Ok((base, residuals, groups))
+}
+
+/// The autocorrelation of a group from what the parameters leave of it alone, see [`Moments::autocorrelation`].
+fn alone(
+    group: &Group,
+    base: &DMatrix<f64>,
+    residuals: &[f64],
+    context: &RunContext<'_>,
+) -> Result<Option<(f64, f64)>, CalibrationError> {
+    let rows: Vec<usize> = group.series.iter().cloned().flatten().collect();
+    let of_rows: Vec<f64> = rows.iter().map(|row| residuals[*row]).collect();
+    let (base, residuals) = left_by(&base.select_rows(&rows), &of_rows, context)?;
+    let mut end = 0;
+    let series = group.series.iter().map(|range| {
+        end += range.len();
+        end - range.len()..end
+    });
+    let own = [Group { series: series.collect(), ..Group::default() }];
+    Moments::new(&own, &base, &residuals, 0..0, context)?.autocorrelation(context)
+}
+
+/// An orthonormal base of columns of about unit length, and what they leave of the residuals.
+fn left_by(
+    columns: &DMatrix<f64>,
+    residuals: &[f64],
+    context: &RunContext<'_>,
+) -> Result<(DMatrix<f64>, Vec<f64>), CalibrationError> {
+    let base = match thin_svd(columns, context)? {
+        None => DMatrix::zeros(columns.nrows(), 0),
+        Some(ThinSvd { u, values, .. }) => {
+            let kept: Vec<usize> = (0..values.len()).filter(|k| values[*k] > ROUNDING).collect();
+            u.select_columns(&kept)
+        }
+    };
+    let left = DVector::from_column_slice(residuals) - &base * along(&base, residuals, context)?;
+    Ok((base, left.as_slice().to_vec()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::uncertainty::covariance::joint::JointMatrices;
+    use crate::uncertainty::covariance::matrix::Factors;
+    use crate::uncertainty::differences::Differences;
+    use crate::uncertainty::p_values::normal_numbers;
+
+    fn layout(lengths: &[(&str, usize)]) -> ResidualLayout {
+        let mut layout = ResidualLayout::default();
+        for (variable, n) in lengths {
+            let from = layout.n_measurements();
+            layout.outputs.push(OutputResiduals {
+                experiment: 0,
+                output: 0,
+                variable: (*variable).to_owned(),
+                column: String::new(),
+                range: from..from + n,
+                times: vec![0.0; *n].into(),
+                measured: vec![0.0; *n].into(),
+                weights: vec![1.0; *n].into(),
+                starts_simulation: false,
+            });
+        }
+        layout
+    }
+
+    /// The noise of residuals by this estimator, and the factors of the columns of a Jacobian.
+    fn found(
+        layout: &ResidualLayout,
+        residuals: &[f64],
+        jacobian: &DMatrix<f64>,
+        estimator: Estimator,
+        starts: &[MeasuredStart],
+    ) -> (Noise, Factors) {
+        let (context, criterion) = (RunContext::new(), Criterion::default());
+        let groups = groups(layout, residuals, estimator, criterion);
+        let working = Working::new(criterion, residuals, &groups, jacobian.ncols());
+        let n = jacobian.ncols();
+        let factors = match n {
+            0 => Factors {
+                inverse: DMatrix::zeros(0, 0),
+                base: DMatrix::zeros(jacobian.nrows(), 0),
+                is_undetermined: Vec::new(),
+            },
+            _ => Factors::new(&Differences::of(jacobian.clone(), DMatrix::identity(n, n), 1e-12), &context)
+                .unwrap(),
+        };
+        let noise = Noise::estimate(layout, residuals, &working, &groups, starts, &factors.base, &context);
+        (noise.unwrap(), factors)
+    }
+
+    /// What a fit of these columns leaves of errors.
+    fn left(errors: &[f64], jacobian: &DMatrix<f64>) -> Vec<f64> {
+        let base = jacobian.clone().qr().q();
+        let errors = DVector::from_column_slice(errors);
+        (&errors - &base * base.tr_mul(&errors)).as_slice().to_vec()
+    }
+
+    fn line(n: usize) -> DMatrix<f64> {
+        DMatrix::from_fn(n, 2, |i, k| if k == 0 { 1.0 } else { i as f64 })
+    }
+
+    fn autoregressive(rho: f64, n: usize, state: &mut u64) -> Vec<f64> {
+        let mut last = normal_numbers(1, state)[0];
+        let next = |e: f64| {
+            last = rho * last + (1.0 - rho * rho).sqrt() * e;
+            last
+        };
+        normal_numbers(n, state).into_iter().map(next).collect()
+    }
+
+    #[test]
+    fn variances_of_groups_are_unbiased() {
+        // The squares of the entries of M = I - X (X'X)^-1 X' in the blocks (0, 0), (0, 1) and (1, 1), by symmetry: those of
+        // [[3, -4, -1, 2], [-4, 7, -2, -1], [-1, -2, 7, -4], [2, -1, -4, 3]] / 10.
+        let residuals = [0.1, -0.2, 0.3, -0.1];
+        let (pooled, _) = found(&layout(&[("y", 4)]), &residuals, &line(4), Estimator::Pooled, &[]);
+        assert!(
+            (pooled.variances[0] - 0.075).abs() < 1e-15 && (pooled.degrees_of_freedom - 2.0).abs() < 1e-12
+        );
+        let two = layout(&[("y", 2), ("z", 2)]);
+        let (two, _) = found(&two, &residuals, &line(4), Estimator::Sandwich, &[]);
+        let (own, other) = (0.9, 0.1);
+        let solved = |a: f64, b: f64| (own * a - other * b) / (own * own - other * other);
+        let (first, second) = (solved(0.05, 0.1), solved(0.1, 0.05));
+        for (got, expected) in two.variances.iter().zip([first, first, second, second]) {
+            assert!((got - expected).abs() < 1e-14, "{:?}", two.variances);
+        }
+    }
+
+    #[test]
+    fn recordings_share_a_variance_where_their_weights_are_equal() {
+        let residuals = [0.1, -0.1, 0.2, -0.2, 3.0, -3.0];
+        let mut layout = layout(&[("y", 2), ("y", 2), ("y", 2)]);
+        layout.outputs[2].weights = vec![10.0; 2].into();
+        let none = DMatrix::zeros(6, 0);
+        let variances =
+            |layout: &ResidualLayout| found(layout, &residuals, &none, Estimator::Sandwich, &[]).0.variances;
+        for (got, expected) in variances(&layout).iter().zip([0.025, 0.025, 0.025, 0.025, 9.0, 9.0]) {
+            assert!((got - expected).abs() < 1e-14);
+        }
+        // One exact output beside others has that of rounding.
+        layout.outputs[2].measured = vec![1e14; 2].into();
+        let exact = variances(&layout);
+        assert!((exact[0] - 0.025).abs() < 1e-14 && (exact[4] / 1e10 - 1.0).abs() < 1e-12, "{exact:?}");
+        // Rounding has no variances of its own.
+        layout.outputs.iter_mut().for_each(|output| output.measured = vec![1e14; 2].into());
+        let pooled = variances(&layout);
+        assert!(pooled.iter().all(|variance| (variance - 18.1 / 6.0).abs() < 1e-14), "{pooled:?}");
+    }
+
+    #[test]
+    fn rows_of_weight_zero_have_no_noise() {
+        let mut layout = layout(&[("y", 6)]);
+        layout.outputs[0].weights = vec![1.0, 1.0, 0.0, 0.0, 1.0, 1.0].into();
+        let residuals = [0.1, -0.2, 0.0, 0.0, 0.3, -0.1];
+        let (noise, _) = found(&layout, &residuals, &DMatrix::zeros(6, 0), Estimator::Sandwich, &[]);
+        assert!(noise.degrees_of_freedom == 4.0 && (noise.variances[0] - 0.15 / 4.0).abs() < 1e-15);
+        let of = groups(&layout, &residuals, Estimator::Sandwich, Criterion::default());
+        assert_eq!(of[0].series, [0..2, 4..6]);
+    }
+
+    #[test]
+    fn degrees_of_freedom_are_those_of_the_group_that_a_variance_is_of() {
+        // The means of two outputs of 3 and 50 rows.
+        let jacobian = DMatrix::from_fn(53, 2, |i, k| f64::from(u8::from((i < 3) == (k == 0))));
+        let mut state = 5;
+        let residuals = left(&normal_numbers(53, &mut state), &jacobian);
+        let two = layout(&[("y", 3), ("z", 50)]);
+        let (noise, factors) = found(&two, &residuals, &jacobian, Estimator::Sandwich, &[]);
+        let joint = JointMatrices::new(&factors, &noise, &noise.independent);
+        assert!((joint.degrees_of_freedom(0) - 2.0).abs() < 1e-9);
+        assert!((joint.degrees_of_freedom(1) - 49.0).abs() < 1e-9);
+        // A mean of both: the degrees of freedom of Welch and Satterthwaite.
+        let both = DMatrix::from_element(53, 1, 1.0);
+        let residuals = left(&normal_numbers(53, &mut state), &both);
+        let (noise, factors) = found(&two, &residuals, &both, Estimator::Pooled, &[]);
+        let joint = JointMatrices::new(&factors, &noise, &noise.independent);
+        assert!((joint.degrees_of_freedom(0) - 52.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_prior_takes_away_the_part_of_a_degree_of_freedom_that_the_measurements_determine() {
+        // A constant, measured ten times, with a prior: H = 1 / (10 + 1 / sd^2) over the rows.
+        for sd in [1e-4, 0.3, 1e4_f64] {
+            let of_prior = 1.0 / sd;
+            let jacobian = DMatrix::from_fn(11, 1, |i, _| if i < 10 { 1.0 } else { of_prior });
+            let mut state = 7;
+            let residuals = left(&normal_numbers(11, &mut state), &jacobian);
+            let (noise, factors) =
+                found(&layout(&[("y", 10)]), &residuals, &jacobian, Estimator::Sandwich, &[]);
+            let expected = 10.0 - 10.0 / (10.0 + of_prior * of_prior);
+            assert!((noise.degrees_of_freedom - expected).abs() < 2e-6, "{sd}: {}", noise.degrees_of_freedom);
+            let joint = JointMatrices::new(&factors, &noise, &noise.independent);
+            let (degrees, variance) = (joint.degrees_of_freedom(0), noise.variances[0]);
+            let of_both = (10.0 * variance + of_prior.powi(2)) / (10.0 + of_prior.powi(2)).powi(2);
+            assert!((joint.covariance[(0, 0)] / of_both - 1.0).abs() < 1e-9);
+            // A prior that decides leaves nothing unknown, a vague one is none.
+            assert!(if sd < 1.0 { degrees > 20.0 } else { (degrees - 9.0).abs() < 1e-3 }, "{sd}: {degrees}");
+        }
+    }
+
+    #[test]
+    fn a_prior_far_off_is_no_autocorrelation() {
+        // The prior pulls the constant away from the measurements: residuals of one sign.
+        let jacobian = DMatrix::from_fn(51, 1, |i, _| if i < 50 { 1.0 } else { 100.0 });
+        let mut state = 11;
+        let mut errors = normal_numbers(51, &mut state);
+        errors[50] = 200.0;
+        let residuals = left(&errors, &jacobian);
+        let (noise, _) = found(&layout(&[("y", 50)]), &residuals, &jacobian, Estimator::Sandwich, &[]);
+        assert!(residuals[..50].iter().sum::<f64>().abs() > 50.0 && noise.autocorrelated.is_none());
+    }
+
+    #[test]
+    fn an_autocorrelation_is_found_and_chance_is_none() {
+        let (mut state, line) = (1, line(400));
+        let one = |errors: &[f64]| {
+            found(&layout(&[("y", 400)]), &left(errors, &line), &line, Estimator::Sandwich, &[])
+        };
+        for rho in [0.5, 0.9] {
+            let (noise, factors) = one(&autoregressive(rho, 400, &mut state));
+            let model = noise.autocorrelated.as_ref().unwrap();
+            let found = model.autocorrelations[0];
+            assert!((found - rho).abs() < 0.08, "{found}");
+            // U'S U of the Toeplitz matrix.
+            let variance = model.variances[0];
+            let s = DMatrix::from_fn(400, 400, |i, j| variance * found.powi((i as i32 - j as i32).abs()));
+            let expected = factors.base.transpose() * s * &factors.base;
+            assert!((&model.slopes[0] - &expected).amax() < 1e-9 * expected.amax());
+            let joint = JointMatrices::new(&factors, &noise, model);
+            assert!((3.0..200.0).contains(&joint.degrees_of_freedom(0)));
+        }
+        let significant =
+            (0..200).filter(|_| one(&normal_numbers(400, &mut state)).0.autocorrelated.is_some()).count();
+        assert!(significant <= 12, "{significant} of 200");
+    }
+
+    /// Weights of 1 / measured make columns of the Jacobian of the noise: with them a constant is left.
+    #[test]
+    fn weights_of_measured_values_are_no_autocorrelation() {
+        let (n, mut state, mut significant) = (30, 3, 0);
+        for _ in 0..100 {
+            let noise = normal_numbers(n, &mut state);
+            let y: Vec<f64> = (0..n).map(|i| (3.0 + 0.1 * i as f64) * (1.0 + 0.02 * noise[i])).collect();
+            let jacobian = DMatrix::from_fn(n, 2, |i, k| if k == 0 { 1.0 } else { i as f64 } / y[i]);
+            let residuals = left(&vec![-1.0; n], &jacobian);
+            let (noise, _) = found(&layout(&[("y", n)]), &residuals, &jacobian, Estimator::Sandwich, &[]);
+            significant += usize::from(noise.autocorrelated.is_some());
+        }
+        assert!(significant <= 8, "{significant} of 100");
+    }
+
+    /// Independent noise of unlike size.
+    #[test]
+    fn loud_rows_are_no_autocorrelation() {
+        let (n, mut state, line, mut significant) = (60, 4, line(60), 0);
+        for _ in 0..400 {
+            let errors = normal_numbers(n, &mut state);
+            let loud = errors.iter().enumerate().map(|(i, e)| e * (-0.1 * i as f64).exp());
+            let residuals = left(&loud.collect::<Vec<_>>(), &line);
+            let (noise, _) = found(&layout(&[("y", n)]), &residuals, &line, Estimator::Sandwich, &[]);
+            significant += usize::from(noise.autocorrelated.is_some());
+        }
+        assert!(significant <= 24, "{significant} of 400");
+    }
+
+    /// A line through all rows: the noise of the second output leaves a smooth part in the residuals of the
+    /// first.
+    #[test]
+    fn groups_have_autocorrelations_of_their_own() {
+        let (mut state, line) = (2, line(240));
+        let two = layout(&[("y", 60), ("y", 60), ("z", 120)]);
+        let (sets, mut by_chance, mut means) = (100, 0, [0.0; 3]);
+        for _ in 0..sets {
+            let lasting = autoregressive(0.8, 120, &mut state).into_iter().map(|e| 5.0 * e);
+            let errors: Vec<f64> = normal_numbers(120, &mut state).into_iter().chain(lasting).collect();
+            let (noise, _) = found(&two, &left(&errors, &line), &line, Estimator::Sandwich, &[]);
+            let model = noise.autocorrelated.unwrap();
+            by_chance += usize::from(model.autocorrelations[0] > 0.0);
+            let of_set = [model.autocorrelations[1], model.variances[0], model.variances[1]];
+            means.iter_mut().zip(of_set).for_each(|(mean, own)| *mean += own / f64::from(sets));
+        }
+        // One in forty is expected, however large the smooth part is.
+        assert!(by_chance <= 7, "{by_chance} of {sets}");
+        let [rho, first, second] = means;
+        assert!((rho - 0.8).abs() < 0.05, "{rho}");
+        assert!((first - 1.0).abs() < 0.1 && (second / 25.0 - 1.0).abs() < 0.15, "{first} {second}");
+    }
+
+    /// A line from a measured start: `y = start + k t`, of which k is fitted.
+    #[test]
+    fn a_measured_start_counts_as_noise_and_not_as_a_measurement() {
+        let n = 4;
+        let jacobian = DMatrix::from_fn(n, 1, |i, _| i as f64);
+        let mut layout = layout(&[("y", n)]);
+        layout.outputs[0].weights = vec![2.0; n].into();
+        layout.outputs[0].starts_simulation = true;
+        let change = DVector::from_fn(n, |i, _| if i == 0 { 0.0 } else { 2.0 });
+        let start = MeasuredStart {
+            experiment: 0,
+            state: "y".to_owned(),
+            output: 0,
+            row: Some(0),
+            value: 1.0,
+            weight: 2.0,
+            change,
+        };
+        let (mut state, mut variances, mut squares) = (9, 0.0, 0.0);
+        let sets = 20_000;
+        for _ in 0..sets {
+            let e = normal_numbers(n, &mut state);
+            // Residuals of weight 2: the noise of the measurements is 1/2.
+            let errors: Vec<f64> = (0..n).map(|i| e[0] - e[i]).collect();
+            let residuals = left(&errors, &jacobian);
+            let (noise, factors) =
+                found(&layout, &residuals, &jacobian, Estimator::Sandwich, std::slice::from_ref(&start));
+            assert!((noise.degrees_of_freedom - 2.0).abs() < 1e-12);
+            variances += noise.variances[0] / f64::from(sets);
+            squares += noise.variances[0].powi(2) / f64::from(sets);
+            // Closed form: 1 / sum t^2 + (sum t / sum t^2)^2.
+            let joint = JointMatrices::new(&factors, &noise, &noise.independent);
+            let expected = noise.variances[0] * (1.0 / 14.0 + 36.0 / 196.0);
+            assert!((joint.covariance[(0, 0)] / expected - 1.0).abs() < 1e-9);
+            // Of the start itself: its own noise, and what it makes of k.
+            assert!((joint.covariance[(1, 1)] / (noise.variances[0] / 4.0) - 1.0).abs() < 1e-9);
+            assert!((joint.covariance[(0, 1)] / (-noise.variances[0] * 6.0 / 14.0 / 2.0) - 1.0).abs() < 1e-9);
+            let degrees = joint.degrees_of_freedom(0);
+            assert!((degrees - 2.0).abs() < 1e-9, "{degrees}");
+        }
+        assert!((variances - 1.0).abs() < 0.05, "{variances}");
+        // Twice the squared mean over the variance are the degrees of freedom.
+        let degrees = 2.0 / (squares - variances * variances);
+        assert!((degrees - 2.0).abs() < 0.2, "{degrees}");
+    }
+}
