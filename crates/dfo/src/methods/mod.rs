@@ -5,6 +5,7 @@ mod barrier;
 mod boxed;
 mod cma_es;
 mod differential_evolution;
+mod failure_check;
 mod genetic;
 mod least_squares;
 mod multistart;

@@ -87,6 +87,44 @@ fn nelder_mead_claims_success_near_the_minimum_only_when_points_around_fail() {
     assert!(wrong.is_empty() && n_found >= 30, "{n_found} found, {wrong:?}");
 }
 
+/// The square of the distance from a point where the cost fails, beyond a slanted plane or outside of a ball.
+/// The infimum is the square of the distance of that point from the border.
+#[test]
+fn local_methods_claim_success_at_the_minimum_only_when_it_lies_on_a_border_of_failures() {
+    let (mut n_found, mut n_success) = ([0; 4], 0);
+    for k in 0..30u64 {
+        let n = 2 + (k % 4) as usize;
+        let numbers = |from: u64| -> Vec<f64> {
+            (0..n as u64).map(|i| 2.0 * dice(1000 * k + 20 * from + i + 1) - 1.0).collect()
+        };
+        let normal = numbers(0);
+        let length = normal.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let is_ball = k % 3 == 0;
+        let least = (0.2 + dice(k + 77)).powi(2);
+        // From the centre of the ball of radius 1, or from a point of the plane.
+        let beyond = least.sqrt() + if is_ball { 1.0 } else { 0.0 };
+        let cost = |x: &[f64]| {
+            let along = x.iter().zip(&normal).map(|(x, v)| x * v / length).sum::<f64>();
+            let square = x.iter().map(|x| x * x).sum::<f64>();
+            let is_good = if is_ball { square < 1.0 } else { along < 0.0 };
+            let apart = x.iter().zip(&normal).map(|(x, v)| (x - beyond * v / length).powi(2));
+            if is_good { apart.sum::<f64>() } else { f64::NAN }
+        };
+        let mut start: Vec<f64> = numbers(1).iter().map(|v| 0.4 * v).collect();
+        if cost(&start).is_nan() {
+            start.iter_mut().for_each(|x| *x = -*x);
+        }
+        for (method, n_found) in local_methods().into_iter().zip(&mut n_found) {
+            let report = run(cost, &start, method);
+            let is_minimum = report.fun < least * 1.001;
+            assert!(is_minimum || !report.is_success(), "{k}: {least} {report}");
+            *n_found += usize::from(is_minimum);
+            n_success += usize::from(report.is_success());
+        }
+    }
+    assert!(n_found.iter().all(|n| *n >= 28) && n_success >= 110, "{n_found:?} {n_success}");
+}
+
 /// Two dipoles: from this start the parameters run to 1e16, where rounding looks like noise.
 #[test]
 fn least_squares_claims_no_success_when_the_parameters_have_run_away() {

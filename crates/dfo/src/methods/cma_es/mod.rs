@@ -49,7 +49,7 @@ use crate::methods::shared::generations::Generations;
 use crate::methods::shared::with_sizes::{NeedsSizes, WithSizes};
 use crate::problem::memory;
 use crate::problem::option_texts;
-use state::CmaRules;
+pub(crate) use state::CmaRules;
 
 /// A running CMA-ES; made by [`CmaEs`].
 pub type CmaEsState = WithSizes<CmaEs>;

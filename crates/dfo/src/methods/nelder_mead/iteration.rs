@@ -7,6 +7,7 @@ use super::state::{NelderMeadState, Phase, Role};
 use super::trial::{Frame, Seen, Trial};
 use crate::method_interface::interface::{Batch, Operation};
 use crate::method_interface::tolerances::ToleranceTests;
+use crate::methods::failure_check::FailureCheck;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::size_search::SizeSearch;
 use crate::outcome::termination::Termination;
@@ -126,17 +127,14 @@ impl NelderMeadState {
                 self.f_restart = Some(tests.f_best);
                 restart::orient(&mut self.simplex, &self.setup.space, side);
                 self.phase = Phase::Restarting;
-            } else if self.sizing || self.has_failures {
+            } else if self.sizing {
                 let (space, limit) = (&self.setup.space, tests.f_limit);
                 let from = (self.simplex.x(self.simplex.best()), tests.f_best);
-                self.sizes = Some(match self.has_failures {
-                    true => SizeSearch::beside_failures(space, from, limit, self.setup.tolerances.x_tol),
-                    false => SizeSearch::beside(space, from, limit, self.sizes.as_ref()),
-                });
+                self.sizes = Some(SizeSearch::beside(space, from, limit, self.sizes.as_ref()));
                 self.phase = Phase::Checking;
                 self.size_step_told();
             } else {
-                self.end(Termination::Converged);
+                self.converged(tests.f_limit);
             }
         } else if collapsed {
             let alone = self.simplex.n_finite() == 1;
@@ -162,7 +160,22 @@ impl NelderMeadState {
         }
     }
 
-    fn end(&mut self, termination: Termination) {
+    /// Nothing lower was found: the end, or the check that this is so where points failed beside the best one.
+    fn converged(&mut self, f_limit: f64) {
+        let best = self.simplex.best();
+        let point = (self.simplex.x(best), self.simplex.cost(best).value().unwrap_or(f64::NAN));
+        let check = self
+            .failed
+            .are_near(point.0, &self.setup.space)
+            .then(|| FailureCheck::new(&self.setup, point, f_limit, (self.n_batches, self.n_points)));
+        match check {
+            None => self.end(Termination::Converged),
+            Some(Err(_)) => self.end(Termination::BesideFailures),
+            Some(Ok(check)) => (self.phase, self.check) = (Phase::BesideFailures, Some(check)),
+        }
+    }
+
+    pub(super) fn end(&mut self, termination: Termination) {
         self.phase = Phase::Done;
         self.ended = Some(termination);
     }
@@ -182,10 +195,7 @@ impl NelderMeadState {
             (Some(search), _) => {
                 if self.phase == Phase::Checking {
                     if !search.is_lower() {
-                        return self.end(Termination::Converged);
-                    }
-                    if self.has_failures && self.restarts == 0 {
-                        return self.end(Termination::BesideFailures);
+                        return self.converged(self.tests.map_or(0.0, |tests| tests.f_limit));
                     }
                     self.restarts = self.restarts.saturating_sub(1);
                 }
@@ -205,7 +215,12 @@ impl NelderMeadState {
         match phase {
             Phase::Shrinking => return self.end_iteration(Operation::Shrink),
             Phase::Restarting => return self.end_iteration(Operation::Restart),
-            Phase::Starting | Phase::Sizing | Phase::Checking | Phase::Evaluating(_) | Phase::Done => {}
+            Phase::Starting
+            | Phase::Sizing
+            | Phase::Checking
+            | Phase::BesideFailures
+            | Phase::Evaluating(_)
+            | Phase::Done => {}
         }
         if self.simplex.cost(self.simplex.best()).value().is_none() {
             self.phase = Phase::Done;

@@ -27,8 +27,8 @@
 //! a bound is left alone.
 //!
 //! Beside points that failed a simplex collapses, too: it is built anew as on a kink. When that gains
-//! nothing, each parameter is moved alone, by powers of ten of its size; a lower cost on the way becomes a
-//! vertex of the next simplex.
+//! nothing, CMA-ES looks for a lower cost between the points that failed (`failure_check.rs`); where it finds
+//! none the search has converged.
 //!
 //! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, says nothing
 //! about its magnitude. Before the first simplex is built each is moved alone, by steps of powers of ten, to

@@ -13,6 +13,7 @@ use crate::method_interface::interface::{
     AnswersSoFar, Batch, Lookahead, Method, MethodDetails, Operation, Setup, Status, saved,
 };
 use crate::method_interface::tolerances::ToleranceTests;
+use crate::methods::failure_check::{FailedPoints, FailureCheck};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::methods::shared::size_search::SizeSearch;
@@ -35,8 +36,10 @@ pub(super) enum Role {
 pub(super) enum Phase {
     /// Sizes of parameters are looked for, from the start point.
     Sizing,
-    /// The same once the tests have passed, from the best vertex; along all parameters where points failed.
+    /// The same once the tests have passed, from the best vertex.
     Checking,
+    /// The tests have passed beside points that fail: a lower cost is looked for between them.
+    BesideFailures,
     /// Vertices without a known outcome are asked for: the starting ones.
     Starting,
     /// The same after a shrink.
@@ -93,15 +96,19 @@ pub struct NelderMeadState {
     pub(super) spreads: Spreads,
     /// True if there are parameters of unknown size, and the user gave no simplex.
     pub(super) sizing: bool,
-    /// True if a point has failed.
     #[serde(default)]
-    pub(super) has_failures: bool,
+    pub(super) failed: FailedPoints,
+    #[serde(default)]
+    pub(super) check: Option<FailureCheck>,
     /// The last search for sizes.
     pub(super) sizes: Option<SizeSearch>,
     pub(super) phase: Phase,
     pub(super) ended: Option<Termination>,
     pub(super) roles: Vec<Role>,
     pub(super) waiting: bool,
+    /// Points of the last batch of the check.
+    #[serde(default)]
+    n_asked: usize,
     pub(super) n_batches: u64,
     pub(super) n_points: u64,
     pub(super) n_iterations: usize,
@@ -136,12 +143,14 @@ impl NelderMeadState {
             f_restart: None,
             spreads: Spreads::default(),
             sizing,
-            has_failures: false,
+            failed: FailedPoints::default(),
+            check: None,
             sizes: None,
             phase: if sizing { Phase::Sizing } else { Phase::Starting },
             ended: None,
             roles: Vec::with_capacity(n + 1),
             waiting: false,
+            n_asked: 0,
             n_batches: 0,
             n_points: 0,
             n_iterations: 0,
@@ -167,6 +176,19 @@ impl NelderMeadState {
         self.f_0 = f_0;
     }
 
+    /// Takes the outcomes of the check beside points that fail.
+    fn check_told(&mut self, answers: &Answers) -> Result<(), Error> {
+        let Some(check) = &mut self.check else { return Ok(()) };
+        check.tell(answers, &self.setup)?;
+        self.waiting = false;
+        self.n_batches += 1;
+        self.n_points += self.n_asked as u64;
+        if let Some(termination) = check.ended().cloned() {
+            self.end(termination);
+        }
+        Ok(())
+    }
+
     /// Expects kinks wherever the tests pass.
     pub(crate) fn expect_kinks(&mut self) {
         self.spreads.has_kinks = true;
@@ -178,6 +200,9 @@ impl NelderMeadState {
         space.is_same_space(&self.setup.space)
             && self.sizes.as_ref().is_none_or(|s| s.is_sound(space))
             && self.simplex.is_sound(space)
+            && self.failed.is_sound(space.n())
+            && (self.phase != Phase::BesideFailures || self.check.is_some())
+            && self.check.as_ref().is_none_or(|check| check.is_sound(&self.setup))
             && self.centroid.len() == space.n_free()
             && self.trials.iter().all(|t| t.is_sound(space))
     }
@@ -206,6 +231,12 @@ impl Method for NelderMeadState {
                     }
                 }
             }
+            Phase::BesideFailures => {
+                if let Some(check) = &mut self.check {
+                    check.ask(batch);
+                    self.n_asked = batch.len();
+                }
+            }
             Phase::Sizing | Phase::Checking => {
                 let roles = &mut self.roles;
                 match &mut self.sizes {
@@ -232,6 +263,9 @@ impl Method for NelderMeadState {
         if !self.waiting {
             return Err(Error::TellWithoutAsk);
         }
+        if self.phase == Phase::BesideFailures {
+            return self.check_told(answers);
+        }
         if outcomes.len() > asked {
             return Err(Error::TooManyOutcomes { asked, told: outcomes.len() });
         }
@@ -247,7 +281,12 @@ impl Method for NelderMeadState {
             // Costs that are not finite are failures, also if a caller does not mark them.
             if !is_above && outcome.value().is_none() {
                 self.spreads.forget();
-                self.has_failures = true;
+                let x = match self.roles[k] {
+                    Role::Vertex(slot) => Some(self.simplex.x(slot)),
+                    Role::Trial(trial) => Some(&self.trials[trial as usize].x[..]),
+                    Role::Step(_) => None,
+                };
+                x.into_iter().for_each(|x| self.failed.remember(x));
             }
             match self.roles[k] {
                 Role::Vertex(slot) => {
@@ -267,7 +306,7 @@ impl Method for NelderMeadState {
             }
         }
         match self.phase {
-            Phase::Done => {}
+            Phase::Done | Phase::BesideFailures => {}
             Phase::Starting | Phase::Shrinking | Phase::Restarting => {
                 if !self.simplex.is_pending() {
                     self.vertices_known();
@@ -313,7 +352,7 @@ impl Method for NelderMeadState {
     fn details(&self) -> MethodDetails<'_> {
         let space = &self.setup.space;
         let unmoved = |search: &SizeSearch| search.without_effect(space).collect();
-        MethodDetails {
+        let details = MethodDetails {
             without_effect: self.sizes.as_ref().map_or_else(Vec::new, unmoved),
             n_iterations: self.n_iterations,
             operation: self.operation,
@@ -322,6 +361,10 @@ impl Method for NelderMeadState {
             lookahead: self.batch,
             simplex: Some(self.simplex.view()),
             ..MethodDetails::default()
+        };
+        match &self.check {
+            Some(check) => check.details(details),
+            None => details,
         }
     }
 
@@ -336,10 +379,14 @@ impl Method for NelderMeadState {
             }
         }
         // What was seen and is no vertex counts too: steps in search of sizes, a reflection that waits for its expansion.
-        if let Some(seen) = self.sizes.as_ref().and_then(SizeSearch::best)
-            && best.is_none_or(|(_, b)| seen.1 < b)
-        {
-            best = Some(seen);
+        let seen = [
+            self.sizes.as_ref().and_then(SizeSearch::best),
+            self.check.as_ref().and_then(FailureCheck::best),
+        ];
+        for seen in seen.into_iter().flatten() {
+            if best.is_none_or(|(_, b)| seen.1 < b) {
+                best = Some(seen);
+            }
         }
         let reflection = &self.trials[Trial::Reflection as usize];
         match (self.phase, reflection.seen) {

@@ -28,6 +28,8 @@
 //! **Bounds.** A point outside is moved onto the bound.
 //!
 //! **Failures** are points that are no better. Where the start has failed, the first poll must find a cost.
+//! Where points beside the best one have failed, CMA-ES looks for a lower cost between them before the search
+//! has converged (`failure_check.rs`).
 //!
 //! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, is moved
 //! alone first (`shared/size_search.rs`).

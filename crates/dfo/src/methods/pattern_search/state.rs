@@ -8,6 +8,7 @@ use crate::method_interface::interface::{
     AnswersSoFar, Batch, Lookahead, Method, MethodDetails, Operation, Setup, Status, saved,
 };
 use crate::method_interface::tolerances::{TestedSet, ToleranceTests};
+use crate::methods::failure_check::{FailedPoints, FailureCheck};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::outcome::answer::Answers;
@@ -31,6 +32,8 @@ pub(super) enum Phase {
     Extending,
     /// A way down is looked for that no poll has met.
     Descending,
+    /// The tests have passed beside points that fail: a lower cost is looked for between them.
+    BesideFailures,
     NoStart,
     Ended(Termination),
 }
@@ -72,6 +75,14 @@ pub struct Polling {
     /// The search for a way down.
     #[serde(default)]
     pub(super) descent: Option<Descent>,
+    /// Points that failed in the search for a way down.
+    #[serde(default)]
+    failed: FailedPoints,
+    #[serde(default)]
+    check: Option<FailureCheck>,
+    /// Points of the last batch.
+    #[serde(default)]
+    n_asked: usize,
     waiting: bool,
     n_points: u64,
     n_iterations: usize,
@@ -104,6 +115,9 @@ impl Polling {
             f_begin: f64::INFINITY,
             passed: None,
             descent: None,
+            failed: FailedPoints::default(),
+            check: None,
+            n_asked: 0,
             waiting: false,
             n_points: 0,
             n_iterations: 0,
@@ -142,6 +156,9 @@ impl Polling {
             && (self.place < self.poll.len() || self.phase != Phase::Polling)
             && (self.phase != Phase::Descending || self.descent.is_some())
             && self.descent.as_ref().is_none_or(|descent| descent.is_sound(n))
+            && self.failed.is_sound(space.n())
+            && (self.phase != Phase::BesideFailures || self.check.is_some())
+            && self.check.as_ref().is_none_or(|check| check.is_sound(&self.setup))
             && (self.reference.len(), self.step.len()) == (n, n)
     }
 
@@ -251,7 +268,7 @@ impl Polling {
         if !has_gained {
             self.passed = self.tests;
             if self.n_idle >= self.restarts {
-                self.phase = Phase::Ended(Termination::Converged);
+                self.converged(least);
                 return;
             }
         }
@@ -259,6 +276,35 @@ impl Polling {
         self.gains.clear();
         self.scale = 1.0;
         self.begin_frame();
+    }
+
+    /// Nothing lower was found: the end, or the check that this is so where points failed beside the best one.
+    fn converged(&mut self, least: f64) {
+        let point = (self.best.x(0), self.best_cost());
+        let check = self
+            .failed
+            .are_near(point.0, &self.setup.space)
+            .then(|| FailureCheck::new(&self.setup, point, least, (self.n_points, self.n_points)));
+        self.phase = match check {
+            None => Phase::Ended(Termination::Converged),
+            Some(Err(_)) => Phase::Ended(Termination::BesideFailures),
+            Some(Ok(check)) => {
+                self.check = Some(check);
+                Phase::BesideFailures
+            }
+        };
+    }
+
+    /// Takes the outcomes of the check beside points that fail.
+    fn check_told(&mut self, answers: &Answers) -> Result<(), Error> {
+        let Some(check) = &mut self.check else { return Ok(()) };
+        check.tell(answers, &self.setup)?;
+        self.waiting = false;
+        self.n_points += self.n_asked as u64;
+        if let Some(termination) = check.ended() {
+            self.phase = Phase::Ended(termination.clone());
+        }
+        Ok(())
     }
 
     /// Begins the polls of a frame of another size.
@@ -338,13 +384,18 @@ impl Method for Polling {
     }
 
     fn ask(&mut self, batch: &mut Batch) {
+        self.waiting = self.status() == Status::Running;
+        if let (Phase::BesideFailures, Some(check)) = (&self.phase, &mut self.check) {
+            check.ask(batch);
+            self.n_asked = batch.len();
+            return;
+        }
         batch.start(self.setup.space.n(), self.n_points, self.n_points);
         if self.status() == Status::Running {
             // The start is the first trial point.
             // Gradients are made of costs, however high.
             let cutoff = if self.phase == Phase::Descending { f64::INFINITY } else { self.best_cost() };
             batch.push(&self.trial.1, cutoff);
-            self.waiting = true;
         }
     }
 
@@ -355,7 +406,7 @@ impl Method for Polling {
             Phase::Polling => (self.place + 1, (self.next_poll(self.n_refined + 1, false), 0.5 * self.scale)),
             Phase::Extending => (self.poll.len(), (self.next_poll(self.n_refined, true), self.scale)),
             Phase::Descending => return self.speculate_on_descent(wanted, known, batch),
-            Phase::NoStart | Phase::Ended(_) => return,
+            Phase::BesideFailures | Phase::NoStart | Phase::Ended(_) => return,
         };
         let mut ahead = self.trial.clone();
         let mut step = vec![0.0; self.step.len()];
@@ -376,6 +427,9 @@ impl Method for Polling {
         if !self.waiting {
             return Err(Error::TellWithoutAsk);
         }
+        if self.phase == Phase::BesideFailures {
+            return self.check_told(answers);
+        }
         if outcomes.len() > 1 {
             return Err(Error::TooManyOutcomes { asked: 1, told: outcomes.len() });
         }
@@ -383,6 +437,10 @@ impl Method for Polling {
         self.n_points += 1;
         let Some(outcome) = outcomes.first().filter(|outcome| outcome.is_known()) else { return Ok(()) };
         let cost = outcome.value().map_or(Cost::Failed, Cost::Value);
+        // With a cutoff the evaluation of a point that fails may have ended before.
+        if cost == Cost::Failed && self.phase == Phase::Descending {
+            self.failed.remember(&self.trial.1);
+        }
         let gains = cost.value().is_some_and(|cost| cost < self.best_cost());
         match self.phase {
             Phase::Starting => {
@@ -413,7 +471,7 @@ impl Method for Polling {
             }
             Phase::Extending => self.extended(),
             Phase::Descending => self.descend(cost),
-            Phase::NoStart | Phase::Ended(_) => {}
+            Phase::BesideFailures | Phase::NoStart | Phase::Ended(_) => {}
         }
         Ok(())
     }
@@ -422,18 +480,24 @@ impl Method for Polling {
         match &self.phase {
             Phase::NoStart => Status::NoStart,
             Phase::Ended(termination) => Status::Ended(termination.clone()),
-            Phase::Starting | Phase::Polling | Phase::Extending | Phase::Descending => Status::Running,
+            Phase::Starting
+            | Phase::Polling
+            | Phase::Extending
+            | Phase::Descending
+            | Phase::BesideFailures => Status::Running,
         }
     }
 
     fn best(&self) -> Option<(&[f64], f64)> {
-        Some((self.best.x(0), self.best.cost(0).value()?))
+        let own = (self.best.x(0), self.best.cost(0).value()?);
+        let found = self.check.as_ref().and_then(FailureCheck::best);
+        Some(found.filter(|found| found.1 < own.1).unwrap_or(own))
     }
 
     fn details(&self) -> MethodDetails<'_> {
         let passed = self.passed.filter(|passed| self.best_cost() >= passed.f_best);
         let tests = passed.or(self.tests);
-        MethodDetails {
+        let details = MethodDetails {
             n_iterations: self.n_iterations,
             operation: self.operation,
             tests,
@@ -442,6 +506,10 @@ impl Method for Polling {
             lookahead: self.batch,
             population: Some(self.best.view()),
             ..MethodDetails::default()
+        };
+        match &self.check {
+            Some(check) => check.details(details),
+            None => details,
         }
     }
 

@@ -5,6 +5,7 @@ use super::state::{ModelSearch, Phase};
 use super::subproblem::{Region, minimize};
 use super::truncated_cg;
 use crate::method_interface::tolerances::{TestedSet, ToleranceTests};
+use crate::methods::failure_check::FailureCheck;
 use crate::methods::shared::failures::{Plane, plane};
 use crate::outcome::termination::Termination;
 use crate::values::choices::ToleranceMeasure;
@@ -233,8 +234,7 @@ impl ModelSearch {
         while self.phase == Phase::Choosing {
             if self.interpolation.is_none() && self.inverse.is_none() {
                 let alone = self.points.n_finite() == 1;
-                self.phase =
-                    Phase::Ended(if alone { Termination::AllFailed } else { Termination::Collapsed });
+                self.end(if alone { Termination::AllFailed } else { Termination::Collapsed });
                 return;
             }
             let s = self.best_step();
@@ -461,6 +461,24 @@ impl ModelSearch {
         self.failed.iter().any(|v| norm(&self.displacement(u, v)) <= self.radius)
     }
 
+    /// Ends so, or looks for a lower cost where points failed beside the best one.
+    fn end(&mut self, termination: Termination) {
+        self.phase = Phase::Ended(termination);
+        if !self.is_beside_failures() {
+            return;
+        }
+        let best = self.base();
+        let least = self.tests.map_or(0.0, |tests| tests.f_limit);
+        let point = (self.points.x(best), self.cost(best));
+        self.phase = match FailureCheck::new(&self.setup, point, least, self.rounds.counts()) {
+            Ok(check) => {
+                self.check = Some(check);
+                Phase::BesideFailures
+            }
+            Err(_) => Phase::Ended(Termination::BesideFailures),
+        };
+    }
+
     /// The resolution is exhausted: the end, a smaller one, or another start.
     fn refine(&mut self) {
         self.fold();
@@ -475,11 +493,7 @@ impl ModelSearch {
         }
         if passed && found.is_none() && (self.roughness.is_none() || self.n_smooth >= self.restarts) {
             self.roughness = None;
-            if !self.is_beside_failures() {
-                self.phase = Phase::Ended(Termination::Converged);
-            } else if !(self.hand_over && self.hand_over()) {
-                self.phase = Phase::Ended(Termination::BesideFailures);
-            }
+            self.end(Termination::Converged);
             return;
         }
         if self.is_flat() {
@@ -521,7 +535,7 @@ impl ModelSearch {
         let useless = f >= self.f_restart - NO_PROGRESS * self.f_restart.abs();
         self.n_useless = if useless { self.n_useless + 1 } else { 0 };
         if self.n_useless > self.restarts {
-            self.phase = Phase::Ended(Termination::Stalled);
+            self.end(Termination::Stalled);
             return;
         }
         self.f_restart = f;

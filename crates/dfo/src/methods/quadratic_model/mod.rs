@@ -29,7 +29,8 @@
 //!
 //! **Failures.** A failed point enters no model. The step is shortened, and later steps keep to the side of a
 //! plane between failed points and those of the model (`shared/failures.rs`). Of the first points a failed
-//! one is tried nearer to the start and on its other side.
+//! one is tried nearer to the start and on its other side. A search that ends beside points that failed goes
+//! on with CMA-ES, which looks for a lower cost between them (`failure_check.rs`).
 //!
 //! **Cutoffs**: none, since a model needs the value of every point. **Time**: O((4n)^3) operations per point
 //! up to 20 parameters: 11 microseconds for 2, 0.2 ms for 10, 0.6 ms for 20. For more parameters the inverse

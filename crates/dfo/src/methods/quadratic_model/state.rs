@@ -9,6 +9,7 @@ use crate::method_interface::interface::{
     AnswersSoFar, Batch, Method, MethodDetails, Operation, Roughness, Setup, Status, saved,
 };
 use crate::method_interface::tolerances::ToleranceTests;
+use crate::methods::failure_check::FailureCheck;
 use crate::methods::nelder_mead::{NelderMead, SimplexSearch};
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::pending_generation::PendingGeneration;
@@ -37,6 +38,8 @@ pub(super) enum Phase {
     Geometry,
     /// The simplex search goes on.
     HandedOver,
+    /// The search has ended beside points that fail: a lower cost is looked for between them.
+    BesideFailures,
     NoStart,
     Ended(Termination),
 }
@@ -87,6 +90,8 @@ pub struct ModelSearch {
     pub(super) hand_over: bool,
     #[serde(default)]
     pub(super) simplex: Option<SimplexSearch>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) check: Option<FailureCheck>,
     /// The extents of the model since the last start, and the size of its curvature, when resolutions were
     /// exhausted.
     #[serde(default)]
@@ -129,6 +134,7 @@ impl ModelSearch {
             restarts: options.restarts,
             hand_over: options.hand_over,
             simplex: None,
+            check: None,
             curvatures: Vec::new(),
             roughness: None,
             n_smooth: 0,
@@ -169,6 +175,8 @@ impl ModelSearch {
             && self.points.len() > 0
             && (self.phase != Phase::Starting || self.points.len() == self.retries.len())
             && (self.phase == Phase::HandedOver) == self.simplex.is_some()
+            && (self.phase != Phase::BesideFailures || self.check.is_some())
+            && self.check.as_ref().is_none_or(|check| check.is_sound(&self.setup))
             && self
                 .simplex
                 .as_ref()
@@ -252,13 +260,20 @@ impl Method for ModelSearch {
         if let Some(simplex) = &mut self.simplex {
             return simplex.ask(batch);
         }
+        if let (Phase::BesideFailures, Some(check)) = (&self.phase, &mut self.check) {
+            return check.ask(batch);
+        }
         let n = self.setup.space.n();
         match self.phase {
             Phase::Starting => self.rounds.ask(batch, n, &self.points, |_| f64::INFINITY),
             Phase::Trial { .. } | Phase::Geometry => {
                 self.rounds.ask(batch, n, &self.trial, |_| f64::INFINITY);
             }
-            Phase::Choosing | Phase::HandedOver | Phase::NoStart | Phase::Ended(_) => {
+            Phase::Choosing
+            | Phase::HandedOver
+            | Phase::BesideFailures
+            | Phase::NoStart
+            | Phase::Ended(_) => {
                 self.rounds.ask_nothing(batch, n);
             }
         }
@@ -267,6 +282,13 @@ impl Method for ModelSearch {
     fn tell(&mut self, answers: &Answers) -> Result<(), Error> {
         if let Some(simplex) = &mut self.simplex {
             return simplex.state.tell(answers);
+        }
+        if let (Phase::BesideFailures, Some(check)) = (&self.phase, &mut self.check) {
+            check.tell(answers, &self.setup)?;
+            if let Some(termination) = check.ended() {
+                self.phase = Phase::Ended(termination.clone());
+            }
+            return Ok(());
         }
         if self.phase == Phase::Starting {
             if self.rounds.tell(answers, &mut self.points)? {
@@ -311,15 +333,21 @@ impl Method for ModelSearch {
             roughness: self.roughness,
             ..MethodDetails::default()
         };
-        match &self.simplex {
-            Some(simplex) => simplex.details(details),
-            None => MethodDetails { population: Some(self.points.view()), ..details },
+        match (&self.simplex, &self.check) {
+            (Some(simplex), _) => simplex.details(details),
+            (None, Some(check)) => {
+                check.details(MethodDetails { population: Some(self.points.view()), ..details })
+            }
+            (None, None) => MethodDetails { population: Some(self.points.view()), ..details },
         }
     }
 
     fn best(&self) -> Option<(&[f64], f64)> {
         let own = self.rounds.best();
-        let found = self.simplex.as_ref().and_then(|simplex| simplex.state.best());
+        let found = match &self.check {
+            Some(check) => check.best(),
+            None => self.simplex.as_ref().and_then(|simplex| simplex.state.best()),
+        };
         match (own, found) {
             (Some((_, f)), Some((_, g))) if g >= f => own,
             (own, found) => found.or(own),

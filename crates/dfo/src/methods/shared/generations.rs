@@ -152,6 +152,11 @@ impl<B: GenerationRules> Generations<B> {
             && self.rules.is_sound(&self.pool)
     }
 
+    /// Batches and points told so far.
+    pub(crate) fn counts(&self) -> (u64, u64) {
+        self.rounds.counts()
+    }
+
     /// State of the method besides its population.
     pub(crate) fn rules(&self) -> &B {
         &self.rules

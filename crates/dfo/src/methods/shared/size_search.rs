@@ -6,8 +6,6 @@
 //! cost is least along it; where no step lowers the cost, to where it changes by no more than its own size.
 //! What such a search has found is looked at once more from the point where the tests pass: a parameter that
 //! did not matter at the start may matter there.
-//!
-//! The same steps look for a way down where points around a simplex have failed.
 
 use crate::method_interface::interface::Batch;
 use crate::problem::space::Space;
@@ -60,9 +58,6 @@ struct Line {
     /// True if any step has changed the cost.
     has_effect: bool,
     is_over: bool,
-    /// True if all steps are to be tried down to the smallest, whatever the larger ones do.
-    #[serde(default)]
-    only_shrinks: bool,
 }
 
 /// The search along all parameters of unknown size at once, each from the same point.
@@ -88,7 +83,7 @@ pub(crate) struct SizeFound {
 impl SizeSearch {
     /// From the start point, with steps of every magnitude.
     pub(crate) fn from_start(space: &Space, x0: &[f64], f_0: f64) -> Self {
-        Self::new(space, (x0, f_0), NO_CHANGE * f_0.abs(), -LARGEST, false)
+        Self::new(space, (x0, f_0), NO_CHANGE * f_0.abs(), -LARGEST)
     }
 
     /// From the best vertex of a simplex that has become small: with steps of the sizes and smaller, and
@@ -96,7 +91,7 @@ impl SizeSearch {
     /// parameter that an earlier search found to matter, and that has come to a value of about its size,
     /// needs no further look.
     pub(crate) fn beside(space: &Space, best: (&[f64], f64), threshold: f64, earlier: Option<&Self>) -> Self {
-        let mut search = Self::new(space, best, threshold, SMALLEST_BESIDE, false);
+        let mut search = Self::new(space, best, threshold, SMALLEST_BESIDE);
         let matters = |k: usize| earlier.is_some_and(|e| e.lines.iter().all(|l| l.k != k || l.has_effect));
         search.lines.retain(|line| {
             let ratio = (best.0[space.free()[line.k]] / line.unit).abs();
@@ -105,36 +100,21 @@ impl SizeSearch {
         search
     }
 
-    /// From a point around which others fail: along all parameters, with steps down to this share of the
-    /// sizes.
-    pub(crate) fn beside_failures(space: &Space, best: (&[f64], f64), threshold: f64, least: f64) -> Self {
-        let smallest = (least.log10().ceil() as i32).clamp(-LARGEST, -1);
-        Self::new(space, best, threshold, smallest, true)
-    }
-
-    fn new(
-        space: &Space,
-        (base, f_base): (&[f64], f64),
-        threshold: f64,
-        smallest: i32,
-        only_shrinks: bool,
-    ) -> Self {
+    fn new(space: &Space, (base, f_base): (&[f64], f64), threshold: f64, smallest: i32) -> Self {
         let line = |k: usize| Line {
             k,
             unit: space.unit(k),
             smallest,
-            exponent: if only_shrinks { -1 } else { 0 },
+            exponent: 0,
             side: 1.0,
             opposite: None,
-            trend: if only_shrinks { -1 } else { 0 },
+            trend: 0,
             best: None,
             moderate: None,
             has_effect: false,
             is_over: false,
-            only_shrinks,
         };
-        let lines =
-            (0..space.n_free()).filter(|&k| only_shrinks || space.size_is_unknown(k)).map(line).collect();
+        let lines = (0..space.n_free()).filter(|&k| space.size_is_unknown(k)).map(line).collect();
         let mut search = Self { base: base.to_vec(), f_base, threshold, lines, best: None, x: base.to_vec() };
         (0..search.lines.len()).for_each(|number| search.skip(number, space));
         search
@@ -289,7 +269,7 @@ impl Line {
             }
             (1, _) => self.is_over = true,
             (_, Change::Higher) => self.is_over = has_best,
-            (_, Change::None) => self.is_over = !has_best && !self.only_shrinks,
+            (_, Change::None) => self.is_over = !has_best,
             (_, Change::Lower) => {}
         }
         if self.is_over {
