@@ -42,7 +42,8 @@ pub enum NamedCost {
     /// The negative logarithm of the likelihood with an unknown standard deviation of the noise for each
     /// output, over its recordings, up to a constant: `sum_o N_o / 2 ln(r_o' r_o / N_o)`, the likelihood with
     /// the best standard deviations (Bard, Nonlinear Parameter Estimation, 1974, chapter IV: unknown diagonal
-    /// covariance). Priors add half of their squares.
+    /// covariance). N_o does not count residuals that have no noise: those of weight zero, and that of the
+    /// measurement that a simulation starts from. Priors add half of their squares.
     Likelihood,
 }
 

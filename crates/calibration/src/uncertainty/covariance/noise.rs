@@ -143,8 +143,9 @@ impl Noise {
         context: &RunContext<'_>,
     ) -> Result<Self, CalibrationError> {
         let starts = StartNoise::all(layout, plain, working, groups, starts, base, context)?;
-        let (whole_base, mut residuals, own_groups) =
-            with_starts(base, &working.residuals, groups, &starts, context)?;
+        let mut own_groups = groups.to_vec();
+        let (whole_base, mut residuals) =
+            with_starts(base, &working.residuals, &mut own_groups, &starts, context)?;
         residuals.iter_mut().zip(&working.corrections).for_each(|(r, factor)| *r *= factor.sqrt());
         let priors = layout.n_measurements()..working.residuals.len();
         let mut moments = Moments::new(&own_groups, &whole_base, &residuals, priors.clone(), context)?;
@@ -265,18 +266,18 @@ impl StartNoise {
     }
 }
 
-/// The base, the residuals and the groups of a fit in which measured initial states are parameters, too.
-/// Measurements of starts that are not compared are rows behind all others.
+/// The base and the residuals of a fit in which measured initial states are parameters, too. Measurements of
+/// starts that are not compared are added to their groups, as rows behind all others.
 fn with_starts(
     base: &DMatrix<f64>,
     residuals: &[f64],
-    groups: &[Group],
+    groups: &mut [Group],
     starts: &[StartNoise],
     context: &RunContext<'_>,
-) -> Result<(DMatrix<f64>, Vec<f64>, Vec<Group>), CalibrationError> {
-    let (mut groups, mut residuals, m, q) = (groups.to_vec(), residuals.to_vec(), base.nrows(), base.ncols());
+) -> Result<(DMatrix<f64>, Vec<f64>), CalibrationError> {
+    let (mut residuals, m, q) = (residuals.to_vec(), base.nrows(), base.ncols());
     if starts.is_empty() {
-        return Ok((base.clone(), residuals, groups));
+        return Ok((base.clone(), residuals));
     }
     for start in starts.iter().filter(|start| start.row.is_none()) {
         groups[start.group].series.push(residuals.len()..residuals.len() + 1);
@@ -290,11 +291,11 @@ fn with_starts(
         column[start.row.or_else(|| behind.next()).unwrap_or(m)] = -1.0;
         column.normalize_mut();
     }
-    let (base, residuals) = left_by(&columns, &residuals, context)?;
-    Ok((base, residuals, groups))
+    left_by(&columns, &residuals, context)
 }
 
-/// The autocorrelation of a group from what the parameters leave of it alone, see [`Moments::autocorrelation`].
+/// The autocorrelation of a group from what the parameters leave of it alone, see
+/// [`Moments::autocorrelation`].
 fn alone(
     group: &Group,
     base: &DMatrix<f64>,
