@@ -160,8 +160,8 @@ impl Covariance {
     }
 }
 
-/// The inverse of an upper triangle, column by column: the entries below the diagonal stay zero, which takes a
-/// third of the operations that the solution for an identity takes. `None` where the diagonal has a zero.
+/// The inverse of an upper triangle, column by column: the entries below the diagonal stay zero, which takes
+/// a third of the operations that the solution for an identity takes. `None` where the diagonal has a zero.
 fn inverse_of_triangle(r: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let n = r.ncols();
     let mut inverse = DMatrix::identity(n, n);

@@ -24,8 +24,8 @@ const NEAR: f64 = 0.1;
 /// The first standard deviation of a search, in units of the sizes. With 0.01 and 0.2 the evaluations are the
 /// same within 2 % and as many minima are found.
 const SIGMA: f64 = 0.05;
-/// A search that gains more than so many times the least gain is followed by another one: 0.1 % of the cost at
-/// the default tolerance.
+/// A search that gains more than so many times the least gain is followed by another one: 0.1 % of the cost
+/// at the default tolerance.
 const MUCH: f64 = 1e3;
 /// Number of searches in a row that may each gain as much.
 const MOST_SEARCHES: u64 = 5;

@@ -83,8 +83,9 @@ impl LeastSquaresState {
         jacobian.iter().all(|j| j.is_finite()).then_some(jacobian)
     }
 
-    /// The set of the model and the gradients of its Lagrange polynomials, with this point in the place of the
-    /// one whose polynomial is largest there: in O(n^2) operations, where a new set takes a factorisation.
+    /// The set of the model and the gradients of its Lagrange polynomials, with this point in the place of
+    /// the one whose polynomial is largest there: in O(n^2) operations, where a new set takes a
+    /// factorisation.
     fn set_with(&self, best: usize, model: &Interpolation) -> (Vec<usize>, DMatrix<f64>) {
         let (mut set, mut gradients) = (self.set.clone(), gradients(model));
         if !set.contains(&best) {

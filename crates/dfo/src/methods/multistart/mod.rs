@@ -29,6 +29,7 @@
 //! its local search needs less than the other half.
 
 mod clusters;
+mod look_ahead;
 mod options;
 mod speculative_searches;
 mod state;

@@ -18,7 +18,6 @@ use crate::methods::shared::population::MAX_MEMBERS;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::outcome::answer::{Answers, Best, Want};
 use crate::outcome::termination::Termination;
-use crate::problem::objective::Query;
 use base::RunContext;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -26,7 +25,7 @@ use std::fmt;
 /// Local searches at once. With four, two workers are busy even where one search waits for the next sample.
 /// Eight or sixteen take more of the budget from each other than they gain: of six functions with 20 seeds
 /// and 10 000 evaluations (n = 10, no exploration) four solve 54 of 120, eight and sixteen 40.
-const SIDE_BY_SIDE: usize = 4;
+pub(super) const SIDE_BY_SIDE: usize = 4;
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 enum Phase {
@@ -42,8 +41,8 @@ enum Phase {
 
 /// All but the methods inside.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-struct Core {
-    setup: Setup,
+pub(super) struct Core {
+    pub(super) setup: Setup,
     seed: u64,
     phase: Phase,
     sample: RankedPoints,
@@ -51,7 +50,7 @@ struct Core {
     used: Vec<bool>,
     rounds: PendingGeneration,
     /// Points that searches are still to start from.
-    queue: Vec<Vec<f64>>,
+    pub(super) queue: Vec<Vec<f64>>,
     /// Evaluations of the exploration: planned and made.
     n_planned: usize,
     n_explored: usize,
@@ -72,7 +71,7 @@ struct Core {
     tests: Option<ToleranceTests>,
     model: Option<LinearModel>,
     n_batches: u64,
-    n_points: u64,
+    pub(super) n_points: u64,
     n_iterations: usize,
     operation: Option<Operation>,
 }
@@ -93,11 +92,11 @@ impl Core {
 }
 
 /// A local search that is under way.
-struct Search {
-    start: Vec<f64>,
-    method: Box<dyn Method + Send>,
+pub(super) struct Search {
+    pub(super) start: Vec<f64>,
+    pub(super) method: Box<dyn Method + Send>,
     /// Its points in the last batch.
-    asked: Batch,
+    pub(super) asked: Batch,
 }
 
 /// The whole as it is stored: the methods inside by their own states.
@@ -110,13 +109,13 @@ struct Stored<C> {
 
 /// A running search from several starts; made by [`Multistart`].
 pub struct MultistartState {
-    options: Multistart,
-    core: Core,
+    pub(super) options: Multistart,
+    pub(super) core: Core,
     exploration: Option<Box<dyn Method + Send>>,
-    searches: Vec<Search>,
-    ahead: Vec<SpeculativeSearches>,
+    pub(super) searches: Vec<Search>,
+    pub(super) ahead: Vec<SpeculativeSearches>,
     /// What was asked last, all searches together; empty while nothing is.
-    asked: Batch,
+    pub(super) asked: Batch,
     told: Answers,
 }
 
@@ -237,7 +236,7 @@ impl MultistartState {
     }
 
     /// The problem of a search from a point, with random numbers of its own.
-    fn setup_at(&self, start: &[f64]) -> Setup {
+    pub(super) fn setup_at(&self, start: &[f64]) -> Setup {
         let Core { setup, seed, .. } = &self.core;
         let space = setup.space.starting_at(start);
         let seed = Some(seed_at(*seed, start));
@@ -343,7 +342,7 @@ impl MultistartState {
     }
 
     /// Whether the first search after an exploration is under way.
-    fn needs_the_rest(&self) -> bool {
+    pub(super) fn needs_the_rest(&self) -> bool {
         self.core.n_planned > 0 && !self.first_has_ended()
     }
 
@@ -449,101 +448,6 @@ impl MultistartState {
                 search.asked = Batch::new();
             }
         }
-    }
-
-    /// Copies of the searches that run and of the next in the queue go as far as the answers reach.
-    fn look_ahead(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
-        let want = if self.options.needs_residuals() { Want::Residuals } else { Want::Cost };
-        let at = |asked: &Batch, k: usize| {
-            let cutoff = if want == Want::Cost { asked.cutoff(k) } else { f64::INFINITY };
-            known.ahead(asked.point(k), &Query::new(0, 0, cutoff).want(want))
-        };
-        let mut left = wanted;
-        let (mut first, mut n_ahead) = (0, 0);
-        for j in 0..self.searches.len() {
-            let (place, Some(mut ahead)) = (first, self.take_ahead(j)) else { return };
-            first += self.searches[j].asked.len();
-            let is_asked = first > place;
-            ahead.advance(&|asked, k, is_same| {
-                if is_same && is_asked { known.answer(place + k).cloned() } else { at(asked, k) }
-            });
-            n_ahead += ahead.n_ahead();
-            if ahead.is_ahead() || !is_asked {
-                for (x, cutoff) in ahead.points() {
-                    batch.push(x, cutoff);
-                    left = left.saturating_sub(usize::from(!known.contains(x)));
-                }
-            }
-            self.ahead.push(ahead);
-        }
-        // The first search after an exploration may need the rest of the budget: then no other is certain.
-        // It shares the workers with those that run side by side once it has ended: Nelder-Mead gains nothing past four
-        // of them (docs/scaling.md), and the more of these there are, the fewer of them the budget reaches.
-        let is_alone = self.needs_the_rest();
-        let n_next = if is_alone { self.core.queue.len().min(SIDE_BY_SIDE) } else { 0 };
-        let share = (wanted / 2).div_ceil(1 + n_next);
-        if is_alone {
-            batch.all_certain();
-            self.guess(share, known, batch);
-        }
-        // The next in the queue, unless the budget ends before.
-        let mut budget = self.core.setup.max_evaluations.map_or(usize::MAX, |most| {
-            most.saturating_sub(self.core.n_points as usize + self.asked.len() + n_ahead)
-        });
-        for k in 0..self.core.queue.len() {
-            if left == 0 || budget == 0 {
-                break;
-            }
-            let start = self.core.queue[k].clone();
-            let before = self.ahead.iter().position(|ahead| ahead.start == start);
-            let mut ahead = match before {
-                Some(place) => self.ahead.swap_remove(place),
-                None => match self.options.search(&self.setup_at(&start), None) {
-                    Ok(method) => SpeculativeSearches::new(start, method),
-                    Err(_) => break,
-                },
-            };
-            ahead.advance(&|asked, k, _| at(asked, k));
-            budget = budget.saturating_sub(ahead.n_ahead());
-            for (x, cutoff) in ahead.points().take(budget) {
-                batch.push(x, cutoff);
-                left = left.saturating_sub(usize::from(!known.contains(x)));
-                budget -= 1;
-            }
-            if k < n_next {
-                ahead.method.speculate(share.saturating_sub(1), known, batch);
-                left = left.saturating_sub(share);
-            }
-            self.ahead.push(ahead);
-        }
-        if !is_alone {
-            batch.all_certain();
-            self.guess(left, known, batch);
-        }
-    }
-
-    /// Points that the searches may need that are the least ahead, the same number for each: the path waits
-    /// for these next.
-    fn guess(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
-        let Self { searches, ahead, .. } = self;
-        let is_under_way =
-            |ahead: &SpeculativeSearches| searches.iter().any(|search| search.start == ahead.start);
-        let mut last: Vec<&mut SpeculativeSearches> =
-            ahead.iter_mut().filter(|ahead| is_under_way(ahead)).collect();
-        let least = last.iter().map(|ahead| ahead.n_ahead()).min();
-        last.retain(|ahead| Some(ahead.n_ahead()) == least);
-        let share = wanted.div_ceil(last.len().max(1));
-        last.into_iter().for_each(|ahead| ahead.method.speculate(share, known, batch));
-    }
-
-    /// The copy of a search that is under way, as it is, or a new one.
-    fn take_ahead(&mut self, j: usize) -> Option<SpeculativeSearches> {
-        let Search { start, method, .. } = &self.searches[j];
-        if let Some(place) = self.ahead.iter().position(|ahead| ahead.start == *start) {
-            return Some(self.ahead.swap_remove(place));
-        }
-        let copy = self.options.search(&self.setup_at(start), Some(&method.save()?)).ok()?;
-        Some(SpeculativeSearches::new(start.clone(), copy))
     }
 
     /// Asks the searches; a method may find out that it has ended when it is asked.

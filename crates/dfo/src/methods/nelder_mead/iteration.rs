@@ -160,7 +160,8 @@ impl NelderMeadState {
         }
     }
 
-    /// Nothing lower was found: the end, or the check that this is so where points failed beside the best one.
+    /// Nothing lower was found: the end, or the check that this is so where points failed beside the best
+    /// one.
     fn converged(&mut self, f_limit: f64) {
         let best = self.simplex.best();
         let point = (self.simplex.x(best), self.simplex.cost(best).value().unwrap_or(f64::NAN));

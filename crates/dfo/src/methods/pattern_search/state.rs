@@ -278,7 +278,8 @@ impl Polling {
         self.begin_frame();
     }
 
-    /// Nothing lower was found: the end, or the check that this is so where points failed beside the best one.
+    /// Nothing lower was found: the end, or the check that this is so where points failed beside the best
+    /// one.
     fn converged(&mut self, least: f64) {
         let point = (self.best.x(0), self.best_cost());
         let check = self
