@@ -21,4 +21,4 @@ pub(crate) use context_poller::{ContextPoller, StopCause};
 pub use evaluator::{CutoffUse, Evaluator, Polled, Wait};
 pub(crate) use speculative_evaluations::Reached;
 pub(crate) use speculative_evaluations::SpeculativeEvaluations;
-pub(crate) use threads::{MOST_WORKERS, OnCallingThread, Shared, Threads};
+pub(crate) use threads::{MOST_WORKERS, OnCallingThread, Shared, Threads, pool};

@@ -1,9 +1,10 @@
-//! Threads of a run: as many as it has use for, up to the number of its workers, with one queue.
+//! Threads of a run: a pool of its own, with one queue.
 
 use super::evaluator::{CutoffUse, Evaluator, Polled, Wait, call, cutoff_use};
 use super::timing::Timing;
 use crate::outcome::answer::Answer;
 use crate::problem::objective::{CancelSignals, Objective, Query};
+use rayon::{ScopeFifo, ThreadBuilder, ThreadPool, ThreadPoolBuilder};
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -20,9 +21,6 @@ const STACK_SIZE: usize = 16 << 20;
 /// So long the calling thread has the first points to itself, to see whether evaluations are worth handing
 /// over.
 const TRIAL: Duration = Duration::from_micros(100);
-
-/// So many threads the calling thread starts at once; the others are started by these.
-const AT_ONCE: usize = 32;
 
 /// A point on its way to a thread and back.
 #[derive(Debug)]
@@ -42,14 +40,28 @@ struct Queue {
     jobs: VecDeque<Job>,
     /// Nothing begins before.
     opens: Option<Instant>,
-    n_threads: usize,
-    /// Threads that were started and have not looked for a job yet.
-    n_starting: usize,
-    /// Threads that wait for a job.
-    n_idle: usize,
+    /// Tasks of the pool: each does one job after the other, until none is left.
+    n_tasks: usize,
     /// True if the calling thread evaluates, too.
     is_joined: bool,
-    is_closed: bool,
+}
+
+/// Makes the threads of a run, as many as the system allows, which end with the scope `run`. `None`: it
+/// allows none.
+pub(crate) fn pool<'scope>(run: &'scope Scope<'scope, '_>, workers: usize) -> Option<ThreadPool> {
+    let spawn = |thread: ThreadBuilder| {
+        let name = format!("dfo-worker-{}", thread.index());
+        Builder::new().name(name).stack_size(STACK_SIZE).spawn_scoped(run, || thread.run()).map(drop)
+    };
+    let mut n = workers;
+    while n > 0 {
+        match ThreadPoolBuilder::new().num_threads(n).spawn_handler(spawn).build() {
+            Ok(pool) => return Some(pool),
+            Err(e) => log::warn!("cannot start {n} worker threads, trying half of them: {e}"),
+        }
+        n /= 2;
+    }
+    None
 }
 
 /// State that the threads of a run share.
@@ -58,12 +70,12 @@ pub(crate) struct Shared<'a> {
     signals: CancelSignals<'a>,
     workers: usize,
     queue: Mutex<Queue>,
-    changed: Condvar,
+    opened: Condvar,
 }
 
 impl<'a> Shared<'a> {
     pub(crate) fn new(objective: &'a dyn Objective, signals: CancelSignals<'a>, workers: usize) -> Self {
-        Self { objective, signals, workers, queue: Mutex::default(), changed: Condvar::new() }
+        Self { objective, signals, workers, queue: Mutex::default(), opened: Condvar::new() }
     }
 
     /// The queue is whole at every instant, whoever panicked.
@@ -71,79 +83,32 @@ impl<'a> Shared<'a> {
         self.queue.lock().unwrap_or_else(|e| e.into_inner())
     }
 
-    /// The next job, waited for; `None` at the end.
+    /// The next job, once the queue is open; `None` ends the task that asks.
     fn next(&self) -> Option<Job> {
         let mut queue = self.queue();
         loop {
-            if queue.is_closed {
-                return None;
-            }
             let early = queue.opens.map(|opens| opens.saturating_duration_since(Instant::now()));
-            match early.filter(|left| !left.is_zero()) {
-                Some(left) => {
-                    let waited = self.changed.wait_timeout(queue, left);
-                    queue = waited.unwrap_or_else(|e| e.into_inner()).0;
-                }
-                None => {
-                    if let Some(job) = queue.jobs.pop_front() {
-                        return Some(job);
-                    }
-                    queue.n_idle += 1;
-                    queue = self.changed.wait(queue).unwrap_or_else(|e| e.into_inner());
-                    queue.n_idle -= 1;
-                }
-            }
+            let Some(left) = early.filter(|left| !left.is_zero() && !queue.jobs.is_empty()) else {
+                let job = queue.jobs.pop_front();
+                queue.n_tasks -= usize::from(job.is_none());
+                return job;
+            };
+            queue = self.opened.wait_timeout(queue, left).unwrap_or_else(|e| e.into_inner()).0;
         }
     }
 
-    /// Starts threads where jobs wait that none is free for, at most so many. What the system refuses is done
-    /// by those there are.
-    fn start_more<'s>(&'s self, scope: &'s Scope<'s, '_>, sender: &Sender<Job>, at_most: usize) {
-        for _ in 0..at_most {
-            let mut queue = self.queue();
-            let (busy, coming) =
-                (queue.n_threads + usize::from(queue.is_joined), queue.n_idle + queue.n_starting);
-            if queue.jobs.len() <= coming || busy >= self.workers || queue.is_closed {
-                return;
+    /// One task of the pool.
+    fn work(&self, sender: &Sender<Job>) {
+        while let Some(mut job) = self.next() {
+            let Job { x, query, answer, over, .. } = &mut job;
+            if over.load(Ordering::Relaxed) {
+                answer.clear();
+            } else {
+                call(self.objective, x, &query.ended_by(self.signals.with_own_flag(over)), answer);
             }
-            let number = queue.n_threads;
-            queue.n_threads += 1;
-            queue.n_starting += 1;
-            drop(queue);
-            if let Err(e) = self.start(scope, sender, number) {
-                let mut queue = self.queue();
-                queue.n_threads -= 1;
-                queue.n_starting -= 1;
-                log::warn!("cannot start worker thread {number} of {}: {e}", self.workers);
-                return;
-            }
+            // The receiver is gone only while the calling thread unwinds.
+            let _ = sender.send(job);
         }
-    }
-
-    fn start<'s>(
-        &'s self,
-        scope: &'s Scope<'s, '_>,
-        sender: &Sender<Job>,
-        number: usize,
-    ) -> std::io::Result<()> {
-        let name = format!("dfo-worker-{number}");
-        let own = sender.clone();
-        let work = move || {
-            self.queue().n_starting -= 1;
-            while let Some(mut job) = self.next() {
-                // Each starts another, so that the calling thread need not start a thousand.
-                self.start_more(scope, &own, 1);
-                let Job { x, query, answer, over, .. } = &mut job;
-                if over.load(Ordering::Relaxed) {
-                    answer.clear();
-                } else {
-                    call(self.objective, x, &query.ended_by(self.signals.with_own_flag(over)), answer);
-                }
-                // The receiver is gone only while the calling thread unwinds.
-                let _ = own.send(job);
-            }
-        };
-        Builder::new().name(name).stack_size(STACK_SIZE).spawn_scoped(scope, work).map(drop)
     }
 }
 
@@ -156,10 +121,10 @@ pub(crate) enum OnCallingThread {
     AtFirst,
 }
 
-/// The threads of a run.
+/// The threads of a run, which work for it within a scope of their pool.
 pub(crate) struct Threads<'s, 'e> {
-    scope: &'s Scope<'s, 'e>,
-    shared: &'s Shared<'s>,
+    scope: &'s ScopeFifo<'e>,
+    shared: &'e Shared<'e>,
     here: OnCallingThread,
     timing: Timing,
     /// Not given to the threads yet.
@@ -172,7 +137,7 @@ pub(crate) struct Threads<'s, 'e> {
 }
 
 impl<'s, 'e> Threads<'s, 'e> {
-    pub(crate) fn new(scope: &'s Scope<'s, 'e>, shared: &'s Shared<'s>, here: OnCallingThread) -> Self {
+    pub(crate) fn new(scope: &'s ScopeFifo<'e>, shared: &'e Shared<'e>, here: OnCallingThread) -> Self {
         let (sender, receiver) = channel();
         let (waiting, away, spare) = (VecDeque::new(), Vec::new(), Vec::new());
         Self { scope, shared, here, timing: Timing::new(), waiting, away, spare, sender, receiver }
@@ -186,16 +151,14 @@ impl<'s, 'e> Threads<'s, 'e> {
         let mut queue = self.shared.queue();
         queue.opens = opens;
         let now = Instant::now();
-        let mut free = queue.n_idle.saturating_sub(queue.jobs.len());
+        let mut free = self.shared.workers.saturating_sub(self.away.len());
         for mut job in self.waiting.drain(..) {
             (job.handed_in, job.at_once) = (now, free > 0);
             free = free.saturating_sub(1);
             self.away.push((job.query.id, Arc::clone(&job.over)));
             queue.jobs.push_back(job);
-            self.shared.changed.notify_one();
         }
-        drop(queue);
-        self.shared.start_more(self.scope, &self.sender, AT_ONCE);
+        self.start_tasks(queue);
     }
 
     /// Lets the threads begin; or takes `all` back that none has begun.
@@ -208,9 +171,20 @@ impl<'s, 'e> Threads<'s, 'e> {
                 self.waiting.push_back(job);
             }
         }
+        self.start_tasks(queue);
+        self.shared.opened.notify_all();
+    }
+
+    /// Starts tasks for the jobs that wait: no more evaluations than workers are made at once.
+    fn start_tasks(&self, mut queue: MutexGuard<'_, Queue>) {
+        let busy = queue.n_tasks + usize::from(queue.is_joined);
+        let n = self.shared.workers.saturating_sub(busy).min(queue.jobs.len());
+        queue.n_tasks += n;
         drop(queue);
-        self.shared.changed.notify_all();
-        self.shared.start_more(self.scope, &self.sender, AT_ONCE);
+        for _ in 0..n {
+            let (shared, sender) = (self.shared, self.sender.clone());
+            self.scope.spawn_fifo(move |_| shared.work(&sender));
+        }
     }
 
     /// Evaluates a point on the calling thread.
@@ -279,12 +253,6 @@ impl Evaluator for Threads<'_, '_> {
             }
         }
         self.hand_over(None);
-        if self.shared.queue().n_threads == 0 {
-            // The system refuses any: the calling thread is left.
-            self.take_back(true);
-            let Some(first) = self.waiting.pop_front() else { return Polled::Idle };
-            return self.evaluate(first, wait, answer);
-        }
         match self.receiver.recv_timeout(wait.left()) {
             Ok(job) => {
                 self.away.retain(|(id, _)| *id != job.query.id);
@@ -322,12 +290,10 @@ impl Evaluator for Threads<'_, '_> {
 }
 
 impl Drop for Threads<'_, '_> {
-    /// The scope waits for its threads: what is under way gives up, also where the calling thread panics.
+    /// The scope waits for its tasks: what is under way gives up, also where the calling thread panics.
     fn drop(&mut self) {
-        let mut queue = self.shared.queue();
-        queue.is_closed = true;
+        self.shared.queue().jobs.clear();
         self.away.iter().for_each(|(_, over)| over.store(true, Ordering::Relaxed));
-        drop(queue);
-        self.shared.changed.notify_all();
+        self.shared.opened.notify_all();
     }
 }

@@ -3,7 +3,7 @@
 use crate::error::Error;
 use crate::evaluation::{
     BatchFunction, BatchView, Batches, CallingThread, ContextPoller, CutoffUse, Evaluator, OnCallingThread,
-    Shared, Threads,
+    Shared, Threads, pool,
 };
 use crate::method_interface::interface::{Method, MethodOptions};
 use crate::method_interface::tolerances::{Limits, Tolerances};
@@ -484,7 +484,12 @@ impl<M: MethodOptions> Minimize<'_, M> {
             Source::Objective(objective) if workers == 1 => go(&mut CallingThread::new(&**objective)),
             Source::Objective(objective) => {
                 let shared = Shared::new(&**objective, signals, workers);
-                std::thread::scope(|scope| go(&mut Threads::new(scope, &shared, here)))
+                std::thread::scope(|run| match pool(run, workers) {
+                    Some(pool) => {
+                        pool.in_place_scope_fifo(|scope| go(&mut Threads::new(scope, &shared, here)))
+                    }
+                    None => go(&mut CallingThread::new(&**objective)),
+                })
             }
             Source::Batches(function) => go(&mut Batches::new(function.as_mut(), workers, cutoff_use)),
             Source::Evaluator(evaluator) => go(evaluator),
