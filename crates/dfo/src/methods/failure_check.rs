@@ -4,7 +4,7 @@
 //! Beside points that fail only few directions lead down, and those that polls, simplices and axes offer may
 //! not be among them. CMA-ES ranks failed points last and turns its distribution along the border that they
 //! make: of 170 random problems whose minimum lies on such a border (planes, corners and spheres, 2 to 5
-//! parameters) it ended at the minimum in all, pattern search in 114, Nelder-Mead in 157.
+//! parameters) it ended at the minimum in all, pattern search in 114, Nelder-Mead in 159.
 
 use super::cma_es::{CmaEs, CmaRules};
 use super::shared::generations::Generations;
@@ -22,7 +22,7 @@ const MOST_FAILED: usize = 64;
 /// A failed point is near within so many sizes.
 const NEAR: f64 = 0.1;
 /// The first standard deviation of a search, in units of the sizes. With 0.01 and 0.2 the evaluations are the
-/// same within 2 % and as many minima are found.
+/// same within 2 %; with 0.2 two of 360 searches claim success beside the minimum.
 const SIGMA: f64 = 0.05;
 /// A search that gains more than so many times the least gain is followed by another one: 0.1 % of the cost
 /// at the default tolerance.

@@ -313,28 +313,6 @@ fn jacobian_of_many_parameters_is_that_of_their_residuals() {
     assert!(report.is_success() && report.covariance().unwrap().undetermined.is_empty(), "{report}");
 }
 
-/// Each limit ends the search with another point as the last and the best one.
-#[test]
-fn jacobian_of_many_parameters_is_exact_for_linear_residuals_when_a_limit_ends_the_search() {
-    let n = 120;
-    let entry = |i: usize, k: usize| match (i + n - k) % n {
-        0 => 2.0 + k as f64 / n as f64,
-        1 => 0.5,
-        7 => -0.3,
-        _ => 0.0,
-    };
-    let linear = |x: &[f64], out: &mut Vec<f64>| {
-        out.extend((0..n + 10).map(|i| (0..n).map(|k| entry(i, k) * (x[k] - 1.0)).sum::<f64>()));
-    };
-    for more in 1..6 {
-        let run = minimize(residuals(linear)).start(&vec![0.5; n]).method(LeastSquares::default());
-        let report = run.max_evaluations(n + more).run().unwrap();
-        let jacobian = report.jacobian.as_ref().unwrap();
-        let error = |at: usize| (jacobian[at] - entry(at / n, at % n)).abs();
-        assert!((0..jacobian.len()).all(|at| error(at) < 1e-6), "{more}: {report}");
-    }
-}
-
 /// A line with noise of a tenth of outliers, 300 times: the scatter of the slope is what the covariance says.
 #[test]
 fn covariance_with_a_loss_is_the_scatter_of_the_estimates() {

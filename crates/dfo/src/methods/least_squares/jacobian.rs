@@ -55,8 +55,9 @@ impl LeastSquaresState {
     /// The differences within the set times the gradients of the Lagrange polynomials.
     fn jacobian_of_set(&self, best: usize, context: &RunContext<'_>) -> Option<DMatrix<f64>> {
         let (n, residuals) = (self.n(), &self.points[best].residuals);
-        let (set, gradients) = match self.model.as_ref().filter(|_| self.set.len() == n + 1) {
-            Some(model) => self.set_with(best, model),
+        let kept = self.model.as_ref().filter(|_| self.set.len() == n + 1 && self.set.contains(&best));
+        let (set, made) = match kept {
+            Some(_) => (self.set.clone(), None),
             None => {
                 let chosen = Selection::nearest(&self.points, &self.points[best].z, n).chosen;
                 let set: Vec<usize> = std::iter::once(best).chain(chosen).collect();
@@ -65,10 +66,12 @@ impl LeastSquaresState {
                 if set.len() <= n {
                     return None;
                 }
-                let model = Interpolation::new(&places, 0, context).ok()??;
-                (set, gradients(&model))
+                let made = Interpolation::new(&places, 0, context).ok()??;
+                (set, Some(made))
             }
         };
+        let model = made.as_ref().or(kept)?;
+        let gradients = DMatrix::from_fn(n + 1, n, |place, k| model.gradient(place)[k]);
         let counted: Vec<_> = set.iter().map(|k| self.residuals_near(best, *k)).collect();
         let mut jacobian = DMatrix::zeros(residuals.len(), n);
         let at_once = (AT_ONCE / n).max(1);
@@ -81,23 +84,6 @@ impl LeastSquaresState {
             jacobian.rows_mut(from, len).copy_from(&(changes * &gradients));
         }
         jacobian.iter().all(|j| j.is_finite()).then_some(jacobian)
-    }
-
-    /// The set of the model and the gradients of its Lagrange polynomials, with this point in the place of
-    /// the one whose polynomial is largest there: in O(n^2) operations, where a new set takes a
-    /// factorisation.
-    fn set_with(&self, best: usize, model: &Interpolation) -> (Vec<usize>, DMatrix<f64>) {
-        let (mut set, mut gradients) = (self.set.clone(), gradients(model));
-        if !set.contains(&best) {
-            let step = difference(&self.points[best].z, &self.points[set[model.base]].z);
-            let lagrange = DVector::from_vec(model.lagrange(&step));
-            let place = lagrange.iamax();
-            let gradient = gradients.row(place).transpose() / lagrange[place];
-            gradients.ger(-1.0, &lagrange, &gradient, 1.0);
-            gradients.row_mut(place).copy_from(&gradient.transpose());
-            set[place] = best;
-        }
-        (set, gradients)
     }
 
     /// Units of the distances, in those of the sizes.
@@ -125,11 +111,6 @@ impl LeastSquaresState {
         jacobian.column_iter_mut().zip(&units).for_each(|(mut column, unit)| column /= *unit);
         jacobian.iter().all(|j| j.is_finite()).then_some(jacobian)
     }
-}
-
-/// The gradients of the Lagrange polynomials, one in each row.
-fn gradients(model: &Interpolation) -> DMatrix<f64> {
-    DMatrix::from_fn(model.n() + 1, model.n(), |place, k| model.gradient(place)[k])
 }
 
 /// The derivatives by regression on differences from a point with these residuals; `None` where the points
