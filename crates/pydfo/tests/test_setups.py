@@ -239,8 +239,8 @@ def test_a_parameter_that_moves_nothing_is_named(method):
     fit = falling([gravity(), E]).fit(method=method, rng=1, max_iterations=60, workers=1)
     assert fit.without_effect == ["e"] and fit.at_bound == {}
     assert any("determine e" in f.sentence or "e did not change the cost" in f.sentence for f in fit.findings), fit
-    # The first simplex shows that g has an effect; what it shows of e, and for other methods both, is tested.
-    assert fit.n_checks == (1 if method == "nelder-mead" else 2) and len(fit.trace) == fit.nfev
+    # What the first simplex shows of e is tested; after other methods the standard errors show it.
+    assert fit.n_checks == (1 if method == "nelder-mead" else 0) and len(fit.trace) == fit.nfev
     assert abs(fit.parameters["g"]) == pytest.approx(9.0, rel=1e-2)
 
 
@@ -250,7 +250,7 @@ def test_a_budget_is_that_of_the_search():
     assert (fit.nfev, fit.n_checks, fit.without_effect) == (12, 0, ["e"])
     for method in ("de", "ga", "de-classic"):
         fit = falling([gravity(), E]).fit(method=method, rng=1, max_evaluations=40)
-        assert (fit.nfev, fit.without_effect) == (40, ["e"]) and fit.n_checks in (1, 2) and len(fit.trace) == 40
+        assert (fit.nfev, fit.without_effect, fit.n_checks) == (40, ["e"], 0) and len(fit.trace) == 40
         near = decay({"time": TIME, "x": DECAY}, parameters=[Parameter("k", 1.0, 0.1, 1.5)])
         assert near.fit(method=method, rng=1, max_evaluations=400).at_bound == {"k": "upper"}
     fit = falling([gravity(), E]).fit(method="de", rng=1, max_evaluations=400, callback=lambda progress: progress.nit >= 3)

@@ -467,7 +467,7 @@ fn a_wall_is_followed() {
     };
     for start in [[-1.2, 1.0], [0.3, -0.5], [-0.7, 2.0]] {
         let report = minimize(residuals(wall)).start(&start).method(LeastSquares::default()).run().unwrap();
-        assert!(report.fun < 0.01001 && report.n_evaluations < 1100, "{start:?} {report}");
+        assert!(report.fun < 0.01001 && report.n_evaluations < 1300, "{start:?} {report}");
         let costs: Vec<f64> = report.trace.iter().filter_map(|e| e.outcome.value()).collect();
         let near = costs.iter().position(|f| *f < 0.02).unwrap();
         assert!(costs[near..].iter().all(|f| *f < 0.5 * costs[0]), "{start:?} {costs:?}");

@@ -86,12 +86,17 @@ impl Calibration {
             let (own, best) = (made.own.take(), made.best());
             let own = own.as_ref().unwrap_or(self);
             let mut budget = made.budget(self, &job.start);
-            let price = own.price_of_comparison(&best);
-            let price = price.filter(|price| budget.allows(Extra::FreshProcess, *price as f64));
-            // What an accurate simulation of the result leaves: whether there is one must not depend on
-            // the number of workers.
+            // Taken where nothing is compared, too, and with room left for an accurate simulation of the result:
+            // neither a process nor the number of workers decides what else is simulated.
+            let has_room = budget.take(1.0);
             let reserved = if job.has_uncertainty() { own.price_of_accurate() } else { 0.0 };
-            let most_used = price.map(|price| price - 1 + budget.left_beside(reserved));
+            let most_used = has_room.then(|| budget.left_beside(reserved));
+            // What is compared is known, or a used process has to tell it.
+            let most_used = most_used.filter(|most| best.residuals.is_some() || *most > 0);
+            if most_used.is_none() && own.is_comparable() {
+                budget.skip(Extra::FreshProcess);
+            }
+            let most_used = most_used.filter(|_| own.is_comparable());
             let ((mut fit, kept), again, checks) =
                 own.beside_fresh_process(&best, most_used, job.loss, &job.context, || {
                     self.judged(own, &job, made, stats, budget)

@@ -51,12 +51,10 @@ impl Calibration {
         self.evaluator().remote.is_ok() && self.fmu().has_hidden_state()
     }
 
-    /// Simulations that compare the best point of a fit with a fresh process: one more where the residuals are
-    /// not known, by a process that has evaluated others. `None`: the model runs in no processes, or each
-    /// evaluation has one of its own.
-    pub(super) fn price_of_comparison(&self, best: &BestPoint) -> Option<usize> {
-        let is_open = self.evaluator().remote.is_ok() && !self.is_apart();
-        is_open.then(|| 1 + usize::from(best.residuals.is_none()))
+    /// True if the best point of a fit can be compared with a fresh process: the model runs in processes that
+    /// serve more than one evaluation.
+    pub(super) fn is_comparable(&self) -> bool {
+        self.evaluator().remote.is_ok() && !self.is_apart()
     }
 
     /// Evaluates a point again in at most `most_used` processes that have evaluated others and are idle, and
