@@ -54,8 +54,8 @@ const LEAST_BENT: f64 = 0.4;
 const BEND_ABOVE_NOISE: f64 = 10.0;
 
 /// With the changes `a1 + a3 + a5` over a step, Richardson's extrapolation leaves `a1 - a5 / 4`. What is left
-/// is no change where it is less than this part of what was taken away, `a3 + 5 a5 / 4`: for `a5 = a3 / 8` that
-/// much is left of `a1 = 0`.
+/// is no change where it is less than this part of what was taken away, `a3 + 5 a5 / 4`: for `a5 = a3 / 8`
+/// that much is left of `a1 = 0`.
 const LEFT_OVER: f64 = 1.0 / 32.0;
 
 /// Rounding of a simulated value relative to what was measured.

@@ -12,8 +12,8 @@ pub const MAX_EVENT_ITERATIONS: u32 = 100;
 impl Core {
     /// Updates the discrete states until they settle. What the model says in any of the rounds counts: flags
     /// of early rounds are not lost. A next event time that is `time` itself is one more round, unless the
-    /// model keeps its own time (co-simulation), which may be before that; one that lies before `time` by more
-    /// than `tolerance` is passed on. `before_round` looks at the model, and may end the iteration.
+    /// model keeps its own time (co-simulation), which may be before that; one that lies before `time` by
+    /// more than `tolerance` is passed on. `before_round` looks at the model, and may end the iteration.
     pub(crate) fn iterate_events(
         &mut self,
         time: f64,
