@@ -15,7 +15,6 @@ use crate::outcome::answer::Answers;
 use crate::outcome::termination::Termination;
 use crate::problem::space::Space;
 use serde::{Deserialize, Serialize};
-use std::collections::VecDeque;
 
 /// Number of failed points that are remembered.
 const MOST_FAILED: usize = 64;
@@ -32,14 +31,25 @@ const MOST_SEARCHES: u64 = 5;
 
 /// The last points that failed, in the user's units.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
-pub(crate) struct FailedPoints(VecDeque<Vec<f64>>);
+pub(crate) struct FailedPoints {
+    /// One after the other; once there are [`MOST_FAILED`], the next one takes the place of the oldest.
+    values: Vec<f64>,
+    next: usize,
+}
 
 impl FailedPoints {
+    /// With room for all that are remembered, of n numbers each.
+    pub(crate) fn new(n: usize) -> Self {
+        Self { values: Vec::with_capacity(MOST_FAILED * n), next: 0 }
+    }
+
     pub(crate) fn remember(&mut self, x: &[f64]) {
-        if self.0.len() == MOST_FAILED {
-            self.0.pop_front();
+        if self.values.len() < MOST_FAILED * x.len() {
+            self.values.extend_from_slice(x);
+        } else {
+            self.values[self.next * x.len()..][..x.len()].copy_from_slice(x);
+            self.next = (self.next + 1) % MOST_FAILED;
         }
-        self.0.push_back(x.to_vec());
     }
 
     /// True if a point lies beside one that failed.
@@ -47,14 +57,17 @@ impl FailedPoints {
         let space = space.without_sine();
         let (mut here, mut there) = (vec![0.0; space.n_free()], vec![0.0; space.n_free()]);
         space.to_working(x, &mut here);
-        self.0.iter().any(|failed| {
+        self.values.chunks_exact(x.len().max(1)).any(|failed| {
             space.to_working(failed, &mut there);
             here.iter().zip(&there).enumerate().all(|(k, (a, b))| (a - b).abs() <= NEAR * space.size(k))
         })
     }
 
     pub(crate) fn is_sound(&self, n: usize) -> bool {
-        self.0.iter().all(|x| x.len() == n)
+        self.values.len().is_multiple_of(n.max(1))
+            && self.values.len() <= MOST_FAILED * n
+            && self.next < MOST_FAILED
+            && (self.next == 0 || self.values.len() == MOST_FAILED * n)
     }
 }
 

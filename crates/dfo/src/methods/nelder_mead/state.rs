@@ -143,7 +143,7 @@ impl NelderMeadState {
             f_restart: None,
             spreads: Spreads::default(),
             sizing,
-            failed: FailedPoints::default(),
+            failed: FailedPoints::new(n_user),
             check: None,
             sizes: None,
             phase: if sizing { Phase::Sizing } else { Phase::Starting },

@@ -115,7 +115,7 @@ impl Polling {
             f_begin: f64::INFINITY,
             passed: None,
             descent: None,
-            failed: FailedPoints::default(),
+            failed: FailedPoints::new(setup.space.n()),
             check: None,
             n_asked: 0,
             waiting: false,
