@@ -466,7 +466,7 @@ mod tests {
         assert!(write_atomically(&pipe, b"x").is_err());
         let reader = without_waiting(OpenOptions::new().read(true), 0).open(&pipe).unwrap();
         write_atomically(&pipe, b"through").unwrap();
-        // Not to the end: a process that another test starts holds the written end until it executes.
+        // Seven bytes only: a process that another test starts holds the write end open until it calls exec.
         let mut content = [0; 7];
         (&reader).read_exact(&mut content).unwrap();
         assert_eq!(&content, b"through");

@@ -1,4 +1,4 @@
-//! When two numbers are the same time.
+//! Tolerance for comparing times.
 
 /// Returns the largest difference of two numbers that are the same time, in a span from `start` to `end`:
 /// `100 u max(|start|, |end|, |end - start|)`, where `u` is the unit round-off. Whatever compares times

@@ -45,8 +45,8 @@ def failing_at(k, how, values):
 
 
 def n_visits(result, k):
-    """How often the path was at the point of evaluation k: once, or more often where it began anew."""
-    n = int(np.all(result.trace.x == path(k)[-1], axis=1).sum())
+    """Returns the number of used evaluations at the point of evaluation k: more than one if the search started again."""
+    n = int(np.all(result.trace.x[result.trace.used] == path(k)[-1], axis=1).sum())
     assert n >= 1
     return n
 

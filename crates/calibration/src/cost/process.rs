@@ -119,8 +119,8 @@ pub(crate) enum ProcessChoice {
 pub(crate) const HIDDEN_STATE: &str = "a cost depends on what ran before it in the same process (a state that the model keeps and no variable shows): each \
                                        evaluation has a process of its own";
 
-/// Introduces what a model logs about a failure where it is asked to log.
-const LOG_ON: &str = "the same with the log of the model switched on";
+/// Introduces the messages that a model logs when a failed request is repeated with logging.
+const LOG_ON: &str = "repeated with the log of the model switched on";
 
 /// Worker processes that have loaded the same.
 #[derive(Debug)]

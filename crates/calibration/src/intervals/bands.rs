@@ -276,6 +276,7 @@ impl Calibration {
                 )));
             };
             let step = joint.of(n + k).value.sqrt().max(SHORTEST * start.value.abs());
+            let step = if step > 0.0 { step } else { SHORTEST };
             let side = |by: f64| -> Result<Trajectory, CalibrationError> {
                 let moved = self.with_starts_moved(&[(start, by)])?;
                 moved.simulate_experiment(*experiment, &fit.x, options.times.as_deref(), context)

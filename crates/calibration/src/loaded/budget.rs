@@ -4,7 +4,7 @@
 /// where simulations of the result take more of them than others, and with the short tests of how instances
 /// are brought back (`benches/whole_fits.md`).
 const SHARE: f64 = 0.25;
-/// It takes no more than this number of simulations: with those tests less than 4.
+/// Largest number of simulations. The tests of resets add less than half of one: together less than 4.
 const MOST: f64 = 3.5;
 
 /// Something that is simulated besides the search and the standard errors, where the budget allows it.
@@ -73,7 +73,7 @@ impl Budget {
         is_allowed
     }
 
-    /// Whole simulations that are left, so many beside them.
+    /// Number of whole simulations that are left after `reserved` is set aside.
     pub(crate) fn left_beside(&self, reserved: f64) -> usize {
         (self.left - reserved).max(0.0) as usize
     }

@@ -259,8 +259,8 @@ impl Calibration {
 
     /// The method that integrates the simulations of this calibration, in fits and outside of them. Where the
     /// settings name none, it is found at the first use, by a comparison at the parameters' start values (see
-    /// [`compare_solvers`](crate::compare_solvers())): up to four simulations of every experiment, one if the
-    /// model is not stiff there. It stays the same from then on.
+    /// [`compare_solvers`](crate::compare_solvers())): up to three simulations of every experiment, one if
+    /// the model is not stiff there. It stays the same from then on.
     ///
     /// # Errors
     /// The model cannot be loaded or instantiated. Simulations that fail are no error: they lose.

@@ -244,7 +244,11 @@ impl Uncertainty {
             (own.standard_errors, own.correlation) = errors_and_correlation(&covariance, own.x.len());
             own.covariance = covariance;
             if let Some(joint) = own.uncorrected_joint.take() {
-                let degrees = |i: usize| joint.degrees_of_freedom(&joint.of(i));
+                // A parameter that is held, or that the data do not determine, has none of its own.
+                let all = own.degrees_of_freedom;
+                let degrees = |i: usize| {
+                    Some(joint.degrees_of_freedom(&joint.of(i))).filter(|own| !own.is_nan()).unwrap_or(all)
+                };
                 own.effective_degrees_of_freedom = (0..own.x.len()).map(degrees).collect();
                 own.joint = joint;
             }

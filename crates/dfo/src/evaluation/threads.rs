@@ -1,10 +1,11 @@
-//! Threads of a run: a pool of its own, with one queue.
+//! Evaluates the points of a run in a thread pool of its own, with one queue.
 
 use super::evaluator::{CutoffUse, Evaluator, Polled, Wait, call, cutoff_use};
 use super::timing::Timing;
 use crate::outcome::answer::Answer;
 use crate::problem::objective::{CancelSignals, Objective, Query};
 use rayon::{ScopeFifo, ThreadBuilder, ThreadPool, ThreadPoolBuilder};
+use std::cell::Cell;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -21,6 +22,11 @@ const STACK_SIZE: usize = 16 << 20;
 /// So long the calling thread has the first points to itself, to see whether evaluations are worth handing
 /// over.
 const TRIAL: Duration = Duration::from_micros(100);
+
+thread_local! {
+    /// True while a thread of a pool is at work.
+    static EVALUATES: Cell<bool> = const { Cell::new(false) };
+}
 
 /// A point on its way to a thread and back.
 #[derive(Debug)]
@@ -46,8 +52,8 @@ struct Queue {
     is_joined: bool,
 }
 
-/// Makes the threads of a run, as many as the system allows, which end with the scope `run`. `None`: it
-/// allows none.
+/// Starts the threads of a run, which end before the scope `run` does. Fewer if the system refuses so many;
+/// `None` if it refuses all.
 pub(crate) fn pool<'scope>(run: &'scope Scope<'scope, '_>, workers: usize) -> Option<ThreadPool> {
     let spawn = |thread: ThreadBuilder| {
         let name = format!("dfo-worker-{}", thread.index());
@@ -57,7 +63,7 @@ pub(crate) fn pool<'scope>(run: &'scope Scope<'scope, '_>, workers: usize) -> Op
     while n > 0 {
         match ThreadPoolBuilder::new().num_threads(n).spawn_handler(spawn).build() {
             Ok(pool) => return Some(pool),
-            Err(e) => log::warn!("cannot start {n} worker threads, trying half of them: {e}"),
+            Err(e) => log::warn!("cannot start {n} worker threads: {e}; trying {}", n / 2),
         }
         n /= 2;
     }
@@ -97,8 +103,13 @@ impl<'a> Shared<'a> {
         }
     }
 
-    /// One task of the pool.
+    /// One task of the pool. An objective that waits for tasks of rayon may be given this one: then it ends
+    /// at once, for a job that began within another evaluation would take its thread-local state.
     fn work(&self, sender: &Sender<Job>) {
+        if EVALUATES.replace(true) {
+            self.queue().n_tasks -= 1;
+            return;
+        }
         while let Some(mut job) = self.next() {
             let Job { x, query, answer, over, .. } = &mut job;
             if over.load(Ordering::Relaxed) {
@@ -109,6 +120,7 @@ impl<'a> Shared<'a> {
             // The receiver is gone only while the calling thread unwinds.
             let _ = sender.send(job);
         }
+        EVALUATES.set(false);
     }
 }
 
@@ -151,7 +163,8 @@ impl<'s, 'e> Threads<'s, 'e> {
         let mut queue = self.shared.queue();
         queue.opens = opens;
         let now = Instant::now();
-        let mut free = self.shared.workers.saturating_sub(self.away.len());
+        // In a queue that opens later the time of a job is not that of handing it over.
+        let mut free = if opens.is_some() { 0 } else { self.shared.workers.saturating_sub(self.away.len()) };
         for mut job in self.waiting.drain(..) {
             (job.handed_in, job.at_once) = (now, free > 0);
             free = free.saturating_sub(1);
@@ -175,7 +188,7 @@ impl<'s, 'e> Threads<'s, 'e> {
         self.shared.opened.notify_all();
     }
 
-    /// Starts tasks for the jobs that wait: no more evaluations than workers are made at once.
+    /// Starts tasks for the waiting jobs. At most `workers` evaluations run at once.
     fn start_tasks(&self, mut queue: MutexGuard<'_, Queue>) {
         let busy = queue.n_tasks + usize::from(queue.is_joined);
         let n = self.shared.workers.saturating_sub(busy).min(queue.jobs.len());
@@ -290,7 +303,7 @@ impl Evaluator for Threads<'_, '_> {
 }
 
 impl Drop for Threads<'_, '_> {
-    /// The scope waits for its tasks: what is under way gives up, also where the calling thread panics.
+    /// Cancels running evaluations, because the scope waits for them, also if the calling thread panics.
     fn drop(&mut self) {
         self.shared.queue().jobs.clear();
         self.away.iter().for_each(|(_, over)| over.store(true, Ordering::Relaxed));

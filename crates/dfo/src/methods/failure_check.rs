@@ -1,10 +1,10 @@
-//! Whether a lower cost lies between points that fail: CMA-ES looks for it from the point where the tests of
-//! another method have passed.
+//! Searches with CMA-ES for a lower cost near points that fail, after the tests of another method have
+//! passed.
 //!
-//! Beside points that fail only few directions lead down, and those that polls, simplices and axes offer may
-//! not be among them. CMA-ES ranks failed points last and turns its distribution along the border that they
-//! make: of 170 random problems whose minimum lies on such a border (planes, corners and spheres, 2 to 5
-//! parameters) it ended at the minimum in all, pattern search in 114, Nelder-Mead in 159.
+//! Near such points only few directions reduce the cost. Polls, simplices and axes may miss them. CMA-ES
+//! ranks failed points last and turns its distribution along the border that they make: of 170 random
+//! problems whose minimum lies on such a border (planes, corners and spheres, 2 to 5 parameters) it ended at
+//! the minimum in all, pattern search in 114, Nelder-Mead in 159.
 
 use super::cma_es::{CmaEs, CmaRules};
 use super::shared::generations::Generations;
@@ -18,13 +18,13 @@ use serde::{Deserialize, Serialize};
 
 /// Number of failed points that are remembered.
 const MOST_FAILED: usize = 64;
-/// A failed point is near within so many sizes.
+/// Distance up to which a failed point is near, in sizes of the parameters.
 const NEAR: f64 = 0.1;
 /// The first standard deviation of a search, in units of the sizes. With 0.01 and 0.2 the evaluations are the
 /// same within 2 %; with 0.2 two of 360 searches claim success beside the minimum.
 const SIGMA: f64 = 0.05;
-/// A search that gains more than so many times the least gain is followed by another one: 0.1 % of the cost
-/// at the default tolerance.
+/// Gain above which another search follows, in units of the least gain that counts: 0.1 % of the cost at the
+/// default tolerance.
 const MUCH: f64 = 1e3;
 /// Number of searches in a row that may each gain as much.
 const MOST_SEARCHES: u64 = 5;
@@ -38,7 +38,7 @@ pub(crate) struct FailedPoints {
 }
 
 impl FailedPoints {
-    /// With room for all that are remembered, of n numbers each.
+    /// Reserves memory for [`MOST_FAILED`] points of n values.
     pub(crate) fn new(n: usize) -> Self {
         Self { values: Vec::with_capacity(MOST_FAILED * n), next: 0 }
     }
@@ -83,7 +83,6 @@ pub(crate) struct FailureCheck {
     n_batches: u64,
     n_points: u64,
     n_iterations: usize,
-    ended: Option<Termination>,
 }
 
 /// The problem of a search from this point.
@@ -113,7 +112,6 @@ impl FailureCheck {
             n_batches,
             n_points,
             n_iterations: 0,
-            ended: None,
         })
     }
 
@@ -130,24 +128,21 @@ impl FailureCheck {
         batch.renumber(self.n_batches + batch.index(), self.n_points);
     }
 
-    /// Takes the outcomes, `asked` points and the batch before them.
-    pub(crate) fn tell(&mut self, answers: &Answers, setup: &Setup) -> Result<(), Error> {
+    /// Takes the outcomes of the last batch. Returns how the check has ended, if it has.
+    pub(crate) fn tell(&mut self, answers: &Answers, setup: &Setup) -> Result<Option<Termination>, Error> {
         self.search.tell(answers)?;
         let ended = match self.search.status() {
-            Status::Running => return Ok(()),
-            Status::NoStart => Termination::BesideFailures,
+            Status::Running => return Ok(None),
             Status::Ended(Termination::Converged) => Termination::Converged,
-            Status::Ended(_) => Termination::BesideFailures,
+            Status::NoStart | Status::Ended(_) => Termination::BesideFailures,
         };
         let found = self.search.best().filter(|(_, cost)| *cost < self.start.1 - MUCH * self.least);
         let Some((x, cost)) = found.map(|(x, cost)| (x.to_vec(), cost)) else {
-            self.ended = Some(ended);
-            return Ok(());
+            return Ok(Some(ended));
         };
         self.n_searches += 1;
         if self.n_searches == MOST_SEARCHES {
-            self.ended = Some(Termination::BesideFailures);
-            return Ok(());
+            return Ok(Some(Termination::BesideFailures));
         }
         let (n_batches, n_points) = self.search.counts();
         self.n_batches += n_batches;
@@ -155,24 +150,19 @@ impl FailureCheck {
         self.n_iterations += self.search.details().n_iterations;
         self.search = begin(setup, &x, self.n_searches)?;
         self.start = (x, cost);
-        Ok(())
+        Ok(None)
     }
 
-    /// How it ended.
-    pub(crate) fn ended(&self) -> Option<&Termination> {
-        self.ended.as_ref()
-    }
-
-    /// The best point that was looked at.
-    pub(crate) fn best(&self) -> Option<(&[f64], f64)> {
+    /// The best point and its cost.
+    pub(crate) fn best(&self) -> (&[f64], f64) {
         let (x, cost) = &self.start;
-        Some(self.search.best().filter(|found| found.1 < *cost).unwrap_or((x, *cost)))
+        self.search.best().filter(|found| found.1 < *cost).unwrap_or((x, *cost))
     }
 
-    /// What the method before knew, brought up to date.
+    /// The details of the method before, updated by the check.
     pub(crate) fn details<'a>(&self, before: MethodDetails<'a>) -> MethodDetails<'a> {
         let own = self.search.details();
-        let gains = self.n_searches > 0 || self.best().is_some_and(|(_, cost)| cost < self.start.1);
+        let gains = self.n_searches > 0 || self.best().1 < self.start.1;
         MethodDetails {
             n_iterations: before.n_iterations + self.n_iterations + own.n_iterations,
             operation: own.operation.or(before.operation),

@@ -18,6 +18,7 @@ use crate::run::report::{self, Report, Resumed};
 use crate::run::start::StartedRun;
 use base::RunContext;
 use std::cell::Cell;
+use std::collections::HashMap;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
@@ -76,7 +77,7 @@ pub(crate) struct Drive<M> {
     /// Points of the path that were still evaluated elsewhere when the run had to end.
     n_left: usize,
     /// Points of this batch that the engine lost, by number, and how often.
-    losses: Vec<(u64, u32)>,
+    losses: HashMap<u64, u32>,
     /// Answers that came since the checkpoint was written.
     n_unsaved: usize,
     guesses: SpeculativeEvaluations,
@@ -112,7 +113,7 @@ impl<M: Method> Drive<M> {
             n_missing: 0,
             end: usize::MAX,
             n_left: 0,
-            losses: Vec::new(),
+            losses: HashMap::new(),
             n_unsaved: 0,
             guesses: SpeculativeEvaluations::default(),
             answer: Answer::default(),
@@ -375,12 +376,7 @@ impl<M: Method> Drive<M> {
         let why = std::mem::replace(&mut answer.outcome, Outcome::Skipped);
         let place = self.round.work.place_of(id).filter(|&k| id < FIRST_ID && k <= self.end);
         let (Some(k), None) = (place, self.cause) else { return false };
-        let known = self.losses.iter().position(|(lost, _)| *lost == id);
-        let known = known.unwrap_or_else(|| {
-            self.losses.push((id, 0));
-            self.losses.len() - 1
-        });
-        let n = &mut self.losses[known].1;
+        let n = self.losses.entry(id).or_default();
         *n += 1;
         if *n < MOST_LOSSES {
             evaluator.submit(self.round.work.point(k), self.round.work.query(k));

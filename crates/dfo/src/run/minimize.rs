@@ -482,15 +482,13 @@ impl<M: MethodOptions> Minimize<'_, M> {
         };
         let mut report = match &mut source {
             Source::Objective(objective) if workers == 1 => go(&mut CallingThread::new(&**objective)),
-            Source::Objective(objective) => {
-                let shared = Shared::new(&**objective, signals, workers);
-                std::thread::scope(|run| match pool(run, workers) {
-                    Some(pool) => {
-                        pool.in_place_scope_fifo(|scope| go(&mut Threads::new(scope, &shared, here)))
-                    }
-                    None => go(&mut CallingThread::new(&**objective)),
-                })
-            }
+            Source::Objective(objective) => std::thread::scope(|run| match pool(run, workers) {
+                Some(pool) => {
+                    let shared = Shared::new(&**objective, signals, pool.current_num_threads());
+                    pool.in_place_scope_fifo(|scope| go(&mut Threads::new(scope, &shared, here)))
+                }
+                None => go(&mut CallingThread::new(&**objective)),
+            }),
             Source::Batches(function) => go(&mut Batches::new(function.as_mut(), workers, cutoff_use)),
             Source::Evaluator(evaluator) => go(evaluator),
         }?;

@@ -370,7 +370,7 @@ fn message<M: Method + ?Sized>(
         }
         Termination::StoppedByObserver => with_tests("stopped by the callback".to_owned()),
         Termination::Interrupted => with_tests("interrupted".to_owned()),
-        Termination::Aborted(reason) => format!("aborted by the objective: {reason}"),
+        Termination::Aborted(reason) => format!("aborted: {reason}"),
         Termination::NotSaved { reason, ended } => {
             let ended = message(method, ledger, limits, ended, fun, seconds);
             return format!("{ended}; the last state could not be saved: {reason}");

@@ -400,13 +400,14 @@ fn bits(least: i128, most: i128) -> u32 {
 }
 
 impl FmiError {
-    /// True if the model was never asked: a file, memory, a compiler, the loader or a process is at fault.
-    /// Such an error says nothing about the values that a simulation was to be made with.
+    /// True if the error has a cause outside of the model: a file, memory, a compiler, the loader or a
+    /// process. It does not depend on the values of the simulation.
     pub fn is_of_machine(&self) -> bool {
         matches!(
             self,
             FmiError::Memory { .. }
                 | FmiError::NoWorker { .. }
+                | FmiError::NoSandbox { .. }
                 | FmiError::Io { .. }
                 | FmiError::Absent { .. }
                 | FmiError::BadArchive { .. }

@@ -114,10 +114,10 @@ impl Trajectory {
         let rows = self.time.len();
         let has = |range: &Range<usize>, n: usize| range.start <= range.end && range.end <= n;
         let is_filled = |column: &ValueColumn| {
-            column.places.len() == self.sides.len()
-                && column.places.iter().all(|place| *place < column.values.len())
+            column.places.len() == rows && column.places.iter().all(|place| *place < column.values.len())
         };
-        self.names.len() == self.columns.len()
+        self.sides.len() == rows
+            && self.names.len() == self.columns.len()
             && self.columns.iter().all(|column| column.len() == rows)
             && self.values.iter().all(is_filled)
             && (self.recorded.iter()).all(|variable| {

@@ -75,8 +75,8 @@ pub(crate) fn set_confined() {
 /// True if the process may write into its own folder only, and the last call of the system that has failed in
 /// this thread was refused. A signal handler may ask.
 pub(super) fn is_refused() -> bool {
-    let denied = std::io::Error::last_os_error().kind() == std::io::ErrorKind::PermissionDenied;
-    denied && IS_CONFINED.load(Ordering::Relaxed)
+    IS_CONFINED.load(Ordering::Relaxed)
+        && std::io::Error::last_os_error().kind() == std::io::ErrorKind::PermissionDenied
 }
 
 /// [`REFUSED`], if something was.

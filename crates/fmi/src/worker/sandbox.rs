@@ -81,7 +81,10 @@ fn confine_files(folder: &Path) -> Result<(), RulesetError> {
             allow(&path, read)?;
         }
     }
-    for path in READABLE_DEVICES.iter().map(PathBuf::from).chain(std::env::current_dir()) {
+    // If `/` can be listed, only these folders have no rule yet, and a rule for them would open `/dev`.
+    let working = std::env::current_dir().ok();
+    let working = working.filter(|working| working != Path::new("/") && !working.starts_with("/dev"));
+    for path in READABLE_DEVICES.iter().map(PathBuf::from).chain(working) {
         allow(&path, read)?;
     }
     for path in DEVICES {

@@ -388,7 +388,7 @@ impl<'a> Watch<'a> {
         run_limit: Option<RunLimit>,
         end: Option<Instant>,
     ) -> Self {
-        let next_look = Instant::now();
+        let next_look = Instant::now() + LOOK;
         Self {
             page,
             end_of,

@@ -78,15 +78,15 @@ impl Sums {
     }
 }
 
-/// True if all outputs that vary are worse than a constant, and not by chance: the product of their
-/// probabilities is that of independent ones (Fisher, Statistical Methods for Research Workers, 1932, section
+/// True if several outputs vary, and all of these are worse than a constant by more than chance: their
+/// probabilities are combined by Fisher's method (Statistical Methods for Research Workers, 1932, section
 /// 21.1).
 fn are_all_worse(outputs: &[Sums]) -> bool {
     let varying = || outputs.iter().filter(|sums| sums.about_mean > 0.0);
     let statistic = varying().map(|sums| -2.0 * sums.chance().ln()).sum::<f64>();
-    let degrees = 2.0 * varying().count() as f64;
-    let chance = ChiSquared::new(degrees).map_or(1.0, |of| of.sf(statistic));
-    varying().all(|sums| sums.is_worse_than_a_constant()) && chance < CHANCE
+    let n = varying().count();
+    let chance = ChiSquared::new(2.0 * n as f64).map_or(1.0, |of| of.sf(statistic));
+    n > 1 && varying().all(|sums| sums.is_worse_than_a_constant()) && chance < CHANCE
 }
 
 /// Outputs that are worse than a constant, by the residuals of a fit. Errors where that is so over all
@@ -106,7 +106,7 @@ pub(super) fn findings(calibration: &Calibration, residuals: &[f64]) -> Vec<Find
         }
     }
     let sums: Vec<Sums> = of_variables.iter().map(|(_, sums)| *sums).collect();
-    let n_outputs = sums.len();
+    let n_outputs = sums.iter().filter(|sums| sums.about_mean > 0.0).count();
     let are_all_worse = are_all_worse(&sums);
     let finding = |output: &OutputResiduals| {
         let own = Sums::of(output, residuals);
@@ -175,8 +175,10 @@ mod tests {
         // One that is reproduced, and two that may be chance together: 0.33 and 0.2, by Fisher's test 0.25.
         assert!(!are_all_worse(&[sums(0.1), all[2]]));
         assert!(!are_all_worse(&[sums(1.37), sums(1.58)]));
-        // One that is constant tells nothing; of a single one the test is its own.
-        assert!(are_all_worse(&[Sums { about_mean: 0.0, ..all[0] }, all[2]]));
-        assert!(!are_all_worse(&[sums(4.0)]) && 4f64.powf(-3.5) > CHANCE);
+        // A constant output does not count, and a single one has a test of its own.
+        let constant = Sums { about_mean: 0.0, ..all[0] };
+        assert!(are_all_worse(&[constant, all[2], all[3]]) && !are_all_worse(&[constant, all[2]]));
+        let clear = Sums { n: 100.0, ..sums(1.3) };
+        assert!(!are_all_worse(&[clear]) && !clear.is_no_chance() && clear.chance() < CHANCE);
     }
 }

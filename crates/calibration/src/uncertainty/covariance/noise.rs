@@ -121,9 +121,9 @@ impl Noise {
     /// A group has an autocorrelation where its sum of products is larger than that of independent residuals
     /// by 1.96 standard deviations: those of residuals of one variance, and those of residuals of any,
     /// `sum r_i^2 r_(i+1)^2` (Lo and MacKinlay, Rev. Financial Studies 1, 1988). At most it is that of noise
-    /// that lasts as long as the series, `exp(-1 / n)`: longer noise is an offset. It is taken from what the
-    /// parameters leave of the group alone: a prior that pulls them away, or noise of another group, changes
-    /// the residuals by what the parameters do, which would look like noise that lasts.
+    /// that lasts as long as the series, `exp(-1 / n)`: longer noise is an offset. It is estimated from the
+    /// residuals of the group without the changes by the parameters. Otherwise the effect of a prior, or of
+    /// the noise of another group, would look like autocorrelation.
     ///
     /// The covariance of the estimates is that of quadratic forms of normal errors,
     /// `cov(r'B r, r'C r) = 2 tr(B M S M C M S M)`, with the residuals of the fit for autocorrelations, too.

@@ -179,11 +179,11 @@ impl NelderMeadState {
     /// Takes the outcomes of the check beside points that fail.
     fn check_told(&mut self, answers: &Answers) -> Result<(), Error> {
         let Some(check) = &mut self.check else { return Ok(()) };
-        check.tell(answers, &self.setup)?;
+        let ended = check.tell(answers, &self.setup)?;
         self.waiting = false;
         self.n_batches += 1;
         self.n_points += self.n_asked as u64;
-        if let Some(termination) = check.ended().cloned() {
+        if let Some(termination) = ended {
             self.end(termination);
         }
         Ok(())
@@ -379,10 +379,8 @@ impl Method for NelderMeadState {
             }
         }
         // What was seen and is no vertex counts too: steps in search of sizes, a reflection that waits for its expansion.
-        let seen = [
-            self.sizes.as_ref().and_then(SizeSearch::best),
-            self.check.as_ref().and_then(FailureCheck::best),
-        ];
+        let seen =
+            [self.sizes.as_ref().and_then(SizeSearch::best), self.check.as_ref().map(FailureCheck::best)];
         for seen in seen.into_iter().flatten() {
             if best.is_none_or(|(_, b)| seen.1 < b) {
                 best = Some(seen);

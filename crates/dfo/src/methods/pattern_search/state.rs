@@ -299,11 +299,11 @@ impl Polling {
     /// Takes the outcomes of the check beside points that fail.
     fn check_told(&mut self, answers: &Answers) -> Result<(), Error> {
         let Some(check) = &mut self.check else { return Ok(()) };
-        check.tell(answers, &self.setup)?;
+        let ended = check.tell(answers, &self.setup)?;
         self.waiting = false;
         self.n_points += self.n_asked as u64;
-        if let Some(termination) = check.ended() {
-            self.phase = Phase::Ended(termination.clone());
+        if let Some(termination) = ended {
+            self.phase = Phase::Ended(termination);
         }
         Ok(())
     }
@@ -491,7 +491,7 @@ impl Method for Polling {
 
     fn best(&self) -> Option<(&[f64], f64)> {
         let own = (self.best.x(0), self.best.cost(0).value()?);
-        let found = self.check.as_ref().and_then(FailureCheck::best);
+        let found = self.check.as_ref().map(FailureCheck::best);
         Some(found.filter(|found| found.1 < own.1).unwrap_or(own))
     }
 

@@ -101,6 +101,9 @@ pub struct ModelSearch {
     pub(super) roughness: Option<Roughness>,
     #[serde(default)]
     pub(super) n_smooth: usize,
+    /// Errors of the model at the last two points since the last start, the newest first.
+    #[serde(default)]
+    pub(super) last_errors: [f64; 2],
 }
 
 impl ModelSearch {
@@ -138,6 +141,7 @@ impl ModelSearch {
             curvatures: Vec::new(),
             roughness: None,
             n_smooth: 0,
+            last_errors: [f64::INFINITY; 2],
             most_points,
             setup,
         };
@@ -284,9 +288,8 @@ impl Method for ModelSearch {
             return simplex.state.tell(answers);
         }
         if let (Phase::BesideFailures, Some(check)) = (&self.phase, &mut self.check) {
-            check.tell(answers, &self.setup)?;
-            if let Some(termination) = check.ended() {
-                self.phase = Phase::Ended(termination.clone());
+            if let Some(termination) = check.tell(answers, &self.setup)? {
+                self.phase = Phase::Ended(termination);
             }
             return Ok(());
         }
@@ -333,19 +336,20 @@ impl Method for ModelSearch {
             roughness: self.roughness,
             ..MethodDetails::default()
         };
-        match (&self.simplex, &self.check) {
-            (Some(simplex), _) => simplex.details(details),
-            (None, Some(check)) => {
-                check.details(MethodDetails { population: Some(self.points.view()), ..details })
-            }
-            (None, None) => MethodDetails { population: Some(self.points.view()), ..details },
+        if let Some(simplex) = &self.simplex {
+            return simplex.details(details);
+        }
+        let details = MethodDetails { population: Some(self.points.view()), ..details };
+        match &self.check {
+            Some(check) => check.details(details),
+            None => details,
         }
     }
 
     fn best(&self) -> Option<(&[f64], f64)> {
         let own = self.rounds.best();
         let found = match &self.check {
-            Some(check) => check.best(),
+            Some(check) => Some(check.best()),
             None => self.simplex.as_ref().and_then(|simplex| simplex.state.best()),
         };
         match (own, found) {

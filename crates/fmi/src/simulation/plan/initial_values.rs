@@ -22,8 +22,8 @@ pub(crate) struct InitialValue {
 #[derive(Debug, Clone, Copy)]
 enum GivenNumber {
     Constant(f64),
-    /// That of a parameter of the run.
-    Parameter(usize),
+    /// A parameter of the run, and its sign relative to the variable.
+    Parameter(usize, f64),
 }
 
 /// The values that variables are to have at the start.
@@ -65,7 +65,7 @@ impl InitialValues {
             (place, value.as_number().map(GivenNumber::Constant))
         });
         let parameters = parameters.iter().enumerate();
-        let parameters = parameters.map(|(i, place)| (*place, Some(GivenNumber::Parameter(i))));
+        let parameters = parameters.map(|(i, place)| (*place, Some(GivenNumber::Parameter(i, 1.0))));
         for (place, given) in starts_given.chain(parameters) {
             let variable = &description.variables[place.variable];
             let is_guess = variable.kind == VariableKind::Real
@@ -106,7 +106,7 @@ impl InitialValue {
     pub(crate) fn value(&self, parameters: &[f64]) -> f64 {
         match self.given {
             GivenNumber::Constant(value) => value,
-            GivenNumber::Parameter(i) => parameters[i],
+            GivenNumber::Parameter(i, sign) => sign * parameters[i],
         }
     }
 
@@ -145,14 +145,18 @@ fn given_number(
 ) -> Result<Option<GivenNumber>> {
     let description = starts.description;
     let is_it = |parameter: &VariableElement| parameter.overlaps(place, description);
+    // An alias may have the other sign.
+    let sign = |i: usize| if description.variables[i].negated { -1.0 } else { 1.0 };
+    let relative = |i: usize| sign(i) * sign(place.variable);
     if let Some(i) = parameters.iter().position(is_it) {
-        return Ok(Some(GivenNumber::Parameter(i)));
+        return Ok(Some(GivenNumber::Parameter(i, relative(parameters[i].variable))));
     }
     let reference = |i: usize| (description.variables[i].kind, description.variables[i].value_reference);
-    let given = starts.given.iter().find(|(index, _)| reference(*index) == reference(place.variable));
-    let Some((_, value)) = given else { return Ok(None) };
+    // Of several aliases the model gets the last value.
+    let given = starts.given.iter().rfind(|(index, _)| reference(*index) == reference(place.variable));
+    let Some((index, value)) = given else { return Ok(None) };
     match element_value(value.clone(), place.element) {
-        Value::Real(value) => Ok(Some(GivenNumber::Constant(value))),
+        Value::Real(value) => Ok(Some(GivenNumber::Constant(relative(*index) * value))),
         _ => {
             let name = &description.variables[place.variable].name;
             Err(FmiError::BadSetting(format!("{name} cannot be an initial state: it is not one real number")))

@@ -287,8 +287,7 @@ impl SimulationPlan {
         self.communication.as_ref()?.step
     }
 
-    /// What takes long in a run of more than 1e6 steps of one length, or rows of a co-simulation; `None`: the
-    /// run has fewer.
+    /// A warning if a run makes more than 1e6 steps of one length, or a co-simulation has more than 1e6 rows.
     pub fn many_steps(&self) -> Option<String> {
         let fixed = || self.options.step_size.filter(|_| self.options.method.is_fixed_step());
         let step = self.communication_step().or_else(fixed)?;

@@ -56,29 +56,27 @@ def _listed(path: str, wanted: list[str], most: int) -> tuple[dict[str, tuple[in
     return found, others
 
 
+def _datasets(group: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yields the numeric arrays of a file of version 7.3; those of structs are named ``struct.field``."""
+    for name, value in group.items():
+        if name.startswith("#"):
+            continue
+        if hasattr(value, "items"):
+            yield from _datasets(value, f"{prefix}{name}.")
+        elif value.dtype.kind in "fiub" and value.attrs.get("MATLAB_class") != b"char" and "MATLAB_empty" not in value.attrs:
+            yield prefix + name, value
+
+
 def _listed_of_hdf5(path: str) -> tuple[dict[str, tuple[int, ...]], list[str]]:
     """Returns the same of a file of version 7.3, which holds arrays column by column."""
-    h5py = import_module("h5py")
-    found: dict[str, tuple[int, ...]] = {}
-
-    def visit(group: Any, prefix: str) -> None:
-        for name, value in group.items():
-            if name.startswith("#"):
-                continue
-            if isinstance(value, h5py.Group):
-                visit(value, f"{prefix}{name}.")
-            elif value.dtype.kind in "fiub" and value.attrs.get("MATLAB_class") != b"char" and "MATLAB_empty" not in value.attrs:
-                found[prefix + name] = tuple(reversed(value.shape))
-
-    with h5py.File(path, "r") as file:
-        visit(file, "")
-    return found, []
+    with import_module("h5py").File(path, "r") as file:
+        return {name: tuple(reversed(stored.shape)) for name, stored in _datasets(file)}, []
 
 
 def _load_of_hdf5(path: str, names: list[str]) -> dict[str, np.ndarray[Any, Any]]:
-    h5py = import_module("h5py")
-    with h5py.File(path, "r") as file:
-        return {name: file[name.replace(".", "/")][()].T for name in names}
+    with import_module("h5py").File(path, "r") as file:
+        stored = dict(_datasets(file))
+        return {name: stored[name][()].T for name in names}
 
 
 def answer(path: str, request: dict[str, Any]) -> bytes:

@@ -49,7 +49,7 @@ class Profile:
     parameters : dict of str to float
         The optimum of the fit's cost, about which the intervals are: that of the fit, found more accurately.
     degrees_of_freedom : float
-        Residuals less parameters that were fitted.
+        Degrees of freedom of the fit, as in `Uncertainty`.
     interrupted : bool
         Whether Ctrl-C ended it: some sides are not complete.
     autocorrelated : bool

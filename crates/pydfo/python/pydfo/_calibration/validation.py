@@ -143,7 +143,7 @@ class Validation:
                 upper.plot(output.time, output.measured + residuals, style, color=colour, linewidth=1.0, label=label)
                 lower.plot(output.time, residuals, style, color=colour, linewidth=0.8, label=f"{label}: RMS {rms:.4g}")
             upper.set_title(_text.line(f"validation, {output.experiment}"))
-            upper.set_ylabel(output.variable + unit)
+            upper.set_ylabel(_text.line(output.variable) + unit)
             upper.legend(loc="best", fontsize="small")
             lower.axhline(0.0, color="0.3", linewidth=0.5)
             lower.set_ylabel("simulated - measured" + unit)

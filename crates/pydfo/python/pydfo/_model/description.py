@@ -12,7 +12,6 @@ from typing import Any
 from .. import _core
 from .._args import optional_libraries as _optional_libraries
 from .._args import text as _text
-from .._args import text as _text
 from .._errors import UnknownVariableError
 from .files import OpenOptions, PathLike, size_limit
 

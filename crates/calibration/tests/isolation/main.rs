@@ -3,22 +3,19 @@
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used)]
 
+#[path = "../support/mod.rs"]
 mod support;
+
+mod hidden_state;
+mod sandbox;
 
 use calibration::RunContext;
 use calibration::{
-    Calibration, Data, Experiment, Fit, FitOptions, ModelProcess, Parameter, ProfileOptions,
-    SimulationSettings, ValidationSet,
+    Calibration, Data, Experiment, FitOptions, Parameter, ProfileOptions, SimulationSettings, ValidationSet,
 };
-use dfo::{
-    AnyMethod, Checkpoint, DifferentialEvolution, LeastSquares, Limits, Multistart, NelderMead, RunOptions,
-    Termination,
-};
-use fmi::RunSettings;
-use fmi::worker::{Isolation, Launcher, WorkerLimits, check_sandbox};
-use fmi::{Fmu, SimulateOptions};
-use std::io::Read;
-use std::net::TcpListener;
+use dfo::{Checkpoint, DifferentialEvolution, Limits, RunOptions, Termination};
+use fmi::worker::{Isolation, Launcher};
+use fmi::{Fmu, RunSettings};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::{Mutex, PoisonError};
@@ -34,8 +31,7 @@ fn settings(isolation: Isolation) -> SimulationSettings {
     SimulationSettings { isolation, ..SimulationSettings::default() }
 }
 
-/// y = exp(-1.7 t), which the model follows at k = 1.7.
-/// Settings with a limit of time.
+/// Settings with a time limit.
 fn with_limit(timeout: Option<Duration>) -> SimulationSettings {
     SimulationSettings {
         isolation: Isolation::Process,
@@ -43,6 +39,7 @@ fn with_limit(timeout: Option<Duration>) -> SimulationSettings {
     }
 }
 
+/// A fit of y = exp(-1.7 t), which the model follows at k = 1.7.
 fn decay(fmu: Fmu, settings: SimulationSettings) -> Calibration {
     launch();
     let t: Vec<f64> = (0..=20).map(|i| 0.05 * f64::from(i)).collect();
@@ -308,128 +305,6 @@ fn limits_hold() {
     assert!(error.contains("it had printed: ") && error.contains("what a model has to say"), "{error}");
 }
 
-/// The settings of a sandbox; none where the kernel has no Landlock.
-fn sandbox() -> Option<SimulationSettings> {
-    check_sandbox().ok().map(|()| SimulationSettings { sandbox: true, ..settings(Isolation::Process) })
-}
-
-/// A model that does this at k above 2.2, with a folder and a port of this machine to reach.
-fn attacking(attack: &str, outside: &Path, port: u16) -> tempfile::TempDir {
-    let (fault, port) = (format!("FAULT={attack}"), format!("PORT={port}"));
-    let outside = format!("OUTSIDE=\"{}\"", outside.display());
-    faulty(&["_GNU_SOURCE", "ATTACKS", "FAULT_ABOVE=2.2", &fault, &outside, &port])
-}
-
-/// Handlers of signals in every thread, threads, forked processes, functions of the end of threads, the program
-/// and the library: from each of these a model reaches what its user reaches, and nothing in a sandbox.
-#[test]
-fn sandbox_confines_all_places_from_which_a_model_runs() {
-    let outside = tempfile::tempdir().unwrap();
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    listener.set_nonblocking(true).unwrap();
-    let folder = attacking("attack()", outside.path(), listener.local_addr().unwrap().port());
-    let reached = |settings: SimulationSettings| {
-        let error = decay(open(&folder), settings).cost(&[3.0], &RunContext::new()).unwrap_err().to_string();
-        let n_threads = error.split(" handlers").next().unwrap().rsplit(' ').next().unwrap().to_owned();
-        assert!(error.contains("exit(3)") && error.contains(&format!("{n_threads} threads")), "{error}");
-        let written = std::fs::read_dir(outside.path()).unwrap().flatten();
-        let mut written: Vec<_> = written.map(|file| file.file_name().into_string().unwrap()).collect();
-        written.sort();
-        let mut sent: Vec<String> = Vec::new();
-        while let Ok((mut connection, _)) = listener.accept() {
-            let mut text = String::new();
-            connection.set_nonblocking(false).unwrap();
-            connection.read_to_string(&mut text).unwrap();
-            sent.push(text);
-        }
-        sent.sort();
-        (n_threads.parse::<usize>().unwrap(), written, sent)
-    };
-    let (n_threads, written, sent) = reached(settings(Isolation::Process));
-    let mut expected: Vec<String> = (0..n_threads).map(|k| format!("handler-{k}")).collect();
-    expected.extend(["call", "child", "end-of-thread", "exit", "thread", "unloading"].map(str::to_owned));
-    expected.sort();
-    assert!(n_threads >= 3 && written == expected && sent == expected, "{written:?}, {sent:?}");
-    for name in expected {
-        std::fs::remove_file(outside.path().join(name)).unwrap();
-    }
-    let Some(confined) = sandbox() else { return };
-    let (confined_threads, written, sent) = reached(confined);
-    assert_eq!((confined_threads, written, sent), (n_threads, Vec::new(), Vec::new()));
-}
-
-#[test]
-fn sandbox_refuses_calls_that_no_model_needs() {
-    let Some(confined) = sandbox() else { return };
-    let outside = tempfile::tempdir().unwrap();
-    std::fs::write(outside.path().join("own"), "kept").unwrap();
-    let folder = attacking("probe()", outside.path(), 9);
-    let before = std::fs::metadata(outside.path().join("own")).unwrap();
-    let error = decay(open(&folder), confined).cost(&[3.0], &RunContext::new()).unwrap_err().to_string();
-    assert!(error.contains("exit(9)") && error.ends_with("it had printed: all tried"), "{error}");
-    let after = std::fs::metadata(outside.path().join("own")).unwrap();
-    assert_eq!(std::fs::read(outside.path().join("own")).unwrap(), b"kept");
-    assert_eq!(
-        (before.modified().unwrap(), before.permissions()),
-        (after.modified().unwrap(), after.permissions())
-    );
-    assert_eq!(std::fs::read_dir(outside.path()).unwrap().count(), 1);
-}
-
-/// The bits of a fit are the same, and nothing is left of its processes.
-#[test]
-fn sandbox_changes_no_bit_of_a_fit() {
-    let Some(confined) = sandbox() else { return };
-    let folder = faulty(&[]);
-    let expected = fit(&decay(open(&folder), settings(Isolation::Process)), 2, 60);
-    let calibration = decay(open(&folder), confined);
-    let found = fit(&calibration, 2, 60);
-    assert_eq!(costs(&found), costs(&expected));
-}
-
-#[test]
-fn sandbox_that_nothing_confines_is_an_error_before_the_run() {
-    let folder = faulty(&[]);
-    launch();
-    let settings = SimulationSettings { sandbox: true, ..settings(Isolation::None) };
-    let data = Data::from_columns(vec![0.0, 1.0], [("y".to_owned(), vec![1.0, 0.5])]).unwrap();
-    let built = Calibration::builder(open(&folder))
-        .experiment(Experiment::new(data).output("y", "y"))
-        .parameter(Parameter::new("k", 1.0).bounds(0.1, 5.0))
-        .settings(settings)
-        .build();
-    let error = built.unwrap_err().to_string();
-    let expected = if check_sandbox().is_ok() { "isolation = \"none\"" } else { "sandbox: " };
-    assert!(error.contains(expected) && !error.contains("runs it in this one"), "{error}");
-}
-
-/// What a worker claims does not move the clock of its parent, or make it read without end.
-#[test]
-fn false_claims_of_a_worker_do_not_hold_its_parent_up() {
-    let outside = tempfile::tempdir().unwrap();
-    let cases = [
-        ("claim_runs()", "no answer within the time limit"),
-        ("answer_byte_by_byte()", "no answer within the time limit"),
-        (
-            "answer_too_much()",
-            "the worker's answer could not be read (a message of 0 bytes and 33554432 numbers)",
-        ),
-        ("answer_cut_off()", "the worker's answer could not be read (its head ends too early)"),
-    ];
-    for (attack, expected) in cases {
-        let folder = attacking(attack, outside.path(), 9);
-        let calibration = decay(open(&folder), with_limit(Some(Duration::from_millis(500))));
-        // Without an end of its own, it would be ended with the context.
-        let context = RunContext::new().within(Some(Duration::from_secs(20)));
-        let error = calibration.cost(&[3.0], &context).unwrap_err().to_string();
-        assert!(error.contains(expected) && error.contains("k = 3"), "{attack}: {error}");
-        let found = fit(&calibration, 2, 40);
-        let failed: Vec<_> = found.report.failures.iter().map(|(message, _)| message.as_str()).collect();
-        assert!(!failed.is_empty() && failed.iter().all(|message| message.contains(expected)), "{failed:?}");
-        assert!((found.x[0] - 1.7).abs() < 0.2, "{attack}: {:?}", found.x);
-    }
-}
-
 /// A model whose rows are read too early is simulated once more, with the time limit for each.
 #[test]
 fn a_repeated_simulation_has_the_bits_and_counts_of_one_in_this_process() {
@@ -515,108 +390,6 @@ fn daemons_end_with_their_worker() {
     }
 }
 
-/// A cost does not depend on what was computed before, also outside of fits.
-#[test]
-fn a_state_that_no_variable_shows_is_found_outside_of_fits() {
-    // A run with k above 1.2 stays in a static variable.
-    let folder = faulty(&["SHARED_GLOBALS", "REMEMBERS=1.2"]);
-    let points = [1.0, 1.5, 2.0];
-    let alone: Vec<_> = points
-        .iter()
-        .map(|k| {
-            decay(open(&folder), settings(Isolation::Process)).residuals(&[*k], &RunContext::new()).unwrap()
-        })
-        .collect();
-    let calibration = decay(open(&folder), settings(Isolation::Process));
-    for k in [0, 1, 2, 1, 0] {
-        assert_eq!(calibration.residuals(&points[k..=k], &RunContext::new()).unwrap(), alone[k], "{k}");
-    }
-    let apart = || ModelProcess::new(&open(&folder), WorkerLimits::default()).unwrap();
-    let simulated = |process: &ModelProcess, k: f64| {
-        let options = SimulateOptions::new().final_time(1.0).start_value("k", k);
-        process.simulate(&options, &RunContext::new()).unwrap().columns
-    };
-    let alone = points.map(|k| simulated(&apart(), k));
-    let process = apart();
-    for k in [0, 1, 2, 1, 0] {
-        assert_eq!(simulated(&process, points[k]), alone[k], "{k}");
-    }
-}
-
-/// Runs with k above 2.2 stay in a static variable, which no short run near the start shows: with each method
-/// the result is that of a model without such a state, and says so.
-#[test]
-fn a_fit_of_a_model_with_a_state_that_no_variable_shows_is_right() {
-    let (sound, folder) = (faulty(&[]), faulty(&["SHARED_GLOBALS", "REMEMBERS=2.2"]));
-    let methods: [AnyMethod; 4] = [
-        DifferentialEvolution::default().into(),
-        NelderMead::default().into(),
-        LeastSquares::default().into(),
-        Multistart::default().into(),
-    ];
-    for method in methods {
-        for start in [1.0, 4.0] {
-            let fitted = |fmu: Fmu| {
-                let run = RunOptions {
-                    method: method.clone(),
-                    limits: Limits { max_evaluations: Some(80), ..Limits::default() },
-                    workers: Some(2),
-                    seed: Some(5),
-                    ..FitOptions::default_run()
-                };
-                let options = FitOptions { start: Some(vec![start]), uncertainty: None, ..run.into() };
-                decay(fmu, settings(Isolation::Process)).fit(options).unwrap()
-            };
-            let fmu = open(&folder);
-            let found = fitted(fmu.clone());
-            let name = &*found.report.method;
-            let says_so = |fit: &Fit| fit.findings().iter().any(|finding| finding.sentence.contains(HIDDEN));
-            // From 1 on, a method need not come to such values.
-            assert!(start < 2.2 || says_so(&found), "{name} {start}: {:?}", found.findings());
-            // In the processes of another calibration of the same model, too.
-            let again = fitted(fmu.clone());
-            assert_eq!((&again.x, again.cost), (&found.x, found.cost), "{name} {start}");
-            assert!(start < 2.2 || says_so(&again), "{name} {start}");
-            let alone = decay(open(&folder), settings(Isolation::Process));
-            assert_eq!(alone.cost(&found.x, &RunContext::new()).unwrap(), found.cost, "{name} {start}");
-            let expected = fitted(open(&sound));
-            assert!(!says_so(&expected), "{name} {start}");
-            assert!((found.x[0] - 1.7).abs() < 0.05, "{name} {start}: {:?}", found.x);
-        }
-    }
-}
-
-const HIDDEN: &str = "a state that the model keeps and no variable shows";
-
-/// A calibration meets nothing of what another one of the same opened model has run.
-#[test]
-fn a_calibration_has_processes_of_its_own() {
-    let folder = faulty(&["SHARED_GLOBALS", "REMEMBERS=1.2"]);
-    let fmu = open(&folder);
-    let apart = || decay(fmu.clone(), settings(Isolation::Process));
-    let (one, context) = (apart(), RunContext::new());
-    let expected = one.residuals(&[1.0], &context).unwrap();
-    let other = apart();
-    other.residuals(&[2.0], &context).unwrap();
-    assert_eq!(apart().residuals(&[1.0], &context).unwrap(), expected);
-    assert_eq!(one.residuals(&[1.0], &context).unwrap(), expected);
-    drop((one, other));
-    assert_eq!(apart().residuals(&[1.0], &context).unwrap(), expected);
-}
-
-/// A state that comes after many simulations is seen soon after that.
-#[test]
-fn a_late_state_that_no_variable_shows_is_found_outside_of_fits() {
-    let folder = faulty(&["SHARED_GLOBALS", "REMEMBERS=2.2"]);
-    let (calibration, context) = (decay(open(&folder), settings(Isolation::Process)), RunContext::new());
-    let expected = calibration.residuals(&[1.0], &context).unwrap();
-    for k in [1.1, 1.2, 1.3, 3.0] {
-        calibration.residuals(&[k], &context).unwrap();
-    }
-    assert_eq!(calibration.residuals(&[1.0], &context).unwrap(), expected);
-    assert!(calibration.fmu().has_hidden_state());
-}
-
 /// The copy of a model that a fit writes is simulated where the model is.
 #[test]
 fn a_copy_of_the_model_runs_in_a_process_of_its_own() {
@@ -665,35 +438,6 @@ fn twenty_thousand_runs_that_leak_a_megabyte_each() {
     assert!(grown < 8 << 20, "{grown} bytes");
     let found = fit(&calibration, 2, 500);
     assert!((found.x[0] - 1.7).abs() < 0.1, "{:?}", found.x);
-}
-
-#[test]
-#[ignore = "takes long"]
-fn twenty_thousand_runs_with_a_state_that_no_variable_shows() {
-    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
-    let folder = faulty(&["SHARED_GLOBALS", "REMEMBERS=1.2"]);
-    let calibration = decay(open(&folder), settings(Isolation::Process));
-    let point = |run: u32| [1.0 + 0.25 * f64::from(run % 5)];
-    let expected: Vec<_> = (0..5)
-        .map(|run| {
-            decay(open(&folder), settings(Isolation::Process))
-                .residuals(&point(run), &RunContext::new())
-                .unwrap()
-        })
-        .collect();
-    for run in 0..5 {
-        calibration.cost(&point(run), &RunContext::new()).unwrap();
-    }
-    let before = own_size();
-    for run in 0..20_000 {
-        assert_eq!(
-            calibration.residuals(&point(run), &RunContext::new()).unwrap(),
-            expected[run as usize % 5],
-            "{run}"
-        );
-    }
-    let grown = own_size().saturating_sub(before);
-    assert!(grown < 8 << 20, "{grown} bytes");
 }
 
 /// Faults in C, each for points above a bound.

@@ -1,0 +1,140 @@
+//! Models that keep a state which no variable shows: each result is that of a fresh process.
+
+use crate::support::faulty;
+use crate::{ALONE, decay, open, own_size, settings};
+use calibration::{Fit, FitOptions, ModelProcess, RunContext};
+use dfo::{AnyMethod, DifferentialEvolution, LeastSquares, Limits, Multistart, NelderMead, RunOptions};
+use fmi::worker::{Isolation, WorkerLimits};
+use fmi::{Fmu, SimulateOptions};
+use std::sync::PoisonError;
+
+/// A cost does not depend on what was computed before, also outside of fits.
+#[test]
+fn a_state_that_no_variable_shows_is_found_outside_of_fits() {
+    // A run with k above 1.2 stays in a static variable.
+    let folder = faulty(&["SHARED_GLOBALS", "REMEMBERS=1.2"]);
+    let points = [1.0, 1.5, 2.0];
+    let alone: Vec<_> = points
+        .iter()
+        .map(|k| {
+            decay(open(&folder), settings(Isolation::Process)).residuals(&[*k], &RunContext::new()).unwrap()
+        })
+        .collect();
+    let calibration = decay(open(&folder), settings(Isolation::Process));
+    for k in [0, 1, 2, 1, 0] {
+        assert_eq!(calibration.residuals(&points[k..=k], &RunContext::new()).unwrap(), alone[k], "{k}");
+    }
+    let apart = || ModelProcess::new(&open(&folder), WorkerLimits::default()).unwrap();
+    let simulated = |process: &ModelProcess, k: f64| {
+        let options = SimulateOptions::new().final_time(1.0).start_value("k", k);
+        process.simulate(&options, &RunContext::new()).unwrap().columns
+    };
+    let alone = points.map(|k| simulated(&apart(), k));
+    let process = apart();
+    for k in [0, 1, 2, 1, 0] {
+        assert_eq!(simulated(&process, points[k]), alone[k], "{k}");
+    }
+}
+
+/// Runs with k above 2.2 stay in a static variable, which no short run near the start shows: with each method
+/// the result is that of a model without such a state, and says so.
+#[test]
+fn a_fit_of_a_model_with_a_state_that_no_variable_shows_is_right() {
+    let (sound, folder) = (faulty(&[]), faulty(&["SHARED_GLOBALS", "REMEMBERS=2.2"]));
+    let methods: [AnyMethod; 4] = [
+        DifferentialEvolution::default().into(),
+        NelderMead::default().into(),
+        LeastSquares::default().into(),
+        Multistart::default().into(),
+    ];
+    for method in methods {
+        for start in [1.0, 4.0] {
+            let fitted = |fmu: Fmu| {
+                let run = RunOptions {
+                    method: method.clone(),
+                    limits: Limits { max_evaluations: Some(80), ..Limits::default() },
+                    workers: Some(2),
+                    seed: Some(5),
+                    ..FitOptions::default_run()
+                };
+                let options = FitOptions { start: Some(vec![start]), uncertainty: None, ..run.into() };
+                decay(fmu, settings(Isolation::Process)).fit(options).unwrap()
+            };
+            let fmu = open(&folder);
+            let found = fitted(fmu.clone());
+            let name = &*found.report.method;
+            let says_so = |fit: &Fit| fit.findings().iter().any(|finding| finding.sentence.contains(HIDDEN));
+            // From 1 on, a method need not come to such values.
+            assert!(start < 2.2 || says_so(&found), "{name} {start}: {:?}", found.findings());
+            // In the processes of another calibration of the same model, too.
+            let again = fitted(fmu.clone());
+            assert_eq!((&again.x, again.cost), (&found.x, found.cost), "{name} {start}");
+            assert!(start < 2.2 || says_so(&again), "{name} {start}");
+            let alone = decay(open(&folder), settings(Isolation::Process));
+            assert_eq!(alone.cost(&found.x, &RunContext::new()).unwrap(), found.cost, "{name} {start}");
+            let expected = fitted(open(&sound));
+            assert!(!says_so(&expected), "{name} {start}");
+            assert!((found.x[0] - 1.7).abs() < 0.05, "{name} {start}: {:?}", found.x);
+        }
+    }
+}
+
+const HIDDEN: &str = "a state that the model keeps and no variable shows";
+
+/// A calibration meets nothing of what another one of the same opened model has run.
+#[test]
+fn a_calibration_has_processes_of_its_own() {
+    let folder = faulty(&["SHARED_GLOBALS", "REMEMBERS=1.2"]);
+    let fmu = open(&folder);
+    let apart = || decay(fmu.clone(), settings(Isolation::Process));
+    let (one, context) = (apart(), RunContext::new());
+    let expected = one.residuals(&[1.0], &context).unwrap();
+    let other = apart();
+    other.residuals(&[2.0], &context).unwrap();
+    assert_eq!(apart().residuals(&[1.0], &context).unwrap(), expected);
+    assert_eq!(one.residuals(&[1.0], &context).unwrap(), expected);
+    drop((one, other));
+    assert_eq!(apart().residuals(&[1.0], &context).unwrap(), expected);
+}
+
+/// A state that comes after many simulations is seen soon after that.
+#[test]
+fn a_late_state_that_no_variable_shows_is_found_outside_of_fits() {
+    let folder = faulty(&["SHARED_GLOBALS", "REMEMBERS=2.2"]);
+    let (calibration, context) = (decay(open(&folder), settings(Isolation::Process)), RunContext::new());
+    let expected = calibration.residuals(&[1.0], &context).unwrap();
+    for k in [1.1, 1.2, 1.3, 3.0] {
+        calibration.residuals(&[k], &context).unwrap();
+    }
+    assert_eq!(calibration.residuals(&[1.0], &context).unwrap(), expected);
+    assert!(calibration.fmu().has_hidden_state());
+}
+
+#[test]
+#[ignore = "takes long"]
+fn twenty_thousand_runs_with_a_state_that_no_variable_shows() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    let folder = faulty(&["SHARED_GLOBALS", "REMEMBERS=1.2"]);
+    let calibration = decay(open(&folder), settings(Isolation::Process));
+    let point = |run: u32| [1.0 + 0.25 * f64::from(run % 5)];
+    let expected: Vec<_> = (0..5)
+        .map(|run| {
+            decay(open(&folder), settings(Isolation::Process))
+                .residuals(&point(run), &RunContext::new())
+                .unwrap()
+        })
+        .collect();
+    for run in 0..5 {
+        calibration.cost(&point(run), &RunContext::new()).unwrap();
+    }
+    let before = own_size();
+    for run in 0..20_000 {
+        assert_eq!(
+            calibration.residuals(&point(run), &RunContext::new()).unwrap(),
+            expected[run as usize % 5],
+            "{run}"
+        );
+    }
+    let grown = own_size().saturating_sub(before);
+    assert!(grown < 8 << 20, "{grown} bytes");
+}
