@@ -309,3 +309,37 @@ fn a_model_that_was_wrong_along_its_last_step_is_no_minimum() {
         assert!(report.fun < 1e3 + 1e-3 || !report.termination.is_success(), "{seed}: {report}");
     }
 }
+
+/// Fits of two parameters to noisy curves, from many starts, with the loose tolerances of a first fit.
+#[test]
+fn a_loose_fit_ends_within_a_fifth_of_the_standard_error() {
+    type Curve = fn(&[f64], f64) -> f64;
+    let curves: [(Curve, [f64; 2]); 3] = [
+        (|x, t| x[1] * (-x[0] * t).exp(), [0.7, 1.0]),
+        (|x, t| x[0] * t / (x[1] + t), [2.0, 0.8]),
+        (|x, t| x[0] * (t + 0.1).powf(x[1]), [1.2, 0.6]),
+    ];
+    for (k, (curve, truth)) in curves.into_iter().enumerate() {
+        for seed in 0..100 {
+            let mut random = Random::new(1000 * k as u64 + seed);
+            let n = 10 + seed as usize % 40;
+            let times: Vec<f64> = (0..n).map(|i| 4.0 * i as f64 / (n - 1) as f64).collect();
+            let data: Vec<f64> = times.iter().map(|t| curve(&truth, *t) + 0.05 * random.normal()).collect();
+            let cost =
+                |x: &[f64]| times.iter().zip(&data).map(|(t, y)| (curve(x, *t) - y).powi(2)).sum::<f64>();
+            let start = truth.map(|t| t * (0.6 * (2.0 * random.uniform() - 1.0)).exp());
+            let (lower, upper) = (truth.map(|t| t / 20.0), truth.map(|t| t * 10.0));
+            let run = |start: &[f64], x_tol: f64, f_tol: f64| {
+                let run = minimize(cost).start(start).method(quadratic()).bounds(&lower, &upper).unwrap();
+                run.x_tol(x_tol).f_tol(f_tol).run().unwrap()
+            };
+            let report = run(&start, 1e-4, 1e-4);
+            let best = run(&report.x, 1e-8, 1e-10).fun;
+            let variance = best / (n - 2) as f64;
+            assert!(
+                report.is_success() && report.fun - best <= 0.04 * variance,
+                "{k} {seed}: {best}, {report}"
+            );
+        }
+    }
+}

@@ -247,7 +247,7 @@ impl ModelSearch {
             }
             // Nothing to gain at this resolution, if the model is right.
             self.set_delta(0.1 * self.delta);
-            if self.improve_geometry() {
+            if self.improve_geometry(POISED) {
                 return;
             }
             if self.delta <= self.rho {
@@ -274,10 +274,10 @@ impl ModelSearch {
 
     /// Removes points that lie too far off; then asks for one along the direction in which the rest determine
     /// the gradient of the model worst, if they do so badly at this radius (Conn, Scheinberg and Vicente
-    /// 2009, chapter 6: the model is to be fully linear).
-    fn improve_geometry(&mut self) -> bool {
+    /// 2009, chapter 6: the model is to be fully linear): with a spread below `poised`.
+    fn improve_geometry(&mut self, poised: f64) -> bool {
         if self.has_many() {
-            return self.replace_farthest();
+            return self.replace_farthest(poised);
         }
         let limit = (FAR * self.delta).max(FAR_RESOLUTIONS * self.rho);
         let n = self.n();
@@ -309,7 +309,7 @@ impl ModelSearch {
         let Some(eigen) = SymmetricEigen::try_new(spread, f64::EPSILON, 1000 * n) else { return false };
         let (place, least) = eigen.eigenvalues.argmin();
         let have = least.max(0.0).sqrt();
-        if have >= POISED {
+        if have >= poised {
             return false;
         }
         let (lower, upper) = self.margins();
@@ -325,7 +325,7 @@ impl ModelSearch {
             std::mem::swap(&mut first, &mut second);
         }
         for (s, along) in [first, second, towards(0.25 * self.delta), towards(-0.25 * self.delta)] {
-            if along > 2.0 * have * self.delta && self.place_trial(&s) {
+            if along > 2.0 * have.min(POISED) * self.delta && self.place_trial(&s) {
                 self.phase = Phase::Geometry;
                 return true;
             }
@@ -343,6 +343,7 @@ impl ModelSearch {
             self.remember_failed(self.trial.u(0).to_vec());
             return;
         };
+        self.note_error(self.cost(base) + self.value(&s) - cost);
         self.take_trial(&from, &s, cost < self.cost(base));
     }
 
@@ -374,6 +375,7 @@ impl ModelSearch {
             }
             return;
         };
+        self.note_error(decrease - predicted);
         let ratio = decrease / predicted;
         self.set_delta(if ratio <= 0.1 {
             (0.5 * self.delta).min(length)
@@ -389,10 +391,18 @@ impl ModelSearch {
         if !self.has_many() || ratio <= 0.1 {
             self.compare_with_least_norm();
         }
-        if ratio <= 0.1 && !self.improve_geometry() && ratio <= 0.0 && self.delta.max(length) <= self.rho {
+        if ratio <= 0.1
+            && !self.improve_geometry(POISED)
+            && ratio <= 0.0
+            && self.delta.max(length) <= self.rho
+        {
             self.refused = Some((predicted - decrease) / length);
             self.refine();
         }
+    }
+
+    fn note_error(&mut self, error: f64) {
+        self.last_errors = [error.abs(), self.last_errors[0]];
     }
 
     fn forget_refusals(&mut self) {
@@ -487,7 +497,9 @@ impl ModelSearch {
         if self.hand_over && found.is_some() && self.hand_over() {
             return;
         }
-        let passed = self.tests.is_some_and(|tests| tests.passed) && !self.may_be_steep();
+        let tests = self.tests.filter(|tests| tests.passed);
+        let is_inaccurate = tests.is_some_and(|tests| self.last_errors.iter().any(|e| *e > tests.f_limit));
+        let passed = tests.is_some() && !is_inaccurate && !self.may_be_steep();
         if passed {
             self.n_smooth = if found.is_some() { 0 } else { self.n_smooth + 1 };
         }
@@ -526,6 +538,9 @@ impl ModelSearch {
         };
         self.delta = self.delta.max(self.rho);
         self.refused = None;
+        if is_inaccurate {
+            self.improve_geometry(f64::INFINITY);
+        }
     }
 
     /// New points around the best one.
@@ -539,6 +554,7 @@ impl ModelSearch {
             return;
         }
         self.f_restart = f;
+        self.last_errors = [f64::INFINITY; 2];
         self.curvatures.clear();
         self.forget_refusals();
         (self.delta, self.rho) = (self.radius, self.radius);

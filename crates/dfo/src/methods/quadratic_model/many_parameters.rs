@@ -143,16 +143,16 @@ impl ModelSearch {
         }
     }
 
-    /// Asks for a point near the base point in place of the farthest, if that is too far off: where its
-    /// Lagrange polynomial is large.
-    pub(super) fn replace_farthest(&mut self) -> bool {
+    /// Asks for a point near the base point in place of the farthest, if that is too far off, or the wanted
+    /// spread of the points has no limit: where its Lagrange polynomial is large.
+    pub(super) fn replace_farthest(&mut self, poised: f64) -> bool {
         let base = self.base();
         let Some(inverse) = &self.inverse else { return false };
         let Some(from) = inverse.place_of(base) else { return false };
         let length = |slot: usize| norm(&self.displacement(self.points.u(base), self.points.u(slot)));
         let lengths = inverse.slots.iter().map(|&slot| length(slot)).enumerate();
         let (place, far) = lengths.fold((0, 0.0), |far, other| if other.1 > far.1 { other } else { far });
-        if far <= (FAR_REGIONS * self.delta).max(FAR_RESOLUTIONS * self.rho) {
+        if poised.is_finite() && far <= (FAR_REGIONS * self.delta).max(FAR_RESOLUTIONS * self.rho) {
             return false;
         }
         let radius = (0.1 * far).min(self.delta).max(self.rho);

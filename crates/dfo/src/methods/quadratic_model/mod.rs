@@ -11,8 +11,9 @@
 //! resolution, is reduced (Powell's rules, NA06, sections 2 and 6; Conn, Scheinberg and Vicente, Introduction
 //! to Derivative-Free Optimization, 2009, chapters 5, 6 and 10).
 //!
-//! **Tests.** The x test measures the resolution, the f test the decrease that the model predicts; they are
-//! looked at when a resolution is exhausted.
+//! **Tests.** The x test measures the resolution, the f test the decrease that the model predicts. They are
+//! applied when a resolution is exhausted, and count only if the model predicted the last two costs to within
+//! the limit of the f test.
 //!
 //! **Restarts.** Where steps fail at several resolutions although the model promises a decrease, there is
 //! noise or a kink: new points are placed around the best one, as far away as the first (restarts: Cartis,
