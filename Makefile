@@ -47,7 +47,7 @@ test-rust:  ## unit tests, black-box tests, doctests, examples
 		cargo run --quiet --example $$e >/dev/null || exit 1; done)
 
 test-python: $(VENV)/.tools  ## pytest, stub check, examples
-	$(call develop,--profile quick)
+	$(call develop)
 	$(call suite,pytest,$(BIN)/python -m pytest -q crates/pydfo/tests)
 	$(call suite,stubs,$(BIN)/python -m mypy.stubtest pydfo && $(BIN)/python -m mypy --strict crates/pydfo/python/pydfo)
 	$(call suite,python examples,for e in $(wildcard examples/*.py); do MPLBACKEND=Agg $(BIN)/python $$e >/dev/null || exit 1; done)

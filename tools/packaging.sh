@@ -6,9 +6,9 @@ bin=$(cd "$1" && pwd)
 root=$(cd "$(dirname "$0")/.." && pwd)
 out=$(mktemp -d)
 trap 'rm -rf "$out"' EXIT
-# What comes from the registry need not be compiled twice.
+# What comes from the registry need not be compiled twice: the tests of the Python module have compiled it with this profile.
 export CARGO_TARGET_DIR="$root/target"
-export MATURIN_PEP517_ARGS="--profile quick"
+export MATURIN_PEP517_ARGS="--profile dev"
 "$bin/maturin" sdist --manifest-path "$root/crates/pydfo/Cargo.toml" --out "$out/dist" >/dev/null 2>"$out/log" || { cat "$out/log"; exit 1; }
 "$bin/python" -m venv "$out/venv"
 cd "$out"
