@@ -125,7 +125,7 @@ fn sentence(fit: &Fit) -> String {
         _ if fit.report.is_success() && fit.is_conditional() => {
             "Each stage converged, all parameters together did not"
         }
-        _ if fit.report.is_success() && fit.is_before_minimum() => "The fit ended before the minimum",
+        Termination::BeforeMinimum => "The fit ended before the minimum",
         Termination::Converged => "The fit converged",
         Termination::Noise if fit.report.is_success() => "The fit converged to the noise of the simulations",
         Termination::Noise => "The fit ended in the noise of the simulations before it converged",

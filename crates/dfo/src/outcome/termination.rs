@@ -20,6 +20,9 @@ pub enum Termination {
     OneFiniteVertex,
     /// The tolerance tests passed, but points around the best one fail: a lower cost may lie between them.
     BesideFailures,
+    /// The tolerance tests passed, but whoever started the run has found that one more step of least squares
+    /// lowers the cost. No run of this crate ends so.
+    BeforeMinimum,
     /// No point of the simplex or population has a cost any more, though earlier ones had.
     AllFailed,
     /// More than the share of all evaluations that was allowed has failed.
@@ -112,6 +115,7 @@ impl Termination {
             | Self::ConstantCost
             | Self::Collapsed
             | Self::BesideFailures
+            | Self::BeforeMinimum
             | Self::Stalled
             | Self::AllFixed => Cause::Search,
             Self::Target | Self::MaxEvaluations | Self::MaxIterations => Cause::Limit,
@@ -134,6 +138,7 @@ impl Termination {
             Self::Collapsed => "collapsed",
             Self::OneFiniteVertex => "one-finite-vertex",
             Self::BesideFailures => "beside-failures",
+            Self::BeforeMinimum => "before-minimum",
             Self::AllFailed => "all-failed",
             Self::TooManyFailed => "too-many-failed",
             Self::Stalled => "stalled",

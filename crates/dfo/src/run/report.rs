@@ -347,6 +347,7 @@ fn message<M: Method + ?Sized>(
         Termination::BesideFailures => with_tests(
             "not converged: points around the best one fail, and a lower cost may lie between them".to_owned(),
         ),
+        Termination::BeforeMinimum => with_tests("not converged: the minimum lies elsewhere".to_owned()),
         Termination::AllFailed => {
             with_tests("not converged: every point failed after some that did not".to_owned())
         }

@@ -114,6 +114,9 @@ impl Calibration {
                 let is_here = self.evaluator().remote.is_err() && self.fmu().has_hidden_state();
                 let doubt = doubt.or(is_here.then_some(STATE_HERE));
                 fit.setup_findings.extend(doubt.map(finding_about_fmu));
+                if !job.is_part {
+                    fit.note_end_before_minimum();
+                }
                 return Ok((fit, kept));
             }
             stats = fit.stats;

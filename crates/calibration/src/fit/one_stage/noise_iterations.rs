@@ -116,7 +116,14 @@ impl Turns {
     /// Adds what the search before took and found to a search.
     fn add_to(&mut self, searched: &mut SearchResult) {
         if let Some((_, before)) = self.last.take() {
-            add_earlier(&mut searched.report, &before.report);
+            let report = &mut searched.report;
+            if report.termination == Termination::MaxEvaluations {
+                report.message += &format!(
+                    "; the searches before it, with other weights, took {} evaluations",
+                    before.report.n_evaluations
+                );
+            }
+            add_earlier(report, &before.report);
             searched.stuck.n_checks += before.stuck.n_checks;
             searched.preflight = before.preflight;
         }

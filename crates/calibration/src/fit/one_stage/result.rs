@@ -4,6 +4,7 @@ use super::noise::FitNoise;
 use super::tolerance::ChosenTolerance;
 use crate::cost::solver::ChosenSolver;
 use crate::findings::finding::{Finding, Origin, Severity, sort};
+use crate::findings::shown_text::digits;
 use crate::fit::output_fit::OutputFit;
 use crate::fit::phase::PhaseCost;
 use crate::loaded::calibration::Calibration;
@@ -12,7 +13,7 @@ use crate::uncertainty::preflight::Preflight;
 use crate::uncertainty::result::Uncertainty;
 use crate::uncertainty::stuck_parameters::BoundSide;
 use base::Number;
-use dfo::{Record, Report};
+use dfo::{Record, Report, Termination};
 use ode::Stats;
 use serde::{Deserialize, Serialize};
 
@@ -121,7 +122,8 @@ impl Fit {
     /// from its result gains more, as the uncertainty has found out; after several stages: no step that gains
     /// more than a quarter of the cost.
     pub fn is_success(&self) -> bool {
-        self.report.is_success() && !self.is_before_minimum()
+        let most = if self.stages.is_empty() { 0.0 } else { MUCH_OF_COST };
+        self.report.is_success() && self.left_to_gain() <= most
     }
 
     /// The part of the cost that a step of least squares from the result takes away, where that is more than
@@ -130,11 +132,18 @@ impl Fit {
         self.uncertainty.as_ref().map_or(0.0, |uncertainty| uncertainty.left_to_gain)
     }
 
-    /// True if a step of least squares from the result gains more than noise. Stages hold parameters that
-    /// others have freed, and do not end at a minimum in all of them: of these only if it gains a quarter of
-    /// the cost.
-    pub(crate) fn is_before_minimum(&self) -> bool {
-        self.left_to_gain() > if self.stages.is_empty() { 0.0 } else { MUCH_OF_COST }
+    /// Says so in the report if the search has ended before its minimum. Not for stages: these hold what
+    /// others have freed.
+    pub(crate) fn note_end_before_minimum(&mut self) {
+        let left = self.left_to_gain();
+        if left > 0.0 && matches!(self.report.termination, Termination::Converged | Termination::Noise) {
+            self.report.message = format!(
+                "not converged: one more step of least squares takes away {} % of the cost; {}",
+                digits(100.0 * left),
+                self.report.message
+            );
+            self.report.termination = Termination::BeforeMinimum;
+        }
     }
 
     /// True if each of several stages may be at its minimum, and all parameters together are not.

@@ -39,6 +39,7 @@ STATUS: Final[dict[str, int]] = {
     "unbounded": 16,
     "too-many-failed": 17,
     "beside-failures": 18,
+    "before-minimum": 19,
 }
 
 
@@ -195,7 +196,8 @@ class OptimizeResult:
         0 converged, 10 target reached, 30 all parameters fixed; 1 evaluations, 2 iterations, 3 time used up; 4 stopped by
         a callback, 5 interrupted, 6 ended by an exception, 7 the checkpoint could not be written; 11 the simplex or
         population has no extent left, 12 only one vertex has a cost, 13 every point failed, 14 nothing new for long, 15 the
-        cost did not change, 16 it fell without bound, 17 too many calls failed, 18 points around the best one fail.
+        cost did not change, 16 it fell without bound, 17 too many calls failed, 18 points around the best one fail, 19 the
+        fit has found that one more step of least squares lowers the cost.
     termination : str
         The same in a word.
     message : str
