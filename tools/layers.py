@@ -50,7 +50,7 @@ LAYERS = {
         fmu_cache instance
         simulation
         simulators write_start_values
-        session
+        session driven_instance
     """,
     "fmufit-cli": """
         error

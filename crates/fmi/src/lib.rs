@@ -5,6 +5,7 @@
 //! A module imports from those below it only (`tools/layers.py` checks that), from top to bottom:
 //!
 //! - `session`: one model as scripts use it: set, simulate, get
+//! - `driven_instance`: one instance, driven by calls that can be sent to another process
 //! - `write_start_values`: a copy of an FMU with other start values
 //! - `simulators/`: a plan that is run many times: its instance, brought back to its start, and the check of
 //!   that
@@ -38,6 +39,7 @@
 pub mod archive;
 mod cancel_request;
 pub mod description;
+mod driven_instance;
 pub mod error;
 mod fair_lock;
 mod fmu;
@@ -61,6 +63,7 @@ pub use self::log::LogFilter;
 pub use archive::{Archive, ArchiveLimits};
 pub use cancel_request::CancelRequest;
 pub use description::{DescriptionLimits, ModelDescription, Variable};
+pub use driven_instance::{DrivenInstance, InstanceAnswer, InstanceCall, InstancePhase};
 pub use error::{CallFailure, EntryProblem, FmiError, LogLine, Result, Status};
 pub use fmu::{Fmu, InterfaceChoice};
 pub use fmu_cache::FmuCache;

@@ -1,7 +1,7 @@
 //! One model as scripts use it: set values, simulate, look at the values, set others, simulate again.
 
 use crate::description::{Causality, Structure, Value, VariableKind};
-use crate::error::Result;
+use crate::error::{FmiError, Result};
 use crate::fmu::{Fmu, InterfaceChoice};
 use crate::instance::assignments::{check_settable_at_start, convert};
 use crate::simulation::plan::SimulationPlan;
@@ -41,6 +41,8 @@ struct Last {
     /// Holds the final values.
     simulator: Simulator,
     asked: SimulateOptions,
+    /// Values of its parameters.
+    values: Option<Vec<f64>>,
 }
 
 impl Session {
@@ -124,27 +126,68 @@ impl Session {
     /// # Errors
     /// Unknown name; the model cannot be initialized.
     pub fn get(&mut self, name: &str) -> Result<Value> {
-        let VariableElement { variable: index, element } =
-            VariableElement::of_name(self.fmu.description(), &self.structure(), name)?;
-        let set = |values: &[(usize, Value)]| {
-            let value = values.iter().find(|(i, _)| *i == index).map(|(_, v)| v.clone());
-            value.map(|value| element_value(value, element))
-        };
-        if let Some(last) = &mut self.last {
-            let pending = if self.pending.contains(&index) { set(&self.values) } else { None };
-            return pending.map_or_else(|| last.simulator.value(name), Ok);
-        }
-        if let Some(value) = set(&self.values) {
+        if let Some(value) = self.known(name, self.last.is_some())? {
             return Ok(value);
         }
-        let variable = &self.fmu.description().variables[index];
-        let n = self.structure().elements(self.fmu.description(), variable);
-        // The start values of an array that has got another size are not those of this model.
-        let fits = |start: &&Value| if let Value::Array(values) = start { values.len() == n } else { true };
-        if let Some(value) = variable.start.as_ref().filter(fits) {
-            return Ok(element_value(value.clone(), element));
+        match &mut self.last {
+            Some(last) => last.simulator.value(name),
+            None => self.initial_value(name),
         }
-        self.initial_value(name)
+    }
+
+    /// Value of a variable that is known without the model, if it is: the value that was set, or the start
+    /// value; after a simulation, what has been set since.
+    ///
+    /// # Errors
+    /// Unknown name.
+    pub fn known(&self, name: &str, is_simulated: bool) -> Result<Option<Value>> {
+        let VariableElement { variable: index, element } =
+            VariableElement::of_name(self.fmu.description(), &self.structure(), name)?;
+        let set = || self.values.iter().find(|(i, _)| *i == index).map(|(_, value)| value.clone());
+        let variable = &self.fmu.description().variables[index];
+        // The start values of an array that has got another size are not those of this model.
+        let fits = |start: &&Value| match start {
+            Value::Array(values) => {
+                values.len() == self.structure().elements(self.fmu.description(), variable)
+            }
+            _ => true,
+        };
+        let value = match is_simulated {
+            true => set().filter(|_| self.pending.contains(&index)),
+            false => set().or_else(|| variable.start.as_ref().filter(fits).cloned()),
+        };
+        Ok(value.map(|value| element_value(value, element)))
+    }
+
+    /// True if the session has simulated, and holds the final values.
+    pub fn is_simulated(&self) -> bool {
+        self.last.is_some()
+    }
+
+    /// Notes that a simulation with these values was made elsewhere.
+    pub fn note_simulated(&mut self) {
+        (self.last, self.initial) = (None, None);
+        self.pending.clear();
+    }
+
+    /// Values of variables at the end of the simulation with these options, which is made again unless it
+    /// was the last one.
+    ///
+    /// # Errors
+    /// Those of the simulation; unknown names.
+    pub fn final_values(
+        &mut self,
+        options: &SimulateOptions,
+        names: &[String],
+        poll: &mut dyn FnMut() -> ControlFlow<()>,
+    ) -> Result<Vec<Value>> {
+        let (asked, values) = self.with_parameters(self.with_values(options));
+        let is_last = |last: &Last| last.values == values && last.asked.is_same(&asked);
+        if !self.last.as_ref().is_some_and(is_last) {
+            self.simulate_with(options, poll)?;
+        }
+        let last = self.last.as_mut().ok_or(FmiError::Cancelled)?;
+        names.iter().map(|name| last.simulator.value(name)).collect()
     }
 
     /// Number of elements of an array in each direction, with the structural parameters that were set; empty
@@ -221,16 +264,16 @@ impl Session {
             last => {
                 // Its instance is freed before another one is made.
                 drop(last);
-                Simulator::new(Arc::new(SimulationPlan::new(&self.fmu, &asked)?))?
+                Simulator::new(Arc::new(SimulationPlan::new(&self.fmu, &asked)?))?.keeping_end()
             }
         };
         let plan = Arc::clone(simulator.plan());
         let begun = Instant::now();
-        let values = values.as_deref().unwrap_or(plan.parameter_starts());
-        let trajectory = simulator.trajectory_with(values, poll);
+        let given = values.as_deref().unwrap_or(plan.parameter_starts());
+        let trajectory = simulator.trajectory_with(given, poll);
         self.fmu.note_run(plan.kind(), begun.elapsed());
         let trajectory = trajectory?;
-        self.last = Some(Last { simulator, asked });
+        self.last = Some(Last { simulator, asked, values });
         self.pending.clear();
         Ok(trajectory)
     }

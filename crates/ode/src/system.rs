@@ -67,7 +67,7 @@ pub struct EventVisit<'a> {
 }
 
 /// Changes made by a visit of event mode (or by the start).
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct EventOutcome {
     /// The continuous states were changed; the driver takes the new ones.
     pub states_changed: bool,

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import gc
+import os
 import pickle
+import threading
+import time
 
 import fmus
 import numpy as np
@@ -269,6 +273,126 @@ def test_values_of_a_model_fit_its_instance_in_any_order(tmp_path, names):
     with fmi.instantiate(model) as instance:
         instance.initialize()
         assert np.asarray(instance.get("k")).tolist() == [3.0, 4.0]
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("*(volatile int *)0 = 1", "segmentation fault in fmi2GetDerivatives"),
+        ("exit(3)", r"exit\(3\) in fmi2GetDerivatives"),
+        ("close_all()", "fmi2"),
+    ],
+)
+def test_instance_whose_fmu_crashes_is_lost_and_python_lives(tmp_path, fault, message):
+    fmu = fmus.evil(tmp_path / "deadly.fmu", "FAULT_ABOVE=2.2", f"FAULT={fault}")
+    sound = fmi.instantiate(fmu)
+    sound.initialize()
+    with fmi.instantiate(fmu) as instance:
+        instance.set("k", 3.0)
+        instance.initialize()
+        instance.time = 0.5
+        with pytest.raises(pydfo.SimulationError, match=message):
+            _ = instance.derivatives
+        assert instance.phase == "closed" and instance.next_event is None and "closed" in repr(instance)
+        for call in (lambda: instance.get("x"), lambda: instance.set("k", 1.0), instance.reset, lambda: instance.do_step(0.1)):
+            with pytest.raises(ValueError, match="the instance was lost with its process: make another one"):
+                call()
+    with pytest.raises(ValueError, match="closed"):
+        instance.get("x")
+    assert sound.get("x") == 1.0 and sound.derivatives.tolist() == [-1.0]
+    with fmi.instantiate(fmu, "CS") as other:
+        other.initialize()
+        assert other.do_step(0.1).complete
+
+
+@pytest.mark.parametrize("place", ["AT_INSTANTIATE", "AT_FREE"])
+def test_crash_at_the_begin_is_an_error_and_at_the_end_is_logged(tmp_path, caplog, place):
+    fmu = fmus.evil(tmp_path / "deadly.fmu", f"{place}=abort()")
+    if place == "AT_INSTANTIATE":
+        with pytest.raises(pydfo.SimulationError, match="abort in fmi2Instantiate"):
+            fmi.instantiate(fmu)
+    else:
+        with caplog.at_level("INFO", "pydfo"), fmi.instantiate(fmu) as instance:
+            instance.initialize()
+        assert "abort in fmi2FreeInstance" in caplog.text and instance.phase == "closed"
+
+
+def test_ctrl_c_ends_a_call_that_never_returns(tmp_path):
+    fmu = fmus.evil(tmp_path / "hangs.fmu", "FAULT_ABOVE=2.2", "FAULT=hang()")
+    with fmi.instantiate(fmu) as instance:
+        instance.set("k", 3.0)
+        instance.initialize()
+        instance.time = 0.5
+        threading.Timer(0.5, os.kill, (os.getpid(), 2)).start()
+        began = time.monotonic()
+        with pytest.raises(KeyboardInterrupt):
+            _ = instance.derivatives
+        assert time.monotonic() - began < 5
+        with pytest.raises(ValueError, match="interrupted: make another one"):
+            instance.get("x")
+
+
+def test_ctrl_c_ends_an_integration(ball):
+    ball.initialize()
+    threading.Timer(0.3, os.kill, (os.getpid(), 2)).start()
+    with pytest.raises(KeyboardInterrupt):
+        ball.do_step(1.0, solver="euler", step_size=1e-9)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+@pytest.mark.filterwarnings("ignore:This process.*fork:DeprecationWarning")
+def test_forked_child_has_no_instance(ball):
+    ball.initialize()
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            ball.get("h")
+        except ValueError as error:
+            code = 0 if "forked" in str(error) else 2
+        ball.close()
+        os._exit(code)
+    assert os.waitpid(child, 0)[1] == 0
+    assert ball.get("h") == 1.0 and ball.do_step(0.1).complete
+
+
+def by_hand(fmu, kind, isolation):
+    """Bits of what a run by hand returns."""
+    with fmi.instantiate(fmu, kind, isolation=isolation) as instance:
+        instance.initialize()
+        seen = []
+        saved = None
+        for k in range(20):
+            seen.append((instance.do_step(0.1).time, instance.get(["h", "v"]), instance.next_event))
+            if kind == "ME":
+                seen.append((instance.derivatives.tobytes(), instance.event_indicators.tobytes()))
+            if k == 5 and instance.description.capabilities.can_get_and_set_state:
+                saved = instance.save_state()
+        if saved is not None:
+            instance.restore_state(saved)
+            seen.append(instance.get(["h", "v"]))
+        return pickle.dumps(seen)
+
+
+@pytest.mark.parametrize("kind", ["ME", "CS"])
+def test_instance_has_the_same_bits_in_a_worker_process_and_in_this_one(kind):
+    fmu = example_fmu("bouncing_ball", kind=kind)
+    assert by_hand(fmu, kind, "none") == by_hand(fmu, kind, "process") == by_hand(fmu, kind, None)
+    with pytest.raises(ValueError, match="isolation"):
+        fmi.instantiate(fmu, isolation="thread")
+
+
+@pytest.mark.parametrize("isolation", ["none", "process"])
+def test_saved_states_are_kept_as_long_as_python_has_them(isolation):
+    with fmi.instantiate(example_fmu("bouncing_ball"), isolation=isolation) as ball:
+        ball.initialize()
+        kept = ball.save_state()
+        for _ in range(50):
+            ball.do_step(0.01)
+            ball.save_state()
+            gc.collect()
+        ball.restore_state(kept)
+        assert ball.get("h") == 1.0 and ball.time == 0.0
 
 
 def test_results_are_written_and_handed_to_other_libraries(tmp_path, monkeypatch):

@@ -281,7 +281,7 @@ def test_the_first_run_leaves_the_calling_thread_and_short_ones_stay_on_it():
 
     def used():
         threads.clear()
-        model.simulate(final_time=1.0, input=(("u1", "u2"), voltages))
+        model.simulate(final_time=1.0, input=(("u1", "u2"), voltages), isolation="none")
         return set(threads) == {threading.get_ident()}
 
     used()

@@ -254,23 +254,40 @@ def test_sandbox_that_nothing_confines_is_an_error(tmp_path):
         decay(fmu, sandbox=True, isolation="none")
     with pytest.raises(ValueError, match="sandbox"):
         FMUModel(fmu).simulate(final_time=1, sandbox=True, isolation="none")
-    driven = pydfo.example_fmu("switched_input")
-    name = next(name for name, variable in FMUModel(driven).description.variables.items() if variable.causality == "input")
-    with pytest.raises((ValueError, pydfo.FmuError), match="function of this program|sandbox"):
-        FMUModel(driven).simulate(final_time=1, inputs={name: lambda t: t}, sandbox=True)
-    output = next(name for name, variable in FMUModel(driven).description.variables.items() if variable.causality == "output")
-    parameter = next(name for name, variable in FMUModel(driven).description.variables.items() if variable.causality == "parameter")
-    data = {"time": TIMES, output: TIMES}
-    with pytest.raises((ValueError, pydfo.FmuError), match="function of this program|sandbox"):
-        Calibration(driven, data, [output], [Parameter(parameter, 1, 0.1, 5)], inputs={name: lambda t: t}, sandbox=True)
 
 
-def test_functions_as_inputs_stay_in_this_process(tmp_path):
+def test_a_function_as_input_gives_the_same_bits_in_a_process(tmp_path):
+    fmu = pydfo.example_fmu("switched_input")
+    variables = FMUModel(fmu).description.variables
+    output = next(name for name, variable in variables.items() if variable.causality == "output")
+    inputs = {"u": lambda t: np.sin(3 * t)}
+    places = [{"isolation": "none"}, {}] + [{"sandbox": True}] * has_sandbox(tmp_path)
+    model = FMUModel(fmu)
+    runs = [model.simulate(final_time=1, inputs=inputs, **place) for place in places]
+    assert len({run[output].tobytes() for run in runs}) == 1
+
+    parameter = next(name for name, variable in variables.items() if variable.causality == "parameter")
+    data = {"time": runs[0].time, output: runs[0][output] + 0.1 * np.cos(runs[0].time)}
+    fits = [
+        Calibration(fmu, data, [output], [Parameter(parameter, 1, 0.1, 5)], inputs=inputs, **place).fit(max_evaluations=30, workers=workers)
+        for place in places
+        for workers in (1, 2)
+    ]
+    assert len({fit.x.tobytes() for fit in fits}) == 1
+
+
+def test_an_exception_of_an_input_function_ends_the_simulation(tmp_path):
     fmu = pydfo.example_fmu("switched_input")
     model = FMUModel(fmu)
-    name = next(name for name, variable in model.description.variables.items() if variable.causality == "input")
-    with pytest.raises(ValueError, match="function of this program"):
-        model.simulate(final_time=1, inputs={name: lambda t: t}, isolation="process")
+
+    def failing(t):
+        if t > 0.5:
+            raise RuntimeError("no value")
+        return t
+
+    with pytest.raises(RuntimeError, match="no value"):
+        model.simulate(final_time=1, inputs={"u": failing})
+    assert model.simulate(final_time=1, inputs={"u": lambda t: t}).time[-1] == 1
 
 
 HOLDS_LOCK = """

@@ -352,8 +352,9 @@ def test_rows_of_inputs_that_make_steps_are_said(caplog, tmp_path):
     times = np.linspace(0.0, 2.0, 101)
     path = tmp_path / "m.fmu"
     path.write_bytes(example_fmu("switched_input", kind="CS").read_bytes())
+    model = FMUModel(path)
     for derivatives in (True, False):
-        res = FMUModel(path).simulate(
+        res = model.simulate(
             0, 2, times=[0, 2], step_size=0.5, inputs={"time": times, "u": np.sin(9 * times)}, input_derivatives=derivatives
         )
         assert res.stats.accepted_steps == 100

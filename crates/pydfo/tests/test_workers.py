@@ -185,9 +185,13 @@ def test_seconds_of_an_executor_are_those_of_each_call():
     assert result.trace.seconds[0] < 0.02 < result.trace.seconds[1]
 
 
-def test_rows_times_outputs_are_refused_before_they_are_made():
+@pytest.mark.parametrize(
+    ("isolation", "message"),
+    [("none", "a result of 10000001 rows and 23 columns would take 1840 MB of memory"), ("process", "the result of the worker process")],
+)
+def test_a_result_without_memory_for_it_is_an_error(isolation, message):
     """In a process that may take 1 GiB more: 1e7 rows of 23 variables take 1.8 GB."""
-    program = """
+    program = f"""
 import resource, pydfo
 model = pydfo.FMUModel(pydfo.example_fmu("furuta"))
 model.simulate(0, 1e-3, ncp=1)
@@ -195,7 +199,7 @@ with open("/proc/self/statm") as statm:
     size = int(statm.read().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (size + (1 << 30),) * 2)
 try:
-    model.simulate(0, 1, ncp=10**7, output="all")
+    model.simulate(0, 1, ncp=10**7, output="all", isolation={isolation!r})
 except MemoryError as e:
     print(e)
 """
@@ -203,4 +207,4 @@ except MemoryError as e:
         pytest.skip("no way to know the size of a process")
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("a result of 10000001 rows and 23 columns would take 1840 MB of memory"), done.stdout
+    assert done.stdout.startswith(message), done.stdout

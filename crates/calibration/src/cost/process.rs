@@ -15,7 +15,10 @@ use fmi::worker::{
     AnswerLimits, AskedProcess, Frame, FrameSize, Held, Isolation, Load, Question, WorkerLimits, Workers,
     check_sandbox,
 };
-use fmi::{FmiError, Fmu, OpenOptions, SimulateOptions, Trajectory};
+use fmi::{
+    FmiError, Fmu, InstanceCall, InstanceOptions, InterfaceChoice, InterfaceKind, OpenOptions,
+    SimulateOptions, Trajectory, Value,
+};
 use ode::{Method, Stats};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -36,10 +39,18 @@ pub(crate) struct Loaded {
 pub(crate) enum Job {
     /// To load a problem and its model, which the other jobs are of.
     Load(Box<Loaded>),
-    /// To open a model, of which [`Simulate`](Self::Simulate) is.
+    /// To open a model, which the next four jobs are of.
     Open(ModelFile, Box<OpenOptions>),
     /// A simulation of the model.
     Simulate(Box<SimulateOptions>),
+    /// Values of variables at the end of a simulation, which is made if it was not the last one.
+    FinalValues(Box<SimulateOptions>, Vec<String>),
+    /// Values of variables after the initialization with some values set.
+    InitialValues { kind: InterfaceChoice, set: Vec<(String, Value)>, names: Vec<String> },
+    /// An instance that is driven by hand, of which the next job is.
+    NewInstance(InterfaceKind, Box<InstanceOptions>),
+    /// A call of the instance; its vector is the numbers of the frame, and so is that of the answer.
+    Instance(InstanceCall),
     /// The cost and the residuals at a point.
     Evaluate {
         x: Vec<f64>,
@@ -146,15 +157,10 @@ struct Processes {
 impl Processes {
     /// Nothing is loaded yet.
     fn new(fmu: &Fmu, limits: WorkerLimits, load: Job, lender: Option<&Load>) -> Result<Self, FmiError> {
-        if limits.sandbox {
-            check_sandbox()?;
-        }
-        let workers = fmu.workers(limits).ok_or_else(|| match limits.sandbox {
-            true => FmiError::NoSandbox { reason: NO_LAUNCHER.to_owned() },
-            false => FmiError::NoWorker { reason: NO_LAUNCHER.to_owned() },
-        })?;
+        let workers = workers_of(fmu, limits)?;
         let job = Arc::new(load);
         let plain = Arc::clone(&job);
+        let is_kept = matches!(*job, Job::Open(..));
         let load = Load::new(move || Frame::of(&*plain));
         let logging = Load::new(move || {
             let mut job: Job = Frame::of(&*job)?.head()?;
@@ -162,6 +168,7 @@ impl Processes {
             Frame::of(&job)
         });
         let load = lender.into_iter().fold(load, Load::in_processes_of);
+        let load = if is_kept { load.kept() } else { load };
         fmu.note_needed_tool();
         workers.prepare(&load);
         Ok(Self {
@@ -197,7 +204,7 @@ impl Processes {
             ProcessChoice::Checked if !self.is_checked.load(Ordering::Relaxed) => None,
             ProcessChoice::Any | ProcessChoice::Checked => Some(AskedProcess::Any),
         };
-        let question = Question { asked: &asked, context, limits };
+        let question = Question { asked: &asked, context, limits, is_repetition: false };
         let accepted = match whom {
             Some(whom) => self.call(&question, &mut answer, accept, whom),
             None => self.ask_checked(&question, &mut answer, accept),
@@ -220,7 +227,7 @@ impl Processes {
             return None;
         }
         let (asked, mut answer) = (Frame::of(job).ok()?, Frame::default());
-        let question = Question { asked: &asked, context, limits };
+        let question = Question { asked: &asked, context, limits, is_repetition: false };
         let whom = AskedProcess::FreshOnce;
         let called = self.workers.call(&self.logging, &question, &mut answer, &mut |_| Ok(()), whom);
         failure_of(called.map(|_| answer)).filter(|told| !told.log.is_empty())
@@ -234,13 +241,7 @@ impl Processes {
         whom: AskedProcess,
     ) -> Result<T, FmiError> {
         let called = self.workers.call(&self.load, question, answer, accept, whom);
-        let (accepted, quirks) = called.map_err(|error| match error {
-            FmiError::WorkerEnded(mut end) => {
-                end.hint = end.hint.or_else(|| self.fmu.hint());
-                FmiError::WorkerEnded(end)
-            }
-            error => error,
-        })?;
+        let (accepted, quirks) = called.map_err(|error| with_hint(&self.fmu, error))?;
         self.fmu.add_quirks(quirks);
         Ok(accepted)
     }
@@ -272,7 +273,7 @@ impl Processes {
         let (asked, limits) = (question.asked, question.limits);
         let in_fresh = |context: &RunContext<'_>| {
             let mut answer = Frame::default();
-            let question = Question { asked, context, limits };
+            let question = Question { asked, context, limits, is_repetition: true };
             self.call(&question, &mut answer, &mut |_| Ok(()), AskedProcess::Fresh).map(|()| answer)
         };
         let mut in_used = || {
@@ -281,7 +282,7 @@ impl Processes {
                 // Another point may have an answer of another size.
                 let size = self.workers.limits().answer_size();
                 let limits = AnswerLimits { size, ..limits };
-                let question = Question { asked: &first, limits, ..*question };
+                let question = Question { asked: &first, limits, is_repetition: true, ..*question };
                 self.call(&question, &mut again, &mut |_| Ok(()), AskedProcess::Any)?;
             }
             Ok::<T, FmiError>(accepted)
@@ -370,10 +371,6 @@ impl Remote {
         let settings = &problem.settings;
         if settings.isolation == Isolation::None || fmu.is_absent() {
             return Err(None);
-        }
-        if let Some(input) = problem.experiments.iter().find_map(|experiment| experiment.driven_by_function())
-        {
-            return Err(Some(format!("the input {input} is a function of this program")));
         }
         let limits = settings.worker_limits();
         // Where it is now, in this process no further process is started.
@@ -583,27 +580,83 @@ impl ModelProcess {
     /// in a new process, at the same time; where that gives others, each one has a new process from then on.
     ///
     /// # Errors
-    /// As [`Fmu::simulate`]; [`FmiError::WorkerEnded`]; [`FmiError::Cancelled`]; inputs that are functions.
+    /// As [`Fmu::simulate`]; [`FmiError::WorkerEnded`]; [`FmiError::Cancelled`].
     pub fn simulate(
         &self,
         options: &SimulateOptions,
         context: &RunContext<'_>,
     ) -> Result<Trajectory, FmiError> {
-        if let Some(input) = options.inputs.as_ref().and_then(|inputs| inputs.driven_by_function()) {
-            let problem =
-                format!("the input {input} is a function of this program, which no other process can call");
-            return Err(FmiError::BadSetting(problem));
-        }
         let job = Job::Simulate(Box::new(options.clone()));
         let size = self.processes.workers.limits().answer_size();
         let limits = AnswerLimits { run: options.run.timeout, runs: 1, size };
         self.processes.trajectory(&job, limits, None, context)
     }
+
+    /// Values of variables at the end of a simulation: of the last one if it had these options, else it is
+    /// made again.
+    ///
+    /// # Errors
+    /// As [`simulate`](Self::simulate); unknown names.
+    pub fn final_values(
+        &self,
+        options: &SimulateOptions,
+        names: &[String],
+        context: &RunContext<'_>,
+    ) -> Result<Vec<Value>, FmiError> {
+        self.values(Job::FinalValues(Box::new(options.clone()), names.to_vec()), names.len(), context)
+    }
+
+    /// Values of variables after the initialization with these values set.
+    ///
+    /// # Errors
+    /// As [`Session::get`](fmi::Session::get); [`FmiError::WorkerEnded`]; [`FmiError::Cancelled`].
+    pub fn initial_values(
+        &self,
+        kind: InterfaceChoice,
+        set: Vec<(String, Value)>,
+        names: &[String],
+        context: &RunContext<'_>,
+    ) -> Result<Vec<Value>, FmiError> {
+        let job = Job::InitialValues { kind, set, names: names.to_vec() };
+        self.values(job, names.len(), context)
+    }
+
+    fn values(&self, job: Job, n: usize, context: &RunContext<'_>) -> Result<Vec<Value>, FmiError> {
+        let size = self.processes.workers.limits().answer_size();
+        let limits = AnswerLimits { run: None, runs: 1, size };
+        let mut accept = |answer: &mut Frame| match answer.head::<Vec<Value>>()? {
+            values if values.len() == n => Ok(values),
+            values => Err(wrong(format!("{} values instead of {n}", values.len()))),
+        };
+        self.processes.ask(&job, ProcessChoice::Any, limits, context, &mut accept)
+    }
+}
+
+/// The error with what may be the cause of the end of a process of this model.
+pub(crate) fn with_hint(fmu: &Fmu, error: FmiError) -> FmiError {
+    match error {
+        FmiError::WorkerEnded(mut end) => {
+            end.hint = end.hint.or_else(|| fmu.hint());
+            FmiError::WorkerEnded(end)
+        }
+        error => error,
+    }
+}
+
+/// The set of worker processes of a model.
+pub(crate) fn workers_of(fmu: &Fmu, limits: WorkerLimits) -> Result<Arc<Workers>, FmiError> {
+    if limits.sandbox {
+        check_sandbox()?;
+    }
+    fmu.workers(limits).ok_or_else(|| match limits.sandbox {
+        true => FmiError::NoSandbox { reason: NO_LAUNCHER.to_owned() },
+        false => FmiError::NoWorker { reason: NO_LAUNCHER.to_owned() },
+    })
 }
 
 const NO_LAUNCHER: &str = "this program cannot start processes for it (worker::serve_if_worker)";
 
-fn unsaid(error: io::Error) -> FmiError {
+pub(crate) fn unsaid(error: io::Error) -> FmiError {
     FmiError::BadSetting(error.to_string())
 }
 
@@ -639,9 +692,17 @@ fn trajectory_of(answer: &mut Frame) -> io::Result<Trajectory> {
     }
     let rows = answer.numbers.len() / n_columns;
     let mut columns = answer.numbers.chunks(rows.max(1));
-    let mut column = || columns.next().map(<[f64]>::to_vec).unwrap_or_default();
-    trajectory.time = column();
-    trajectory.columns.iter_mut().for_each(|values| *values = column());
+    let mut column = || {
+        let numbers = columns.next().unwrap_or_default();
+        let mut own = Vec::new();
+        own.try_reserve_exact(numbers.len()).map_err(|_| io::Error::from(io::ErrorKind::OutOfMemory))?;
+        own.extend_from_slice(numbers);
+        Ok::<_, io::Error>(own)
+    };
+    trajectory.time = column()?;
+    for values in &mut trajectory.columns {
+        *values = column()?;
+    }
     match trajectory.is_consistent() {
         true => Ok(trajectory),
         false => Err(wrong("columns of different lengths".to_owned())),

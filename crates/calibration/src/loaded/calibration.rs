@@ -507,13 +507,6 @@ impl Calibration {
         solver.map(|solver| solver.method)
     }
 
-    /// Why the model runs in this process, if that follows from the problem.
-    pub(crate) fn runs_here_by_its_inputs(&self) -> Option<&str> {
-        let is_by_inputs =
-            self.problem().experiments.iter().any(|experiment| experiment.driven_by_function().is_some());
-        self.isolation().1.filter(|_| is_by_inputs)
-    }
-
     /// Where the model runs; and why it runs in this process where another was asked for.
     pub fn isolation(&self) -> (Isolation, Option<&str>) {
         match &self.evaluator.remote {

@@ -1,7 +1,7 @@
 //! The worker process of a calibration: it holds the model, and simulates what it is asked for.
 
 use crate::cost::failure::ReportedCostFailure;
-use crate::cost::process::{Compared, Evaluated, Job, Loaded, put_trajectory};
+use crate::cost::process::{Compared, Evaluated, Job, Loaded, put_trajectory, unsaid};
 use crate::cost::residual::CostRule;
 use crate::cost::solver::{ChosenSolver, simulate_compared};
 use crate::cost::solver_comparison::ComparisonOutcome;
@@ -11,7 +11,7 @@ use crate::problem::definition::ModelFile;
 use base::RunContext;
 use fmi::description::Quirk;
 use fmi::worker::{Frame, Service};
-use fmi::{FmiError, Fmu, OpenOptions, Reuse};
+use fmi::{DrivenInstance, FmiError, Fmu, InstanceAnswer, OpenOptions, Reuse, Session, Value};
 use log::LevelFilter;
 use ode::{Method, Stats};
 use std::io;
@@ -30,9 +30,11 @@ pub fn serve_if_worker() {
 
 #[derive(Default)]
 struct Server {
-    /// The model that was opened last.
-    model: Option<(ModelFile, Fmu)>,
+    /// The model that was opened last, and its last simulation.
+    model: Option<(ModelFile, Session)>,
     calibration: Option<Calibration>,
+    /// The instance that is driven by hand.
+    instance: Option<DrivenInstance>,
     /// Statistics of an evaluation that is to be repeated.
     repeated: Stats,
     n_quirks: usize,
@@ -41,19 +43,27 @@ struct Server {
 impl Server {
     /// The model of a file, with the content that it had.
     fn open(&mut self, model: ModelFile, options: &OpenOptions) -> Result<Fmu, CalibrationError> {
-        if let Some((known, fmu)) = &self.model
+        if let Some((known, session)) = &self.model
             && *known == model
-            && fmu.options() == options
+            && session.fmu().options() == options
         {
-            return Ok(fmu.clone());
+            return Ok(session.fmu().clone());
         }
         (self.model, self.n_quirks) = (None, 0);
         let fmu = Fmu::open_with(&model.path, options)?;
         model.check(&fmu)?;
         // Who simulates meets the error.
         let _ = fmu.unpack_for_copies();
-        self.model = Some((model, fmu.clone()));
+        self.model = Some((model, Session::new(fmu.clone())));
         Ok(fmu)
+    }
+
+    fn session(&mut self) -> Result<&mut Session, FmiError> {
+        self.model.as_mut().map(|(_, session)| session).ok_or_else(not_loaded)
+    }
+
+    fn fmu(&self) -> Option<&Fmu> {
+        self.model.as_ref().map(|(_, session)| session.fmu())
     }
 
     fn load(&mut self, Loaded { problem, options }: Loaded) -> Result<(), CalibrationError> {
@@ -76,16 +86,32 @@ impl Server {
         context: &RunContext<'_>,
         answer: &mut Frame,
     ) -> Result<(), FmiError> {
-        let unsaid = |error: io::Error| FmiError::BadSetting(error.to_string());
         match asked.head::<Job>().map_err(unsaid)? {
             Job::Load(loaded) => self.load(*loaded).map_err(model_error)?,
             Job::Open(model, options) => drop(self.open(model, &options).map_err(model_error)?),
             Job::Simulate(options) => {
-                let (_, fmu) = self.model.as_ref().ok_or_else(not_loaded)?;
-                let mut poll =
-                    || if context.is_over() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
-                let trajectory = fmu.simulate_with(&options, &mut poll)?;
+                let trajectory = self.session()?.simulate_with(&options, &mut until(context))?;
                 put_trajectory(trajectory, answer).map_err(unsaid)?;
+            }
+            Job::FinalValues(options, names) => {
+                let values = self.session()?.final_values(&options, &names, &mut until(context))?;
+                answer.set_head(&values).map_err(unsaid)?;
+            }
+            Job::InitialValues { kind, set, names } => {
+                let mut session = Session::of_kind(self.session()?.fmu().clone(), kind);
+                session.set_all(set.iter().map(|(name, value)| (name.as_str(), value.clone())))?;
+                let values: Result<Vec<Value>, FmiError> =
+                    names.iter().map(|name| session.get(name)).collect();
+                answer.set_head(&values?).map_err(unsaid)?;
+            }
+            Job::NewInstance(kind, options) => {
+                self.instance = Some(DrivenInstance::new(self.session()?.fmu(), kind, &options)?);
+                answer.set_head(&InstanceAnswer::Done).map_err(unsaid)?;
+            }
+            Job::Instance(call) => {
+                let instance = self.instance.as_mut().ok_or_else(not_loaded)?;
+                let done = instance.call(call, &asked.numbers, &mut answer.numbers, context)?;
+                answer.set_head(&done).map_err(unsaid)?;
             }
             job => {
                 let calibration = self.calibration.as_ref().ok_or_else(not_loaded)?;
@@ -104,20 +130,19 @@ impl Service for Server {
         answer: &mut Frame,
     ) -> Result<(), FmiError> {
         let outcome = self.respond(asked, context, answer);
-        let is_repeated = self.model.as_ref().is_some_and(|(_, fmu)| fmu.take_repetition());
+        let is_repeated = self.fmu().is_some_and(Fmu::take_repetition);
         if is_repeated && !context.is_over() {
             answer.clear();
             answer.is_repeated = true;
             return Ok(());
         }
         self.repeated = Stats::default();
-        let is_last = |(_, fmu): &(ModelFile, Fmu)| fmu.reuse() == Some(Reuse::NewProcess);
-        answer.is_last |= self.model.as_ref().is_some_and(is_last);
+        answer.is_last |= self.fmu().is_some_and(|fmu| fmu.reuse() == Some(Reuse::NewProcess));
         outcome
     }
 
     fn provide_files(&mut self) {
-        if let Some((_, fmu)) = &self.model {
+        if let Some(fmu) = self.fmu() {
             // Who simulates meets the error.
             let _ = fmu.provide_libraries();
         }
@@ -131,12 +156,17 @@ impl Service for Server {
     }
 
     fn new_quirks(&mut self) -> Vec<Quirk> {
-        let Some((_, fmu)) = &self.model else { return Vec::new() };
+        let Some(fmu) = self.fmu() else { return Vec::new() };
         let mut seen = fmu.quirks_seen();
         let new = seen.split_off(self.n_quirks.min(seen.len()));
         self.n_quirks += new.len();
         new
     }
+}
+
+/// Ends a simulation when the context is over.
+fn until(context: &RunContext<'_>) -> impl FnMut() -> ControlFlow<()> {
+    || if context.is_over() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
 }
 
 fn not_loaded() -> FmiError {
@@ -157,7 +187,13 @@ fn done(
         calibration.set_solver(solver).map_err(model_error)
     };
     Ok(match job {
-        Job::Load(_) | Job::Open(..) | Job::Simulate(_) => Ok(()),
+        Job::Load(_)
+        | Job::Open(..)
+        | Job::Simulate(_)
+        | Job::FinalValues(..)
+        | Job::NewInstance(..)
+        | Job::Instance(_)
+        | Job::InitialValues { .. } => Ok(()),
         Job::Evaluate { x, method, loss, cutoff, accuracy } => {
             use_method(method)?;
             calibration.check_length(&x).map_err(model_error)?;

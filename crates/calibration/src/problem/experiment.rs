@@ -5,10 +5,9 @@ use crate::error::CalibrationError;
 use crate::problem::input::{InputSource, SignalFunction};
 use crate::problem::parameter::Parameter;
 use fmi::description::{Causality, Variability};
-use fmi::{ModelDescription, Value};
+use fmi::{InputFunction, ModelDescription, Value};
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
-use std::sync::Arc;
 
 /// A recording of the machine and how the model is to reproduce it.
 ///
@@ -201,12 +200,6 @@ impl Experiment {
         })
     }
 
-    /// An input that a function of the user's drives.
-    pub(crate) fn driven_by_function(&self) -> Option<&str> {
-        let is_function = |source: &InputSource| matches!(source, InputSource::Function(signal) if signal.function.is_some());
-        self.inputs.iter().find(|(_, source)| is_function(source)).map(|(input, _)| input.as_str())
-    }
-
     /// Variables with the columns that measure or drive them.
     pub(crate) fn columns_in_use(&self) -> Vec<(String, String)> {
         let outputs = self.outputs.iter().map(|o| (o.variable.clone(), o.column.clone()));
@@ -281,7 +274,7 @@ impl Experiment {
         variable: impl Into<String>,
         function: impl Fn(f64) -> f64 + Send + Sync + 'static,
     ) -> Self {
-        let function = SignalFunction { function: Some(Arc::new(function)) };
+        let function = SignalFunction { function: Some(InputFunction::new(function)) };
         let variable = variable.into();
         let source = InputSource::Function(function);
         // That of a stored problem has lost its function.

@@ -19,11 +19,17 @@ pub(crate) enum InputSource {
     Function(SignalFunction),
 }
 
-/// A function of time. It is not stored with a problem, and has to be given again.
+/// A function of time. It is not stored with a problem, and has to be given again; a worker process asks for
+/// its values.
 #[derive(Clone, Default, Serialize, Deserialize)]
 pub(crate) struct SignalFunction {
-    #[serde(skip)]
+    #[serde(default, skip_serializing_if = "is_stored")]
     pub(crate) function: Option<InputFunction>,
+}
+
+/// True if what is serialised is no message to a worker process.
+fn is_stored(_: &Option<InputFunction>) -> bool {
+    !fmi::worker::is_in_frame()
 }
 
 impl fmt::Debug for SignalFunction {
@@ -35,7 +41,7 @@ impl fmt::Debug for SignalFunction {
 impl PartialEq for SignalFunction {
     fn eq(&self, other: &Self) -> bool {
         match (&self.function, &other.function) {
-            (Some(one), Some(other)) => Arc::ptr_eq(one, other),
+            (Some(one), Some(other)) => one.is_same(other),
             (one, other) => one.is_none() && other.is_none(),
         }
     }
@@ -113,8 +119,8 @@ impl Signal {
             // The only row of a table holds at all times.
             SignalSource::Constant(value) => inputs.series(&self.variable, [0.0], [value + offset]),
             SignalSource::Function(SignalFunction { function: Some(function) }) => {
-                let function = Arc::clone(function);
-                inputs.function(&self.variable, move |t| function(t - delay) + offset)
+                let function = function.clone();
+                inputs.function(&self.variable, move |t| function.value(t - delay) + offset)
             }
             SignalSource::Function(SignalFunction { function: None }) => inputs,
         }
@@ -144,7 +150,7 @@ impl Signal {
             SignalSource::Rows(_, values) => values.to_vec(),
             SignalSource::Constant(value) => vec![*value],
             SignalSource::Function(SignalFunction { function }) => {
-                function.iter().flat_map(|function| times.iter().map(|t| function(*t))).collect()
+                function.iter().flat_map(|function| times.iter().map(|t| function.value(*t))).collect()
             }
         }
     }

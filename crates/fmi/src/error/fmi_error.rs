@@ -243,6 +243,19 @@ pub enum FmiError {
         /// Rounds allowed.
         limit: u32,
     },
+    /// A call of an instance driven by hand that its phase does not have.
+    #[error("{call} is called in the phase {needed}; the instance is in the phase {phase}")]
+    WrongPhase {
+        /// The call.
+        call: &'static str,
+        /// The phase of the instance.
+        phase: &'static str,
+        /// The phases that have the call.
+        needed: &'static str,
+    },
+    /// A call of an instance driven by hand that was freed, with the reason.
+    #[error("{0}")]
+    Freed(&'static str),
     /// A saved state of another instance, or written by an instance of another FMU or of another kind.
     #[error("the saved state belongs to another instance")]
     ForeignState,
@@ -451,7 +464,9 @@ impl FmiError {
                 (ReportedErrorKind::UnknownVariable, None)
             }
             FmiError::WrongType { .. } => (ReportedErrorKind::WrongType, None),
-            FmiError::NotSettable { .. }
+            FmiError::WrongPhase { .. }
+            | FmiError::Freed(_)
+            | FmiError::NotSettable { .. }
             | FmiError::OutOfRange { .. }
             | FmiError::NotFinite { .. }
             | FmiError::NotAnOutput { .. }

@@ -6,11 +6,12 @@ use super::phases::{CoSimulation, Initialization, Instance, StepMode, Terminated
 use crate::error::Result;
 use crate::sys::{RawInstance, StepInfo};
 use ode::{EventOutcome, Stopped};
+use serde::{Deserialize, Serialize};
 use std::thread;
 use std::time::Duration;
 
 /// Outcome of a communication step.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct StepOutcome {
     /// The model stands at the end of the step.

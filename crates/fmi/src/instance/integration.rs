@@ -6,8 +6,8 @@ use super::phases::{ContinuousTime, EventMode, Instance};
 use crate::error::{FmiError, Result};
 use crate::sys::{Fault, RawInstance};
 use ode::{
-    CallError, CallResult, Driver, EventOutcome, EventVisit, HybridSystem, Ignore, Options, StepAction,
-    Termination,
+    CallError, CallResult, Driver, EventOutcome, EventVisit, HybridSystem, Ignore, Observer, Options,
+    StepAction, Termination,
 };
 
 /// End of an integration by hand.
@@ -35,7 +35,18 @@ impl Instance<ContinuousTime> {
     /// # Errors
     /// Options that make no sense; the solver fails ([`FmiError::Simulation`]), or the FMU refuses. The
     /// instance is freed then.
-    pub fn integrate(mut self, start: f64, end: f64, options: Options) -> Result<Integrated> {
+    pub fn integrate(self, start: f64, end: f64, options: Options) -> Result<Integrated> {
+        self.integrate_until(start, end, options, &mut Ignore)
+    }
+
+    /// The same; ends with [`FmiError::Cancelled`] when the observer wishes it.
+    pub(crate) fn integrate_until(
+        mut self,
+        start: f64,
+        end: f64,
+        options: Options,
+        observer: &mut impl Observer,
+    ) -> Result<Integrated> {
         let mut driver = Driver::new(options)?;
         let core = self.core();
         let tolerance = core.progress.time_tolerance(end);
@@ -60,7 +71,10 @@ impl Instance<ContinuousTime> {
             floor,
             last: (start, Vec::new()),
         };
-        let report = driver.run(&mut system, start, end, &[], &mut Ignore).map_err(FmiError::Simulation)?;
+        let report = driver.run(&mut system, start, end, &[], observer).map_err(FmiError::Simulation)?;
+        if report.termination == Termination::StoppedByObserver {
+            return Err(FmiError::Cancelled);
+        }
         let ByHand { is_over, floor, last: (time, states), .. } = system;
         if is_over || report.termination == Termination::StoppedByModel {
             // The wish to end comes from event mode, or from a completed step.

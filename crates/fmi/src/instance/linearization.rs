@@ -4,13 +4,14 @@ use super::core::Core;
 use super::phases::{ContinuousTime, Instance};
 use crate::description::{Causality, ModelDescription, Structure, Variability, Variable, VariableKind};
 use crate::error::{FmiError, Result};
+use serde::{Deserialize, Serialize};
 
 /// Difference of a central difference quotient over the size of the number: the cube root of the rounding
 /// error balances rounding and truncation (Press et al., Numerical Recipes, 3rd ed., section 5.7).
 const DIFFERENCE: f64 = 6.055_454_452_393_343e-6;
 
 /// The linear system `dx/dt = A x + B u`, `y = C x + D u` of deviations from the point; matrices by rows.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Linearization {
     /// Names of the states, elements of arrays one by one; `der(?)` where the file does not tell.
     pub states: Vec<String>,

@@ -33,6 +33,7 @@ pub struct Trajectory {
     /// The variables in the order in which they were asked for, and which columns are theirs.
     pub recorded: Vec<Recorded>,
     /// Of each row: value before or after the events at its time.
+    #[serde(with = "sides")]
     pub sides: Vec<Side>,
     /// The events.
     pub events: Vec<EventRecord>,
@@ -44,6 +45,37 @@ pub struct Trajectory {
     pub termination: Termination,
     /// Time at which it ended.
     pub end_time: f64,
+}
+
+/// Sides as bytes: there is one for each row.
+mod sides {
+    use ode::Side;
+    use serde::de::{Error, Visitor};
+    use serde::{Deserializer, Serializer};
+    use std::fmt;
+
+    pub(super) fn serialize<S: Serializer>(sides: &[Side], to: S) -> Result<S::Ok, S::Error> {
+        let bytes: Vec<u8> = sides.iter().map(|side| u8::from(*side == Side::Right)).collect();
+        to.serialize_bytes(&bytes)
+    }
+
+    struct Bytes;
+
+    impl Visitor<'_> for Bytes {
+        type Value = Vec<Side>;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("a byte for each row")
+        }
+
+        fn visit_bytes<E: Error>(self, bytes: &[u8]) -> Result<Vec<Side>, E> {
+            Ok(bytes.iter().map(|byte| if *byte == 0 { Side::Left } else { Side::Right }).collect())
+        }
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Side>, D::Error> {
+        from.deserialize_byte_buf(Bytes)
+    }
 }
 
 /// A column of values that are not all numbers: one for each row, all of one type. A text or a binary value
@@ -114,9 +146,10 @@ impl Trajectory {
         let rows = self.time.len();
         let has = |range: &Range<usize>, n: usize| range.start <= range.end && range.end <= n;
         let is_filled = |column: &ValueColumn| {
-            column.places.len() == rows && column.places.iter().all(|place| *place < column.values.len())
+            column.places.len() == self.sides.len()
+                && column.places.iter().all(|place| *place < column.values.len())
         };
-        self.sides.len() == rows
+        (self.values.is_empty() || self.sides.len() == rows)
             && self.names.len() == self.columns.len()
             && self.columns.iter().all(|column| column.len() == rows)
             && self.values.iter().all(is_filled)

@@ -9,6 +9,7 @@ use crate::libraries::{LoadedLibrary, Setting};
 use crate::log::LogFilter;
 use crate::open_options::LogOptions;
 use crate::sys::{InterfaceKind, Library, RawInstance, Request, Sizes, instance_suffix};
+use serde::{Deserialize, Serialize};
 use std::ffi::CString;
 use std::sync::Arc;
 
@@ -19,7 +20,7 @@ const SO_OFTEN: &str =
     "a loaded library can be instantiated only so often: simulations go on in newly loaded copies of it";
 
 /// Options with which an instance is made.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct InstanceOptions {
     /// Name of the instance; default: the name of the model, in the worker processes of a program that run at
     /// the same time with `_2`, `_3` and so on.

@@ -132,7 +132,7 @@ impl Simulator {
         if let Some(refusal) = refusal() {
             self.plan.fmu().note_quirk(QuirkKind::Promise, refusal);
         }
-        if is_worker() {
+        if is_worker() && !self.keeps_end {
             // What the end of a run does to the process is part of the answer.
             self.bring_back();
         }

@@ -42,6 +42,8 @@ pub struct Simulator {
     pub(super) engine: Engine,
     /// The last run's instance, when it has been brought back to its start, and how.
     pub(super) brought_back: Option<(RawInstance, Reuse)>,
+    /// The values at the end of a run are asked for after it.
+    pub(super) keeps_end: bool,
     pub(super) buffers: ReadBackBuffers,
     /// When the start of the present run began.
     pub(super) began: Instant,
@@ -64,6 +66,7 @@ impl Simulator {
             engine: Engine::new(&plan)?,
             plan,
             brought_back: None,
+            keeps_end: false,
             buffers: ReadBackBuffers::default(),
             began: Instant::now(),
             library: None,
@@ -71,6 +74,14 @@ impl Simulator {
             first: None,
             _not_sync: PhantomData,
         })
+    }
+
+    /// The same, with the instance left at the end of each run, so that values can be read there. In a worker
+    /// process it is brought back to its start otherwise, as part of the run.
+    #[must_use]
+    pub(crate) fn keeping_end(mut self) -> Self {
+        self.keeps_end = true;
+        self
     }
 
     /// The plan.

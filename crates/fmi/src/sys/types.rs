@@ -4,6 +4,7 @@ use crate::description::{DependencyKind, Interval};
 use crate::error::Status;
 use crate::log::LogFilter;
 use crate::macros::words;
+use serde::{Deserialize, Serialize};
 use std::ffi::{CStr, CString, c_void};
 use std::path::Path;
 
@@ -104,7 +105,7 @@ pub(crate) enum Qualifier {
 
 words! {
     /// The two ways of running a model.
-    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
     pub enum InterfaceKind {
         /// The importer integrates the model.
         ModelExchange = "model exchange",

@@ -7,6 +7,7 @@ use super::load::Load;
 use super::service::Service;
 use crate::description::Quirk;
 use crate::error::FmiError;
+use base::RunContext;
 use std::io;
 use std::sync::Arc;
 
@@ -59,6 +60,14 @@ impl Workers {
     ///
     /// # Errors
     /// None.
+    pub fn pinned(self: &Arc<Self>, _: &Load, _: &RunContext<'_>) -> Result<PinnedProcess, FmiError> {
+        match **self {}
+    }
+
+    /// Not reached.
+    ///
+    /// # Errors
+    /// None.
     pub fn call<T>(
         self: &Arc<Self>,
         _: &Load,
@@ -68,6 +77,40 @@ impl Workers {
         _: AskedProcess,
     ) -> Result<(T, Vec<Quirk>), FmiError> {
         match **self {}
+    }
+}
+
+/// No worker process.
+#[derive(Debug)]
+pub enum PinnedProcess {}
+
+impl PinnedProcess {
+    /// Not reached.
+    ///
+    /// # Errors
+    /// None.
+    pub fn call<T>(
+        &mut self,
+        _: &Question<'_>,
+        _: &mut Frame,
+        _: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
+    ) -> Result<(T, Vec<Quirk>), FmiError> {
+        match *self {}
+    }
+
+    /// Not reached.
+    pub fn limits(&self) -> &WorkerLimits {
+        match *self {}
+    }
+
+    /// Not reached.
+    pub fn is_own(&self) -> bool {
+        match *self {}
+    }
+
+    /// Not reached.
+    pub fn has_ended(&self) -> bool {
+        match *self {}
     }
 }
 

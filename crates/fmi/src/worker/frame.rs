@@ -6,10 +6,11 @@
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use std::cell::Cell;
 use std::io::{self, ErrorKind, Read, Write};
 
 /// Of this version of what is said.
-const MAGIC: u32 = 0x464d_5501;
+const MAGIC: u32 = 0x464d_5502;
 
 const HEADER: usize = 40;
 
@@ -41,6 +42,8 @@ pub struct Frame {
     pub is_last: bool,
     /// No answer: the same is to be asked once more, for the first try has shown how the model is read.
     pub is_repeated: bool,
+    /// No answer yet: the worker wants the value of a function first.
+    pub(super) is_asking: bool,
     /// Of one that was read: which question it is, or is answered.
     pub(crate) number: u32,
     head: Vec<u8>,
@@ -66,7 +69,7 @@ impl Frame {
 
     /// Empties it.
     pub fn clear(&mut self) {
-        (self.is_error, self.is_last, self.is_repeated) = (false, false, false);
+        (self.is_error, self.is_last, self.is_repeated, self.is_asking) = (false, false, false, false);
         self.head.clear();
         self.notes.clear();
         self.numbers.clear();
@@ -92,7 +95,7 @@ impl Frame {
     /// Writes it with this number, through a buffer.
     pub(crate) fn write(&self, number: u32, to: &mut impl Write, buffer: &mut Vec<u8>) -> io::Result<()> {
         buffer.clear();
-        let flags = [self.is_error, self.is_last, self.is_repeated];
+        let flags = [self.is_error, self.is_last, self.is_repeated, self.is_asking];
         let flags = flags.iter().rev().fold(0, |bits, flag| bits << 1 | u32::from(*flag));
         [MAGIC, flags, number, 0].iter().for_each(|word| buffer.extend(word.to_le_bytes()));
         for length in [self.head.len(), self.notes.len(), self.numbers.len()] {
@@ -133,7 +136,7 @@ impl Frame {
         fill(from, &mut header, wait)?;
         let word =
             |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
-        if word(0) != MAGIC || word(4) > 7 {
+        if word(0) != MAGIC || word(4) > 15 {
             return Err(bad("no message of a worker of this version".to_owned()));
         }
         let flag = |bit: u32| word(4) & bit != 0;
@@ -143,7 +146,8 @@ impl Frame {
             return Err(bad(format!("a message of {text} bytes and {numbers} numbers")));
         }
         let lengths = [length(0), length(1), numbers.saturating_mul(8)];
-        (self.is_error, self.is_last, self.is_repeated) = (flag(1), flag(2), flag(4));
+        (self.is_error, self.is_last, self.is_repeated, self.is_asking) =
+            (flag(1), flag(2), flag(4), flag(8));
         self.number = word(8);
         read_part(from, &mut self.head, lengths[0], wait)?;
         read_part(from, &mut self.notes, lengths[1], wait)?;
@@ -153,6 +157,7 @@ impl Frame {
             let piece = left.min(PIECE as u64);
             read_part(from, buffer, piece, wait)?;
             let words = buffer.as_chunks::<8>().0;
+            self.numbers.try_reserve(words.len()).map_err(|_| io::Error::from(ErrorKind::OutOfMemory))?;
             self.numbers.extend(words.iter().map(|word| f64::from_le_bytes(*word)));
             left -= piece;
         }
@@ -195,14 +200,33 @@ impl<W: Write> Write for PatientWriter<'_, W> {
     }
 }
 
+thread_local! {
+    /// True while a head is encoded or decoded.
+    static IS_IN_FRAME: Cell<bool> = const { Cell::new(false) };
+}
+
+/// True while this thread encodes or decodes what a message says. What cannot be stored, but can be asked
+/// for, is serialised only then.
+pub fn is_in_frame() -> bool {
+    IS_IN_FRAME.get()
+}
+
+/// Does this with [`is_in_frame`] true.
+fn in_frame<T>(work: impl FnOnce() -> T) -> T {
+    let before = IS_IN_FRAME.replace(true);
+    let done = work();
+    IS_IN_FRAME.set(before);
+    done
+}
+
 fn encode(head: &impl Serialize, to: impl Write) -> io::Result<()> {
-    ciborium::into_writer(head, to).map_err(|e| bad(format!("a message cannot be encoded: {e}")))
+    in_frame(|| ciborium::into_writer(head, to)).map_err(|e| bad(format!("a message cannot be encoded: {e}")))
 }
 
 /// Decodes what a head or notes say.
 pub(crate) fn decode<T: DeserializeOwned>(bytes: &[u8]) -> io::Result<T> {
     use ciborium::de::Error;
-    ciborium::from_reader(bytes).map_err(|error| {
+    in_frame(|| ciborium::from_reader(bytes)).map_err(|error| {
         bad(match error {
             Error::Io(_) => "its head ends too early".to_owned(),
             Error::Syntax(place) => format!("its head is no CBOR at byte {place}"),
@@ -229,6 +253,7 @@ fn read_part(
     let mut left = usize::try_from(length).map_err(|_| bad(format!("a message of {length} bytes")))?;
     while left > 0 {
         let (begin, piece) = (part.len(), left.min(PIECE));
+        part.try_reserve(piece).map_err(|_| io::Error::from(ErrorKind::OutOfMemory))?;
         part.resize(begin + piece, 0);
         fill(from, &mut part[begin..], wait)?;
         left -= piece;
@@ -287,15 +312,16 @@ mod tests {
 
     proptest! {
         #[test]
-        fn frames_arrive_as_they_were_sent(text: String, bits: Vec<u64>, flags: (bool, bool, bool)) {
+        fn frames_arrive_as_they_were_sent(text: String, bits: Vec<u64>, flags: (bool, bool, bool, bool)) {
             let mut frame = Frame::of(&text).unwrap();
-            (frame.is_error, frame.is_last, frame.is_repeated) = flags;
+            (frame.is_error, frame.is_last, frame.is_repeated, frame.is_asking) = flags;
             frame.numbers = bits.iter().map(|bits| f64::from_bits(*bits)).collect();
             let found = read(&written(&frame)).unwrap();
             prop_assert_eq!(found.head::<String>().unwrap(), text);
             let bits_found: Vec<u64> = found.numbers.iter().map(|x| x.to_bits()).collect();
             prop_assert_eq!(bits_found, bits);
-            prop_assert_eq!((found.is_error, found.is_last, found.is_repeated), flags);
+            let flags_found = (found.is_error, found.is_last, found.is_repeated, found.is_asking);
+            prop_assert_eq!(flags_found, flags);
             prop_assert_eq!(found.number, 7);
         }
 

@@ -46,6 +46,11 @@ impl Launcher {
         *KNOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(self);
     }
 
+    /// True if this program can start worker processes.
+    pub fn is_known() -> bool {
+        cfg!(unix) && Self::known().is_some()
+    }
+
     /// Command that starts workers; `None`: it has not been set.
     pub(super) fn known() -> Option<Self> {
         KNOWN.lock().unwrap_or_else(PoisonError::into_inner).clone()

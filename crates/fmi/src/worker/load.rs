@@ -16,6 +16,8 @@ pub struct Load {
 pub(super) struct LoadId {
     pub(super) number: u64,
     pub(super) owner: u64,
+    /// One idle worker of it is not ended, however long nobody asks.
+    pub(super) is_kept: bool,
 }
 
 /// Numbers of the [`Load`]s of this process.
@@ -26,13 +28,21 @@ impl Load {
     /// needed, and not kept.
     pub fn new(frame: impl Fn() -> io::Result<Frame> + Send + Sync + 'static) -> Self {
         let number = NEXT_ID.fetch_add(1, Ordering::Relaxed);
-        Self { id: LoadId { number, owner: number }, frame: Box::new(frame) }
+        Self { id: LoadId { number, owner: number, is_kept: false }, frame: Box::new(frame) }
     }
 
     /// The same, of the same model: where processes that have loaded `owner` are idle, they are asked.
     #[must_use]
     pub fn in_processes_of(mut self, owner: &Self) -> Self {
         self.id.owner = owner.id.owner;
+        self
+    }
+
+    /// The same, with one worker that is kept until the load is [forgotten](super::Workers::forget): it holds
+    /// the end of a simulation.
+    #[must_use]
+    pub fn kept(mut self) -> Self {
+        self.id.is_kept = true;
         self
     }
 

@@ -20,6 +20,7 @@ mod fork_server;
 mod fork_server_main;
 mod frame;
 mod handshake;
+mod input_function;
 mod isolation;
 mod launcher;
 mod limits;
@@ -48,13 +49,14 @@ mod worker_process;
 mod workers;
 
 #[cfg(not(unix))]
-pub use absent::{ForkServer, Held, Workers, serve_if_worker, start_fork_server};
+pub use absent::{ForkServer, Held, PinnedProcess, Workers, serve_if_worker, start_fork_server};
 #[cfg(unix)]
 pub use fork_server::{ForkServer, start_fork_server};
 #[cfg(unix)]
 pub use fork_server_main::serve_if_worker;
-pub use frame::{Frame, FrameSize};
+pub use frame::{Frame, FrameSize, is_in_frame};
 pub use handshake::is_asked;
+pub use input_function::InputFunction;
 pub use isolation::{AskedProcess, Isolation, Question};
 pub use launcher::Launcher;
 pub use limits::{AnswerLimits, WorkerLimits};
@@ -62,4 +64,4 @@ pub use load::Load;
 pub use sandbox::check_sandbox;
 pub use service::Service;
 #[cfg(unix)]
-pub use workers::{Held, Workers};
+pub use workers::{Held, PinnedProcess, Workers};

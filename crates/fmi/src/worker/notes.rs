@@ -4,6 +4,7 @@
 use crate::description::Quirk;
 use log::{Level, Log, Metadata, Record};
 use serde::{Deserialize, Serialize};
+use std::collections::HashSet;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// More lines than this between two answers are not kept.
@@ -29,10 +30,19 @@ impl Notes {
         self.lines.is_empty() && self.quirks.is_empty()
     }
 
-    /// Hands the lines to the logger of this program.
-    pub(crate) fn pass_on(&self) {
+    /// Hands the lines to the logger of this program. A warning that is in `said` was heard from another
+    /// worker, and is not repeated.
+    pub(crate) fn pass_on(&self, said: &Mutex<HashSet<String>>) {
         for Line { level, target, text } in &self.lines {
-            log::log!(target: target, *level, "{text}");
+            let mut said = said.lock().unwrap_or_else(PoisonError::into_inner);
+            let is_new = *level > Level::Warn || !said.contains(text);
+            if *level <= Level::Warn && said.len() < MOST_LINES {
+                said.insert(text.clone());
+            }
+            drop(said);
+            if is_new {
+                log::log!(target: target, *level, "{text}");
+            }
         }
     }
 }

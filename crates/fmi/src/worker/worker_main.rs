@@ -3,6 +3,7 @@
 use super::folder::{make, remove};
 use super::fork_server::{Arrival, DESCRIPTORS, Hello, Start};
 use super::frame::{Frame, FrameSize};
+use super::input_function::{Exchange, VALUE, set_caller};
 use super::limits::limit_self;
 use super::notes::{Notes, take_lines};
 use super::sandbox::confine;
@@ -14,12 +15,14 @@ use crate::sys::{
 use base::RunContext;
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::fs::{Mode, OFlags};
+use std::cell::Cell;
 use std::fs::File;
 use std::io::{self, BufReader, Write};
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 use std::time::Duration;
 
 /// The next question is waited for without sleeping for so long, where the other side allows it.
@@ -116,6 +119,8 @@ fn serve(mut service: Box<dyn Service + Send>, connection: &Connection) -> io::R
     let own = std::process::id();
     let (mut asked, mut answer, mut buffer) = (Frame::default(), Frame::default(), Vec::new());
     let (mut questions, mut answers) = (BufReader::with_capacity(BUFFER, socket), socket);
+    let number = Rc::new(Cell::new(0));
+    set_caller(exchange(socket.try_clone()?, page, Rc::clone(&number)));
     Frame::of(&Hello { has_loaded: *has_loaded })?.write(0, &mut answers, &mut buffer)?;
     loop {
         page.wait_for_question(asked.number, SPIN);
@@ -123,6 +128,7 @@ fn serve(mut service: Box<dyn Service + Send>, connection: &Connection) -> io::R
             Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(()),
             outcome => outcome?,
         }
+        number.set(asked.number);
         answer.clear();
         let is_cancelled = || page.is_cancelled();
         respond(&mut *service, &asked, &RunContext::new().asking(&is_cancelled), &mut answer)?;
@@ -135,6 +141,17 @@ fn serve(mut service: Box<dyn Service + Send>, connection: &Connection) -> io::R
         answer.write(asked.number, &mut answers, &mut buffer)?;
         page.note_answer(asked.number);
     }
+}
+
+/// Sends a frame to the caller during the answer to the question of this number, and reads what comes back.
+fn exchange(socket: UnixStream, page: &'static Page, number: Rc<Cell<u32>>) -> Exchange {
+    let mut buffer = Vec::new();
+    Box::new(move |frame| {
+        frame.write(number.get(), &mut &socket, &mut buffer)?;
+        // The caller may wait for the answer without sleeping.
+        page.note_answer(number.get());
+        frame.read(&mut &socket, &mut buffer, VALUE, &mut || Ok(()))
+    })
 }
 
 /// Has the service answer, and adds what is to be said beside that. A panic is an error of it.

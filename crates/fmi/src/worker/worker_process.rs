@@ -3,6 +3,7 @@
 use super::end::{ProcessEnd, in_words};
 use super::fork_server::{Arrival, Hello, Start, Template, no_worker};
 use super::frame::{Frame, FrameSize, PatientWriter, decode};
+use super::input_function::answer_wanted;
 use super::isolation::Question;
 use super::limits::WorkerLimits;
 use super::load::LoadId;
@@ -53,6 +54,8 @@ pub(super) enum NoAnswer {
     Cancelled,
     /// The process has ended.
     Ended(WorkerEnd),
+    /// This process has no memory for it; the other has ended.
+    Memory,
 }
 
 /// A worker process. It ends when this is dropped.
@@ -98,13 +101,14 @@ impl Process {
         is_prepared: bool,
         surroundings: Surroundings,
         avoided_calls: &[String],
+        places: &Places,
     ) -> Result<Self, FmiError> {
         let (socket, theirs) = UnixStream::pair().map_err(no_worker)?;
         socket.set_read_timeout(Some(LOOK)).map_err(no_worker)?;
         socket.set_write_timeout(Some(LOOK)).map_err(no_worker)?;
         let (page, file) = Page::new().map_err(no_worker)?;
         let (printed, pipe) = Printed::pipe().map_err(no_worker)?;
-        let (level, place) = (log::max_level(), Place::take());
+        let (level, place) = (log::max_level(), places.take());
         let start = Start {
             number: 0,
             limits: *limits,
@@ -112,7 +116,7 @@ impl Process {
             is_prepared,
             surroundings,
             avoided_calls: avoided_calls.to_vec(),
-            place: place.0,
+            place: place.number,
         };
         let (number_of_worker, loaded) =
             template.begin_worker(start, [theirs.as_fd(), file.as_fd(), pipe.as_fd()])?;
@@ -169,13 +173,14 @@ impl Process {
             Ok(()) => greeting.head().map_err(|error| error.to_string()),
             Err(NoAnswer::Cancelled) => return Err(FmiError::Cancelled),
             Err(NoAnswer::Ended(end)) => Err(end.to_string()),
+            Err(NoAnswer::Memory) => Err("no memory for its greeting".to_owned()),
         };
         said.map_err(|error| self.template.without_worker(&error))
     }
 
     /// Asks for something and waits for the answer.
     pub(super) fn call(&mut self, question: &Question<'_>, answer: &mut Frame) -> Result<Notes, NoAnswer> {
-        let Question { asked, context, limits } = *question;
+        let Question { asked, context, limits, .. } = *question;
         self.page.set_cancelled(false);
         self.n_calls += 1;
         self.number = self.number.wrapping_add(1);
@@ -198,7 +203,22 @@ impl Process {
                 if may_spin {
                     page.wait_for_answer(number, SPIN);
                 }
-                answer.read(&mut self.socket, &mut self.buffer, limits.size, &mut look)
+                loop {
+                    let read = answer.read(&mut self.socket, &mut self.buffer, limits.size, &mut look);
+                    if read.is_err() || !answer.is_asking {
+                        break read;
+                    }
+                    let told = answer_wanted(answer).and_then(|()| {
+                        look()?;
+                        let mut to = PatientWriter { to: self.socket.get_ref(), wait: &mut look };
+                        answer.write(number, &mut to, &mut self.buffer)
+                    });
+                    match told {
+                        // The end of the process shows in the answer.
+                        Err(error) if error.kind() != ErrorKind::BrokenPipe => break Err(error),
+                        _ => {}
+                    }
+                }
             }
         };
         let why = watch.why;
@@ -232,6 +252,10 @@ impl Process {
             }
             (Some(KillReason::Hung), _) => self.ended(EndKind::Hung, ""),
             (Some(KillReason::Memory), _) => self.ended(EndKind::Memory, ""),
+            (None, ErrorKind::OutOfMemory) => {
+                self.kill();
+                return NoAnswer::Memory;
+            }
             (None, ErrorKind::InvalidData) => self.unreadable(&error.to_string()),
             (None, _) => self.ended(EndKind::Died, ""),
         })
@@ -275,6 +299,11 @@ impl Process {
         self.has_ended
     }
 
+    /// True if this process has started it.
+    pub(super) fn is_own(&self) -> bool {
+        self.owner == std::process::id()
+    }
+
     /// Bytes that it has in memory, where the system tells.
     pub(super) fn size(&self) -> Option<u64> {
         self.pid.and_then(size_of)
@@ -282,7 +311,7 @@ impl Process {
 
     /// Ends it, and all processes that it has started; how it has ended.
     fn kill(&mut self) -> Option<ExitStatus> {
-        if self.has_ended || self.owner != std::process::id() {
+        if self.has_ended || !self.is_own() {
             return None;
         }
         self.has_ended = true;
@@ -315,26 +344,31 @@ fn size_of(pid: Pid) -> Option<u64> {
     Some(pages * rustix::param::page_size() as u64)
 }
 
-/// Number of a worker among those of this program that run at the same time: the smallest that is free.
+/// Numbers of the workers of a set that run at the same time.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Places(Arc<Mutex<BTreeSet<u32>>>);
+
+/// Number of a worker: the smallest that was free.
 #[derive(Debug)]
-struct Place(u32);
+struct Place {
+    number: u32,
+    taken: Places,
+}
 
-static TAKEN: Mutex<BTreeSet<u32>> = Mutex::new(BTreeSet::new());
-
-impl Place {
-    fn take() -> Self {
-        let mut taken = TAKEN.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut place = 0;
-        while !taken.insert(place) {
-            place += 1;
+impl Places {
+    fn take(&self) -> Place {
+        let mut taken = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut number = 0;
+        while !taken.insert(number) {
+            number += 1;
         }
-        Self(place)
+        Place { number, taken: self.clone() }
     }
 }
 
 impl Drop for Place {
     fn drop(&mut self) {
-        TAKEN.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.0);
+        self.taken.0.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.number);
     }
 }
 
@@ -463,8 +497,15 @@ mod tests {
     #[test]
     fn a_process_that_is_no_child_of_the_template_is_not_taken_for_a_worker() {
         let template = Arc::new(Template::start(&Launcher::of("/bin/cat")).unwrap());
-        let mut process =
-            Process::begin(&template, &WorkerLimits::default(), false, Surroundings::present(), &[]).unwrap();
+        let mut process = Process::begin(
+            &template,
+            &WorkerLimits::default(),
+            false,
+            Surroundings::present(),
+            &[],
+            &Places::default(),
+        )
+        .unwrap();
         let context = RunContext::new();
         for pid in [-1, 0, i32::MIN, 1, std::process::id().cast_signed()] {
             let (socket, theirs) = UnixStream::pair().unwrap();

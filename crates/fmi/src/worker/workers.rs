@@ -8,11 +8,12 @@ use super::launcher::Launcher;
 use super::limits::{AnswerLimits, WorkerLimits};
 use super::load::{Load, LoadId};
 use super::surroundings::Surroundings;
-use super::worker_process::{NoAnswer, Process};
+use super::worker_process::{NoAnswer, Places, Process};
 use crate::description::{Quirk, QuirkKind};
 use crate::error::{EndKind, FmiError, ReportedError, ReportedErrorKind};
 use base::RunContext;
 use std::cell::Cell;
+use std::collections::HashSet;
 use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -44,6 +45,9 @@ pub struct Workers {
     launcher: Launcher,
     limits: WorkerLimits,
     idle: Mutex<Idle>,
+    /// Warnings that workers have said.
+    said: Mutex<HashSet<String>>,
+    places: Places,
 }
 
 #[derive(Debug, Default)]
@@ -77,6 +81,22 @@ impl Idle {
         loaded.filter(|loaded| loaded.owner == load.id.owner)
     }
 
+    /// The processes that nobody has asked for long, without the last one of each load that is kept.
+    fn take_old(&mut self) -> Vec<Process> {
+        let mut kept = Vec::new();
+        let mut is_old = |(process, since): &(Process, Instant)| {
+            let is_kept = process.loaded.is_some_and(|loaded| {
+                let is_first = loaded.is_kept && !kept.contains(&loaded.number);
+                kept.push(loaded.number);
+                is_first
+            });
+            !is_kept && since.elapsed() > IDLE
+        };
+        let is_old: Vec<bool> = self.processes.iter().rev().map(&mut is_old).collect();
+        let mut is_old = is_old.into_iter().rev();
+        self.processes.extract_if(.., |_| is_old.next() == Some(true)).map(|(process, _)| process).collect()
+    }
+
     /// The processes that are not to be asked any more; they end when they are dropped.
     fn take_processes(&mut self) -> (Vec<(Process, Instant)>, Option<Process>) {
         (std::mem::take(&mut self.processes), self.begun.take())
@@ -95,11 +115,57 @@ impl Drop for Held {
     }
 }
 
+/// A worker process of one user. It ends when this is dropped.
+#[derive(Debug)]
+pub struct PinnedProcess {
+    process: Process,
+    /// Their end is that of all processes.
+    workers: Arc<Workers>,
+}
+
+impl PinnedProcess {
+    /// Asks it, has `accept` read the answer, and returns that with the quirks of the model that it has
+    /// found. Nothing is asked twice.
+    ///
+    /// # Errors
+    /// [`FmiError::ReportedError`]; [`FmiError::WorkerEnded`]: it has ended; [`FmiError::Cancelled`].
+    pub fn call<T>(
+        &mut self,
+        question: &Question<'_>,
+        answer: &mut Frame,
+        accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
+    ) -> Result<(T, Vec<Quirk>), FmiError> {
+        let accepted = ask(&mut self.process, question, answer, accept, &self.workers.said)?;
+        Ok((accepted, std::mem::take(&mut self.process.quirks)))
+    }
+
+    /// Its limits.
+    pub fn limits(&self) -> &WorkerLimits {
+        self.workers.limits()
+    }
+
+    /// True if it was started by this process, and not by the one that this process was forked from.
+    pub fn is_own(&self) -> bool {
+        self.process.is_own()
+    }
+
+    /// True if it has ended.
+    pub fn has_ended(&self) -> bool {
+        self.process.has_ended()
+    }
+}
+
 impl Workers {
     /// Nothing is started yet. `None`: this program does not know how to start a worker (see [`Launcher`]).
     pub fn new(limits: WorkerLimits) -> Option<Arc<Self>> {
         let launcher = Launcher::known()?;
-        Some(Arc::new(Self { launcher, limits, idle: Mutex::default() }))
+        Some(Arc::new(Self {
+            launcher,
+            limits,
+            idle: Mutex::default(),
+            said: Mutex::default(),
+            places: Places::default(),
+        }))
     }
 
     /// The limits.
@@ -164,7 +230,7 @@ impl Workers {
         let idle = self.idle();
         let (surroundings, avoided_calls) = (idle.surroundings.clone(), idle.avoided_calls.clone());
         drop(idle);
-        Process::begin(&template, &self.limits, is_prepared, surroundings, &avoided_calls)
+        Process::begin(&template, &self.limits, is_prepared, surroundings, &avoided_calls, &self.places)
     }
 
     /// The process that workers are copied from.
@@ -195,6 +261,24 @@ impl Workers {
             FmiError::NoWorker { reason } if self.limits.sandbox => FmiError::NoSandbox { reason },
             error => error,
         })
+    }
+
+    /// Starts a worker process of its own for one user, with `load` loaded: it is asked by nobody else, keeps
+    /// what it was asked to make, and has the working folder and the environment variables of this moment.
+    ///
+    /// # Errors
+    /// As [`call`](Self::call).
+    pub fn pinned(
+        self: &Arc<Self>,
+        load: &Load,
+        context: &RunContext<'_>,
+    ) -> Result<PinnedProcess, FmiError> {
+        let _held = self.hold();
+        let mut process = self.new_process(load, context)?;
+        if process.loaded != Some(load.id) {
+            ask_to_load(&mut process, load, &mut Frame::default(), context, &self.said)?;
+        }
+        Ok(PinnedProcess { process, workers: Arc::clone(self) })
     }
 
     /// Asks a worker that has loaded `load`, has `accept` read the answer, and returns that with the quirks
@@ -294,12 +378,12 @@ impl Workers {
         accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
     ) -> (Result<(T, Vec<Quirk>), FmiError>, bool) {
         if process.loaded != Some(load.id)
-            && let Err(error) = ask_to_load(process, load, answer, question.context)
+            && let Err(error) = ask_to_load(process, load, answer, question.context, &self.said)
         {
             return (Err(error), false);
         }
         let began = Instant::now();
-        let told = ask(process, question, answer, accept);
+        let told = ask(process, question, answer, accept, &self.said);
         let is_of_process = matches!(&told, Err(FmiError::ReportedError(told)) if told.is_of_process());
         let can_go_on = !process.has_ended()
             && !is_of_process
@@ -382,8 +466,7 @@ impl Workers {
                 std::thread::sleep(IDLE / 4);
                 let Some(workers) = workers.upgrade() else { break };
                 let mut idle = workers.idle();
-                let old =
-                    idle.processes.extract_if(.., |(_, since)| since.elapsed() > IDLE).collect::<Vec<_>>();
+                let old = idle.take_old();
                 let is_over = idle.processes.is_empty();
                 let rest = is_over.then(|| (idle.begun.take(), idle.template.take()));
                 idle.is_watched = !is_over;
@@ -414,11 +497,12 @@ fn ask_to_load(
     load: &Load,
     answer: &mut Frame,
     context: &RunContext<'_>,
+    said: &Mutex<HashSet<String>>,
 ) -> Result<(), FmiError> {
     process.loaded = None;
     let asked = &load.frame().map_err(|error| FmiError::NoWorker { reason: error.to_string() })?;
     let limits = AnswerLimits { run: None, runs: 0, size: FrameSize::of_numbers(0) };
-    ask(process, &Question { asked, context, limits }, answer, &mut |_| Ok(()))?;
+    ask(process, &Question { asked, context, limits, is_repetition: false }, answer, &mut |_| Ok(()), said)?;
     process.loaded = Some(load.id);
     Ok(())
 }
@@ -429,13 +513,17 @@ fn ask<T>(
     question: &Question<'_>,
     answer: &mut Frame,
     accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
+    said: &Mutex<HashSet<String>>,
 ) -> Result<T, FmiError> {
     loop {
         let notes = process.call(question, answer).map_err(|no_answer| match no_answer {
             NoAnswer::Cancelled => FmiError::Cancelled,
             NoAnswer::Ended(end) => FmiError::WorkerEnded(Box::new(end)),
+            NoAnswer::Memory => no_memory(answer),
         })?;
-        notes.pass_on();
+        if !question.is_repetition {
+            notes.pass_on(said);
+        }
         process.quirks.extend(notes.quirks);
         if !answer.is_repeated {
             break;
@@ -454,6 +542,16 @@ fn ask<T>(
         Ok(Ok(accepted)) => Ok(accepted),
         Ok(Err(told)) if told.kind == ReportedErrorKind::Cancelled => Err(FmiError::Cancelled),
         Ok(Err(told)) => Err(FmiError::ReportedError(Box::new(told))),
+        Err(error) if error.kind() == io::ErrorKind::OutOfMemory => Err(no_memory(answer)),
         Err(error) => Err(FmiError::WorkerEnded(Box::new(process.unreadable(&error.to_string())))),
+    }
+}
+
+/// This process has no memory for an answer, of which `answer` is a part.
+fn no_memory(answer: &Frame) -> FmiError {
+    let bytes = 8 * answer.numbers.len() as u64;
+    FmiError::Memory {
+        what: "the result of the worker process, from which this part had arrived,".to_owned(),
+        bytes,
     }
 }

@@ -5,9 +5,11 @@
 use crate::support;
 
 use fmi::ode::{Method, Options};
+use fmi::worker::Frame;
 use fmi::{
-    CoSimulation, ContinuousTime, Fmu, Inputs, Instance, InstanceOptions, Instantiated, Integrated,
-    InterfaceChoice, MAX_EVENT_ITERATIONS, SimulateOptions, StepMode, Value,
+    CoSimulation, ContinuousTime, DrivenInstance, FmiError, Fmu, Inputs, Instance, InstanceAnswer,
+    InstanceCall, InstanceOptions, InstancePhase, Instantiated, Integrated, InterfaceChoice, InterfaceKind,
+    MAX_EVENT_ITERATIONS, SimulateOptions, StepMode, Value,
 };
 use support::{Folder, arrays, fixture};
 
@@ -257,4 +259,73 @@ fn clocks_tick_by_hand_as_in_a_simulation() {
             assert!((found_x - x).abs() < 1e-5, "{kind:?} in steps of {step}: {found_x}, not {x}");
         }
     }
+}
+
+/// Makes calls that were sent: they and their answers are what arrives.
+struct Driver(DrivenInstance, Vec<f64>);
+
+impl Driver {
+    fn call(&mut self, call: InstanceCall, given: &[f64]) -> Result<InstanceAnswer, FmiError> {
+        let call = Frame::of(&call).unwrap().head().unwrap();
+        let answer = self.0.call(call, given, &mut self.1, &base::RunContext::new())?;
+        Ok(Frame::of(&answer).unwrap().head().unwrap())
+    }
+
+    fn phase(&mut self) -> InstancePhase {
+        match self.call(InstanceCall::Phase, &[]).unwrap() {
+            InstanceAnswer::Phase(phase) => phase,
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+#[test]
+fn driven_instance_refuses_calls_of_other_phases_and_keeps_its_own() {
+    let folder = sampled();
+    let fmu = Fmu::open(folder.path()).unwrap();
+    let new = DrivenInstance::new(&fmu, InterfaceKind::ModelExchange, &InstanceOptions::default()).unwrap();
+    let mut driver = Driver(new, Vec::new());
+    let refused = driver.call(InstanceCall::States, &[]).unwrap_err().to_string();
+    assert_eq!(
+        refused,
+        "reading the states is called in the phase event or continuous; the instance is in the phase instantiated"
+    );
+    let enter = InstanceCall::EnterInitialization { start_time: 0.0, stop_time: None, tolerance: None };
+    let lead = [
+        (enter.clone(), InstancePhase::Initialization),
+        (InstanceCall::ExitInitialization, InstancePhase::Event),
+        (InstanceCall::UpdateDiscreteStates, InstancePhase::Event),
+        (InstanceCall::EnterContinuousTime, InstancePhase::Continuous),
+    ];
+    for (call, phase) in lead {
+        driver.call(call, &[]).unwrap();
+        assert_eq!(driver.phase(), phase);
+    }
+    assert!(matches!(driver.call(enter, &[]), Err(FmiError::WrongPhase { phase: "continuous", .. })));
+    driver.call(InstanceCall::States, &[]).unwrap();
+    let states = driver.1.clone();
+    let shifted: Vec<f64> = states.iter().map(|x| x + 1.0).collect();
+    let InstanceAnswer::State(number) = driver.call(InstanceCall::SaveState(Vec::new()), &[]).unwrap() else {
+        panic!("no state");
+    };
+    driver.call(InstanceCall::SetStates, &shifted).unwrap();
+    driver.call(InstanceCall::RestoreState(number), &[]).unwrap();
+    driver.call(InstanceCall::States, &[]).unwrap();
+    assert_eq!(driver.1, states);
+    assert!(matches!(driver.call(InstanceCall::RestoreState(number + 1), &[]), Err(FmiError::ForeignState)));
+    // Arguments that are wrong do not free it; an integration that is cancelled does.
+    let integrate = |relative_tolerance| InstanceCall::Integrate {
+        start: 0.0,
+        end: 1.0,
+        method: Method::Auto,
+        relative_tolerance,
+        step_size: None,
+    };
+    assert!(matches!(driver.call(integrate(-1.0), &[]), Err(FmiError::Options(_))));
+    assert_eq!(driver.phase(), InstancePhase::Continuous);
+    let over = base::RunContext::new().within(Some(std::time::Duration::ZERO));
+    let cancelled = driver.0.call(integrate(1e-6), &[], &mut Vec::new(), &over);
+    assert!(matches!(cancelled, Err(FmiError::Cancelled)), "{cancelled:?}");
+    assert!(matches!(driver.call(InstanceCall::Reset, &[]), Err(FmiError::Freed(_))));
+    assert_eq!(driver.phase(), InstancePhase::Closed);
 }

@@ -319,6 +319,7 @@ class Instance:
         logging: bool = False,
         log_categories: list[str] = ...,
         visible: bool = False,
+        isolation: str | None = None,
     ) -> Instance: ...
     @property
     def kind(self) -> str: ...

@@ -12,8 +12,10 @@ use crate::model::inputs::{self, Callbacks, Function, Table};
 use crate::model::trajectory;
 use calibration::{ModelProcess, ParameterSet, RunContext};
 use fmi::description::Interval;
-use fmi::worker::{Isolation, WorkerLimits};
-use fmi::{FmiError, InterfaceKind, ModelDescription, Session, SimulateOptions, Trajectory};
+use fmi::worker::{Isolation, Launcher, WorkerLimits};
+use fmi::{
+    FmiError, InterfaceChoice, InterfaceKind, ModelDescription, Session, SimulateOptions, Trajectory, Value,
+};
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -35,29 +37,38 @@ pub(crate) struct Model {
     /// Ends a simulation on the calling thread; the same for all of them, so that the next one has the same
     /// options.
     flag: Arc<AtomicBool>,
-    /// Processes of their own, started when the first simulation asks for one.
-    apart: Arc<Mutex<Option<ModelProcess>>>,
 }
 
-/// The session, taken out during a simulation, so that no call waits for a lock that a simulation holds.
+/// The values set, and where the model runs.
+struct Own {
+    session: Session,
+    kind: InterfaceChoice,
+    /// Processes that simulate the model, once one was needed.
+    process: Option<ModelProcess>,
+    /// Options of the last simulation, where it was made in a process.
+    last: Option<SimulateOptions>,
+}
+
+/// What the model is, taken out during a simulation, so that no call waits for a lock that a simulation
+/// holds.
 enum Slot {
-    Here(Box<Session>),
+    Here(Box<Own>),
     Simulating,
     Closed,
 }
 
-/// A session on loan; goes back when it is dropped.
+/// A loan of that; goes back when it is dropped.
 struct Loan {
-    session: Option<Box<Session>>,
+    own: Option<Box<Own>>,
     slot: Arc<Mutex<Slot>>,
 }
 
 impl Drop for Loan {
     fn drop(&mut self) {
-        let Some(session) = self.session.take() else { return };
+        let Some(own) = self.own.take() else { return };
         let mut slot = lock(&self.slot);
         if matches!(*slot, Slot::Simulating) {
-            *slot = Slot::Here(session);
+            *slot = Slot::Here(own);
         }
     }
 }
@@ -132,11 +143,10 @@ pub(crate) struct Request<'py> {
 impl Request<'_> {
     /// Limits of the process of the simulation; None: it is made in this one.
     fn worker_limits(&self) -> Result<Option<WorkerLimits>, FmiError> {
-        let isolation = match &self.isolation {
-            Some(name) => name.parse()?,
-            None if self.sandbox => Isolation::Process,
-            None => Isolation::None,
-        };
+        let isolation = self.isolation.as_deref().map(str::parse).transpose()?;
+        // Where this program cannot start processes, only whoever asks for one is told.
+        let possible = if Launcher::is_known() { Isolation::Process } else { Isolation::None };
+        let isolation = isolation.unwrap_or(if self.sandbox { Isolation::Process } else { possible });
         match isolation {
             Isolation::Process => Ok(Some(WorkerLimits { sandbox: self.sandbox, ..WorkerLimits::default() })),
             Isolation::None if self.sandbox => Err(FmiError::BadSetting(
@@ -154,22 +164,21 @@ impl Model {
     fn new(py: Python<'_>, fmu: &Bound<'_, Fmu>, kind: &str) -> PyResult<Self> {
         let fmu = fmu.get().fmu.clone();
         let kind = kind.parse().map_err(|e| fmu_error::raise(py, &e))?;
-        let session = Box::new(Session::of_kind(fmu.clone(), kind));
+        let own = Own { session: Session::of_kind(fmu.clone(), kind), kind, process: None, last: None };
         let kind = fmu.choose(kind).map_err(|e| fmu_error::raise(py, &e))?;
-        let slot = Arc::new(Mutex::new(Slot::Here(session)));
-        Ok(Self { fmu, kind, slot, flag: Arc::default(), apart: Arc::default() })
+        let slot = Arc::new(Mutex::new(Slot::Here(Box::new(own))));
+        Ok(Self { fmu, kind, slot, flag: Arc::default() })
     }
 
     /// Values of variables.
     fn get<'py>(&self, py: Python<'py>, names: Vec<String>) -> PyResult<Vec<Bound<'py, PyAny>>> {
         // Initial values may need the model to be initialized, and for that to be built and loaded.
-        let found = py.detach(|| {
-            self.with_session(|session| {
-                let get = |name: &String| Ok((session.get(name)?, session.extents(name)?));
-                names.iter().map(get).collect::<Result<Vec<_>, fmi::FmiError>>()
-            })
-        });
+        let watch = InterruptGuard::without_handler(py);
+        let found = watch.run_here(|context| self.with_own(|own| own.values(&names, context)));
         logs::pass_on(py)?;
+        if watch.stop().is_asked() {
+            return Err(watch.interrupted());
+        }
         let found = found?.map_err(|e| fmu_error::raise(py, &e))?;
         let values = names.iter().zip(found);
         values
@@ -186,12 +195,17 @@ impl Model {
         let pairs = pairs.iter().map(|(name, value)| (name.as_str(), value.clone()));
         let pairs: Vec<_> = pairs.collect();
         // Without the lock of the interpreter: initial values that are out of date go, and an instance with them.
-        let set = py.detach(|| self.with_session(|session| session.set_all(pairs)));
+        let set = py.detach(|| self.with_own(|own| own.session.set_all(pairs)));
         set?.map_err(|e| fmu_error::raise(py, &e))
     }
 
     fn reset(&self, py: Python<'_>) -> PyResult<()> {
-        py.detach(|| self.with_session(Session::reset))
+        py.detach(|| {
+            self.with_own(|own| {
+                own.session.reset();
+                own.last = None;
+            })
+        })
     }
 
     /// Frees the instance; everything but the description is refused afterwards.
@@ -199,7 +213,6 @@ impl Model {
         py.detach(|| {
             let left = std::mem::replace(&mut *lock(&self.slot), Slot::Closed);
             drop(left);
-            lock(&self.apart).take();
         });
     }
 
@@ -210,13 +223,13 @@ impl Model {
 
     /// Names of the variables that were set.
     fn names_set(&self) -> PyResult<Vec<String>> {
-        self.with_session(|session| session.values().map(|(name, _)| name.to_owned()).collect())
+        self.with_own(|own| own.session.values().map(|(name, _)| name.to_owned()).collect())
     }
 
     /// Names and values of the variables that were set.
     fn values_set<'py>(&self, py: Python<'py>) -> PyResult<Vec<(String, Bound<'py, PyAny>)>> {
-        let set: Vec<(String, fmi::Value)> = self.with_session(|session| {
-            session.values().map(|(name, value)| (name.to_owned(), value.clone())).collect()
+        let set: Vec<(String, fmi::Value)> = self.with_own(|own| {
+            own.session.values().map(|(name, value)| (name.to_owned(), value.clone())).collect()
         })?;
         let description = self.fmu.description();
         let shown = set.into_iter().map(|(name, value)| {
@@ -227,10 +240,11 @@ impl Model {
         shown.collect()
     }
 
-    /// On the calling thread if the last simulation of this FMU was short.
+    /// In a worker process, unless it is asked for otherwise. In this process on the calling thread if the
+    /// last simulation of this FMU was short.
     fn simulate<'py>(&self, py: Python<'py>, request: Request<'py>) -> PyResult<Bound<'py, PyDict>> {
         let limits = request.worker_limits().map_err(|e| fmu_error::raise(py, &e))?;
-        let is_here = limits.is_none() && fits_here(self.fmu.last_run(self.kind));
+        let is_here = limits.is_some() || fits_here(self.fmu.last_run(self.kind));
         let mut loan = self.lend()?;
         // An input function is Python code: what a Ctrl-C does to it is up to our handler.
         let watch = match is_here && request.functions.is_empty() {
@@ -242,28 +256,19 @@ impl Model {
             request.described.as_ref().map_or_else(|| self.fmu.clone(), |own| own.get().fmu.clone());
         let (options, callbacks) = self.options(py, request, described.description(), &stop)?;
         let outcome = if is_here {
-            let run = |context: &RunContext<'_>| {
-                let mut poll = || match context.is_over() {
-                    true => ControlFlow::Break(()),
-                    false => ControlFlow::Continue(()),
-                };
-                let session = loan.session.as_mut()?;
-                let outcome = session.simulate_with(&options, &mut poll);
-                Some(outcome.map_err(|error| explained(session, &self.apart, &options, error)))
-            };
-            let outcome = watch.run_here(run);
+            let outcome = watch.run_here(|context| {
+                Some(match limits {
+                    Some(limits) => loan.own.as_mut()?.simulate_apart(limits, &options, context),
+                    None => loan.own.as_mut()?.simulate_here(&options, context),
+                })
+            });
             callbacks.release();
             drop(loan);
             outcome
         } else {
-            let (releasing, apart) = (callbacks.clone(), Arc::clone(&self.apart));
+            let releasing = callbacks.clone();
             let run = move |_: &CallingThread| {
-                let outcome = loan.session.as_mut().map(|session| match limits {
-                    Some(limits) => simulate_apart(session, &mut lock(&apart), limits, &options),
-                    None => session
-                        .simulate(&options)
-                        .map_err(|error| explained(session, &apart, &options, error)),
-                });
+                let outcome = loan.own.as_mut().map(|own| own.simulate_here(&options, &RunContext::new()));
                 releasing.release();
                 drop(loan);
                 outcome
@@ -289,45 +294,106 @@ impl Model {
     }
 }
 
-/// Simulates in a process of its own. The session does not hear of it.
-fn simulate_apart(
-    session: &Session,
-    apart: &mut Option<ModelProcess>,
-    limits: WorkerLimits,
-    options: &SimulateOptions,
-) -> Result<Trajectory, FmiError> {
-    // One with other limits is not asked.
-    drop(apart.take_if(|process| *process.limits() != limits));
-    let process = match apart {
-        Some(process) => process,
-        None => apart.insert(ModelProcess::new(session.fmu(), limits)?),
-    };
-    let flag = options.cancel.clone();
-    let context = flag.as_deref().map_or_else(RunContext::new, |flag| RunContext::new().flagged(flag));
-    process.simulate(&session.with_values(options), &context)
-}
-
-/// The error of a simulation, with what the model logs where it had not said why a call failed: the same in a
-/// process of its own tells.
-fn explained(
-    session: &Session,
-    apart: &Mutex<Option<ModelProcess>>,
-    options: &SimulateOptions,
-    error: FmiError,
-) -> FmiError {
-    if error.call_failure().is_none_or(|failure| !failure.log.is_empty()) {
-        return error;
+impl Own {
+    /// The processes of the model, with these limits.
+    fn process(&mut self, limits: WorkerLimits) -> Result<&ModelProcess, FmiError> {
+        // One with other limits is not asked.
+        drop(self.process.take_if(|process| *process.limits() != limits));
+        Ok(match &mut self.process {
+            Some(process) => process,
+            none => none.insert(ModelProcess::new(self.session.fmu(), limits)?),
+        })
     }
-    match simulate_apart(session, &mut lock(apart), WorkerLimits::default(), options) {
-        Err(FmiError::ReportedError(told)) if !told.log.is_empty() => FmiError::ReportedError(told),
-        _ => error,
+
+    fn simulate_apart(
+        &mut self,
+        limits: WorkerLimits,
+        options: &SimulateOptions,
+        context: &RunContext<'_>,
+    ) -> Result<Trajectory, FmiError> {
+        let mut options = self.session.with_values(options);
+        let flag = options.cancel.take();
+        let context = flag.as_deref().map_or(*context, |flag| context.flagged(flag));
+        let trajectory = self.process(limits)?.simulate(&options, &context)?;
+        self.session.note_simulated();
+        self.last = Some(options);
+        Ok(trajectory)
+    }
+
+    /// Simulates in this process. Where a call fails and the model has not said why, the same in a process of
+    /// its own tells, with the log of the model switched on.
+    fn simulate_here(
+        &mut self,
+        options: &SimulateOptions,
+        context: &RunContext<'_>,
+    ) -> Result<Trajectory, FmiError> {
+        let mut poll = || match context.is_over() {
+            true => ControlFlow::Break(()),
+            false => ControlFlow::Continue(()),
+        };
+        let outcome = self.session.simulate_with(options, &mut poll);
+        self.last = None;
+        let is_silent = |error: &FmiError| error.call_failure().is_some_and(|failure| failure.log.is_empty());
+        if !outcome.as_ref().is_err_and(is_silent) {
+            return outcome;
+        }
+        let options = self.session.with_values(options);
+        let told =
+            self.process(WorkerLimits::default()).and_then(|process| process.simulate(&options, context));
+        match told {
+            Err(FmiError::ReportedError(told)) if !told.log.is_empty() => Err(FmiError::ReportedError(told)),
+            _ => outcome,
+        }
+    }
+
+    /// Values of variables, and their extents: the final ones of the last simulation, else those set or the
+    /// initial ones.
+    fn values(
+        &mut self,
+        names: &[String],
+        context: &RunContext<'_>,
+    ) -> Result<Vec<(Value, Vec<usize>)>, FmiError> {
+        let is_apart = self.last.is_some() || (!self.session.is_simulated() && Launcher::is_known());
+        let mut values = Vec::with_capacity(names.len());
+        for name in names {
+            values.push(match is_apart {
+                true => self.session.known(name, self.last.is_some())?,
+                false => Some(self.session.get(name)?),
+            });
+        }
+        let asked = names.iter().zip(&values).filter(|(_, value)| value.is_none());
+        let asked: Vec<String> = asked.map(|(name, _)| name.clone()).collect();
+        let mut found = if asked.is_empty() { Vec::new() } else { self.ask(&asked, context)? }.into_iter();
+        names
+            .iter()
+            .zip(values)
+            .map(|(name, value)| {
+                let value = value.or_else(|| found.next()).ok_or(FmiError::Cancelled)?;
+                Ok((value, self.session.extents(name)?))
+            })
+            .collect()
+    }
+
+    /// Values that only the model knows, from a process of it.
+    fn ask(&mut self, names: &[String], context: &RunContext<'_>) -> Result<Vec<Value>, FmiError> {
+        let limits = self.process.as_ref().map_or_else(WorkerLimits::default, |process| *process.limits());
+        let last = self.last.take();
+        let set = self.session.values().map(|(name, value)| (name.to_owned(), value.clone())).collect();
+        let kind = self.kind;
+        let process = self.process(limits)?;
+        let found = match &last {
+            Some(options) => process.final_values(options, names, context),
+            None => process.initial_values(kind, set, names, context),
+        };
+        self.last = last;
+        found
     }
 }
 
 impl Model {
-    fn with_session<T>(&self, work: impl FnOnce(&mut Session) -> T) -> PyResult<T> {
+    fn with_own<T>(&self, work: impl FnOnce(&mut Own) -> T) -> PyResult<T> {
         match &mut *lock(&self.slot) {
-            Slot::Here(session) => Ok(work(session)),
+            Slot::Here(own) => Ok(work(own)),
             Slot::Simulating => Err(busy()),
             Slot::Closed => Err(closed()),
         }
@@ -336,7 +402,7 @@ impl Model {
     fn lend(&self) -> PyResult<Loan> {
         let mut slot = lock(&self.slot);
         match std::mem::replace(&mut *slot, Slot::Simulating) {
-            Slot::Here(session) => Ok(Loan { session: Some(session), slot: Arc::clone(&self.slot) }),
+            Slot::Here(own) => Ok(Loan { own: Some(own), slot: Arc::clone(&self.slot) }),
             Slot::Simulating => Err(busy()),
             Slot::Closed => {
                 *slot = Slot::Closed;

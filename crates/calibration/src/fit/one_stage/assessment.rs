@@ -6,7 +6,7 @@ use super::noise_iterations::FinalSearch;
 use super::result::Fit;
 use super::search::{Job, SearchResult};
 use crate::cost::residual::{CostRule, PointResiduals, sum_of_squares};
-use crate::findings::finding::{Finding, Origin, Severity};
+use crate::findings::finding::{Finding, Origin};
 use crate::findings::shown_text::digits;
 use crate::fit::output_fit::{EndResiduals, KeptResiduals};
 use crate::fit::phase::FitPhase;
@@ -165,10 +165,6 @@ impl Calibration {
         }));
         found.extend(self.endless(report));
         found.extend(self.unstated_noise(job, made.noise.as_ref()));
-        if let Some(reason) = self.runs_here_by_its_inputs() {
-            let sentence = format!("the FMU ran in this process: {reason}");
-            found.push(Finding::new(Severity::Note, "isolation", sentence, ""));
-        }
         found.extend(self.loose(tolerances, &report.x));
         if job.is_checked() {
             match &ends.end {

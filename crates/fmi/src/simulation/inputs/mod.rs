@@ -4,6 +4,7 @@ mod plan;
 mod state;
 mod texts;
 
+pub use crate::worker::InputFunction;
 pub(crate) use plan::InputPlan;
-pub use plan::{InputFunction, Inputs};
+pub use plan::Inputs;
 pub(crate) use state::InputState;

@@ -9,13 +9,11 @@ use crate::instance::integer_codec;
 use crate::simulation::clocks::{ClockInputs, Clocked};
 use crate::simulation::input_table::{HeldTable, InputTable};
 use crate::simulation::variable_elements::{FloatSlots, Slots, Starts, VariableElement};
+use crate::worker::InputFunction;
 use ode::InputStop;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::sync::Arc;
-
-/// A function of time.
-pub type InputFunction = Arc<dyn Fn(f64) -> f64 + Send + Sync>;
 
 /// Sources that drive the inputs of a model, and its tunable parameters.
 ///
@@ -48,8 +46,6 @@ struct Source {
 #[derive(Clone, Serialize, Deserialize)]
 enum SourceValues {
     Numbers(Arc<[f64]>, Arc<[f64]>),
-    /// Stays in this process.
-    #[serde(skip)]
     Function(InputFunction),
     Any(Arc<[f64]>, Arc<[Value]>),
 }
@@ -60,7 +56,7 @@ impl SourceValues {
         match (self, other) {
             (Self::Numbers(times, values), Self::Numbers(t, v)) => times == t && values == v,
             (Self::Any(times, values), Self::Any(t, v)) => times == t && values == v,
-            (Self::Function(function), Self::Function(f)) => Arc::ptr_eq(function, f),
+            (Self::Function(function), Self::Function(f)) => function.is_same(f),
             _ => false,
         }
     }
@@ -88,12 +84,6 @@ impl fmt::Debug for Source {
 }
 
 impl Inputs {
-    /// An input that a function drives, which cannot be sent to another process.
-    pub fn driven_by_function(&self) -> Option<&str> {
-        let is_function = |source: &&Source| matches!(source.values, SourceValues::Function(_));
-        self.sources.iter().find(is_function).map(|source| source.name.as_str())
-    }
-
     /// No inputs.
     pub fn new() -> Self {
         Self::default()
@@ -151,7 +141,13 @@ impl Inputs {
         name: impl Into<String>,
         function: impl Fn(f64) -> f64 + Send + Sync + 'static,
     ) -> Self {
-        self.source(name, SourceValues::Function(Arc::new(function)))
+        self.function_of(name, InputFunction::new(function))
+    }
+
+    /// The same with a function that several simulations share.
+    #[must_use]
+    pub fn function_of(self, name: impl Into<String>, function: InputFunction) -> Self {
+        self.source(name, SourceValues::Function(function))
     }
 
     /// True if the sources are the same.
@@ -227,8 +223,8 @@ pub(super) enum Target {
 pub(crate) struct InputPlan {
     /// Columns of continuous inputs, and where their values go.
     pub(super) linear: Vec<(InputTable, usize)>,
-    /// The same of functions.
-    pub(super) functions: Vec<(InputFunction, usize)>,
+    /// Functions with the sign of their values, and where these go.
+    pub(super) functions: Vec<(InputFunction, f64, usize)>,
     pub(crate) continuous: FloatSlots,
     pub(super) held: Vec<Held>,
     pub(super) held_inputs: HeldSlots,
@@ -318,10 +314,9 @@ impl InputPlan {
             }
             match source {
                 SourceValues::Function(function) if is_linear(variable) => {
-                    let function = Arc::clone(function);
-                    let function = if variable.negated { Arc::new(move |t| -function(t)) } else { function };
+                    let sign = if variable.negated { -1.0 } else { 1.0 };
                     let at = plan.continuous.place(starts, place)?;
-                    plan.functions.push((function, at));
+                    plan.functions.push((function.clone(), sign, at));
                 }
                 SourceValues::Function(_) => {
                     let problem = "a function can drive continuous inputs of floating-point type only; use a table, whose changes are \

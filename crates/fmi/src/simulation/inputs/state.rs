@@ -118,8 +118,8 @@ impl InputState {
         }
         if !plan.functions.is_empty() {
             let timing = self.stopwatch.start(0);
-            for (function, place) in &plan.functions {
-                self.continuous[*place] = function(t);
+            for (function, sign, place) in &plan.functions {
+                self.continuous[*place] = sign * function.value(t);
             }
             self.in_functions += self.stopwatch.stop(timing);
         }
@@ -150,9 +150,9 @@ impl InputState {
 mod tests {
     use super::*;
     use crate::simulation::input_table::InputTable;
+    use crate::simulation::inputs::InputFunction;
     use crate::simulation::inputs::plan::Held;
     use crate::simulation::variable_elements::FloatSlots;
-    use std::sync::Arc;
 
     fn column(times: &[f64], values: &[f64]) -> InputTable {
         InputTable { times: times.into(), values: values.into() }
@@ -226,7 +226,7 @@ mod tests {
             2.0 * t
         };
         plan.continuous = FloatSlots::of_zeros(3);
-        plan.functions = vec![(Arc::new(|t| -t), 1), (Arc::new(slowly), 2)];
+        plan.functions = vec![(InputFunction::new(|t| t), -1.0, 1), (InputFunction::new(slowly), 1.0, 2)];
         let mut state = InputState::new(&plan);
         let mut before = 0.0;
         for t in [0.0, 0.5, 0.25] {

@@ -125,13 +125,13 @@ class Calibration(Evaluation):
         Where the FMU runs; no cost depends on it. "process": in processes of its own, one per worker, started when they are needed
         and ended with the calibration, at the latest with this process. Whatever happens there (a crash, a hang beyond
         `timeout`, `exit`, more memory than `memory_limit`) is an evaluation that failed, with its reason. "none": in this
-        process, one simulation at a time. Inputs that are functions are called here, so their FMU runs here, too.
+        process, one simulation at a time. Inputs that are functions are always called in this process.
     memory_limit : float, optional
         Bytes of memory that a process of the FMU may have; default: the memory of the machine.
     sandbox : bool
         Confine the processes of the FMU: they write into a folder of their own only, which is removed with them, open no
         connections and reach no other process (Linux with Landlock; SECURITY.md lists what remains possible). An error where the
-        system cannot do that, with ``isolation="none"``, and with inputs that are functions.
+        system cannot do that, and with ``isolation="none"``.
     max_description_bytes : int, optional
         Largest size of ``modelDescription.xml`` where `model` is a path; default 64 MiB. An FMUModel has its own limit.
     units : dict of str to str, optional

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import TracebackType
-from typing import Any, NoReturn, SupportsFloat
+from typing import Any, Literal, NoReturn, SupportsFloat
 
 import numpy as np
 import numpy.typing as npt
@@ -91,7 +91,7 @@ class LinearSystem:
 
 
 class Instance:
-    """An instance of an FMU in this process that is driven by hand.
+    """An instance of an FMU that is driven by hand.
 
     It is always in one `phase`, and each phase has the calls that FMI allows in it:
 
@@ -108,7 +108,9 @@ class Instance:
     =================  =======================================================  ===============================================
 
     A call in another phase is a ValueError that names the phase it needs. Where a call that leads to another phase fails, the
-    instance is freed. Instances do not wait for each other, and nothing of the FMU is checked: for simulations that shall be
+    instance is freed. Each instance has a worker process of its own, with the working folder and the environment variables of the
+    moment when it is made. A crash of the FMU, or a Ctrl-C during a call, ends that process: the call raises, and each later one
+    is a ValueError. Instances do not wait for each other, and nothing of the FMU is checked: for simulations that shall be
     the same each time, use `FMUModel`. As a context manager the instance is closed at the end.
 
     Steps handle events as a simulation does. Clocks with an interval tick when they are due; triggered ones are set by hand
@@ -124,11 +126,14 @@ class Instance:
     kind : {"auto", "ME", "CS"}
         Model exchange or co-simulation; "auto" takes model exchange where it is offered (of an `FMUModel` its kind).
     name : str, optional
-        Name of the instance in the FMU's log; default: that of the model.
+        Name of the instance in the FMU's log; default: that of the model, with `_2`, `_3` and so on in further worker processes.
     logging : bool, str or list of str
         The FMU is asked to log; names: of these categories only.
     visible : bool
         The FMU may show windows.
+    isolation : {"none", "process"}, optional
+        Where the FMU runs: in a worker process (the default where one can be started), or in this process, with the same bits.
+        With "none" a call takes less time, and a crash of the FMU ends Python.
 
     Raises
     ------
@@ -155,6 +160,7 @@ class Instance:
         name: str | None = None,
         logging: bool | str | Sequence[str] = False,
         visible: bool = False,
+        isolation: Literal["none", "process"] | None = None,
     ) -> None:
         is_asked, categories = _log_request(logging)
         values: dict[str, Any] = {}
@@ -164,13 +170,14 @@ class Instance:
         else:
             fmu = _core.Fmu(_values.path("path", path), OpenOptions())
         self._fmu = fmu
-        self._native = _core.Instance(fmu, kind, name, is_asked, list(categories), _values.flag("visible", visible))
+        place = None if isolation is None else _values.choice("isolation", isolation)
+        self._native = _core.Instance(fmu, kind, name, is_asked, list(categories), _values.flag("visible", visible), place)
         self._time: float | None = None
         if values:
             self.set(values)
 
     def __reduce__(self) -> NoReturn:
-        raise TypeError("an Instance cannot be pickled, because it lives in a loaded library: make one in each process")
+        raise TypeError("an Instance cannot be pickled, because its state is inside of the FMU: make one in each process")
 
     @cached_property
     def description(self) -> Description:
@@ -507,6 +514,7 @@ def instantiate(
     name: str | None = None,
     logging: bool | str | Sequence[str] = False,
     visible: bool = False,
+    isolation: Literal["none", "process"] | None = None,
 ) -> Instance:
     """Makes an `Instance` of an FMU; **this loads its library and runs its code**. The arguments are those of `Instance`."""
-    return Instance(path, kind, name=name, logging=logging, visible=visible)
+    return Instance(path, kind, name=name, logging=logging, visible=visible, isolation=isolation)

@@ -100,10 +100,9 @@ class FMUModel:
     Values are `set` for all simulations that follow, until `reset`; each simulation starts from a fresh model with these
     values, so that the same values give the same bits.
 
-    Whether an FMU keeps to that is looked at, by short simulations on new instances, as soon as these take less than 5 ms or a
-    tenth of the time of the simulations before (`reuse` says what was found). An FMU that keeps a state which no variable shows
-    and no new instance renews is named in ``description.quirks``, and a warning is logged: its results in this process may be
-    wrong from then on. A `Calibration` runs such an FMU in a new process for each evaluation.
+    The FMU runs in a process of its own, which is kept from one call to the next. If the process ends, the next call starts another one
+    with the same values set. The second simulation is also made in a new process: where that gives other bits, the FMU keeps a state
+    that no variable shows. Then it is named in ``description.quirks``, and each simulation has a new process.
 
     Parameters
     ----------
@@ -203,10 +202,10 @@ class FMUModel:
 
     @property
     def reuse(self) -> str | None:
-        """How an instance is brought back to its beginning between two simulations: the first of "restore" (a saved state),
-        "reset" (the FMU's function), "reinstantiate" (a new instance) and "process" (a process for each simulation: in this
-        one results may depend on earlier ones) that was seen to give the same bits; None before it was tried, which is when
-        a tenth of the time of the simulations so far is enough for it."""
+        """How an instance is brought back to its beginning between two simulations in this process (``isolation="none"``): the first
+        of "restore" (a saved state), "reset" (the FMU's function), "reinstantiate" (a new instance) and "process" (results may depend on
+        earlier simulations) that was seen to give the same bits. None before it was tried, which is when a tenth of the time of the
+        simulations so far is enough for it."""
         return self._fmu.reuse(self._kind)
 
     @cached_property
@@ -297,10 +296,8 @@ class FMUModel:
     ) -> SimulationResult:
         """Simulates from a freshly reset model with all values that were `set`.
 
-        Times are in s. The interpreter lock is released meanwhile. If the last simulation of this FMU took less than 50 ms
-        (and 7 MiB of stack are left), the calling thread simulates, and looks for Ctrl-C every 20 ms, between two steps; a
-        call of the FMU that does not return then blocks it. Else another thread simulates: a Ctrl-C ends the simulation at
-        its next step, and a second one gives control back at once.
+        Times are in s. The FMU runs in a process of its own, which is kept for the next call; the interpreter lock is released
+        meanwhile. Ctrl-C ends the simulation, and its process if the FMU does not return within 0.1 s.
 
         Rows of co-simulations (``kind="CS"``) are read when a communication step has ended, before the inputs of the next
         one are set: at a time when inputs jump they are the values before the jump, also of what follows the inputs
@@ -393,9 +390,9 @@ class FMUModel:
             not continuous has the value of the step before), which the log says once, or they are an error. Fits
             interpolate.
         isolation : {"none", "process"}, optional
-            Where the FMU runs: in this process, or in one of its own, with the same bits. What happens to that (a crash, `exit`, a
-            call that never returns with a limit `max_time`) is a SimulationError then, and `get` does not know of the simulation. Inputs
-            that are functions cannot be called from there. Default: "none", with a sandbox "process".
+            Where the FMU runs: in a process of its own (the default), or in this one, with the same bits. A crash, `exit`, or a call
+            that does not return within `max_time` ends the process of the FMU and is a SimulationError; the next call starts another
+            process. "none" is for programs that embed the module, and for benchmarks: there, a crash of the FMU ends Python.
         sandbox : bool
             Confine the process of the FMU, as in a `Calibration`; an error where the system cannot do that.
         units : dict of str to str, optional

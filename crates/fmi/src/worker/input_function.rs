@@ -1,0 +1,142 @@
+//! Functions of time that drive inputs. They run in the process that made them: a worker process asks its
+//! caller for each value while it answers.
+
+use super::frame::{Frame, is_in_frame};
+use serde::de::Error as _;
+use serde::ser::Error as _;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::fmt;
+use std::io;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+
+/// A function of time that drives an input.
+///
+/// Serialised in a message to a worker process it is a number, by which the worker asks this process for
+/// values. Anywhere else it cannot be serialised.
+#[derive(Clone)]
+pub struct InputFunction(Arc<Numbered>);
+
+struct Numbered {
+    number: u64,
+    /// Number of the function of the caller of this worker process that is asked.
+    of_caller: Option<u64>,
+    function: Box<dyn Fn(f64) -> f64 + Send + Sync>,
+}
+
+/// The functions of this process that still exist, by number.
+static FUNCTIONS: Mutex<BTreeMap<u64, Weak<Numbered>>> = Mutex::new(BTreeMap::new());
+
+impl Drop for Numbered {
+    fn drop(&mut self) {
+        FUNCTIONS.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.number);
+    }
+}
+
+impl InputFunction {
+    /// A function of this process.
+    pub fn new(function: impl Fn(f64) -> f64 + Send + Sync + 'static) -> Self {
+        Self::numbered(None, Box::new(function))
+    }
+
+    fn numbered(of_caller: Option<u64>, function: Box<dyn Fn(f64) -> f64 + Send + Sync>) -> Self {
+        static NEXT: AtomicU64 = AtomicU64::new(0);
+        let number = NEXT.fetch_add(1, Ordering::Relaxed);
+        let own = Arc::new(Numbered { number, of_caller, function });
+        FUNCTIONS.lock().unwrap_or_else(PoisonError::into_inner).insert(number, Arc::downgrade(&own));
+        Self(own)
+    }
+
+    /// Value at a time.
+    pub fn value(&self, time: f64) -> f64 {
+        (self.0.function)(time)
+    }
+
+    /// True if both are one function.
+    pub fn is_same(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
+            || (self.0.of_caller.is_some() && self.0.of_caller == other.0.of_caller)
+    }
+
+    /// Value of the function of this process with a number; NaN if it does not exist any more.
+    pub(crate) fn value_of(number: u64, time: f64) -> f64 {
+        let known =
+            FUNCTIONS.lock().unwrap_or_else(PoisonError::into_inner).get(&number).and_then(Weak::upgrade);
+        known.map_or(f64::NAN, |own| (own.function)(time))
+    }
+}
+
+impl fmt::Debug for InputFunction {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("function")
+    }
+}
+
+impl Serialize for InputFunction {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        match is_in_frame() {
+            true => self.0.number.serialize(to),
+            false => Err(S::Error::custom("a function of time cannot be stored")),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for InputFunction {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        let number = u64::deserialize(from)?;
+        match is_in_frame() {
+            true => Ok(Self::numbered(Some(number), Box::new(move |time| ask_for_value(number, time)))),
+            false => Err(D::Error::custom("a function of time was not stored")),
+        }
+    }
+}
+
+/// The value that is asked for.
+#[derive(Serialize, Deserialize)]
+struct Wanted {
+    function: u64,
+    time: f64,
+}
+
+/// Sends a frame to the caller, and reads the next one into it.
+pub(super) type Exchange = Box<dyn FnMut(&mut Frame) -> io::Result<()>>;
+
+thread_local! {
+    /// The connection of the thread that answers the caller.
+    static CALLER: RefCell<Option<(Exchange, Frame)>> = const { RefCell::new(None) };
+}
+
+/// From now on this thread asks its caller through this.
+#[cfg(unix)]
+pub(super) fn set_caller(exchange: Exchange) {
+    CALLER.set(Some((exchange, Frame::default())));
+}
+
+/// Asks the caller of this worker process for the value of one of its functions; NaN where it cannot be had.
+fn ask_for_value(function: u64, time: f64) -> f64 {
+    let ask = |(exchange, frame): &mut (Exchange, Frame)| {
+        frame.clear();
+        frame.is_asking = true;
+        frame.set_head(&Wanted { function, time })?;
+        exchange(frame)?;
+        Ok::<_, io::Error>(frame.numbers.first().copied())
+    };
+    CALLER.with_borrow_mut(|caller| {
+        caller.as_mut().and_then(|caller| ask(caller).ok().flatten()).unwrap_or(f64::NAN)
+    })
+}
+
+/// Turns what a worker asks for into the answer.
+#[cfg(unix)]
+pub(super) fn answer_wanted(frame: &mut Frame) -> io::Result<()> {
+    let Wanted { function, time } = frame.head()?;
+    frame.clear();
+    frame.numbers.push(InputFunction::value_of(function, time));
+    Ok(())
+}
+
+/// Size of such an answer.
+#[cfg(unix)]
+pub(super) const VALUE: super::frame::FrameSize = super::frame::FrameSize::of_numbers(1);
