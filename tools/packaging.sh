@@ -9,6 +9,8 @@ trap 'rm -rf "$out"' EXIT
 # What comes from the registry need not be compiled twice: the tests of the Python module have compiled it with this profile.
 export CARGO_TARGET_DIR="$root/target"
 export MATURIN_PEP517_ARGS="--profile dev"
+# What the project itself has is compiled once more, for it lies elsewhere: quickly, for it runs once.
+export CARGO_PROFILE_DEV_OPT_LEVEL=0
 "$bin/maturin" sdist --manifest-path "$root/crates/pydfo/Cargo.toml" --out "$out/dist" >/dev/null 2>"$out/log" || { cat "$out/log"; exit 1; }
 "$bin/python" -m venv "$out/venv"
 cd "$out"
