@@ -184,6 +184,10 @@ impl Session {
         let (asked, values) = self.with_parameters(self.with_values(options));
         let is_last = |last: &Last| last.values == values && last.asked.is_same(&asked);
         if !self.last.as_ref().is_some_and(is_last) {
+            if options.inputs.as_ref().is_some_and(Inputs::has_functions) {
+                let gone = "the values at the end of the simulation went with its process, and its input functions are not kept: simulate again";
+                return Err(FmiError::BadSetting(gone.to_owned()));
+            }
             self.simulate_with(options, poll)?;
         }
         let last = self.last.as_mut().ok_or(FmiError::Cancelled)?;
@@ -262,9 +266,17 @@ impl Session {
         let mut simulator = match self.last.take() {
             Some(last) if last.asked.is_same(&asked) => last.simulator,
             last => {
+                let plan = match SimulationPlan::new(&self.fmu, &asked) {
+                    Ok(plan) => Arc::new(plan),
+                    // Options that cannot be used change nothing.
+                    Err(error) => {
+                        self.last = last;
+                        return Err(error);
+                    }
+                };
                 // Its instance is freed before another one is made.
                 drop(last);
-                Simulator::new(Arc::new(SimulationPlan::new(&self.fmu, &asked)?))?.keeping_end()
+                Simulator::new(plan)?.keeping_end()
             }
         };
         let plan = Arc::clone(simulator.plan());

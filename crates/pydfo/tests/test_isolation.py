@@ -3,6 +3,7 @@
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import threading
@@ -288,6 +289,47 @@ def test_an_exception_of_an_input_function_ends_the_simulation(tmp_path):
     with pytest.raises(RuntimeError, match="no value"):
         model.simulate(final_time=1, inputs={"u": failing})
     assert model.simulate(final_time=1, inputs={"u": lambda t: t}).time[-1] == 1
+
+
+def test_an_input_function_is_called_by_one_simulation_at_a_time():
+    model = FMUModel(pydfo.example_fmu("quad_tank"))
+
+    def driven():
+        """A function that counts its calls, and is called by the thread that simulates."""
+        calls = []
+
+        def pump(t):
+            assert lock.acquire(timeout=5)
+            lock.release()
+            calls.append(t)
+            return 5 + 1e-3 * len(calls)
+
+        return {"u1": pump, "u2": 5.0}
+
+    lock = threading.RLock()
+    with lock:
+        runs = [model.simulate(final_time=1, inputs=driven(), max_step=0.1).final("qt.x1") for _ in range(9)]
+    assert len(set(runs)) == 1
+    assert model.get("qt.x1") == runs[0]
+
+
+def test_values_are_those_of_the_last_complete_simulation():
+    model = FMUModel(pydfo.example_fmu("dahlquist"))
+    end = model.simulate(final_time=1).final("x")
+    for wrong in ({"final_time": -1}, {"final_time": 1, "solver": "none"}, {"final_time": 1, "start_values": {"k": np.nan}}):
+        with pytest.raises((ValueError, pydfo.SimulationError)):
+            model.simulate(**wrong)
+    assert model.get("x") == end
+    tank = FMUModel(pydfo.example_fmu("quad_tank"))
+    start = tank.get("qt.x1")
+
+    def interrupting(t):
+        os.kill(os.getpid(), signal.SIGINT)
+        return 5.0
+
+    with pytest.raises(KeyboardInterrupt):
+        tank.simulate(final_time=100, inputs={"u1": interrupting, "u2": 5.0})
+    assert tank.get("qt.x1") == start
 
 
 HOLDS_LOCK = """

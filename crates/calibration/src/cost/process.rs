@@ -16,7 +16,7 @@ use fmi::worker::{
     check_sandbox,
 };
 use fmi::{
-    FmiError, Fmu, InstanceCall, InstanceOptions, InterfaceChoice, InterfaceKind, OpenOptions,
+    FmiError, Fmu, Inputs, InstanceCall, InstanceOptions, InterfaceChoice, InterfaceKind, OpenOptions,
     SimulateOptions, Trajectory, Value,
 };
 use ode::{Method, Stats};
@@ -332,7 +332,10 @@ impl Processes {
                 None => Ok(trajectory),
             }
         };
-        self.ask(job, ProcessChoice::Checked, limits, context, &mut accept).map_err(|error| {
+        // A function of the user may change from call to call: what it drives is simulated once.
+        let is_driven = matches!(job, Job::Simulate(options) if has_functions(options));
+        let process = if is_driven { ProcessChoice::Any } else { ProcessChoice::Checked };
+        self.ask(job, process, limits, context, &mut accept).map_err(|error| {
             let FmiError::ReportedError(told) = error else { return error };
             let failure_of = |called| match called {
                 Err(FmiError::ReportedError(told)) => Some(*told),
@@ -652,6 +655,11 @@ pub(crate) fn workers_of(fmu: &Fmu, limits: WorkerLimits) -> Result<Arc<Workers>
         true => FmiError::NoSandbox { reason: NO_LAUNCHER.to_owned() },
         false => FmiError::NoWorker { reason: NO_LAUNCHER.to_owned() },
     })
+}
+
+/// True if a function drives an input.
+fn has_functions(options: &SimulateOptions) -> bool {
+    options.inputs.as_ref().is_some_and(Inputs::has_functions)
 }
 
 const NO_LAUNCHER: &str = "this program cannot start processes for it (worker::serve_if_worker)";

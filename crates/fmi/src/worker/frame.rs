@@ -10,7 +10,7 @@ use std::cell::Cell;
 use std::io::{self, ErrorKind, Read, Write};
 
 /// Of this version of what is said.
-const MAGIC: u32 = 0x464d_5502;
+const MAGIC: u32 = 0x464d_5501;
 
 const HEADER: usize = 40;
 

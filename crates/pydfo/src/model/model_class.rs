@@ -12,6 +12,7 @@ use crate::model::inputs::{self, Callbacks, Function, Table};
 use crate::model::trajectory;
 use calibration::{ModelProcess, ParameterSet, RunContext};
 use fmi::description::Interval;
+use fmi::ode::Termination;
 use fmi::worker::{Isolation, Launcher, WorkerLimits};
 use fmi::{
     FmiError, InterfaceChoice, InterfaceKind, ModelDescription, Session, SimulateOptions, Trajectory, Value,
@@ -315,8 +316,10 @@ impl Own {
         let flag = options.cancel.take();
         let context = flag.as_deref().map_or(*context, |flag| context.flagged(flag));
         let trajectory = self.process(limits)?.simulate(&options, &context)?;
-        self.session.note_simulated();
-        self.last = Some(options);
+        if trajectory.termination != Termination::StoppedByObserver {
+            self.session.note_simulated();
+            self.last = Some(options);
+        }
         Ok(trajectory)
     }
 

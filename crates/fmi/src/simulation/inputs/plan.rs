@@ -84,6 +84,11 @@ impl fmt::Debug for Source {
 }
 
 impl Inputs {
+    /// True if a function drives an input.
+    pub fn has_functions(&self) -> bool {
+        self.sources.iter().any(|source| matches!(source.values, SourceValues::Function(_)))
+    }
+
     /// No inputs.
     pub fn new() -> Self {
         Self::default()

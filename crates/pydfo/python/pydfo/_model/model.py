@@ -214,7 +214,8 @@ class FMUModel:
         return Description(self._fmu)
 
     def get(self, name: str | Iterable[str]) -> Any:
-        """Values of variables: after a simulation the final ones, before it those set, else the initial ones.
+        """Values of variables: after a simulation the final ones, before it those set, else the initial ones. A simulation that was
+        interrupted or ended by an error does not count.
 
         Parameters
         ----------
