@@ -32,7 +32,7 @@ mod validation;
 pub use base::RunContext;
 pub use check::{Check, CheckOptions};
 pub use cost::isolated_instance::IsolatedInstance;
-pub use cost::process::ModelProcess;
+pub use cost::model_process::ModelProcess;
 pub use cost::residual::quad_err;
 pub use cost::solver::ChosenSolver;
 pub use cost::solver_comparison::{

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 
-/// Reason of an instance that a call into the FMU has cost.
+/// Reason if the instance was freed after a call into the FMU failed.
 const LOST: &str = "the instance was freed when a call into it failed: make another one";
 
 /// A call of a [`DrivenInstance`]. The vector of a call is passed beside it.

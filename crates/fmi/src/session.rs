@@ -184,7 +184,7 @@ impl Session {
         let (asked, values) = self.with_parameters(self.with_values(options));
         let is_last = |last: &Last| last.values == values && last.asked.is_same(&asked);
         if !self.last.as_ref().is_some_and(is_last) {
-            if options.inputs.as_ref().is_some_and(Inputs::has_functions) {
+            if options.has_input_functions() {
                 let gone = "the values at the end of the simulation went with its process, and its input functions are not kept: simulate again";
                 return Err(FmiError::BadSetting(gone.to_owned()));
             }

@@ -5,6 +5,7 @@ pub(crate) mod accuracy;
 pub(crate) mod failure;
 pub(crate) mod isolated_instance;
 pub(crate) mod loaded_problem;
+pub(crate) mod model_process;
 pub(crate) mod parallel;
 pub(crate) mod process;
 pub(crate) mod residual;

@@ -16,7 +16,7 @@ use fmi::worker::{
     check_sandbox,
 };
 use fmi::{
-    FmiError, Fmu, Inputs, InstanceCall, InstanceOptions, InterfaceChoice, InterfaceKind, OpenOptions,
+    FmiError, Fmu, InstanceCall, InstanceOptions, InterfaceChoice, InterfaceKind, OpenOptions,
     SimulateOptions, Trajectory, Value,
 };
 use ode::{Method, Stats};
@@ -135,9 +135,9 @@ const LOG_ON: &str = "repeated with the log of the model switched on";
 
 /// Worker processes that have loaded the same.
 #[derive(Debug)]
-struct Processes {
+pub(super) struct Processes {
     fmu: Fmu,
-    workers: Arc<Workers>,
+    pub(super) workers: Arc<Workers>,
     load: Load,
     /// The same with the log of the model switched on.
     logging: Load,
@@ -156,7 +156,12 @@ struct Processes {
 
 impl Processes {
     /// Nothing is loaded yet.
-    fn new(fmu: &Fmu, limits: WorkerLimits, load: Job, lender: Option<&Load>) -> Result<Self, FmiError> {
+    pub(super) fn new(
+        fmu: &Fmu,
+        limits: WorkerLimits,
+        load: Job,
+        lender: Option<&Load>,
+    ) -> Result<Self, FmiError> {
         let workers = workers_of(fmu, limits)?;
         let job = Arc::new(load);
         let plain = Arc::clone(&job);
@@ -185,7 +190,7 @@ impl Processes {
     }
 
     /// Asks a worker, and has `accept` read its answer, which leaves its numbers in the frame.
-    fn ask<T>(
+    pub(super) fn ask<T>(
         &self,
         job: &Job,
         process: ProcessChoice,
@@ -318,7 +323,7 @@ impl Processes {
 
 impl Processes {
     /// A recorded simulation, with this number of columns where that is known.
-    fn trajectory(
+    pub(super) fn trajectory(
         &self,
         job: &Job,
         limits: AnswerLimits,
@@ -333,7 +338,7 @@ impl Processes {
             }
         };
         // A function of the user may change from call to call: what it drives is simulated once.
-        let is_driven = matches!(job, Job::Simulate(options) if has_functions(options));
+        let is_driven = matches!(job, Job::Simulate(options) if options.has_input_functions());
         let process = if is_driven { ProcessChoice::Any } else { ProcessChoice::Checked };
         self.ask(job, process, limits, context, &mut accept).map_err(|error| {
             let FmiError::ReportedError(told) = error else { return error };
@@ -557,84 +562,6 @@ impl Remote {
     }
 }
 
-/// A model that is simulated in processes of its own.
-#[derive(Debug)]
-pub struct ModelProcess {
-    processes: Processes,
-}
-
-impl ModelProcess {
-    /// Limits of its processes.
-    pub fn limits(&self) -> &WorkerLimits {
-        self.processes.workers.limits()
-    }
-
-    /// Nothing is loaded yet.
-    ///
-    /// # Errors
-    /// The file of the model cannot be read any more; [`FmiError::NoWorker`]: this program cannot start
-    /// processes for it; [`FmiError::NoSandbox`]: not confined ones.
-    pub fn new(fmu: &Fmu, limits: WorkerLimits) -> Result<Self, FmiError> {
-        let open = Job::Open(ModelFile::of(fmu)?, Box::new(fmu.options().clone()));
-        Ok(Self { processes: Processes::new(fmu, limits, open, None)? })
-    }
-
-    /// As [`Fmu::simulate_with`], with the same bits. The context ends it. The second simulation is also made
-    /// in a new process, at the same time; where that gives others, each one has a new process from then on.
-    ///
-    /// # Errors
-    /// As [`Fmu::simulate`]; [`FmiError::WorkerEnded`]; [`FmiError::Cancelled`].
-    pub fn simulate(
-        &self,
-        options: &SimulateOptions,
-        context: &RunContext<'_>,
-    ) -> Result<Trajectory, FmiError> {
-        let job = Job::Simulate(Box::new(options.clone()));
-        let size = self.processes.workers.limits().answer_size();
-        let limits = AnswerLimits { run: options.run.timeout, runs: 1, size };
-        self.processes.trajectory(&job, limits, None, context)
-    }
-
-    /// Values of variables at the end of a simulation: of the last one if it had these options, else it is
-    /// made again.
-    ///
-    /// # Errors
-    /// As [`simulate`](Self::simulate); unknown names.
-    pub fn final_values(
-        &self,
-        options: &SimulateOptions,
-        names: &[String],
-        context: &RunContext<'_>,
-    ) -> Result<Vec<Value>, FmiError> {
-        self.values(Job::FinalValues(Box::new(options.clone()), names.to_vec()), names.len(), context)
-    }
-
-    /// Values of variables after the initialization with these values set.
-    ///
-    /// # Errors
-    /// As [`Session::get`](fmi::Session::get); [`FmiError::WorkerEnded`]; [`FmiError::Cancelled`].
-    pub fn initial_values(
-        &self,
-        kind: InterfaceChoice,
-        set: Vec<(String, Value)>,
-        names: &[String],
-        context: &RunContext<'_>,
-    ) -> Result<Vec<Value>, FmiError> {
-        let job = Job::InitialValues { kind, set, names: names.to_vec() };
-        self.values(job, names.len(), context)
-    }
-
-    fn values(&self, job: Job, n: usize, context: &RunContext<'_>) -> Result<Vec<Value>, FmiError> {
-        let size = self.processes.workers.limits().answer_size();
-        let limits = AnswerLimits { run: None, runs: 1, size };
-        let mut accept = |answer: &mut Frame| match answer.head::<Vec<Value>>()? {
-            values if values.len() == n => Ok(values),
-            values => Err(wrong(format!("{} values instead of {n}", values.len()))),
-        };
-        self.processes.ask(&job, ProcessChoice::Any, limits, context, &mut accept)
-    }
-}
-
 /// The error with what may be the cause of the end of a process of this model.
 pub(crate) fn with_hint(fmu: &Fmu, error: FmiError) -> FmiError {
     match error {
@@ -655,11 +582,6 @@ pub(crate) fn workers_of(fmu: &Fmu, limits: WorkerLimits) -> Result<Arc<Workers>
         true => FmiError::NoSandbox { reason: NO_LAUNCHER.to_owned() },
         false => FmiError::NoWorker { reason: NO_LAUNCHER.to_owned() },
     })
-}
-
-/// True if a function drives an input.
-fn has_functions(options: &SimulateOptions) -> bool {
-    options.inputs.as_ref().is_some_and(Inputs::has_functions)
 }
 
 const NO_LAUNCHER: &str = "this program cannot start processes for it (worker::serve_if_worker)";
@@ -718,7 +640,7 @@ fn trajectory_of(answer: &mut Frame) -> io::Result<Trajectory> {
 }
 
 /// An answer with contents that it cannot have.
-fn wrong(what: String) -> io::Error {
+pub(super) fn wrong(what: String) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, what)
 }
 

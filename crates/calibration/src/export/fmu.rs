@@ -1,7 +1,7 @@
 //! A copy of the FMU that starts with the fitted values.
 
 use super::files::{check_belongs, check_path, check_suffix};
-use crate::cost::process::ModelProcess;
+use crate::cost::model_process::ModelProcess;
 use crate::error::CalibrationError;
 use crate::fit::one_stage::Fit;
 use crate::loaded::calibration::Calibration;

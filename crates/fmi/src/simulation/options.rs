@@ -236,6 +236,11 @@ impl SimulateOptions {
         self
     }
 
+    /// True if a function drives an input.
+    pub fn has_input_functions(&self) -> bool {
+        self.inputs.as_ref().is_some_and(Inputs::has_functions)
+    }
+
     /// True if a plan for one can be used for the other: all options are equal, including the flag that
     /// cancels.
     pub(crate) fn is_same(&self, other: &Self) -> bool {

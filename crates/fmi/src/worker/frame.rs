@@ -205,8 +205,8 @@ thread_local! {
     static IS_IN_FRAME: Cell<bool> = const { Cell::new(false) };
 }
 
-/// True while this thread encodes or decodes what a message says. What cannot be stored, but can be asked
-/// for, is serialised only then.
+/// True while this thread encodes or decodes a message. An input function is serialised only then: it cannot
+/// be stored, but the worker can ask for its values.
 pub fn is_in_frame() -> bool {
     IS_IN_FRAME.get()
 }

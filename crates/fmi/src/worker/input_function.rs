@@ -114,7 +114,8 @@ pub(super) fn set_caller(exchange: Exchange) {
     CALLER.set(Some((exchange, Frame::default())));
 }
 
-/// Asks the caller of this worker process for the value of one of its functions; NaN where it cannot be had.
+/// Asks the caller of this worker process for the value of one of its functions. NaN if it does not
+/// answer.
 fn ask_for_value(function: u64, time: f64) -> f64 {
     let ask = |(exchange, frame): &mut (Exchange, Frame)| {
         frame.clear();

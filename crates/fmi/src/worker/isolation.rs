@@ -54,7 +54,7 @@ pub struct Question<'a> {
     /// Limits of the answer: a simulation that takes longer than its time and 0.25 s ends the worker, and so
     /// does an answer that is larger.
     pub limits: AnswerLimits,
-    /// The answer is compared with another one only: what the worker logs is not said again.
+    /// True if the answer is only compared with another one. What the worker logs is dropped then.
     pub is_repetition: bool,
 }
 

@@ -30,8 +30,8 @@ impl Notes {
         self.lines.is_empty() && self.quirks.is_empty()
     }
 
-    /// Hands the lines to the logger of this program. A warning that is in `said` was heard from another
-    /// worker, and is not repeated.
+    /// Hands the lines to the logger of this program. A warning that another worker has logged
+    /// (`said`) is not repeated.
     pub(crate) fn pass_on(&self, said: &Mutex<HashSet<String>>) {
         for Line { level, target, text } in &self.lines {
             let mut said = said.lock().unwrap_or_else(PoisonError::into_inner);

@@ -45,7 +45,7 @@ pub struct Workers {
     launcher: Launcher,
     limits: WorkerLimits,
     idle: Mutex<Idle>,
-    /// Warnings that workers have said.
+    /// Warnings that workers have logged.
     said: Mutex<HashSet<String>>,
     places: Places,
 }

@@ -50,15 +50,14 @@ struct Own {
     last: Option<SimulateOptions>,
 }
 
-/// What the model is, taken out during a simulation, so that no call waits for a lock that a simulation
-/// holds.
+/// Holds the model. A simulation takes it out, so that other calls are refused and do not wait for a lock.
 enum Slot {
     Here(Box<Own>),
     Simulating,
     Closed,
 }
 
-/// A loan of that; goes back when it is dropped.
+/// The model during a simulation. It goes back when this is dropped.
 struct Loan {
     own: Option<Box<Own>>,
     slot: Arc<Mutex<Slot>>,
@@ -145,7 +144,7 @@ impl Request<'_> {
     /// Limits of the process of the simulation; None: it is made in this one.
     fn worker_limits(&self) -> Result<Option<WorkerLimits>, FmiError> {
         let isolation = self.isolation.as_deref().map(str::parse).transpose()?;
-        // Where this program cannot start processes, only whoever asks for one is told.
+        // If this program cannot start processes, only a request for one is an error.
         let possible = if Launcher::is_known() { Isolation::Process } else { Isolation::None };
         let isolation = isolation.unwrap_or(if self.sandbox { Isolation::Process } else { possible });
         match isolation {
@@ -245,10 +244,10 @@ impl Model {
     /// last simulation of this FMU was short.
     fn simulate<'py>(&self, py: Python<'py>, request: Request<'py>) -> PyResult<Bound<'py, PyDict>> {
         let limits = request.worker_limits().map_err(|e| fmu_error::raise(py, &e))?;
-        let is_here = limits.is_some() || fits_here(self.fmu.last_run(self.kind));
+        let is_on_this_thread = limits.is_some() || fits_here(self.fmu.last_run(self.kind));
         let mut loan = self.lend()?;
         // An input function is Python code: what a Ctrl-C does to it is up to our handler.
-        let watch = match is_here && request.functions.is_empty() {
+        let watch = match is_on_this_thread && request.functions.is_empty() {
             true => InterruptGuard::with_flag(py, Arc::clone(&self.flag)),
             false => InterruptGuard::new(py)?,
         };
@@ -256,7 +255,7 @@ impl Model {
         let described =
             request.described.as_ref().map_or_else(|| self.fmu.clone(), |own| own.get().fmu.clone());
         let (options, callbacks) = self.options(py, request, described.description(), &stop)?;
-        let outcome = if is_here {
+        let outcome = if is_on_this_thread {
             let outcome = watch.run_here(|context| {
                 Some(match limits {
                     Some(limits) => loan.own.as_mut()?.simulate_apart(limits, &options, context),
@@ -323,8 +322,8 @@ impl Own {
         Ok(trajectory)
     }
 
-    /// Simulates in this process. Where a call fails and the model has not said why, the same in a process of
-    /// its own tells, with the log of the model switched on.
+    /// Simulates in this process. If a call fails and the model has logged no reason, the simulation is
+    /// repeated in a worker process with the log of the model switched on.
     fn simulate_here(
         &mut self,
         options: &SimulateOptions,
