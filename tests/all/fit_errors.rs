@@ -80,27 +80,3 @@ fn a_simulation_that_fails_at_every_start_is_a_named_error_with_counts() {
     let e = c.fit(FitOptions::default()).unwrap_err().to_string();
     assert!(e.contains("at every starting point") && e.contains("2 x the time limit"), "{e}");
 }
-
-#[test]
-fn a_time_limit_that_is_too_short_says_nothing_about_the_model() {
-    let fmu = example("dahlquist");
-    let calibration = |timeout: Option<std::time::Duration>| {
-        Calibration::builder(fmu.clone())
-            .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
-            .experiment(Experiment::new(data(&[("x", &[1.0, 0.9, 0.8])])).output("x", "x"))
-            .settings(RunSettings { timeout, ..RunSettings::default() })
-            .build()
-            .unwrap()
-    };
-    assert!(calibration(Some(std::time::Duration::ZERO)).cost(&[1.0], &RunContext::new()).is_err());
-    assert_eq!(fmu.reuse(), None);
-    // The ways of bringing instances back are checked when the runs so far have taken long enough for that.
-    let unlimited = calibration(None);
-    for _ in 0..10_000 {
-        assert!(unlimited.cost(&[1.0], &RunContext::new()).is_ok());
-        if fmu.reuse().is_some() {
-            break;
-        }
-    }
-    assert_eq!(fmu.reuse(), Some(fmufit::fmi::Reuse::Restore));
-}

@@ -18,11 +18,17 @@ use crate::{platform, source};
 use base::Number;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
 const KINDS: [InterfaceKind; 2] = [InterfaceKind::ModelExchange, InterfaceKind::CoSimulation];
+
+const LEAVES_TRACES: &str = "a simulation after the reset function differs from one in a fresh process. Nothing is to be done: each simulation \
+                             has a new instance, which takes longer";
+
+const HIDDEN_STATE: &str = "a simulation depends on earlier ones in the same process: the model keeps a state outside of its instances. Nothing is to \
+                            be done: each simulation has a new process, which takes longer";
 
 const STALE_OUTPUTS: &str = "variables read at a new point are those of an earlier one until the derivatives are computed: they are \
                              computed before every reading";
@@ -66,6 +72,8 @@ struct Inner {
     real_references: OnceLock<Vec<(u32, usize)>>,
     /// Departures from the standard that showed in runs.
     quirks_seen: Mutex<Vec<Quirk>>,
+    /// A [`Reuse`], as its number.
+    reuse: AtomicU8,
     /// Variables are those of a point once a step is completed there.
     reads_at_steps: AtomicBool,
     reads_with_derivatives: AtomicBool,
@@ -164,6 +172,7 @@ impl Fmu {
             turns: Arc::default(),
             real_references: OnceLock::new(),
             quirks_seen: Mutex::default(),
+            reuse: AtomicU8::default(),
             reads_at_steps: AtomicBool::new(false),
             reads_with_derivatives: AtomicBool::new(false),
             n_unchecked: AtomicU64::new(0),
@@ -318,22 +327,31 @@ impl Fmu {
     /// program's logger, too.
     pub fn add_quirks(&self, quirks: Vec<Quirk>) {
         for Quirk { kind, message, .. } in quirks {
-            if kind == QuirkKind::HiddenState {
-                self.note_hidden_state();
-            }
             self.note_quirk(kind, message);
         }
     }
 
-    /// Notes that results depend on earlier simulations in the same process, also on new instances
-    /// ([`Reuse::NewProcess`]).
-    pub fn note_hidden_state(&self) {
-        KINDS.iter().for_each(|kind| self.reset_knowledge(*kind).note(Reuse::NewProcess));
+    /// How worker processes return the model to its start between simulations, as far as comparisons with
+    /// fresh processes have shown.
+    pub fn reuse(&self) -> Reuse {
+        let code = usize::from(self.inner.reuse.load(Ordering::Relaxed));
+        Reuse::ALL.get(code).copied().unwrap_or(Reuse::NewProcess)
     }
 
-    /// True if that was noted: each simulation is to have a process of its own.
-    pub fn has_hidden_state(&self) -> bool {
-        KINDS.iter().any(|kind| self.reuse_of(*kind) == Some(Reuse::NewProcess))
+    /// Takes `reuse` from now on: for a worker process, which is told so with every question.
+    pub fn set_reuse(&self, reuse: Reuse) {
+        self.inner.reuse.store(reuse as u8, Ordering::Relaxed);
+    }
+
+    /// A simulation after others has differed from one in a fresh process: takes the way after `reuse` from
+    /// now on, and adds a quirk.
+    pub fn give_up(&self, reuse: Reuse) {
+        let (next, kind, message) = match reuse {
+            Reuse::Reset => (Reuse::Reinstantiate, QuirkKind::Promise, LEAVES_TRACES),
+            _ => (Reuse::NewProcess, QuirkKind::HiddenState, HIDDEN_STATE),
+        };
+        self.inner.reuse.fetch_max(next as u8, Ordering::Relaxed);
+        self.note_quirk(kind, message);
     }
 
     /// The level at which lines of its log go to the program's logger.
@@ -448,16 +466,6 @@ impl Fmu {
     pub(crate) fn note_run(&self, kind: InterfaceKind, took: Duration) {
         let nanoseconds = u64::try_from(took.as_nanos()).unwrap_or(u64::MAX);
         self.inner.last_runs[kind as usize].store(nanoseconds.max(1), Ordering::Relaxed);
-    }
-
-    /// Way in which instances are reset, for the default interface; `None` before it was tried.
-    pub fn reuse(&self) -> Option<Reuse> {
-        self.choose(InterfaceChoice::Auto).ok().and_then(|kind| self.reuse_of(kind))
-    }
-
-    /// Way in which instances are reset; `None` before it was tried.
-    pub fn reuse_of(&self, kind: InterfaceKind) -> Option<Reuse> {
-        self.reset_knowledge(kind).reuse
     }
 
     /// Notes that the start value of a state, a guess by the description, is not its value after the

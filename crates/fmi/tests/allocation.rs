@@ -9,7 +9,7 @@ use fmi::ode::{Ignore, Observer, Sample};
 use fmi::{Fmu, Inputs, InterfaceChoice, SimulateOptions, SimulationPlan, Simulator, Value};
 use std::ops::ControlFlow;
 use std::sync::Arc;
-use support::{arrays, fixture, fixture_with, model, model_as, settle};
+use support::{arrays, fixture, fixture_with, model, model_as};
 
 struct Sum(f64);
 
@@ -23,9 +23,7 @@ impl Observer for Sum {
 /// Allocations and steps of a warm run until `end`.
 fn count(fmu: &Fmu, options: &SimulateOptions, end: f64, parameters: &[f64]) -> (u64, u64) {
     let plan = SimulationPlan::new(fmu, &options.clone().final_time(end)).unwrap();
-    let mut simulator = Simulator::new(Arc::new(plan)).unwrap();
-    // Instances are brought back then.
-    settle(&mut simulator, parameters);
+    let mut simulator = Simulator::new(Arc::new(plan)).unwrap().resetting();
     for _ in 0..3 {
         simulator.run(parameters, &mut Ignore).unwrap();
     }

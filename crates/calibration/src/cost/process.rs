@@ -2,7 +2,6 @@
 
 use crate::cost::accuracy::Accuracy;
 use crate::cost::failure::{CostFailure, ReportedCostFailure};
-use crate::cost::parallel::beside;
 use crate::cost::residual::{CostRule, sum_of_squares};
 use crate::cost::solver_comparison::{ComparisonOutcome, ComparisonRun, ComparisonTask};
 use crate::error::CalibrationError;
@@ -16,14 +15,14 @@ use fmi::worker::{
     check_sandbox,
 };
 use fmi::{
-    FmiError, Fmu, InstanceCall, InstanceOptions, InterfaceChoice, InterfaceKind, OpenOptions,
+    FmiError, Fmu, InstanceCall, InstanceOptions, InterfaceChoice, InterfaceKind, OpenOptions, Reuse,
     SimulateOptions, Trajectory, Value,
 };
 use ode::{Method, Stats};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -112,23 +111,32 @@ pub(crate) struct Evaluation {
     pub(crate) process: ProcessChoice,
 }
 
+/// The best point of a search, and what processes have answered there.
+pub(crate) struct BestPoint {
+    pub(crate) x: Vec<f64>,
+    pub(crate) n_residuals: usize,
+    pub(crate) residuals: Option<Vec<f64>>,
+    pub(crate) cost: f64,
+}
+
 /// Process that answers a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum ProcessChoice {
     /// Any that has loaded the problem.
     Any,
-    /// The same, but the second question of this kind is asked in a new process, too, and the first one again
-    /// after some of the later ones, to see whether the answers are the same.
-    Checked,
-    /// Of those that have loaded the problem and are idle, the one that was asked longest ago.
-    LongestIdle,
+    /// Any. After an answer of one that was asked before, the first question of all is asked again and
+    /// compared, until one comparison agrees. In searches, which compare the best point at their end.
+    ComparedFirst,
+    /// Any. After the first comparison that agrees, the first, second, fourth, eighth ... of the next answers
+    /// are followed by one, too.
+    Compared,
     /// A new one.
     Fresh,
 }
 
-/// Message where the answers depend on earlier requests to a process.
-pub(crate) const HIDDEN_STATE: &str = "a cost depends on what ran before it in the same process (a state that the model keeps and no variable shows): each \
-                                       evaluation has a process of its own";
+/// Message about a model whose answers in fresh processes differ.
+pub(crate) const NOT_REPRODUCED: &str =
+    "two runs of the same simulation in fresh processes differ: no result can be reproduced";
 
 /// Introduces the messages that a model logs when a failed request is repeated with logging.
 const LOG_ON: &str = "repeated with the log of the model switched on";
@@ -144,12 +152,7 @@ pub(super) struct Processes {
     /// Reasons of failures without a message of the model that were repeated with its log switched on, and
     /// the messages with it.
     explained: Mutex<BTreeMap<String, Option<String>>>,
-    /// No answer is checked for its dependence on earlier requests.
-    is_checked: AtomicBool,
-    /// Questions that were to be checked.
-    n_checked: AtomicU64,
-    /// The first of them, the numbers of its answer, and how often the surroundings had changed.
-    first: Mutex<Option<(Frame, Vec<f64>, u64)>>,
+    comparisons: Comparisons,
     /// Frames that were used before.
     frames: Mutex<Vec<(Frame, Frame)>>,
 }
@@ -182,9 +185,7 @@ impl Processes {
             load,
             logging,
             explained: Mutex::default(),
-            is_checked: AtomicBool::new(false),
-            n_checked: AtomicU64::new(0),
-            first: Mutex::default(),
+            comparisons: Comparisons::default(),
             frames: Mutex::default(),
         })
     }
@@ -202,17 +203,23 @@ impl Processes {
         let frames = || self.frames.lock().unwrap_or_else(PoisonError::into_inner);
         let (mut asked, mut answer) = frames().pop().unwrap_or_default();
         asked.set_head(job).map_err(unsaid)?;
+        let reuse = self.fmu.reuse();
         let whom = match process {
-            _ if self.fmu.has_hidden_state() => Some(AskedProcess::FreshOnce),
-            ProcessChoice::LongestIdle => Some(AskedProcess::LongestIdle),
+            _ if reuse == Reuse::NewProcess => Some(AskedProcess::FreshOnce),
             ProcessChoice::Fresh => Some(AskedProcess::Fresh),
-            ProcessChoice::Checked if !self.is_checked.load(Ordering::Relaxed) => None,
-            ProcessChoice::Any | ProcessChoice::Checked => Some(AskedProcess::Any),
+            ProcessChoice::ComparedFirst | ProcessChoice::Compared
+                if self.comparisons.is_due(reuse, process) =>
+            {
+                None
+            }
+            _ => Some(AskedProcess::Any),
         };
+        asked.needs_new_instance =
+            reuse != Reuse::Reset || (process == ProcessChoice::Any && !self.comparisons.has_passed(reuse));
         let question = Question { asked: &asked, context, limits, is_repetition: false };
         let accepted = match whom {
             Some(whom) => self.call(&question, &mut answer, accept, whom),
-            None => self.ask_checked(&question, &mut answer, accept),
+            None => self.ask_compared(&question, &mut answer, accept),
         };
         frames().push((asked, answer));
         accepted
@@ -251,73 +258,126 @@ impl Processes {
         Ok(accepted)
     }
 
-    /// Asks a worker. The second question also asks a fresh one, at the same time; the 4th, 8th, 16th and so
-    /// on ask the first one again. Where numbers differ, and two fresh processes agree, each question has one
-    /// of its own from now on.
-    fn ask_checked<T>(
+    /// Asks a worker. If it was asked something before, the first question of all is asked again, and the
+    /// answer compared with that of a fresh process. If they differ, the model is brought back in another way
+    /// from now on, and a fresh process answers.
+    fn ask_compared<T>(
         &self,
         question: &Question<'_>,
         answer: &mut Frame,
         accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
     ) -> Result<T, FmiError> {
-        let known = || self.first.lock().unwrap_or_else(PoisonError::into_inner);
+        let reuse = self.fmu.reuse();
+        let told = self.call(question, answer, accept, AskedProcess::Any);
+        let Some(own) = bits_of(&told, answer) else { return told };
+        let first = || self.comparisons.first.lock().unwrap_or_else(PoisonError::into_inner);
         let n_changes = self.workers.n_changes();
-        let first = known().clone().filter(|(.., since)| *since == n_changes);
-        let Some((first, numbers, _)) = first else {
-            let accepted = self.call(question, answer, accept, AskedProcess::Any)?;
-            *known() = Some((question.asked.clone(), answer.numbers.clone(), n_changes));
-            return Ok(accepted);
-        };
-        let is_first = first == *question.asked;
-        let n = if is_first { 1 } else { self.n_checked.fetch_add(1, Ordering::Relaxed) + 2 };
-        if !n.is_power_of_two() {
-            return self.call(question, answer, accept, AskedProcess::Any);
-        }
-        let mut again = Frame::default();
-        // The numbers of these are compared only.
-        let (asked, limits) = (question.asked, question.limits);
-        let in_fresh = |context: &RunContext<'_>| {
-            let mut answer = Frame::default();
-            let question = Question { asked, context, limits, is_repetition: true };
-            self.call(&question, &mut answer, &mut |_| Ok(()), AskedProcess::Fresh).map(|()| answer)
-        };
-        let mut in_used = || {
-            let accepted = self.call(question, answer, accept, AskedProcess::Any)?;
-            if !is_first && n > 2 {
-                // Another point may have an answer of another size.
-                let size = self.workers.limits().answer_size();
-                let limits = AnswerLimits { size, ..limits };
-                let question = Question { asked: &first, limits, is_repetition: true, ..*question };
-                self.call(&question, &mut again, &mut |_| Ok(()), AskedProcess::Any)?;
+        let known = first().clone().filter(|first| first.n_changes == n_changes);
+        let mut known = match known {
+            Some(known) => known,
+            None => {
+                let (asked, limits) = (question.asked.clone(), question.limits);
+                let mut new = FirstQuestion { asked, limits, n_changes, bits: Vec::new() };
+                let is_own = !answer.is_of_used_process;
+                let bits =
+                    if is_own { Some(own.clone()) } else { self.bits(&new, AskedProcess::Fresh, question) };
+                let Some(bits) = bits else { return told };
+                new.bits = bits;
+                first().insert(new).clone()
             }
-            Ok::<T, FmiError>(accepted)
         };
-        let (own, fresh) = match n {
-            2 => beside(question.context, in_fresh, in_used),
-            _ => (in_used(), None),
-        };
-        let accepted = own?;
-        let again = if is_first { &*answer } else { &again };
-        let is_first_same = *again == Frame::default() || has_same_bits(&again.numbers, &numbers);
-        let fresh = match fresh {
-            Some(Ok(fresh)) if is_first_same && has_same_bits(&fresh.numbers, &answer.numbers) => {
-                return Ok(accepted);
-            }
-            Some(Ok(fresh)) => fresh,
-            None if !is_first_same => in_fresh(question.context)?,
-            _ => return Ok(accepted),
-        };
-        let accepted = self.call(question, answer, accept, AskedProcess::Fresh)?;
-        let model = &self.fmu.description().model_name;
-        if has_same_bits(&fresh.numbers, &answer.numbers) {
-            log::warn!("{model}: {HIDDEN_STATE}");
-            self.fmu.note_hidden_state();
-        } else {
-            log::warn!(
-                "{model}: the same simulation in two fresh processes differs: nothing can be reproduced"
-            );
+        if !answer.is_of_used_process {
+            return told;
         }
-        Ok(accepted)
+        known.asked.needs_new_instance = question.asked.needs_new_instance;
+        let again = match known.asked == *question.asked {
+            true => Some(own),
+            false => self.bits(&known, AskedProcess::Any, question),
+        };
+        let Some(again) = again else { return told };
+        if again == known.bits {
+            self.comparisons.note_passed(reuse);
+            return told;
+        }
+        match self.bits(&known, AskedProcess::Fresh, question) {
+            Some(fresh) if fresh == known.bits => self.give_up(reuse),
+            Some(_) if !self.comparisons.is_random.swap(true, Ordering::Relaxed) => {
+                log::warn!("{}: {NOT_REPRODUCED}", self.fmu.description().model_name);
+            }
+            _ => {}
+        }
+        self.call(question, answer, accept, AskedProcess::Fresh)
+    }
+
+    /// The bits of the answer to the first question, asked again during another one.
+    fn bits(&self, first: &FirstQuestion, whom: AskedProcess, during: &Question<'_>) -> Option<Vec<u64>> {
+        let (asked, limits, mut answer) = (&first.asked, first.limits, Frame::default());
+        let question = Question { asked, limits, is_repetition: true, ..*during };
+        bits_of(&self.call(&question, &mut answer, &mut |_| Ok(()), whom), &answer)
+    }
+
+    /// Brings the model back in another way from now on, for answers of processes that were asked before
+    /// differ from those of fresh ones.
+    fn give_up(&self, reuse: Reuse) {
+        if self.comparisons.has_passed(reuse) {
+            self.comparisons.n_late.fetch_add(1, Ordering::Relaxed);
+        }
+        self.fmu.give_up(reuse);
+    }
+}
+
+/// The first question of all, and the answer of a process that was asked nothing before.
+#[derive(Debug, Clone)]
+struct FirstQuestion {
+    asked: Frame,
+    limits: AnswerLimits,
+    /// Number of changes of the surroundings until then.
+    n_changes: u64,
+    bits: Vec<u64>,
+}
+
+/// What comparisons of used processes with fresh ones have shown.
+#[derive(Debug, Default)]
+struct Comparisons {
+    /// One more than the number of the way that has passed one.
+    passed: AtomicU8,
+    first: Mutex<Option<FirstQuestion>>,
+    /// Answers of used processes since then.
+    n_accepted: AtomicU64,
+    /// Times that answers differed after a way had passed: earlier answers may be wrong.
+    n_late: AtomicU64,
+    /// Answers of fresh processes differ from each other.
+    is_random: AtomicBool,
+}
+
+impl Comparisons {
+    fn has_passed(&self, reuse: Reuse) -> bool {
+        self.passed.load(Ordering::Relaxed) == reuse as u8 + 1
+    }
+
+    fn note_passed(&self, reuse: Reuse) {
+        self.passed.store(reuse as u8 + 1, Ordering::Relaxed);
+    }
+
+    /// True if the next answer is to be compared.
+    fn is_due(&self, reuse: Reuse, process: ProcessChoice) -> bool {
+        if self.is_random.load(Ordering::Relaxed) {
+            return false;
+        }
+        if !self.has_passed(reuse) {
+            return true;
+        }
+        process == ProcessChoice::Compared
+            && (self.n_accepted.fetch_add(1, Ordering::Relaxed) + 1).is_power_of_two()
+    }
+}
+
+/// The bits of an answer, none of a failed simulation; `None` if the question was not answered.
+fn bits_of<T>(told: &Result<T, FmiError>, answer: &Frame) -> Option<Vec<u64>> {
+    match told {
+        Ok(_) => Some(answer.numbers.iter().map(|number| number.to_bits()).collect()),
+        Err(FmiError::ReportedError(told)) if !told.is_of_process() => Some(Vec::new()),
+        Err(_) => None,
     }
 }
 
@@ -339,7 +399,7 @@ impl Processes {
         };
         // A function of the user may change from call to call: what it drives is simulated once.
         let is_driven = matches!(job, Job::Simulate(options) if options.has_input_functions());
-        let process = if is_driven { ProcessChoice::Any } else { ProcessChoice::Checked };
+        let process = if is_driven { ProcessChoice::Any } else { ProcessChoice::Compared };
         self.ask(job, process, limits, context, &mut accept).map_err(|error| {
             let FmiError::ReportedError(told) = error else { return error };
             let failure_of = |called| match called {
@@ -356,10 +416,6 @@ impl Drop for Processes {
     fn drop(&mut self) {
         self.workers.forget(&self.load);
     }
-}
-
-fn has_same_bits(one: &[f64], other: &[f64]) -> bool {
-    one.iter().map(|x| x.to_bits()).eq(other.iter().map(|x| x.to_bits()))
 }
 
 /// The worker processes of a calibration.
@@ -396,9 +452,52 @@ impl Remote {
         Ok(Self { processes, run_limit, n_experiments })
     }
 
-    /// A fit evaluates its best point in a fresh process: its evaluations need no check of their own.
-    pub(crate) fn set_checked(&self) {
-        self.processes.is_checked.store(true, Ordering::Relaxed);
+    /// Number of times that a process was found to have given wrong answers after a comparison had passed.
+    pub(crate) fn n_late(&self) -> u64 {
+        self.processes.comparisons.n_late.load(Ordering::Relaxed)
+    }
+
+    /// True if answers of fresh processes differ from each other.
+    pub(crate) fn is_random(&self) -> bool {
+        self.processes.comparisons.is_random.load(Ordering::Relaxed)
+    }
+
+    /// Evaluates the best point of a search in a fresh process, and compares the answers. As in any
+    /// comparison, the model is brought back in another way from now on if they differ.
+    pub(crate) fn compare_with_fresh(
+        &self,
+        best: &BestPoint,
+        evaluation: Evaluation,
+        rule: CostRule<'_>,
+        stats: &mut Stats,
+    ) {
+        let mut fresh = || {
+            let mut residuals = vec![0.0; best.n_residuals];
+            let evaluation = Evaluation { process: ProcessChoice::Fresh, ..evaluation };
+            let cost = match self.evaluate(&best.x, evaluation, rule, &mut residuals, stats) {
+                Ok(cost) => cost,
+                Err(CostFailure::Failed { .. }) => f64::INFINITY,
+                Err(_) => return None,
+            };
+            Some((cost.to_bits(), residuals.iter().map(|residual| residual.to_bits()).collect::<Vec<u64>>()))
+        };
+        let reuse = self.processes.fmu.reuse();
+        let Some((cost, residuals)) = fresh() else { return };
+        let is_same = match &best.residuals {
+            Some(known) => known.iter().map(|residual| residual.to_bits()).eq(residuals.iter().copied()),
+            None => best.cost.to_bits() == cost,
+        };
+        if is_same {
+            return;
+        }
+        match fresh() {
+            Some(again) if again == (cost, residuals) => {
+                self.processes.comparisons.note_passed(reuse);
+                self.processes.give_up(reuse);
+            }
+            Some(_) => self.processes.comparisons.is_random.store(true, Ordering::Relaxed),
+            None => {}
+        }
     }
 
     /// Begins work in which all processes have the working folder and the environment variables of its begin.
@@ -409,11 +508,6 @@ impl Remote {
     /// Has a process started that will be needed for a fit: beside that which searches, or at its end.
     pub(crate) fn prepare_second(&self) {
         self.processes.workers.prepare_second(&self.processes.load);
-    }
-
-    /// Number of processes that have evaluated something, and are not asked at the moment.
-    pub(crate) fn n_idle(&self) -> usize {
-        self.processes.workers.n_idle(&self.processes.load)
     }
 
     fn limits(&self, runs: u32, size: FrameSize) -> AnswerLimits {
@@ -469,7 +563,7 @@ impl Remote {
         context: &RunContext<'_>,
     ) -> ReportedCostFailure {
         let ReportedCostFailure::Failed { reason, source: Some(told), .. } = &failure else { return failure };
-        let is_alone = process == ProcessChoice::Checked;
+        let is_alone = process == ProcessChoice::Compared;
         if !is_alone {
             let mut known = self.processes.explained.lock().unwrap_or_else(PoisonError::into_inner);
             if known.contains_key(reason) {

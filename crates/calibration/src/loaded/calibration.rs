@@ -402,7 +402,7 @@ impl Calibration {
         self.check_length(x)?;
         let mut residuals = vec![0.0; self.n_residuals()];
         let rule = CostRule::whole(RobustLoss::default(), context);
-        let cost = self.evaluate_in(ProcessChoice::Checked, x, rule, &mut residuals, stats);
+        let cost = self.evaluate_in(ProcessChoice::Compared, x, rule, &mut residuals, stats);
         cost.map(|cost| (cost, residuals)).map_err(|no_cost| match no_cost.of_point() {
             Ok(PointFailure { message, source, .. }) => self.failed_at(x, message, source),
             Err(error) => error,
@@ -477,7 +477,7 @@ impl Calibration {
         out: &mut [f64],
         stats: &mut Stats,
     ) -> Result<f64, CostFailure> {
-        self.evaluate_in(ProcessChoice::Any, x, rule, out, stats)
+        self.evaluate_in(ProcessChoice::ComparedFirst, x, rule, out, stats)
     }
 
     /// The same, by a process of this kind, where processes are asked.

@@ -129,6 +129,9 @@ impl Service for Server {
         context: &RunContext<'_>,
         answer: &mut Frame,
     ) -> Result<(), FmiError> {
+        if let Some(fmu) = self.fmu() {
+            fmu.set_reuse(if asked.needs_new_instance { Reuse::Reinstantiate } else { Reuse::Reset });
+        }
         let outcome = self.respond(asked, context, answer);
         let is_repeated = self.fmu().is_some_and(Fmu::take_repetition);
         if is_repeated && !context.is_over() {
@@ -137,7 +140,6 @@ impl Service for Server {
             return Ok(());
         }
         self.repeated = Stats::default();
-        answer.is_last |= self.fmu().is_some_and(|fmu| fmu.reuse() == Some(Reuse::NewProcess));
         outcome
     }
 

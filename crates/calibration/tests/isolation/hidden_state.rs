@@ -5,7 +5,7 @@ use crate::{ALONE, decay, open, own_size, settings};
 use calibration::{Fit, FitOptions, ModelProcess, RunContext};
 use dfo::{AnyMethod, DifferentialEvolution, LeastSquares, Limits, Multistart, NelderMead, RunOptions};
 use fmi::worker::{Isolation, WorkerLimits};
-use fmi::{Fmu, SimulateOptions};
+use fmi::{Fmu, Reuse, SimulateOptions};
 use std::sync::PoisonError;
 
 /// A cost does not depend on what was computed before, also outside of fits.
@@ -79,7 +79,7 @@ fn a_fit_of_a_model_with_a_state_that_no_variable_shows_is_right() {
     }
 }
 
-const HIDDEN: &str = "a state that the model keeps and no variable shows";
+const HIDDEN: &str = "the model keeps a state outside of its instances";
 
 /// A calibration meets nothing of what another one of the same opened model has run.
 #[test]
@@ -106,8 +106,10 @@ fn a_late_state_that_no_variable_shows_is_found_outside_of_fits() {
     for k in [1.1, 1.2, 1.3, 3.0] {
         calibration.residuals(&[k], &context).unwrap();
     }
-    assert_eq!(calibration.residuals(&[1.0], &context).unwrap(), expected);
-    assert!(calibration.fmu().has_hidden_state());
+    for _ in 0..2 {
+        assert_eq!(calibration.residuals(&[1.0], &context).unwrap(), expected);
+    }
+    assert_eq!(calibration.fmu().reuse(), Reuse::NewProcess);
 }
 
 #[test]

@@ -193,18 +193,13 @@ impl Libraries {
 
 impl Drop for Libraries {
     fn drop(&mut self) {
-        let mut has_state = |kind: usize| {
-            let verdict = self.reset_knowledge[kind].get_mut().unwrap_or_else(PoisonError::into_inner);
-            verdict.reuse == Some(Reuse::NewProcess)
-        };
-        let is_kept = !has_state(0) && !has_state(1);
         for (source, library) in std::mem::take(&mut *lock(&self.loaded)) {
             if library.is_fatal() {
                 continue;
             }
             if source.may_unload() {
                 library.unload_when_unused();
-            } else if is_kept {
+            } else {
                 library.release_folder();
                 lock(&KEPT).push((source, library));
             }

@@ -1,12 +1,9 @@
-//! State of knowledge about the reset of an FMU's instances.
+//! What is known about the instances of an FMU: how they are brought back to their start, and which promises
+//! of the description they do not keep.
 
-/// State of knowledge about the reset of instances of one interface.
+/// What is known about the instances of one interface.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct ResetKnowledge {
-    /// Way in which instances are reset; `None` before it was tried. Only gets worse.
-    pub(crate) reuse: Option<Reuse>,
-    /// Saved states do not bring an instance back.
-    pub(crate) no_restore: bool,
     /// Co-simulation: instances are not made with the event mode that the description promises.
     pub(crate) no_event_mode: bool,
     /// Co-simulation: whether the model is told the stop time.
@@ -49,36 +46,25 @@ impl StopTime {
     }
 }
 
-impl ResetKnowledge {
-    /// Notes what was seen.
-    pub(crate) fn note(&mut self, reuse: Reuse) {
-        self.reuse = self.reuse.max(Some(reuse));
-    }
-
-    /// True if a new instance is made for every run, whatever a simulator has seen.
-    pub(crate) fn is_final(&self) -> bool {
-        self.reuse >= Some(Reuse::Reinstantiate)
-    }
-}
-
-/// Way in which the instances of an FMU are reset between simulations: the first of these that was seen to be
-/// right. Right means that runs have the same bits as on a new instance, also after a run with other values;
-/// speed is not compared.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+/// How a worker process returns a model to its start between two simulations. A new model begins with
+/// `Reset`. The process that asks compares answers with those of a fresh process, and takes the next way if
+/// they differ.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 #[non_exhaustive]
 pub enum Reuse {
-    /// By restoring the state saved when the instance was new (model exchange, FMUs that can save states): it
-    /// was seen to restore everything, bit for bit. All values are set again afterwards, and read back.
-    Restore,
-    /// By the FMU's reset function: it was seen to restore everything, bit for bit.
+    /// By the FMU's reset function. Without one (FMI 1.0 model exchange) or if it fails, by a new instance.
+    #[default]
     Reset,
-    /// By a new instance for every simulation: nothing else is offered, or it fails, or it leaves traces.
+    /// By a new instance for every simulation.
     Reinstantiate,
-    /// By a new process for every simulation: the model keeps a state outside of its instances. Where
-    /// simulations are made in this process, each has a new instance, and results may depend on earlier ones.
+    /// By a new process for every simulation: the model keeps a state outside of its instances.
     NewProcess,
 }
 
+impl Reuse {
+    /// All ways, in the order in which they are tried.
+    pub(crate) const ALL: [Self; 3] = [Self::Reset, Self::Reinstantiate, Self::NewProcess];
+}
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -93,15 +79,5 @@ mod tests {
         assert_eq!(after(&[false, true]), StopTime::OnTrial);
         assert_eq!(after(&[true, false, true]), StopTime::Withheld);
         assert_eq!(after(&[true, true, true]), StopTime::Kept);
-    }
-
-    #[test]
-    fn verdicts_only_get_worse() {
-        let mut verdict = ResetKnowledge::default();
-        verdict.note(Reuse::Reset);
-        verdict.note(Reuse::Restore);
-        assert_eq!((verdict.reuse, verdict.is_final()), (Some(Reuse::Reset), false));
-        verdict.note(Reuse::Reinstantiate);
-        assert!(verdict.is_final());
     }
 }

@@ -9,7 +9,7 @@ use crate::simulation::running::Running;
 use crate::simulation::shared_observer::SharedObserver;
 use crate::simulation::variable_elements::RunInput;
 use crate::sys::{InterfaceKind, RawInstance, note_start};
-use ode::{Driver, ErrorKind, Ignore, Limits, Observer, Report};
+use ode::{Driver, ErrorKind, Ignore, Observer, Report};
 use std::sync::Arc;
 
 /// A way of running a model, with its instance.
@@ -74,24 +74,11 @@ impl Engine {
         }
     }
 
-    /// The run itself, with the limits of the plan or others.
-    pub(crate) fn run(
-        &mut self,
-        plan: &SimulationPlan,
-        limits: Option<Limits>,
-        observer: &mut dyn Observer,
-    ) -> Result<Report> {
-        let limits_of_run = limits.unwrap_or(plan.options.limits);
+    /// The run itself.
+    pub(crate) fn run(&mut self, plan: &SimulationPlan, observer: &mut dyn Observer) -> Result<Report> {
         let outside = SharedObserver::new(&plan.options, observer);
         match self {
             Engine::Integrated { driver, system } => {
-                let mut other;
-                let driver = if let Some(limits) = limits {
-                    other = Driver::new(ode::Options { limits, ..plan.options.clone() })?;
-                    &mut other
-                } else {
-                    driver
-                };
                 let mut integration = Integration { system, outside: &outside };
                 let ended = driver.run(&mut integration, plan.start, plan.end, &plan.times, &mut &outside);
                 let ended = ended.and_then(|report| system.compared_at_end(report));
@@ -107,7 +94,7 @@ impl Engine {
                     FmiError::Simulation(error)
                 })
             }
-            Engine::Stepping(stepping) => stepping.run(limits_of_run.max_steps, &outside),
+            Engine::Stepping(stepping) => stepping.run(plan.options.limits.max_steps, &outside),
         }
     }
 }

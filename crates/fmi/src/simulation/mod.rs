@@ -3,7 +3,6 @@
 
 pub(crate) mod clocks;
 mod co_simulation;
-pub(crate) mod digest;
 pub(crate) mod engine;
 mod grid;
 mod input_table;

@@ -335,13 +335,6 @@ impl System {
         Ok(())
     }
 
-    fn note_outcome(&mut self, outcome: &EventOutcome) {
-        if self.running.digest.is_some() {
-            let flags = u32::from(outcome.terminate) + 2 * u32::from(outcome.nominals_changed);
-            self.running.note(&[f64::from(flags), outcome.next_time.unwrap_or(f64::NAN)]);
-        }
-    }
-
     fn commit(&mut self, t: f64, x: &[f64]) {
         self.last_time = t;
         copy(&mut self.last_states, x);
@@ -380,13 +373,7 @@ impl System {
         let settled = current
             .in_event_mode()
             .and_then(|core| clocks.iterate_events(&plan.clocks, core, t, (recorded, buffers), outside));
-        match settled {
-            Ok(outcome) => {
-                self.note_outcome(&outcome);
-                Ok(outcome)
-            }
-            Err(error) => Err(current.fail(error)),
-        }
+        settled.map_err(|error| current.fail(error))
     }
 
     fn read_states(&mut self, x: &mut [f64]) -> CallResult<()> {
@@ -519,7 +506,6 @@ impl HybridSystem for Integration<'_> {
         }
         self.compare_states(x)?;
         self.leave_event_mode(&outcome)?;
-        self.running.note(x);
         self.commit(t0, x);
         // The model stands at its start time with its own states and the inputs set in initialization mode; only in
         // continuous-time mode can they be set anew.
@@ -535,7 +521,6 @@ impl HybridSystem for Integration<'_> {
         }
         self.reader.is_evaluated = true;
         all_finite(dx)?;
-        self.running.note(dx);
         Ok(())
     }
 
@@ -570,7 +555,6 @@ impl HybridSystem for Integration<'_> {
             return Ok(false);
         }
         all_finite(derivative)?;
-        self.running.note(derivative);
         Ok(true)
     }
 
@@ -581,7 +565,6 @@ impl HybridSystem for Integration<'_> {
         if !self.at_new_point(t, x, |raw, time| raw.indicators_at(time, x, z))? {
             self.at_set_time(t, x, |raw, states| raw.indicators_with(states, z))?;
         }
-        self.running.note(z);
         Ok(())
     }
 
@@ -594,13 +577,11 @@ impl HybridSystem for Integration<'_> {
         }
         let Running { plan, buffers, .. } = &mut self.running;
         buffers.row(plan.outputs(), t, plan.time_tolerance, x, y);
-        self.running.note(y);
         Ok(())
     }
 
     fn step_completed(&mut self, t: f64, x: &[f64]) -> CallResult<StepAction> {
         self.commit(t, x);
-        self.running.note(x);
         if self.running.plan.completed_step_not_needed {
             return Ok(StepAction::default());
         }
@@ -622,7 +603,6 @@ impl HybridSystem for Integration<'_> {
             self.read_states(x)?;
         }
         self.leave_event_mode(&outcome)?;
-        self.running.note(x);
         self.commit(t, x);
         self.set_time = outcome.terminate.then_some(t);
         self.set_states = outcome.terminate.then_some(());

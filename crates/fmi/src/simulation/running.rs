@@ -4,7 +4,6 @@
 use crate::error::{FmiError, Result};
 use crate::instance::Core;
 use crate::simulation::clocks::{ClockState, Tick};
-use crate::simulation::digest::Digest;
 use crate::simulation::inputs::InputState;
 use crate::simulation::outputs::OutputBuffers;
 use crate::simulation::plan::SimulationPlan;
@@ -140,8 +139,6 @@ pub(crate) struct Running {
     /// The outputs as they were read last.
     pub(crate) buffers: OutputBuffers,
     pub(crate) clocks: ClockState,
-    /// Running digest of everything that the FMU answered; only while reset is checked.
-    pub(crate) digest: Option<Digest>,
     /// Values of parameters on their way.
     pub(super) signed: Vec<f64>,
 }
@@ -153,7 +150,6 @@ impl Running {
             inputs: InputState::new(&plan.inputs),
             buffers: OutputBuffers::new(plan.outputs()),
             clocks: ClockState::default(),
-            digest: None,
             signed: Vec::new(),
             plan,
         }
@@ -191,24 +187,6 @@ impl Running {
     /// The ticks of all clocks in the last run.
     pub(crate) fn take_ticks(&mut self) -> Vec<Tick> {
         std::mem::take(&mut self.clocks.ticks)
-    }
-
-    /// Starts collecting a digest of what the FMU answers.
-    pub(crate) fn begin_digest(&mut self, digest: Digest) {
-        self.digest = Some(digest);
-    }
-
-    /// Takes an answer in, if a digest is collected.
-    #[inline]
-    pub(crate) fn note(&mut self, values: &[f64]) {
-        if let Some(digest) = &mut self.digest {
-            digest.note(values);
-        }
-    }
-
-    /// Ends collecting.
-    pub(crate) fn end_digest(&mut self) -> Option<Digest> {
-        self.digest.take()
     }
 }
 

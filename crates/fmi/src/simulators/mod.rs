@@ -1,8 +1,6 @@
 //! A plan that is run many times in this process: one thread, one instance, brought back to its start between
 //! runs.
 
-mod check;
-mod first_run;
 mod instantiate;
 mod reset;
 mod run;

@@ -4,26 +4,13 @@ use super::simulator::Simulator;
 use crate::cancel_request::CancelRequest;
 use crate::description::{Causality, QuirkKind};
 use crate::error::FmiError;
-use crate::libraries::Reuse;
 use crate::sys::{Inside, InterfaceKind, forget_refusal, is_worker, note_run, refusal};
 use base::Number;
-use ode::{
-    Checks, ErrorKind, Ignore, Limits, Observer, Report, Seconds, SimulationError, Stats, Termination,
-};
+use ode::{ErrorKind, Ignore, Observer, Report, Seconds, SimulationError, Stats, Termination};
 use std::sync::Arc;
 use std::time::Instant;
 
 impl Simulator {
-    /// Way in which instances are reset, as far as it is known; `None`: a new instance is made until it was
-    /// tried.
-    pub(super) fn reuse(&self) -> Option<Reuse> {
-        let verdict = *self.plan.fmu().reset_knowledge(self.plan.kind);
-        match verdict.is_final() {
-            true => verdict.reuse,
-            false => self.proven.filter(|reuse| *reuse != Reuse::Restore || !verdict.no_restore),
-        }
-    }
-
     /// True if a call of its library has returned `Fatal`.
     pub(super) fn is_fatal(&self) -> bool {
         self.library.as_ref().is_some_and(|library| library.is_fatal())
@@ -34,7 +21,7 @@ impl Simulator {
         if self.library.is_some() && !self.is_fatal() {
             return Ok(());
         }
-        self.brought_back = None;
+        self.was_reset = None;
         drop(self.engine.running().retire());
         let cancel = CancelRequest::from(self.plan.options.cancel.clone());
         let library = self.plan.fmu().library(self.plan.kind, Some(&self.plan.settings), &cancel, wait);
@@ -91,36 +78,12 @@ impl Simulator {
         parameters: &[f64],
         observer: &mut dyn Observer,
     ) -> Result<Report, FmiError> {
-        let mut checks = Checks::default();
-        let _inside = loop {
-            let inside = self.enter(observer)?;
-            note_run();
-            checks += self.check_if_due(observer)?;
-            // A run of a check may have ended with `Fatal`.
-            if !self.is_fatal() {
-                break inside;
-            }
-        };
-        let mut outcome = self.run_inside(parameters, observer, &checks);
-        if let Some(stats) = stats_of(&mut outcome) {
-            stats.add_checks(checks);
-        }
-        outcome
-    }
-
-    /// The run, in the library.
-    fn run_inside(
-        &mut self,
-        parameters: &[f64],
-        observer: &mut dyn Observer,
-        checks: &Checks,
-    ) -> Result<Report, FmiError> {
+        let _inside = self.enter(observer)?;
+        note_run();
         forget_refusal();
         self.start(parameters)?;
         let starting = self.began.elapsed().as_secs_f64();
-        let mut first = self.begin_first(parameters, observer.wants_steps());
-        let limits = (checks.runs > 0).then(|| self.limits_after(checks));
-        let mut outcome = self.engine.run(&self.plan, limits, observer);
+        let mut outcome = self.engine.run(&self.plan, observer);
         if let Ok(report) = &outcome
             && report.termination == Termination::StoppedByObserver
             && self.engine.has_unchecked_rows()
@@ -134,36 +97,14 @@ impl Simulator {
         }
         if is_worker() && !self.keeps_end {
             // What the end of a run does to the process is part of the answer.
-            self.bring_back();
+            self.retire();
         }
-        let took = self.began.elapsed().as_secs_f64();
         let Some(stats) = stats_of(&mut outcome) else { return outcome };
         stats.seconds += Seconds::new(starting);
         // All of the start is the model's doing, and all calls of the run are, but input functions of the user are not.
         let in_calls = starting + stats.seconds_in_model.get();
         stats.seconds_in_model = Seconds::new(in_calls.min(stats.seconds.get() - input_functions).max(0.0));
-        let n_steps = stats.accepted_steps + stats.rejected_steps;
-        match &mut self.first {
-            Some(first) => first.spent += took,
-            None => {
-                if let Some(first) = &mut first {
-                    first.end(self.engine.running(), n_steps, starting, took);
-                }
-                self.first = first;
-            }
-        }
         outcome
-    }
-
-    /// The limits of a run that come after these checks.
-    pub(super) fn limits_after(&self, checks: &Checks) -> Limits {
-        let limits = self.plan.options.limits;
-        let left = |limit: std::time::Duration| {
-            limit.saturating_sub(
-                std::time::Duration::try_from_secs_f64(checks.seconds.get()).unwrap_or_default(),
-            )
-        };
-        Limits { timeout: limits.timeout.map(left), ..limits }
     }
 
     /// Brings the FMU to its start, with parameters that are checked.
@@ -205,17 +146,12 @@ impl Simulator {
         if !is_used {
             return self.check_taken(parameters);
         }
-        let reuse = self.reuse();
+        // A reset instance without its values is replaced by a new one.
         self.start_new(parameters)?;
-        let from_new = self.has_values(parameters);
-        if from_new.is_ok_and(|agrees| agrees) {
-            let reason = "an instance that was used before does not take the values it is given";
-            self.give_up_reuse(reuse.unwrap_or(Reuse::Reset), reason);
-            return Ok(());
+        match self.has_values(parameters) {
+            Ok(true) => Ok(()),
+            _ => self.check_taken(parameters),
         }
-        // An instance that did not answer is not to be used.
-        self.start_new(parameters)?;
-        self.check_taken(parameters)
     }
 
     /// Refuses a model that does not take the value of a parameter, on a new instance that does not have all
@@ -261,11 +197,11 @@ fn stats_of(outcome: &mut Result<Report, FmiError>) -> Option<&mut Stats> {
 impl Drop for Simulator {
     fn drop(&mut self) {
         let Some(library) = self.library.take() else { return };
-        let (brought_back, current) =
-            (self.brought_back.take(), std::mem::take(&mut self.engine.running().current));
+        let (was_reset, current) =
+            (self.was_reset.take(), std::mem::take(&mut self.engine.running().current));
         // Without waiting: who drops a simulator may hold locks that the one who is inside waits for.
         Arc::clone(library.lock()).when_free(move || {
-            drop((brought_back, current.retire()));
+            drop((was_reset, current.retire()));
             drop(library);
         });
     }

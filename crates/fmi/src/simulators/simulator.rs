@@ -1,10 +1,8 @@
 //! A plan, a live instance, a driver and buffers, for any number of runs.
 
-use super::first_run::FirstRun;
 use crate::description::Value;
 use crate::error::FmiError;
 use crate::libraries::LoadedLibrary;
-use crate::libraries::Reuse;
 use crate::simulation::engine::Engine;
 use crate::simulation::plan::{ReadBackBuffers, SimulationPlan};
 use crate::simulation::trajectory::{Recorder, Trajectory};
@@ -25,12 +23,8 @@ use std::time::Instant;
 /// nobody else has; one thread at a time is inside of it. A run waits until others are over, and its observer
 /// is polled meanwhile.
 ///
-/// Runs have new instances at first. When a tenth of the time that they took is enough to put a way of
-/// bringing an instance back to the test, that is done: the first steps must have the same bits as on a new
-/// instance, also after a run with other values, or the next way is tried later (see [`Reuse`](crate::Reuse):
-/// a saved state, the reset function, a new instance for every run). The cost of the test is in
-/// [`Stats::checks`](ode::Stats::checks). Parameters and start values are set again for every run, and read
-/// back from an instance that was used before.
+/// Each run has a new instance, unless the simulator is [`resetting`](Self::resetting) or in a worker process
+/// (see [`Reuse`](crate::Reuse)). Parameters and start values are set again for every run and read back.
 ///
 /// ```compile_fail
 /// fn shared_between_threads<T: Sync>() {}
@@ -40,8 +34,10 @@ use std::time::Instant;
 pub struct Simulator {
     pub(super) plan: Arc<SimulationPlan>,
     pub(super) engine: Engine,
-    /// The last run's instance, when it has been brought back to its start, and how.
-    pub(super) brought_back: Option<(RawInstance, Reuse)>,
+    /// The last run's instance after a reset.
+    pub(super) was_reset: Option<RawInstance>,
+    pub(super) is_resetting: bool,
+    pub(super) reset_fails: bool,
     /// The values at the end of a run are asked for after it.
     pub(super) keeps_end: bool,
     pub(super) buffers: ReadBackBuffers,
@@ -49,9 +45,6 @@ pub struct Simulator {
     pub(super) began: Instant,
     /// In which its instances are, from the first run on.
     pub(super) library: Option<Arc<LoadedLibrary>>,
-    /// The way of bringing its instances back that has passed the test.
-    pub(super) proven: Option<Reuse>,
-    pub(super) first: Option<Box<FirstRun>>,
     /// Calls come from one thread at a time.
     _not_sync: PhantomData<Cell<()>>,
 }
@@ -65,15 +58,23 @@ impl Simulator {
         Ok(Self {
             engine: Engine::new(&plan)?,
             plan,
-            brought_back: None,
+            was_reset: None,
+            is_resetting: false,
+            reset_fails: false,
             keeps_end: false,
             buffers: ReadBackBuffers::default(),
             began: Instant::now(),
             library: None,
-            proven: None,
-            first: None,
             _not_sync: PhantomData,
         })
+    }
+
+    /// Resets the instance after each run by the FMU's reset function, instead of making a new one. Use it if
+    /// making an instance takes long and the model's reset restores everything: nothing is compared here.
+    #[must_use]
+    pub fn resetting(mut self) -> Self {
+        self.is_resetting = true;
+        self
     }
 
     /// The same, with the instance left at the end of each run, so that values can be read there. In a worker

@@ -45,12 +45,6 @@ impl Workers {
     pub fn n_changes(&self) -> u64 {
         match *self {}
     }
-
-    /// Not reached.
-    pub fn n_idle(&self, _: &Load) -> usize {
-        match *self {}
-    }
-
     /// Not reached.
     pub fn forget(&self, _: &Load) {
         match *self {}

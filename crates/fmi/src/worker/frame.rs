@@ -44,6 +44,10 @@ pub struct Frame {
     pub is_repeated: bool,
     /// No answer yet: the worker wants the value of a function first.
     pub(super) is_asking: bool,
+    /// Of a question: simulations are to have new instances.
+    pub needs_new_instance: bool,
+    /// Of an answer: the process was asked something before. Not sent.
+    pub is_of_used_process: bool,
     /// Of one that was read: which question it is, or is answered.
     pub(crate) number: u32,
     head: Vec<u8>,
@@ -70,6 +74,7 @@ impl Frame {
     /// Empties it.
     pub fn clear(&mut self) {
         (self.is_error, self.is_last, self.is_repeated, self.is_asking) = (false, false, false, false);
+        (self.needs_new_instance, self.is_of_used_process) = (false, false);
         self.head.clear();
         self.notes.clear();
         self.numbers.clear();
@@ -95,7 +100,7 @@ impl Frame {
     /// Writes it with this number, through a buffer.
     pub(crate) fn write(&self, number: u32, to: &mut impl Write, buffer: &mut Vec<u8>) -> io::Result<()> {
         buffer.clear();
-        let flags = [self.is_error, self.is_last, self.is_repeated, self.is_asking];
+        let flags = [self.is_error, self.is_last, self.is_repeated, self.is_asking, self.needs_new_instance];
         let flags = flags.iter().rev().fold(0, |bits, flag| bits << 1 | u32::from(*flag));
         [MAGIC, flags, number, 0].iter().for_each(|word| buffer.extend(word.to_le_bytes()));
         for length in [self.head.len(), self.notes.len(), self.numbers.len()] {
@@ -136,7 +141,7 @@ impl Frame {
         fill(from, &mut header, wait)?;
         let word =
             |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
-        if word(0) != MAGIC || word(4) > 15 {
+        if word(0) != MAGIC || word(4) > 31 {
             return Err(bad("no message of a worker of this version".to_owned()));
         }
         let flag = |bit: u32| word(4) & bit != 0;
@@ -148,6 +153,7 @@ impl Frame {
         let lengths = [length(0), length(1), numbers.saturating_mul(8)];
         (self.is_error, self.is_last, self.is_repeated, self.is_asking) =
             (flag(1), flag(2), flag(4), flag(8));
+        self.needs_new_instance = flag(16);
         self.number = word(8);
         read_part(from, &mut self.head, lengths[0], wait)?;
         read_part(from, &mut self.notes, lengths[1], wait)?;

@@ -82,6 +82,8 @@ pub(super) struct Process {
     /// Quirks of the model that nobody has been told of.
     pub(super) quirks: Vec<Quirk>,
     pub(super) n_calls: u64,
+    /// It was asked something else than to load.
+    pub(super) is_used: bool,
     /// Questions that it had repeated.
     pub(super) n_repeated: u32,
     number: u32,
@@ -137,6 +139,7 @@ impl Process {
             loaded,
             quirks: Vec::new(),
             n_calls: 0,
+            is_used: false,
             n_repeated: 0,
             number: 0,
             last_took: Duration::MAX,

@@ -193,7 +193,6 @@ impl Workers {
         drop(outdated);
         Held(Arc::clone(self))
     }
-
     /// Number of times that the caller has had another working folder or other environment variables than at
     /// the call before: answers on either side are not to be compared.
     pub fn n_changes(&self) -> u64 {
@@ -383,7 +382,9 @@ impl Workers {
             return (Err(error), false);
         }
         let began = Instant::now();
+        let was_used = std::mem::replace(&mut process.is_used, true);
         let told = ask(process, question, answer, accept, &self.said);
+        answer.is_of_used_process = was_used;
         let is_of_process = matches!(&told, Err(FmiError::ReportedError(told)) if told.is_of_process());
         let can_go_on = !process.has_ended()
             && !is_of_process
@@ -416,11 +417,6 @@ impl Workers {
         idle
     }
 
-    /// Number of idle workers that have loaded this.
-    pub fn n_idle(&self, load: &Load) -> usize {
-        self.idle().lent_to(load).filter(|loaded| *loaded == load.id).count()
-    }
-
     /// Ends the idle workers of this: nobody asks them any more.
     pub fn forget(&self, load: &Load) {
         let is_of_load = |(process, _): &mut (Process, Instant)| {
@@ -443,7 +439,6 @@ impl Workers {
                 let own = idle.processes.iter().rposition(is_of_load);
                 own.or_else(|| idle.processes.iter().rposition(is_lent))
             }
-            AskedProcess::LongestIdle => idle.processes.iter().position(is_of_load),
             AskedProcess::Fresh | AskedProcess::FreshOnce => None,
         };
         Some(idle.processes.remove(place?).0)

@@ -1,14 +1,12 @@
-//! The ways of bringing an instance back to its beginning, and how liars among them are found out.
+//! Resets, and values that are set before and after them.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use crate::support;
 
-use example_models::{ExampleKind, example_fmu_as};
-use fmi::ode::Ignore;
-use fmi::{Fmu, InterfaceChoice, InterfaceKind, Reuse, Session, SimulateOptions, SimulationPlan, Simulator};
+use fmi::{Fmu, InterfaceChoice, Session, SimulateOptions, SimulationPlan, Simulator};
 use std::sync::Arc;
-use support::{Folder, evil, evil_with, model, settle};
+use support::{Folder, evil_with};
 
 /// An evil model that says it can save and restore states, of both kinds.
 fn with_states(faults: &[&str]) -> Folder {
@@ -30,101 +28,17 @@ fn plan(fmu: &Fmu, kind: InterfaceChoice) -> Arc<SimulationPlan> {
     Arc::new(SimulationPlan::new(fmu, &options(kind)).unwrap())
 }
 
-const KINDS: [InterfaceChoice; 2] = [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation];
-
-fn interface(kind: InterfaceChoice) -> InterfaceKind {
-    if kind == InterfaceChoice::CoSimulation {
-        InterfaceKind::CoSimulation
-    } else {
-        InterfaceKind::ModelExchange
-    }
-}
-
-/// What new instances give.
-fn truths(folder: &Folder, kind: InterfaceChoice) -> Vec<(f64, Vec<f64>)> {
-    let run = |k: f64| {
-        let options = SimulateOptions::new().start_value("k", k).kind(kind);
-        (k, folder.open().simulate(&options).unwrap().get("y").unwrap().to_vec())
-    };
-    [1.0, 2.0, 1.0, 0.5, 3.0, 1.0].map(run).to_vec()
-}
-
-/// Runs with many values have the bits of new instances, before the check and after it; how it is done.
-fn check(faults: &[&str], kind: InterfaceChoice) -> Reuse {
-    let folder = with_states(faults);
-    let truths = truths(&folder, kind);
-    let fmu = folder.open();
-    let mut simulator = Simulator::new(plan(&fmu, kind)).unwrap();
-    let mut known = None;
-    for round in 0.. {
-        for (k, truth) in &truths {
-            assert_eq!(simulator.trajectory(&[*k]).unwrap().get("y").unwrap(), truth, "{faults:?} {k}");
+#[test]
+fn a_reset_that_fails_is_replaced_by_a_new_instance() {
+    for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
+        let folder = with_states(&["FAILING_RESET"]);
+        let mut simulator = Simulator::new(plan(&folder.open(), kind)).unwrap().resetting();
+        for k in [1.0, 2.0, 1.0, 0.5, 1.0] {
+            let options = SimulateOptions::new().start_value("k", k).kind(kind);
+            let truth = folder.open().simulate(&options).unwrap();
+            assert_eq!(simulator.trajectory(&[k]).unwrap().columns, truth.columns, "{k}");
         }
-        // Again with what was found out.
-        let before = std::mem::replace(&mut known, fmu.reuse_of(interface(kind)));
-        if before.is_some() && before == known {
-            break;
-        }
-        assert!(round < 1000);
     }
-    known.unwrap()
-}
-
-#[test]
-fn a_saved_state_comes_first_where_it_is_right() {
-    let kind = InterfaceChoice::ModelExchange;
-    assert_eq!(check(&[], kind), Reuse::Restore);
-    // It does not matter what the reset function does.
-    assert_eq!(check(&["LYING_RESET"], kind), Reuse::Restore);
-    assert_eq!(check(&["FAILING_RESET"], kind), Reuse::Restore);
-}
-
-/// The solver of a co-simulation need not be part of its saved states: some models abort when they start again from one.
-#[test]
-fn a_co_simulation_is_not_brought_back_by_a_saved_state() {
-    let kind = InterfaceChoice::CoSimulation;
-    assert_eq!(check(&[], kind), Reuse::Reset);
-    assert_eq!(check(&["FAILING_RESET"], kind), Reuse::Reinstantiate);
-}
-
-#[test]
-fn the_next_way_is_taken_where_states_do_not_come_back() {
-    for kind in KINDS {
-        for fault in ["SAVE_FAILS", "RESTORE_FAILS", "RESTORE_FORGETS", "RESTORE_STICKS"] {
-            assert_eq!(check(&[fault], kind), Reuse::Reset, "{fault}");
-        }
-        assert_eq!(check(&["RESTORE_FORGETS", "RESET_TO_ZERO"], kind), Reuse::Reinstantiate);
-        assert_eq!(check(&["SAVE_FAILS", "FAILING_RESET"], kind), Reuse::Reinstantiate);
-    }
-}
-
-#[test]
-fn states_without_the_functions_are_not_used() {
-    let folder = evil_with(&[], |xml| {
-        xml.replace("modelIdentifier=\"evil\"", "modelIdentifier=\"evil\" canGetAndSetFMUstate=\"true\"")
-    });
-    assert_eq!(
-        settle(&mut Simulator::new(plan(&folder.open(), InterfaceChoice::Auto)).unwrap(), &[1.0]),
-        Reuse::Reset
-    );
-}
-
-/// The model restores the old parameter at the end of the initialization, which the check sees in its runs with other values.
-#[test]
-fn parameters_that_a_restored_state_brings_back_are_seen() {
-    let kind = InterfaceChoice::ModelExchange;
-    let folder = with_states(&["RESTORE_STICKS"]);
-    let fmu = folder.open();
-    let mut simulator = Simulator::new(plan(&fmu, kind)).unwrap();
-    let truth = |k: f64| {
-        let options = SimulateOptions::new().start_value("k", k).kind(kind);
-        folder.open().simulate(&options).unwrap().get("y").unwrap().to_vec()
-    };
-    assert_eq!(settle(&mut simulator, &[1.0]), Reuse::Reset);
-    for k in [2.0, 3.0, 1.0, 2.0] {
-        assert_eq!(simulator.trajectory(&[k]).unwrap().get("y").unwrap(), truth(k));
-    }
-    assert_eq!(fmu.reuse(), Some(Reuse::Reset));
 }
 
 /// New instances do not have the value given either: nothing is wrong with the restored ones, but a fit of it would be in vain.
@@ -191,39 +105,6 @@ fn a_tolerance_is_told_where_somebody_states_one() {
     });
     let options = SimulateOptions::new().final_time(1.0).outputs(["k"]);
     assert_eq!(stated.open().simulate(&options).unwrap().get("k").unwrap()[0], 1e-3);
-}
-
-#[test]
-fn the_bundled_models_come_back_by_their_states() {
-    let folder = model("furuta");
-    let options = SimulateOptions::new().final_time(2.0).parameters(["armFriction"]);
-    let plan = Arc::new(SimulationPlan::new(&folder.open(), &options).unwrap());
-    assert_eq!(settle(&mut Simulator::new(plan).unwrap(), &[0.01]), Reuse::Restore);
-}
-
-#[test]
-fn a_reset_function_that_the_standard_does_not_have_is_no_quirk() {
-    let fmu = Fmu::open(example_fmu_as("dahlquist", ExampleKind::Fmi1ModelExchange).unwrap()).unwrap();
-    let mut simulator = Simulator::new(plan(&fmu, InterfaceChoice::ModelExchange)).unwrap();
-    assert_eq!(settle(&mut simulator, &[1.0]), Reuse::Reinstantiate);
-    assert_eq!(fmu.quirks_seen(), []);
-}
-
-#[test]
-fn a_way_that_passed_while_more_was_set_says_nothing_of_other_plans() {
-    // Reset leaves the state at 0, which runs that set it do not see.
-    let folder = evil(&["RESET_TO_ZERO"]);
-    let fmu = folder.open();
-    let plain = SimulateOptions::new().kind(InterfaceChoice::ModelExchange);
-    let truth = folder.open().simulate(&plain).unwrap();
-    let setting = plain.clone().start_value("x", 1.0);
-    for (options, reuse) in [(&setting, Reuse::Reset), (&plain, Reuse::Reinstantiate)] {
-        let mut simulator = Simulator::new(Arc::new(SimulationPlan::new(&fmu, options).unwrap())).unwrap();
-        // The verdict on the model is that of the first until the second has been checked.
-        while simulator.run(&[], &mut Ignore).unwrap().stats.checks.runs == 0 {}
-        assert_eq!(fmu.reuse(), Some(reuse));
-        assert_eq!(simulator.trajectory(&[]).unwrap().columns, truth.columns);
-    }
 }
 
 #[test]

@@ -2,8 +2,7 @@
 #![allow(dead_code, clippy::unwrap_used)]
 
 use example_models::ExampleKind;
-use fmi::ode::Ignore;
-use fmi::{Fmu, Reuse, Simulator};
+use fmi::Fmu;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -18,19 +17,6 @@ pub(crate) const MODELS: [(&str, f64); 8] = [
     ("quad_tank", 20.0),
     ("exhaust", 5.0),
 ];
-
-/// Runs a simulator until it is known how its instances are brought back: the check is made when runs have taken long enough.
-pub(crate) fn settle(simulator: &mut Simulator, parameters: &[f64]) -> Reuse {
-    let (fmu, kind) = (simulator.plan().fmu().clone(), simulator.plan().kind());
-    for _ in 0..5000 {
-        simulator.run(parameters, &mut Ignore).unwrap();
-        // A saved state may be found wrong first.
-        if fmu.reuse_of(kind).is_some() {
-            break;
-        }
-    }
-    fmu.reuse_of(kind).unwrap()
-}
 
 /// Where the sources are.
 fn here() -> PathBuf {

@@ -74,10 +74,6 @@ fn list_of_terminals<'py>(py: Python<'py>, terminals: &[Terminal]) -> PyResult<B
     Ok(list)
 }
 
-fn interface(kind: &str) -> InterfaceKind {
-    if kind == "CS" { InterfaceKind::CoSimulation } else { InterfaceKind::ModelExchange }
-}
-
 /// An opened FMU.
 #[pyclass(frozen, module = "pydfo._core")]
 pub(crate) struct Fmu {
@@ -125,15 +121,14 @@ impl Fmu {
         Ok(Self { fmu: fmu.map_err(|e| fmu_error::raise(py, &e))? })
     }
 
-    /// Way in which instances are reset between simulations; None before it was tried.
-    fn reuse(&self, kind: &str) -> Option<&'static str> {
-        Some(match self.fmu.reuse_of(interface(kind))? {
-            Reuse::Restore => "restore",
+    /// How the model is returned to its start between simulations, as far as comparisons with fresh processes
+    /// have shown.
+    fn reuse(&self) -> &'static str {
+        match self.fmu.reuse() {
             Reuse::Reset => "reset",
             Reuse::Reinstantiate => "reinstantiate",
-            Reuse::NewProcess => "process",
-            _ => "other",
-        })
+            _ => "process",
+        }
     }
 
     /// Raises what keeps the FMU from being simulated in this way, as far as its description tells; else "ME"

@@ -5,7 +5,6 @@ mod misfit;
 mod noise;
 mod noise_iterations;
 mod options;
-mod reproducibility;
 mod result;
 mod search;
 mod simulation_executor;
@@ -18,7 +17,9 @@ pub use result::Fit;
 pub use simulation_executor::SimulationExecutor;
 pub use tolerance::ChosenTolerance;
 
-use crate::cost::process::HIDDEN_STATE;
+use crate::cost::parallel::beside;
+use crate::cost::process::{BestPoint, Evaluation, NOT_REPRODUCED, ProcessChoice, Remote};
+use crate::cost::residual::CostRule;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Origin, Severity};
 use crate::fit::output_fit::KeptResiduals;
@@ -26,22 +27,19 @@ use crate::fit::phase::FitPhase;
 use crate::loaded::budget::Extra;
 use crate::loaded::calibration::Calibration;
 use base::RunContext;
+use dfo::RobustLoss;
+use fmi::Reuse;
 pub(crate) use noise_iterations::FinalSearch;
-use ode::Stats;
-use reproducibility::Reproducibility;
+use ode::{Checks, Stats};
 pub(crate) use search::{Job, SearchResult, UsedLimits};
+use std::convert::Infallible;
 
-/// Finding about an FMU whose results depend on more than what is set.
-const NOT_REPRODUCED: &str =
-    "two evaluations of the best point in fresh processes differ: no cost can be reproduced";
+/// Finding about a model that needs a process for each simulation.
+const HIDDEN_STATE: &str = "the model keeps a state outside of its instances, which no variable shows: each evaluation has a process of its own";
 
-/// An FMU that runs in this process keeps a state.
-const STATE_HERE: &str = "a simulation depends on those before it in this process (a state that the model keeps and no variable shows): the result \
-                          may be wrong; isolation = \"process\" gives each evaluation a process of its own";
-
-/// The same, where there was no time for a fit without that.
-const NOT_ANEW: &str = "a cost depends on what ran before it in the same process (a state that the model keeps and no variable shows): the costs \
-                        of this fit may be wrong, and its time was over before it could begin anew";
+/// Finding about a fit that could not restart.
+const NOT_ANEW: &str = "evaluations depended on those before them, and the time was over before the fit could restart: its costs may be \
+                        wrong";
 
 fn finding_about_fmu(sentence: &str) -> Finding {
     Finding::warning("FMU", sentence, "")
@@ -74,7 +72,10 @@ impl Calibration {
         let (run, wants_preflight) = (job.run.clone(), job.wants_preflight);
         let mut stats = Stats::default();
         loop {
-            let is_apart = self.is_apart();
+            let remote = self.evaluator().remote.as_ref().ok();
+            let n_late = || remote.map_or(0, Remote::n_late);
+            let (began_with, is_apart) =
+                (n_late(), remote.is_some() && self.fmu().reuse() == Reuse::NewProcess);
             let mut made = match self.made(&mut job, &mut stats) {
                 Err(error) if !job.context.is_cancelled() => FinalSearch::of(self.start_alone(&job, error)?),
                 made => made?,
@@ -83,36 +84,35 @@ impl Calibration {
             let handled = || Finding::new(Severity::Note, "FMU", HIDDEN_STATE, "").of(Origin::Search);
             made.searched.raised.extend(is_apart.then(handled));
             job.enter(FitPhase::FreshProcess, &stats);
-            let (own, best) = (made.own.take(), made.best());
+            let own = made.own.take();
             let own = own.as_ref().unwrap_or(self);
+            let best = made.best(own.n_residuals());
             let mut budget = made.budget(self, &job.start);
-            // Taken where nothing is compared, too, and with room left for an accurate simulation of the result:
-            // neither a process nor the number of workers decides what else is simulated.
+            // Taken without a comparison, too: no process decides what else is simulated.
             let has_room = budget.take(1.0);
-            let reserved = if job.has_uncertainty() { own.price_of_accurate() } else { 0.0 };
-            let most_used = has_room.then(|| budget.left_beside(reserved));
-            // What is compared is known, or a used process has to tell it.
-            let most_used = most_used.filter(|most| best.residuals.is_some() || *most > 0);
-            if most_used.is_none() && own.is_comparable() {
+            if !has_room {
                 budget.skip(Extra::FreshProcess);
             }
-            let most_used = most_used.filter(|_| own.is_comparable());
-            let ((mut fit, kept), again, checks) =
-                own.beside_fresh_process(&best, most_used, job.loss, &job.context, || {
-                    self.judged(own, &job, made, stats, budget)
-                });
-            fit.stats.add_checks(checks);
+            let own_remote = own.evaluator().remote.as_ref().ok();
+            let own_remote = own_remote.filter(|_| has_room && !is_apart && !job.context.is_over());
+            let judge = || Ok::<_, Infallible>(self.judged(own, &job, made, stats, budget));
+            let (Ok((mut fit, kept)), checks) = match own_remote {
+                Some(remote) => {
+                    let compare = |context: &RunContext<'_>| own.compare(remote, &best, job.loss, context);
+                    beside(&job.context, compare, judge)
+                }
+                None => (judge(), None),
+            };
+            fit.stats.add_checks(checks.unwrap_or_default());
             fit.phases = job.phases.borrow_mut().costs(&fit.stats);
-            // A worker may have found it out by itself.
-            let is_found_out = !is_apart && self.is_apart();
-            let doubt = match again {
-                Reproducibility::Random => Some(NOT_REPRODUCED),
-                _ if is_found_out && job.context.is_over() => Some(NOT_ANEW),
+            let own_late = own_remote.map_or(0, Remote::n_late);
+            let is_wrong = n_late() > began_with || own_late > 0;
+            let doubt = match is_wrong {
+                false if own_remote.or(remote).is_some_and(Remote::is_random) => Some(NOT_REPRODUCED),
+                true if job.context.is_over() => Some(NOT_ANEW),
                 _ => None,
             };
-            if doubt.is_some() || !is_found_out {
-                let is_here = self.evaluator().remote.is_err() && self.fmu().has_hidden_state();
-                let doubt = doubt.or(is_here.then_some(STATE_HERE));
+            if doubt.is_some() || !is_wrong {
                 fit.setup_findings.extend(doubt.map(finding_about_fmu));
                 if !job.is_part {
                     fit.note_end_before_minimum();
@@ -120,8 +120,25 @@ impl Calibration {
                 return Ok((fit, kept));
             }
             stats = fit.stats;
-            log::warn!("{}: {HIDDEN_STATE}: the fit begins anew", self.fmu().description().model_name);
+            let model = &self.fmu().description().model_name;
+            log::warn!("{model}: evaluations depended on those before them: the fit restarts");
             job.begin_anew(run.clone(), wants_preflight);
         }
+    }
+
+    /// Compares the best point with a fresh process; what that takes.
+    fn compare(
+        &self,
+        remote: &Remote,
+        best: &BestPoint,
+        loss: RobustLoss,
+        context: &RunContext<'_>,
+    ) -> Checks {
+        let mut stats = Stats::default();
+        if let Ok(method) = self.method(context) {
+            let evaluation = Evaluation { method, accuracy: None, process: ProcessChoice::Fresh };
+            remote.compare_with_fresh(best, evaluation, CostRule::whole(loss, context), &mut stats);
+        }
+        stats.as_checks(self.problem().experiments.len() as u64)
     }
 }

@@ -1,9 +1,9 @@
 //! The searches of a fit: one, or several that take turns with estimates of the noise.
 
 use super::noise::{EstimatedNoise, FitNoise, MOST_ROUNDS, NoiseRule, leverages};
-use super::reproducibility::BestPoint;
 use super::search::{Job, SearchResult, UsedLimits, start_cost_in};
 use super::tolerance::ChosenTolerance;
+use crate::cost::process::BestPoint;
 use crate::cost::residual::sum_of_squares;
 use crate::cost::solver::AtStart;
 use crate::error::CalibrationError;
@@ -43,9 +43,14 @@ impl FinalSearch {
     }
 
     /// The result of the search, and the residuals there, if they are known.
-    pub(super) fn best(&self) -> BestPoint {
+    pub(super) fn best(&self, n_residuals: usize) -> BestPoint {
         let SearchResult { report, residuals, .. } = &self.searched;
-        BestPoint { x: report.x.clone(), residuals: residuals.at(&report.x).map(<[f64]>::to_vec) }
+        BestPoint {
+            x: report.x.clone(),
+            n_residuals,
+            residuals: residuals.at(&report.x).map(<[f64]>::to_vec),
+            cost: report.fun,
+        }
     }
 }
 

@@ -359,9 +359,6 @@ impl Calibration {
         let raised: Vec<Finding> =
             preflight.iter().filter_map(|found| raise_f_tol(&mut run.tolerances, found)).collect();
         job.enter(FitPhase::Search, stats);
-        if let Ok(remote) = &self.evaluator().remote {
-            remote.set_checked();
-        }
         if let Some(known) = &at_start {
             // It is the first evaluation of the search.
             let effort = Effort::of(

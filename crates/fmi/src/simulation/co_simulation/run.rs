@@ -238,11 +238,6 @@ impl Run<'_, '_> {
     fn arrive_at(&mut self, time: f64, outcome: &StepOutcome) -> Step<()> {
         self.t = time;
         self.sample_left()?;
-        if self.stepping.running.digest.is_some() {
-            // Steps between requested times count too.
-            self.read(StepSide::After)?;
-            self.stepping.running.note(&self.stepping.after);
-        }
         let event_mode = self.stepping.running.current.core()?.raw.has_event_mode();
         let ended = event_mode && !outcome.terminate && self.handle_events(outcome.event)?;
         self.sample_here()?;

@@ -128,7 +128,6 @@ impl Run<'_, '_> {
         let side = if self.twice() { Side::Left } else { Side::Right };
         self.next_row += 1;
         self.stats.samples += 1;
-        self.stepping.running.note(outputs);
         let sample = Sample { time: self.plan.times[index], index: Some(index), side, states: &[], outputs };
         let mut observer = self.outside;
         match observer.sample(&sample) {

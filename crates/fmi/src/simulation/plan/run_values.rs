@@ -2,7 +2,7 @@
 
 use super::initial_values::{InitialValues, StatePositions};
 use super::read_back::{Lost, ReadBack, ReadBackBuffers};
-use crate::description::{Causality, ModelDescription, Structure, Value, Variable, VariableKind};
+use crate::description::{Causality, ModelDescription, Structure, Value, VariableKind};
 use crate::error::{FmiError, Result};
 use crate::instance::Core;
 use crate::instance::assignments::{self, Assignments, check_settable_at_start};
@@ -229,42 +229,6 @@ impl RunValues {
         RunInput { start: &self.start, parameters }
     }
 
-    /// Start values and parameters a little off, within their bounds: for trial runs whose traces must not be
-    /// found again in the next run. Integers and the like stay as they are: they may choose another model
-    /// altogether.
-    pub(crate) fn perturbed(
-        &self,
-        description: &ModelDescription,
-        parameters: &[f64],
-    ) -> (StartValues, Vec<f64>) {
-        let mut others = self.start.clone();
-        self.perturb_all(description, &mut others.early);
-        self.perturb_all(description, &mut others.inputs);
-        let variable = |parameter: &RunParameter| &description.variables[parameter.place.variable];
-        let parameters = self.parameters.iter().zip(parameters);
-        let parameters = parameters.map(|(parameter, value)| perturb(variable(parameter), *value)).collect();
-        (others, parameters)
-    }
-
-    fn perturb_all(&self, description: &ModelDescription, values: &mut Assignments) {
-        if values.reals.0.is_empty() {
-            return;
-        }
-        let variables: HashMap<u32, &Variable> = description
-            .variables
-            .iter()
-            .filter(|v| v.kind == VariableKind::Real && check_settable_at_start(v).is_ok())
-            .map(|v| (v.value_reference, v))
-            .collect();
-        let mut rest = &mut values.reals.1[..];
-        for reference in &values.reals.0 {
-            let Some(variable) = variables.get(reference) else { break };
-            let (values, others) = rest.split_at_mut(self.structure.elements(description, variable));
-            values.iter_mut().for_each(|value| *value = perturb(variable, *value));
-            rest = others;
-        }
-    }
-
     /// Gives a fresh instance its structure, start values (those of the plan or others for the same
     /// variables) and parameters; `buffer` is used on the way.
     pub(crate) fn set_up(&self, core: &mut Core, input: RunInput<'_>, buffer: &mut Vec<f64>) -> Result<()> {
@@ -383,15 +347,4 @@ pub(super) fn resolve_start_values(
         }
     }
     Ok((resolved, structure))
-}
-
-/// A value a little off, within the variable's bounds.
-fn perturb(variable: &Variable, value: f64) -> f64 {
-    let size = if value != 0.0 {
-        value.abs()
-    } else {
-        variable.nominal.filter(|n| n.is_normal()).unwrap_or(1.0).abs()
-    };
-    let fits = |x: &f64| variable.min.is_none_or(|min| *x >= min) && variable.max.is_none_or(|max| *x <= max);
-    [value + 0.02 * size, value - 0.02 * size].into_iter().find(fits).unwrap_or(value)
 }

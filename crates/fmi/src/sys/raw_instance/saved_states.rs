@@ -13,27 +13,6 @@ impl RawInstance {
         self.saved.fill_slot(index, pointer, self.time, outcome)
     }
 
-    /// Saves the state of a new instance, for [`restore_origin`](Self::restore_origin).
-    pub(crate) fn save_origin(&mut self) -> Outcome {
-        self.saved.origin = Some(self.save_state()?);
-        Ok(())
-    }
-
-    /// True if the state that it had when it was new is saved.
-    pub(crate) fn has_origin(&self) -> bool {
-        self.saved.origin.is_some()
-    }
-
-    /// Brings that state back; without one, a `Discard`.
-    pub(crate) fn restore_origin(&mut self) -> Outcome {
-        let Some(origin) = self.saved.origin.take() else {
-            return Err(Fault::Discard(self.library.functions.restore_state.name));
-        };
-        let outcome = self.restore_state(&origin);
-        self.saved.origin = Some(origin);
-        outcome
-    }
-
     /// True if the token was made by this instance.
     pub(crate) fn owns(&self, saved: &SavedSlot) -> bool {
         self.saved.pointer(saved).is_some()

@@ -20,8 +20,6 @@ pub(crate) struct SavedSlot {
 #[derive(Default)]
 pub(super) struct SavedStates {
     pub(super) slots: Vec<Slot>,
-    /// The state it had when it was new, where it is to be restored.
-    pub(super) origin: Option<SavedSlot>,
     identity: Arc<()>,
 }
 
@@ -45,11 +43,9 @@ impl SavedStates {
         self.slots.clear();
     }
 
-    /// True if a saved state of this run is held, to which the run may be set back. The state that the
-    /// instance had when it was new begins another run.
+    /// True if a saved state is held, to which the run may be set back.
     pub(super) fn may_be_restored(&self) -> bool {
-        let held = self.slots.iter().filter(|slot| slot.token.strong_count() > 0).count();
-        held > usize::from(self.origin.is_some())
+        self.slots.iter().any(|slot| slot.token.strong_count() > 0)
     }
 
     /// A place whose token is gone, or a new one; and the memory that it has.

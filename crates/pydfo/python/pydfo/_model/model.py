@@ -201,12 +201,11 @@ class FMUModel:
         return self._kind
 
     @property
-    def reuse(self) -> str | None:
-        """How an instance is brought back to its beginning between two simulations in this process (``isolation="none"``): the first
-        of "restore" (a saved state), "reset" (the FMU's function), "reinstantiate" (a new instance) and "process" (results may depend on
-        earlier simulations) that was seen to give the same bits. None before it was tried, which is when a tenth of the time of the
-        simulations so far is enough for it."""
-        return self._fmu.reuse(self._kind)
+    def reuse(self) -> str:
+        """How a worker process returns the model to its start between two simulations: "reset" (the FMU's function), "reinstantiate"
+        (a new instance) or "process" (a new process). It begins with "reset", and takes the next one if a simulation differs from the
+        same one in a fresh process."""
+        return self._fmu.reuse()
 
     @cached_property
     def description(self) -> Description:
