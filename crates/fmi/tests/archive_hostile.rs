@@ -197,6 +197,16 @@ fn names_with_backslashes_and_dots_are_unpacked_where_info_zip_does() {
 }
 
 #[test]
+fn names_that_are_not_utf8_are_in_the_alphabet_of_the_first_pc() {
+    let entry = Entry::stored("", b"x").with(|entry| {
+        entry.name = b"resources/\x84.txt".to_vec();
+        entry.local_name = entry.name.clone();
+    });
+    let archive = open(&zip(&[description(), entry])).unwrap();
+    assert!(archive.unpack().unwrap().join("resources/\u{e4}.txt").is_file());
+}
+
+#[test]
 fn names_that_collide_are_refused() {
     let pair = |one: &str, two: &str| problem_of(&[Entry::stored(one, b"1"), Entry::stored(two, b"2")]);
     assert_eq!(pair("a.txt", "a.txt"), EntryProblem::Duplicate);
@@ -318,19 +328,19 @@ fn sizes_that_lie_are_found_out() {
         })
     };
     let real = data.len() as u64;
-    assert_eq!(problem_of(&[lying(10)]), EntryProblem::WrongSize { found: real, declared: 10 });
-    assert_eq!(problem_of(&[lying(real - 1)]), EntryProblem::WrongSize { found: real, declared: real - 1 });
+    for declared in [10, real - 1] {
+        let problem = problem_of(&[lying(declared)]).to_string();
+        assert!(problem.contains("larger than its declared"), "{problem}");
+    }
     assert_eq!(problem_of(&[lying(real + 1)]), EntryProblem::WrongSize { found: real, declared: real + 1 });
     let stored = Entry::stored("a", b"12345").with(|entry| entry.sizes.1 = 6);
     assert_eq!(problem_of(&[stored]), EntryProblem::WrongSize { found: 5, declared: 6 });
-    for packed in [honest.packed.len() as u64 - 3, honest.packed.len() as u64 + 3] {
-        let mut entry = honest.clone();
-        entry.packed.resize(packed as usize, 0);
-        entry.sizes.0 = packed;
-        entry.local_sizes.0 = packed as u32;
-        let problem = problem_of(&[entry]);
-        assert!(matches!(problem, EntryProblem::Damaged(_) | EntryProblem::WrongSize { .. }), "{problem}");
-    }
+    let mut cut_off = honest.clone();
+    cut_off.packed.truncate(honest.packed.len() - 3);
+    cut_off.sizes.0 -= 3;
+    cut_off.local_sizes.0 -= 3;
+    let problem = problem_of(&[cut_off]);
+    assert!(matches!(problem, EntryProblem::Damaged(_) | EntryProblem::WrongSize { .. }), "{problem}");
 }
 
 #[test]
@@ -345,7 +355,7 @@ fn headers_that_contradict_the_directory_are_refused() {
         let problem = problem_of(&[Entry::deflated("a", b"12345").with(change)]);
         assert!(matches!(problem, EntryProblem::HeaderMismatch(_)), "{problem}");
     }
-    // That of the description is looked at when it is read, before anything is unpacked.
+    // They are compared when the archive is opened.
     let bytes = zip(&[description().with(|entry| entry.local_sizes.1 += 1)]);
     let error = Fmu::open(file(&bytes).path()).unwrap_err();
     assert!(matches!(error, FmiError::BadEntry { problem: EntryProblem::HeaderMismatch(_), .. }), "{error}");
@@ -384,10 +394,8 @@ fn a_bomb_is_refused_at_once_whatever_its_header_says() {
     assert!((5 << 20..15 << 20).contains(&stream.len()), "{}", stream.len());
     let honest = problem_of(&[Entry::packed("bomb", stream.clone(), SIZE, 0)]);
     assert_eq!(honest, EntryProblem::TooLarge { found: SIZE, limit: 2 << 30 });
-    match problem_of(&[Entry::packed("bomb", stream.clone(), 1000, 0)]) {
-        EntryProblem::WrongSize { found, declared: 1000 } => assert!(found < 1 << 20, "{found}"),
-        other => panic!("{other}"),
-    }
+    let problem = problem_of(&[Entry::packed("bomb", stream.clone(), 1000, 0)]);
+    assert!(matches!(problem, EntryProblem::Damaged(_)), "{problem}");
     let below_the_limit = problem_of(&[Entry::packed("bomb", stream.clone(), 1 << 31, 0)]);
     assert_eq!(
         below_the_limit,
@@ -460,8 +468,7 @@ fn refused_while_unpacking() -> Vec<Vec<u8>> {
     let wrong_sum = Entry::deflated("resources/a", b"12345").with(|entry| entry.crc32 ^= 1);
     let too_long = Entry::packed("resources/bomb", bomb(10), 1000, 0);
     let garbage = Entry::packed("resources/a", vec![0xff; 100], 100, 0);
-    let other_header = Entry::stored("resources/a", b"12345").with(|entry| entry.local_name = b"b".to_vec());
-    [wrong_sum, too_long, garbage, other_header].map(|entry| zip(&[description(), entry])).to_vec()
+    [wrong_sum, too_long, garbage].map(|entry| zip(&[description(), entry])).to_vec()
 }
 
 fn names_in(folder: &Path) -> Vec<PathBuf> {

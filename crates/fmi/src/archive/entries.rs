@@ -1,35 +1,47 @@
-//! The list of entries of an archive, checked: names, kinds and sizes when it is opened; local headers, and
-//! that no byte serves two entries, before anything is unpacked.
+//! The list of entries of an archive, as the crate `zip` reads it, with the checks that it leaves to its
+//! users: names, kinds and sizes, records that are not counted, and that no byte serves two entries.
 
-use super::directory::{Directory, Fields, Record};
 use super::limits::{ArchiveLimits, check_limit};
-use super::names::MODEL_DESCRIPTION;
-use super::names::{self, Names};
+use super::names::{self, MODEL_DESCRIPTION, Names};
+use super::positioned::Positioned;
 use crate::cancel_request::CancelRequest;
 use crate::error::{EntryProblem, FmiError, Result};
-use std::io::{self, BufReader, Read, Seek, SeekFrom};
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
+use zip::read::{ArchiveOffset, Config, OwnedZipFileEntry, ZipFileEntry};
+use zip::result::{ZipError, ZipResult};
+use zip::unstable::read::ZipIterable;
+use zip::{CompressionMethod, HasZipMetadata};
 
 /// Bits of the flags.
 const ENCRYPTED: u16 = 1 | 1 << 6 | 1 << 13;
-const SIZES_FOLLOW_DATA: u16 = 1 << 3;
 
-/// Compression methods.
-const STORED: u16 = 0;
-pub(super) const DEFLATED: u16 = 8;
+/// Bytes of a central header without its variable parts.
+const HEADER_BYTES: usize = 46;
 
-/// Bytes read at once of the directory, which is in one piece, and of local headers, which lie apart.
-const DIRECTORY_BUFFER: usize = 1 << 14;
-const HEADER_BUFFER: usize = 256;
-
-/// After so many entries it is looked whether work is to end.
-const ENTRIES_BETWEEN_LOOKS: usize = 64;
-
-/// The entries of an archive.
+/// One entry.
 #[derive(Debug)]
-pub(super) struct Entries {
-    pub(super) listed: Vec<Record>,
-    directory: Directory,
+pub(super) struct Record {
+    /// Name as it is to be understood, without the slash at the end of folders. Empty for the folder of the
+    /// archive itself (`./`).
+    pub(super) name: String,
+    pub(super) is_folder: bool,
+    /// Index of an earlier entry with this name, size and checksum: the content has to be the same.
+    pub(super) repeats: Option<usize>,
+    pub(super) entry: OwnedZipFileEntry,
+}
+
+impl Record {
+    fn new(entry: ZipFileEntry<'static>) -> ZipResult<Self> {
+        let name = names::normalized(&entry.name()?);
+        Ok(Self { name, is_folder: false, repeats: None, entry: entry.into() })
+    }
+
+    /// Name, size, compressed size and checksum.
+    pub(super) fn content(&self) -> (&str, u64, u64, u32) {
+        (&self.name, self.entry.size(), self.entry.compressed_size(), self.entry.crc32())
+    }
 }
 
 /// Bytes of the archive that belong to one entry: its local header and its data.
@@ -39,24 +51,37 @@ struct ByteRange {
     position: usize,
 }
 
+/// An archive whose entries are read one after the other. Other than [`zip::ZipArchive`], it shows all
+/// entries of one name, and their number before they are read.
+fn open(file: &File) -> ZipResult<ZipIterable<Positioned<'_>>> {
+    ZipIterable::try_new(Positioned::new(file), Config { archive_offset: ArchiveOffset::Known(0) })
+}
+
 /// Lists the entries of an archive. Nothing is inflated and nothing written.
 pub(super) fn list(
     path: &Path,
-    archive: impl Read + Seek,
+    file: &File,
     limits: &ArchiveLimits,
     cancel: &CancelRequest,
-) -> Result<Entries> {
-    let mut archive = BufReader::with_capacity(DIRECTORY_BUFFER, archive);
-    let unreadable = |error| unreadable_at(path, error);
-    let directory = Directory::find(&mut archive).map_err(unreadable)?;
-    check_limit(path, "entries", directory.n_entries, limits.entries)?;
-    let mut records = directory.read(&mut archive).map_err(unreadable)?;
+) -> Result<Vec<Record>> {
+    let unreadable = |error| unreadable_at(path, file, error);
+    let mut archive = open(file).map_err(unreadable)?;
+    check_limit(path, "entries", archive.len() as u64, limits.entries)?;
+    let mut records = Vec::with_capacity(archive.len());
+    for entry in archive.files().map_err(unreadable)? {
+        cancel.check()?;
+        records.push(entry.and_then(Record::new).map_err(unreadable)?);
+    }
+    if let Some(last) = records.last()
+        && has_record_after(file, last.entry.central_header_start()).map_err(FmiError::io("read", path))?
+    {
+        let reason = format!("its directory has more than the {} entries it counts", records.len());
+        return Err(FmiError::bad_archive(path, reason));
+    }
     let mut names = Names::with_capacity(records.len());
     let mut kinds = Vec::with_capacity(records.len());
-    for (position, record) in records.iter().enumerate() {
-        if position.is_multiple_of(ENTRIES_BETWEEN_LOOKS) {
-            cancel.check()?;
-        }
+    for record in &records {
+        cancel.check()?;
         let checked = check_record(record, &mut names, &records, limits);
         kinds.push(checked.map_err(|problem| refused(path, &record.name, problem))?);
         check_limit(path, "files and folders", names.count(), limits.entries)?;
@@ -64,22 +89,79 @@ pub(super) fn list(
     }
     for (record, kind) in records.iter_mut().zip(kinds) {
         (record.is_folder, record.repeats) = kind;
-        if record.name.ends_with('/') {
-            record.raw_name.get_or_insert_with(|| record.name.clone().into_bytes());
-            record.name.pop();
-        }
+        record.name.truncate(record.name.trim_end_matches('/').len());
     }
     check_root(path, &records)?;
-    let sizes = records.iter().map(|entry| (entry.compressed_size, entry.size));
-    limits.check_totals(path, sizes)?;
-    Ok(Entries { listed: records, directory })
+    limits.check_totals(path, records.iter().map(|one| (one.entry.compressed_size(), one.entry.size())))?;
+    check_local_headers(path, file, &records, cancel)?;
+    Ok(records)
 }
 
-fn unreadable_at(path: &Path, error: io::Error) -> FmiError {
-    match error.kind() {
-        io::ErrorKind::InvalidData => FmiError::bad_archive(path, error.to_string()),
-        io::ErrorKind::UnexpectedEof => FmiError::bad_archive(path, "it ends inside of its directory"),
-        _ => FmiError::io("read", path)(error),
+/// True if a record follows the one at `last`: tools that do not count would see it.
+fn has_record_after(file: &File, last: u64) -> io::Result<bool> {
+    let mut archive = Positioned::new(file);
+    archive.seek(SeekFrom::Start(last))?;
+    let (mut record, mut next) = ([0; HEADER_BYTES], Vec::new());
+    archive.read_exact(&mut record)?;
+    // Name, extra fields, comment.
+    let variable = [28, 30, 32].map(|at| i64::from(u16::from_le_bytes([record[at], record[at + 1]])));
+    archive.seek(SeekFrom::Current(variable.iter().sum()))?;
+    archive.take(4).read_to_end(&mut next)?;
+    Ok(next == b"PK\x01\x02")
+}
+
+/// Reads all local headers: they agree with the directory, and no byte serves two entries.
+fn check_local_headers(path: &Path, file: &File, records: &[Record], cancel: &CancelRequest) -> Result<()> {
+    let unreadable = |error| unreadable_at(path, file, error);
+    let mut archive = open(file).map_err(unreadable)?.enforce_header_consistency(true);
+    let mut ranges = Vec::with_capacity(records.len());
+    for (record, entry) in records.iter().zip(archive.files().map_err(unreadable)?) {
+        cancel.check()?;
+        let mismatch = |error: ZipError| EntryProblem::HeaderMismatch(error.to_string());
+        let entry = entry.map_err(|error| refused(path, &record.name, mismatch(error)))?;
+        let entry = entry.get_metadata();
+        let data_start = entry.data_start.get().copied().unwrap_or(entry.header_start);
+        let end = data_start.saturating_add(entry.compressed_size);
+        ranges.push(ByteRange { start: entry.header_start, end, position: ranges.len() });
+    }
+    ranges.sort_by_key(|range| (range.start, range.end));
+    match find_overlap(&ranges, records) {
+        Some((record, problem)) => Err(refused(path, &record.name, problem)),
+        None => Ok(()),
+    }
+}
+
+/// True if the directory of an archive lists these contents at these places.
+pub(super) fn are_those_of(records: &[Record], file: &File) -> bool {
+    fn place(entry: &impl HasZipMetadata) -> (u32, u64, u64, u64) {
+        let entry = entry.get_metadata();
+        (entry.crc32, entry.compressed_size, entry.uncompressed_size, entry.header_start)
+    }
+    let Ok(mut archive) = open(file) else { return false };
+    archive.len() == records.len()
+        && archive.files().is_ok_and(|entries| {
+            records.iter().zip(entries).all(|(record, entry)| {
+                entry.is_ok_and(|entry| {
+                    entry.name_raw() == record.entry.name_raw() && place(&entry) == place(&record.entry)
+                })
+            })
+        })
+}
+
+fn unreadable_at(path: &Path, file: &File, error: ZipError) -> FmiError {
+    let error = match error {
+        ZipError::Io(error) if error.kind() != io::ErrorKind::UnexpectedEof => {
+            return FmiError::io("read", path)(error);
+        }
+        error => error,
+    };
+    let mut start = Vec::new();
+    match Positioned::new(file).take(4).read_to_end(&mut start) {
+        Ok(_) if start == b"PK\x03\x04" => {
+            let reason = format!("its directory, at its end, is missing, cut off or damaged: {error}");
+            FmiError::bad_archive(path, reason)
+        }
+        _ => FmiError::bad_archive(path, format!("it is not a zip archive: {error}")),
     }
 }
 
@@ -98,7 +180,7 @@ fn check_record<'a>(
     limits: &ArchiveLimits,
 ) -> Result<Kind, EntryProblem> {
     // The folder of the archive itself, which some tools list.
-    let is_root = record.name.is_empty() && record.raw_name.as_ref().is_some_and(|raw| !raw.is_empty());
+    let is_root = record.name.is_empty() && !record.entry.name_raw().is_empty();
     if !is_root {
         names::check(&record.name)?;
     }
@@ -119,7 +201,7 @@ fn check_record<'a>(
 
 /// Index of an earlier entry that seems to be the same file.
 fn repeated(record: &Record, names: &Names<'_>, records: &[Record]) -> Option<usize> {
-    let content = |record: &Record| (record.size, record.crc32);
+    let content = |record: &Record| (record.entry.size(), record.entry.crc32());
     names
         .position(&record.name)
         .filter(|&first| records[first].name == record.name && content(&records[first]) == content(record))
@@ -128,7 +210,7 @@ fn repeated(record: &Record, names: &Names<'_>, records: &[Record]) -> Option<us
 /// Tells folders from files and refuses everything else. The file type of Unix is looked at whatever system
 /// the entry claims to come from, because programs that unpack do the same.
 fn is_folder(record: &Record) -> Result<bool, EntryProblem> {
-    match record.unix_mode & 0o170_000 {
+    match (record.entry.external_attributes() >> 16) & 0o170_000 {
         0o040_000 => Ok(true),
         0 | 0o100_000 => Ok(record.name.ends_with('/')),
         0o120_000 => Err(EntryProblem::NotAFile("symbolic link")),
@@ -141,19 +223,20 @@ fn is_folder(record: &Record) -> Result<bool, EntryProblem> {
 
 /// Checks the storage of the data: not encrypted, by a known method, with plausible sizes.
 fn check_storage(record: &Record, is_folder: bool, limits: &ArchiveLimits) -> Result<(), EntryProblem> {
-    let (compressed, size) = (record.compressed_size, record.size);
-    if record.flags & ENCRYPTED != 0 {
+    let (compressed, size) = (record.entry.compressed_size(), record.entry.size());
+    if record.entry.flags().as_u16() & ENCRYPTED != 0 {
         return Err(EntryProblem::Encrypted);
     }
     if is_folder && size > 0 {
         return Err(EntryProblem::FolderWithData(size));
     }
-    match record.method {
-        STORED if compressed != size => {
+    match record.entry.compression() {
+        CompressionMethod::Stored if compressed != size => {
             return Err(EntryProblem::WrongSize { found: compressed, declared: size });
         }
-        STORED | DEFLATED => {}
-        other => return Err(EntryProblem::Compression(other)),
+        CompressionMethod::Stored | CompressionMethod::Deflated => {}
+        #[expect(deprecated, reason = "the number is for a message")]
+        other => return Err(EntryProblem::Compression(other.to_u16())),
     }
     if size > limits.file_bytes {
         return Err(EntryProblem::TooLarge { found: size, limit: limits.file_bytes });
@@ -208,100 +291,18 @@ fn check_root(path: &Path, listed: &[Record]) -> Result<()> {
     Err(FmiError::NoModelDescription { path: path.to_owned(), hint })
 }
 
-impl Entries {
-    /// True if the directory of an archive lists the same contents at the same places.
-    pub(super) fn are_those_of(&self, archive: impl Read + Seek) -> bool {
-        let mut archive = BufReader::with_capacity(DIRECTORY_BUFFER, archive);
-        let is_same =
-            |(a, b): (&Record, &Record)| (a.content(), a.header_start) == (b.content(), b.header_start);
-        Directory::find(&mut archive).is_ok_and(|directory| {
-            directory.n_entries == self.listed.len() as u64
-                && directory
-                    .read(&mut archive)
-                    .is_ok_and(|records| self.listed.iter().zip(&records).all(is_same))
-        })
-    }
-
-    /// Reads all local headers: they agree with the directory, and no byte serves two entries.
-    pub(super) fn check_local_headers(
-        &self,
-        path: &Path,
-        archive: impl Read + Seek,
-        cancel: &CancelRequest,
-    ) -> Result<()> {
-        let mut archive = BufReader::with_capacity(HEADER_BUFFER, archive);
-        let mut extents = Vec::with_capacity(self.listed.len());
-        for (position, entry) in self.listed.iter().enumerate() {
-            cancel.check()?;
-            let data_start =
-                entry.find_data(&mut archive).map_err(|problem| refused(path, &entry.name, problem))?;
-            let end = data_start.saturating_add(entry.compressed_size);
-            extents.push(ByteRange { start: entry.header_start, end, position });
-        }
-        extents.sort_by_key(|extent| (extent.start, extent.end));
-        match find_overlap(&extents, self.directory, &self.listed) {
-            Some((entry, problem)) => Err(refused(path, &entry.name, problem)),
-            None => Ok(()),
-        }
-    }
-}
-
-impl Record {
-    /// Compares the local header of the entry with the directory and returns where its data start.
-    pub(super) fn find_data(&self, archive: &mut (impl Read + Seek)) -> Result<u64, EntryProblem> {
-        let missing = |error: io::Error| {
-            EntryProblem::Damaged(format!("no local header at byte {} ({error})", self.header_start))
-        };
-        archive.seek(SeekFrom::Start(self.header_start)).map_err(missing)?;
-        let mut bytes = [0; 30];
-        archive.read_exact(&mut bytes).map_err(missing)?;
-        if !bytes.starts_with(b"PK\x03\x04") {
-            return Err(EntryProblem::Damaged(format!("no local header at byte {}", self.header_start)));
-        }
-        let header = Fields(&bytes);
-        let mut name = vec![0; usize::from(header.half(26))];
-        archive.read_exact(&mut name).map_err(missing)?;
-        if name != self.raw_name.as_deref().unwrap_or(self.name.as_bytes()) {
-            let local = String::from_utf8_lossy(&name);
-            return Err(EntryProblem::HeaderMismatch(format!("name \"{}\"", local.escape_debug())));
-        }
-        if header.half(6) & ENCRYPTED != 0 {
-            return Err(EntryProblem::Encrypted);
-        }
-        if header.half(8) != self.method {
-            return Err(EntryProblem::HeaderMismatch(format!("compression method {}", header.half(8))));
-        }
-        if header.half(6) & SIZES_FOLLOW_DATA == 0 {
-            check_local_size("packed", header.word(18), self.compressed_size)?;
-            check_local_size("unpacked", header.word(22), self.size)?;
-        }
-        Ok(self.header_start + 30 + u64::from(header.half(26)) + u64::from(header.half(28)))
-    }
-}
-
-/// A size in a local header: all ones mean that the true one stands in an extra field.
-fn check_local_size(what: &str, local: u32, declared: u64) -> Result<(), EntryProblem> {
-    if local == u32::MAX || u64::from(local) == declared {
-        return Ok(());
-    }
-    Err(EntryProblem::HeaderMismatch(format!("{local} {what} bytes instead of {declared}")))
-}
-
-/// Expects the extents in the order of their starts. Entries without data may not share headers either.
-fn find_overlap<'a>(
-    extents: &[ByteRange],
-    directory: Directory,
-    listed: &'a [Record],
-) -> Option<(&'a Record, EntryProblem)> {
-    let entry = |extent: &ByteRange| &listed[extent.position];
-    for pair in extents.windows(2) {
+/// Expects the ranges in the order of their starts. Entries without data may not share headers either.
+fn find_overlap<'a>(ranges: &[ByteRange], records: &'a [Record]) -> Option<(&'a Record, EntryProblem)> {
+    let record = |range: &ByteRange| &records[range.position];
+    for pair in ranges.windows(2) {
         let (start, end) = (pair[1].start, pair[0].end.min(pair[1].end));
         if pair[0].end > start {
-            let other = entry(&pair[0]).name.clone();
-            return Some((entry(&pair[1]), EntryProblem::Overlap { start, end, other }));
+            let other = record(&pair[0]).name.clone();
+            return Some((record(&pair[1]), EntryProblem::Overlap { start, end, other }));
         }
     }
-    let last = extents.last().filter(|last| last.end > directory.start)?;
+    let start = records.first()?.entry.central_header_start();
+    let last = ranges.last().filter(|last| last.end > start)?;
     let other = "the directory of the archive".to_owned();
-    Some((entry(last), EntryProblem::Overlap { start: directory.start, end: last.end, other }))
+    Some((record(last), EntryProblem::Overlap { start, end: last.end, other }))
 }

@@ -2,7 +2,6 @@
 //! value goes, or an unpacked folder as it is. Archives whose entries are not what FMUs hold are refused
 //! before anything is written.
 
-mod directory;
 mod entries;
 mod hash;
 mod limits;
@@ -48,9 +47,9 @@ pub(crate) fn is_inside(path: &str) -> bool {
 
 /// An opened FMU: a `.fmu` file or a folder with `modelDescription.xml` at its root.
 ///
-/// Of a file, the directory is read and checked when it is opened. Contents are unpacked, and checked against
-/// their headers, sizes and checksums, when they are needed; before the first is written, the headers of all
-/// are compared with the directory, and no byte may serve two of them.
+/// Of a file, the directory is read and checked when it is opened: the headers of all entries agree with it,
+/// and no byte serves two of them. Contents are unpacked, and checked against their sizes and checksums, when
+/// they are needed.
 #[derive(Debug)]
 pub struct Archive {
     content: Content,

@@ -15,6 +15,23 @@ const LONGEST_COMPONENT: usize = 255;
 /// Components of a name. Bounds the work per entry.
 const DEEPEST: usize = 64;
 
+/// The name as Info-ZIP understands it: backslashes, which some tools of Windows write, are slashes;
+/// components that are empty or `.` lead nowhere and are left out. What leads out of the archive stays as it
+/// is.
+pub(super) fn normalized(name: &str) -> String {
+    let slashes = name.replace('\\', "/");
+    let kept = |component: &&str| !matches!(*component, "" | ".");
+    let mut path = slashes.split('/').filter(kept).collect::<Vec<_>>().join("/");
+    if slashes.starts_with('/') {
+        path.insert(0, '/');
+    }
+    let last = slashes.rsplit('/').next().unwrap_or_default();
+    if !kept(&last) && !path.is_empty() && !path.ends_with('/') {
+        path.push('/');
+    }
+    path
+}
+
 /// Refuses names that lead elsewhere than into the folder unpacked to, here or on another system.
 /// A single slash at the end marks a folder and is not part of the name.
 pub(super) fn check(name: &str) -> Result<(), EntryProblem> {
@@ -160,6 +177,28 @@ fn fold(name: &str) -> Cow<'_, str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn names_are_normalized_as_info_zip_does() {
+        for (name, expected) in [
+            ("./modelDescription.xml", "modelDescription.xml"),
+            ("binaries\\linux64\\m.so", "binaries/linux64/m.so"),
+            (".\\resources\\", "resources/"),
+            ("./", ""),
+            (".", ""),
+            ("a//./b/", "a/b/"),
+            ("a/.", "a/"),
+            ("\\a", "/a"),
+            ("\\\\host\\a", "/host/a"),
+            ("/", "/"),
+            ("..\\a", "../a"),
+            ("a\\..\\..\\b", "a/../../b"),
+            ("C:\\a", "C:/a"),
+            ("", ""),
+        ] {
+            assert_eq!(normalized(name), expected, "{name:?}");
+        }
+    }
 
     #[test]
     fn ordinary_names_pass() {

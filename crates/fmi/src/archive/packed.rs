@@ -1,8 +1,7 @@
 //! A `.fmu` file: listed and checked when it is opened, unpacked into a private folder part by part when a
 //! part is needed, and again where somebody has removed it.
 
-use super::directory::Record;
-use super::entries::{self, Entries, refused};
+use super::entries::{self, Record, refused};
 use super::hash::{self, Hashing};
 use super::limits::ArchiveLimits;
 use super::positioned::Positioned;
@@ -60,7 +59,7 @@ pub(super) struct Packed {
     file: File,
     /// Identity of the file when it was listed.
     identity: FileIdentity,
-    entries: Entries,
+    entries: Vec<Record>,
     unpacked: Mutex<Unpacked>,
 }
 
@@ -78,11 +77,11 @@ impl Packed {
     pub(super) fn open(path: &Path, limits: &ArchiveLimits, cancel: &CancelRequest) -> Result<Self> {
         let file = open_regular(path).map_err(FmiError::io("open", path))?;
         let identity = platform::file_identity(&file.metadata().map_err(FmiError::io("open", path))?);
-        let entries = entries::list(path, Positioned::new(&file, 0), limits, cancel)?;
+        let entries = entries::list(path, &file, limits, cancel)?;
         let source = Source { path, file: &file, cancel };
-        for entry in &entries.listed {
+        for entry in &entries {
             if let Some(first) = entry.repeats
-                && !source.are_same(&entries.listed[first], entry)?
+                && !source.are_same(&entries[first], entry)?
             {
                 return Err(refused(path, &entry.name, EntryProblem::Duplicate));
             }
@@ -92,34 +91,34 @@ impl Packed {
 
     /// Names of files that are there more than once.
     pub(super) fn repeated(&self) -> impl Iterator<Item = &str> {
-        self.entries.listed.iter().filter(|entry| entry.repeats.is_some()).map(|entry| entry.name.as_str())
+        self.entries.iter().filter(|entry| entry.repeats.is_some()).map(|entry| entry.name.as_str())
     }
 
     pub(super) fn has_resources(&self) -> bool {
-        self.entries.listed.iter().any(|entry| entry.name.starts_with("resources/"))
+        self.entries.iter().any(|entry| entry.name.starts_with("resources/"))
     }
 
     /// Names, sizes, compressed sizes and checksums of the entries, from the directory of the archive:
     /// archives of the same content have the same.
     fn directory(&self) -> impl Iterator<Item = (&str, u64, u64, u32)> {
-        self.entries.listed.iter().map(Record::content)
+        self.entries.iter().map(Record::content)
     }
 
     /// True if the directories are equal.
     pub(super) fn has_directory_of(&self, other: &Self) -> bool {
-        self.entries.listed.len() == other.entries.listed.len() && self.directory().eq(other.directory())
+        self.entries.len() == other.entries.len() && self.directory().eq(other.directory())
     }
 
     /// A hash of the directory.
     pub(super) fn fingerprint(&self) -> String {
-        hash::of_texts(self.directory().map(|(name, size, compressed_size, crc32)| {
-            format!("{name}\0{size} {compressed_size} {crc32:x}")
-        }))
+        hash::of_texts(self.entries.iter().map(Record::content).map(
+            |(name, size, compressed_size, crc32)| format!("{name}\0{size} {compressed_size} {crc32:x}"),
+        ))
     }
 
     pub(super) fn hash(&self) -> Result<String> {
         let mut hashing = Hashing::default();
-        let mut file = Positioned::new(&self.file, 0);
+        let mut file = Positioned::new(&self.file);
         hashing.feed(&mut file).map_err(FmiError::io("read", &self.path))?;
         self.check_unchanged()?;
         Ok(hashing.finish())
@@ -133,9 +132,10 @@ impl Packed {
     /// The bytes of a file, if it is not larger than `limit`; `None` if there is none of this name.
     pub(super) fn read(&self, name: &str, limit: u64, cancel: &CancelRequest) -> Result<Option<Vec<u8>>> {
         let is_meant = |entry: &&Record| entry.name == name && !entry.is_folder;
-        let Some(entry) = self.entries.listed.iter().find(is_meant) else { return Ok(None) };
-        if entry.size > limit {
-            let problem = EntryProblem::TooLarge { found: entry.size, limit };
+        let Some(entry) = self.entries.iter().find(is_meant) else { return Ok(None) };
+        let found = entry.entry.size();
+        if found > limit {
+            let problem = EntryProblem::TooLarge { found, limit };
             return Err(refused(&self.path, name, problem));
         }
         self.source(cancel).read(entry).map(Some)
@@ -147,7 +147,6 @@ impl Packed {
         let is_first = unpacked.folder.is_none();
         if is_first {
             self.check_unchanged()?;
-            self.entries.check_local_headers(&self.path, Positioned::new(&self.file, 0), cancel)?;
         }
         let outcome = self.complete(&mut unpacked, part, cancel);
         if is_first && outcome.is_err() {
@@ -158,19 +157,19 @@ impl Packed {
     }
 
     fn complete(&self, unpacked: &mut Unpacked, part: Part, cancel: &CancelRequest) -> Result<PathBuf> {
-        let n_removed = unpacked.look_after(&self.entries.listed)?;
+        let n_removed = unpacked.look_after(&self.entries)?;
         let folder = match &mut unpacked.folder {
             Some(folder) => folder,
             none => none.insert(PrivateFolder::create()?),
         };
         let root = folder.path().to_owned();
-        unpacked.done.resize(self.entries.listed.len(), false);
+        unpacked.done.resize(self.entries.len(), false);
         let platform = platform::binary_folders(FolderNames::SystemAndBits);
         let is_missing = |&k: &usize| {
-            let entry = &self.entries.listed[k];
+            let entry = &self.entries[k];
             !unpacked.done[k] && entry.repeats.is_none() && part.holds(entry, &platform)
         };
-        let missing: Vec<usize> = (0..self.entries.listed.len()).filter(is_missing).collect();
+        let missing: Vec<usize> = (0..self.entries.len()).filter(is_missing).collect();
         if missing.is_empty() {
             return Ok(root);
         }
@@ -193,7 +192,7 @@ impl Packed {
         self.check_unchanged().map_err(again)?;
         for k in missing {
             cancel.check()?;
-            let unpack = self.source(cancel).unpack(&self.entries.listed[k], &root, &mut unpacked.folders);
+            let unpack = self.source(cancel).unpack(&self.entries[k], &root, &mut unpacked.folders);
             unpack.map_err(again)?;
             unpacked.done[k] = true;
         }
@@ -211,7 +210,7 @@ impl Packed {
         let now = platform::file_identity(&now);
         // The status changes with links and modes, too; and who writes may put the time of writing back.
         if now == self.identity
-            || (now.same_content(&self.identity) && self.entries.are_those_of(Positioned::new(&self.file, 0)))
+            || (now.same_content(&self.identity) && entries::are_those_of(&self.entries, &self.file))
         {
             return Ok(());
         }

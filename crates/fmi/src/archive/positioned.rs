@@ -1,25 +1,44 @@
 //! A file read from any place, without moving the position that all holders of the file share: other threads,
-//! and a forked child.
+//! and a forked child. Small pieces come from a window, which moves with them.
 
 use crate::platform;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 
+/// Bytes of the window: a directory is read in pieces of some ten bytes.
+const WINDOW: usize = 1 << 12;
+
 /// A place in a file.
+#[derive(Debug)]
 pub(super) struct Positioned<'a> {
     file: &'a File,
     position: u64,
+    window: Vec<u8>,
+    window_start: u64,
 }
 
 impl<'a> Positioned<'a> {
-    pub(super) fn new(file: &'a File, position: u64) -> Self {
-        Self { file, position }
+    /// At the beginning.
+    pub(super) fn new(file: &'a File) -> Self {
+        Self { file, position: 0, window: Vec::new(), window_start: 0 }
     }
 }
 
 impl Read for Positioned<'_> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let n = platform::read_at(self.file, buffer, self.position)?;
+        let n = if buffer.len() < WINDOW {
+            let mut at = self.position.wrapping_sub(self.window_start);
+            if at >= self.window.len() as u64 {
+                self.window.resize(WINDOW, 0);
+                let n = platform::read_at(self.file, &mut self.window, self.position);
+                self.window.truncate(*n.as_ref().unwrap_or(&0));
+                n?;
+                (self.window_start, at) = (self.position, 0);
+            }
+            (&self.window[at as usize..]).read(buffer)?
+        } else {
+            platform::read_at(self.file, buffer, self.position)?
+        };
         self.position += n as u64;
         Ok(n)
     }

@@ -1,22 +1,18 @@
 //! Writing entries of a checked archive into a folder, or anywhere else, counting every byte.
 
-use super::directory::Record;
-use super::entries::{DEFLATED, refused};
+use super::entries::{Record, refused};
 use super::hash::Hashing;
 use super::positioned::Positioned;
 use crate::cancel_request::CancelRequest;
 use crate::error::{EntryProblem, FmiError, Result};
-use flate2::bufread::DeflateDecoder;
 use std::collections::HashMap;
 use std::fs::{self, File};
-use std::io::{self, BufReader, Read, Seek, Write};
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
+use zip::ZipReadOptions;
 
-/// Bytes read at a time, at most; bytes inflated and written at a time.
+/// Bytes inflated and written at a time.
 const BUFFER: usize = 1 << 16;
-
-/// Room for a local header and its name, in front of packed bytes.
-const HEADER_ROOM: u64 = 256;
 
 /// Where entries are read from.
 #[derive(Clone, Copy)]
@@ -47,7 +43,7 @@ impl Source<'_> {
     fn unpack_file(self, entry: &Record, target: &Path) -> Result<()> {
         // Refuses to write where something is already: names may collide in ways only the file system knows.
         let mut out = File::create_new(target).map_err(FmiError::io("create", target))?;
-        let written = match entry.unix_mode & 0o111 != 0 {
+        let written = match (entry.entry.external_attributes() >> 16) & 0o111 != 0 {
             true => {
                 crate::platform::make_executable(&out).map_err(FmiError::io("mark as executable", target))
             }
@@ -62,7 +58,7 @@ impl Source<'_> {
     /// The contents of an entry, which its header says are not too long to be held in memory.
     pub(super) fn read(self, entry: &Record) -> Result<Vec<u8>> {
         let mut bytes = Vec::new();
-        let size = usize::try_from(entry.size).unwrap_or(usize::MAX);
+        let size = usize::try_from(entry.entry.size()).unwrap_or(usize::MAX);
         bytes
             .try_reserve_exact(size)
             .map_err(|_| FmiError::io("read", self.path)(io::Error::from(io::ErrorKind::OutOfMemory)))?;
@@ -80,70 +76,28 @@ impl Source<'_> {
         Ok(hash(one)? == hash(other)?)
     }
 
-    /// Copies the contents of an entry to `out`, which is or stands for the file `target`.
+    /// Copies the contents of an entry to `out`, which is or stands for the file `target`; stops as soon as
+    /// there are more bytes than declared. The checksum is compared at the end.
     fn copy(self, entry: &Record, out: &mut dyn Write, target: &Path) -> Result<()> {
-        let size = entry.compressed_size.saturating_add(HEADER_ROOM).min(BUFFER as u64) as usize;
-        let mut file = BufReader::with_capacity(size, Positioned::new(self.file, 0));
-        let data_start =
-            entry.find_data(&mut file).map_err(|problem| refused(self.path, &entry.name, problem))?;
-        let behind_name = file.stream_position().map_err(FmiError::io("read", self.path))?;
-        // Its extra fields stand between.
-        file.seek_relative((data_start - behind_name) as i64).map_err(FmiError::io("read", self.path))?;
-        let mut packed = file.take(entry.compressed_size);
-        if entry.method == DEFLATED {
-            self.copy_from(&mut DeflateDecoder::new(&mut packed), entry, out, target)?;
-        } else {
-            self.copy_from(&mut packed, entry, out, target)?;
-        }
-        // A deflate stream that ends before the packed bytes do was declared too long.
-        match packed.limit() {
-            0 => Ok(()),
-            unused => Err(self.damaged(
-                entry,
-                format!(
-                    "only {} of its {} packed bytes are used",
-                    entry.compressed_size - unused,
-                    entry.compressed_size
-                ),
-            )),
-        }
-    }
-
-    /// Copies the contents of an entry; stops as soon as there are more bytes than declared.
-    fn copy_from(
-        self,
-        source: &mut impl Read,
-        entry: &Record,
-        out: &mut dyn Write,
-        target: &Path,
-    ) -> Result<()> {
-        let wrong_size = |found| EntryProblem::WrongSize { found, declared: entry.size };
+        let mut file = Positioned::new(self.file);
+        let source = entry.entry.as_ref().with_reader(&mut file, ZipReadOptions::new());
+        let mut source = source.map_err(|error| self.damaged(entry, error.to_string()))?;
         let mut buffer = vec![0; BUFFER];
-        let mut found = 0;
-        let mut checksum = crc32fast::Hasher::new();
+        let (mut found, declared) = (0, entry.entry.size());
         loop {
             self.cancel.check()?;
             let n = match source.read(&mut buffer) {
-                Ok(0) => break,
+                Ok(0) if found == declared => return Ok(()),
+                Ok(0) => {
+                    let problem = EntryProblem::WrongSize { found, declared };
+                    return Err(refused(self.path, &entry.name, problem));
+                }
                 Ok(n) => n,
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
                 Err(error) => return Err(self.damaged(entry, error.to_string())),
             };
             found += n as u64;
-            if found > entry.size {
-                return Err(refused(self.path, &entry.name, wrong_size(found)));
-            }
-            checksum.update(&buffer[..n]);
             out.write_all(&buffer[..n]).map_err(FmiError::io("write", target))?;
-        }
-        if found < entry.size {
-            return Err(refused(self.path, &entry.name, wrong_size(found)));
-        }
-        match checksum.finalize() {
-            sum if sum == entry.crc32 => Ok(()),
-            sum => {
-                Err(self.damaged(entry, format!("its checksum is {sum:08x} instead of {:08x}", entry.crc32)))
-            }
         }
     }
 

@@ -67,10 +67,10 @@ pub enum EntryProblem {
     /// The local header and the central directory disagree.
     #[error("is described differently in its local header: {0}")]
     HeaderMismatch(String),
-    /// Inflates to another size than the directory says.
-    #[error("inflates to {found} bytes{}, its header says {declared}", if *.found > *.declared { " or more" } else { "" })]
+    /// Inflates to less than the directory says, or is stored with another size.
+    #[error("inflates to {found} bytes, its header says {declared}")]
     WrongSize {
-        /// Bytes counted (counting stops behind the declared size).
+        /// Bytes found.
         found: u64,
         /// Bytes declared.
         declared: u64,
@@ -93,7 +93,8 @@ pub enum EntryProblem {
         /// Factor allowed.
         limit: u64,
     },
-    /// The compressed data are damaged (bad stream, wrong checksum, truncated).
+    /// The compressed data are damaged (bad stream, wrong checksum, truncated) or inflate to more than the
+    /// directory says.
     #[error("is damaged: {0}")]
     Damaged(String),
 }
