@@ -277,36 +277,8 @@ fn a_library_that_can_be_instantiated_so_often_is_followed_by_another() {
     assert!(messages.iter().any(|message| message.contains("only so often")), "{messages:?}");
 }
 
-/// What is loaded of the FMUs in this folder: files, by their numbers on the disk.
-#[cfg(target_os = "linux")]
-fn loaded(name: &str) -> usize {
-    let maps = std::fs::read_to_string("/proc/self/maps").unwrap();
-    let files = maps.lines().filter(|line| line.contains(name));
-    files.filter_map(|line| line.split_whitespace().nth(4)).collect::<std::collections::HashSet<_>>().len()
-}
-
-/// The first library may be unloaded, the second may not: it is kept for whoever opens the FMU next.
-#[cfg(target_os = "linux")]
 #[test]
-fn what_is_loaded_does_not_pile_up() {
-    for (name, faults, left) in [("libgone", &[][..], 0), ("libkept", &["THREAD_DATA"][..], 1)] {
-        // A name of its own, by which it is counted.
-        let folder = evil_with(faults, |xml| xml.replace("\"evil\"/>", &format!("\"{name}\"/>")));
-        let binaries = folder.path().join("binaries/linux64");
-        std::fs::rename(binaries.join("evil.so"), binaries.join(format!("{name}.so"))).unwrap();
-        for round in 0..40 {
-            let k = f64::from(1 + round % 3);
-            let fmu = folder.open();
-            assert!(is_of(k, &fmu.simulate(&options().start_value("k", k)).unwrap()));
-            assert_eq!(loaded(name), 1);
-            drop(fmu);
-            assert_eq!(loaded(name), left, "{name}");
-        }
-    }
-}
-
-#[test]
-fn a_library_may_log_when_it_is_unloaded() {
+fn a_library_may_log_at_its_end() {
     let folder = evil(&["LOGS_AT_END"]);
     for _ in 0..5 {
         let fmu = folder.open();

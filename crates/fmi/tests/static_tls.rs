@@ -13,11 +13,6 @@ use support::evil;
 
 #[test]
 fn where_no_further_copy_can_be_loaded_the_loader_is_quoted() {
-    // Copies that are let go take none.
-    let folder = evil(&["LARGE_TLS=400"]);
-    for _ in 0..40 {
-        folder.open().simulate(&SimulateOptions::new().ncp(2)).unwrap();
-    }
     let folder = evil(&["LARGE_TLS=400", "FATAL_ABOVE=50"]);
     let options = SimulateOptions::new().parameters(["k"]).ncp(2);
     let plan = SimulationPlan::new(&folder.open(), &options).unwrap();

@@ -42,21 +42,11 @@ impl PrivateFolder {
         PrivateFolder::create_in(&base)
     }
 
-    /// Makes the folder again whose [`path`](Self::path) was this one, which nothing may have taken since.
-    pub(crate) fn create_again(path: &Path) -> Result<Self> {
-        let (base, name) = match path.parent().and_then(|outer| Some((outer.parent()?, outer.file_name()?))) {
-            Some((base, name)) if path.ends_with(INSIDE) => (base, name),
-            _ => return Err(FmiError::io("create", path)(std::io::ErrorKind::InvalidInput.into())),
-        };
-        Self::create_with(tempfile::Builder::new().prefix(name).rand_bytes(0), base)
-    }
-
     fn create_in(base: &Path) -> Result<Self> {
-        Self::create_with(tempfile::Builder::new().prefix(PREFIX), base)
-    }
-
-    fn create_with(builder: &mut tempfile::Builder<'_, '_>, base: &Path) -> Result<Self> {
-        let folder = builder.tempdir_in(base).map_err(FmiError::io("create a folder in", base))?;
+        let folder = tempfile::Builder::new()
+            .prefix(PREFIX)
+            .tempdir_in(base)
+            .map_err(FmiError::io("create a folder in", base))?;
         let lock = take_lock(&folder.path().join(LOCK));
         let inside = folder.path().join(INSIDE);
         fs::create_dir(&inside).map_err(FmiError::io("create", &inside))?;
@@ -239,18 +229,6 @@ mod tests {
         }
         drop(folders);
         assert_eq!(fs::read_dir(base.path()).unwrap().count(), 0);
-    }
-
-    #[test]
-    fn a_folder_is_made_again_unless_something_has_its_place() {
-        let base = tempfile::tempdir().unwrap();
-        let folder = PrivateFolder::create_in(base.path()).unwrap();
-        let path = folder.path().to_owned();
-        assert!(PrivateFolder::create_again(&path).is_err());
-        drop(folder);
-        let again = PrivateFolder::create_again(&path).unwrap();
-        assert_eq!(again.path(), path);
-        assert!(PrivateFolder::create_again(base.path()).is_err());
     }
 
     #[test]

@@ -25,8 +25,7 @@ pub(crate) struct LoadedLibrary {
     lock: Arc<FairLock>,
     /// One function table for each way of running the model, over the same static variables.
     tables: [Mutex<Option<Arc<Library>>>; 2],
-    /// After the tables: a library that is unloaded takes its folder with it.
-    folder: Mutex<Option<FolderOwner>>,
+    _folder: FolderOwner,
 }
 
 impl std::fmt::Debug for LoadedLibrary {
@@ -50,7 +49,7 @@ impl LoadedLibrary {
             }
         };
         let (lock, tables) = (source.lock(), Default::default());
-        Ok(Self { path, set: Mutex::new(Some(Vec::new())), lock, tables, folder: Mutex::new(Some(folder)) })
+        Ok(Self { path, set: Mutex::new(Some(Vec::new())), lock, tables, _folder: folder })
     }
 
     /// Number of a user's settings that were made in it before (`None`: users set anything, by hand); no
@@ -133,33 +132,5 @@ impl LoadedLibrary {
     /// True if an instance was ever made in it.
     pub(crate) fn is_used(&self) -> bool {
         self.any(Library::is_used)
-    }
-
-    /// Has it unloaded when nobody uses it any more. The caller knows that it can be.
-    pub(super) fn unload_when_unused(&self) {
-        self.any(|library| {
-            library.unload_when_unused();
-            false
-        });
-    }
-
-    /// Lets the folder go. What is loaded stays.
-    pub(super) fn release_folder(&self) {
-        let folder = self.folder.lock().unwrap_or_else(PoisonError::into_inner).take();
-        drop(folder);
-    }
-
-    /// Makes the folder again, as far as the library could miss it.
-    pub(super) fn ensure_folder(&self, source: &OriginalLibrary) {
-        let mut folder = self.folder.lock().unwrap_or_else(PoisonError::into_inner);
-        if folder.is_some() || !private_copy::has_other_files(source) {
-            return;
-        }
-        match private_copy::restore(&self.path, source) {
-            Ok(again) => *folder = Some(Arc::new(again)),
-            Err(error) => {
-                log::warn!("the folder of a loaded library has gone and cannot be made again: {error}")
-            }
-        }
     }
 }

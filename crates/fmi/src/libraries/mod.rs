@@ -5,8 +5,7 @@
 //! so a simulator has a copy in which nothing was set that it does not set, and instances made by hand have
 //! one of theirs.
 //!
-//! With the FMU a copy is unloaded, where its file shows that nothing of it can be called later; others are
-//! kept for as long as the process lives, and whoever opens an FMU of the same content next has them.
+//! A library is never unloaded: threads, handlers and exit functions that it has left behind are code of it.
 
 mod loaded;
 mod original;
@@ -41,22 +40,8 @@ pub(crate) struct Libraries {
 
 type Loaded = (Arc<OriginalLibrary>, Arc<LoadedLibrary>);
 
-/// Copies that cannot be unloaded and that nobody has.
-static KEPT: Mutex<Vec<Loaded>> = Mutex::new(Vec::new());
-
 /// Copies of the libraries of one FMU.
 const MOST: usize = 16;
-
-/// A copy in which nothing was set before that is none of these settings.
-fn take_kept(source: &OriginalLibrary, settings: Option<&[Setting]>) -> Option<Arc<LoadedLibrary>> {
-    let mut kept = lock(&KEPT);
-    let serves = |(of, library): &Loaded| of.is_same(source) && library.n_set_of(settings).is_some();
-    let place = kept.iter().position(serves)?;
-    let (_, library) = kept.swap_remove(place);
-    drop(kept);
-    library.ensure_folder(source);
-    Some(library)
-}
 
 /// Use for which a library is needed.
 #[derive(Clone, Copy)]
@@ -103,7 +88,7 @@ impl Libraries {
         let source = self.source(kind, maker.archive, maker.loader, maker.find)?;
         let known = self.find(&source, settings, only_one);
         let is_known = known.is_some();
-        let library = match known.or_else(|| take_kept(&source, settings)) {
+        let library = match known {
             Some(library) => library,
             None => {
                 source.check_unchanged()?;
@@ -139,8 +124,7 @@ impl Libraries {
         Ok(Arc::clone(lock(&self.sources[kind as usize]).insert(source)))
     }
 
-    /// A loaded copy that serves, the one in which most of the settings were set before. One that nobody uses
-    /// and that does not serve goes, if it can be unloaded.
+    /// A loaded copy that serves, the one in which most of the settings were set before.
     fn find(
         &self,
         source: &Arc<OriginalLibrary>,
@@ -153,20 +137,11 @@ impl Libraries {
         let of_source =
             loaded.iter().filter(|(of, library)| of.is_same(source) && (!only_one || is_unused(library)));
         let rated = of_source.filter_map(|(_, library)| Some((library.n_set_of(settings)?, library)));
-        let found = rated.max_by_key(|(n, _)| *n).map(|(_, library)| Arc::clone(library));
-        if found.is_some() {
-            return found;
-        }
-        let n_loaded = loaded.len();
-        let gone: Vec<Loaded> = loaded
-            .extract_if(.., |(of, library)| of.is_same(source) && of.may_unload() && is_unused(library))
-            .collect();
+        let found = rated.max_by_key(|(n, _)| *n).map(|(_, library)| library);
         // Beyond a number of copies models are taken at their word.
         let first =
-            loaded.first().filter(|_| n_loaded >= MOST && !only_one).map(|(_, library)| Arc::clone(library));
-        drop(loaded);
-        gone.iter().for_each(|(_, library)| library.unload_when_unused());
-        first
+            || loaded.first().filter(|_| loaded.len() >= MOST && !only_one).map(|(_, library)| library);
+        found.or_else(first).map(Arc::clone)
     }
 
     /// True if the file itself is to be loaded: it is in a private folder, and is not loaded yet.
@@ -182,27 +157,6 @@ impl Libraries {
 
     /// Uses a library no more.
     pub(crate) fn give_up(&self, library: &Arc<LoadedLibrary>) {
-        let given_up: Vec<Loaded> =
-            lock(&self.loaded).extract_if(.., |(_, known)| Arc::ptr_eq(known, library)).collect();
-        given_up
-            .iter()
-            .filter(|(source, _)| source.may_unload())
-            .for_each(|(_, library)| library.unload_when_unused());
-    }
-}
-
-impl Drop for Libraries {
-    fn drop(&mut self) {
-        for (source, library) in std::mem::take(&mut *lock(&self.loaded)) {
-            if library.is_fatal() {
-                continue;
-            }
-            if source.may_unload() {
-                library.unload_when_unused();
-            } else {
-                library.release_folder();
-                lock(&KEPT).push((source, library));
-            }
-        }
+        lock(&self.loaded).retain(|(_, known)| !Arc::ptr_eq(known, library));
     }
 }

@@ -7,7 +7,7 @@ use crate::platform::{self, FileIdentity, FilePlace};
 use crate::sys::LoaderOptions;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Key that distinguishes libraries.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
@@ -18,17 +18,9 @@ enum Key {
     File(FilePlace, FileIdentity, LoaderOptions),
 }
 
-/// State shared by all loaded copies of one library, whoever has opened the FMU.
-#[derive(Debug, Default)]
-struct Content {
-    /// Copies can be unloaded, and share nothing with each other; read from the file when it is first needed.
-    may_unload: OnceLock<bool>,
-    /// The lock of all copies that may share variables with each other.
-    lock: Arc<FairLock>,
-}
-
-/// The contents of this process, which loaded libraries do not leave either.
-static CONTENTS: Mutex<Option<HashMap<Key, Arc<Content>>>> = Mutex::new(None);
+/// The lock of all loaded copies of one library, whoever has opened the FMU: copies may share variables with
+/// each other. No library leaves the process, so no lock does.
+static LOCKS: Mutex<Option<HashMap<Key, Arc<FairLock>>>> = Mutex::new(None);
 
 /// Place of a library.
 #[derive(Debug)]
@@ -48,7 +40,7 @@ pub(crate) struct OriginalLibrary {
     pub(super) root: PathBuf,
     /// Identity of the file when it was found, where it could be written over.
     identity: Option<FileIdentity>,
-    content: Arc<Content>,
+    lock: Arc<FairLock>,
 }
 
 impl OriginalLibrary {
@@ -67,14 +59,14 @@ impl OriginalLibrary {
                 (Key::File(identity.place(&library), identity.clone(), loader), Some(identity))
             }
         };
-        let mut contents = CONTENTS.lock().unwrap_or_else(PoisonError::into_inner);
-        let content = Arc::clone(contents.get_or_insert_default().entry(key).or_default());
-        Ok(Self { library, root, identity, content })
+        let mut locks = LOCKS.lock().unwrap_or_else(PoisonError::into_inner);
+        let lock = Arc::clone(locks.get_or_insert_default().entry(key).or_default());
+        Ok(Self { library, root, identity, lock })
     }
 
     /// True if both are of one content.
     pub(super) fn is_same(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.content, &other.content)
+        Arc::ptr_eq(&self.lock, &other.lock)
     }
 
     /// True if the library is one of the FMU's files, not one that was built from its sources.
@@ -101,13 +93,8 @@ impl OriginalLibrary {
         }
     }
 
-    /// True if copies can be unloaded, and share nothing with each other.
-    pub(super) fn may_unload(&self) -> bool {
-        *self.content.may_unload.get_or_init(|| platform::may_be_unloaded(&self.library))
-    }
-
-    /// A lock for a new copy.
+    /// The lock of its copies.
     pub(super) fn lock(&self) -> Arc<FairLock> {
-        if self.may_unload() { Arc::default() } else { Arc::clone(&self.content.lock) }
+        Arc::clone(&self.lock)
     }
 }

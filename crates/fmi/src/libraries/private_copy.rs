@@ -15,35 +15,9 @@ use std::path::{Path, PathBuf};
 /// # Errors
 /// The system refuses; the library was written over since it was loaded first.
 pub(super) fn copy(source: &OriginalLibrary) -> Result<(PathBuf, PrivateFolder), FmiError> {
-    let folder = PrivateFolder::create()?;
-    let path = fill(source, folder.path())?;
-    Ok((path, folder))
-}
-
-/// Makes the folder of a copy again that has gone since, where the library may look for anything in it.
-///
-/// # Errors
-/// As [`copy`]; something else has its place.
-pub(super) fn restore(path: &Path, source: &OriginalLibrary) -> Result<PrivateFolder, FmiError> {
-    let folder = PrivateFolder::create_again(root_of(path, source))?;
-    fill(source, folder.path())?;
-    Ok(folder)
-}
-
-/// The folder of the copy at `path`.
-fn root_of<'a>(path: &'a Path, source: &OriginalLibrary) -> &'a Path {
-    source.place().components().fold(path, |path, _| path.parent().unwrap_or(path))
-}
-
-/// True if a copy's folder would hold anything besides the library itself.
-pub(super) fn has_other_files(source: &OriginalLibrary) -> bool {
-    let beside = source.library.parent().and_then(|folder| fs::read_dir(folder).ok());
-    source.is_inside()
-        && (source.root.join("resources").is_dir() || beside.is_some_and(|entries| entries.count() > 1))
-}
-
-fn fill(source: &OriginalLibrary, root: &Path) -> Result<PathBuf, FmiError> {
     source.check_unchanged()?;
+    let folder = PrivateFolder::create()?;
+    let root = folder.path();
     let path = root.join(source.place());
     let target = path.parent().unwrap_or(root);
     fs::create_dir_all(target).map_err(FmiError::io("create", target))?;
@@ -55,7 +29,7 @@ fn fill(source: &OriginalLibrary, root: &Path) -> Result<PathBuf, FmiError> {
     if source.is_inside() && resources.is_dir() {
         platform::link_folder(&resources, &place).map_err(FmiError::io("link", &place))?;
     }
-    Ok(path)
+    Ok((path, folder))
 }
 
 /// Places what lies beside the library beside its copy: libraries as copies, which the loader takes for

@@ -4,9 +4,7 @@
 use crate::error::{FmiError, Result};
 use crate::macros::words;
 use base::files::open_regular;
-use object::elf;
-use object::read::elf::{FileHeader, ProgramHeader};
-use object::{Endianness, FileKind, ReadCache, ReadRef};
+use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 use std::{env, fmt};
@@ -129,46 +127,59 @@ impl fmt::Display for BinaryHeader {
     }
 }
 
-/// Refuses a file that is shorter than its ELF headers say. The loader maps the segments without looking at
-/// the length, and the first access beyond the end of the file ends the process (SIGBUS). The loaders of
-/// Windows and macOS look for themselves.
+/// Refuses a file that is shorter than its ELF headers say (of 64-bit processors, little-endian). The loader
+/// maps the segments without looking at the length, and the first access beyond the end of the file ends the
+/// process (SIGBUS). The loaders of Windows and macOS look for themselves.
 ///
 /// # Errors
 /// [`FmiError::LoadFailed`] with both lengths; the file cannot be read.
 pub(crate) fn check_length(library: &Path) -> Result<()> {
-    let io_error = FmiError::io("read", library);
-    let (length, data) = match open_regular(library).and_then(|file| Ok((file.metadata()?.len(), file))) {
-        Ok((length, file)) => (length, ReadCache::new(file)),
-        Err(error) => return Err(io_error(error)),
-    };
-    let needed = match FileKind::parse(&data) {
-        Ok(FileKind::Elf64) => mapped_length::<elf::FileHeader64<Endianness>, _>(&data),
-        Ok(FileKind::Elf32) => mapped_length::<elf::FileHeader32<Endianness>, _>(&data),
-        _ => return Ok(()),
-    };
-    let what = match needed {
-        Some(needed) if needed <= length => return Ok(()),
-        Some(needed) => format!(
+    let lengths = open_regular(library).and_then(|mut file| {
+        let length = file.metadata()?.len();
+        match mapped_length(&mut file) {
+            Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Ok((length, None)),
+            needed => Ok((length, Some(needed?))),
+        }
+    });
+    let what = match lengths.map_err(FmiError::io("read", library))? {
+        (length, Some(needed)) if needed <= length => return Ok(()),
+        (length, Some(needed)) => format!(
             "the file has {length} bytes, and what its headers say is to be loaded ends at byte {needed}"
         ),
-        None => format!("the file has {length} bytes, too few for its ELF headers"),
+        (length, None) => format!("the file has {length} bytes, too few for its ELF headers"),
     };
     let message = format!("{what}: it was cut off, perhaps while it was copied, downloaded or packed");
     Err(FmiError::LoadFailed { library: library.to_owned(), message })
 }
 
-/// Where the segments that are mapped end in the file, and the dynamic section (System V ABI, chapter 5);
-/// `None`: the headers are not all there.
-fn mapped_length<'data, Elf: FileHeader<Endian = Endianness>, R: ReadRef<'data>>(data: R) -> Option<u64> {
-    let header = Elf::parse(data).ok()?;
-    let endian = header.endian().ok()?;
-    let segments = header.program_headers(endian, data).ok()?;
-    let mapped = segments.iter().filter(|one| matches!(one.p_type(endian), elf::PT_LOAD | elf::PT_DYNAMIC));
-    let end = |one: &Elf::ProgramHeader| {
-        let (start, size): (u64, u64) = (one.p_offset(endian).into(), one.p_filesz(endian).into());
-        start.saturating_add(size)
-    };
-    Some(mapped.map(end).max().unwrap_or(0))
+/// Where the segments that are mapped end in an ELF file, and the dynamic section (System V ABI, chapter 5);
+/// 0 for other files.
+fn mapped_length(file: &mut File) -> io::Result<u64> {
+    const LOADED: u64 = 1;
+    const DYNAMIC: u64 = 2;
+    let mut header = Vec::new();
+    file.take(64).read_to_end(&mut header)?;
+    if !header.starts_with(b"\x7fELF\x02\x01") {
+        return Ok(0);
+    }
+    if header.len() < 64 {
+        return Err(io::ErrorKind::UnexpectedEof.into());
+    }
+    let mut segment = vec![0; number::<2>(&header, 54) as usize];
+    file.seek(SeekFrom::Start(number::<8>(&header, 32)))?;
+    let mut end = 0;
+    for _ in 0..number::<2>(&header, 56) {
+        file.read_exact(&mut segment)?;
+        if [LOADED, DYNAMIC].contains(&number::<4>(&segment, 0)) {
+            end = end.max(number::<8>(&segment, 8).saturating_add(number::<8>(&segment, 32)));
+        }
+    }
+    Ok(end)
+}
+
+/// A little-endian number of `N` bytes; what lies behind the end reads as 0.
+fn number<const N: usize>(bytes: &[u8], at: usize) -> u64 {
+    (0..N).rev().fold(0, |number, k| number << 8 | u64::from(bytes.get(at + k).copied().unwrap_or(0)))
 }
 
 /// Kind of the file found in place of a library, for a message.

@@ -9,7 +9,6 @@ mod file_identity;
 mod find_binary;
 pub(crate) mod memory;
 mod private_folders;
-mod unloading;
 
 pub use atomic_file::fill_atomically;
 pub(crate) use binary::check_length;
@@ -21,4 +20,3 @@ pub(crate) use find_binary::unusable_binary;
 pub use find_binary::{FoundBinary, find_binary};
 pub use private_folders::without_private_folders;
 pub(crate) use private_folders::*;
-pub(crate) use unloading::may_be_unloaded;

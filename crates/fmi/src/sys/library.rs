@@ -24,7 +24,6 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// An open library and the functions found in it.
 pub(crate) struct Library {
-    /// The tables hold pointers into `handle`, so they are declared, and dropped, before it.
     pub(super) functions: Functions,
     pub(super) values: Box<dyn Values>,
     pub(super) version: Box<dyn Version>,
@@ -34,7 +33,6 @@ pub(crate) struct Library {
     /// Callbacks of instances that are gone, for the next ones: never freed, for the FMU may still use them,
     /// at last in its destructors.
     retired: Mutex<Vec<Callbacks>>,
-    /// Last: closed, if at all, when the tables are gone (invariant 1).
     handle: Arc<Handle>,
 }
 
@@ -153,13 +151,6 @@ impl Library {
     /// Takes the callbacks of an instance that is gone.
     pub(super) fn retire(&self, callbacks: Callbacks) {
         self.retired.lock().unwrap_or_else(PoisonError::into_inner).push(callbacks);
-    }
-
-    /// Has the library unloaded when nobody uses it any more.
-    pub(crate) fn unload_when_unused(&self) {
-        // SAFETY: the caller has found in the file that the library imports nothing to start threads, to register functions
-        // or to load other libraries with; its instances, whose callbacks it calls, keep it loaded (invariant 1).
-        unsafe { self.handle.close_on_drop() };
     }
 }
 

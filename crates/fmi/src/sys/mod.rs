@@ -4,8 +4,7 @@
 //!
 //! 1. **A library outlives its instances.** A [`RawInstance`] holds an `Arc` of the [`Library`] its functions
 //!    come from. The function pointers of a binding are only called through a `Library` that is alive. It is
-//!    closed only where the file shows that nothing of it can be called later (destructors of threads,
-//!    functions that it registered).
+//!    never closed: code of it may be called later (destructors of threads, functions that it registered).
 //! 2. **One owner per component.** A component pointer lives in exactly one `RawInstance`, is never copied
 //!    out of it, and is freed once, on drop. `RawInstance` may move to another thread (`Send`): FMI functions
 //!    of one instance may be called from any thread, but not from two at a time (FMI 2.0.x, section 2.1.1);

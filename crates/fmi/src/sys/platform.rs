@@ -1,13 +1,12 @@
 //! System-dependent part of this module: the loading of a library.
 
-use super::environment::Inside;
 use crate::fair_lock::FairLock;
 use serde::{Deserialize, Serialize};
 use std::mem::ManuallyDrop;
 use std::ops::Deref;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
 /// Options of the dynamic loader for a library. By default all its symbols are looked up when it is loaded,
 /// so that a missing one is an error then and not the end of the process later (`RTLD_NOW`), and none of them
@@ -31,10 +30,9 @@ pub(super) type Opened = libloading::os::unix::Library;
 #[cfg(not(unix))]
 pub(super) type Opened = libloading::Library;
 
-/// An open library, which one thread at a time is inside of. Not closed unless
-/// [`close_on_drop`](Self::close_on_drop) says so: a thread that has called the FMU may hold data of its own
-/// for it (thread-specific data, `thread_local` of C++) whose destructor is code of the library and runs when
-/// the thread ends.
+/// An open library, which one thread at a time is inside of. It is never closed: a thread that has called the
+/// FMU may hold data of its own for it (thread-specific data, `thread_local` of C++) whose destructor is code
+/// of the library and runs when the thread ends.
 pub(super) struct Handle {
     library: ManuallyDrop<Opened>,
     /// Who may be inside.
@@ -43,27 +41,12 @@ pub(super) struct Handle {
     pub(super) is_fatal: AtomicBool,
     /// A component was made.
     pub(super) is_used: AtomicBool,
-    closes: AtomicBool,
 }
 
 impl Handle {
     pub(super) fn new(library: Opened, lock: Arc<FairLock>) -> Self {
         let library = ManuallyDrop::new(library);
-        Self {
-            library,
-            lock,
-            is_fatal: AtomicBool::new(false),
-            is_used: AtomicBool::new(false),
-            closes: AtomicBool::new(false),
-        }
-    }
-
-    /// Has the library closed when the handle is dropped.
-    ///
-    /// # Safety
-    /// Nothing of the library can be called after that: it starts no threads and registers no functions.
-    pub(super) unsafe fn close_on_drop(&self) {
-        self.closes.store(true, Ordering::Relaxed);
+        Self { library, lock, is_fatal: AtomicBool::new(false), is_used: AtomicBool::new(false) }
     }
 }
 
@@ -72,17 +55,6 @@ impl Deref for Handle {
 
     fn deref(&self) -> &Opened {
         &self.library
-    }
-}
-
-impl Drop for Handle {
-    fn drop(&mut self) {
-        if *self.closes.get_mut() {
-            // Its destructors are code of the FMU.
-            let _inside = Inside::enter(&self.lock);
-            // SAFETY: dropped once, here; whoever called `close_on_drop` has promised that nobody is in it or comes back.
-            unsafe { ManuallyDrop::drop(&mut self.library) };
-        }
     }
 }
 
