@@ -50,10 +50,14 @@ pub(crate) struct BeforeReading {
 ///
 /// Opening reads the description and no other file of it. The first instance unpacks what the library may
 /// look for and loads the library. Opening and inspecting run no code of the FMU; loading does.
+///
+/// A loaded library stays in the process until the process ends, because threads and exit functions of the
+/// library may outlive its instances. If a program opens many FMUs, use a [`FmuCache`](crate::FmuCache) or
+/// worker processes ([`workers`](Self::workers)).
 #[derive(Debug, Clone)]
 pub struct Fmu {
     inner: Arc<Inner>,
-    /// The path it was opened by; other clones may have been opened by others.
+    /// The path it was opened by.
     path: Arc<Path>,
     /// The description with units that the file does not state; `None`: that of the file.
     with_units: Option<Arc<ModelDescription>>,
@@ -209,11 +213,6 @@ impl Fmu {
     /// The file cannot be read any more.
     pub fn description_file(&self) -> Result<Vec<u8>> {
         self.inner.archive.description(self.inner.options.description.bytes, &CancelRequest::default())
-    }
-
-    /// The same FMU, opened by another path.
-    pub(crate) fn at(&self, path: &Path) -> Fmu {
-        Fmu { path: path.into(), ..self.clone() }
     }
 
     /// The same FMU with units of variables of which its description states none, by name. They change no

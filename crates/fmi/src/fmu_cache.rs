@@ -1,6 +1,5 @@
-//! A cache of opened FMUs, by file and by content.
+//! A cache of opened FMUs, by file.
 
-use crate::archive::Archive;
 use crate::cancel_request::CancelRequest;
 use crate::error::{FmiError, Result};
 use crate::fmu::Fmu;
@@ -9,13 +8,12 @@ use crate::platform;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-/// Opens each content once: as long as a file does not change, [`open`](Self::open) returns the same [`Fmu`]
-/// for the same options, and so it does for files of the same content.
+/// Opens each file once: as long as it does not change, [`open`](Self::open) returns the same [`Fmu`] for the
+/// same options.
 ///
 /// A file counts as unchanged while its path, identity on the disk, size and time of modification are the
 /// same; it is not read for that. Of a folder, `modelDescription.xml`, its libraries and the folder itself
-/// are looked at. Another file is compared by the directory of the archive, and where that is the same by the
-/// SHA-256 of its bytes.
+/// are looked at.
 #[derive(Debug)]
 pub struct FmuCache {
     capacity: usize,
@@ -61,12 +59,7 @@ impl FmuCache {
         }
         // Not under the lock: opening one file does not keep others waiting. Two threads may both open a new file;
         // the first to finish is kept.
-        let archive = Archive::open_with(path, &options.limits, &options.cancel)?;
-        let twin = self.candidates(options).into_iter().find(|known| archive.has_content_of(known.archive()));
-        let fmu = match twin {
-            Some(twin) => twin.at(path),
-            None => Fmu::describe(archive, path, options)?,
-        };
+        let fmu = Fmu::open_with(path, options)?;
         if let Some(first) = self.find(&key, options) {
             return Ok(first);
         }
@@ -90,15 +83,6 @@ impl FmuCache {
     pub fn clear(&self) {
         let entries = std::mem::take(&mut *self.entries());
         drop(entries);
-    }
-
-    /// The FMUs that were opened with these options.
-    fn candidates(&self, options: &OpenOptions) -> Vec<Fmu> {
-        self.entries()
-            .iter()
-            .filter(|known| known.options == *options)
-            .map(|known| known.fmu.clone())
-            .collect()
     }
 
     fn find(&self, key: &Key, options: &OpenOptions) -> Option<Fmu> {

@@ -5,7 +5,7 @@
 mod zip_bytes;
 
 use fmi::platform::{FolderNames, LIBRARY_EXTENSION, binary_folders};
-use fmi::{Fmu, FmuCache, Instance, Instantiated, ModelDescription, SimulateOptions};
+use fmi::{Fmu, Instance, Instantiated, ModelDescription, SimulateOptions};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -191,22 +191,6 @@ fn a_file_that_is_replaced_or_written_over_is_not_mixed_up() {
     mode.set_readonly(true);
     fs::set_permissions(&path, mode).unwrap();
     fourth.content_hash().unwrap();
-}
-
-#[test]
-fn files_of_the_same_content_are_one_fmu() {
-    let folder = tempfile::tempdir().unwrap();
-    let [one, two, three] = ["1.fmu", "2.fmu", "3.fmu"].map(|name| folder.path().join(name));
-    write_archive(&one, &[]);
-    fs::copy(&one, &two).unwrap();
-    write_archive(&three, &[Entry::stored("resources/deep/other.txt", b"1 2 4")]);
-    let cache = FmuCache::new(8);
-    let [first, second, third] = [&one, &two, &three].map(|path| cache.open(path).unwrap());
-    assert!(first.is_same(&second) && !first.is_same(&third));
-    assert_eq!((first.path(), second.path()), (one.as_path(), two.as_path()));
-    assert!(cache.open(&two).unwrap().is_same(&first));
-    fs::copy(&three, &two).unwrap();
-    assert!(cache.open(&two).unwrap().is_same(&third));
 }
 
 #[test]

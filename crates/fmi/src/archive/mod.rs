@@ -224,16 +224,6 @@ impl Archive {
         }
     }
 
-    /// True if another archive has the same content, byte for byte. False for folders: they can be edited at
-    /// any time.
-    pub(crate) fn has_content_of(&self, other: &Archive) -> bool {
-        let (Content::Packed(one), Content::Packed(two)) = (&self.content, &other.content) else {
-            return false;
-        };
-        let same_hash = || matches!((self.content_hash(), other.content_hash()), (Ok(a), Ok(b)) if a == b);
-        one.has_directory_of(two) && same_hash()
-    }
-
     /// Names of files that the archive holds more than once, with the same content each time.
     pub fn repeated(&self) -> Vec<&str> {
         match &self.content {

@@ -98,17 +98,6 @@ impl Packed {
         self.entries.iter().any(|entry| entry.name.starts_with("resources/"))
     }
 
-    /// Names, sizes, compressed sizes and checksums of the entries, from the directory of the archive:
-    /// archives of the same content have the same.
-    fn directory(&self) -> impl Iterator<Item = (&str, u64, u64, u32)> {
-        self.entries.iter().map(Record::content)
-    }
-
-    /// True if the directories are equal.
-    pub(super) fn has_directory_of(&self, other: &Self) -> bool {
-        self.entries.len() == other.entries.len() && self.directory().eq(other.directory())
-    }
-
     /// A hash of the directory.
     pub(super) fn fingerprint(&self) -> String {
         hash::of_texts(self.entries.iter().map(Record::content).map(
