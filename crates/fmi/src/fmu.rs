@@ -30,22 +30,6 @@ const LEAVES_TRACES: &str = "a simulation after the reset function differs from 
 const HIDDEN_STATE: &str = "a simulation depends on earlier ones in the same process: the model keeps a state outside of its instances. Nothing is to \
                             be done: each simulation has a new process, which takes longer";
 
-const STALE_OUTPUTS: &str = "variables read at a new point are those of an earlier one until the derivatives are computed: they are \
-                             computed before every reading";
-
-const OUTPUTS_OF_STEPS: &str = "variables read at a new point are those of an earlier one until a step is completed there: one is \
-                                completed at every row";
-
-const LATE_INDICATORS: &str = "event indicators at a new point are those of an earlier one until a step is completed there: events are found late \
-                               or not at all; a smaller max_step finds more";
-
-/// What is done before variables are read.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) struct BeforeReading {
-    pub(crate) step_completed: bool,
-    pub(crate) derivatives: bool,
-}
-
 /// An opened FMU. Clones share everything and are cheap.
 ///
 /// Opening reads the description and no other file of it. The first instance unpacks what the library may
@@ -78,11 +62,6 @@ struct Inner {
     quirks_seen: Mutex<Vec<Quirk>>,
     /// A [`Reuse`], as its number.
     reuse: AtomicU8,
-    /// Variables are those of a point once a step is completed there.
-    reads_at_steps: AtomicBool,
-    reads_with_derivatives: AtomicBool,
-    /// A run has come to its end in this process, so that it is known where variables can be read.
-    n_unchecked: AtomicU64,
     /// A worker process has left a repetition to be asked for.
     is_to_be_repeated: AtomicBool,
     /// Subjects of messages that simulations have logged; each is logged once.
@@ -177,9 +156,6 @@ impl Fmu {
             real_references: OnceLock::new(),
             quirks_seen: Mutex::default(),
             reuse: AtomicU8::default(),
-            reads_at_steps: AtomicBool::new(false),
-            reads_with_derivatives: AtomicBool::new(false),
-            n_unchecked: AtomicU64::new(0),
             is_to_be_repeated: AtomicBool::new(false),
             said: Mutex::default(),
             workers: Mutex::default(),
@@ -381,67 +357,22 @@ impl Fmu {
         }
     }
 
-    /// Notes that variables are computed with the derivatives only.
-    pub(crate) fn note_stale_outputs(&self) {
-        self.note_quirk(QuirkKind::Promise, STALE_OUTPUTS);
-    }
-
-    /// The same of a variable that was at rest in the first samples of a run, whose rows may be wrong.
-    pub(crate) fn note_outputs_of_derivatives(&self) {
-        self.inner.reads_with_derivatives.store(true, Ordering::Relaxed);
-        self.note_stale_outputs();
-    }
-
-    /// Notes that event indicators are computed when a step is completed only.
-    pub(crate) fn note_late_indicators(&self) {
-        self.note_quirk(QuirkKind::Promise, LATE_INDICATORS);
-    }
-
-    /// Notes that variables are computed when a step is completed only.
-    pub(crate) fn note_outputs_of_steps(&self) {
-        self.inner.reads_at_steps.store(true, Ordering::Relaxed);
-        self.note_quirk(QuirkKind::Promise, OUTPUTS_OF_STEPS);
-    }
-
-    /// What is done before every reading, because the FMU computes its variables only then.
-    pub(crate) fn before_reading(&self) -> BeforeReading {
-        BeforeReading {
-            step_completed: self.inner.reads_at_steps.load(Ordering::Relaxed),
-            derivatives: self.inner.reads_with_derivatives.load(Ordering::Relaxed),
-        }
-    }
-
-    /// Notes that a run was ended before it could find out whether its rows were read too early.
-    pub(crate) fn note_unchecked_rows(&self) {
-        self.inner.n_unchecked.fetch_add(1, Ordering::Relaxed);
-    }
-
-    /// Number of runs that were ended before they could find out whether their rows were read too early.
-    pub fn n_unchecked_runs(&self) -> u64 {
-        self.inner.n_unchecked.load(Ordering::Relaxed)
-    }
-
-    /// Makes a simulation, and again if it failed and has shown how the model must be run: its rows were read
-    /// too early ([`FmiError::ReadBetweenSteps`]), or a co-simulation refused the step to its stop time. In a
-    /// worker process the repetition [is left to the caller](Self::leaves_repetition).
+    /// Makes a simulation, and again if it failed and has shown how the model must be run: a co-simulation
+    /// refused the step to its stop time. In a worker process the repetition is [left to the
+    /// caller](Self::take_repetition), who so knows how many simulations an answer can take.
     pub fn repeat_if_learned<T, E>(&self, mut simulate: impl FnMut() -> Result<T, E>) -> Result<T, E> {
-        let known_now =
-            || (self.before_reading(), self.reset_knowledge(InterfaceKind::CoSimulation).stop_time);
+        let known_now = || self.reset_knowledge(InterfaceKind::CoSimulation).stop_time;
         loop {
             let known = known_now();
             match simulate() {
-                Err(_) if known_now() != known && !self.leaves_repetition() => {}
-                outcome => return outcome,
+                Err(_) if known_now() != known && !is_worker() => {}
+                outcome => {
+                    let is_left = outcome.is_err() && known_now() != known;
+                    self.inner.is_to_be_repeated.fetch_or(is_left, Ordering::Relaxed);
+                    return outcome;
+                }
             }
         }
-    }
-
-    /// True in a worker process: it does not repeat a simulation, but says that it is to be asked again. So
-    /// the other process knows how many simulations an answer can take.
-    pub fn leaves_repetition(&self) -> bool {
-        let is_left = is_worker();
-        self.inner.is_to_be_repeated.fetch_or(is_left, Ordering::Relaxed);
-        is_left
     }
 
     /// True if a repetition was left since the last call.

@@ -134,19 +134,7 @@ impl LoadedProblem {
         stats: &mut Stats,
         mut lend: impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, CostFailure>,
     ) -> Result<f64, CostFailure> {
-        let before = self.fmu.n_unchecked_runs();
-        let outcome = self.fmu.repeat_if_learned(|| self.evaluate_once(x, rule, out, stats, &mut lend));
-        if self.fmu.n_unchecked_runs() == before || !matches!(outcome, Err(CostFailure::Above)) {
-            return outcome;
-        }
-        // A model whose variables are computed late shows that at the end of a step only, and the run was cut off before.
-        let whole = CostRule { cutoff: f64::INFINITY, ..rule };
-        let reread = self.fmu.repeat_if_learned(|| self.evaluate_once(x, whole, out, stats, &mut lend));
-        match reread {
-            Ok(cost) if cost <= rule.cutoff => Ok(cost),
-            Err(CostFailure::Cancelled) => Err(CostFailure::Cancelled),
-            _ => outcome,
-        }
+        self.fmu.repeat_if_learned(|| self.evaluate_once(x, rule, out, stats, &mut lend))
     }
 
     fn evaluate_once(

@@ -359,11 +359,6 @@ pub enum FmiError {
         /// The value.
         value: f64,
     },
-    /// Rows of this simulation may be wrong; those of the next one are right.
-    #[error(
-        "variables read between steps are those of an earlier point until a step is completed: simulate again, steps end at every row then"
-    )]
-    ReadBetweenSteps,
     /// A variable that cannot be an output.
     #[error("{name} cannot be an output: {reason}")]
     NotAnOutput {
@@ -433,20 +428,6 @@ impl FmiError {
                 | FmiError::LoadFailed { .. }
                 | FmiError::MissingSymbol { .. }
         )
-    }
-
-    /// True for [`ReadBetweenSteps`](Self::ReadBetweenSteps) and a simulation that ended with it.
-    pub fn is_read_between_steps(&self) -> bool {
-        match self {
-            FmiError::ReadBetweenSteps => true,
-            FmiError::Simulation(error) => match &error.kind {
-                ode::ErrorKind::Model(error) => {
-                    matches!(error.downcast_ref(), Some(FmiError::ReadBetweenSteps))
-                }
-                _ => false,
-            },
-            _ => false,
-        }
     }
 
     /// Form of this error for another process: its kind, and the data that are passed on.

@@ -8,7 +8,7 @@ use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::Running;
 use crate::simulation::shared_observer::SharedObserver;
 use crate::simulation::variable_elements::RunInput;
-use crate::sys::{InterfaceKind, RawInstance, note_start};
+use crate::sys::{InterfaceKind, RawInstance, note_start, set_float_mode};
 use ode::{Driver, ErrorKind, Ignore, Observer, Report};
 use std::sync::Arc;
 
@@ -44,6 +44,7 @@ impl Engine {
     /// variables.
     pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<()> {
         note_start();
+        set_float_mode();
         match self {
             Engine::Integrated { system, .. } => system.initialize(raw, input),
             Engine::Stepping(stepping) => stepping.initialize(raw, input),
@@ -61,11 +62,6 @@ impl Engine {
         }
     }
 
-    /// True if rows of a run that ends here may have been read too early.
-    pub(crate) fn has_unchecked_rows(&self) -> bool {
-        matches!(self, Engine::Integrated { system, .. } if system.reader.has_unchecked_rows(&system.running))
-    }
-
     /// Value of a variable where the run stands.
     pub(crate) fn value(&mut self, variable: &Variable) -> Result<Value> {
         match self {
@@ -76,6 +72,8 @@ impl Engine {
 
     /// The run itself.
     pub(crate) fn run(&mut self, plan: &SimulationPlan, observer: &mut dyn Observer) -> Result<Report> {
+        // The FMU may have changed it when it was loaded and initialized.
+        set_float_mode();
         let outside = SharedObserver::new(&plan.options, observer);
         match self {
             Engine::Integrated { driver, system } => {

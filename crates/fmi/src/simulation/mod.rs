@@ -9,7 +9,6 @@ mod input_table;
 mod inputs;
 mod model_exchange;
 mod options;
-mod output_reader;
 mod outputs;
 pub(crate) mod plan;
 pub(crate) mod running;

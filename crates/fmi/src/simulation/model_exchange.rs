@@ -4,7 +4,6 @@ use crate::description::{QuirkKind, Variable};
 use crate::error::{FmiError, Result};
 use crate::instance::Core;
 use crate::simulation::inputs::{InputPlan, InputState};
-use crate::simulation::output_reader::OutputReader;
 use crate::simulation::plan::SimulationPlan;
 use crate::simulation::running::{Mode, Running};
 use crate::simulation::shared_observer::SharedObserver;
@@ -32,7 +31,12 @@ pub(crate) struct System {
     last_time: f64,
     last_states: Vec<f64>,
     initial_states: Vec<InitialState>,
-    pub(super) reader: OutputReader,
+    /// The derivatives were computed at the point last set.
+    is_evaluated: bool,
+    /// Derivatives computed for the sake of other variables.
+    unused: Vec<f64>,
+    /// Answers to the steps that were completed at rows, for the end of the step.
+    row_actions: StepAction,
     /// Time of the last event as the model saw it: a rounding error later than the driver's at most, and
     /// never gone back behind.
     floor: f64,
@@ -66,7 +70,9 @@ impl System {
             sent: Vec::with_capacity(plan.inputs.continuous.start().len()),
             set_time: None,
             set_states: None,
-            reader: OutputReader::new(n, plan.n_indicators),
+            is_evaluated: false,
+            unused: vec![0.0; n],
+            row_actions: StepAction::default(),
             states: vec![0.0; n],
             last_time: plan.start,
             last_states: vec![0.0; n],
@@ -88,7 +94,7 @@ impl System {
         self.running.current.core = Some(core);
         self.set_time = None;
         self.set_states = None;
-        self.reader.begin(&self.running);
+        self.row_actions = StepAction::default();
         self.floor = f64::NEG_INFINITY;
         self.last_time = start;
         Ok(())
@@ -131,8 +137,7 @@ impl System {
         }
         self.running.current.enter(Mode::Continuous, RawInstance::enter_continuous_time_mode)?;
         self.call(|raw| raw.set_continuous_states(x))?;
-        // The model may compute its variables with the derivatives only.
-        self.reader.evaluate(&mut self.running)?;
+        self.prepare_reading()?;
         let Self { running: Running { plan, current, .. }, initial_states, .. } = self;
         let required = &plan.values.initial.required;
         let checked = current.core().and_then(|core| {
@@ -148,18 +153,10 @@ impl System {
     pub(crate) fn value(&mut self, variable: &Variable) -> Result<crate::Value> {
         self.running.current.trusted()?;
         let (time, states) = (self.last_time, self.last_states.clone());
-        match self.set_point(time, &states) {
-            // The model may compute its variables with the derivatives only.
-            Ok(()) if self.running.current.mode == Mode::Continuous && !self.reader.is_evaluated => {
-                self.reader.evaluate(&mut self.running).or_else(|error| match error {
-                    CallError::Failed(error) => Err(unbox(error)),
-                    CallError::Discard => Ok(()),
-                })?;
-            }
-            Ok(()) => {}
+        match self.set_point(time, &states).and_then(|()| self.prepare_reading()) {
             Err(CallError::Failed(error)) => return Err(unbox(error)),
             // The point was good when the step was completed; the value there is the best there is.
-            Err(CallError::Discard) => {}
+            Ok(()) | Err(CallError::Discard) => {}
         }
         self.running.current.core()?.value(variable)
     }
@@ -170,11 +167,38 @@ impl System {
         self.running.current.call(body)
     }
 
+    /// Makes the variables those of the point last set, before they are read. Some FMUs compute them with the
+    /// derivatives only. Those of OpenModelica compute what no derivative depends on when a step is
+    /// completed; steps may end anywhere, and rows are in the order of time.
+    fn prepare_reading(&mut self) -> CallResult<()> {
+        if self.running.current.mode != Mode::Continuous || self.unused.is_empty() {
+            return Ok(());
+        }
+        if !self.is_evaluated {
+            let Self { running, unused, .. } = self;
+            match running.current.call(|raw| raw.get_derivatives(unused)) {
+                // A point without derivatives may have other variables.
+                Ok(()) | Err(CallError::Discard) => self.is_evaluated = true,
+                Err(error) => return Err(error),
+            }
+        }
+        if self.running.plan.completes_rows {
+            self.row_actions = self.complete_step(self.row_actions)?;
+        }
+        Ok(())
+    }
+
+    /// Tells the model that a step is completed; returns what it asks for, or has asked for before.
+    fn complete_step(&mut self, before: StepAction) -> CallResult<StepAction> {
+        let (event, terminate) = self.call(RawInstance::completed_integrator_step)?;
+        Ok(StepAction { event: event | before.event, terminate: terminate | before.terminate })
+    }
+
     /// Sets time, continuous inputs and states together; what has these very bits already is left out.
     fn set_point(&mut self, t: f64, x: &[f64]) -> CallResult<()> {
         let t = t.max(self.floor);
         if !self.set_time.is_some_and(|set| same_bits(set, t)) {
-            self.reader.is_evaluated = false;
+            self.is_evaluated = false;
             self.set_time = None;
             self.call(|raw| raw.set_time(t))?;
             self.set_inputs(t)?;
@@ -185,7 +209,7 @@ impl System {
         }
         let same = self.set_states.is_some() && self.states.iter().zip(x).all(|(a, b)| same_bits(*a, *b));
         if !same {
-            self.reader.is_evaluated = false;
+            self.is_evaluated = false;
             self.set_states = None;
             self.call(|raw| raw.set_continuous_states(x))?;
             self.states.copy_from_slice(x);
@@ -194,52 +218,26 @@ impl System {
         Ok(())
     }
 
-    /// Makes a raw call that sets time and states itself, where both are to be set and there are no
-    /// continuous inputs. `false`: they are not, or there are.
+    /// Makes a raw call at a point. Where there are no continuous inputs it sets time and states itself,
+    /// unless both have these very bits already.
     #[inline(always)]
-    fn at_new_point(
+    fn at_point(
         &mut self,
         t: f64,
         x: &[f64],
-        call: impl FnOnce(&mut RawInstance, f64) -> Result<(), Fault>,
-    ) -> CallResult<bool> {
-        let time = if t > self.floor { t } else { self.floor };
-        let is_set = self.set_time.is_some_and(|set| same_bits(set, time));
-        if is_set || !self.is_point_of_states {
-            return Ok(false);
-        }
-        self.reader.is_evaluated = false;
-        let outcome = self.call(|raw| call(raw, time));
-        (self.set_time, self.set_states) = match outcome {
-            Ok(()) => (Some(time), Some(())),
-            Err(_) => (None, None),
-        };
-        outcome?;
-        copy(&mut self.states, x);
-        Ok(true)
-    }
-
-    /// Makes a raw call at a point whose time is set, or that is set here; it sets the states that it is
-    /// given.
-    fn at_set_time(
-        &mut self,
-        t: f64,
-        x: &[f64],
-        call: impl FnOnce(&mut RawInstance, Option<&[f64]>) -> Result<(), Fault>,
+        call: impl FnOnce(&mut RawInstance, Option<(f64, &[f64])>) -> Result<(), Fault>,
     ) -> CallResult<()> {
-        let is_new = self.is_point_of_states && !(self.set_states.is_some() && has(&self.states, x));
-        if !self.is_point_of_states {
+        let time = if t > self.floor { t } else { self.floor };
+        let has_time = self.set_time.is_some_and(|set| same_bits(set, time));
+        if !self.is_point_of_states || has_time && self.set_states.is_some() && has(&self.states, x) {
             self.set_point(t, x)?;
+            return self.call(|raw| call(raw, None));
         }
-        if is_new {
-            self.reader.is_evaluated = false;
-            self.set_states = None;
-        }
-        self.call(|raw| call(raw, is_new.then_some(x)))?;
-        if is_new {
-            copy(&mut self.states, x);
-            self.set_states = Some(());
-        }
+        self.is_evaluated = false;
+        (self.set_time, self.set_states) = (None, None);
+        self.call(|raw| call(raw, Some((time, x))))?;
+        (self.set_time, self.set_states) = (Some(time), Some(()));
+        copy(&mut self.states, x);
         Ok(())
     }
 
@@ -317,9 +315,8 @@ impl System {
         let x = self.last_states.clone();
         self.set_point(self.last_time, &x)?;
         let mut found = self.contradicted_state(&x)?;
-        if found.is_some() && !self.reader.is_evaluated && self.running.current.mode == Mode::Continuous {
-            // The model may compute its variables with the derivatives only.
-            self.reader.evaluate(&mut self.running)?;
+        if found.is_some() {
+            self.prepare_reading()?;
             found = self.contradicted_state(&x)?;
         }
         let Some((column, value)) = found else { return Ok(()) };
@@ -516,10 +513,8 @@ impl HybridSystem for Integration<'_> {
     }
 
     fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
-        if !self.at_new_point(t, x, |raw, time| raw.right_hand_side(time, x, dx))? {
-            self.at_set_time(t, x, |raw, states| raw.derivatives_with(states, dx))?;
-        }
-        self.reader.is_evaluated = true;
+        self.at_point(t, x, |raw, point| raw.derivatives_at(point, dx))?;
+        self.is_evaluated = true;
         all_finite(dx)?;
         Ok(())
     }
@@ -550,7 +545,7 @@ impl HybridSystem for Integration<'_> {
             }
         })?;
         // What it has computed on the way may belong to other points.
-        self.reader.is_evaluated = false;
+        self.is_evaluated = false;
         if !is_there {
             return Ok(false);
         }
@@ -562,9 +557,7 @@ impl HybridSystem for Integration<'_> {
         if z.is_empty() {
             return Ok(());
         }
-        if !self.at_new_point(t, x, |raw, time| raw.indicators_at(time, x, z))? {
-            self.at_set_time(t, x, |raw, states| raw.indicators_with(states, z))?;
-        }
+        self.at_point(t, x, |raw, point| raw.indicators_at(point, z))?;
         Ok(())
     }
 
@@ -572,8 +565,8 @@ impl HybridSystem for Integration<'_> {
     fn outputs(&mut self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
         if self.running.plan.outputs().needs_fmu() || self.running.buffers.reads_states {
             self.set_point(t, x)?;
-            let System { reader, running, .. } = &mut *self.system;
-            reader.read(running)?;
+            self.prepare_reading()?;
+            self.running.read_outputs()?;
         }
         let Running { plan, buffers, .. } = &mut self.running;
         buffers.row(plan.outputs(), t, plan.time_tolerance, x, y);
@@ -586,8 +579,8 @@ impl HybridSystem for Integration<'_> {
             return Ok(StepAction::default());
         }
         self.set_point(t, x)?;
-        let System { reader, running, .. } = &mut *self.system;
-        reader.complete_step(running)
+        let at_rows = std::mem::take(&mut self.row_actions);
+        self.complete_step(at_rows)
     }
 
     fn handle_event(&mut self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
@@ -607,8 +600,6 @@ impl HybridSystem for Integration<'_> {
         self.set_time = outcome.terminate.then_some(t);
         self.set_states = outcome.terminate.then_some(());
         self.states.copy_from_slice(x);
-        let System { reader, running, .. } = &mut *self.system;
-        reader.after_event(running);
         Ok(outcome)
     }
 

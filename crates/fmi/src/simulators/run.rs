@@ -6,7 +6,7 @@ use crate::description::{Causality, QuirkKind};
 use crate::error::FmiError;
 use crate::sys::{Inside, InterfaceKind, forget_refusal, is_worker, note_run, refusal};
 use base::Number;
-use ode::{ErrorKind, Ignore, Observer, Report, Seconds, SimulationError, Stats, Termination};
+use ode::{ErrorKind, Ignore, Observer, Report, Seconds, SimulationError, Stats};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -84,12 +84,6 @@ impl Simulator {
         self.start(parameters)?;
         let starting = self.began.elapsed().as_secs_f64();
         let mut outcome = self.engine.run(&self.plan, observer);
-        if let Ok(report) = &outcome
-            && report.termination == Termination::StoppedByObserver
-            && self.engine.has_unchecked_rows()
-        {
-            self.plan.fmu().note_unchecked_rows();
-        }
         let input_functions = self.engine.running().seconds_in_input_functions();
         self.engine.running().pass_log_on();
         if let Some(refusal) = refusal() {

@@ -26,9 +26,9 @@
 //! 7. **No panic crosses into C.** The sink of the logger catches unwinding; the rest of the callbacks are C.
 //! 8. **Saved states belong to their instance**: pointers stay in a table of the `RawInstance`; the outside
 //!    holds tokens that say whose they are. The table is freed with the instance.
-//! 9. **What an FMU (or the loading of it) changes in its thread** is undone: the floating-point mode after
-//!    every call, before any arithmetic of ours; the locale by [`Inside`]. One thread at a time is inside of
-//!    a loaded library: for a call, or for a whole run.
+//! 9. **A run starts in the default floating-point mode**, whatever the loading of an FMU or a run before has
+//!    changed in its thread; [`Inside`] puts back what was there. One thread at a time is inside of a loaded
+//!    library: for a call, or for a whole run.
 //! 10. **Buffers of small numbers** are handed out as what an FMU takes them for (`packed.rs`): never more
 //!     elements than there are words of 64 bits, and only types of which any bits are a value.
 //!
@@ -82,7 +82,7 @@ pub use before_main::is_loaded_to_serve;
 #[cfg(unix)]
 pub(crate) use before_main::{PRELOAD, PRELOADED_BEFORE};
 pub(crate) use compiler_limits::limit as limit_compiler;
-pub(crate) use environment::Inside;
+pub(crate) use environment::{Inside, set_float_mode};
 #[cfg(unix)]
 pub(crate) use faults::tell_faults;
 #[cfg(unix)]

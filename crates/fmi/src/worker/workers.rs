@@ -30,10 +30,9 @@ const START_CONFINED: Duration = Duration::from_secs(600);
 /// One that was started before it was needed is there after this time, or is not waited for.
 const PREPARED: Duration = Duration::from_secs(10);
 
-/// Largest number of questions that a worker may ask to repeat. It learns at most two facts about each
-/// interface: how variables are read (model exchange), and if the stop time is passed (co-simulation, two
-/// trials). See [`Fmu::leaves_repetition`](crate::Fmu::leaves_repetition).
-const MOST_REPEATED: u32 = 4;
+/// Largest number of questions that a worker may ask to repeat: it learns in two trials if a co-simulation is
+/// told its stop time. See [`Fmu::take_repetition`](crate::Fmu::take_repetition).
+const MOST_REPEATED: u32 = 2;
 
 /// The memory of a worker is looked at after each so many calls, and after every one that took so long.
 const LOOK_EVERY: u64 = 32;

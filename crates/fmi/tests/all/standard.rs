@@ -5,11 +5,10 @@
 use crate::support;
 
 use example_models::ExampleKind;
-use fmi::ode::{Ignore, Method, Observer, Sample};
+use fmi::ode::{Ignore, Method};
 use fmi::{
     FmiError, Fmu, Inputs, InstanceOptions, SimulateOptions, SimulationPlan, Simulator, Trajectory, Value,
 };
-use std::ops::ControlFlow;
 use std::sync::Arc;
 use support::{evil, evil_with, faulty, fixture_with};
 
@@ -65,8 +64,7 @@ fn step_events_happen_in_all_versions() {
 fn variables_computed_with_the_derivatives_only_are_right() {
     let (stale, plain) = (evil(&["STALE_OUTPUTS"]), evil(&[]));
     let options = SimulateOptions::new().ncp(97).outputs(["y"]).parameters(["k"]).relative_tolerance(1e-9);
-    let fmu = stale.open();
-    let plan = Arc::new(SimulationPlan::new(&fmu, &options).unwrap());
+    let plan = Arc::new(SimulationPlan::new(&stale.open(), &options).unwrap());
     let mut simulator = Simulator::new(Arc::clone(&plan)).unwrap();
     let first = simulator.trajectory(&[1.0]).unwrap();
     for (t, y) in first.time.iter().zip(first.get("y").unwrap()) {
@@ -78,36 +76,24 @@ fn variables_computed_with_the_derivatives_only_are_right() {
     simulator.run(&[3.0], &mut Ignore).unwrap();
     assert_eq!(bits(&simulator.trajectory(&[1.0]).unwrap()), bits(&first));
     assert_eq!(bits(&Simulator::new(plan).unwrap().trajectory(&[1.0]).unwrap()), bits(&first));
-    let quirks = fmu.quirks_seen();
-    assert!(quirks.len() == 1 && quirks[0].message.contains("derivatives"), "{quirks:?}");
-    // One that computes when it is read has the same values, bit for bit, and no such quirk.
-    let fmu = plain.open();
-    let plan = Arc::new(SimulationPlan::new(&fmu, &options).unwrap());
+    // A model that computes them when they are read has the same values, bit for bit.
+    let plan = Arc::new(SimulationPlan::new(&plain.open(), &options).unwrap());
     assert_eq!(bits(&Simulator::new(plan).unwrap().trajectory(&[1.0]).unwrap()), bits(&first));
-    assert!(fmu.quirks_seen().is_empty());
 }
 
-#[test]
-fn variables_computed_with_completed_steps_only_are_right() {
-    let (late, plain) = (evil(&["OUTPUTS_OF_STEPS"]), evil(&[]));
-    let options = SimulateOptions::new().ncp(97).outputs(["y"]).relative_tolerance(1e-9);
-    for method in [ode::Method::Tsit5, ode::Method::Dop853, ode::Method::Radau5, ode::Method::Bdf] {
-        let fmu = late.open();
-        let first = fmu.simulate(&options.clone().method(method)).unwrap();
-        for (t, y) in first.time.iter().zip(first.get("y").unwrap()) {
-            assert!((y - (-t).exp()).abs() < 1e-7, "{method:?}: {y} at {t}");
-        }
-        let quirks = fmu.quirks_seen();
-        assert!(quirks.len() == 1 && quirks[0].message.contains("until a step is completed"), "{quirks:?}");
-        let right = plain.open().simulate(&options.clone().method(method)).unwrap();
-        assert_eq!(bits(&first), bits(&right), "{method:?}");
-        assert_eq!(bits(&fmu.simulate(&options.clone().method(method)).unwrap()), bits(&first));
-    }
+/// A model with these faults, made by OpenModelica as its description says.
+fn openmodelica(faults: &[&str]) -> support::Folder {
+    evil_with(faults, |xml| {
+        xml.replace(
+            "modelName=\"Evil\"",
+            "modelName=\"Evil\" generationTool=\"OpenModelica Compiler OMCompiler v1.12.0\"",
+        )
+    })
 }
 
-/// A model with these faults computes y too late; `right`: y by time. The same again has the same bits.
-fn is_right_though_late(faults: &[&str], outputs: &[&str], right: fn(f64) -> f64) {
-    let late = evil(faults);
+/// A model computes y when a step is completed; `right`: y by time. The same again has the same bits.
+fn is_right_with_completed_steps(faults: &[&str], outputs: &[&str], right: fn(f64) -> f64) {
+    let late = openmodelica(&[faults, &["OUTPUTS_OF_STEPS"]].concat());
     let options = SimulateOptions::new().ncp(97).outputs(outputs.iter().copied()).relative_tolerance(1e-9);
     for method in [ode::Method::Tsit5, ode::Method::Dop853, ode::Method::Radau5, ode::Method::Bdf] {
         let fmu = late.open();
@@ -115,69 +101,22 @@ fn is_right_though_late(faults: &[&str], outputs: &[&str], right: fn(f64) -> f64
         for (t, y) in found.time.iter().zip(found.get("y").unwrap()) {
             assert!((y - right(*t)).abs() < 1e-7, "{method:?}: {y} at {t}");
         }
-        assert_eq!(fmu.quirks_seen().len(), 1, "{method:?}");
         assert_eq!(bits(&fmu.simulate(&options.clone().method(method)).unwrap()), bits(&found));
     }
 }
 
 #[test]
-fn a_late_variable_that_rests_at_first_is_right() {
+fn variables_of_openmodelica_computed_with_completed_steps_only_are_right() {
+    is_right_with_completed_steps(&[], &["y"], |t| (-t).exp());
     // The derivative changes from the first step on, y from 0.5 on only.
-    for late in ["OUTPUTS_OF_STEPS", "STALE_OUTPUTS"] {
-        let right = |t: f64| if t < 0.5 { 1.0 } else { (-t).exp() };
-        is_right_though_late(&[late, "RESTS_AT_FIRST"], &["der(x)", "y"], right);
-    }
-}
-
-#[test]
-fn a_variable_that_is_late_only_after_an_event_is_right() {
-    is_right_though_late(&["OUTPUTS_OF_STEPS", "LATE_FROM=0.4"], &["y"], |t| (-t).exp());
-}
-
-/// Ends a run at its row of this number.
-struct EndsAt(usize);
-
-impl Observer for EndsAt {
-    fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()> {
-        if sample.index.is_some_and(|row| row >= self.0) {
-            ControlFlow::Break(())
-        } else {
-            ControlFlow::Continue(())
-        }
-    }
-}
-
-#[test]
-fn rows_of_a_run_that_is_cut_off_are_checked_unless_its_steps_are_short_of_them() {
-    let unchecked = |fmu: &Fmu, outputs: &[&str], row: usize| {
-        let options = SimulateOptions::new().final_time(4.0).ncp(4000).outputs(outputs.iter().copied());
-        let mut simulator = Simulator::new(Arc::new(SimulationPlan::new(fmu, &options).unwrap())).unwrap();
-        simulator.run(&[], &mut EndsAt(row)).unwrap();
-        fmu.n_unchecked_runs()
-    };
-    // Within the first step, before it can be told; and long after.
-    let plain = evil(&[]);
-    let fmu = plain.open();
-    assert_eq!(unchecked(&fmu, &["y"], 3), 1);
-    assert_eq!(unchecked(&fmu, &["y"], 3000), 1);
-    // Without completed steps each row is checked at once.
-    let fmu = Fmu::open(example_models::example_fmu("furuta").unwrap()).unwrap();
-    for row in [3, 3000] {
-        assert_eq!(unchecked(&fmu, &["armJoint.phi", "armFriction"], row), 0);
-    }
-}
-
-#[test]
-fn event_indicators_that_are_late_are_listed() {
-    let one = |xml: String| xml.replace("numberOfEventIndicators=\"0\"", "numberOfEventIndicators=\"1\"");
-    let late = evil_with(&["OUTPUTS_OF_STEPS"], one);
-    let fmu = late.open();
-    fmu.simulate(&SimulateOptions::new().ncp(97).outputs(["der(x)"])).unwrap();
-    let quirks = fmu.quirks_seen();
-    assert!(
-        quirks.iter().any(|quirk| quirk.message.contains("event indicators at a new point")),
-        "{quirks:?}"
-    );
+    let rests = |t: f64| if t < 0.5 { 1.0 } else { (-t).exp() };
+    is_right_with_completed_steps(&["RESTS_AT_FIRST"], &["der(x)", "y"], rests);
+    // Late only after an event.
+    is_right_with_completed_steps(&["LATE_FROM=0.4"], &["y"], |t| (-t).exp());
+    // One that computes them when they are read has the same values, bit for bit.
+    let options = SimulateOptions::new().ncp(97).outputs(["y"]);
+    let run = |folder: &support::Folder| bits(&folder.open().simulate(&options).unwrap());
+    assert_eq!(run(&openmodelica(&["OUTPUTS_OF_STEPS"])), run(&evil(&[])));
 }
 
 #[test]

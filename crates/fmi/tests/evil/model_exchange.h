@@ -77,9 +77,7 @@ EXPORT fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real *dx, size_t n) {
     enter();
     REMEMBER(m);
     dx[0] = -K(m) * m->x + REMEMBERED(m);
-#if defined STALE_OUTPUTS && defined RESTS_AT_FIRST
-    m->y = m->time >= 0.5 ? m->x : 1;
-#elif !defined OUTPUTS_OF_STEPS
+#ifndef OUTPUTS_OF_STEPS
     m->y = m->x;
 #endif
 #ifdef FASTER
@@ -176,9 +174,6 @@ EXPORT fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real *dx, size_t n) {
 
 EXPORT fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real *z, size_t n) {
     (void)c; (void)z; (void)n;
-#ifdef OUTPUTS_OF_STEPS
-    if (n > 0) z[0] = ((Model *)c)->y - 0.5;
-#endif
     return fmi2OK;
 }
 

@@ -303,8 +303,6 @@ pub(crate) struct OutputBuffers {
     words: Vec<i64>,
     texts: Vec<f64>,
     binaries: Vec<f64>,
-    /// Numbers read before, to be compared.
-    kept: (Vec<f64>, Vec<i64>),
     /// The states are read as the variables that they are.
     pub(crate) reads_states: bool,
     /// When the clocks recorded ticked last.
@@ -321,7 +319,6 @@ impl OutputBuffers {
             words: vec![0; n_words],
             texts: vec![0.0; plan.texts.1],
             binaries: vec![0.0; plan.binaries.1],
-            kept: (vec![0.0; plan.n_reals + plan.states.1], vec![0; n_words]),
             reads_states: false,
             ticked: vec![f64::NAN; plan.clocks.len()],
             table: ValueTable::default(),
@@ -383,31 +380,6 @@ impl OutputBuffers {
             _ => None,
         };
         plan.columns.iter().enumerate().filter_map(differs).min_by_key(|(_, found)| found.is_finite())
-    }
-
-    /// Keeps the numbers as they were read.
-    pub(crate) fn keep(&mut self) {
-        self.kept.0.copy_from_slice(&self.reals);
-        self.kept.1.copy_from_slice(&self.words);
-    }
-
-    /// True if the numbers read last are those kept, bit for bit.
-    pub(crate) fn are_as_kept(&self) -> bool {
-        let reals = self.reals.iter().zip(&self.kept.0);
-        reals.into_iter().all(|(now, then)| now.to_bits() == then.to_bits()) && self.words == self.kept.1
-    }
-
-    /// Number of the numbers that are read.
-    pub(crate) fn n_numbers(&self) -> usize {
-        self.reals.len() + self.words.len()
-    }
-
-    /// True if one of the numbers read last is that which was kept, bit for bit.
-    pub(crate) fn is_as_kept(&self, number: usize) -> bool {
-        match number.checked_sub(self.reals.len()) {
-            None => self.reals[number].to_bits() == self.kept.0[number].to_bits(),
-            Some(word) => self.words[word] == self.kept.1[word],
-        }
     }
 
     /// Puts the row together; times closer than `time_tolerance` are one.

@@ -57,6 +57,8 @@ pub struct SimulationPlan {
     /// For each state, true if the description calls it unbounded.
     pub(crate) unbounded: Vec<bool>,
     pub(crate) completed_step_not_needed: bool,
+    /// A step is completed before a row is read.
+    pub(crate) completes_rows: bool,
     pub(crate) kind: InterfaceKind,
     /// Data for the Jacobian; empty for co-simulation.
     pub(crate) jacobian: JacobianPlan,
@@ -138,6 +140,9 @@ impl SimulationPlan {
             let variable = |i: usize| states.get(i).copied().flatten();
             (0..n_states).map(move |i| variable(i).map(|state| &description.variables[state]))
         };
+        let completed_step_not_needed = interface.capabilities.completed_integrator_step_not_needed;
+        let tool = description.generation_tool.as_deref();
+        let is_openmodelica = tool.is_some_and(|tool| tool.contains("OpenModelica"));
         let mut plan = Self {
             fmu: fmu.clone(),
             options: method,
@@ -161,7 +166,8 @@ impl SimulationPlan {
                 }
                 InterfaceKind::CoSimulation => JacobianPlan::default(),
             },
-            completed_step_not_needed: interface.capabilities.completed_integrator_step_not_needed,
+            completed_step_not_needed,
+            completes_rows: !completed_step_not_needed && is_openmodelica,
             kind,
             communication,
             family: Arc::new(()),

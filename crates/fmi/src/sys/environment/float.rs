@@ -2,8 +2,8 @@
 
 /// A floating-point mode.
 ///
-/// Code linked with `-ffast-math` switches denormals off for the thread that loads it, solvers change the
-/// rounding, and exceptions that an FMU unmasks would end the process in arithmetic of ours (SIGFPE).
+/// Code linked with `-ffast-math` switches denormals off for the thread that loads it, and solvers change the
+/// rounding.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FloatMode(control::Words);
 
@@ -113,7 +113,7 @@ mod control {
 
 #[cfg(all(test, target_arch = "x86_64"))]
 mod tests {
-    use super::super::{CallEnvironment, OneCall, restore_default};
+    use super::super::{Inside, set_float_mode};
     use super::*;
     use crate::fair_lock::FairLock;
     use std::sync::Arc;
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_there_comes_back_and_calls_start_in_the_default_mode() {
+    fn runs_start_in_the_default_mode_and_what_was_there_comes_back() {
         let lock = Arc::new(FairLock::default());
         let before = FloatMode::present();
         // Flush to zero, denormals are zero; x87 rounds up in double precision.
@@ -133,29 +133,26 @@ mod tests {
         theirs.set();
         assert!(is_same(FloatMode::present(), theirs));
         {
-            let _environment = CallEnvironment::enter();
+            let _inside = Inside::enter(&lock);
             assert!(FloatMode::present().is_default());
             assert!(std::hint::black_box(f64::MIN_POSITIVE) / std::hint::black_box(4.0) > 0.0);
-            for mode in [theirs, unmasked] {
-                let call = OneCall::enter(&lock);
-                mode.set();
-                drop(call);
-                assert!(FloatMode::present().is_default());
-                assert!(std::hint::black_box(1.0) / std::hint::black_box(0.0) > 1.0);
-            }
+            let nested = Inside::enter(&lock);
             theirs.set();
-            restore_default();
+            drop(nested);
             assert!(FloatMode::present().is_default());
-            drop(CallEnvironment::enter());
+            unmasked.set();
+            set_float_mode();
             assert!(FloatMode::present().is_default());
+            assert!(std::hint::black_box(1.0) / std::hint::black_box(0.0) > 1.0);
+            assert!(Inside::enter_for_call(&lock).is_none());
+            unmasked.set();
         }
         assert!(is_same(FloatMode::present(), theirs));
         {
             // Without anything around it.
-            let call = OneCall::enter(&lock);
-            assert!(FloatMode::present().is_default());
+            let call = Inside::enter_for_call(&lock);
+            assert!(call.is_some() && FloatMode::present().is_default());
             unmasked.set();
-            drop(call);
         }
         assert!(is_same(FloatMode::present(), theirs));
         before.set();

@@ -7,7 +7,7 @@ use crate::description::DependencyKind;
 use crate::error::{CallFailure, FmiError, LogLine, Result, Status};
 use crate::macros::getters;
 use crate::sys::callbacks::Callbacks;
-use crate::sys::environment::{Inside, OneCall, restore_default};
+use crate::sys::environment::Inside;
 use crate::sys::function::{Answer, Function, call};
 use crate::sys::functions::{Functions, GetVector, Plain, derivative};
 use crate::sys::library::Library;
@@ -21,10 +21,6 @@ use std::sync::Arc;
 
 /// Log lines that an error carries.
 const LINES_IN_ERRORS: usize = 8;
-
-/// So many right-hand sides and event indicators of a component are looked at call by call, for what the
-/// calls do to the floating-point mode.
-const LOOKED_INTO: u8 = 8;
 
 /// `fmi3Independent`.
 const INDEPENDENT: c_int = 0;
@@ -57,8 +53,6 @@ pub(crate) struct RawInstance {
     pub(super) has_arrays: bool,
     /// For messages: the time last set.
     pub(super) time: Option<f64>,
-    /// Right-hand sides and event indicators that are still looked at call by call.
-    pub(super) to_look_into: u8,
     pub(super) saved: SavedStates,
     pub(super) buffers: Box<ValueBuffers>,
     pub(super) memory: Box<Memory>,
@@ -132,7 +126,6 @@ impl RawInstance {
             event_mode: request.event_mode,
             has_arrays: library.values.has_arrays(),
             time: None,
-            to_look_into: LOOKED_INTO,
             saved: SavedStates::default(),
             buffers: Box::default(),
             memory: Box::default(),
@@ -395,125 +388,75 @@ impl RawInstance {
         self.get_vector(self.library.functions.get_continuous_states, self.sizes.states, states)
     }
 
-    pub(crate) fn get_derivatives(&mut self, derivatives: &mut [f64]) -> Outcome {
-        self.get_vector(self.library.functions.get_derivatives, self.sizes.states, derivatives)
-    }
-
-    pub(crate) fn get_event_indicators(&mut self, indicators: &mut [f64]) -> Outcome {
-        self.get_vector(self.library.functions.get_event_indicators, self.sizes.indicators, indicators)
-    }
-
     pub(crate) fn get_nominals(&mut self, nominals: &mut [f64]) -> Outcome {
         self.get_vector(self.library.functions.get_nominals, self.sizes.states, nominals)
     }
 
-    /// The derivatives at a point: sets the time, then the states, and reads them.
-    #[inline(always)]
+    pub(crate) fn get_derivatives(&mut self, derivatives: &mut [f64]) -> Outcome {
+        self.derivatives_at(None, derivatives)
+    }
+
+    pub(crate) fn get_event_indicators(&mut self, indicators: &mut [f64]) -> Outcome {
+        self.indicators_at(None, indicators)
+    }
+
     pub(crate) fn right_hand_side(&mut self, time: f64, states: &[f64], derivatives: &mut [f64]) -> Outcome {
-        self.vector_at(Some(time), Some(states), |all| &all.get_derivatives, self.sizes.states, derivatives)
+        self.derivatives_at(Some((time, states)), derivatives)
     }
 
-    /// The derivatives at the time that is set, with other states where some are given.
-    #[inline(never)]
-    pub(crate) fn derivatives_with(&mut self, states: Option<&[f64]>, derivatives: &mut [f64]) -> Outcome {
-        self.vector_at(None, states, |functions| &functions.get_derivatives, self.sizes.states, derivatives)
-    }
-
-    /// The event indicators at a point: sets the time, then the states, and reads them.
+    /// The derivatives at a point, or at the one that is set.
     #[inline]
-    pub(crate) fn indicators_at(&mut self, time: f64, states: &[f64], indicators: &mut [f64]) -> Outcome {
-        let n = self.sizes.indicators;
-        self.vector_at(Some(time), Some(states), |all| &all.get_event_indicators, n, indicators)
+    pub(crate) fn derivatives_at(
+        &mut self,
+        point: Option<(f64, &[f64])>,
+        derivatives: &mut [f64],
+    ) -> Outcome {
+        self.vector_at(point, |all| &all.get_derivatives, self.sizes.states, derivatives)
     }
 
-    /// The event indicators at the time that is set, with other states where some are given.
-    #[inline(never)]
-    pub(crate) fn indicators_with(&mut self, states: Option<&[f64]>, indicators: &mut [f64]) -> Outcome {
-        self.vector_at(None, states, |all| &all.get_event_indicators, self.sizes.indicators, indicators)
+    /// The event indicators at a point, or at the one that is set.
+    #[inline]
+    pub(crate) fn indicators_at(&mut self, point: Option<(f64, &[f64])>, indicators: &mut [f64]) -> Outcome {
+        self.vector_at(point, |all| &all.get_event_indicators, self.sizes.indicators, indicators)
     }
 
     /// Sets the time, then the states, and calls a function that fills a vector of the model, which has this
-    /// size. The mode of the thread is looked at once, behind all calls; where one of them has changed
-    /// it, which may have acted in those after it, they are made again one by one.
+    /// size.
     #[inline(always)]
     fn vector_at(
         &mut self,
-        time: Option<f64>,
-        states: Option<&[f64]>,
+        point: Option<(f64, &[f64])>,
         get: impl Fn(&Functions) -> &Function<GetVector>,
         size: usize,
         values: &mut [f64],
     ) -> Outcome {
-        let point = &self.library.functions;
-        if let Some(states) = states {
-            self.length(point.set_continuous_states.name, self.sizes.states, states.len())?;
+        let functions = &self.library.functions;
+        if let Some((_, states)) = point {
+            self.length(functions.set_continuous_states.name, self.sizes.states, states.len())?;
         }
-        self.length(get(point).name, size, values.len())?;
+        self.length(get(functions).name, size, values.len())?;
         self.check_usable()?;
-        if let Some(time) = time {
+        if let Some((time, _)) = point {
             self.callbacks.log().go_on();
             self.set_time_told(time);
         }
-        if self.to_look_into > 0 {
-            return self.vector_one_by_one(time, states, get, values);
-        }
-        let point = &self.library.functions;
-        let one = OneCall::enter(self.library.lock());
+        let functions = &self.library.functions;
+        let _inside = Inside::enter_for_call(self.library.lock());
         self.callbacks.enter();
         let c = self.component;
         // SAFETY (of the three calls): the component is alive and ours alone (`&mut self`), both slices have as many places as
         // the function reads or fills.
-        let set_time = |time| call!(&point.set_time, c, time).good();
-        let set_states =
-            |states: &[f64]| call!(&point.set_continuous_states, c, states.as_ptr(), states.len()).good();
-        let outcome = (time.map_or(Ok(()), set_time))
-            .and_then(|()| states.map_or(Ok(()), set_states))
-            .and_then(|()| call!(get(point), c, values.as_mut_ptr(), values.len()).good());
-        let has_changed = restore_default();
-        one.forget();
-        if has_changed {
-            self.to_look_into = u8::MAX;
-            return self.vector_one_by_one(time, states, get, values);
-        }
+        let set = |(time, states): (f64, &[f64])| {
+            call!(&functions.set_time, c, time).good()?;
+            call!(&functions.set_continuous_states, c, states.as_ptr(), states.len()).good()
+        };
+        let outcome = point
+            .map_or(Ok(()), set)
+            .and_then(|()| call!(get(functions), c, values.as_mut_ptr(), values.len()).good());
         match outcome {
             Ok(()) => Ok(()),
             Err(answer) => self.not_ok(answer),
         }
-    }
-
-    /// The same calls, of which each starts in the default floating-point mode; slices are checked.
-    #[inline(never)]
-    fn vector_one_by_one(
-        &mut self,
-        time: Option<f64>,
-        states: Option<&[f64]>,
-        get: impl Fn(&Functions) -> &Function<GetVector>,
-        values: &mut [f64],
-    ) -> Outcome {
-        let point = &self.library.functions;
-        let one = OneCall::enter(self.library.lock());
-        self.callbacks.enter();
-        let c = self.component;
-        // SAFETY: as for `vector_at`.
-        let mut changes = false;
-        let mut looked_at = |answer: Answer| {
-            changes |= restore_default();
-            answer.good()
-        };
-        let outcome = (time.map_or(Ok(()), |time| looked_at(call!(&point.set_time, c, time))))
-            .and_then(|()| {
-                let Some(states) = states else { return Ok(()) };
-                looked_at(call!(&point.set_continuous_states, c, states.as_ptr(), states.len()))
-            })
-            .and_then(|()| looked_at(call!(get(point), c, values.as_mut_ptr(), values.len())));
-        one.forget();
-        if changes {
-            self.to_look_into = u8::MAX;
-        } else if self.to_look_into < u8::MAX {
-            // Who changes the mode does so from the first; looking takes as long as the calls of a small model.
-            self.to_look_into = self.to_look_into.saturating_sub(1);
-        }
-        outcome.or_else(|answer| self.not_ok(answer))
     }
 }
 

@@ -1,7 +1,7 @@
 //! The calls of an instance, by topic; `component` owns it.
 
 /// Runs one call: the component is alive, `$body` is evaluated with the library and the component, its answer
-/// checked. The thread is set up for it, and nothing of what it changes there is left.
+/// checked. No other thread is inside of the library.
 macro_rules! run {
     ($self:ident, |$library:ident, $component:ident| $body:expr) => {{
         match $self.check_usable() {
@@ -9,7 +9,7 @@ macro_rules! run {
             Ok(()) => {
                 let answer = {
                     let ($library, $component) = (&**$self.library, $self.component);
-                    let _call = crate::sys::environment::OneCall::enter($library.lock());
+                    let _inside = crate::sys::environment::Inside::enter_for_call($library.lock());
                     $self.callbacks.enter();
                     // SAFETY: the component is alive and ours alone (`&mut self`); lengths were checked by the caller of
                     // this macro or are those of the slices passed.
