@@ -163,19 +163,25 @@ impl Auto {
     }
 }
 
-/// Calls the method in use.
-macro_rules! active {
-    ($self:ident.$call:ident($($argument:expr),*)) => {
-        match $self.active {
-            Active::Tsit5 => $self.tsit5.$call($($argument),*),
-            Active::Dop853 => $self.dop853.$call($($argument),*),
-            Active::Radau5 => $self.radau5.$call($($argument),*),
-            Active::Bdf => $self.bdf.$call($($argument),*),
-        }
-    };
-}
-
 impl Auto {
+    fn active(&self) -> &dyn Stepper {
+        match self.active {
+            Active::Tsit5 => &self.tsit5,
+            Active::Dop853 => &self.dop853,
+            Active::Radau5 => &self.radau5,
+            Active::Bdf => &self.bdf,
+        }
+    }
+
+    fn active_mut(&mut self) -> &mut dyn Stepper {
+        match self.active {
+            Active::Tsit5 => &mut self.tsit5,
+            Active::Dop853 => &mut self.dop853,
+            Active::Radau5 => &mut self.radau5,
+            Active::Bdf => &mut self.bdf,
+        }
+    }
+
     /// Right-hand sides of a step of the explicit method, and the end of its interval of stability on the
     /// negative axis, or a little less, where steps settle that only stability holds back (dopri5.f and
     /// dop853.f: 3.25 and 6.1).
@@ -198,11 +204,7 @@ impl Auto {
     }
 
     /// Lets Radau5 make the next steps, on trial, if it is time to.
-    fn try_radau5<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        h: f64,
-    ) -> CallResult<()> {
+    fn try_radau5(&mut self, equations: &mut Equations<'_>, h: f64) -> CallResult<()> {
         // Of Tsit5 the first trial comes before it has excited fast oscillations within a crude tolerance, which Radau5 would
         // have to follow.
         let is_early = self.is_first && self.jacobian_cost <= AFFORDABLE && h * self.rate > FREE;
@@ -213,7 +215,7 @@ impl Auto {
             return Ok(());
         }
         if !self.radau5_has_begun {
-            if self.radau5.begin(&*equations.system).is_err() {
+            if self.radau5.begin(equations.system).is_err() {
                 // No room for its matrices: the explicit method goes on.
                 self.patience = f64::INFINITY;
                 self.is_first = false;
@@ -358,13 +360,13 @@ impl Auto {
 
 impl Stepper for Auto {
     fn properties(&self) -> Properties {
-        Properties { takes_mass_matrix: true, ..active!(self.properties()) }
+        Properties { takes_mass_matrix: true, ..self.active().properties() }
     }
 
-    fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()> {
+    fn begin(&mut self, system: &dyn HybridSystem) -> CallResult<()> {
         self.only_radau5 = system.mass_matrix().is_some();
         self.active = if self.only_radau5 { Active::Radau5 } else { self.explicit };
-        active!(self.begin(system))?;
+        self.active_mut().begin(system)?;
         self.radau5_has_begun = self.only_radau5;
         self.bdf_has_begun = false;
         self.bdf_is_next = false;
@@ -384,56 +386,46 @@ impl Stepper for Auto {
         Ok(())
     }
 
-    fn evaluate<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        t: f64,
-        x: &[f64],
-    ) -> CallResult<()> {
-        active!(self.evaluate(equations, t, x))
+    fn evaluate(&mut self, equations: &mut Equations<'_>, t: f64, x: &[f64]) -> CallResult<()> {
+        self.active_mut().evaluate(equations, t, x)
     }
 
-    fn make_consistent<S: HybridSystem + ?Sized>(
+    fn make_consistent(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         t: f64,
         x: &mut [f64],
     ) -> CallResult<Consistency> {
-        active!(self.make_consistent(equations, t, x))
+        self.active_mut().make_consistent(equations, t, x)
     }
 
     fn forget(&mut self) {
-        active!(self.forget());
+        self.active_mut().forget();
     }
 
     fn begin_with(&mut self, s: f64, dx: &[f64]) {
-        active!(self.begin_with(s, dx));
+        self.active_mut().begin_with(s, dx);
     }
 
     fn kink(&mut self, h: f64) -> f64 {
-        active!(self.kink(h))
+        self.active_mut().kink(h)
     }
 
     fn repeat(&mut self) {
-        active!(self.repeat());
+        self.active_mut().repeat();
     }
 
-    fn undetermined<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        t: f64,
-        x: &[f64],
-    ) -> Option<Undetermined> {
-        active!(self.undetermined(equations, t, x))
+    fn undetermined(&mut self, equations: &mut Equations<'_>, t: f64, x: &[f64]) -> Option<Undetermined> {
+        self.active_mut().undetermined(equations, t, x)
     }
 
     fn derivative(&self) -> &[f64] {
-        active!(self.derivative())
+        self.active().derivative()
     }
 
-    fn try_step<S: HybridSystem + ?Sized>(
+    fn try_step(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         trial: Trial<'_>,
         x_new: &mut [f64],
     ) -> CallResult<Attempt> {
@@ -441,18 +433,18 @@ impl Stepper for Auto {
             self.try_radau5(equations, trial.h)?;
         } else if std::mem::take(&mut self.bdf_is_next) {
             if !self.bdf_has_begun {
-                self.bdf.begin(&*equations.system)?;
+                self.bdf.begin(equations.system)?;
                 self.bdf_has_begun = true;
             }
             self.bdf.take_over(trial.x, self.radau5.derivative());
             self.bdf.freshness_mut().take_over(self.radau5.freshness_mut());
             self.active = Active::Bdf;
         }
-        let calls = |equations: &Equations<'_, S>| {
+        let calls = |equations: &Equations<'_>| {
             equations.stats.right_hand_sides + equations.stats.directional_derivatives
         };
         let before = calls(equations);
-        let attempt = active!(self.try_step(equations, trial, x_new));
+        let attempt = self.active_mut().try_step(equations, trial, x_new);
         self.work += calls(equations) - before;
         let is_hopeless = matches!(attempt, Ok(Attempt::NotSolved { .. }) | Err(CallError::Discard));
         if self.on_trial && is_hopeless {
@@ -472,28 +464,28 @@ impl Stepper for Auto {
     }
 
     fn error(&self) -> &[f64] {
-        active!(self.error())
+        self.active().error()
     }
 
     fn refused(&mut self, h: f64) -> f64 {
-        active!(self.refused(h))
+        self.active_mut().refused(h)
     }
 
-    fn prepare_interpolation<S: HybridSystem + ?Sized>(
+    fn prepare_interpolation(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         trial: Trial<'_>,
         x_new: &[f64],
     ) -> CallResult<()> {
-        active!(self.prepare_interpolation(equations, trial, x_new))
+        self.active_mut().prepare_interpolation(equations, trial, x_new)
     }
 
     fn interpolate(&self, trial: Trial<'_>, theta: f64, x: &mut [f64]) {
-        active!(self.interpolate(trial, theta, x));
+        self.active().interpolate(trial, theta, x);
     }
 
     fn accept(&mut self, h: f64, theta: f64) -> f64 {
-        let proposed = active!(self.accept(h, theta));
+        let proposed = self.active_mut().accept(h, theta);
         let work = std::mem::take(&mut self.work) as f64;
         // At an event the method goes on as it is: the right-hand side of the end of the step is not known.
         if theta < 1.0 {

@@ -49,7 +49,7 @@ impl Jacobian {
     ///
     /// # Errors
     /// There is no room for a dense matrix of this size.
-    pub(crate) fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()> {
+    pub(crate) fn begin(&mut self, system: &dyn HybridSystem) -> CallResult<()> {
         let n = system.n_states();
         let pattern = system.jacobian_pattern().filter(|p| p.n_states() == n);
         self.has_whole = system.has_jacobian();
@@ -129,11 +129,7 @@ impl Jacobian {
 
     /// Evaluates it at a point, where the slopes are the right-hand side. [`CallError::Discard`]: it cannot
     /// be had there.
-    pub(crate) fn evaluate<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        point: Point<'_>,
-    ) -> CallResult<()> {
+    pub(crate) fn evaluate(&mut self, equations: &mut Equations<'_>, point: Point<'_>) -> CallResult<()> {
         let Point { t, x, .. } = point;
         equations.stats.jacobians += 1;
         self.values.fill(0.0);
@@ -158,12 +154,7 @@ impl Jacobian {
     }
 
     /// The entries of the pattern, from the system; `false`: it has none.
-    fn take_entries<S: HybridSystem + ?Sized>(
-        &mut self,
-        system: &mut S,
-        t: f64,
-        x: &[f64],
-    ) -> CallResult<bool> {
+    fn take_entries(&mut self, system: &mut dyn HybridSystem, t: f64, x: &[f64]) -> CallResult<bool> {
         self.given.clear();
         self.given.resize(self.places.len(), 0.0);
         let is_there = system.jacobian_entries(t, x, &mut self.given)?;
@@ -174,12 +165,7 @@ impl Jacobian {
     }
 
     /// The whole matrix, from the system; `false`: it has none.
-    fn take_whole<S: HybridSystem + ?Sized>(
-        &mut self,
-        system: &mut S,
-        t: f64,
-        x: &[f64],
-    ) -> CallResult<bool> {
+    fn take_whole(&mut self, system: &mut dyn HybridSystem, t: f64, x: &[f64]) -> CallResult<bool> {
         if !self.is_sparse {
             return system.jacobian(t, x, &mut self.values);
         }
@@ -193,9 +179,9 @@ impl Jacobian {
     }
 
     /// One group of columns from one directional derivative; `false`: the model has none.
-    fn directional<S: HybridSystem + ?Sized>(
+    fn directional(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         t: f64,
         x: &[f64],
         g: usize,
@@ -221,12 +207,7 @@ impl Jacobian {
 
     /// One group of columns from one difference: forward along the flow, so that the point stays where the
     /// model is defined; backward or shorter where it is refused there.
-    fn difference<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        point: Point<'_>,
-        g: usize,
-    ) -> CallResult<()> {
+    fn difference(&mut self, equations: &mut Equations<'_>, point: Point<'_>, g: usize) -> CallResult<()> {
         let Point { t, x, slopes: f } = point;
         let columns = self.groups.range(g);
         for share in LADDER {

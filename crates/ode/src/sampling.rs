@@ -60,12 +60,12 @@ impl Sampler {
 
     fn emit(
         &mut self,
-        system: &mut (impl HybridSystem + ?Sized),
+        system: &mut dyn HybridSystem,
         here: &Here<'_>,
         time: f64,
         index: Option<usize>,
         side: Side,
-        observer: &mut (impl Observer + ?Sized),
+        observer: &mut dyn Observer,
     ) -> CallResult<ControlFlow<()>> {
         system.outputs(here.t, here.x, &mut self.outputs)?;
         self.delivered += 1;
@@ -75,9 +75,9 @@ impl Sampler {
     /// Delivers a row that nobody asked for, behind an event.
     pub(crate) fn record(
         &mut self,
-        system: &mut (impl HybridSystem + ?Sized),
+        system: &mut dyn HybridSystem,
         here: &Here<'_>,
-        observer: &mut (impl Observer + ?Sized),
+        observer: &mut dyn Observer,
     ) -> CallResult<ControlFlow<()>> {
         self.emit(system, here, here.t, None, Side::Right, observer)
     }
@@ -85,10 +85,10 @@ impl Sampler {
     /// Delivers the next requested time; the caller stands there.
     pub(crate) fn deliver(
         &mut self,
-        system: &mut (impl HybridSystem + ?Sized),
+        system: &mut dyn HybridSystem,
         times: &[f64],
         here: &Here<'_>,
-        observer: &mut (impl Observer + ?Sized),
+        observer: &mut dyn Observer,
     ) -> CallResult<ControlFlow<()>> {
         let index = self.cursor;
         let side = if self.twice(times) { Side::Left } else { Side::Right };
@@ -100,10 +100,10 @@ impl Sampler {
     /// The left limit right before an event, if its time is listed twice or events are recorded.
     pub(crate) fn deliver_left(
         &mut self,
-        system: &mut (impl HybridSystem + ?Sized),
+        system: &mut dyn HybridSystem,
         times: &[f64],
         here: &Here<'_>,
-        observer: &mut (impl Observer + ?Sized),
+        observer: &mut dyn Observer,
     ) -> CallResult<ControlFlow<()>> {
         if self.due_before(times, here.t + here.time_tolerance).is_some() && self.twice(times) {
             self.deliver(system, times, here, observer)
@@ -118,10 +118,10 @@ impl Sampler {
     /// `here.record`.
     pub(crate) fn deliver_here(
         &mut self,
-        system: &mut (impl HybridSystem + ?Sized),
+        system: &mut dyn HybridSystem,
         times: &[f64],
         here: &Here<'_>,
-        observer: &mut (impl Observer + ?Sized),
+        observer: &mut dyn Observer,
     ) -> CallResult<ControlFlow<()>> {
         let mut any = false;
         while times.get(self.cursor).is_some_and(|t| *t <= here.t + here.time_tolerance) {

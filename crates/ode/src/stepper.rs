@@ -4,16 +4,16 @@ use crate::error::Undetermined;
 use crate::error_norm::ErrorWeights;
 use crate::stats::Stats;
 use crate::system::{CallResult, HybridSystem};
+use std::fmt::Debug;
 
 /// The equations, how exactly they are to be solved, and a count of what that takes.
-#[derive(Debug)]
-pub(crate) struct Equations<'a, S: ?Sized> {
-    pub(crate) system: &'a mut S,
+pub(crate) struct Equations<'a> {
+    pub(crate) system: &'a mut dyn HybridSystem,
     pub(crate) weights: &'a ErrorWeights,
     pub(crate) stats: &'a mut Stats,
 }
 
-impl<S: HybridSystem + ?Sized> Equations<'_, S> {
+impl Equations<'_> {
     /// The right-hand side, counted.
     #[inline]
     pub(crate) fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
@@ -139,27 +139,22 @@ impl Default for Properties {
 /// trials, of which the last good one may be looked into and is then accepted; after an event
 /// [`evaluate`](Self::evaluate), [`make_consistent`](Self::make_consistent), and [`forget`](Self::forget) if
 /// it changed something.
-pub(crate) trait Stepper {
+pub(crate) trait Stepper: Debug + Send + Sync {
     /// Properties of the method that the driver needs.
     fn properties(&self) -> Properties;
 
     /// Starts a run: makes room, forgets everything. It fails where there is no room for its matrices.
-    fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()>;
+    fn begin(&mut self, system: &dyn HybridSystem) -> CallResult<()>;
 
     /// Takes `(t, x)` as the current point and evaluates the right-hand side there; the step sizes and the
     /// slow parts of the past (Jacobians, differences) are kept.
-    fn evaluate<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        t: f64,
-        x: &[f64],
-    ) -> CallResult<()>;
+    fn evaluate(&mut self, equations: &mut Equations<'_>, t: f64, x: &[f64]) -> CallResult<()>;
 
     /// Sees to it that the algebraic equations of a singular mass matrix hold at `(t, x)`, where the
     /// right-hand side has just been [evaluated](Self::evaluate), by changing what they decide.
-    fn make_consistent<S: HybridSystem + ?Sized>(
+    fn make_consistent(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         t: f64,
         x: &mut [f64],
     ) -> CallResult<Consistency> {
@@ -189,12 +184,7 @@ pub(crate) trait Stepper {
 
     /// After a failure at `(t, x)`: states that the equations without derivatives do not determine, neither
     /// there nor nearby, as in systems of index 2 or higher. `None`: there are none.
-    fn undetermined<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        t: f64,
-        x: &[f64],
-    ) -> Option<Undetermined> {
+    fn undetermined(&mut self, equations: &mut Equations<'_>, t: f64, x: &[f64]) -> Option<Undetermined> {
         let _ = (equations, t, x);
         None
     }
@@ -204,9 +194,9 @@ pub(crate) trait Stepper {
 
     /// Tries a step; `x_new` receives its end. A refused point, or a number that is not finite, is
     /// [`Discard`](crate::CallError::Discard).
-    fn try_step<S: HybridSystem + ?Sized>(
+    fn try_step(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         trial: Trial<'_>,
         x_new: &mut [f64],
     ) -> CallResult<Attempt>;
@@ -219,9 +209,9 @@ pub(crate) trait Stepper {
     fn refused(&mut self, h: f64) -> f64;
 
     /// Makes ready to look inside the last trial, which was good and ended at `x_new`.
-    fn prepare_interpolation<S: HybridSystem + ?Sized>(
+    fn prepare_interpolation(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         trial: Trial<'_>,
         x_new: &[f64],
     ) -> CallResult<()> {

@@ -1,6 +1,8 @@
 //! Butcher tableaux as data: coefficients, order, error weights and continuous extension, each with its
 //! source.
 
+use std::fmt::Debug;
+
 /// The weights that are not zero, with the stages they belong to.
 pub(crate) type StageWeights = &'static [(usize, f64)];
 
@@ -23,7 +25,7 @@ pub(crate) struct Tableau<const S: usize> {
 }
 
 /// A method whose coefficients are known where the sums of its stages are compiled.
-pub(crate) trait Explicit<const S: usize> {
+pub(crate) trait Explicit<const S: usize>: Debug + Send + Sync {
     const TABLEAU: Tableau<S>;
 }
 

@@ -1,9 +1,7 @@
-//! Runs that lead backward in time: the system and the observer as seen with the time `s = -t`.
+//! Runs that lead backward in time, made with the time `s = -t`: what an observer is shown, and the report.
 
 use crate::error::{ErrorKind, Report, SimulationError};
 use crate::observer::{EventRecord, Observer, Sample, StepView};
-use crate::sparsity::JacobianPattern;
-use crate::system::{Argument, CallResult, Direction, EventOutcome, EventVisit, HybridSystem, StepAction};
 use std::ops::ControlFlow;
 
 /// The other time; never a negative zero.
@@ -11,133 +9,14 @@ pub(super) fn turned(time: f64) -> f64 {
     0.0 - time
 }
 
-fn negate(values: &mut [f64]) {
+pub(super) fn negate(values: &mut [f64]) {
     values.iter_mut().for_each(|v| *v = -*v);
 }
 
-/// A system with its time turned: `dx/ds = -f(-s, x)`. What it knows of inputs to come is of no use.
-pub(super) struct Backward<'a, S: ?Sized> {
-    pub(super) system: &'a mut S,
-    /// Slopes with respect to the time of the system.
-    pub(super) slopes: &'a mut Vec<f64>,
-}
-
-impl<S: HybridSystem + ?Sized> Backward<'_, S> {
-    fn turn_slopes(&mut self, dx: &[f64]) {
-        self.slopes.clear();
-        self.slopes.extend(dx.iter().map(|v| -v));
-    }
-}
-
-fn outcome(outcome: EventOutcome) -> EventOutcome {
-    EventOutcome { next_time: outcome.next_time.map(turned), ..outcome }
-}
-
-impl<S: HybridSystem + ?Sized> HybridSystem for Backward<'_, S> {
-    fn n_states(&self) -> usize {
-        self.system.n_states()
-    }
-    fn n_event_indicators(&self) -> usize {
-        self.system.n_event_indicators()
-    }
-    fn event_direction(&self, indicator: usize) -> Direction {
-        self.system.event_direction(indicator)
-    }
-    fn n_outputs(&self) -> usize {
-        self.system.n_outputs()
-    }
-    fn nominals(&mut self, nominals: &mut [f64]) -> CallResult<()> {
-        self.system.nominals(nominals)
-    }
-    fn is_unbounded(&self, state: usize) -> bool {
-        self.system.is_unbounded(state)
-    }
-    fn start(&mut self, s0: f64, x: &mut [f64]) -> CallResult<EventOutcome> {
-        self.system.start(turned(s0), x).map(outcome)
-    }
-    fn derivatives(&mut self, s: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
-        self.system.derivatives(turned(s), x, dx)?;
-        negate(dx);
-        Ok(())
-    }
-    fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
-        self.system.jacobian_pattern()
-    }
-    fn has_jacobian(&self) -> bool {
-        self.system.has_jacobian()
-    }
-    fn jacobian_entries(&mut self, s: f64, x: &[f64], entries: &mut [f64]) -> CallResult<bool> {
-        let known = self.system.jacobian_entries(turned(s), x, entries)?;
-        negate(entries);
-        Ok(known)
-    }
-    fn jacobian(&mut self, s: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
-        let known = self.system.jacobian(turned(s), x, j)?;
-        negate(j);
-        Ok(known)
-    }
-    fn directional_derivative(
-        &mut self,
-        s: f64,
-        x: &[f64],
-        seed: &[f64],
-        derivative: &mut [f64],
-    ) -> CallResult<bool> {
-        let known = self.system.directional_derivative(turned(s), x, seed, derivative)?;
-        negate(derivative);
-        Ok(known)
-    }
-    fn mass_matrix(&self) -> Option<&[f64]> {
-        self.system.mass_matrix()
-    }
-    fn has_residual(&self) -> bool {
-        self.system.has_residual()
-    }
-    fn slopes_at_start(&mut self, dx: &mut [f64]) {
-        self.system.slopes_at_start(dx);
-        negate(dx);
-    }
-    fn residual(&mut self, s: f64, x: &[f64], dx: &[f64], r: &mut [f64]) -> CallResult<()> {
-        self.turn_slopes(dx);
-        self.system.residual(turned(s), x, self.slopes, r)
-    }
-    fn residual_jacobian(
-        &mut self,
-        s: f64,
-        x: &[f64],
-        dx: &[f64],
-        argument: Argument,
-        j: &mut [f64],
-    ) -> CallResult<bool> {
-        self.turn_slopes(dx);
-        let known = self.system.residual_jacobian(turned(s), x, self.slopes, argument, j)?;
-        if argument == Argument::Slopes {
-            negate(j);
-        }
-        Ok(known)
-    }
-    fn states_corrected(&mut self, s: f64, x: &[f64]) -> CallResult<()> {
-        self.system.states_corrected(turned(s), x)
-    }
-    fn event_indicators(&mut self, s: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
-        self.system.event_indicators(turned(s), x, z)
-    }
-    fn outputs(&mut self, s: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
-        self.system.outputs(turned(s), x, y)
-    }
-    fn step_completed(&mut self, s: f64, x: &[f64]) -> CallResult<StepAction> {
-        self.system.step_completed(turned(s), x)
-    }
-    fn handle_event(&mut self, visit: &EventVisit<'_>, x: &mut [f64]) -> CallResult<EventOutcome> {
-        let visit = EventVisit { time: turned(visit.time), ..*visit };
-        self.system.handle_event(&visit, x).map(outcome)
-    }
-}
-
 /// An observer that is shown the time of the system.
-pub(super) struct BackwardObserver<'a, O: ?Sized>(pub(super) &'a mut O);
+pub(super) struct BackwardObserver<'a>(pub(super) &'a mut dyn Observer);
 
-impl<O: Observer + ?Sized> Observer for BackwardObserver<'_, O> {
+impl Observer for BackwardObserver<'_> {
     fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()> {
         self.0.sample(&Sample { time: turned(sample.time), ..*sample })
     }

@@ -3,11 +3,11 @@
 use super::chattering::ChatteringGuard;
 use super::run::{Run, Space, Step, finish, no_retreat, read_indicators};
 use crate::error::{ErrorKind, Termination};
-use crate::observer::{EventRecord, Observer};
+use crate::observer::EventRecord;
 use crate::options::ChatteringPolicy;
 use crate::step_size::{first_step, probe_step};
-use crate::stepper::{Consistency, Equations, Stepper, Trial};
-use crate::system::{CallError, CallResult, EventCause, EventOutcome, EventVisit, HybridSystem};
+use crate::stepper::{Consistency, Equations, Trial};
+use crate::system::{CallError, CallResult, EventCause, EventOutcome, EventVisit};
 
 /// Slopes are the same if in a step they move no state by more than this share of its tolerance.
 const SAME_SLOPE: f64 = 0.1;
@@ -24,12 +24,7 @@ fn or_change(evaluated: CallResult<()>, slope: &mut [f64]) -> Step<()> {
     }
 }
 
-impl<S, M, O> Run<'_, S, M, O>
-where
-    S: HybridSystem + ?Sized,
-    M: Stepper,
-    O: Observer + ?Sized,
-{
+impl Run<'_> {
     /// Watches the events at the end of a step for chattering; `crossed` is an indicator that has crossed,
     /// one that does not slide if there is any.
     pub(super) fn watch_events(&mut self, cause: EventCause, crossed: Option<usize>) -> Step<()> {

@@ -3,8 +3,8 @@
 use super::run::{Run, Space, Step, U, no_retreat, read_indicators};
 use super::trial::{Found, Inside, Return, Shrink, Tried};
 use crate::observer::Observer;
-use crate::stepper::{StepWithEvent, Stepper, Trial};
-use crate::system::{CallError, CallResult, HybridSystem};
+use crate::stepper::{StepWithEvent, Trial};
+use crate::system::{CallError, CallResult};
 
 /// So many repetitions of a step for one event; three are usual.
 const MAX_REPETITIONS: u32 = 12;
@@ -17,12 +17,7 @@ const MAX_TURNS: u32 = 5;
 /// they do between.
 const MAX_LOOKS: u32 = 32;
 
-impl<S, M, O> Run<'_, S, M, O>
-where
-    S: HybridSystem + ?Sized,
-    M: Stepper,
-    O: Observer + ?Sized,
-{
+impl Run<'_> {
     /// Looks for the first crossing in the trial step and makes ready to sample in it; the state where the
     /// step is cut is in `x_new`, the indicators there are in `domains.end`.
     pub(super) fn look_inside(&mut self, end: f64, h: f64) -> Step<Inside> {

@@ -2,9 +2,8 @@
 
 use super::run::{Exit, Run, Space, no_retreat};
 use crate::error::{ErrorKind, Evaluated, NotFinite};
-use crate::observer::Observer;
-use crate::stepper::{Equations, Stepper};
-use crate::system::{CallError, HybridSystem};
+use crate::stepper::Equations;
+use crate::system::CallError;
 
 /// Points ahead of a refused step that are looked at, each four times as far as the one before: as many as
 /// steps are quartered.
@@ -13,12 +12,7 @@ const POINTS_AHEAD: u32 = 14;
 /// The model's own Jacobian is looked at up to so many states: it takes the square of their number of places.
 const LARGEST_JACOBIAN: usize = 1000;
 
-impl<S, M, O> Run<'_, S, M, O>
-where
-    S: HybridSystem + ?Sized,
-    M: Stepper,
-    O: Observer + ?Sized,
-{
+impl Run<'_> {
     /// The current point was refused: by a value there that is not finite, or by the model itself.
     pub(super) fn refused_here(&mut self, error: CallError) -> Exit {
         if matches!(error, CallError::Discard) {

@@ -25,7 +25,7 @@ mod step;
 mod timed_system;
 mod trial;
 
-use backward::{Backward, BackwardObserver, turned, turned_end};
+use backward::{BackwardObserver, turned, turned_end};
 pub use end_conditions::{EndConditions, Stopped};
 use run::{Exit, Run, Space, Step, Task, finish, no_retreat};
 use timed_system::{CallWatch, TimedSystem};
@@ -74,24 +74,12 @@ const COARSE: f64 = 1e-8;
 #[derive(Debug)]
 pub struct Driver {
     options: Options,
-    method: MethodState,
+    stepper: Box<dyn Stepper>,
     space: Space,
     stopwatch: CallWatch,
     /// Of runs that lead backward.
     turned_times: Vec<f64>,
     turned_slopes: Vec<f64>,
-}
-
-/// The stepper behind [`Method`].
-#[derive(Debug)]
-enum MethodState {
-    Auto(Box<Auto>),
-    Tsit5(ExplicitRk<7, Tsit5>),
-    Radau5(Box<Radau5>),
-    Dop853(Box<ExplicitRk<16, Dop853>>),
-    Bdf(Box<Bdf>),
-    Rk4(ExplicitRk<5, Rk4>),
-    Euler(ExplicitRk<2, Euler>),
 }
 
 impl Driver {
@@ -101,19 +89,19 @@ impl Driver {
     /// [`OptionsError`] names the option and its value.
     pub fn new(options: Options) -> Result<Self, OptionsError> {
         options.check()?;
-        let method = match options.method {
-            Method::Auto => MethodState::Auto(Box::new(Auto::new(options.rtol_or_like()))),
-            Method::Tsit5 => MethodState::Tsit5(ExplicitRk::new()),
-            Method::Radau5 => MethodState::Radau5(Box::default()),
-            Method::Dop853 => MethodState::Dop853(Box::new(ExplicitRk::new())),
-            Method::Bdf => MethodState::Bdf(Box::new(Bdf::new(options.exclude_algebraic))),
-            Method::Rk4 => MethodState::Rk4(ExplicitRk::new()),
-            Method::Euler => MethodState::Euler(ExplicitRk::new()),
+        let stepper: Box<dyn Stepper> = match options.method {
+            Method::Auto => Box::new(Auto::new(options.rtol_or_like())),
+            Method::Tsit5 => Box::new(ExplicitRk::<7, Tsit5>::new()),
+            Method::Radau5 => Box::<Radau5>::default(),
+            Method::Dop853 => Box::new(ExplicitRk::<16, Dop853>::new()),
+            Method::Bdf => Box::new(Bdf::new(options.exclude_algebraic)),
+            Method::Rk4 => Box::new(ExplicitRk::<5, Rk4>::new()),
+            Method::Euler => Box::new(ExplicitRk::<2, Euler>::new()),
         };
         let (turned_times, turned_slopes) = (Vec::new(), Vec::new());
         Ok(Self {
             options,
-            method,
+            stepper,
             space: Space::default(),
             stopwatch: CallWatch::new(),
             turned_times,
@@ -139,61 +127,27 @@ impl Driver {
     ///
     /// # Errors
     /// [`SimulationError`] says why, where and with which numbers; samples delivered before it stay valid.
-    pub fn run<S, O>(
+    pub fn run(
         &mut self,
-        system: &mut S,
+        system: &mut dyn HybridSystem,
         start: f64,
         end: f64,
         times: &[f64],
-        observer: &mut O,
-    ) -> Result<Report, Box<SimulationError>>
-    where
-        S: HybridSystem + ?Sized,
-        O: Observer + ?Sized,
-    {
-        if end < start && system.can_run_backward() {
-            let mut turned_times = std::mem::take(&mut self.turned_times);
-            let mut slopes = std::mem::take(&mut self.turned_slopes);
+        observer: &mut dyn Observer,
+    ) -> Result<Report, Box<SimulationError>> {
+        let Self { options, stepper, space, stopwatch, turned_times, turned_slopes } = self;
+        let watch = EndConditions::new(options);
+        let is_backward = end < start && system.can_run_backward();
+        let system = &mut TimedSystem::new(system, watch, stopwatch, is_backward.then_some(turned_slopes));
+        let mut ended = if is_backward {
             turned_times.clear();
             turned_times.extend(times.iter().map(|t| turned(*t)));
-            let system: &mut dyn HybridSystem = &mut Backward { system, slopes: &mut slopes };
-            let observer: &mut dyn Observer = &mut BackwardObserver(observer);
-            let ended = self.run_forward(system, turned(start), turned(end), &turned_times, observer);
-            (self.turned_times, self.turned_slopes) = (turned_times, slopes);
-            return turned_end(ended);
-        }
-        self.run_forward(system, start, end, times, observer)
-    }
-
-    fn run_forward<S, O>(
-        &mut self,
-        system: &mut S,
-        start: f64,
-        end: f64,
-        times: &[f64],
-        observer: &mut O,
-    ) -> Result<Report, Box<SimulationError>>
-    where
-        S: HybridSystem + ?Sized,
-        O: Observer + ?Sized,
-    {
-        let Self { options, method, space, stopwatch, .. } = self;
-        let watch = EndConditions::new(options);
-        let system = &mut TimedSystem::new(system, watch, stopwatch);
-        let task = Task { start, end, times, observer, watch };
-        macro_rules! run {
-            ($stepper:expr) => {
-                Run::new(options, $stepper, space, system, task).run()
-            };
-        }
-        let mut ended = match method {
-            MethodState::Auto(s) => run!(&mut **s),
-            MethodState::Tsit5(s) => run!(s),
-            MethodState::Dop853(s) => run!(&mut **s),
-            MethodState::Radau5(s) => run!(&mut **s),
-            MethodState::Bdf(s) => run!(&mut **s),
-            MethodState::Rk4(s) => run!(s),
-            MethodState::Euler(s) => run!(s),
+            let (start, end, observer) = (turned(start), turned(end), &mut BackwardObserver(observer));
+            let task = Task { start, end, times: turned_times, observer, watch };
+            turned_end(Run::new(options, &mut **stepper, space, system, task).run())
+        } else {
+            let task = Task { start, end, times, observer, watch };
+            Run::new(options, &mut **stepper, space, system, task).run()
         };
         let stats = ended.as_mut().map_or_else(|error| &mut error.stats, |report| &mut report.stats);
         system.enter_times(stats);
@@ -201,12 +155,7 @@ impl Driver {
     }
 }
 
-impl<S, M, O> Run<'_, S, M, O>
-where
-    S: HybridSystem + ?Sized,
-    M: Stepper,
-    O: Observer + ?Sized,
-{
+impl Run<'_> {
     fn run(mut self) -> Result<Report, Box<SimulationError>> {
         let exit = match self.begin() {
             Ok(()) => loop {

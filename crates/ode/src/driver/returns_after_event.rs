@@ -5,9 +5,8 @@ use super::run::{Run, Space, Step, no_retreat, read_indicators};
 use super::trial::{Inside, Return, Shrink};
 use crate::error::ErrorKind;
 use crate::event::SLOPE_STEP;
-use crate::observer::Observer;
 use crate::options::ChatteringPolicy;
-use crate::stepper::{Equations, Stepper, Trial};
+use crate::stepper::{Equations, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 
 /// Slopes of indicators are told from rounding within this share of the span.
@@ -16,12 +15,7 @@ const SLOPE_REACH: f64 = 1e-3;
 /// Steps of so many times what tells two instants apart are long enough to show whether an indicator goes on.
 const RESOLVED: f64 = 100.0;
 
-impl<S, M, O> Run<'_, S, M, O>
-where
-    S: HybridSystem + ?Sized,
-    M: Stepper,
-    O: Observer + ?Sized,
-{
+impl Run<'_> {
     /// Looks for such an indicator in the trial of size `h`. The slopes at its start decide; most often one
     /// evaluation of the indicators shows that those next to zero just go on. Those that slide are left to
     /// the end of the step.
@@ -183,7 +177,7 @@ where
         let dx = self.stepper.derivative();
         let system = &mut *self.system;
         let count = &mut self.stats.event_indicators;
-        let mut change_along = |system: &mut S, s: f64, dx: &[f64]| {
+        let mut change_along = |system: &mut dyn HybridSystem, s: f64, dx: &[f64]| {
             *count += 1;
             let (at, s) = later(t, s);
             move_along(x_mid, s, x, dx);

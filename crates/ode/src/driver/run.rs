@@ -5,6 +5,7 @@ use super::sliding::Sliding;
 use crate::error::{ErrorKind, NotFinite, Termination, TooLargeForDense, Undetermined};
 use crate::error_norm::ErrorWeights;
 use crate::event::Domains;
+use crate::observer::Observer;
 use crate::options::Options;
 use crate::sampling::Sampler;
 use crate::stats::Stats;
@@ -67,22 +68,22 @@ impl From<Box<dyn std::error::Error + Send + Sync>> for Exit {
 pub(super) type Step<T> = Result<T, Exit>;
 
 /// Request of a run: from when to when, which samples for whom, and until when.
-pub(super) struct Task<'a, O: ?Sized> {
+pub(super) struct Task<'a> {
     pub(super) start: f64,
     pub(super) end: f64,
     pub(super) times: &'a [f64],
-    pub(super) observer: &'a mut O,
+    pub(super) observer: &'a mut dyn Observer,
     pub(super) watch: EndConditions<'a>,
 }
 
 /// One run: everything that changes between `start` and `end`.
-pub(super) struct Run<'a, S: ?Sized, M, O: ?Sized> {
+pub(super) struct Run<'a> {
     pub(super) options: &'a Options,
-    pub(super) stepper: &'a mut M,
+    pub(super) stepper: &'a mut dyn Stepper,
     pub(super) space: &'a mut Space,
-    pub(super) system: &'a mut S,
+    pub(super) system: &'a mut dyn HybridSystem,
     pub(super) times: &'a [f64],
-    pub(super) observer: &'a mut O,
+    pub(super) observer: &'a mut dyn Observer,
     pub(super) start: f64,
     pub(super) end: f64,
     /// Times closer than this are one.
@@ -106,18 +107,13 @@ pub(super) struct Run<'a, S: ?Sized, M, O: ?Sized> {
     pub(super) watch: EndConditions<'a>,
 }
 
-impl<'a, S, M, O> Run<'a, S, M, O>
-where
-    S: HybridSystem + ?Sized,
-    M: Stepper,
-    O: ?Sized,
-{
+impl<'a> Run<'a> {
     pub(super) fn new(
         options: &'a Options,
-        stepper: &'a mut M,
+        stepper: &'a mut dyn Stepper,
         space: &'a mut Space,
-        system: &'a mut S,
-        Task { start, end, times, observer, watch }: Task<'a, O>,
+        system: &'a mut dyn HybridSystem,
+        Task { start, end, times, observer, watch }: Task<'a>,
     ) -> Self {
         let span = end - start;
         let time_tolerance = time_tolerance(start, end);
@@ -157,8 +153,8 @@ pub(super) fn finish(termination: Termination) -> Step<()> {
 }
 
 /// Event indicators; a value that is not finite counts as refused.
-pub(super) fn read_indicators<S: HybridSystem + ?Sized>(
-    system: &mut S,
+pub(super) fn read_indicators(
+    system: &mut dyn HybridSystem,
     t: f64,
     x: &[f64],
     z: &mut [f64],

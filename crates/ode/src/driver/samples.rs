@@ -5,16 +5,11 @@ use super::run::{Run, Space, Step, finish, no_retreat, read_indicators};
 use crate::error::Termination;
 use crate::observer::{Observer, StepView};
 use crate::sampling::Here;
-use crate::stepper::{Stepper, Trial};
-use crate::system::{CallError, CallResult, HybridSystem};
+use crate::stepper::Trial;
+use crate::system::{CallError, CallResult};
 use std::ops::ControlFlow;
 
-impl<S, M, O> Run<'_, S, M, O>
-where
-    S: HybridSystem + ?Sized,
-    M: Stepper,
-    O: Observer + ?Sized,
-{
+impl Run<'_> {
     /// Samples strictly inside the step, up to (not including) `at`. `false`: the model refused one of these
     /// points; nothing is committed, so a smaller step can follow.
     pub(super) fn sample_before(&mut self, at: f64, end: f64, h: f64) -> Step<bool> {

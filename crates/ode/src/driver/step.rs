@@ -3,19 +3,13 @@
 use super::run::{Run, Space, Step, U, read_indicators};
 use super::trial::{Shrink, Tried};
 use crate::error::ErrorKind;
-use crate::observer::Observer;
-use crate::stepper::{Attempt, Equations, Stepper, Trial};
-use crate::system::{CallError, CallResult, HybridSystem};
+use crate::stepper::{Attempt, Equations, Trial};
+use crate::system::{CallError, CallResult};
 
 /// Refused points in a row before a run gives up.
 const MAX_DISCARDS: u32 = 12;
 
-impl<S, M, O> Run<'_, S, M, O>
-where
-    S: HybridSystem + ?Sized,
-    M: Stepper,
-    O: Observer + ?Sized,
-{
+impl Run<'_> {
     /// The next instant that a step must hit exactly: the end, a time event, a kink or jump of an input.
     pub(super) fn target(&self) -> f64 {
         let mut target = self.end;

@@ -82,9 +82,9 @@ impl<const S: usize, T: Explicit<S>> ExplicitRk<S, T> {
     }
 
     /// Evaluates a stage that is not the solution.
-    fn stage<M: HybridSystem + ?Sized>(
+    fn stage(
         &mut self,
-        equations: &mut Equations<'_, M>,
+        equations: &mut Equations<'_>,
         s: usize,
         Trial { t, end, h, x }: Trial<'_>,
     ) -> CallResult<()> {
@@ -125,7 +125,7 @@ impl<const S: usize, T: Explicit<S>> Stepper for ExplicitRk<S, T> {
         }
     }
 
-    fn begin<M: HybridSystem + ?Sized>(&mut self, system: &M) -> CallResult<()> {
+    fn begin(&mut self, system: &dyn HybridSystem) -> CallResult<()> {
         let n = system.n_states();
         let own_stages = self.has_stages_behind_end();
         self.k.begin(n);
@@ -138,12 +138,7 @@ impl<const S: usize, T: Explicit<S>> Stepper for ExplicitRk<S, T> {
         Ok(())
     }
 
-    fn evaluate<M: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, M>,
-        t: f64,
-        x: &[f64],
-    ) -> CallResult<()> {
+    fn evaluate(&mut self, equations: &mut Equations<'_>, t: f64, x: &[f64]) -> CallResult<()> {
         equations.derivatives(t, x, self.k.get_mut(0))
     }
 
@@ -155,9 +150,9 @@ impl<const S: usize, T: Explicit<S>> Stepper for ExplicitRk<S, T> {
         self.k.get(0)
     }
 
-    fn try_step<M: HybridSystem + ?Sized>(
+    fn try_step(
         &mut self,
-        equations: &mut Equations<'_, M>,
+        equations: &mut Equations<'_>,
         trial: Trial<'_>,
         x_new: &mut [f64],
     ) -> CallResult<Attempt> {
@@ -211,9 +206,9 @@ impl<const S: usize, T: Explicit<S>> Stepper for ExplicitRk<S, T> {
         h * self.controller.discarded()
     }
 
-    fn prepare_interpolation<M: HybridSystem + ?Sized>(
+    fn prepare_interpolation(
         &mut self,
-        equations: &mut Equations<'_, M>,
+        equations: &mut Equations<'_>,
         trial: Trial<'_>,
         _: &[f64],
     ) -> CallResult<()> {

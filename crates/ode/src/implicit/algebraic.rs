@@ -13,7 +13,7 @@ use crate::error_norm::ErrorWeights;
 use crate::jacobian::Jacobian;
 use crate::lu::Lu;
 use crate::stepper::{Consistency, Equations, Point, PointMut};
-use crate::system::{CallError, CallResult, HybridSystem};
+use crate::system::{CallError, CallResult};
 
 const U: f64 = f64::EPSILON / 2.0;
 
@@ -205,9 +205,9 @@ impl Algebraic {
     /// Sees to it that the algebraic equations hold at a point, where the slopes are the right-hand side;
     /// changes state and slopes if they do not. `known`: there is a Jacobian, though perhaps not of this
     /// point; it is one of this point afterwards where there was none.
-    pub(super) fn make_consistent<S: HybridSystem + ?Sized>(
+    pub(super) fn make_consistent(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         PointMut { t, x, slopes: f }: PointMut<'_>,
         jacobian: &mut Jacobian,
         known: bool,
@@ -255,9 +255,9 @@ impl Algebraic {
     /// An equation that does not determine the states it should, near `(t, x)`: at a point where each state
     /// is moved by a share of its size, so that an index that rises at `(t, x)` alone, where solutions end,
     /// is not taken for a higher index. `None`: there is none, or that point cannot be evaluated.
-    pub(super) fn undetermined<S: HybridSystem + ?Sized>(
+    pub(super) fn undetermined(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         jacobian: &mut Jacobian,
         t: f64,
         x: &[f64],
@@ -317,9 +317,9 @@ impl Algebraic {
 
     /// Goes along the step as far as the next one, by the same matrix, becomes smaller for it; the size of
     /// that one. `None`: nowhere.
-    fn search<S: HybridSystem + ?Sized>(
+    fn search(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         t: f64,
         x: &mut [f64],
         f: &mut [f64],

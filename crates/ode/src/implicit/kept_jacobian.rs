@@ -72,7 +72,7 @@ impl KeptJacobian {
     ///
     /// # Errors
     /// There is none for a dense matrix of this size.
-    pub(super) fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()> {
+    pub(super) fn begin(&mut self, system: &dyn HybridSystem) -> CallResult<()> {
         self.drop_jacobian();
         self.wants_jacobian = false;
         self.jacobian.begin(system)
@@ -132,9 +132,9 @@ impl KeptJacobian {
 
     /// Sees to it that there is a Jacobian, evaluated at a point whose slopes are the right-hand side
     /// where it must be a new one, and a decomposition for this coefficient, which `decompose` makes.
-    pub(super) fn prepare<S: HybridSystem + ?Sized>(
+    pub(super) fn prepare(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         coefficient: f64,
         point: Point<'_>,
         mut decompose: impl FnMut(&Jacobian, &mut Stats) -> bool,

@@ -7,7 +7,7 @@
 //! (rtol 1e-4 to 1e-10), and reaches 0.2 digits less on average.
 
 use crate::stepper::Equations;
-use crate::system::{CallError, CallResult, HybridSystem};
+use crate::system::{CallError, CallResult};
 
 const U: f64 = f64::EPSILON / 2.0;
 /// The rate of convergence before two increments have shown it.
@@ -17,11 +17,7 @@ pub(super) const INITIAL_RATE: f64 = 1e-3;
 pub(super) trait Iteration {
     /// Evaluates the residual at the iterate and solves for the increment with the decomposed matrix; its
     /// norm.
-    fn solve<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        is_first: bool,
-    ) -> CallResult<f64>;
+    fn solve(&mut self, equations: &mut Equations<'_>, is_first: bool) -> CallResult<f64>;
 
     /// Takes the increment.
     fn advance(&mut self);
@@ -68,9 +64,9 @@ impl Convergence {
 
     /// Iterates until the error is below the tolerance. `change` is the rate known beforehand, from a
     /// coefficient of the matrix that is not that of the equations.
-    pub(super) fn iterate<S: HybridSystem + ?Sized>(
+    pub(super) fn iterate(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         iteration: &mut impl Iteration,
         tolerance: f64,
         change: f64,
@@ -116,7 +112,7 @@ mod tests {
     use super::*;
     use crate::error_norm::ErrorWeights;
     use crate::stats::Stats;
-    use crate::system::EventOutcome;
+    use crate::system::{EventOutcome, HybridSystem};
 
     struct Nothing;
 
@@ -139,7 +135,7 @@ mod tests {
     }
 
     impl Iteration for Geometric {
-        fn solve<S: HybridSystem + ?Sized>(&mut self, _: &mut Equations<'_, S>, _: bool) -> CallResult<f64> {
+        fn solve(&mut self, _: &mut Equations<'_>, _: bool) -> CallResult<f64> {
             Ok(self.norm)
         }
         fn advance(&mut self) {

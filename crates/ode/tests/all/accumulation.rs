@@ -4,7 +4,7 @@
 
 use crate::common;
 
-use common::{Driver, Random, *};
+use common::*;
 use ode::*;
 
 const METHODS: [Method; 7] =

@@ -4,7 +4,7 @@
 
 use crate::common;
 
-use common::{Driver, *};
+use common::*;
 use ode::*;
 
 /// Smallest number of correct digits over the components at the end, and the right-hand sides it took.

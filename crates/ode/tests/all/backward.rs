@@ -100,7 +100,7 @@ fn errors_name_the_times_of_the_system() {
     assert!((-3.0..-1.0).contains(&error.time), "{error}");
     // What cannot be taken back is refused.
     let mut smooth = Smooth { x0: vec![1.0], f: |_: f64, _: &[f64], dx: &mut [f64]| dx[0] = 1.0 };
-    let mut driver = ode::Driver::new(Options::default()).unwrap();
+    let mut driver = Driver::new(Options::default()).unwrap();
     let error = driver.run(&mut smooth, 1.0, 0.0, &[], &mut Ignore).unwrap_err();
     assert!(matches!(error.kind, ErrorKind::Span { start: 1.0, end: 0.0 }), "{error}");
 }

@@ -4,7 +4,7 @@
 
 use crate::common;
 
-use common::{Driver, *};
+use common::*;
 use ode::*;
 
 const ADAPTIVE: &[Method] = &[Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf];

@@ -4,7 +4,7 @@
 
 use crate::common;
 
-use common::{Driver, *};
+use common::*;
 use ode::*;
 use std::f64::consts::PI;
 

@@ -4,7 +4,7 @@
 
 use crate::common;
 
-use common::{Driver, *};
+use common::*;
 use ode::*;
 
 /// x' = f(t, x) with time events at given instants and input stops, a reset at events, and an output.

@@ -4,7 +4,7 @@
 
 use crate::common;
 
-use common::{Driver, Recorder, Smooth};
+use common::{Recorder, Smooth};
 use ode::*;
 
 fn driver(method: Method, tolerance: f64) -> Driver {

@@ -4,7 +4,7 @@
 
 use crate::common;
 
-use common::{Driver, *};
+use common::*;
 use ode::*;
 
 #[derive(Debug, Clone, Copy, PartialEq)]

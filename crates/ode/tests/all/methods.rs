@@ -5,7 +5,7 @@
 use crate::common;
 use crate::problems;
 
-use common::{Driver, *};
+use common::*;
 use ode::*;
 use problems::hybrid::*;
 

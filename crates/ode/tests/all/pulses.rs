@@ -4,7 +4,7 @@
 
 use crate::common;
 
-use common::{Driver, *};
+use common::*;
 use ode::*;
 
 /// Who tells the right-hand side that the force acts, and who declares the two instants.

@@ -2,9 +2,6 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use crate::common;
-
-use common::Driver;
 use ode::*;
 
 /// `x_i' = 1`, with a value of one sort that is not finite from some time on.

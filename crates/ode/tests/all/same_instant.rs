@@ -4,7 +4,7 @@
 
 use crate::common;
 
-use common::{Driver, *};
+use common::*;
 use ode::*;
 
 /// Ticks at `start + k period`, each of which counts only if the system is shown its very time, and `x' = n`.

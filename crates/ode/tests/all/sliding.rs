@@ -5,7 +5,7 @@
 
 use crate::common;
 
-use common::{Driver, Random, *};
+use common::*;
 use ode::*;
 
 const METHODS: [Method; 5] = [Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf];

@@ -5,7 +5,7 @@
 
 use crate::common;
 
-use common::{Driver, *};
+use common::*;
 use ode::*;
 
 /// Heat on a square of `m * m` inner points with cold borders; starts with the slowest mode, which only decays.

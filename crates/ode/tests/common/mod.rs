@@ -4,26 +4,6 @@
 use ode::*;
 use std::ops::ControlFlow;
 
-/// [`ode::Driver`] behind trait objects: the methods are compiled once for all systems of a test, not once for each.
-pub struct Driver(ode::Driver);
-
-impl Driver {
-    pub fn new(options: Options) -> Result<Self, OptionsError> {
-        ode::Driver::new(options).map(Self)
-    }
-
-    pub fn run(
-        &mut self,
-        system: &mut dyn HybridSystem,
-        start: f64,
-        end: f64,
-        times: &[f64],
-        observer: &mut dyn Observer,
-    ) -> Result<Report, Box<SimulationError>> {
-        self.0.run(system, start, end, times, observer)
-    }
-}
-
 /// Keeps everything the driver says.
 #[derive(Default)]
 pub struct Recorder {

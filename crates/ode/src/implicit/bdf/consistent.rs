@@ -11,7 +11,7 @@ use crate::implicit::algebraic::{Algebraic, sizes};
 use crate::implicit::kept_jacobian::KeptJacobian;
 use crate::lu::make_room;
 use crate::stepper::{Consistency, Equations, Point, PointMut};
-use crate::system::{CallError, CallResult, HybridSystem};
+use crate::system::{CallError, CallResult};
 
 /// Slopes that Newton's method would change by less than this share are consistent.
 const CONVERGED: f64 = 1e-6;
@@ -27,9 +27,9 @@ const NO_SLOPES: Consistency = Consistency::NoSlopes { equation: 0, residual: 0.
 impl LeftSide {
     /// Sees to it that the equations hold at `(t, x)`, by changing states that `M` has no part in, and the
     /// slopes; `defect` is what is left of zero there. The first time in a run the index is looked at, too.
-    pub(super) fn make_consistent<S: HybridSystem + ?Sized>(
+    pub(super) fn make_consistent(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         PointMut { t, x, slopes }: PointMut<'_>,
         defect: &mut [f64],
         freshness: &mut KeptJacobian,
@@ -80,11 +80,7 @@ impl LeftSide {
     }
 
     /// `dF/dx'` at a point, by columns.
-    fn matrix_at<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        point: Point<'_>,
-    ) -> CallResult<Vec<f64>> {
+    fn matrix_at(&mut self, equations: &mut Equations<'_>, point: Point<'_>) -> CallResult<Vec<f64>> {
         let n = point.x.len();
         let mut defect = vec![0.0; n];
         self.defect(equations, point, &mut defect)?;
@@ -98,9 +94,9 @@ impl LeftSide {
     /// True if `dF/dx'` has a larger rank near this point, at other slopes (and states, where
     /// `moves_states`); at other slopes alone only if it acts there on the difference between the states and
     /// the guess.
-    fn is_singular_only_here<S: HybridSystem + ?Sized>(
+    fn is_singular_only_here(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         Point { t, x, slopes }: Point<'_>,
         moves_states: bool,
     ) -> CallResult<bool> {
@@ -141,9 +137,9 @@ impl LeftSide {
     }
 
     /// The same where matrices are dense, or to be looked at as such.
-    fn make_dense_consistent<S: HybridSystem + ?Sized>(
+    fn make_dense_consistent(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         PointMut { t, x, slopes }: PointMut<'_>,
         defect: &mut [f64],
         freshness: &mut KeptJacobian,
@@ -235,9 +231,9 @@ impl LeftSide {
     /// The same where matrices are sparse, for systems in which a state either has a slope or not: Newton's
     /// method for the slopes of those that have one, and for the others themselves. `None`: the system is
     /// another one, or of a higher index; states and slopes are as they were.
-    fn make_sparse_consistent<S: HybridSystem + ?Sized>(
+    fn make_sparse_consistent(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         PointMut { t, x, slopes }: PointMut<'_>,
         defect: &mut [f64],
         freshness: &mut KeptJacobian,
@@ -325,9 +321,9 @@ impl LeftSide {
 
     /// Before a new start on the way: what Newton's method has left of the equations without derivatives
     /// would stand as an error of the steps to come, however short they are.
-    pub(super) fn correct<S: HybridSystem + ?Sized>(
+    pub(super) fn correct(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         PointMut { t, x, slopes }: PointMut<'_>,
         defect: &mut [f64],
         freshness: &mut KeptJacobian,

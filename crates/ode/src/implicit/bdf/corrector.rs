@@ -5,7 +5,7 @@ use crate::error_norm::scaled_norm;
 use crate::implicit::newton::Iteration;
 use crate::lu::Lu;
 use crate::stepper::{Equations, Point};
-use crate::system::{CallResult, HybridSystem};
+use crate::system::CallResult;
 
 /// Where the corrector stands.
 #[derive(Debug, Default)]
@@ -41,11 +41,7 @@ pub(super) struct Corrector<'a> {
 }
 
 impl Iteration for Corrector<'_> {
-    fn solve<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        is_first: bool,
-    ) -> CallResult<f64> {
+    fn solve(&mut self, equations: &mut Equations<'_>, is_first: bool) -> CallResult<f64> {
         equations.stats.linear_algebra += self.lu.operations().1;
         let Self { gamma, share, .. } = *self;
         let Iterate { correction, x, slopes, rhs, increment } = &mut *self.iterate;

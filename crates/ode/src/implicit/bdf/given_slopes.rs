@@ -14,14 +14,14 @@ pub(super) enum Kind {
 
 /// The system `M x' = f(t, x)` or `F(t, x, x') = 0` with slopes that are given: its right-hand side is what
 /// is left of zero, `f(t, x) - M x'` or `-F(t, x, x')`.
-pub(super) struct AtSlopes<'a, S: ?Sized> {
-    pub(super) system: &'a mut S,
+pub(super) struct AtSlopes<'a> {
+    pub(super) system: &'a mut dyn HybridSystem,
     pub(super) kind: Kind,
     pub(super) mass: &'a [f64],
     pub(super) slopes: &'a [f64],
 }
 
-impl<S: HybridSystem + ?Sized> HybridSystem for AtSlopes<'_, S> {
+impl HybridSystem for AtSlopes<'_> {
     fn n_states(&self) -> usize {
         self.system.n_states()
     }
@@ -73,12 +73,12 @@ impl<S: HybridSystem + ?Sized> HybridSystem for AtSlopes<'_, S> {
 }
 
 /// The residual as a function of the slopes at a state that is given.
-pub(super) struct AtState<'a, S: ?Sized> {
-    pub(super) system: &'a mut S,
+pub(super) struct AtState<'a> {
+    pub(super) system: &'a mut dyn HybridSystem,
     pub(super) x: &'a [f64],
 }
 
-impl<S: HybridSystem + ?Sized> HybridSystem for AtState<'_, S> {
+impl HybridSystem for AtState<'_> {
     fn n_states(&self) -> usize {
         self.system.n_states()
     }

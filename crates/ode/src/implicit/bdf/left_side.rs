@@ -70,7 +70,7 @@ impl LeftSide {
     ///
     /// # Errors
     /// There is none for matrices of this size.
-    pub(super) fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()> {
+    pub(super) fn begin(&mut self, system: &dyn HybridSystem) -> CallResult<()> {
         let n = system.n_states();
         self.kind = match system.mass_matrix() {
             _ if system.has_residual() => Kind::Residual,
@@ -112,18 +112,18 @@ impl LeftSide {
     }
 
     /// The system at these slopes.
-    pub(super) fn at_slopes<'a, S: HybridSystem + ?Sized>(
+    pub(super) fn at_slopes<'a>(
         &'a self,
-        system: &'a mut S,
+        system: &'a mut dyn HybridSystem,
         slopes: &'a [f64],
-    ) -> AtSlopes<'a, S> {
+    ) -> AtSlopes<'a> {
         AtSlopes { system, kind: self.kind, mass: &self.mass, slopes }
     }
 
     /// Residual of the equations at a point; without slopes of its own (`x'` alone) the right-hand side.
-    pub(super) fn defect<S: HybridSystem + ?Sized>(
+    pub(super) fn defect(
         &self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         Point { t, x, slopes }: Point<'_>,
         defect: &mut [f64],
     ) -> CallResult<()> {
@@ -152,9 +152,9 @@ impl LeftSide {
 
     /// After the Jacobian was evaluated at a point, where this is left of zero: evaluates `dF/dx'` there
     /// unless it is as it was. `true`: it has changed.
-    pub(super) fn renew<S: HybridSystem + ?Sized>(
+    pub(super) fn renew(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         point: Point<'_>,
         defect: &[f64],
     ) -> CallResult<bool> {
@@ -196,9 +196,9 @@ impl LeftSide {
     }
 
     /// The residual at slopes that are further along the direction.
-    fn ahead<S: HybridSystem + ?Sized>(
+    fn ahead(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         Point { t, x, slopes }: Point<'_>,
         share: f64,
     ) -> CallResult<bool> {
@@ -216,9 +216,9 @@ impl LeftSide {
     }
 
     /// True if the residual is an affine function of the slopes, as far as three points on a line can show.
-    fn look_for_curvature<S: HybridSystem + ?Sized>(
+    fn look_for_curvature(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         point: Point<'_>,
         defect: &[f64],
     ) -> CallResult<bool> {
@@ -239,9 +239,9 @@ impl LeftSide {
     }
 
     /// True if one evaluation shows `dF/dx'` to be as it was.
-    fn is_as_before<S: HybridSystem + ?Sized>(
+    fn is_as_before(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         point: Point<'_>,
         defect: &[f64],
     ) -> CallResult<bool> {
@@ -261,9 +261,9 @@ impl LeftSide {
     }
 
     /// After a failure: what equations without derivatives do not determine.
-    pub(super) fn undetermined<S: HybridSystem + ?Sized>(
+    pub(super) fn undetermined(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         Point { t, x, slopes }: Point<'_>,
         freshness: &mut KeptJacobian,
     ) -> Option<Undetermined> {

@@ -152,11 +152,7 @@ impl Bdf {
     }
 
     /// Makes the array ready for a step of size `h`.
-    fn prepare<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        Trial { t, h, x, .. }: Trial<'_>,
-    ) -> CallResult<()> {
+    fn prepare(&mut self, equations: &mut Equations<'_>, Trial { t, h, x, .. }: Trial<'_>) -> CallResult<()> {
         if !self.fresh && self.error_failures >= 3 {
             // The derivatives in the array are not those of the solution: a new start at order 1, as in DASSL; where equations
             // without derivatives stand among the others one order less, which takes fewer steps (`tests/all/dae.rs`, amplifier).
@@ -196,11 +192,7 @@ impl Bdf {
     }
 
     /// Predicts and corrects. `false`: the equations could not be solved with a fresh Jacobian.
-    fn correct<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        end: f64,
-    ) -> CallResult<bool> {
+    fn correct(&mut self, equations: &mut Equations<'_>, end: f64) -> CallResult<bool> {
         for (new, old) in self.z_new.iter_mut().zip(&self.z).take(self.order + 1) {
             new.copy_from_slice(old);
         }
@@ -331,7 +323,7 @@ impl Stepper for Bdf {
         }
     }
 
-    fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()> {
+    fn begin(&mut self, system: &dyn HybridSystem) -> CallResult<()> {
         let n = system.n_states();
         self.freshness.begin(system)?;
         self.left.begin(system)?;
@@ -349,12 +341,7 @@ impl Stepper for Bdf {
         Ok(())
     }
 
-    fn evaluate<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        t: f64,
-        x: &[f64],
-    ) -> CallResult<()> {
+    fn evaluate(&mut self, equations: &mut Equations<'_>, t: f64, x: &[f64]) -> CallResult<()> {
         self.z[0].copy_from_slice(x);
         if self.left.is_identity() {
             return equations.derivatives(t, x, &mut self.f);
@@ -365,9 +352,9 @@ impl Stepper for Bdf {
         self.left.defect(equations, Point { t, x, slopes: &self.f }, &mut self.iterate.rhs)
     }
 
-    fn make_consistent<S: HybridSystem + ?Sized>(
+    fn make_consistent(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         t: f64,
         x: &mut [f64],
     ) -> CallResult<Consistency> {
@@ -377,12 +364,7 @@ impl Stepper for Bdf {
         Ok(found)
     }
 
-    fn undetermined<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        t: f64,
-        x: &[f64],
-    ) -> Option<Undetermined> {
+    fn undetermined(&mut self, equations: &mut Equations<'_>, t: f64, x: &[f64]) -> Option<Undetermined> {
         self.left.undetermined(equations, Point { t, x, slopes: &self.f }, &mut self.freshness)
     }
 
@@ -421,9 +403,9 @@ impl Stepper for Bdf {
         &self.f
     }
 
-    fn try_step<S: HybridSystem + ?Sized>(
+    fn try_step(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         trial: Trial<'_>,
         x_new: &mut [f64],
     ) -> CallResult<Attempt> {

@@ -154,9 +154,9 @@ impl Radau5 {
 
     /// The weighted error of the embedded formula; the second time from the point that the first estimate
     /// leads to.
-    fn estimate_error<S: HybridSystem + ?Sized>(
+    fn estimate_error(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         Trial { t, h, x, .. }: Trial<'_>,
     ) -> CallResult<f64> {
         let n = x.len();
@@ -222,7 +222,7 @@ impl Stepper for Radau5 {
         }
     }
 
-    fn begin<S: HybridSystem + ?Sized>(&mut self, system: &S) -> CallResult<()> {
+    fn begin(&mut self, system: &dyn HybridSystem) -> CallResult<()> {
         let n = system.n_states();
         self.freshness.begin(system)?;
         match (system.mass_matrix(), &mut self.stages.mass) {
@@ -256,12 +256,7 @@ impl Stepper for Radau5 {
         Ok(())
     }
 
-    fn evaluate<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        t: f64,
-        x: &[f64],
-    ) -> CallResult<()> {
+    fn evaluate(&mut self, equations: &mut Equations<'_>, t: f64, x: &[f64]) -> CallResult<()> {
         self.freshness.moved();
         self.f_new.copy_from_slice(&self.f);
         equations.derivatives(t, x, &mut self.f)?;
@@ -270,9 +265,9 @@ impl Stepper for Radau5 {
         Ok(())
     }
 
-    fn make_consistent<S: HybridSystem + ?Sized>(
+    fn make_consistent(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         t: f64,
         x: &mut [f64],
     ) -> CallResult<Consistency> {
@@ -313,12 +308,7 @@ impl Stepper for Radau5 {
         self.is_repetition = true;
     }
 
-    fn undetermined<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        t: f64,
-        x: &[f64],
-    ) -> Option<Undetermined> {
+    fn undetermined(&mut self, equations: &mut Equations<'_>, t: f64, x: &[f64]) -> Option<Undetermined> {
         self.stages.mass.as_ref()?;
         self.freshness.drop_jacobian();
         self.algebraic.undetermined(equations, self.freshness.jacobian_mut().0, t, x)
@@ -328,9 +318,9 @@ impl Stepper for Radau5 {
         &self.f
     }
 
-    fn try_step<S: HybridSystem + ?Sized>(
+    fn try_step(
         &mut self,
-        equations: &mut Equations<'_, S>,
+        equations: &mut Equations<'_>,
         trial: Trial<'_>,
         x_new: &mut [f64],
     ) -> CallResult<Attempt> {

@@ -9,7 +9,7 @@ use crate::jacobian::Jacobian;
 use crate::lu::Lu;
 use crate::stats::Stats;
 use crate::stepper::{Equations, Trial};
-use crate::system::{CallResult, HybridSystem};
+use crate::system::CallResult;
 use num_complex::Complex;
 
 /// The increments of the stages, and their matrices.
@@ -104,11 +104,7 @@ pub(super) struct StageEquations<'a> {
 }
 
 impl Iteration for StageEquations<'_> {
-    fn solve<S: HybridSystem + ?Sized>(
-        &mut self,
-        equations: &mut Equations<'_, S>,
-        _: bool,
-    ) -> CallResult<f64> {
+    fn solve(&mut self, equations: &mut Equations<'_>, _: bool) -> CallResult<f64> {
         let (stages, Trial { t, end, h, x }) = (&mut *self.stages, self.trial);
         equations.stats.linear_algebra += stages.real.operations().1 + stages.complex.operations().1;
         for (r, time) in [t + C1 * h, t + C2 * h, end].into_iter().enumerate() {
