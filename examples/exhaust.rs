@@ -52,9 +52,6 @@ fn main() -> Result<(), Box<dyn Error>> {
     for (stage, volume) in fit.stages.iter().zip(["right volume", "then left"]) {
         show(volume, stage, &validated(stage)?, nominal);
     }
-    for entry in fit.solver.comparison.iter().flat_map(|comparison| &comparison.entries) {
-        println!("{}: {:?} right-hand sides' work, {:?}", entry.method.name(), entry.work, entry.verdict);
-    }
 
     let at_once = calibration.fit(FitOptions::default())?;
     show("all four at once", &at_once, &validated(&at_once)?, nominal);

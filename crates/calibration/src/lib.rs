@@ -34,10 +34,6 @@ pub use check::{Check, CheckOptions};
 pub use cost::isolated_instance::IsolatedInstance;
 pub use cost::model_process::ModelProcess;
 pub use cost::residual::quad_err;
-pub use cost::solver::ChosenSolver;
-pub use cost::solver_comparison::{
-    ComparedSolver, ComparisonOutcome, ComparisonTask, SolverComparison, Verdict, compare_solvers,
-};
 pub use data::{
     ClockChange, CsvRequest, Data, DateError, PairUnit, ParameterSet, Series, TimeColumn, Unit,
     UnitConversion, UnitError, clock_change, date_seconds, find_column,

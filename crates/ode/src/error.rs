@@ -123,8 +123,6 @@ pub enum ErrorKind {
     TooManyEvents(u64),
     /// More right-hand sides than allowed.
     TooManyRightHandSides(u64),
-    /// More [work](crate::Stats::work) than allowed, in equivalents of a right-hand side.
-    TooMuchWork(f64),
     /// The wall clock ran out.
     TimedOut(Duration),
     /// Somebody set the cancel flag.
@@ -178,7 +176,6 @@ impl ErrorKind {
             Self::TooManySteps(n) => format!("the limit of {n} steps was reached"),
             Self::TooManyEvents(n) => format!("the limit of {n} events was reached"),
             Self::TooManyRightHandSides(n) => format!("the limit of {n} right-hand sides was reached"),
-            Self::TooMuchWork(n) => format!("the limit of {} right-hand sides' work was reached", Number(*n)),
             Self::TimedOut(limit) => {
                 format!("the time limit of {} s was reached", Number(limit.as_secs_f64()))
             }
@@ -408,9 +405,6 @@ impl SimulationError {
             ErrorKind::TooManyEvents(n) => format!("the limit of {n} events was reached at t = {t}"),
             ErrorKind::TooManyRightHandSides(n) => {
                 format!("the limit of {n} right-hand sides was reached at t = {t}")
-            }
-            ErrorKind::TooMuchWork(n) => {
-                format!("the limit of {} right-hand sides' work was reached at t = {t}", Number(*n))
             }
             ErrorKind::TimedOut(limit) => {
                 format!("the time limit of {} s was reached at t = {t}", Number(limit.as_secs_f64()))

@@ -92,8 +92,6 @@ pub struct Limits {
     pub max_events: Option<u64>,
     /// Evaluations of the right-hand side.
     pub max_right_hand_sides: Option<u64>,
-    /// [Work](crate::Stats::work) in equivalents of a right-hand side.
-    pub max_work: Option<f64>,
     /// Wall-clock time; looked at before each step and each evaluation.
     pub timeout: Option<Duration>,
 }

@@ -45,7 +45,7 @@ def assert_same(one, two):
     """All numbers of both."""
     assert one.parameters == two.parameters
     assert (one.cost, one.rms, one.start_cost, one.start_rms) == (two.cost, two.rms, two.start_cost, two.start_rms)
-    for name in ("message", "nfev", "method", "solver", "solver_comparison"):
+    for name in ("message", "nfev", "method", "solver"):
         assert getattr(one, name) == getattr(two, name), name
     assert (one.stats.seconds, one.stats) == (two.stats.seconds, two.stats)
     for name in ("x", "start", "jac", "cov"):

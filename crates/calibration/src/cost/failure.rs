@@ -42,7 +42,7 @@ impl CostFailure {
     /// What ends the work, not at this point alone. (Nothing is above an infinite cutoff.)
     pub(crate) fn of_point(self) -> Result<PointFailure, CalibrationError> {
         match self {
-            Self::Failed { reason, message, source, .. } => Ok(PointFailure { reason, message, source }),
+            Self::Failed { message, source, .. } => Ok(PointFailure { message, source }),
             Self::Over(error) => Err(CalibrationError::Model(*error)),
             Self::Cancelled | Self::Above => Err(CalibrationError::Cancelled),
         }
@@ -60,8 +60,6 @@ impl CostFailure {
 
 /// Why a simulation failed.
 pub(crate) struct PointFailure {
-    /// The same for all failures of that sort.
-    pub(crate) reason: String,
     pub(crate) message: String,
     pub(crate) source: Option<Box<FmiError>>,
 }

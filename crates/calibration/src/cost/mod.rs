@@ -1,5 +1,4 @@
-//! Residuals and cost of a problem: simulations in this process or in worker processes,
-//! and the choice of the solver.
+//! Residuals and cost of a problem: simulations in this process or in worker processes.
 
 pub(crate) mod accuracy;
 pub(crate) mod failure;
@@ -10,5 +9,3 @@ pub(crate) mod parallel;
 pub(crate) mod process;
 pub(crate) mod residual;
 pub(crate) mod simulation;
-pub(crate) mod solver;
-pub(crate) mod solver_comparison;

@@ -3,7 +3,6 @@
 use crate::cost::accuracy::Accuracy;
 use crate::cost::failure::{CostFailure, ReportedCostFailure};
 use crate::cost::residual::{CostRule, sum_of_squares};
-use crate::cost::solver_comparison::{ComparisonOutcome, ComparisonRun, ComparisonTask};
 use crate::error::CalibrationError;
 use crate::problem::definition::{ModelFile, Problem};
 use crate::problem::settings::SimulationSettings;
@@ -18,7 +17,7 @@ use fmi::{
     FmiError, Fmu, InstanceCall, InstanceOptions, InterfaceChoice, InterfaceKind, OpenOptions, Reuse,
     SimulateOptions, Trajectory, Value,
 };
-use ode::{Method, Stats};
+use ode::Stats;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io;
@@ -53,24 +52,15 @@ pub(crate) enum Job {
     /// The cost and the residuals at a point.
     Evaluate {
         x: Vec<f64>,
-        method: Method,
         loss: RobustLoss,
         cutoff: f64,
         /// Where it is not that of the problem.
         accuracy: Option<Accuracy>,
     },
-    /// A simulation of a comparison of methods.
-    SolverComparison(ComparisonTask),
     /// The compared outputs of an experiment.
-    Experiment { experiment: usize, x: Vec<f64>, method: Method, times: Option<Vec<f64>> },
+    Experiment { experiment: usize, x: Vec<f64>, times: Option<Vec<f64>> },
     /// Variables of the model in an experiment.
-    Variables {
-        experiment: usize,
-        x: Vec<f64>,
-        method: Method,
-        times: Option<Vec<f64>>,
-        variables: Vec<String>,
-    },
+    Variables { experiment: usize, x: Vec<f64>, times: Option<Vec<f64>>, variables: Vec<String> },
 }
 
 impl Job {
@@ -91,21 +81,9 @@ pub(crate) struct Evaluated {
     pub(crate) stats: Stats,
 }
 
-/// A simulation of a comparison; its samples and then its residuals are the numbers of the frame.
-#[derive(Debug, Serialize, Deserialize)]
-pub(crate) struct Compared {
-    /// Without its samples.
-    pub(crate) outcome: ComparisonOutcome,
-    /// Statistics of all its simulations.
-    pub(crate) stats: Stats,
-    /// Number of residuals.
-    pub(crate) at_start: Option<usize>,
-}
-
 /// How a point is evaluated.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Evaluation {
-    pub(crate) method: Method,
     /// Where it is not that of the problem.
     pub(crate) accuracy: Option<Accuracy>,
     pub(crate) process: ProcessChoice,
@@ -525,8 +503,8 @@ impl Remote {
         stats: &mut Stats,
     ) -> Result<f64, CostFailure> {
         let CostRule { loss, cutoff, context } = rule;
-        let Evaluation { method, accuracy, process } = evaluation;
-        let job = Job::Evaluate { x: x.to_vec(), method, loss, cutoff, accuracy };
+        let Evaluation { accuracy, process } = evaluation;
+        let job = Job::Evaluate { x: x.to_vec(), loss, cutoff, accuracy };
         let n = out.len();
         let mut accept = |answer: &mut Frame| {
             let Evaluated { cost, stats } = evaluated(answer, n, cutoff)?;
@@ -600,44 +578,6 @@ impl Remote {
         if let Some(Some(message)) = known.get(reason) {
             *reason = format!("{reason} ({LOG_ON}: {message})");
         }
-    }
-
-    /// A simulation of a comparison, and the residuals at the start. It has at most so many samples, and so
-    /// many residuals.
-    pub(crate) fn compare(
-        &self,
-        task: ComparisonTask,
-        (n_samples, n_residuals): (usize, usize),
-        context: &RunContext<'_>,
-        stats: &mut Stats,
-    ) -> Result<ComparisonRun, CalibrationError> {
-        let mut accept = |answer: &mut Frame| {
-            let compared: Compared = answer.head()?;
-            // A model that ends a simulation has fewer samples.
-            let n = compared.at_start.unwrap_or_default();
-            if n > answer.numbers.len() || ![0, n_residuals].contains(&n) {
-                return Err(wrong(format!("{n} residuals instead of {n_residuals}")));
-            }
-            Ok((compared, std::mem::take(&mut answer.numbers)))
-        };
-        let limits = self.limits(self.n_experiments, FrameSize::of_numbers((n_samples + n_residuals) as u64));
-        let job = Job::SolverComparison(task);
-        let compared = self.processes.ask(&job, ProcessChoice::Any, limits, context, &mut accept);
-        let (Compared { mut outcome, stats: taken, at_start }, mut numbers) = match compared {
-            Ok(compared) => compared,
-            Err(error) => {
-                return Ok((
-                    ComparisonOutcome::Failed(CostFailure::of_worker(error).of_point()?.reason),
-                    None,
-                ));
-            }
-        };
-        *stats += taken;
-        let at_start = at_start.map(|n| numbers.split_off(numbers.len().saturating_sub(n)));
-        if let ComparisonOutcome::Finished { samples, .. } = &mut outcome {
-            *samples = numbers;
-        }
-        Ok((outcome, at_start))
     }
 
     /// A recorded simulation, with so many columns where that is known.

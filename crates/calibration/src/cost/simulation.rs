@@ -17,7 +17,7 @@ use fmi::{
     FmiError, Fmu, Inputs, InterfaceKind, ModelDescription, SharedSimulator, SimulateOptions, SimulationPlan,
     Simulator, Trajectory, Value,
 };
-use ode::{Method, Observer, Report};
+use ode::{Observer, Report};
 use std::borrow::Cow;
 use std::cmp::Ordering;
 use std::ops::ControlFlow;
@@ -179,7 +179,7 @@ impl Simulation {
         comparison.schedule(|output| self.assigned.outputs[output].0.in_model(x), start)
     }
 
-    /// The options at the parameters' start values, by which others are made with another method.
+    /// The options at the parameters' start values, by which others are made.
     pub(crate) fn options_at_start(&self) -> SimulateOptions {
         SimulateOptions { times: Some(self.schedule.times.to_vec()), ..self.options.clone() }
     }
@@ -239,7 +239,6 @@ impl Simulation {
     pub(crate) fn recording(
         &self,
         x: &[f64],
-        method: Method,
         times: Option<&[f64]>,
         variables: &[String],
     ) -> SimulateOptions {
@@ -248,7 +247,7 @@ impl Simulation {
             parameters: Vec::new(),
             outputs: Some(variables.to_vec()),
             final_time: times.last().copied(),
-            ..self.options_at(x, times).method(method)
+            ..self.options_at(x, times)
         }
     }
 
@@ -258,7 +257,6 @@ impl Simulation {
         &self,
         fmu: &Fmu,
         x: &[f64],
-        method: Method,
         times: Option<&[f64]>,
         poll: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<Trajectory, FmiError> {
@@ -273,7 +271,6 @@ impl Simulation {
         let schedule = is_late.then(|| self.scheduled(&rows, x));
         let sampled = schedule.as_ref().map_or(times, |schedule| &schedule.times[..]);
         let mut options = self.options_at(x, sampled);
-        options.run.method = method;
         if schedule.is_none() {
             options.final_time = times.last().copied();
         }

@@ -133,9 +133,8 @@ impl Fit {
         let outputs: Vec<String> =
             calibration.problem().experiments[k].outputs().map(|(variable, _)| variable.to_owned()).collect();
         let fitted = calibration.simulate_variables(k, &self.x, None, &outputs, context)?;
-        let method = calibration.solver(context)?.method;
         let simulation = &calibration.evaluator().simulations[k];
-        let mut options = simulation.recording(&self.x, method, None, &outputs);
+        let mut options = simulation.recording(&self.x, None, &outputs);
         // The copy has fitted values as its start values only.
         options.initial_states.retain(|state| options.start_values.iter().any(|(name, _)| name == state));
         let copied = if calibration.evaluator().remote.is_ok() {

@@ -101,7 +101,7 @@ impl Fit {
                 .collect::<Result<_, _>>()?,
             relative_tolerance: chosen.or_else(|| plan.map(|plan| plan.relative_tolerance())),
             options: report.options.iter().map(|(name, value)| (&name[..], &value[..])).collect(),
-            solver: self.solver.method.name(),
+            solver: self.solver.name(),
             n_evaluations: report.n_evaluations,
             n_iterations: report.n_iterations,
             n_failed: report.n_failed,

@@ -173,7 +173,6 @@ impl SavedFit {
         let problem = Problem { model: ModelFile::of(&fmu)?, ..self.problem.clone() };
         let calibration = Calibration::from_problem(fmu, problem)?;
         check_belongs(&self.fit, &calibration)?;
-        calibration.set_solver(self.fit.solver.clone())?;
         Ok(calibration)
     }
 }

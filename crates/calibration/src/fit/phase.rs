@@ -12,8 +12,6 @@ use std::time::{Duration, Instant};
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum FitPhase {
-    /// The integration methods are compared.
-    Solver,
     /// It is tested how the model's instances can be reused.
     ModelTest,
     /// The start is looked at.
@@ -32,8 +30,7 @@ pub enum FitPhase {
 
 impl FitPhase {
     /// All in the order of the type, each with its key and what it is called while it lasts.
-    const ALL: [(Self, &'static str, &'static str); 7] = [
-        (Self::Solver, "solver", "choosing a solver"),
+    const ALL: [(Self, &'static str, &'static str); 6] = [
         (Self::ModelTest, "model_test", "testing the model"),
         (Self::Preflight, "preflight", "looking at the start"),
         (Self::Search, "search", "searching"),

@@ -272,16 +272,7 @@ impl Calibration {
         let _held = self.hold();
         let mut job = Job::new(self, options.into(), None)?;
         let freed = self.all_checked(stages, &job)?;
-        if let Some(checkpoint) = &job.run.checkpoint {
-            self.adopt_solver(&checkpoint_of(checkpoint, ".stage1", true))?;
-        }
         let mut stats = Stats::default();
-        // The stages have one solver and one tolerance. Where there is no time for that, the first one ends at its start.
-        job.enter(FitPhase::Solver, &stats);
-        match self.solver_counted(&job.context, &mut stats) {
-            Err(error) if !job.context.is_late() || job.context.is_cancelled() => return Err(error),
-            _ => {}
-        }
         let tolerance = self.choose_tolerance(&job);
         let tolerant = self.with_tolerance(tolerance.as_ref())?;
         let this = tolerant.as_ref().unwrap_or(self);
@@ -301,7 +292,7 @@ impl Calibration {
         }
         job.phases.borrow_mut().begin(FitPhase::Checks, &stats);
         let own = made.own.take();
-        let budget = made.budget(this, &job.start);
+        let budget = made.budget();
         let (mut fit, _) = this.judged(own.as_ref().unwrap_or(this), &job, made, stats, budget);
         fit.phases = job.phases.borrow_mut().costs(&fit.stats);
         fit.stages = done.fits;
@@ -445,7 +436,6 @@ impl Calibration {
             stuck,
             start_cost,
             preflight: first.preflight.clone(),
-            solver: last.solver.clone(),
             tolerances: job.run.tolerances,
             raised,
         };

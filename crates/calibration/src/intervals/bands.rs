@@ -194,7 +194,6 @@ impl Calibration {
             let known = known.join(", ");
             return Err(CalibrationError::Setup(format!("there is no output '{name}'; there are: {known}")));
         }
-        self.solver(context)?;
         self.prepare()?;
         // Short simulations may end before anybody asks again.
         if context.is_over() {

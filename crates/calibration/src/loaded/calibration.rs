@@ -4,7 +4,6 @@ use crate::cost::failure::{CostFailure, PointFailure};
 use crate::cost::loaded_problem::LoadedProblem;
 use crate::cost::process::{Evaluation, Job, ProcessChoice, Remote};
 use crate::cost::residual::CostRule;
-use crate::cost::solver::{AtStart, Choice, ChosenSolver};
 use crate::error::CalibrationError;
 use crate::findings::finding::Severity;
 use crate::problem::definition::{ModelFile, Problem};
@@ -17,27 +16,22 @@ use crate::problem::warning::{SETUP_LOG_TARGET, SetupWarning};
 use base::{Number, RunContext};
 use dfo::{Answer, Checkpoint, Failure, Objective, Outcome, Query, RobustLoss, Want};
 use fmi::worker::{Held, Isolation};
-use fmi::{CancelRequest, FmiError, Fmu, SharedSimulator, Trajectory};
+use fmi::{CancelRequest, FmiError, Fmu, Trajectory};
 use log::Level;
 use ode::{Method, Stats, Termination};
 use std::ops::ControlFlow;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-/// Name of the solver among what identifies a fit.
-const SOLVER: &str = "solver";
-
 /// A model, recordings and parameters, checked and ready to be evaluated from any number of threads.
 ///
 /// The cost is the sum of the squared (weighted) residuals, simulated minus measured, over all experiments,
 /// outputs and measured times, added up in the order of the residual vector: no 1/N, no 1/2. The same
-/// parameters give the same bits on every worker, with residuals or without, with a cutoff or without. Where
-/// no integration method is named, the [`solver`](Self::solver) is found once, by a comparison at the
-/// parameters' start values, and used for everything: a cost is the same function in a fit and outside.
+/// parameters give the same bits on every worker, with residuals or without, with a cutoff or without, in a
+/// fit and outside.
 #[derive(Debug)]
 pub struct Calibration {
     evaluator: LoadedProblem,
-    choice: Choice,
     /// Everything that a fit is made from, by name and in words or as a hash.
     identity: Vec<(String, String)>,
 }
@@ -124,11 +118,10 @@ impl Calibration {
             log::log!(target: SETUP_LOG_TARGET, level, "{warning}");
         }
         let identity = identity(&evaluator.problem, &evaluator.parameters)?;
-        Ok(Self { evaluator, choice: Choice::default(), identity })
+        Ok(Self { evaluator, identity })
     }
 
-    /// A calibration of another problem with the same model, with the solver of this one if it is known.
-    /// Warnings of the problem are not logged again.
+    /// A calibration of another problem with the same model. Warnings of the problem are not logged again.
     pub(crate) fn derived(&self, problem: Problem) -> Result<Self, CalibrationError> {
         self.derived_in(problem, None)
     }
@@ -141,9 +134,7 @@ impl Calibration {
     fn derived_in(&self, problem: Problem, lender: Option<&Remote>) -> Result<Self, CalibrationError> {
         let evaluator = LoadedProblem::new(self.fmu().clone(), problem, lender)?;
         let identity = identity(&evaluator.problem, &evaluator.parameters)?;
-        let derived = Self { evaluator, choice: Choice::default(), identity };
-        self.known_solver().map_or(Ok(()), |solver| derived.set_solver(solver.clone()))?;
-        Ok(derived)
+        Ok(Self { evaluator, identity })
     }
 
     /// Takes over what is in doubt about another one that it was derived from.
@@ -252,48 +243,9 @@ impl Calibration {
         self.evaluator.start()
     }
 
-    /// The same, if it is known already.
-    pub fn known_solver(&self) -> Option<&ChosenSolver> {
-        self.choice.known()
-    }
-
-    /// The method that integrates the simulations of this calibration, in fits and outside of them. Where the
-    /// settings name none, it is found at the first use, by a comparison at the parameters' start values (see
-    /// [`compare_solvers`](crate::compare_solvers())): up to three simulations of every experiment, one if
-    /// the model is not stiff there. It stays the same from then on.
-    ///
-    /// # Errors
-    /// The model cannot be loaded or instantiated. Simulations that fail are no error: they lose.
-    pub fn solver(&self, context: &RunContext<'_>) -> Result<&ChosenSolver, CalibrationError> {
-        self.solver_counted(context, &mut Stats::default()).map(|(solver, _)| solver)
-    }
-
-    /// The same; what a comparison takes is added to `stats`, and the evaluation at the start values that was
-    /// part of it is handed on.
-    pub(crate) fn solver_counted(
-        &self,
-        context: &RunContext<'_>,
-        stats: &mut Stats,
-    ) -> Result<(&ChosenSolver, Option<AtStart>), CalibrationError> {
-        let (chosen, at_start) = self.choice.chosen(&self.evaluator, context, stats)?;
-        Ok((&chosen.solver, at_start))
-    }
-
-    /// Takes a solver that was found for the same problem elsewhere, unless there is one already.
-    ///
-    /// # Errors
-    /// The model cannot be simulated with it.
-    pub fn set_solver(&self, solver: ChosenSolver) -> Result<(), CalibrationError> {
-        self.choice.choose(&self.evaluator, solver).map(|_| ())
-    }
-
-    /// The simulators of an experiment with the method in use.
-    pub(crate) fn pool(
-        &self,
-        experiment: usize,
-        context: &RunContext<'_>,
-    ) -> Result<&SharedSimulator, CostFailure> {
-        self.choice.pool(&self.evaluator, experiment, context)
+    /// The method that integrates the simulations of this calibration, in fits and outside of them.
+    pub fn solver(&self) -> Method {
+        self.problem().settings.run.method
     }
 
     /// The cost at `x` (one value per parameter, user's units).
@@ -354,16 +306,15 @@ impl Calibration {
         context: &RunContext<'_>,
     ) -> Result<Trajectory, CalibrationError> {
         self.check_length(x)?;
-        let method = self.solver(context)?.method;
         if let Ok(remote) = &self.evaluator.remote {
             let times = times.map(<[f64]>::to_vec);
-            let job = Job::Experiment { experiment, x: x.to_vec(), method, times };
+            let job = Job::Experiment { experiment, x: x.to_vec(), times };
             let n_columns = self.problem().experiments[experiment].outputs.len();
             return remote.trajectory(&job, Some(n_columns), context);
         }
         let mut poll = || if context.is_over() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
         let simulation = &self.evaluator.simulations[experiment];
-        let trajectory = simulation.trajectory(self.fmu(), x, method, times, &mut poll)?;
+        let trajectory = simulation.trajectory(self.fmu(), x, times, &mut poll)?;
         match trajectory.termination {
             Termination::StoppedByObserver => Err(CalibrationError::Cancelled),
             _ => Ok(trajectory),
@@ -404,7 +355,7 @@ impl Calibration {
         let rule = CostRule::whole(RobustLoss::default(), context);
         let cost = self.evaluate_in(ProcessChoice::Compared, x, rule, &mut residuals, stats);
         cost.map(|cost| (cost, residuals)).map_err(|no_cost| match no_cost.of_point() {
-            Ok(PointFailure { message, source, .. }) => self.failed_at(x, message, source),
+            Ok(PointFailure { message, source }) => self.failed_at(x, message, source),
             Err(error) => error,
         })
     }
@@ -490,21 +441,11 @@ impl Calibration {
         stats: &mut Stats,
     ) -> Result<f64, CostFailure> {
         if let Ok(remote) = &self.evaluator.remote {
-            let method = self.method(&rule.context)?;
-            return remote.evaluate(x, Evaluation { method, accuracy: None, process }, rule, out, stats);
+            return remote.evaluate(x, Evaluation { accuracy: None, process }, rule, out, stats);
         }
         self.evaluator.evaluate(x, rule, out, stats, |k, run| {
-            Ok(self.pool(k, &rule.context)?.with_simulator(&rule.context, run))
+            Ok(self.evaluator.simulations[k].pool.with_simulator(&rule.context, run))
         })
-    }
-
-    /// The method in use, for an evaluation.
-    pub(crate) fn method(&self, context: &RunContext<'_>) -> Result<Method, CostFailure> {
-        let solver = self.solver(context).map_err(|error| match error {
-            CalibrationError::Model(error) => CostFailure::Over(Box::new(error)),
-            _ => CostFailure::Cancelled,
-        });
-        solver.map(|solver| solver.method)
     }
 
     /// Where the model runs; and why it runs in this process where another was asked for.
@@ -515,38 +456,20 @@ impl Calibration {
         }
     }
 
-    /// Names and values that identify a fit with this solver.
-    fn tags<'a>(&'a self, solver: &ChosenSolver) -> impl Iterator<Item = (&'a str, &'a str)> {
-        let own = self.identity.iter().map(|(name, value)| (name.as_str(), value.as_str()));
-        own.chain([(SOLVER, solver.method.name())])
+    /// Names and values that identify a fit.
+    fn tags(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.identity.iter().map(|(name, value)| (name.as_str(), value.as_str()))
     }
 
-    /// Hash of everything that a cost depends on except the parameters' values: model, data, settings,
-    /// solver, and the targets of the parameters; neither bounds nor starts.
-    pub(crate) fn problem_hash(&self, solver: &ChosenSolver) -> String {
-        hash(self.tags(solver))
+    /// Hash of everything that a cost depends on except the parameters' values: model, data, settings, and
+    /// the targets of the parameters; neither bounds nor starts.
+    pub(crate) fn problem_hash(&self) -> String {
+        hash(self.tags())
     }
 
     /// A checkpoint that knows what it belongs to.
-    pub(crate) fn tag(&self, checkpoint: Checkpoint, solver: &ChosenSolver) -> Checkpoint {
-        self.tags(solver).fold(checkpoint, |checkpoint, (name, value)| checkpoint.tag(name, value))
-    }
-
-    /// Takes the solver of a checkpoint that will be continued, if it is of this calibration and there is no
-    /// comparison yet.
-    pub(crate) fn adopt_solver(&self, checkpoint: &Checkpoint) -> Result<(), CalibrationError> {
-        if self.problem().settings.run.method != Method::Auto || self.known_solver().is_some() {
-            return Ok(());
-        }
-        let Some(stored) = checkpoint.stored_identity()? else { return Ok(()) };
-        let value = |name: &str| stored.iter().find(|(n, _)| n == name).map(|(_, value)| value.as_str());
-        if self.identity.iter().any(|(name, given)| value(name) != Some(given)) {
-            return Ok(());
-        }
-        match value(SOLVER).and_then(|name| name.parse().ok()) {
-            Some(method) => self.set_solver(ChosenSolver { method, comparison: None }),
-            None => Ok(()),
-        }
+    pub(crate) fn tag(&self, checkpoint: Checkpoint) -> Checkpoint {
+        self.tags().fold(checkpoint, |checkpoint, (name, value)| checkpoint.tag(name, value))
     }
 }
 

@@ -71,14 +71,13 @@ pub(crate) struct Simulations<'a> {
 }
 
 impl<'a> Simulations<'a> {
-    /// Chooses the solver and has the model tested, where that is not done yet.
+    /// Has the model tested, where that is not done yet.
     pub(crate) fn new(
         calibration: &'a Calibration,
         loss: RobustLoss,
         workers: usize,
         context: &RunContext<'a>,
     ) -> Result<Self, CalibrationError> {
-        calibration.solver(context)?;
         calibration.prepare()?;
         Ok(Self {
             calibration,
@@ -235,16 +234,12 @@ impl Calibration {
     ) -> Result<f64, CostFailure> {
         let Some(accuracy) = accuracy else { return self.evaluate_into(x, rule, out, stats) };
         if let Ok(remote) = &self.evaluator().remote {
-            let method = self.method(&rule.context)?;
-            let evaluation = Evaluation { method, accuracy: Some(accuracy), process: ProcessChoice::Any };
+            let evaluation = Evaluation { accuracy: Some(accuracy), process: ProcessChoice::Any };
             return remote.evaluate(x, evaluation, rule, out, stats);
         }
         self.evaluator().evaluate(x, rule, out, stats, |k, run| {
             let mut options = self.evaluator().simulations[k].options_at_start();
             let run_settings = &mut options.run;
-            if let Some(solver) = self.known_solver() {
-                run_settings.method = solver.method;
-            }
             match accuracy {
                 Accuracy::Tolerance(tolerance) => run_settings.relative_tolerance = Some(tolerance),
                 Accuracy::HalfStep => {

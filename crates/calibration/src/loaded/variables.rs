@@ -51,13 +51,12 @@ impl Calibration {
         context: &RunContext<'_>,
     ) -> Result<Trajectory, CalibrationError> {
         self.check_length(x)?;
-        let method = self.solver(context)?.method;
         if let Ok(remote) = &self.evaluator().remote {
             let (times, variables) = (times.map(<[f64]>::to_vec), variables.to_vec());
-            let job = Job::Variables { experiment, x: x.to_vec(), method, times, variables };
+            let job = Job::Variables { experiment, x: x.to_vec(), times, variables };
             return remote.trajectory(&job, None, context);
         }
-        let mut options = self.evaluator().simulations[experiment].recording(x, method, times, variables);
+        let mut options = self.evaluator().simulations[experiment].recording(x, times, variables);
         let values = self.values_in(experiment, x);
         options.start_values.extend(values.into_iter().map(|(name, value)| (name, value.into())));
         let mut poll = || if context.is_over() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };

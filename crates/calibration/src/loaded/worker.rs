@@ -1,10 +1,8 @@
 //! The worker process of a calibration: it holds the model, and simulates what it is asked for.
 
 use crate::cost::failure::ReportedCostFailure;
-use crate::cost::process::{Compared, Evaluated, Job, Loaded, put_trajectory, unsaid};
+use crate::cost::process::{Evaluated, Job, Loaded, put_trajectory, unsaid};
 use crate::cost::residual::CostRule;
-use crate::cost::solver::{ChosenSolver, simulate_compared};
-use crate::cost::solver_comparison::ComparisonOutcome;
 use crate::error::CalibrationError;
 use crate::loaded::calibration::Calibration;
 use crate::problem::definition::ModelFile;
@@ -13,7 +11,7 @@ use fmi::description::Quirk;
 use fmi::worker::{Frame, Service};
 use fmi::{DrivenInstance, FmiError, Fmu, InstanceAnswer, OpenOptions, Reuse, Session, Value};
 use log::LevelFilter;
-use ode::{Method, Stats};
+use ode::Stats;
 use std::io;
 use std::ops::ControlFlow;
 
@@ -184,10 +182,6 @@ fn done(
     context: &RunContext<'_>,
     answer: &mut Frame,
 ) -> Result<io::Result<()>, FmiError> {
-    let use_method = |method: Method| {
-        let solver = ChosenSolver { method, comparison: None };
-        calibration.set_solver(solver).map_err(model_error)
-    };
     Ok(match job {
         Job::Load(_)
         | Job::Open(..)
@@ -196,8 +190,7 @@ fn done(
         | Job::NewInstance(..)
         | Job::Instance(_)
         | Job::InitialValues { .. } => Ok(()),
-        Job::Evaluate { x, method, loss, cutoff, accuracy } => {
-            use_method(method)?;
+        Job::Evaluate { x, loss, cutoff, accuracy } => {
             calibration.check_length(&x).map_err(model_error)?;
             let (rule, mut stats) = (CostRule { loss, cutoff, context: *context }, *repeated);
             answer.numbers.resize(calibration.n_residuals(), 0.0);
@@ -210,28 +203,11 @@ fn done(
             *repeated = stats;
             answer.set_head(&Evaluated { cost, stats })
         }
-        Job::SolverComparison(task) => {
-            let mut stats = Stats::default();
-            let (mut outcome, at_start) =
-                simulate_compared(calibration.evaluator(), &task, context, &mut stats)
-                    .map_err(model_error)?;
-            if let ComparisonOutcome::Finished { samples, .. } = &mut outcome {
-                answer.numbers.append(samples);
-            }
-            let at_start = at_start.map(|mut residuals| {
-                let n = residuals.len();
-                answer.numbers.append(&mut residuals);
-                n
-            });
-            answer.set_head(&Compared { outcome, stats, at_start })
-        }
-        Job::Experiment { experiment, x, method, times } => {
-            use_method(method)?;
+        Job::Experiment { experiment, x, times } => {
             let trajectory = calibration.simulate_experiment(experiment, &x, times.as_deref(), context);
             put_trajectory(trajectory.map_err(model_error)?, answer)
         }
-        Job::Variables { experiment, x, method, times, variables } => {
-            use_method(method)?;
+        Job::Variables { experiment, x, times, variables } => {
             let trajectory =
                 calibration.simulate_variables(experiment, &x, times.as_deref(), &variables, context);
             put_trajectory(trajectory.map_err(model_error)?, answer)

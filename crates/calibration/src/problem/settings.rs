@@ -15,10 +15,9 @@ use std::collections::BTreeMap;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(deny_unknown_fields))]
 #[serde(default)]
 pub struct SimulationSettings {
-    /// How the model is run. `method` [`Auto`](ode::Method::Auto) is here the winner of a comparison of the
-    /// methods, see [`Calibration::solver`](crate::Calibration::solver); a `relative_tolerance` that is not
-    /// given is that of the model, but at most 1e-6: a fit says where it is smaller than the model's. A
-    /// simulation that reaches the `timeout`, or whose events let time hardly advance, counts as failed.
+    /// How the model is run. A `relative_tolerance` that is not given is that of the model, but at most 1e-6:
+    /// a fit reports where it is smaller than that of the model. A simulation that reaches the `timeout`, or
+    /// whose events let time hardly advance, counts as failed.
     #[serde(flatten)]
     pub run: RunSettings,
     /// Where the FMU runs. The costs do not depend on it.

@@ -101,7 +101,6 @@ impl Calibration {
         };
         let names = self.problem().experiment_names();
         // Chosen before several threads ask for it.
-        self.solver(context)?;
         let workers = available_parallelism().map_or(1, usize::from);
         let simulate = |k: usize, context: &RunContext<'_>| {
             self.response(k / 2, if k.is_multiple_of(2) { &fit.start } else { &fit.x }, context)

@@ -248,8 +248,7 @@ fn settings(calibration: &Calibration, fit: &Fit) -> Vec<Fact> {
     facts.push(("loss", report.loss.to_string()));
     facts.extend(report.seed.map(|seed| ("seed", seed.to_string())));
     facts.push(("workers, batch plan", format!("{}, {}", report.workers, report.batch)));
-    let chosen = if fit.solver.comparison.is_some() { " (chosen by comparison)" } else { "" };
-    facts.push(("solver", format!("{}{chosen}", fit.solver.method.name())));
+    facts.push(("solver", fit.solver.name().to_owned()));
     let chosen = fit.tolerance.map(|chosen| chosen.used);
     let used = chosen.or_else(|| plan.map(|plan| plan.relative_tolerance()));
     let tolerance = used.map(|used| Number(used).to_string());

@@ -330,7 +330,7 @@ fn facts(fit: &Fit) -> Vec<Fact> {
             "{}; {} s in simulations, {} s of them inside the model",
             match (fit.stats.right_hand_sides, fit.stats.accepted_steps) {
                 (0, steps) => format!("{steps} communication steps of models that integrate themselves"),
-                (n, _) => format!("{n} right-hand sides, solver {}", fit.solver.method.name()),
+                (n, _) => format!("{n} right-hand sides, solver {}", fit.solver.name()),
             },
             rounded(fit.stats.seconds.get(), 3),
             rounded(fit.stats.seconds_in_model.get(), 3)

@@ -3,7 +3,6 @@
 
 use crate::cost::accuracy::Accuracy;
 use crate::cost::residual::sum_of_squares;
-use crate::cost::solver::AtStart;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Origin, sort, table};
 use crate::findings::shown_text::{digits, visible_line};
@@ -102,6 +101,15 @@ pub struct ParameterCheck {
     pub has_effect: bool,
     /// Why the simulation failed.
     pub failure: Option<String>,
+}
+
+/// Evaluation at the start of a fit that was made before its search.
+#[derive(Debug, Clone)]
+pub(crate) struct AtStart {
+    /// The residuals as they count.
+    pub(crate) residuals: Vec<f64>,
+    /// Statistics of its simulations.
+    pub(crate) stats: Stats,
 }
 
 impl Calibration {

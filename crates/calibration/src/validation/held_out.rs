@@ -147,7 +147,6 @@ impl Calibration {
         context: &RunContext<'_>,
     ) -> Result<Validation, CalibrationError> {
         self.check_length(&fit.x)?;
-        self.solver(context)?;
         match set {
             ValidationSet::Windows(windows) => {
                 let other = self.windowed(windows)?;

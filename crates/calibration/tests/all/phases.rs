@@ -64,9 +64,9 @@ fn checks_that_are_ended_are_said_to_be() {
     assert!(!says(&calibration.fit(FitOptions::default()).unwrap()));
 }
 
-/// The comparison is part of the fit that chose the solver, and its simulation of the start is the first evaluation.
+/// With `auto` the simulations of a fit are those of its trace, in the first fit as in the second.
 #[test]
-fn the_choice_of_a_solver_counts_once() {
+fn a_fit_makes_the_simulations_of_its_trace_alone() {
     let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Auto, None);
     let limits = Limits { max_evaluations: Some(5), ..Limits::default() };
     let options =

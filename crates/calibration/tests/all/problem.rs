@@ -144,7 +144,6 @@ fn a_problem_survives_a_file() {
     let problem: Problem = ciborium::from_reader(&bytes[..]).unwrap();
     assert_eq!(&problem, calibration.problem());
     let again = Calibration::from_problem(open("dahlquist"), problem.clone()).unwrap();
-    again.set_solver(calibration.solver(&RunContext::new()).unwrap().clone()).unwrap();
     let x = [2.1, 3.9, 1.0, 3.1];
     assert_eq!(
         again.cost(&x, &RunContext::new()).unwrap().to_bits(),

@@ -51,7 +51,7 @@ fn a_fit_comes_back_with_all_bits() {
     assert_eq!(saved.fit.stats.seconds.get().to_bits(), fit.stats.seconds.get().to_bits());
     assert_eq!(format!("{:?}", saved.problem), format!("{:?}", calibration.problem()));
     let again = saved.calibration().unwrap();
-    assert_eq!(again.known_solver(), Some(&fit.solver));
+    assert_eq!(again.solver(), fit.solver);
     assert_eq!(again.cost(&fit.x, &RunContext::new()).unwrap().to_bits(), fit.cost.to_bits());
     assert_eq!(saved.fit.to_bytes(&again).unwrap(), bytes);
 }

@@ -159,8 +159,6 @@ pub struct SimulateOptions {
     pub halve_steps: bool,
     /// Rows between the steps of a co-simulation that cannot stop there; default: interpolated.
     pub between_steps: BetweenSteps,
-    /// Limit of work in equivalents of a right-hand side, see [`ode::Stats::work`] (model exchange).
-    pub max_work: Option<f64>,
     /// Add rows for both sides of every event.
     pub record_events: bool,
     /// Set from outside to end the run.
@@ -183,7 +181,6 @@ impl SimulateOptions {
         inputs(Inputs) = |inputs| Some(inputs);
         halve_steps(bool) = |halve| halve;
         between_steps(BetweenSteps) = |choice| choice;
-        max_work(f64) = |work| Some(work);
         record_events(bool) = |on| on;
         cancel(Arc<AtomicBool>) = |flag| Some(flag);
     }}
@@ -257,7 +254,7 @@ impl SimulateOptions {
             }};
         }
         same!(but inputs, cancel; start_time, final_time, times, output_interval, ncp, start_values, initial_states, clock_intervals,
-            parameters, outputs, run, halve_steps, between_steps, max_work, record_events)
+            parameters, outputs, run, halve_steps, between_steps, record_events)
     }
 
     /// The tolerance that was asked for, else that of the default experiment.
@@ -277,7 +274,7 @@ impl SimulateOptions {
             max_step: run.max_step,
             interior_samples: run.interior_samples,
             record_events: self.record_events,
-            limits: ode::Limits { timeout: run.timeout, max_work: self.max_work, ..ode::Limits::default() },
+            limits: ode::Limits { timeout: run.timeout, ..ode::Limits::default() },
             chattering: run.chattering,
             cancel: self.cancel.clone(),
             ..ode::Options::default()

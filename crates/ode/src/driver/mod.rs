@@ -297,11 +297,6 @@ impl Run<'_> {
         if let Some(n) = over(limits.max_right_hand_sides, self.stats.right_hand_sides) {
             return Err(ErrorKind::TooManyRightHandSides(n).into());
         }
-        if let Some(most) = limits.max_work
-            && self.stats.work(self.space.x.len()) > most
-        {
-            return Err(ErrorKind::TooMuchWork(most).into());
-        }
         Ok(())
     }
 

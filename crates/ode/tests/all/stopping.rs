@@ -102,22 +102,6 @@ fn nothing_is_evaluated_once_the_time_is_up() {
     }
 }
 
-#[test]
-fn work_is_limited_and_no_step_begins_above_the_limit() {
-    for &method in &[Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf] {
-        let limits = Limits { max_work: Some(500.0), ..Limits::default() };
-        let mut driver = Driver::new(Options { method, limits, ..Options::default() }).unwrap();
-        let mut chain = Chain { calls: 0, at: u64::MAX, after: 0, then: || {} };
-        let n = chain.n_states();
-        let error = driver.run(&mut chain, 0.0, 1e6, &[], &mut Ignore).unwrap_err();
-        assert!(matches!(error.kind, ErrorKind::TooMuchWork(most) if most == 500.0), "{error}");
-        let work = error.stats.work(n);
-        // A step with a Jacobian of its own is one too many at most.
-        assert!(work > 500.0 && work < 700.0, "{}: {work}", method.name());
-        assert_eq!(error.stats.linear_algebra > 0, matches!(method, Method::Radau5 | Method::Bdf));
-    }
-}
-
 /// Ends a run at the sample of this number, by the flag or by its next poll.
 struct Rows {
     flag: Option<Arc<AtomicBool>>,

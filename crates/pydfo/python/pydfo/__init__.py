@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from . import compat, dfo, fmi, ode
     from ._calibration.calibration import Calibration
     from ._calibration.check import Check, Finding
-    from ._calibration.evaluation import ComparedSolver
     from ._calibration.experiment import Experiment
     from ._calibration.export import load_fit
     from ._calibration.fit import ChosenTolerance, Fit, FitNoise, OutputFit
@@ -74,7 +73,6 @@ _HOMES = {
     "_model.model": "FMUModel load_fmu",
     "_optimize.optimizer": "Above Asked Optimizer",
     "_calibration.parameter": "LogNormal Normal Parameter",
-    "_calibration.evaluation": "ComparedSolver",
     "_calibration.profile": "Profile",
     "_optimize.progress": "Progress",
     "_optimize.result": "BarrierStage LeastSquaresResult OptimizeResult Trace",
@@ -125,7 +123,6 @@ __all__ = [
     "Profile",
     "Progress",
     "PydfoError",
-    "ComparedSolver",
     "ResidualCheck",
     "SimulationError",
     "SimulationResult",

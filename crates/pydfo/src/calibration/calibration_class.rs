@@ -22,8 +22,8 @@ use crate::model::trajectory;
 use crate::optimize::futures::{PySimulationExecutor, state};
 use calibration::RunContext;
 use calibration::{
-    CalibrationError, ChosenSolver, ComparedSolver, Experiment, FitOptions, LivePage, PreflightOptions,
-    Problem, Severity, SimulationExecutor, UncertaintyOptions, Verdict,
+    CalibrationError, Experiment, FitOptions, LivePage, PreflightOptions, Problem, Severity,
+    SimulationExecutor, UncertaintyOptions,
 };
 use dfo::{Progress, Query, RobustLoss, Termination, Want};
 use numpy::PyArray1;
@@ -133,7 +133,7 @@ impl PyCalibration {
         Ok(Self { shared: Shared::finish(py, built, callbacks)? })
     }
 
-    /// The problem and the solver, if it is known: what a pickle holds.
+    /// The problem: what a pickle holds.
     fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         Ok(PyBytes::new(py, &state(self.inner())?))
     }
@@ -182,14 +182,10 @@ impl PyCalibration {
         fmu: &Bound<'_, Fmu>,
         functions: SignalFunctions,
     ) -> PyResult<Self> {
-        let (mut problem, solver) = stored(state)?;
+        let mut problem = stored(state)?;
         let fmu = fmu.get().fmu.clone();
         let callbacks = give_functions(&mut problem, functions);
-        let built = py.detach(move || {
-            let calibration = calibration::Calibration::from_problem(fmu, problem)?;
-            solver.map_or(Ok(()), |solver| calibration.set_solver(solver))?;
-            Ok(calibration)
-        });
+        let built = py.detach(move || calibration::Calibration::from_problem(fmu, problem));
         Ok(Self { shared: Shared::finish(py, built, callbacks)? })
     }
 
@@ -242,32 +238,9 @@ impl PyCalibration {
         self.inner().rms(&x, cost)
     }
 
-    /// Name of the integration method that is in use; None: not chosen yet.
-    fn known_solver(&self) -> Option<&'static str> {
-        self.inner().known_solver().map(|solver| solver.method.name())
-    }
-
-    /// The same, chosen if it is not yet.
-    fn solver(&self, py: Python<'_>) -> PyResult<&'static str> {
-        self.shared.compute(py, |calibration, context| {
-            calibration.solver(context).map(|solver| solver.method.name())
-        })
-    }
-
-    /// The methods that were compared: name, work, how far from right, what became of it.
-    fn solver_comparison(&self) -> Option<Vec<Compared>> {
-        let comparison = self.inner().known_solver()?.comparison.as_ref()?;
-        let compared = |entry: &ComparedSolver| {
-            let (deviation, verdict) = match &entry.verdict {
-                Verdict::Agrees(distance) => (Some(*distance), "agrees".to_owned()),
-                Verdict::Differs(distance) => (Some(*distance), "differs".to_owned()),
-                Verdict::GivenUp => (None, "given up".to_owned()),
-                Verdict::Failed(why) => (None, format!("failed: {why}")),
-                _ => (None, "not compared".to_owned()),
-            };
-            (entry.method.name(), entry.work, deviation, verdict)
-        };
-        Some(comparison.entries.iter().map(compared).collect())
+    /// Name of the integration method.
+    fn solver(&self) -> &'static str {
+        self.inner().solver().name()
     }
 
     fn cost(&self, py: Python<'_>, x: Vec<f64>) -> PyResult<f64> {
@@ -503,13 +476,10 @@ impl PyCalibration {
     }
 }
 
-/// ChosenSolver, work, deviation in tolerances, verdict.
-type Compared = (&'static str, Option<f64>, Option<f64>, String);
-
 /// Times; variables and their values.
 type Recording<'py> = (Bound<'py, PyArray1<f64>>, Vec<(String, Bound<'py, PyArray1<f64>>)>);
 
-fn stored(state: &[u8]) -> PyResult<(Problem, Option<ChosenSolver>)> {
+fn stored(state: &[u8]) -> PyResult<Problem> {
     ciborium::from_reader(state)
         .map_err(|e| PyValueError::new_err(format!("this is no pickled Calibration of this version: {e}")))
 }

@@ -13,9 +13,9 @@ use pyo3::types::PyBytes;
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
-/// A problem and the solver that was chosen for it.
+/// A problem.
 pub(crate) fn state(calibration: &Calibration) -> PyResult<Vec<u8>> {
-    to_bytes(&(calibration.problem(), calibration.known_solver()))
+    to_bytes(calibration.problem())
 }
 
 /// Answer of `_evaluate.Futures`: number of the point, time of the evaluation in s, its outcome, and the

@@ -97,7 +97,7 @@ impl Calibration {
         let description = self.fmu().description();
         let unit = |p: &Parameter| p.unit(description).map(str::to_owned);
         let kept_by = own.residual_layout().clone();
-        let SearchResult { report, stuck, residuals, start_cost, preflight, solver, .. } = made.searched;
+        let SearchResult { report, stuck, residuals, start_cost, preflight, .. } = made.searched;
         budget.add_skipped(&stuck.skipped);
         let mut without_effect = stuck.without_effect;
         without_effect.extend(uncertainty.iter().flat_map(|uncertainty| &uncertainty.without_effect));
@@ -139,7 +139,7 @@ impl Calibration {
                 .map(|extra| extra.name().to_owned())
                 .collect(),
             stats,
-            solver,
+            solver: self.solver(),
             report,
         };
         (fit, residuals.reweighed(&kept_by, self.residual_layout()))

@@ -87,7 +87,7 @@ impl Calibration {
             let own = made.own.take();
             let own = own.as_ref().unwrap_or(self);
             let best = made.best(own.n_residuals());
-            let mut budget = made.budget(self, &job.start);
+            let mut budget = made.budget();
             // Taken without a comparison, too: no process decides what else is simulated.
             let has_room = budget.take(1.0);
             if !has_room {
@@ -135,10 +135,8 @@ impl Calibration {
         context: &RunContext<'_>,
     ) -> Checks {
         let mut stats = Stats::default();
-        if let Ok(method) = self.method(context) {
-            let evaluation = Evaluation { method, accuracy: None, process: ProcessChoice::Fresh };
-            remote.compare_with_fresh(best, evaluation, CostRule::whole(loss, context), &mut stats);
-        }
+        let evaluation = Evaluation { accuracy: None, process: ProcessChoice::Fresh };
+        remote.compare_with_fresh(best, evaluation, CostRule::whole(loss, context), &mut stats);
         stats.as_checks(self.problem().experiments.len() as u64)
     }
 }

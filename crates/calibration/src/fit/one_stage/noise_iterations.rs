@@ -5,7 +5,6 @@ use super::search::{Job, SearchResult, UsedLimits, start_cost_in};
 use super::tolerance::ChosenTolerance;
 use crate::cost::process::BestPoint;
 use crate::cost::residual::sum_of_squares;
-use crate::cost::solver::AtStart;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Origin, Severity};
 use crate::fit::output_fit::KeptResiduals;
@@ -15,7 +14,6 @@ use crate::loaded::calibration::Calibration;
 use crate::loaded::simulations_around::{Point, Simulations};
 use crate::problem::definition::Problem;
 use crate::problem::parameter::Parameter;
-use crate::problem::residual_layout::OutputResiduals;
 use dfo::{Cause, Checkpoint, Report, Resume, Termination};
 use ode::Stats;
 
@@ -35,10 +33,10 @@ impl FinalSearch {
     }
 
     /// What may still be simulated besides the search.
-    pub(crate) fn budget(&self, calibration: &Calibration, start: &[f64]) -> Budget {
-        let SearchResult { report, solver, stuck, .. } = &self.searched;
+    pub(crate) fn budget(&self) -> Budget {
+        let SearchResult { report, stuck, .. } = &self.searched;
         let mut budget = Budget::after(report.n_evaluations);
-        budget.take(calibration.simulations_for_solver(solver, start) + stuck.n_checks as f64);
+        budget.take(stuck.n_checks as f64);
         budget
     }
 
@@ -221,25 +219,10 @@ impl Calibration {
         Ok(weighed.or(tolerant))
     }
 
-    /// Chooses the solver; with the residuals at the start, as they count, where that has made them known.
-    fn start_by_solver(&self, job: &Job<'_>, stats: &mut Stats) -> Result<Option<AtStart>, CalibrationError> {
-        if let Some(checkpoint) = &job.run.checkpoint {
-            self.adopt_solver(checkpoint)?;
-        }
-        job.enter(FitPhase::Solver, stats);
-        let (_, compared) = self.solver_counted(&job.context, stats)?;
-        Ok(compared.filter(|_| job.start == self.start()).map(|AtStart { mut residuals, stats }| {
-            job.loss.transform_all(&mut residuals);
-            AtStart { residuals, stats }
-        }))
-    }
-
     /// All searches of a fit, with what comes before them.
     pub(super) fn made(&self, job: &mut Job<'_>, stats: &mut Stats) -> Result<FinalSearch, CalibrationError> {
         let tolerance = if job.is_part { None } else { self.choose_tolerance(job) };
         let tolerant = self.with_tolerance(tolerance.as_ref())?;
-        let at_start = self.start_by_solver(job, stats)?.filter(|_| tolerant.is_none());
-        *job.at_start.borrow_mut() = at_start.as_ref().map(|known| known.residuals.clone());
         let this = tolerant.as_ref().unwrap_or(self);
         let rule = job.noise;
         let estimates = rule == NoiseRule::Estimated
@@ -249,9 +232,9 @@ impl Calibration {
                 && job.loss.is_linear());
         let first = if estimates { EstimatedNoise::first(this, rule) } else { None };
         let mut made = match first {
-            Some(first) => this.take_turns(first, job, at_start, stats)?,
+            Some(first) => this.take_turns(first, job, stats)?,
             None => {
-                let searched = this.search(job, at_start, stats)?;
+                let searched = this.search(job, stats)?;
                 let is_weighed = job.objective.is_sum_of_squares() && this.has_priors();
                 FinalSearch { noise: is_weighed.then_some(FitNoise::Stated), ..FinalSearch::of(searched) }
             }
@@ -271,7 +254,6 @@ impl Calibration {
         &self,
         noise: EstimatedNoise,
         job: &mut Job<'_>,
-        at_start: Option<AtStart>,
         stats: &mut Stats,
     ) -> Result<FinalSearch, CalibrationError> {
         let (begun, checkpoint) = (job.start.clone(), job.run.checkpoint.clone());
@@ -281,9 +263,7 @@ impl Calibration {
             let mut problem = self.problem().clone();
             turns.noise.weigh(&mut problem)?;
             let own = self.derived_for_fit(problem)?;
-            let here = if turns.noise.n_rounds == 1 { at_start.as_ref() } else { None };
-            let here = here.and_then(|known| self.exactly_reweighed(known, &own));
-            let mut searched = match own.search(job, here, stats) {
+            let mut searched = match own.search(job, stats) {
                 Ok(searched) => searched,
                 Err(error) => match turns.before(&error, job) {
                     Some(before) => break before,
@@ -337,17 +317,6 @@ impl Calibration {
         let in_trace = start_cost_in(&searched.report, &job.start);
         searched.start_cost = in_trace.or_else(|| searched.residuals.at_start().map(sum_of_squares));
         Ok(FinalSearch { own: Some(own), searched, noise: Some(FitNoise::Estimated(noise)), tolerance: None })
-    }
-
-    /// Residuals that are known by the weights of this calibration, by those of another one, where that has
-    /// the bits of a simulation with them: a product with one is exact.
-    fn exactly_reweighed(&self, known: &AtStart, own: &Calibration) -> Option<AtStart> {
-        let is_one = |o: &OutputResiduals| o.weights.iter().all(|weight| *weight == 1.0);
-        let (from, to) = (self.residual_layout(), own.residual_layout());
-        from.outputs
-            .iter()
-            .all(is_one)
-            .then(|| AtStart { residuals: to.reweighed(&known.residuals, from), stats: known.stats })
     }
 
     /// Leverages of the residuals at the end of a search; `None`: it was interrupted meanwhile, or

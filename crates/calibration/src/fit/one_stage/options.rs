@@ -25,7 +25,7 @@ pub type FitObserver<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
 /// Options of a fit.
 pub struct FitOptions<'a> {
     /// The method, tolerances, limits, workers (default: all cores), checkpoint and so on. The time limit
-    /// holds for the whole fit, from the choice of a solver to the standard errors: where it is over before
+    /// holds for the whole fit, from the search to the standard errors: where it is over before
     /// any evaluation has ended, the result is the start, with a cost of NaN. Model, data, parameters and
     /// settings of the calibration identify the fit's problem: a checkpoint of another one is refused, and
     /// points that are known from another one are evaluated again.

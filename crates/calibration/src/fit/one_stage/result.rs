@@ -2,7 +2,6 @@
 
 use super::noise::FitNoise;
 use super::tolerance::ChosenTolerance;
-use crate::cost::solver::ChosenSolver;
 use crate::findings::finding::{Finding, Origin, Severity, sort};
 use crate::findings::shown_text::digits;
 use crate::fit::output_fit::OutputFit;
@@ -14,7 +13,7 @@ use crate::uncertainty::result::Uncertainty;
 use crate::uncertainty::stuck_parameters::BoundSide;
 use base::Number;
 use dfo::{Record, Report, Termination};
-use ode::Stats;
+use ode::{Method, Stats};
 use serde::{Deserialize, Serialize};
 
 /// Stages after which a step in all parameters takes away more than this part of the cost have not fitted
@@ -104,15 +103,15 @@ pub struct Fit {
     /// Uncertainty of the fit; `None` where it was not requested, or the run was ended from outside.
     pub uncertainty: Option<Uncertainty>,
     /// Statistics of all simulations of the fit: right-hand sides, steps, events, seconds (added up over all
-    /// workers), from the choice of a solver, where this fit made it, to the standard errors. Those that
+    /// workers), from the search to the standard errors. Those that
     /// failed or were given up count, those of a resumed fit from before do not. The best point evaluated
     /// again, in a fresh process and in those used, is among the [checks](Stats::checks).
     pub stats: Stats,
     /// What its phases took: the simulations that `stats` counts, and wall-clock time.
     #[serde(default)]
     pub phases: Vec<PhaseCost>,
-    /// The integration method of all simulations, and how it was found.
-    pub solver: ChosenSolver,
+    /// The integration method of all simulations.
+    pub solver: Method,
     /// Report of the optimiser: counts, reason to end, trace.
     pub report: Report,
 }

@@ -4,7 +4,6 @@ use super::noise::NoiseRule;
 use super::options::{FitObserver, FitOptions};
 use super::simulation_executor::SimulationExecutor;
 use crate::cost::residual::sum_of_squares;
-use crate::cost::solver::{AtStart, ChosenSolver};
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
 use crate::findings::shown_text::digits;
@@ -25,7 +24,7 @@ use dfo::{
     ProblemClass, Progress, Query, Record, Report, Resume, RobustLoss, RunOptions, Search, Termination,
     ToleranceMeasure, Tolerances, Trace, Wait, Want,
 };
-use ode::{Method, Stats};
+use ode::Stats;
 use std::cell::RefCell;
 use std::collections::{HashMap, VecDeque};
 use std::ops::ControlFlow;
@@ -311,7 +310,6 @@ pub(crate) struct SearchResult {
     /// The cost at the start, if an evaluation of the fit has found it.
     pub(crate) start_cost: Option<f64>,
     pub(crate) preflight: Option<Preflight>,
-    pub(crate) solver: ChosenSolver,
     /// Those that held.
     pub(crate) tolerances: Tolerances,
     /// Findings of the search, about its tolerances and the noise.
@@ -336,19 +334,13 @@ pub(super) fn start_cost_in(report: &Report, start: &[f64]) -> Option<f64> {
 }
 
 impl Calibration {
-    /// The search for the best point, with what comes before it. `at_start`: the residuals at the start, as
-    /// they count, where they are known.
-    pub(super) fn search(
-        &self,
-        job: &Job<'_>,
-        mut at_start: Option<AtStart>,
-        stats: &mut Stats,
-    ) -> Result<SearchResult, CalibrationError> {
+    /// The search for the best point, with what comes before it.
+    pub(super) fn search(&self, job: &Job<'_>, stats: &mut Stats) -> Result<SearchResult, CalibrationError> {
         let Job { start, context, .. } = job;
-        let solver = self.solver(context)?;
+        let mut at_start = None;
         job.enter(FitPhase::ModelTest, stats);
         self.prepare()?;
-        let mut run = self.run_of_search(job, solver);
+        let mut run = self.run_of_search(job);
         let preflight = job.wants_preflight.then(|| {
             job.enter(FitPhase::Preflight, stats);
             let (workers, loss) = (run.workers, job.loss);
@@ -365,7 +357,7 @@ impl Calibration {
                 &known.stats,
                 Duration::try_from_secs_f64(known.stats.seconds.get()).unwrap_or_default(),
             );
-            job.phases.borrow_mut().move_part(effort, FitPhase::Solver, FitPhase::Search);
+            job.phases.borrow_mut().move_part(effort, FitPhase::Preflight, FitPhase::Search);
         }
         let known = at_start.take().map(|known| known.residuals);
         job.at_start.borrow_mut().clone_from(&known);
@@ -380,7 +372,6 @@ impl Calibration {
             has_errors: job.has_uncertainty(),
         };
         let mut budget = Budget::after(report.n_evaluations);
-        budget.take(self.simulations_for_solver(solver, start));
         let stuck = self.stuck_parameters(&ended, &mut budget, context, stats);
         Ok(SearchResult {
             start_cost: start_cost_in(&report, start),
@@ -388,29 +379,16 @@ impl Calibration {
             stuck,
             residuals,
             preflight,
-            solver: solver.clone(),
             tolerances: run.tolerances,
             raised,
         })
     }
 
-    /// Simulations by which the solver was chosen and that are no evaluation of a search from this start: in
-    /// this fit or in an earlier one.
-    pub(crate) fn simulations_for_solver(&self, solver: &ChosenSolver, start: &[f64]) -> f64 {
-        match (self.problem().settings.run.method, solver.method) {
-            _ if self.is_co_simulation() => 0.0,
-            (Method::Auto, Method::Auto) => f64::from(u8::from(start != self.start())),
-            (Method::Auto, Method::Bdf) => 2.0,
-            (Method::Auto, _) => 1.0,
-            _ => 0.0,
-        }
-    }
-
     /// The options of the optimiser for a search: with the identity of its problem, and what earlier searches
     /// have left of the limits.
-    fn run_of_search(&self, job: &Job<'_>, solver: &ChosenSolver) -> RunOptions<AnyMethod> {
+    fn run_of_search(&self, job: &Job<'_>) -> RunOptions<AnyMethod> {
         let mut run = job.run.clone();
-        let mut problem = self.problem_hash(solver);
+        let mut problem = self.problem_hash();
         if !job.loss.is_linear() {
             problem += &format!(", loss {}", job.loss);
             if self.has_priors() {
@@ -421,7 +399,7 @@ impl Calibration {
             problem += &format!(", objective {}", job.objective.name());
         }
         run.problem = Some(problem);
-        run.checkpoint = run.checkpoint.map(|checkpoint| self.tag(checkpoint, solver));
+        run.checkpoint = run.checkpoint.map(|checkpoint| self.tag(checkpoint));
         let left = |limit: Option<usize>, spent: usize| limit.map(|n| n.saturating_sub(spent));
         run.limits.max_evaluations = left(run.limits.max_evaluations, job.spent.n_evaluations);
         run.limits.max_iterations = left(run.limits.max_iterations, job.spent.n_iterations);
@@ -527,7 +505,6 @@ impl Calibration {
             }) => *found,
             error => return Err(self.over_or(error)),
         };
-        let named = ChosenSolver { method: self.problem().settings.run.method, comparison: None };
         let mut report = Report::without_cost(
             &job.start,
             job.run.method.name(),
@@ -552,7 +529,6 @@ impl Calibration {
             stuck: StuckParameters::default(),
             residuals,
             preflight: None,
-            solver: self.known_solver().cloned().unwrap_or(named),
             tolerances: job.run.tolerances,
             raised: Vec::new(),
         })

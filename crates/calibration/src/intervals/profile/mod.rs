@@ -94,9 +94,6 @@ impl Calibration {
     ) -> Result<Profile, CalibrationError> {
         let _held = self.hold();
         self.check_length(&fit.x)?;
-        if self.known_solver().is_none() {
-            self.set_solver(fit.solver.clone())?;
-        }
         self.of_fit(fit)?.as_ref().unwrap_or(self).own_profile(fit, options, context)
     }
 
@@ -229,7 +226,7 @@ impl Calibration {
     fn profile_hash(&self, fit: &Fit, statistic: &str, options: &ProfileOptions) -> String {
         let bounds: Vec<_> =
             self.parameters().iter().map(|p| (p.lower(), p.upper(), p.scale_kind())).collect();
-        let costs = self.problem_hash(&fit.solver);
+        let costs = self.problem_hash();
         let (level, points) = (options.level, options.max_points);
         let words = format!("{costs} {:?} {bounds:?} {statistic} {level:?} {points}", fit.x);
         hash_of_bytes(words.as_bytes())

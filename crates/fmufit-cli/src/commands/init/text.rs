@@ -112,7 +112,7 @@ fn settings(without_unit: &[Pair], max_description_bytes: Option<u64>, sandbox: 
     }
     lines.extend([
         format!(
-            "# solver = \"{}\"             # the least work of all that are accurate enough",
+            "# solver = \"{}\"             # explicit, implicit where the model is stiff",
             settings.run.method.name()
         ),
         "# relative_tolerance = 1e-6".to_owned(),

@@ -103,8 +103,8 @@ class Calibration(Evaluation):
         takes so many tenths that errors of that part of the measurements leave the cost uncertain by less than `f_tol` near the best
         values (``fit.tolerance``, and a note among the findings).
     solver : str
-        "auto", "tsit5", "dop853", "radau5", "bdf", "rk4" or "euler". With "auto" a stiff model is found at the first use, at
-        the parameters' start values, and simulated with an implicit method from then on, see `solver`.
+        "auto", "tsit5", "dop853", "radau5", "bdf", "rk4" or "euler". With "auto" each simulation begins with an explicit method and
+        changes to an implicit one where the model is stiff.
     step_size, max_step : float, optional
         Step of the fixed-step methods, or the communication step of co-simulation; largest step of the other methods;
         in s. Measurements between the steps of a co-simulation that cannot stop there are compared with values interpolated
@@ -687,7 +687,7 @@ class Calibration(Evaluation):
         return CrossValidation(_core.cross_validate(self._native, asked))
 
     def _fit(self, result: OptimizeResult, start: list[float]) -> Fit:
-        return Fit(self, result, np.array(start), self._native.known_solver())
+        return Fit(self, result, np.array(start), self._native.solver())
 
     def __setattr__(self, name: str, value: object) -> None:
         # An attribute of that name would have no effect.

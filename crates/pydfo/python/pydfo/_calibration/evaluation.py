@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,20 +16,6 @@ from .._model.trajectory import SimulationResult
 from .parameter import Parameter
 
 FloatArray = npt.NDArray[np.float64]
-
-
-class ComparedSolver(NamedTuple):
-    """A method in the comparison by which a `Calibration` chooses its solver."""
-
-    solver: str
-    """Name of the method."""
-    work: float | None
-    """Right-hand sides, directional derivatives, evaluations of event indicators, and linear algebra in equivalents of a
-    right-hand side. Of a method that was given up: what it had done then, at least."""
-    deviation: float | None
-    """Largest difference from Radau5, in tolerances of the sample; None: it was not compared."""
-    verdict: str
-    """"agrees", "differs", "given up", "not compared", or "failed: " and why."""
 
 
 class Evaluation:
@@ -96,21 +82,8 @@ class Evaluation:
 
     @property
     def solver(self) -> str:
-        """The integration method of all simulations, in fits and outside of them.
-
-        The one that was named; or, with "auto", the winner of a comparison at the parameters' start values, which is held at the
-        first use and counts work, never time: if the model is not stiff there, "auto" stays (an explicit method, which gives
-        way to an implicit one where the model becomes stiff); else Radau5 is taken, unless it takes twice the work of "auto"; models
-        of 16 states and more are simulated with BDF, too, which is taken where it agrees within 5 tolerances and takes less work, its
-        error counted as more of it. A fit that is resumed from a checkpoint takes the method from there. See `solver_comparison` for the numbers.
-        """
+        """Name of the integration method of all simulations, in fits and outside of them."""
         return self._native.solver()
-
-    @property
-    def solver_comparison(self) -> list[ComparedSolver] | None:
-        """The methods that were compared when the solver was chosen; None: there was no comparison, or not yet."""
-        entries = self._native.solver_comparison()
-        return None if entries is None else [ComparedSolver(*entry) for entry in entries]
 
     def _values(self, x: npt.ArrayLike | Mapping[str, float] | None, argument: str = "x") -> list[float]:
         if x is None or isinstance(x, Mapping):

@@ -132,10 +132,8 @@ class Fit(OptimizeResult):
         The relative tolerance that was chosen for the simulations; None: it was given, or that of the calibration.
     start : ndarray, shape (n,)
         Where the fit started.
-    solver : str or None
-        The integration method of all simulations; see `Calibration.solver`. (None: interrupted before it was chosen.)
-    solver_comparison : list of ComparedSolver or None
-        The methods that were compared, if there was a comparison.
+    solver : str
+        The integration method of all simulations; see `Calibration.solver`.
     start_cost, start_rms : float or None
         The same as `cost` and `rms` at the start; None if the simulation failed there.
     at_bound : dict of str to {"lower", "upper"}
@@ -194,7 +192,7 @@ class Fit(OptimizeResult):
     # The page that shows it, see `Calibration.fit`.
     _page: _core.LivePage | None = None
 
-    def __init__(self, calibration: Calibration, result: OptimizeResult, start: FloatArray, solver: str | None) -> None:
+    def __init__(self, calibration: Calibration, result: OptimizeResult, start: FloatArray, solver: str) -> None:
         vars(self).update(vars(result))
         self._calibration = calibration
         self._native: _core.Fit | None = vars(self).get("_native")
@@ -216,7 +214,6 @@ class Fit(OptimizeResult):
         self.cov_message = "" if self.uncertainty is None else self.uncertainty.message
         self.start = start
         self.solver = solver
-        self.solver_comparison = calibration.solver_comparison
 
     @property
     def stderr(self) -> FloatArray | None:

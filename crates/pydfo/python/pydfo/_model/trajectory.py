@@ -66,7 +66,7 @@ class SimulationStats:
         1 us, one of 61 is timed and stands for all.
     phases : dict
         Of a fit: what each of its phases took, as ``{"simulations": .., "right_hand_sides": .., "seconds": ..}`` (wall-clock
-        time) under the names ``solver`` (its choice), ``model_test``, ``preflight``, ``search``, ``checks`` (of the result),
+        time) under the names ``model_test``, ``preflight``, ``search``, ``checks`` (of the result),
         ``fresh_process`` and ``uncertainty`` (standard errors: two simulations for each parameter). The simulations of `check_runs`
         are not among them, their time is.
     """
