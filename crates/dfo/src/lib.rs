@@ -85,7 +85,7 @@ pub use problem::objective::{
     with_query,
 };
 pub use problem::space::{Bounds, Space, typical_size};
-pub use run::checkpoint::{Checkpoint, Code, Resume};
+pub use run::checkpoint::{Checkpoint, Resume};
 pub use run::minimize::{
     ByHand, ByRun, Minimize, by_hand, least_squares, minimize, minimize_batches, minimize_by,
 };

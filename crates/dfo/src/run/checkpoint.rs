@@ -68,34 +68,13 @@ pub struct Checkpoint {
     pub interval: Duration,
     /// Further identity of the run, by name: what the objective is made from, for example.
     pub tags: Vec<(String, String)>,
-    /// Identity of the code of the objective, see [`code`](Self::code).
+    /// Name of the function that is minimised, see [`function`](Self::function).
     #[serde(default)]
-    pub code: Option<Code>,
+    pub function: Option<String>,
 }
 
-/// Identity of the code of an objective.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(rename_all = "kebab-case")]
-pub enum Code {
-    /// A hash; behind it, each after a semicolon, may stand `name = checksum` for its parts, so that a
-    /// message can name those that are others.
-    Hash(String),
-    /// It cannot be told from other code, for this reason.
-    Unknown(String),
-}
-
-impl Code {
-    fn text(&self) -> &str {
-        match self {
-            Self::Hash(hash) => hash,
-            Self::Unknown(_) => "not known",
-        }
-    }
-}
-
-/// Name of the code among what identifies a run.
-const CODE: &str = "code of the function";
+/// Name of the function among what identifies a run.
+const FUNCTION: &str = "function";
 
 impl Checkpoint {
     /// Writes to this file and resumes from it, if it is there.
@@ -105,16 +84,16 @@ impl Checkpoint {
             resume: Resume::Auto,
             interval: Duration::from_millis(200),
             tags: Vec::new(),
-            code: None,
+            function: None,
         }
     }
 
-    /// Says by what the code of the objective is known. With [`Resume::Auto`] a file of other code is
-    /// refused, and so is any file where the code is not known; with [`Resume::Require`] the user says that
-    /// it is the right one.
+    /// Sets the name of the function that is minimised. With [`Resume::Auto`] a file of a function with
+    /// another name is refused; with [`Resume::Require`] the user says that it is the right one. Whether the
+    /// function computes the same as before, the user decides.
     #[must_use]
-    pub fn code(mut self, code: Code) -> Self {
-        self.code = Some(code);
+    pub fn function(mut self, name: impl Into<String>) -> Self {
+        self.function = Some(name.into());
         self
     }
 
@@ -222,7 +201,7 @@ pub(crate) fn fingerprint(
         ));
     }
     all.extend(place.tags.iter().map(|(name, value)| (name.clone(), value.clone())));
-    all.extend(place.code.iter().map(|code| named(CODE, code.text().to_owned())));
+    all.extend(place.function.iter().map(|function| named(FUNCTION, function.clone())));
     // After the tags, which say in words what a hash cannot.
     if let Some(problem) = problem {
         all.push(named("problem", problem.to_owned()));
@@ -330,34 +309,6 @@ pub(crate) fn words(name: &str) -> &str {
     }
 }
 
-/// Of the text of code its hash.
-fn hash(code: &str) -> &str {
-    parts(code).next().unwrap_or_default()
-}
-
-/// The same, and its parts.
-fn parts(code: &str) -> impl Iterator<Item = &str> {
-    code.split("; ")
-}
-
-/// The names of those parts of code that are not the same, or only on one side; none where what has no name
-/// is not the same either.
-fn changed(stored: &str, given: &str) -> Vec<String> {
-    let only_in = |one: &str, other: &str| -> Vec<String> {
-        let names = parts(one).filter(|part| parts(other).all(|o| o != *part));
-        names.filter_map(|part| Some(part.split_once(" = ")?.0.to_owned())).collect()
-    };
-    let mut names = only_in(stored, given);
-    names.extend(only_in(given, stored));
-    names.sort();
-    names.dedup();
-    if names.iter().any(String::is_empty) {
-        Vec::new()
-    } else {
-        names.iter().map(|n| format!("'{n}'")).collect()
-    }
-}
-
 /// Reads the checkpoint that a run is to continue from, if it is to.
 pub(crate) fn read(
     options: &Checkpoint,
@@ -373,34 +324,25 @@ pub(crate) fn read(
         stored: stored.to_owned(),
         given: given.to_owned(),
     };
-    let of_code = |all: &[(String, String)]| all.iter().find(|(n, _)| n == CODE).map(|(_, v)| v.clone());
-    let (stored, given) = (of_code(&snapshot.fingerprint), of_code(fingerprint));
-    let is_other = stored.as_deref().map(hash) != given.as_deref().map(hash)
-        || matches!(options.code, Some(Code::Unknown(_)));
-    if is_other && options.resume == Resume::Auto {
-        let changed = changed(stored.as_deref().unwrap_or_default(), given.as_deref().unwrap_or_default());
-        let what = match &options.code {
-            Some(Code::Unknown(why)) => format!("whether it belongs to this function cannot be told: {why}"),
-            _ if changed.is_empty() => "it belongs to a function with other code".to_owned(),
-            _ => format!(
-                "it belongs to a function with other code: {} is not what it was when that run began (a function that \
-                 only counts, logs or keeps costs there is better known by a name: options={{\"problem\": ...}})",
-                changed.join(", ")
-            ),
-        };
+    let function = |all: &[(String, String)]| {
+        all.iter().find(|(n, _)| n == FUNCTION).map_or_else(|| "none".to_owned(), |(_, name)| name.clone())
+    };
+    let (stored, given) = (function(&snapshot.fingerprint), function(fingerprint));
+    if stored != given && options.resume == Resume::Auto {
         let what = format!(
-            "{what}; give resume=\"require\" to continue it all the same, or resume=\"never\" to begin anew"
+            "it belongs to another function, {stored} instead of {given}; give resume=\"require\" to continue it all the same, or \
+             resume=\"never\" to begin anew"
         );
         return Err(failed(path, what));
     }
-    for (name, given) in fingerprint.iter().filter(|(name, _)| name != CODE) {
+    for (name, given) in fingerprint.iter().filter(|(name, _)| name != FUNCTION) {
         let stored = snapshot.fingerprint.iter().find(|(n, _)| n == name).map(|(_, v)| &v[..]);
         if stored != Some(given) {
             return Err(mismatch(name, stored.unwrap_or("nothing"), given));
         }
     }
     if let Some((name, stored)) =
-        (snapshot.fingerprint.iter()).find(|(n, _)| n != CODE && fingerprint.iter().all(|(m, _)| m != n))
+        (snapshot.fingerprint.iter()).find(|(n, _)| n != FUNCTION && fingerprint.iter().all(|(m, _)| m != n))
     {
         return Err(mismatch(name, stored, "nothing"));
     }

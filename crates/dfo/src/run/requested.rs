@@ -3,7 +3,7 @@
 
 use crate::error::Error;
 use crate::methods::AnyMethod;
-use crate::run::checkpoint::{Checkpoint, Code, Resume};
+use crate::run::checkpoint::{Checkpoint, Resume};
 use crate::run::options::{KnownPoint, RunOptions};
 use crate::values::choices::{ParameterKind, Search, StopRule, ToleranceMeasure, Transform};
 use crate::values::fields::{field_names, read_part};
@@ -78,8 +78,8 @@ pub(super) struct RunRecord {
     checkpoint_interval: Value,
     /// Treatment of a checkpoint that is there already.
     resume: Option<Resume>,
-    /// Identity of the code of the objective.
-    code: Option<Code>,
+    /// Name of the function that is minimised.
+    function: Option<String>,
     /// The scale of all parameters, or of each.
     #[cfg_attr(feature = "schema", schemars(with = "Option<PerParameter<Transform>>"))]
     scale: Value,
@@ -302,7 +302,7 @@ fn checkpoint(asked: &RunRecord) -> Result<Option<Checkpoint>, Error> {
             RecordError::range("a number of seconds, at least 0").of("checkpoint_interval", interval)
         })?;
     }
-    checkpoint.code.clone_from(&asked.code);
+    checkpoint.function.clone_from(&asked.function);
     Ok(Some(checkpoint))
 }
 

@@ -1,1 +1,1 @@
-"""Arguments: numbers, keywords of other tools, the identity of functions."""
+"""Arguments: numbers, keywords of other tools."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 import operator
 import os
@@ -38,11 +39,11 @@ def record(
     *,
     rng: int | np.random.Generator | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
-    function: Sequence[Any] = (),
+    function: Callable[..., Any] | None = None,
     **arguments: Any,
 ) -> Record:
     """What the user of the function `of` asks for of a run over `n` parameters: the options, with the arguments that name more.
-    `function`: what is minimised, and what it is called with; nothing where no Python function is."""
+    `function`: what is minimised; None where no Python function is."""
     asked = dictionary(options)
     _keywords.check_options(asked, of)
     if asked.get("warm_start") is not None:
@@ -54,12 +55,17 @@ def record(
     if checkpoint is not None:
         asked["checkpoint"] = _values.path("checkpoint", checkpoint)
         # A problem with a name is the user's word for what is minimised.
-        if function and asked.get("problem") is None:
-            from . import identity
-
-            text, is_hash = identity.of_code(*function)
-            asked["code"] = {"hash" if is_hash else "unknown": text}
+        if function is not None and asked.get("problem") is None:
+            asked["function"] = function_name(function)
     return asked
+
+
+def function_name(function: Callable[..., Any]) -> str:
+    """The module and the qualified name of a function: of a partial one those of its function, of another object those of its type."""
+    while isinstance(function, functools.partial):
+        function = function.func
+    named: Any = function if hasattr(function, "__qualname__") else type(function)
+    return f"{named.__module__}.{named.__qualname__}"
 
 
 def tell_of_checkpoint(checkpoint: str | os.PathLike[str] | None, resume: str, options: Mapping[str, Any] | None) -> None:

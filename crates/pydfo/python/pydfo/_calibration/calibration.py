@@ -354,8 +354,8 @@ class Calibration(Evaluation):
             evaluations whose failure ends the fit, with its best point.
         checkpoint, resume : optional
             A file for the state of the fit, and whether to continue from it; see `minimize`. A file that belongs to
-            another model, other data, parameters, settings or, where `objective` is a function, of other code is refused, saying what
-            differs. The message of a fit that was continued says so.
+            another model, other data, parameters, settings or, where `objective` is a function, to a function with another name is
+            refused, saying what differs. The message of a fit that was continued says so.
         search : {"local", "global"}
             With method "auto": the minimum next to the start, or the best within the bounds of the parameters, by least squares from
             several starts ("multistart"), which needs two finite bounds for every parameter; the minima found are the
@@ -442,7 +442,7 @@ class Calibration(Evaluation):
                 len(self.names),
                 rng=rng,
                 checkpoint=checkpoint,
-                function=() if cost.function is None else (cost.function,),
+                function=cost.function,
                 workers=count,
                 resume=resume,
                 search=search,

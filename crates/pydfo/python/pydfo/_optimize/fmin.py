@@ -232,7 +232,7 @@ def fmin(
         n,
         rng=rng,
         checkpoint=checkpoint,
-        function=(func,),
+        function=func,
         workers=count,
         max_fevals=max_fevals,
         max_iters=max_iters,

@@ -136,10 +136,9 @@ def minimize(
         A file for the state of the run, written after batches and at the end.
     resume : {"auto", "never", "require"}
         Whether to continue from that file: if it is there, never, or as a must. A finished run gives its stored result; a
-        file of another run is refused and left as it is. The code of `fun` is part of what identifies a run, with its constants and
-        the variables that it refers to; where that cannot be told (it refers to an open model, for example), or has changed on purpose,
-        "require" continues all the same. The option ``problem`` stands for the code where it is given. The message of a run that was
-        continued says so.
+        file of another run is refused and left as it is. The module and the name of `fun` are part of what identifies a run. Whether
+        it still computes the same, you decide: "never" restarts after a change. If the name has changed, "require" continues all the
+        same. The option ``problem`` replaces the name. The message of a run that was continued says so.
     on_error : {"raise", "fail"}
         What an exception in `fun` means: it is raised, or it counts as a failed evaluation. A return value that is no
         number is always raised.
@@ -233,7 +232,7 @@ def run(
             raise ValueError("vectorized=True evaluates whole batches itself; workers must be a number then")
         batches = _evaluate.vectorized(called, of_residuals)
     own = _options.with_plan(options, count) if of_residuals else options
-    start, lower, upper, asked = describe(of, method, x0, bounds, own, function=(fun, extra), workers=count, **arguments)
+    start, lower, upper, asked = describe(of, method, x0, bounds, own, function=fun, workers=count, **arguments)
     result = _core.minimize(
         batches or called,
         start,
