@@ -73,8 +73,6 @@ pub use problem::residual_layout::{OutputResiduals, PriorResidual, ResidualLayou
 pub use problem::settings::SimulationSettings;
 pub use problem::warning::{SETUP_LOG_TARGET, SetupWarning};
 pub use report::{ExperimentCurves, OutputCurves, Signal, plot};
-pub use uncertainty::diagnostics::output_effect::{OutputEffect, OutputEffectKind};
-pub use uncertainty::diagnostics::parameter_constancy::{DataSplit, PartConflict};
 pub use uncertainty::diagnostics::prior_check::PriorConflict;
 pub use uncertainty::diagnostics::residual_check::ResidualCheck;
 pub use uncertainty::differences::ResidualBend;

@@ -362,7 +362,7 @@ def tank(data, **own):
 @pytest.mark.parametrize(
     ("change", "own", "said"),
     [
-        (lambda d: d | {"qt.x1": 1e3 * d["qt.x1"]}, {}, r"'qt.x1'.* the ratio is about .*mm against m"),
+        (lambda d: d | {"qt.x1": 1e3 * d["qt.x1"]}, {}, r"'qt.x1'.* the ratio is about .* as of another unit"),
         (lambda d: d | {"time": 1e3 * d["time"]}, {}, "the times look as if they were in ms"),
         (lambda d: d | {"time": 100 + d["time"]}, {"start_time": 0.0, "hold_inputs": True}, "first row is at 100 s, the simulation starts at 0 s"),
         (lambda d: {k: v for k, v in d.items() if k != "u2"}, {"inputs": ["u1"]}, "input 'u2': nothing drives it"),

@@ -2,66 +2,31 @@
 //! simulation from the start.
 
 use super::experiment_subject::ExperimentSubject;
-use super::signals;
-use super::simulated_outputs::{
-    Outputs, Place, Series, range, rounded, size, size_of_difference, unexplained,
-};
+use super::simulated_outputs::{Outputs, Place, Series, range, rounded, size, size_of_difference};
 use crate::data::{UnitConversion, parts, sampling_interval};
 use crate::findings::finding::Finding;
 use crate::problem::column_units::declared;
 use crate::problem::experiment::InitialState;
 use crate::problem::parameter::Parameter;
 use base::Number;
-use std::f64::consts::PI;
 
 /// Measured and simulated values that differ in size by less than this are left to the parameters.
 const LARGE: f64 = 30.0;
-
-/// Ratios that units explain, and the units; `true`: of an angle.
-const RATIOS: [(f64, &str, bool); 7] = [
-    (180.0 / PI, "deg against rad", true),
-    (100.0, "cm against m, or % against 1", false),
-    (1e3, "mm against m, or kPa against Pa", false),
-    (1e4, "cm2 against m2", false),
-    (1e5, "bar against Pa", false),
-    (1e6, "MPa against Pa, or mm2 against m2", false),
-    (1e9, "GPa against Pa, or mm3 against m3", false),
-];
-
-/// Smaller ratios, which parameters explain as well: only where the simulation, times the ratio, is this part
-/// of the size of the measurements away from them.
-const SMALL_RATIOS: [(f64, &str); 4] = [
-    (3.6, "km/h against m/s"),
-    (60.0 / (2.0 * PI), "rpm against rad/s"),
-    (2.0 * PI, "Hz against rad/s"),
-    (60.0, "1/min against 1/s"),
-];
-const CLOSE: f64 = 0.1;
-
-/// A fit that leaves more than this part of the variance of an output has not taken the doubts away.
-const UNEXPLAINED: f64 = 0.2;
 
 /// 0 degC in K.
 const ZERO_CELSIUS: f64 = 273.15;
 
 /// The findings of all experiments at the start, judged again where there is a result of a fit: what holds an
 /// output or its initial value off may have been fitted. Another unit, or swapped columns, parameters make up
-/// for by values that mean nothing: such doubts stay if the parameters have moved as far as that takes, or
-/// the result has them, too, or leaves much of the measurements unexplained.
+/// for by values that mean nothing: such a doubt stays if the parameters have moved as far as that takes, or
+/// the result has it, too.
 pub(super) fn findings(subjects: &[ExperimentSubject<'_>], outputs: &Outputs<'_>) -> Vec<Finding> {
     let mut findings = Vec::new();
     for (one, last) in outputs.at_start.iter().zip(outputs.last()) {
         let subject = &subjects[one.of.experiment];
-        let stays = |factor: f64| {
-            outputs.may_have_taken(factor)
-                || unit(last, subject).is_some()
-                || unexplained(std::slice::from_ref(last)) > UNEXPLAINED
-        };
-        // Angles within a turn are another finding.
-        let is_wrapped = signals::wrapped(one, subject).is_some();
-        let of_unit = unit(one, subject).filter(|(_, factor)| !is_wrapped && stays(*factor));
+        let stays = |factor: f64| outputs.may_have_taken(factor) || unit(last, subject).is_some();
         // In another unit everything else is off, too.
-        let found = of_unit.map(|(finding, _)| finding);
+        let found = unit(one, subject).filter(|(_, factor)| stays(*factor)).map(|(finding, _)| finding);
         let found = found
             .or_else(|| held(last, subject, outputs.place()))
             .or_else(|| initial(last, subject, outputs.place()));
@@ -92,23 +57,14 @@ fn unit(series: &Series<'_>, subject: &ExperimentSubject<'_>) -> Option<(Finding
         ),
         None => format!("convert it to {stated}"),
     };
-    let remedy = match subject.experiment.driving_columns().next() {
-        Some(_) => format!("{remedy}; or is the column of an input in another unit?"),
-        None => remedy,
-    };
     let finding = |sentence: String, factor: f64| {
         Some((Finding::warning(series.name(subject), sentence, remedy.clone()), factor))
     };
     let off = size_of_difference(measured, simulated.iter().copied());
-    let times = |factor: f64| size_of_difference(measured, simulated.iter().map(|s| factor * s));
-    let is_temperature = unit.is_some_and(|unit| UnitConversion::between("degC", unit).is_ok());
+    let may_be_temperature = unit.is_none_or(|unit| UnitConversion::between("degC", unit).is_ok());
     for zero in [ZERO_CELSIUS, -ZERO_CELSIUS] {
         let left = size_of_difference(measured, simulated.iter().map(|s| s - zero));
-        // Values whose unit the model does not state may as well be some multiple.
-        let is_multiple =
-            || SMALL_RATIOS.iter().any(|(factor, _)| times(*factor).min(times(1.0 / factor)) < left);
-        let may_be = is_temperature || unit.is_none() && !is_multiple();
-        if may_be && left < 0.3 * off && off > 0.5 * ZERO_CELSIUS {
+        if may_be_temperature && left < 0.3 * off && off > 0.5 * ZERO_CELSIUS {
             let sentence = format!(
                 "the measurements are {} off the simulation at the start values, about as degC from K: another unit?",
                 Number(rounded(off))
@@ -125,35 +81,15 @@ fn unit(series: &Series<'_>, subject: &ExperimentSubject<'_>) -> Option<(Finding
         && (ratio.0 / ratio.1).ln().abs() < LARGE.ln() / 2.0
     {
         let middle = (ratio.0 * ratio.1).sqrt();
-        let is_angle = unit.is_some_and(|unit| unit.starts_with("rad") || unit.starts_with("deg"));
-        let near = |(factor, _, only_angles): &&(f64, &str, bool)| {
-            (middle.ln().abs() - factor.ln()).abs() < 2f64.ln()
-                && (!*only_angles || is_angle)
-                && !is_temperature
-        };
-        let hint = RATIOS.iter().find(near).map_or_else(String::new, |(_, units, _)| format!(" ({units})"));
         let numbers = [range_m, range_s].map(|range| Number(rounded(range)));
         let sentence = format!(
-            "the measurements range over {}, the simulation at the start values over {}: the ratio is about {}, as of another unit{hint}, \
+            "the measurements range over {}, the simulation at the start values over {}: the ratio is about {}, as of another unit, \
              or of parameters that start far off",
             numbers[0],
             numbers[1],
             Number(rounded(middle))
         );
         return finding(sentence, middle);
-    }
-    for (factor, units) in SMALL_RATIOS.into_iter().filter(|_| !is_temperature) {
-        for factor in [factor, 1.0 / factor] {
-            let left = times(factor);
-            if left < CLOSE * m && left < CLOSE * off {
-                let sentence = format!(
-                    "the measurements are {} times the simulation at the start values, up to {} of their size: another unit ({units})?",
-                    Number(rounded(factor)),
-                    Number(rounded(left / m))
-                );
-                return finding(sentence, factor);
-            }
-        }
     }
     None
 }

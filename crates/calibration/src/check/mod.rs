@@ -7,11 +7,8 @@ mod input_columns;
 mod model;
 mod options;
 mod parameters;
-mod repeated;
 mod result;
-mod scales;
 mod settings;
-mod signals;
 mod simulated_outputs;
 mod times;
 
@@ -33,12 +30,11 @@ impl Calibration {
     /// start values, and another with half the step where that is fixed, or half the communication step of a
     /// co-simulation.
     ///
-    /// Looked at are the times (order, gaps, unit, start, months taken for days), the recorded values
-    /// (constant, clipped, frozen, missing, placeholders, units, initial values, wrapped angles, columns that
-    /// are swapped, recordings that are there twice), outputs that count unlike in the cost, inputs that
-    /// nothing drives, that end early, or whose column is all zero, frozen, missing for long or in another
-    /// unit, values, ranges and start values that the model states for its parameters, and how accurate the
-    /// simulations are. What cannot be evaluated at all is refused when the calibration is built.
+    /// Looked at are the times (unit, start), the recorded values (constant, placeholders, units, initial
+    /// values, columns that are swapped), inputs that nothing drives, or whose column is all zero, missing
+    /// for long or in another unit, values, ranges and start values that the model states for its
+    /// parameters, and how accurate the simulations are. What cannot be evaluated at all is refused when the
+    /// calibration is built.
     pub fn check(&self) -> Check {
         self.check_with(&CheckOptions::default(), &RunContext::new()).unwrap_or_default()
     }
@@ -59,19 +55,19 @@ impl Calibration {
         let mut findings = model::construction_warnings(self.warnings());
         findings.extend(self.findings_of_description_and_data(&subjects, &self.start()));
         findings.extend(model::unstated_noise(self.problem()));
-        let mut at_start = None;
+        let mut is_start_known = false;
         let simulated = match options.simulate {
-            true => self.findings_of_simulations(&subjects, &mut at_start, &mut findings, &mut evaluations),
+            true => {
+                self.findings_of_simulations(&subjects, &mut is_start_known, &mut findings, &mut evaluations)
+            }
             false => Ok(()),
         };
         match simulated {
             Err(CalibrationError::Cancelled) if !context.is_over() => {
-                findings.push(options.out_of_time(at_start.is_some()))
+                findings.push(options.out_of_time(is_start_known))
             }
             other => other?,
         }
-        let squares = at_start.as_ref().map(|at: &PointResiduals| (at.residuals.as_slice(), Place::Start));
-        findings.extend(scales::finding(self, squares));
         sort(&mut findings);
         Ok(Check { findings, n_evaluations: evaluations.n })
     }
@@ -80,13 +76,13 @@ impl Calibration {
     fn findings_of_simulations(
         &self,
         subjects: &[ExperimentSubject<'_>],
-        at_start: &mut Option<PointResiduals>,
+        is_start_known: &mut bool,
         findings: &mut Vec<Finding>,
         evaluations: &mut Evaluations<'_>,
     ) -> Result<(), CalibrationError> {
         evaluations.n += 1;
         let start = match self.residuals(&self.start(), &evaluations.context) {
-            Ok(residuals) => at_start.insert(PointResiduals { residuals, x: self.start() }),
+            Ok(residuals) => PointResiduals { residuals, x: self.start() },
             Err(CalibrationError::Cancelled) => return Err(CalibrationError::Cancelled),
             Err(error) => {
                 findings.push(Finding::new(
@@ -98,41 +94,25 @@ impl Calibration {
                 return Ok(());
             }
         };
+        *is_start_known = true;
         findings.extend(self.ineffective_start_values(subjects));
-        let outputs = Outputs::new(self, start, None);
-        findings.extend(at_start::findings(subjects, &outputs));
-        findings.extend(signals::findings(subjects, &outputs));
-        findings.extend(settings::large_step(self, start, Place::Start, evaluations)?);
+        findings.extend(at_start::findings(subjects, &Outputs::new(self, &start, None)));
+        findings.extend(settings::large_step(self, &start, Place::Start, evaluations)?);
         Ok(())
     }
 
     /// Findings of a check beyond notes, evaluated again at the result of a fit: a doubt that the fitted
-    /// values have removed is left out. Nothing is simulated. `is_by_weights`: outputs count in the cost by
-    /// their weights.
+    /// values have removed is left out. Nothing is simulated.
     pub(crate) fn check_after_fit(
         &self,
         start: Option<&PointResiduals>,
         end: &PointResiduals,
-        is_by_weights: bool,
     ) -> Vec<Finding> {
         let subjects = self.subjects();
         let mut doubts = self.findings_of_description_and_data(&subjects, &end.x);
         doubts.extend(self.ineffective_start_values(&subjects));
         if let Some(start) = start {
-            let outputs = Outputs::new(self, start, Some(end));
-            doubts.extend(at_start::findings(&subjects, &outputs));
-            let found = signals::findings(&subjects, &outputs);
-            let is_certain = |doubt: &Finding| {
-                let same =
-                    |f: &Finding| f.subject == doubt.subject && f.sentence.starts_with(signals::CLIPPED_AT);
-                doubt.sentence.ends_with(columns::CLIPPED_DOUBT) && found.iter().any(same)
-            };
-            doubts.retain(|doubt| !is_certain(doubt));
-            doubts.extend(found);
-        }
-        if is_by_weights {
-            doubts.extend(scales::finding(self, Some((&end.residuals, Place::Fitted))));
-            doubts.extend(scales::inverse_weights(self, &end.residuals));
+            doubts.extend(at_start::findings(&subjects, &Outputs::new(self, start, Some(end))));
         }
         doubts.retain(|finding| finding.severity != Severity::Note);
         // Notes of the construction say how the data were read.
@@ -199,11 +179,8 @@ impl Calibration {
     ) -> Vec<Finding> {
         let (parameters, description) = (self.parameters(), self.fmu().description());
         let mut findings = parameters::ranges(parameters, description);
-        findings.extend(parameters::nominals(parameters));
         findings.extend(parameters::far_from_own_start(parameters, x, description));
-        findings.extend(settings::loose_tolerance(self));
         findings.extend(settings::many_steps(self));
-        findings.extend(repeated::findings(self, subjects));
         for subject in subjects {
             findings.extend(model::inputs(subject));
             findings.extend(model::units(subject));

@@ -4,11 +4,11 @@
 use super::experiment_subject::ExperimentSubject;
 use super::simulated_outputs::rounded;
 use crate::data::UnitConversion;
-use crate::findings::finding::{Finding, Origin, Severity};
+use crate::findings::finding::{Finding, Severity};
 use crate::problem::column_units::declared;
 use crate::problem::experiment::Experiment;
 use crate::problem::input::InputSource;
-use crate::problem::parameter::{Parameter, Scale};
+use crate::problem::parameter::Parameter;
 use base::Number;
 use fmi::description::Variable;
 use fmi::{ModelDescription, Value};
@@ -16,47 +16,8 @@ use fmi::{ModelDescription, Value};
 /// A value this many times as large or as small as the model's own is in another unit.
 const UNLIKE: f64 = 1e3;
 
-/// A fit that moves a parameter so many times away from its start, and from the model's own value, has made
-/// up for a mistake in the data, most likely: for times or values in another unit.
-const MOVED: f64 = 10.0;
-
-/// Own values of a model that say nothing of the size.
-const PLACEHOLDER: f64 = 1.0;
-
-/// Bounds that end so many times above or below the model's own start value leave it out by a mistake, not by
-/// intent.
-const BOUNDS_UNLIKE: f64 = 50.0;
-
 /// A temperature in K above the first, beside one below the second, is one beside degC.
 const KELVIN: (f64, f64) = (200.0, 150.0);
-
-/// A nominal value this many times as large or as small as the start, or as large as the range, is no size of
-/// the parameter.
-const NO_SIZE: f64 = 1e6;
-
-/// Nominal values that are no size of their parameters: steps in units of them change nothing, or leave the
-/// range.
-pub(super) fn nominals(parameters: &[Parameter]) -> Vec<Finding> {
-    let of = |parameter: &Parameter| {
-        let nominal = parameter.nominal_size()?;
-        let (start, range) = (parameter.start().abs(), parameter.upper() - parameter.lower());
-        let (size, beside) = match range.is_finite() && range > 0.0 && nominal > start {
-            true => (range, format!("its range {}", Number(rounded(range)))),
-            false => (start, format!("its start {}", Number(parameter.start()))),
-        };
-        let is_size = size == 0.0 || factor(nominal, size) < NO_SIZE || parameter.scale_kind() == Scale::Log;
-        (!is_size && parameter.lower() < parameter.upper()).then(|| {
-            let sentence = format!(
-                "nominal {} is {} times {beside}: steps of the search are in units of it",
-                Number(nominal),
-                Number(rounded(nominal / size))
-            );
-            let subject = format!("parameter '{}'", parameter.name());
-            Finding::warning(subject, sentence, "give the size of the parameter, or leave nominal out")
-        })
-    };
-    parameters.iter().filter_map(of).collect()
-}
 
 /// Start value that the model states for a variable, where it indicates its size: finite and not zero.
 fn own_start(variable: &Variable) -> Option<f64> {
@@ -78,8 +39,8 @@ fn conversion(parameter: &Parameter, variable: &Variable, description: &ModelDes
     conversion.unwrap_or(UnitConversion::IDENTITY)
 }
 
-/// Parameters whose values (of the start, or of a result) or bounds are far from the model's own start
-/// values: in another unit, most likely.
+/// Parameters whose start and values (of a result) are far from the model's own start values: in another
+/// unit, most likely.
 pub(super) fn far_from_own_start(
     parameters: &[Parameter],
     values: &[f64],
@@ -89,48 +50,18 @@ pub(super) fn far_from_own_start(
         let first = parameter.variable_names().first().filter(|_| !parameter.is_tied())?;
         let variable = declared(description, first)?;
         let own = conversion(parameter, variable, description).invert(own_start(variable)?);
-        let subject = format!("parameter '{}'", parameter.name());
-        let shown = Number(rounded(own));
-        let remedy = "is its unit that of the model? Parameter(..., unit=...) converts it";
-        let is_far =
-            |limit: f64, value: f64| value != 0.0 && value * own > 0.0 && factor(value, own) >= limit;
-        if is_far(UNLIKE, *value) && is_far(UNLIKE, parameter.start()) {
+        let start = parameter.start();
+        let is_far = |value: f64| value * own > 0.0 && factor(value, own) >= UNLIKE;
+        (is_far(*value) && is_far(start)).then(|| {
             let sentence = format!(
-                "start {} is {} times the model's own value {shown}",
-                Number(parameter.start()),
-                Number(rounded(parameter.start() / own))
+                "start {} is {} times the model's own value {}",
+                Number(start),
+                Number(rounded(start / own)),
+                Number(rounded(own))
             );
-            return Some(Finding::warning(subject, sentence, remedy));
-        }
-        let is_moved = is_far(MOVED, *value) && factor(*value, parameter.start()) >= MOVED;
-        if is_moved && !is_far(MOVED, parameter.start()) && own != PLACEHOLDER {
-            let ratio = value / own;
-            let times = match ratio < 1.0 {
-                true => format!("1/{}", Number(rounded(1.0 / ratio))),
-                false => format!("{} times", Number(rounded(ratio))),
-            };
-            let sentence = format!(
-                "the fit has moved it from {} to {}, {times} the model's own value {shown}",
-                Number(parameter.start()),
-                Number(rounded(*value))
-            );
-            let remedy = "if that cannot be: are the times, inputs and measurements in the units of the model? Times in min for s move \
-                          time constants by 60";
-            // What the recording and the inputs are said of is the cause.
-            return Some(Finding::warning(subject, sentence, remedy).of(Origin::Search));
-        }
-        let (lower, upper) = (parameter.lower(), parameter.upper());
-        if (lower..=upper).contains(&own) || lower == upper {
-            return None;
-        }
-        let nearest = if own < lower { lower } else { upper };
-        let severity = match factor(nearest, own) >= BOUNDS_UNLIKE && nearest != 0.0 {
-            true => Severity::Warning,
-            false => Severity::Note,
-        };
-        let [lower, upper] = [lower, upper].map(Number);
-        let sentence = format!("its bounds {lower} and {upper} leave out the model's own value {shown}");
-        Some(Finding::new(severity, subject, sentence, remedy))
+            let remedy = "is its unit that of the model? Parameter(..., unit=...) converts it";
+            Finding::warning(format!("parameter '{}'", parameter.name()), sentence, remedy)
+        })
     };
     parameters.iter().zip(values).filter_map(of).collect()
 }

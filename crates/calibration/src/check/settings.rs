@@ -1,4 +1,4 @@
-//! Checks of the accuracy of the simulation settings: a loose tolerance, a step that is too large.
+//! Checks of the simulation settings: a step that is too large, or too small.
 
 use super::simulated_outputs::{Evaluations, Place, all_series, rounded, size, size_of_difference};
 use crate::cost::accuracy::Accuracy;
@@ -9,26 +9,8 @@ use crate::loaded::calibration::Calibration;
 use base::Number;
 use dfo::RobustLoss;
 
-/// Simulations with a larger relative tolerance than this are rather a sketch.
-const LOOSE: f64 = 1e-3;
-
 /// Half the step may change an output by this part of what the measurements vary by.
 const STEP_ERROR: f64 = 0.01;
-
-/// A relative tolerance that was given, and is so large that simulations say little.
-pub(super) fn loose_tolerance(calibration: &Calibration) -> Option<Finding> {
-    let given = calibration.problem().settings.run.relative_tolerance?;
-    (given > LOOSE && !calibration.has_fixed_step()).then(|| {
-        Finding::warning("relative tolerance",
-            format!(
-                "relative_tolerance {} lets each step of a simulation err by {} % of its values: costs jump, and the best values shift",
-                Number(given),
-                Number(rounded(100.0 * given))
-            ),
-            "leave it out, or give 1e-6",
-        )
-    })
-}
 
 /// More than a million steps of one length in a simulation.
 pub(super) fn many_steps(calibration: &Calibration) -> Option<Finding> {

@@ -64,17 +64,12 @@ impl<'a> Outputs<'a> {
         if self.fitted.is_some() { Place::Fitted } else { Place::Start }
     }
 
-    /// True without a fit, or if the fit has moved a parameter as far as a factor in the data or in time
-    /// requires: by half of it on a logarithmic scale, or from zero or through it.
+    /// True without a fit, or if the fit has moved a parameter as far as a factor in the data requires: by
+    /// half of it on a logarithmic scale, or from zero or through it.
     pub(super) fn may_have_taken(&self, factor: f64) -> bool {
-        self.has_moved_by(factor.sqrt())
-    }
-
-    /// True without a fit, or if the fit has moved a parameter by a factor, or from zero or through it.
-    pub(super) fn has_moved_by(&self, factor: f64) -> bool {
         let (start, Some(x)) = self.x else { return true };
         let has = |(from, to): (&f64, &f64)| {
-            from != to && (from * to <= 0.0 || (to / from).ln().abs() >= factor.ln().abs())
+            from != to && (from * to <= 0.0 || (to / from).ln().abs() >= 0.5 * factor.ln().abs())
         };
         start.iter().zip(x).any(has)
     }
@@ -130,16 +125,4 @@ fn with_digits(digits: i32, value: f64) -> f64 {
     let ten = 10f64.powi(exponent.abs());
     let rounded = if exponent >= 0 { (value * ten).round() / ten } else { (value / ten).round() * ten };
     if rounded.is_finite() { rounded } else { value }
-}
-
-/// Share of the variance of the measurements that is left in the residuals, averaged over the outputs.
-pub(super) fn unexplained(series: &[Series<'_>]) -> f64 {
-    let of_one = |s: &Series<'_>| {
-        let n = s.of.measured.len() as f64;
-        let mean = s.of.measured.iter().sum::<f64>() / n;
-        let spread = size_of_difference(&s.of.measured, std::iter::repeat(mean)).powi(2);
-        let left = size_of_difference(&s.of.measured, s.simulated.iter().copied()).powi(2);
-        if spread > 0.0 { left / spread } else { 0.0 }
-    };
-    series.iter().map(of_one).sum::<f64>() / series.len() as f64
 }

@@ -20,7 +20,6 @@ use fmi::worker::check_sandbox;
 use fmi::{FmiError, Fmu, Simulator};
 use ode::{Report, Stats};
 use std::sync::OnceLock;
-use std::sync::atomic::AtomicU64;
 
 /// Makes a simulation with a simulator that is lent to it.
 pub(crate) type RunOn<'a> = dyn FnMut(&mut Simulator) -> Result<Report, FmiError> + 'a;
@@ -42,8 +41,6 @@ pub(crate) struct LoadedProblem {
     pub(crate) remote: Result<Remote, Option<String>>,
     /// The error after which no simulation can be made any more.
     pub(crate) over: OnceLock<ReportedError>,
-    /// Time that the longest of the evaluations that were ended had taken, in us.
-    pub(crate) longest_ended: AtomicU64,
 }
 
 impl LoadedProblem {
@@ -110,7 +107,6 @@ impl LoadedProblem {
             warnings,
             tied,
             over: OnceLock::new(),
-            longest_ended: AtomicU64::default(),
         })
     }
 

@@ -32,9 +32,9 @@ pub struct Data {
     /// An hour that is missing in times without a zone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     clock_change: Option<ClockChange>,
-    /// Variance that means over intervals have removed.
+    /// The rows are means over intervals of this length in s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(super) resampling: Option<Resampling>,
+    pub(crate) resampled: Option<f64>,
     /// What said in which rows measurements count: a column, or a value for each row.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     mask: Option<String>,
@@ -81,16 +81,6 @@ pub(super) struct Column {
     /// The first numbers with a comma and with a point.
     pub(super) comma: Option<Cell>,
     pub(super) point: Option<Cell>,
-}
-
-/// Variance that means over intervals have removed.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Resampling {
-    /// In s.
-    pub(crate) interval: f64,
-    /// Columns, and the part of the variance of their signals that is lost: without that of the noise, which
-    /// means are to take away.
-    pub(crate) lost: Vec<(String, f64)>,
 }
 
 /// Values so many usual distances apart are not joined by a line.
@@ -274,7 +264,7 @@ impl Data {
             has_dates: false,
             first_date: None,
             clock_change: None,
-            resampling: None,
+            resampled: None,
             mask: None,
             file_hash: None,
         })
@@ -312,7 +302,7 @@ impl Data {
             to: self.time.last().copied(),
             columns: self.names().collect(),
             mask: self.mask.as_deref(),
-            resample: self.resampling.as_ref().map(|resampling| resampling.interval),
+            resample: self.resampled,
         }
     }
 

@@ -1,37 +1,11 @@
-//! Means over intervals in place of the rows of a recording, and what of its signals they take away.
+//! Means over intervals in place of the rows of a recording.
 
-use super::recording::{Data, Resampling};
+use super::recording::Data;
 use crate::error::CalibrationError;
 use base::Number;
 use std::ops::Range;
 
-/// Of fewer values nothing is said.
-const FEWEST: usize = 10;
-
-/// The part of the variance of a signal that its means have not. The noise is that of the differences from
-/// the mean of both neighbours: `y_i - (y_(i-1) + y_(i+1)) / 2` has 3/2 of its variance.
-fn lost(values: &[f64], means: &[f64]) -> f64 {
-    let known = |values: &[f64]| values.iter().copied().filter(|v| !v.is_nan()).collect::<Vec<f64>>();
-    let (values, means) = (known(values), known(means));
-    let variance = |values: &[f64]| {
-        let mean = values.iter().sum::<f64>() / values.len() as f64;
-        values.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / values.len() as f64
-    };
-    let bends = values.windows(3).map(|w| (w[1] - 0.5 * (w[0] + w[2])).powi(2));
-    let noise = bends.sum::<f64>() / 1.5 / values.len().saturating_sub(2) as f64;
-    let per_mean = values.len() as f64 / means.len().max(1) as f64;
-    let (before, after) = (variance(&values) - noise, variance(&means) - noise / per_mean);
-    // What is nearly all noise has no signal to lose.
-    let has_signal = values.len() >= FEWEST && !means.is_empty() && before > 0.1 * noise && before > 0.0;
-    if has_signal { (1.0 - after.max(0.0) / before).max(0.0) } else { 0.0 }
-}
-
 impl Data {
-    /// Variance that means over intervals have removed, if the rows are such means.
-    pub(crate) fn resampling(&self) -> Option<&Resampling> {
-        self.resampling.as_ref()
-    }
-
     /// Replaces the rows by means over intervals of this length in s, which begin with the first time. Each
     /// mean is placed at the mean of the times of its values, so means keep a slope. Columns with values in
     /// the same rows of an interval share a row; missing values are NaN. `means(k)`: how column `k` is
@@ -98,16 +72,10 @@ impl Data {
             values.resize(time.len(), f64::NAN);
             weights.resize(time.len(), 0.0);
         }
-        let lost = (self.columns.iter().zip(&columns).zip(&reduced))
-            .map(|((column, means), (values, _))| match means.means {
-                Means::Held => (column.name.clone(), 0.0),
-                _ => (column.name.clone(), lost(&column.values, values)),
-            })
-            .collect();
         let is_weighted: Vec<bool> =
             columns.iter().map(|column| matches!(column.means, Means::Weighted(_))).collect();
         let (values, weights): (Vec<_>, Vec<_>) = reduced.into_iter().unzip();
-        self.resampling = Some(Resampling { interval, lost });
+        self.resampled = Some(interval);
         self.time = time.into();
         self.columns.iter_mut().zip(values).for_each(|(column, values)| column.values = values.into());
         let own = |(weights, is_weighted)| if is_weighted { weights } else { Vec::new() };
@@ -250,27 +218,6 @@ mod tests {
             .collect();
         assert_eq!(held, [(0.0, 0.0), (1.0, 1.0), (2.0, 1.0), (3.0, 0.0), (4.0, 0.0), (5.0, 0.0)]);
         assert!(of_means[1].is_empty());
-    }
-
-    #[test]
-    fn means_of_a_period_take_all_of_a_signal_away_and_noise_is_none() {
-        let noise = |k: i32| 2.0 * ((12.9898 * (f64::from(k) + 1.0)).sin() * 43_758.547).fract().abs() - 1.0;
-        let time: Vec<f64> = (0..1000).map(|k| 0.1 * f64::from(k)).collect();
-        let wave = time.iter().map(|t| (std::f64::consts::TAU * t / 5.0).sin()).collect();
-        let slow = (0..1000).map(|k| (0.01 * f64::from(k)).sin() + 0.2 * noise(k)).collect();
-        let alone = (0..1000).map(noise).collect();
-        let columns = [("wave", wave), ("slow", slow), ("noise", alone)].map(|(n, v)| (n.to_owned(), v));
-        let data = Data::from_columns(time, columns).unwrap();
-        let lost = |interval: f64| -> Vec<f64> {
-            let data = plain(data.clone(), interval).unwrap();
-            data.resampling().unwrap().lost.iter().map(|(_, lost)| *lost).collect()
-        };
-        let [wave, slow, noise] = lost(5.0)[..] else { panic!() };
-        // The mean of a wave over an angle of 2 a has sin(a) / a of its height.
-        let of_wave = |a: f64| 1.0 - (a.sin() / a).powi(2);
-        assert!(wave > 0.99 && (slow - of_wave(0.25)).abs() < 0.01 && noise == 0.0, "{wave} {slow} {noise}");
-        assert!((lost(1.0)[0] - of_wave(std::f64::consts::PI / 5.0)).abs() < 0.01, "{:?}", lost(1.0));
-        assert!(lost(0.5)[0] < 0.05);
     }
 
     #[test]

@@ -20,8 +20,6 @@ use fmi::{CancelRequest, FmiError, Fmu, Trajectory};
 use log::Level;
 use ode::{Method, Stats, Termination};
 use std::ops::ControlFlow;
-use std::sync::atomic::Ordering;
-use std::time::Instant;
 
 /// A model, recordings and parameters, checked and ready to be evaluated from any number of threads.
 ///
@@ -381,18 +379,14 @@ impl Calibration {
         answer: &mut Answer,
         stats: &mut Stats,
     ) {
-        let (before, began) = (stats.right_hand_sides, Instant::now());
+        let before = stats.right_hand_sides;
         let ended = || query.cancelled();
         answer.residuals.resize(self.n_residuals(), 0.0);
         let rule = CostRule { loss, cutoff: query.cutoff, context: RunContext::new().asking(&ended) };
         answer.outcome = match self.evaluate_into(x, rule, &mut answer.residuals, stats) {
             Ok(cost) => Outcome::Value(cost),
             Err(CostFailure::Above) => Outcome::Above(query.cutoff),
-            Err(CostFailure::Cancelled) => {
-                let taken = began.elapsed().as_micros().try_into().unwrap_or(u64::MAX);
-                self.evaluator.longest_ended.fetch_max(taken, Ordering::Relaxed);
-                Outcome::cancelled()
-            }
+            Err(CostFailure::Cancelled) => Outcome::cancelled(),
             Err(CostFailure::Over(error)) => {
                 let told = self.evaluator.over.get_or_init(|| error.told());
                 Outcome::Abort(told.message.clone())

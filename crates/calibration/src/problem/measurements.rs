@@ -184,7 +184,7 @@ pub(crate) fn weights_of_rows(
             ));
         }
         // A problem that was stored with means of its weights.
-        Weight::Column(column) if data.resampling().is_some() => {
+        Weight::Column(column) if data.resampled.is_some() => {
             return setup(format!(
                 "the weights of output '{variable}' in column '{column}' are means, which are no weights: resample the recording again, \
                  from its file, with this column"

@@ -24,7 +24,7 @@ struct Page {
     outputs: Vec<Figure>,
     search: Vec<Figure>,
     correlation: Option<Correlation>,
-    residual_checks: Vec<[String; 8]>,
+    residual_checks: Vec<[String; 7]>,
     settings: Vec<Fact>,
     experiments: Vec<Setup>,
     origin: Vec<Fact>,
@@ -223,14 +223,14 @@ fn correlation(fit: &Fit) -> Option<Correlation> {
     })
 }
 
-fn residual_checks(fit: &Fit) -> Vec<[String; 8]> {
+fn residual_checks(fit: &Fit) -> Vec<[String; 7]> {
     let checks = fit.uncertainty.iter().flat_map(|uncertainty| &uncertainty.residual_checks);
     let number = |value: f64| if value.is_nan() { "\u{2013}".to_owned() } else { rounded(value, 3) };
     let row = |check: &crate::uncertainty::diagnostics::residual_check::ResidualCheck| {
-        let numbers = [check.mean, check.deviation, check.autocorrelation, check.runs];
-        let [mean, deviation, lag, runs] = numbers.map(number);
+        let numbers = [check.mean, check.deviation, check.autocorrelation];
+        let [mean, deviation, lag] = numbers.map(number);
         let [n, outliers] = [check.n, check.n_outliers].map(|n| n.to_string());
-        [check.experiment.clone(), check.variable.clone(), n, mean, deviation, lag, runs, outliers]
+        [check.experiment.clone(), check.variable.clone(), n, mean, deviation, lag, outliers]
     };
     checks.map(row).collect()
 }

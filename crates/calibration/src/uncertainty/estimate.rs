@@ -11,15 +11,11 @@ use crate::uncertainty::covariance::joint::JointMatrices;
 use crate::uncertainty::covariance::matrix::Factors;
 use crate::uncertainty::covariance::noise::{Noise, groups};
 use crate::uncertainty::covariance::remaining_decrease::At;
-use crate::uncertainty::diagnostics::output_effect::OutputEffect;
-use crate::uncertainty::diagnostics::parameter_constancy::{FreeParameters, PartConflict, WithNoise};
 use crate::uncertainty::diagnostics::prior_check::PriorConflict;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
-use crate::uncertainty::diagnostics::{by_weights, output_effect};
 use crate::uncertainty::differences::{Center, Differences};
 use crate::uncertainty::group::Group;
 use crate::uncertainty::joint_errors::JointErrors;
-use crate::uncertainty::p_values::OfIndependent;
 use crate::uncertainty::result::{Estimator, Uncertainty, UncertaintyOptions, errors_and_correlation};
 use crate::uncertainty::row_blocks::{along, go_on};
 use crate::uncertainty::scores::{Criterion, Working};
@@ -90,22 +86,6 @@ struct Estimate<'a> {
     starts: &'a [(usize, String)],
     /// Variance of the plain residuals of each output over that of its working residuals.
     plain: &'a [f64],
-}
-
-/// What the residuals of a fit are looked at with.
-#[derive(Clone, Copy)]
-struct OfFit<'a> {
-    /// m x p, by the coordinates of the search.
-    jacobian: &'a DMatrix<f64>,
-    /// Those of the working problem: of these columns, where the cost is a plain sum of squares.
-    factors: &'a Factors,
-    is_linear: bool,
-    /// Changes by one standard deviation of each measured initial state.
-    by_starts: &'a [DVector<f64>],
-    /// Of the residuals, if they are independent.
-    variances: &'a [f64],
-    independent: &'a [OfIndependent],
-    free: &'a [usize],
 }
 
 /// Covariances of all parameters, n x n, in the user's units.
@@ -268,7 +248,6 @@ impl Calibration {
         let factors = &Factors::new(&differences, context)?;
         let starts = self.find_changes_by_starts(starts, x, residuals, simulations)?;
         let noise = &Noise::estimate(layout, residuals, &working, &groups, &starts, &factors.base, context)?;
-        let independent = noise.of_independent(layout, &factors.base, context)?;
         let by_starts = noise.changes_by_starts();
         let estimate = Estimate {
             n: x.len(),
@@ -296,7 +275,6 @@ impl Calibration {
             correlation,
             uncorrected_covariance: covariances.uncorrected,
             autocorrelations: covariances.autocorrelations,
-            chance_of_autocorrelation: noise.chance,
             effective_degrees_of_freedom: covariances.degrees_of_freedom,
             covariance: covariances.covariance,
             joint: covariances.joint,
@@ -316,7 +294,7 @@ impl Calibration {
             prior_conflicts,
             has_loss: !is_linear && known.criterion != Criterion::Likelihood,
             jacobian: of_all(&jacobian, x.len(), &free, &per_unit, context)?,
-            residual_checks: self.residual_checks(residuals, &independent, &by_starts, context)?,
+            residual_checks: self.residual_checks(residuals, &by_starts, context)?,
             residuals: at_center.residuals.clone(),
             ..self.nothing_known(x, estimator)
         };
@@ -324,16 +302,6 @@ impl Calibration {
             uncertainty.note_shift(&free, &steps);
         }
         uncertainty.find_combinations(&jacobian, &differences, noise, &free, &sizes, context)?;
-        let of_fit = OfFit {
-            jacobian: &jacobian,
-            factors,
-            is_linear,
-            by_starts: &by_starts,
-            variances: &noise.variances,
-            independent: &independent,
-            free: &free,
-        };
-        self.explain_residuals(&mut uncertainty, &of_fit, simulations)?;
         uncertainty.n_simulations = simulations.n - before;
         uncertainty.findings = uncertainty.all_findings(known.f_tol);
         Ok((uncertainty, covariances.curvature))
@@ -359,12 +327,11 @@ impl Calibration {
     fn residual_checks(
         &self,
         residuals: &[f64],
-        independent: &[OfIndependent],
         by_starts: &[DVector<f64>],
         context: &RunContext<'_>,
     ) -> Result<Vec<ResidualCheck>, CalibrationError> {
         let (layout, names) = (self.residual_layout(), self.problem().experiment_names());
-        let mut checks = ResidualCheck::all(layout, &names, residuals, Some(independent), context)?;
+        let mut checks = ResidualCheck::all(layout, &names, residuals, context)?;
         for (check, output) in checks.iter_mut().zip(&layout.outputs) {
             let mean = |change: &DVector<f64>| change.rows_range(output.range.clone()).mean();
             check.mean_by_starts = by_starts.iter().map(mean).fold(0.0, f64::hypot);
@@ -413,44 +380,6 @@ impl Calibration {
             None => self.relative_tolerance() * self.residual_layout().size_of_measurements(),
         };
         Ok(CenterResiduals { residuals, accurate, simulation_error })
-    }
-
-    /// Finds causes of residuals that are no noise: weights, and terms that the model lacks, or parts of the
-    /// measurements that ask for other values, the latter where the cost is a plain sum of squares.
-    fn explain_residuals(
-        &self,
-        uncertainty: &mut Uncertainty,
-        of_fit: &OfFit<'_>,
-        simulations: &mut Simulations<'_>,
-    ) -> Result<(), CalibrationError> {
-        let (layout, context) = (self.residual_layout(), &simulations.context.clone());
-        let OfFit { jacobian, factors, by_starts, variances, independent, free, .. } = *of_fit;
-        let Factors { base, inverse, .. } = factors;
-        // What is no minimum has residuals that other values of the parameters leave none of, whatever the weights.
-        let is_minimum = uncertainty.left_to_gain == 0.0;
-        if is_minimum {
-            let (checks, n) = (&mut uncertainty.residual_checks, layout.n_measurements());
-            by_weights::mark(checks, &uncertainty.residuals, n, jacobian, independent, context)?;
-        }
-        if !of_fit.is_linear || uncertainty.is_exact {
-            return Ok(());
-        }
-        let (residuals, before) = (&uncertainty.residuals, output_effect::left(&uncertainty.residuals, base));
-        for (check, output) in uncertainty.residual_checks.iter_mut().zip(&layout.outputs) {
-            if check.is_systematic() && !check.is_by_weights {
-                check.unmodelled = OutputEffect::find(output, residuals, &before, base, context)?;
-            }
-        }
-        if is_minimum && !uncertainty.residual_checks.iter().any(ResidualCheck::is_systematic) {
-            let Uncertainty { residuals, autocorrelations, x, is_log, .. } = &*uncertainty;
-            let with_noise = WithNoise { values: residuals, variances, autocorrelations };
-            let parameters = FreeParameters { free, x, is_log, inverse: inverse.clone() };
-            let checks = &uncertainty.residual_checks;
-            let found =
-                PartConflict::find(layout, checks, &with_noise, base, by_starts, parameters, context)?;
-            uncertainty.part_conflict = found;
-        }
-        Ok(())
     }
 
     /// The value of a parameter; of one whose bounds have zero between them, its size where that is larger.

@@ -3,7 +3,6 @@
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, table};
 use crate::findings::shown_text::{digits, visible_line};
-use crate::uncertainty::diagnostics::parameter_constancy::PartConflict;
 use crate::uncertainty::diagnostics::prior_check::PriorConflict;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
 use crate::uncertainty::differences::ResidualBend;
@@ -122,9 +121,6 @@ pub struct Uncertainty {
     /// each experiment, `s^2 rho^|i - j|`, in the order of the residual vector: that of the residuals, but
     /// for the part that the fit has taken from it; zero where it is no more than chance.
     pub autocorrelations: Vec<f64>,
-    /// The chance of autocorrelations as large where the residuals are independent; 1 where none is supposed.
-    #[serde(default = "certain")]
-    pub chance_of_autocorrelation: f64,
     /// Degrees of freedom of the quantile of Student's t for each parameter: twice the square of its variance
     /// over the variance of that estimate (Satterthwaite, Biometrics Bulletin 2, 1946). With one variance for
     /// all residuals these are the [`degrees_of_freedom`](Self::degrees_of_freedom). They are fewer where the
@@ -190,9 +186,6 @@ pub struct Uncertainty {
     /// Priors that the measurements contradict.
     #[serde(default)]
     pub prior_conflicts: Vec<PriorConflict>,
-    /// Parts of the measurements that ask for different values.
-    #[serde(default)]
-    pub part_conflict: Option<PartConflict>,
     /// The cost has a robust loss.
     #[serde(default)]
     pub has_loss: bool,
@@ -209,10 +202,6 @@ pub struct Uncertainty {
     pub(crate) uncorrected_joint: Option<JointErrors>,
     /// Points that were simulated to find out.
     pub n_simulations: usize,
-}
-
-fn certain() -> f64 {
-    1.0
 }
 
 impl Uncertainty {

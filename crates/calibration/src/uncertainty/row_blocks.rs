@@ -1,15 +1,13 @@
-//! Matrices of many rows, one block of rows after the other: between two blocks the context is looked at.
+//! Matrices of many rows. The context is looked at before each operation, and between the blocks of rows of
+//! the longest one, the factorisation.
 
 use crate::error::CalibrationError;
 use base::RunContext;
-use nalgebra::{DMatrix, DMatrixView, DMatrixViewMut, DVector};
+use nalgebra::{DMatrix, DMatrixView, DVector};
 use std::ops::Range;
 
 /// Operations on a block: some 10 ms.
 const OPERATIONS: usize = 1 << 24;
-
-/// Memory that is touched for the first time takes as long as so many operations on each number.
-const TOUCHED: usize = 16;
 
 /// Thin singular value decomposition of a matrix.
 pub(crate) struct ThinSvd {
@@ -19,22 +17,6 @@ pub(crate) struct ThinSvd {
     pub(crate) values: Vec<f64>,
     /// p x p.
     pub(crate) v_t: DMatrix<f64>,
-}
-
-/// Does the work on each block of these rows, with so many operations on each row.
-fn by_blocks(
-    rows: Range<usize>,
-    per_row: usize,
-    fewest: usize,
-    context: &RunContext<'_>,
-    mut work: impl FnMut(Range<usize>),
-) -> Result<(), CalibrationError> {
-    let at_once = (OPERATIONS / per_row.max(1)).max(fewest).max(1);
-    for from in rows.clone().step_by(at_once) {
-        go_on(context)?;
-        work(from..rows.end.min(from + at_once));
-    }
-    Ok(())
 }
 
 /// To be asked between two pieces of work that take some 10 ms.
@@ -54,31 +36,18 @@ pub(crate) fn triangle(
 ) -> Result<DMatrix<f64>, CalibrationError> {
     let p = matrix.ncols();
     let mut above: DMatrix<f64> = DMatrix::zeros(0, p);
+    let at_once = (OPERATIONS / (2 * p * p).max(1)).max(p).max(1);
     for range in rows {
-        by_blocks(range.clone(), 2 * p * p, p, context, |block| {
-            let (known, n) = (above.nrows(), block.len());
+        for from in range.clone().step_by(at_once) {
+            go_on(context)?;
+            let (known, n) = (above.nrows(), range.end.min(from + at_once) - from);
             let mut stacked =
                 std::mem::replace(&mut above, DMatrix::zeros(0, 0)).resize_vertically(known + n, 0.0);
-            stacked.rows_mut(known, n).copy_from(&matrix.rows(block.start, n));
+            stacked.rows_mut(known, n).copy_from(&matrix.rows(from, n));
             above = if known + n > p { stacked.qr().r() } else { stacked };
-        })?;
+        }
     }
     Ok(above)
-}
-
-/// A matrix that is filled by blocks of rows, with so many operations on each row: its memory, too, is
-/// touched block by block.
-pub(crate) fn filled(
-    m: usize,
-    p: usize,
-    per_row: usize,
-    context: &RunContext<'_>,
-    mut fill: impl FnMut(DMatrixViewMut<'_, f64>, Range<usize>),
-) -> Result<DMatrix<f64>, CalibrationError> {
-    // The allocator's zeros; those of `DMatrix::zeros` are written.
-    let mut matrix = DMatrix::from_vec(m, p, vec![0.0; m * p]);
-    by_blocks(0..m, per_row, 1, context, |block| fill(matrix.rows_range_mut(block.clone()), block))?;
-    Ok(matrix)
 }
 
 /// The product of a matrix and a small one.
@@ -87,9 +56,8 @@ pub(crate) fn product(
     by: &DMatrix<f64>,
     context: &RunContext<'_>,
 ) -> Result<DMatrix<f64>, CalibrationError> {
-    filled(matrix.nrows(), by.ncols(), 2 * by.len(), context, |mut rows, block| {
-        rows.gemm(1.0, &matrix.rows_range(block), by, 0.0);
-    })
+    go_on(context)?;
+    Ok(matrix * by)
 }
 
 /// The rows, each times its factor.
@@ -98,13 +66,12 @@ pub(crate) fn scaled(
     factors: &[f64],
     context: &RunContext<'_>,
 ) -> Result<DMatrix<f64>, CalibrationError> {
-    filled(matrix.nrows(), matrix.ncols(), TOUCHED * matrix.ncols(), context, |mut rows, block| {
-        rows.copy_from(&matrix.rows_range(block.clone()));
-        let factors = &factors[block];
-        rows.column_iter_mut().for_each(|mut column| {
-            column.iter_mut().zip(factors).for_each(|(entry, factor)| *entry *= factor)
-        });
-    })
+    go_on(context)?;
+    let mut rows = matrix.clone();
+    for mut column in rows.column_iter_mut() {
+        column.iter_mut().zip(factors).for_each(|(entry, factor)| *entry *= factor);
+    }
+    Ok(rows)
 }
 
 /// The products `a'b` of the columns of two matrices.
@@ -113,12 +80,8 @@ pub(crate) fn inner_products(
     b: DMatrixView<'_, f64>,
     context: &RunContext<'_>,
 ) -> Result<DMatrix<f64>, CalibrationError> {
-    let mut sum = DMatrix::zeros(a.ncols(), b.ncols());
-    by_blocks(0..a.nrows(), 2 * sum.len(), 1, context, |block| {
-        let (from, n) = (block.start, block.len());
-        sum.gemm_tr(1.0, &a.rows(from, n), &b.rows(from, n), 1.0);
-    })?;
-    Ok(sum)
+    go_on(context)?;
+    Ok(a.tr_mul(&b))
 }
 
 /// The products `a' W a` of the columns of a matrix, W diagonal.
@@ -127,15 +90,7 @@ pub(crate) fn weighted_products(
     weights: &[f64],
     context: &RunContext<'_>,
 ) -> Result<DMatrix<f64>, CalibrationError> {
-    let mut sum = DMatrix::zeros(a.ncols(), a.ncols());
-    by_blocks(0..a.nrows(), 4 * sum.len(), 1, context, |block| {
-        let mut weighted = a.rows_range(block.clone()).into_owned();
-        for mut column in weighted.column_iter_mut() {
-            column.iter_mut().zip(&weights[block.clone()]).for_each(|(entry, weight)| *entry *= weight);
-        }
-        sum.gemm_tr(1.0, &a.rows_range(block), &weighted, 1.0);
-    })?;
-    Ok(sum)
+    Ok(a.tr_mul(&scaled(a, weights, context)?))
 }
 
 /// The products of the columns of a matrix with a vector.
@@ -144,8 +99,8 @@ pub(crate) fn along(
     vector: &[f64],
     context: &RunContext<'_>,
 ) -> Result<DVector<f64>, CalibrationError> {
-    let vector = DMatrixView::from_slice(vector, vector.len(), 1);
-    Ok(inner_products(matrix.as_view(), vector, context)?.column(0).into_owned())
+    go_on(context)?;
+    Ok(matrix.tr_mul(&DVector::from_column_slice(vector)))
 }
 
 /// The decomposition by that of the triangle; `None`: it does not converge, or there are no columns.

@@ -46,9 +46,6 @@ pub(crate) struct StuckParameters {
     pub(crate) at_bound: Vec<(usize, BoundSide)>,
     /// Parameters that did not change the cost, by number.
     pub(crate) without_effect: Vec<usize>,
-    /// Those at a bound that the data hardly determine: a move by half their size changes the cost by less
-    /// than the noise.
-    pub(crate) loose: Vec<usize>,
     /// Simulations that were made to find out.
     pub(crate) n_checks: usize,
     /// What the budget did not allow.
@@ -63,10 +60,6 @@ const NEAR: f64 = 1e-3;
 
 /// A parameter is moved by this share of its size to see whether it changes the cost.
 const MOVE: f64 = 0.1;
-
-/// One at its bound that may move by this share of its size, and cost no more than the noise, is hardly
-/// determined.
-const HALF: f64 = 0.5;
 
 /// A parameter that may be at its bound, by number.
 struct Candidate {
@@ -121,7 +114,7 @@ impl Calibration {
         if !report.termination.cause().allows_evaluations() {
             return found;
         }
-        let (mut at_bound, mut without_effect, mut loose) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut at_bound, mut without_effect) = (Vec::new(), Vec::new());
         let mut n_checks = 0;
         let mut residuals = vec![0.0; self.n_residuals()];
         let mut is_allowed = || budget.allows(Extra::StuckParameter, 1.0);
@@ -160,22 +153,8 @@ impl Calibration {
                 without_effect.extend(is_seen.then_some(index));
                 continue;
             }
-            match cost_with(index, self.moved(&self.parameters()[index], report.x[index], MOVE)) {
+            match cost_with(index, self.moved(&self.parameters()[index], report.x[index])) {
                 Ok(cost) if self.is_equal_cost(kind, report.fun, cost) => without_effect.push(index),
-                Err(CostFailure::Cancelled) => break,
-                _ => {}
-            }
-        }
-        // Of a sum of squares a standard error takes the mean square of the residuals.
-        let n_free = self.parameters().iter().filter(|p| p.lower() < p.upper()).count();
-        let degrees = self.n_residuals().saturating_sub(n_free);
-        let is_told = kind.is_sum_of_squares() && degrees > 0 && !is_spent;
-        for (index, _) in at_bound.iter().filter(|(index, _)| is_told && !without_effect.contains(index)) {
-            if !is_allowed() {
-                break;
-            }
-            match cost_with(*index, self.moved(&self.parameters()[*index], report.x[*index], HALF)) {
-                Ok(cost) if cost - report.fun < report.fun / degrees as f64 => loose.push(*index),
                 Err(CostFailure::Cancelled) => break,
                 _ => {}
             }
@@ -184,7 +163,7 @@ impl Calibration {
             return StuckParameters { n_checks, ..found };
         }
         let skipped = budget.skipped().to_vec();
-        StuckParameters { at_bound, without_effect, loose, n_checks, skipped }
+        StuckParameters { at_bound, without_effect, n_checks, skipped }
     }
 
     /// Parameters that ended near a bound.
@@ -248,10 +227,10 @@ impl Calibration {
     }
 
     /// A value of a parameter a part of its size from `x`, towards the bound that is farther.
-    fn moved(&self, parameter: &Parameter, x: f64, part: f64) -> f64 {
+    fn moved(&self, parameter: &Parameter, x: f64) -> f64 {
         let (lower, upper) = (inner(parameter, parameter.lower()), inner(parameter, parameter.upper()));
         let from = inner(parameter, x);
-        let mut by = part * self.size_of(parameter, x);
+        let mut by = MOVE * self.size_of(parameter, x);
         if parameter.value_kind() != ParameterKind::Continuous {
             by = by.round().max(1.0);
         }

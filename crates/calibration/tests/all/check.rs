@@ -4,7 +4,7 @@
 
 use calibration::RunContext;
 use calibration::{
-    Calibration, CalibrationBuilder, Check, CheckOptions, Data, Experiment, Finding, FitOptions, Parameter,
+    Calibration, CalibrationBuilder, Check, CheckOptions, Data, Experiment, FitOptions, Parameter,
     PreflightOptions, Severity,
 };
 use example_models::example_fmu;
@@ -113,7 +113,6 @@ fn mistakes_are_named() {
     for (builder, expected) in [
         (scaled("x1", 1e3, 0.0), "output 'qt.x1' (column 'x1'): the measurements range over"),
         (scaled("x1", 1e3, 0.0), "the ratio is about"),
-        (scaled("x2", 1e2, 0.0), "(cm against m"),
         (scaled("x2", 1e-3, 0.0), "state the unit in the name of the column, as in 'x2 [mm]'"),
         (
             times(1e3, 0.0, with_u2),
@@ -128,10 +127,6 @@ fn mistakes_are_named() {
         (unused, "column 'u2' is not used, but the model has an input 'u2'"),
         (changed("x1", &|_, _| 0.06), "all 61 measurements are 0.06"),
         (changed("x1", &|_, v| v + 0.04), "the first measurement is 0.1"),
-        (
-            changed("x1", &|k, v| if k % 30 > 15 { 0.08 } else { v }),
-            "exactly 0.08, its largest value: clipped?",
-        ),
         (changed("u1", &|k, v| if k > 40 { f64::NAN } else { v }), "input 'u1' is recorded from 0 s to 40 s"),
         (
             scaled("x1", 1.0, 0.0).parameter(Parameter::new("qt.A1", -1.0)),
@@ -248,7 +243,7 @@ fn a_simulation_that_fails_is_a_finding() {
 }
 
 /// A decay with k = 20 and x(0) = 0.9, its value and its derivative measured with these errors; k and x(0) from 15 and 0.5.
-fn fast_decay(errors: [f64; 2], weights: [f64; 2]) -> Calibration {
+fn fast_decay(errors: [f64; 2]) -> Calibration {
     let t: Vec<f64> = (0..61).map(|k| f64::from(k) / 200.0).collect();
     let x = |t: f64| 0.9 * (-20.0 * t).exp();
     let measured = |of: &dyn Fn(f64) -> f64, from: usize, error: f64| {
@@ -259,46 +254,14 @@ fn fast_decay(errors: [f64; 2], weights: [f64; 2]) -> Calibration {
         ("slope".to_owned(), measured(&|t| -20.0 * x(t), 100, errors[1])),
     ];
     let experiment = Experiment::new(Data::from_columns(t, columns).unwrap())
-        .weighted_output("x", "value", weights[0])
-        .weighted_output("der(x)", "slope", weights[1])
+        .output("x", "value")
+        .output("der(x)", "slope")
         .initial_state("x", Parameter::new("x0", 0.5).bounds(0.0, 2.0));
     Calibration::builder(open("dahlquist"))
         .experiment(experiment)
         .parameter(Parameter::new("k", 15.0).bounds(1.0, 100.0))
         .build()
         .unwrap()
-}
-
-fn of_scales(findings: &[Finding]) -> Vec<&Finding> {
-    findings
-        .iter()
-        .filter(|f| f.remedy.contains("weights=\"sd\"") && f.subject.starts_with("outputs"))
-        .collect()
-}
-
-#[test]
-fn outputs_of_unlike_scale_are_named_before_the_fit_and_after_it_where_their_noise_is_unlike() {
-    for (errors, is_unlike) in [([1e-3, 0.4], true), ([0.02, 0.02], false)] {
-        let calibration = fast_decay(errors, [1.0; 2]);
-        let check = calibration.check();
-        let [before] = of_scales(&check.findings)[..] else { panic!("{check}") };
-        assert_eq!(before.severity, Severity::Warning);
-        assert!(
-            before.subject == "outputs 'x' and 'der(x)'" && before.sentence.contains("at the start values")
-        );
-        // Without a simulation as well.
-        let unsimulated = calibration.check_with(&NO_SIMULATION, &RunContext::new()).unwrap();
-        assert_eq!(of_scales(&unsimulated.findings).len(), 1, "{unsimulated}");
-        let fit = calibration.fit(FitOptions::default()).unwrap();
-        assert_eq!(of_scales(&fit.findings()).len(), usize::from(is_unlike), "{fit}");
-        // The model is right, and nothing else is said of it.
-        assert!(!fit.to_string().contains("leaves out"), "{fit}");
-        let checks = &fit.uncertainty.as_ref().unwrap().residual_checks;
-        assert_eq!((checks[0].is_by_weights, checks[1].is_by_weights), (is_unlike, false), "{fit}");
-    }
-    // Whoever gives weights has chosen.
-    let weighted = fast_decay([1e-3, 0.4], [1e3, 2.5]);
-    assert!(of_scales(&weighted.check().findings).is_empty(), "{}", weighted.check());
 }
 
 /// The start value of a state that is fitted is no mistake; one that is given is.
@@ -321,7 +284,7 @@ fn the_start_of_a_fitted_state_is_not_compared_with_the_first_measurement() {
 
 #[test]
 fn what_a_check_says_of_the_start_is_judged_again_after_the_fit() {
-    let calibration = fast_decay([0.02, 0.02], [1.0; 2]);
+    let calibration = fast_decay([0.02, 0.02]);
     let said = "the simulation starts at -7.5";
     assert!(calibration.check().to_string().contains(said), "{}", calibration.check());
     let fit = calibration.fit(FitOptions::default()).unwrap();
@@ -408,11 +371,9 @@ fn mistakes_in_columns_of_inputs_are_named() {
     };
     let sine = |t: f64| 5.0 + (0.65 * t).sin();
     let near = |t: f64, other: f64| (t - other).abs() < 0.01;
-    let mistakes: [(&dyn Fn(f64) -> f64, &str); 5] = [
+    let mistakes: [(&dyn Fn(f64) -> f64, &str); 3] = [
         (&|_| 0.0, "input 'u1' (column 'u1'): all 601 values are 0"),
-        (&|t| if near(t, 20.0) { 1e4 } else { sine(t) }, "it is 10000 in one row, at 20 s"),
         (&|t| if near(t, 20.0) || near(t, 30.0) { -999.0 } else { sine(t) }, "2 values are -999"),
-        (&|t| if t > 10.0 && t < 30.0 { sine(10.0) } else { sine(t) }, "and moves else: frozen?"),
         (&|t| if t > 10.0 && t < 15.0 { f64::NAN } else { sine(t) }, "it has no value from 10 s to 15 s"),
     ];
     for (u1, expected) in mistakes {

@@ -7,7 +7,6 @@ use super::result::Fit;
 use super::search::{Job, SearchResult};
 use crate::cost::residual::{CostRule, PointResiduals, sum_of_squares};
 use crate::findings::finding::{Finding, Origin};
-use crate::findings::shown_text::digits;
 use crate::fit::output_fit::{EndResiduals, KeptResiduals};
 use crate::fit::phase::FitPhase;
 use crate::loaded::budget::{Budget, Extra};
@@ -20,16 +19,9 @@ use crate::uncertainty::covariance::identifiability::SEARCH;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
 use crate::uncertainty::estimate::KnownPoint;
 use crate::uncertainty::result::{Uncertainty, UncertaintyOptions};
-use base::{Number, RunContext};
-use dfo::{Cause, Report, RobustLoss, Termination, ToleranceMeasure, Tolerances};
+use base::RunContext;
+use dfo::{Cause, RobustLoss, Termination, ToleranceMeasure};
 use ode::Stats;
-use std::sync::atomic::Ordering;
-
-/// With a relative tolerance of this size or more a search ends anywhere.
-const LOOSE: f64 = 0.1;
-
-/// A simulation that has run so many times as long as all others may have no end.
-const ENDLESS: f64 = 10.0;
 
 /// Simulations with so many right-hand sides together are made one after the other: they take about as long
 /// as to start a process and threads, 1 to 2 ms (`benches/whole_fits.md`).
@@ -154,26 +146,13 @@ impl Calibration {
         budget: &mut Budget,
         stats: &mut Stats,
     ) -> Vec<Finding> {
-        let SearchResult { report, tolerances, raised, stuck, .. } = &made.searched;
+        let SearchResult { report, raised, .. } = &made.searched;
         let mut found = raised.clone();
-        found.extend(stuck.loose.iter().map(|index| {
-            let name = self.parameters()[*index].name();
-            let sentence = format!(
-                "the data hardly determine {name}: moved off its bound by half its size it changes the cost by less than the noise"
-            );
-            Finding::warning(name, sentence, "fix it, or record what it acts on").of(Origin::Search)
-        }));
-        found.extend(self.endless(report));
         found.extend(self.unstated_noise(job, made.noise.as_ref()));
-        found.extend(self.loose(tolerances, &report.x));
         if job.is_checked() {
             match &ends.end {
                 Some(end) if report.termination.cause().allows_evaluations() => {
-                    found.extend(self.check_after_fit(
-                        ends.start.as_ref(),
-                        end,
-                        !job.objective.is_likelihood(),
-                    ));
+                    found.extend(self.check_after_fit(ends.start.as_ref(), end));
                     if self.is_co_simulation() && budget.allows(Extra::Accuracy, self.price_of_accurate()) {
                         found.extend(self.large_step_after_fit(end, &job.context, stats));
                     }
@@ -198,47 +177,25 @@ impl Calibration {
         once
     }
 
-    /// A search whose time was up while a simulation had been running for long.
-    fn endless(&self, report: &Report) -> Option<Finding> {
-        let ended = self.evaluator().longest_ended.swap(0, Ordering::Relaxed) as f64 * 1e-6;
-        let finished = report.trace.iter().filter(|entry| entry.outcome.value().is_some());
-        let most = finished.fold(0.0, |most: f64, entry| most.max(entry.seconds));
-        let is_endless = *report.termination.ended() == Termination::MaxTime
-            && self.problem().settings.run.timeout.is_none()
-            && ended > ENDLESS * most;
-        is_endless.then(|| {
-            let (ended, most) = (digits(ended), digits(most));
-            let others = match report.trace.iter().next() {
-                Some(_) => format!(", all others took at most {most} s"),
-                None => String::new(),
-            };
-            let sentence = format!(
-                "a simulation had run for {ended} s when the time was up{others}: it may have no end"
-            );
-            Finding::warning("max_time", sentence, "timeout ends a single simulation").of(Origin::Search)
-        })
-    }
-
-    /// Residuals that contradict the noise that the weights state: that priors are weighed with, and that a
-    /// sum of squares is compared with where it has come to its end.
+    /// Residuals that contradict the noise that the weights state: that priors are weighed with, or of a sum
+    /// of squares that has come to its end.
     fn contradictions_of_stated_noise(
         &self,
         job: &Job<'_>,
         made: &FinalSearch,
         residuals: &[f64],
     ) -> Vec<Finding> {
-        if made.noise == Some(FitNoise::Stated) {
-            return noise::contradictions_of_stated(self, residuals);
-        }
+        let has_priors = made.noise == Some(FitNoise::Stated);
         let is_compared = job.objective.is_sum_of_squares()
             && job.loss.is_linear()
             && made.noise.is_none()
             && job.is_whole
             && made.searched.report.termination.cause() == Cause::Search
             && !self.is_within_tolerance(sum_of_squares(residuals));
-        let is_free = |(i, p): (usize, &Parameter)| p.lower() < p.upper() && !job.held.contains(&i);
-        let n_free = self.parameters().iter().enumerate().filter(|(i, p)| is_free((*i, p))).count();
-        if is_compared { noise::unlike_stated(self, residuals, n_free) } else { Vec::new() }
+        match has_priors || is_compared {
+            true => noise::contradictions_of_stated(self, residuals, has_priors),
+            false => Vec::new(),
+        }
     }
 
     /// Findings where there is no uncertainty: why, if it was requested, and those that need none.
@@ -265,44 +222,13 @@ impl Calibration {
         let at_end = ends.end.as_ref().filter(|_| job.is_whole && is_at_end);
         if let Some(end) = at_end.filter(|end| !self.is_within_tolerance(sum_of_squares(&end.residuals))) {
             let names = self.problem().experiment_names();
-            let checks =
-                ResidualCheck::all(self.residual_layout(), &names, &end.residuals, None, &job.context);
+            let checks = ResidualCheck::all(self.residual_layout(), &names, &end.residuals, &job.context);
             // A search whose time is up has no findings.
             let checks = checks.unwrap_or_default();
             let has_loss = !job.loss.is_linear() || matches!(job.objective, CostKind::Named(NamedCost::Mae));
             found.extend(ResidualCheck::all_findings(&checks, has_loss, false));
         }
         found
-    }
-
-    /// Tolerances of the search that mean nothing. An absolute `f_tol` may be above the cost, which is 0
-    /// where there is no noise.
-    fn loose(&self, tolerances: &Tolerances, x: &[f64]) -> Option<Finding> {
-        let Tolerances { x_tol, f_tol, measure, .. } = *tolerances;
-        let said: Vec<String> = match measure {
-            ToleranceMeasure::Relative => {
-                let given =
-                    [("x_tol", x_tol, "of the size of each parameter"), ("f_tol", f_tol, "of the cost")];
-                let loose = given.into_iter().filter(|(_, tolerance, _)| *tolerance >= LOOSE);
-                loose
-                    .map(|(name, tolerance, of)| format!("{name} {} is a part {of}", Number(tolerance)))
-                    .collect()
-            }
-            ToleranceMeasure::Absolute => {
-                let free = self.parameters().iter().zip(x).filter(|(p, _)| p.lower() < p.upper());
-                let sizes = free.map(|(p, x)| (p.name(), self.size_of(p, *x)));
-                let loose = sizes.filter(|(_, size)| x_tol >= LOOSE * size);
-                let said = |(name, size)| {
-                    format!("x_tol {} is absolute, {name} has the size {}", Number(x_tol), digits(size))
-                };
-                loose.map(said).collect()
-            }
-        };
-        (!said.is_empty()).then(|| {
-            let sentence = format!("{}: the search may end far from the minimum", said.join(", "));
-            Finding::warning("tolerances", sentence, "leave them out, or give 1e-4, relative")
-                .of(Origin::Search)
-        })
     }
 
     /// The root of the mean squared residual of the measurements by the weights of this calibration, as they

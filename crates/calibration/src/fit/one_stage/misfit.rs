@@ -136,7 +136,7 @@ pub(super) fn findings(calibration: &Calibration, residuals: &[f64]) -> Vec<Find
             }
         );
         let subject = format!("{prefix}output '{}' (column '{}')", output.variable, output.column);
-        let remedy = "is it the right column, in the right unit, with the initial state of this recording? If so, other start values, or \
+        let remedy = "is it the right column, in the right unit and with the right sign, and the initial state that of this recording? If so, other start values, or \
                       search=\"global\", may lead to a better minimum";
         Some(Finding::new(severity, subject, sentence, remedy).of(Origin::Residuals))
     };

@@ -10,8 +10,7 @@ use crate::loaded::calibration::Calibration;
 use crate::problem::definition::Problem;
 use crate::problem::experiment::Weight;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
-use crate::uncertainty::diagnostics::residual_check::autocorrelation;
-use crate::uncertainty::p_values::{MEDIAN_DEVIATION, median};
+use crate::uncertainty::robust::{MEDIAN_DEVIATION, median};
 use crate::uncertainty::row_blocks::{ThinSvd, thin_svd};
 use base::RunContext;
 use nalgebra::DMatrix;
@@ -268,133 +267,50 @@ impl EstimatedNoise {
 /// Residuals this many times as large or as small as the stated noise contradict it, of so many or more.
 const CONTRADICTS_STATED: (f64, usize) = (2.0, 10);
 
-/// Contradictions of the residuals of a fit to the noise that its weights state, on which the weight of the
-/// priors depends.
-pub(super) fn contradictions_of_stated(calibration: &Calibration, residuals: &[f64]) -> Vec<Finding> {
+/// Contradictions of the residuals of a fit to the noise that its weights state. `has_priors`: the weight of
+/// the priors depends on it; else nothing does, as the standard errors are those of the residuals.
+pub(super) fn contradictions_of_stated(
+    calibration: &Calibration,
+    residuals: &[f64],
+    has_priors: bool,
+) -> Vec<Finding> {
     let (problem, layout) = (calibration.problem(), calibration.residual_layout());
     let (factor, fewest) = CONTRADICTS_STATED;
     let of = |output: &OutputResiduals| {
-        let ratio = root_mean_square(&residuals[output.range.clone()]);
-        let is_known = weight(problem, output).states_noise() && output.measured.len() >= fewest;
-        if !is_known || (1.0 / factor..=factor).contains(&ratio) {
+        // Weights of 0 and 1 choose measurements.
+        let is_stated = weight(problem, output).states_noise()
+            && (has_priors || output.weights.iter().any(|w| *w != 0.0 && *w != 1.0));
+        let n = output.weights.iter().filter(|weight| **weight != 0.0).count();
+        let squares = residuals[output.range.clone()].iter().map(|r| r * r).sum::<f64>();
+        let ratio = (squares / n as f64).sqrt();
+        if !is_stated || n < fewest || (1.0 / factor..=factor).contains(&ratio) {
             return None;
         }
-        let (meaning, remedy) = match ratio > 1.0 {
-            true => (
+        let (severity, meaning, remedy) = match (has_priors, ratio > 1.0) {
+            (true, true) => (
+                Severity::Warning,
                 "a prior or the model keeps it off its measurements, or the noise is larger than stated, and priors count too little",
                 "are the priors and the weights (1/sigma) right? noise 'estimated' takes the noise from the residuals",
             ),
-            false => (
+            (true, false) => (
+                Severity::Warning,
                 "the noise is smaller than stated, and priors count too much",
                 "are the weights 1/sigma, not sigma? noise 'estimated' takes the noise from the residuals",
+            ),
+            (false, is_larger) => (
+                Severity::Note,
+                match is_larger {
+                    true => "the model leaves out something, or the noise is larger than stated",
+                    false => "the noise is smaller than stated",
+                },
+                "are the weights 1/sigma? Standard errors are those of the residuals, whatever is stated",
             ),
         };
         let sentence =
             format!("its residuals are {} times the noise that its weights state: {meaning}", digits(ratio));
-        Some(Finding::warning(format!("noise of {}", output.variable), sentence, remedy))
+        Some(Finding::new(severity, format!("noise of {}", output.variable), sentence, remedy))
     };
     layout.outputs.iter().filter_map(of).collect()
-}
-
-/// Residuals that are more, or less, than the stated noise by so many times its standard deviation, and by
-/// so many standard deviations of a chi-squared number, are no chance. Where those of all outputs are beyond
-/// the last factor the weights state something else.
-const LIKE_STATED: (f64, f64) = (0.5, 1.1);
-const BY_CHANCE: f64 = 4.0;
-const OTHER_UNIT: f64 = 10.0;
-
-/// Outputs whose residuals are not of the size that their weights state, where all weights state the noise:
-/// the sum of their squares is compared with its degrees of freedom. `n_free`: the fitted parameters.
-pub(super) fn unlike_stated(calibration: &Calibration, residuals: &[f64], n_free: usize) -> Vec<Finding> {
-    let (problem, layout) = (calibration.problem(), calibration.residual_layout());
-    let counts = |output: &OutputResiduals| output.weights.iter().filter(|weight| **weight != 0.0).count();
-    // Weights of 0 and 1 choose measurements.
-    let is_stated = |output: &OutputResiduals| {
-        weight(problem, output).states_noise() && output.weights.iter().any(|w| *w != 0.0 && *w != 1.0)
-    };
-    if !layout.outputs.iter().all(is_stated) {
-        return Vec::new();
-    }
-    let n: usize = layout.outputs.iter().map(counts).sum();
-    let compared = |output: &OutputResiduals| {
-        let own = &residuals[output.range.clone()];
-        let degrees = counts(output) as f64 * (1.0 - n_free as f64 / n as f64);
-        let chi_squared = own.iter().map(|r| r * r).sum::<f64>();
-        StatedNoise { chi_squared, degrees, effective: effective_degrees(degrees, autocorrelation(own)) }
-    };
-    let outputs: Vec<StatedNoise> = layout.outputs.iter().map(compared).collect();
-    let severity = match outputs.iter().all(|output| output.ratio() > OTHER_UNIT) {
-        true => Severity::Note,
-        false => Severity::Warning,
-    };
-    let names = layout.outputs.iter().map(|output| &output.variable);
-    let single: Vec<Finding> =
-        outputs.iter().zip(names).filter_map(|(output, name)| output.finding(name, severity)).collect();
-    if !single.is_empty() || outputs.len() < 2 {
-        return single;
-    }
-    // What is chance in each output may be none in all of them.
-    let all = outputs.into_iter().fold(StatedNoise::default(), StatedNoise::with);
-    all.finding("all outputs", severity).into_iter().collect()
-}
-
-/// The sum of squared residuals over the stated noise, its degrees of freedom, and the number of independent
-/// residuals that would tell as much.
-#[derive(Debug, Clone, Copy, Default)]
-struct StatedNoise {
-    chi_squared: f64,
-    degrees: f64,
-    effective: f64,
-}
-
-impl StatedNoise {
-    fn with(self, other: Self) -> Self {
-        Self {
-            chi_squared: self.chi_squared + other.chi_squared,
-            degrees: self.degrees + other.degrees,
-            effective: self.effective + other.effective,
-        }
-    }
-
-    /// The deviation of the residuals over the stated one.
-    fn ratio(self) -> f64 {
-        (self.chi_squared / self.degrees).sqrt()
-    }
-
-    /// `larger`: severity of residuals that are larger than stated.
-    fn finding(self, name: &str, larger: Severity) -> Option<Finding> {
-        let (Self { chi_squared, degrees, effective }, ratio) = (self, self.ratio());
-        let deviations = deviations_of_chi_squared(chi_squared / degrees, effective);
-        let (severity, meaning) = if ratio > LIKE_STATED.1 && deviations > BY_CHANCE {
-            (larger, "the model leaves out something, or the noise is larger than stated")
-        } else if ratio < LIKE_STATED.0 && deviations < -BY_CHANCE {
-            (Severity::Note, "the noise is smaller than stated")
-        } else {
-            return None;
-        };
-        let sentence = format!(
-            "the residuals of {name} are {} times the noise that the weights state (chi-squared {} with {} degrees of freedom): {meaning}",
-            digits(ratio),
-            digits(chi_squared),
-            digits(degrees),
-        );
-        let remedy =
-            "are the weights 1/sigma? Standard errors are those of the residuals, whatever is stated";
-        Some(Finding::new(severity, format!("noise of {name}"), sentence, remedy))
-    }
-}
-
-/// Squares of autoregressive residuals of first order have the autocorrelation `rho^2`: they count as fewer.
-fn effective_degrees(degrees: f64, autocorrelation: f64) -> f64 {
-    let square = autocorrelation * autocorrelation;
-    degrees * if square < 1.0 { (1.0 - square) / (1.0 + square) } else { 1.0 }
-}
-
-/// By how many standard deviations a chi-squared number over its degrees of freedom is off one, by the cube
-/// root of Wilson and Hilferty (Proc. Natl. Acad. Sci. 17, 1931).
-fn deviations_of_chi_squared(over_degrees: f64, effective: f64) -> f64 {
-    let variance = 2.0 / (9.0 * effective);
-    (over_degrees.cbrt() - (1.0 - variance)) / variance.sqrt()
 }
 
 /// Leverage of each residual: the diagonal of the projection onto the changes that the parameters make, from
@@ -471,18 +387,6 @@ mod tests {
 
     fn leverages_of(jacobian: &[f64], n: usize) -> Vec<f64> {
         leverages(jacobian, n, &RunContext::new()).unwrap()
-    }
-
-    #[test]
-    fn outputs_tell_together_what_each_alone_does_not() {
-        // Twice the stated noise: 1e-4 by chance in each of two outputs, 4e-7 in both.
-        let one = StatedNoise { chi_squared: 44.0, degrees: 11.0, effective: 6.0 };
-        assert!(one.finding("y", Severity::Warning).is_none());
-        let both = one.with(one).finding("all outputs", Severity::Warning).unwrap();
-        assert!(both.sentence.contains("2 times the noise"), "{both:?}");
-        // As stated, none.
-        let right = StatedNoise { chi_squared: 250.0, degrees: 240.0, effective: 240.0 };
-        assert!(right.finding("y", Severity::Warning).is_none());
     }
 
     #[test]

@@ -7,9 +7,8 @@ use crate::findings::finding::{Finding, Origin, Severity};
 use crate::findings::shown_text::digits;
 use crate::uncertainty::covariance::matrix::{Factors, compressed};
 use crate::uncertainty::covariance::noise::Noise;
-use crate::uncertainty::diagnostics::residual_check::{CORRELATED, ResidualCheck};
+use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
 use crate::uncertainty::differences::{Differences, ResidualBend};
-use crate::uncertainty::p_values::BY_CHANCE;
 use crate::uncertainty::result::{Uncertainty, errors_and_correlation};
 use crate::uncertainty::row_blocks::triangle;
 use base::RunContext;
@@ -28,9 +27,6 @@ const VARIANCE_SHARE: f64 = 0.5;
 
 /// A standard error above this part of its parameter says that the data hardly tell it.
 const RELATIVE_ERROR: f64 = 0.5;
-
-/// A smaller autocorrelation, above this, is told where its chance is less than that.
-const LASTING: (f64, f64) = (0.1, 1e-6);
 
 /// A parameter moves an output if it moves it by more than this part of what the strongest does, each moved
 /// by its size.
@@ -409,20 +405,11 @@ impl Uncertainty {
             true => digits(high).to_string(),
             false => format!("{} to {}", digits(low), digits(high)),
         };
-        // Residuals of few rows show less of it than there is.
-        let is_told = self.residual_checks.iter().any(ResidualCheck::is_autocorrelated);
-        let (severity, what) = match self.chance_of_autocorrelation < BY_CHANCE
-            && (largest > CORRELATED || largest > LASTING.0 && self.chance_of_autocorrelation < LASTING.1)
-            && !is_told
-        {
-            true => (Severity::Warning, ": the model leaves out something that lasts, or the noise lasts"),
-            false => (Severity::Note, ""),
-        };
         (high > 0.0).then(|| {
             let sentence = format!(
-                "the standard errors are {times} times those of independent residuals: corrected for autocorrelation ({largest:.2} at lag one){what}"
+                "the standard errors are {times} times those of independent residuals: corrected for autocorrelation ({largest:.2} at lag one)"
             );
-            Finding::new(severity, "standard errors", sentence, "")
+            Finding::note("standard errors", sentence, "")
         })
     }
 
@@ -482,7 +469,6 @@ impl Uncertainty {
         said.extend(self.accuracy_finding(f_tol));
         said.extend(self.rough_cost());
         said.extend(self.not_at_minimum());
-        said.extend(self.part_conflict.iter().map(|conflict| conflict.finding(&self.names)));
         said.extend(self.prior_conflicts.iter().map(|c| c.finding(&self.names[c.parameter])));
         // What is known of the parameters alone explains the others.
         let rest = said.iter_mut().filter(|finding| finding.origin == Origin::Problem);

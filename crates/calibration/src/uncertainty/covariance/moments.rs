@@ -139,12 +139,9 @@ impl<'a> Moments<'a> {
         };
     }
 
-    /// The transform of the autocorrelation of the only group, and by how many standard deviations its sum of
-    /// products is larger than that of independent residuals; `None`: that is no chance.
-    pub(crate) fn autocorrelation(
-        &self,
-        context: &RunContext<'_>,
-    ) -> Result<Option<(f64, f64)>, CalibrationError> {
+    /// The transform of the autocorrelation of the only group; `None`: its sum of products is not larger than
+    /// independent residuals have by chance.
+    pub(crate) fn autocorrelation(&self, context: &RunContext<'_>) -> Result<Option<f64>, CalibrationError> {
         let excess = |of: &Variances| self.found[1] - of.values[0] * of.components[0].means[1];
         let independent = self.variances(vec![0.0], context)?;
         let covariance = self.covariance(&independent, context)?;
@@ -166,7 +163,7 @@ impl<'a> Moments<'a> {
                 if is_enough(middle)? { high = middle } else { low = middle }
             }
         }
-        Ok(Some((high, deviations)))
+        Ok(Some(high))
     }
 
     /// Covariance of the logarithms of the variances, then of the transforms that are not zero.

@@ -7,13 +7,11 @@ use crate::uncertainty::covariance::measured_start::MeasuredStart;
 use crate::uncertainty::covariance::moments::{Moments, Variances};
 use crate::uncertainty::diagnostics::residual_check::{is_rounding, square_of_rounding};
 use crate::uncertainty::group::Group;
-use crate::uncertainty::p_values::OfIndependent;
 use crate::uncertainty::result::Estimator;
-use crate::uncertainty::row_blocks::{ThinSvd, along, thin_svd, weighted_products};
+use crate::uncertainty::row_blocks::{ThinSvd, along, thin_svd};
 use crate::uncertainty::scores::{Criterion, Working};
 use base::RunContext;
 use nalgebra::{DMatrix, DVector};
-use statrs::distribution::{ContinuousCDF, Normal};
 use std::collections::BTreeMap;
 
 /// A combination of columns of about unit length that is shorter than this is rounding.
@@ -75,8 +73,6 @@ pub(crate) struct Noise {
     pub(crate) independent: NoiseModel,
     /// With autocorrelated residuals, where any of them are.
     pub(crate) autocorrelated: Option<NoiseModel>,
-    /// Probability of autocorrelations as large in independent residuals.
-    pub(crate) chance: f64,
     /// U'S_0 U.
     pub(crate) of_priors: DMatrix<f64>,
     /// The noise of measured initial states.
@@ -170,24 +166,17 @@ impl Noise {
             NoiseModel::new(found, uncertainty, (groups, base, &starts), context)
         };
         let independent = model(vec![0.0; groups.len()])?;
-        let (mut transforms, mut largest, mut n_candidates) = (vec![0.0; groups.len()], 0.0_f64, 0.0);
+        let mut transforms = vec![0.0; groups.len()];
         if moments.degrees_of_freedom > 0.0 && base.ncols() > 0 {
             for (g, group) in own_groups.iter().enumerate() {
                 if is_rounding[g] || group.n_rows() <= base.ncols() + 2 || group.n_pairs() == 0 {
                     continue;
                 }
-                n_candidates += 1.0;
-                if let Some((transform, deviations)) = alone(group, &whole_base, &residuals, context)? {
-                    transforms[g] = transform;
-                    largest = largest.max(deviations);
-                }
+                transforms[g] = alone(group, &whole_base, &residuals, context)?.unwrap_or(0.0);
             }
         }
-        let (mut autocorrelated, mut chance) = (None, 1.0);
-        if largest > 0.0 {
-            autocorrelated = Some(model(transforms)?);
-            chance = (Normal::standard().sf(largest) * n_candidates).min(1.0);
-        }
+        let is_any = transforms.iter().any(|transform| *transform > 0.0);
+        let autocorrelated = is_any.then(|| model(transforms)).transpose()?;
         let degrees_of_freedom = moments.degrees_of_freedom;
         let priors = base.rows_range(priors);
         let of_priors = priors.tr_mul(&priors);
@@ -196,26 +185,7 @@ impl Noise {
             let ranges = group.outputs.iter().map(|k| layout.outputs[*k].range.clone());
             ranges.for_each(|range| variances[range].fill(*variance));
         }
-        Ok(Self { variances, degrees_of_freedom, independent, autocorrelated, chance, of_priors, starts })
-    }
-
-    /// The covariance that independent errors leave to the residuals of each output, U the base; none where
-    /// all have many.
-    pub(crate) fn of_independent(
-        &self,
-        layout: &ResidualLayout,
-        base: &DMatrix<f64>,
-        context: &RunContext<'_>,
-    ) -> Result<Vec<OfIndependent>, CalibrationError> {
-        if layout.outputs.iter().all(|output| OfIndependent::is_of_many(output.range.len())) {
-            return Ok(Vec::new());
-        }
-        let middle = weighted_products(base, &self.variances, context)?;
-        let of = |output: &OutputResiduals| {
-            let rows = base.rows(output.range.start, output.range.len());
-            OfIndependent::of_fit(rows.as_view(), &(&middle / self.variances[output.range.start]))
-        };
-        Ok(layout.outputs.iter().map(of).collect())
+        Ok(Self { variances, degrees_of_freedom, independent, autocorrelated, of_priors, starts })
     }
 
     /// Changes of the working residuals by one standard deviation of each measured initial state.
@@ -301,7 +271,7 @@ fn alone(
     base: &DMatrix<f64>,
     residuals: &[f64],
     context: &RunContext<'_>,
-) -> Result<Option<(f64, f64)>, CalibrationError> {
+) -> Result<Option<f64>, CalibrationError> {
     let rows: Vec<usize> = group.series.iter().cloned().flatten().collect();
     let of_rows: Vec<f64> = rows.iter().map(|row| residuals[*row]).collect();
     let (base, residuals) = left_by(&base.select_rows(&rows), &of_rows, context)?;
@@ -337,7 +307,7 @@ mod tests {
     use crate::uncertainty::covariance::joint::JointMatrices;
     use crate::uncertainty::covariance::matrix::Factors;
     use crate::uncertainty::differences::Differences;
-    use crate::uncertainty::p_values::normal_numbers;
+    use crate::uncertainty::robust::normal_numbers;
 
     fn layout(lengths: &[(&str, usize)]) -> ResidualLayout {
         let mut layout = ResidualLayout::default();

@@ -515,11 +515,10 @@ class Calibration(Evaluation):
     def check(self, simulate: bool = True, *, max_time: SupportsFloat | None = None) -> _check.Check:
         """Looks for what does not fit between model, recordings and parameters, and says what to do about it.
 
-        Looked at are the times (gaps, unit, start, months taken for days), the recorded values (constant, clipped, frozen, missing,
-        placeholders, in other units than the model, far from the simulation at the start, wrapped angles, columns that are swapped,
-        recordings that are there twice, too coarse means), inputs that nothing drives, that end early, or whose column is all zero,
-        frozen, missing for long or in another unit, values, ranges and start values that the model states for its parameters, and how
-        accurate the simulations are.
+        It compares the times (unit, start), the recorded values (constant, placeholders, in other units than the model, far from the
+        simulation at the start, columns that are swapped), inputs that nothing drives, that end early, or whose column is all zero,
+        missing for long or in another unit, values, ranges and start values that the model states for its parameters, and the accuracy
+        of the simulations.
 
         Parameters
         ----------

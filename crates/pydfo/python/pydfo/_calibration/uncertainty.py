@@ -33,9 +33,7 @@ class ResidualCheck(NamedTuple):
     autocorrelation: float
     """At lag one; NaN for fewer than three."""
     n_outliers: int
-    """How many lie beyond four robust standard deviations from the median, or more where so many are chance (of fewer than 20 none do)."""
-    runs: float
-    """How many standard deviations the number of runs of one sign is above that of independent residuals."""
+    """Number of residuals beyond six robust standard deviations from the median; 0 for fewer than 20 residuals."""
     n_outlier_groups: int
     """How many groups of neighbours the outliers form."""
 
