@@ -94,7 +94,7 @@ fn require_regular(file: File) -> io::Result<File> {
 }
 
 /// The file itself, where a path is a link to it, also to one that is not there.
-pub fn followed(path: &Path) -> PathBuf {
+fn followed(path: &Path) -> PathBuf {
     let mut target = path.to_path_buf();
     // As many links as the system itself follows.
     for _ in 0..40 {
@@ -213,10 +213,7 @@ fn try_lock(file: &File) -> Result<(), fs::TryLockError> {
 }
 
 /// True if an open file is still the one at a place (no link): its owner may have removed it meanwhile.
-///
-/// # Errors
-/// Those of the system.
-pub fn is_at(file: &File, place: &Path) -> io::Result<bool> {
+fn is_at(file: &File, place: &Path) -> io::Result<bool> {
     #[cfg(unix)]
     {
         use std::os::unix::fs::MetadataExt;
@@ -311,34 +308,15 @@ impl AtomicFile {
     /// # Errors
     /// Those of the system; the file that was there stays.
     pub fn finish(self) -> io::Result<()> {
-        if self.stream.is_none() {
-            self.file.as_file().sync_all()?;
-        }
-        self.take_place().map(drop)
-    }
-
-    /// It is whole: it takes its place, and is flushed to the disk before that only where it replaces another
-    /// file, which a failure of the power would else leave without either. Returns the file, open for more at
-    /// its end; `None` for a device or a pipe.
-    ///
-    /// # Errors
-    /// As [`finish`](Self::finish).
-    pub fn finish_open(self) -> io::Result<Option<File>> {
-        if self.stream.is_none() && self.target.exists() {
-            self.file.as_file().sync_all()?;
-        }
-        self.take_place()
-    }
-
-    fn take_place(self) -> io::Result<Option<File>> {
         let Some(mut stream) = self.stream else {
-            return self.file.persist(&self.target).map(Some).map_err(|error| error.error);
+            self.file.as_file().sync_all()?;
+            return self.file.persist(&self.target).map(drop).map_err(|error| error.error);
         };
         let (mut file, path): (File, TempPath) = self.file.into_parts();
         file.seek(SeekFrom::Start(0))?;
         let copied = io::copy(&mut file, &mut stream);
         drop((file, path));
-        copied.map(|_| None)
+        copied.map(drop)
     }
 }
 

@@ -274,17 +274,6 @@ def test_fit_has_standard_errors_and_findings_when_its_last_checkpoint_cannot_be
     assert run.stdout.splitlines() == ["not-saved True True", "True True True"], run.stdout + run.stderr
 
 
-def test_what_is_lost_of_a_file_is_said(tmp_path, caplog):
-    path = tmp_path / "run.ckpt"
-    run = functools.partial(minimize, rosenbrock, [-1.2, 1.0], method="nelder-mead", checkpoint=path)
-    whole = run(options={"checkpoint_interval": 0})
-    os.truncate(path, path.stat().st_size - 100)
-    with caplog.at_level("WARNING", "pydfo"):
-        again = run(options={"checkpoint_interval": 0})
-    assert timeless(again) == timeless(whole)
-    assert "bytes are no whole state; it goes on from the state before" in caplog.text
-
-
 ORPHANS = """
 import concurrent.futures, os, sys, time
 import pydfo

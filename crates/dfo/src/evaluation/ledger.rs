@@ -37,8 +37,6 @@ impl Source {
 
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct Ledger {
-    /// Stored beside it, piece by piece.
-    #[serde(skip)]
     pub(crate) trace: Trace,
     trace_limit: Option<usize>,
     /// True if the trace keeps residuals.

@@ -19,39 +19,6 @@ pub struct Trace {
     problem: Option<String>,
     /// Evaluations that came before the first one kept.
     dropped: usize,
-    #[serde(default)]
-    dropped_speculative: usize,
-}
-
-/// Length of a trace at some time: evaluations of the path and beside it, those dropped included.
-#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
-pub(crate) struct TraceLength {
-    pub(crate) path: usize,
-    speculative: usize,
-}
-
-/// The end of a trace, in the form of a whole one whose beginning was dropped.
-#[derive(Debug, Serialize)]
-pub(crate) struct LaterPart<'a> {
-    n: usize,
-    #[serde(with = "numbers")]
-    points: &'a [f64],
-    #[serde(with = "columns")]
-    records: &'a [Record],
-    speculative: &'a [SpeculativeEntry],
-    problem: &'a Option<String>,
-    dropped: usize,
-    dropped_speculative: usize,
-}
-
-impl LaterPart<'_> {
-    /// About as many bytes in a file.
-    pub(crate) fn n_bytes(&self) -> u64 {
-        let residuals: usize = self.records.iter().map(|r| r.residuals.len()).sum();
-        let beside: usize =
-            self.speculative.iter().map(|e| 64 + 9 * (e.x.len() + e.answer.residuals.len())).sum();
-        (8 * self.points.len() + 41 * self.records.len() + 8 * residuals + beside) as u64
-    }
 }
 
 /// An evaluation without its point.
@@ -230,67 +197,12 @@ impl Trace {
 
     /// Drops all but the last so many evaluations.
     pub(crate) fn keep_last(&mut self, limit: usize) {
-        let before = |end: usize| end.saturating_sub(limit);
-        let end = self.extent();
-        self.drop_before(TraceLength { path: before(end.path), speculative: before(end.speculative) });
-    }
-
-    /// Drops what came before it had this length.
-    pub(crate) fn drop_before(&mut self, first: TraceLength) {
-        let surplus = first.path.saturating_sub(self.dropped).min(self.records.len());
+        let surplus = self.records.len().saturating_sub(limit);
         self.records.drain(..surplus);
         self.points.drain(..surplus * self.n);
         self.dropped += surplus;
-        let surplus = first.speculative.saturating_sub(self.dropped_speculative).min(self.speculative.len());
+        let surplus = self.speculative.len().saturating_sub(limit);
         self.speculative.drain(..surplus);
-        self.dropped_speculative += surplus;
-    }
-
-    /// Its length.
-    pub(crate) fn extent(&self) -> TraceLength {
-        TraceLength { path: self.end(), speculative: self.dropped_speculative + self.speculative.len() }
-    }
-
-    /// Length of what was dropped of it.
-    pub(crate) fn dropped_extent(&self) -> TraceLength {
-        TraceLength { path: self.dropped, speculative: self.dropped_speculative }
-    }
-
-    /// What came after it had this length, as far as it is kept.
-    pub(crate) fn since(&self, extent: TraceLength) -> LaterPart<'_> {
-        let first = extent.path.saturating_sub(self.dropped).min(self.records.len());
-        let early = extent.speculative.saturating_sub(self.dropped_speculative).min(self.speculative.len());
-        LaterPart {
-            n: self.n,
-            points: &self.points[first * self.n..],
-            records: &self.records[first..],
-            speculative: &self.speculative[early..],
-            problem: &self.problem,
-            dropped: self.dropped + first,
-            dropped_speculative: self.dropped_speculative + early,
-        }
-    }
-
-    /// Goes on with what [`since`](Self::since) gave; false if they do not fit together.
-    pub(crate) fn go_on(&mut self, mut later: Trace) -> bool {
-        let end = self.extent();
-        if !later.is_sound(self.n) || later.dropped < end.path || later.dropped_speculative < end.speculative
-        {
-            return false;
-        }
-        if later.dropped > end.path {
-            self.records.clear();
-            self.points.clear();
-            self.dropped = later.dropped;
-        }
-        if later.dropped_speculative > end.speculative {
-            self.speculative.clear();
-            self.dropped_speculative = later.dropped_speculative;
-        }
-        self.points.append(&mut later.points);
-        self.records.append(&mut later.records);
-        self.speculative.append(&mut later.speculative);
-        true
     }
 
     /// True if its parts fit together: what comes from a file may not.

@@ -1,13 +1,10 @@
 //! Checkpoints: the whole state of a run in a file, so that a resumed run is the uninterrupted one, bit for
 //! bit.
 //!
-//! The file is a mark, the format, and blocks: length, checksum, and a map in CBOR (RFC 8949) that names all
-//! its parts, the version of the code that wrote it first. Each block is the state of the run at some time,
-//! but for the trace, of which it has what came after the block before. A run adds blocks, so that its trace
-//! is written once. The first block is written to a temporary file that is renamed, as is the whole file
-//! where states that have been replaced fill half of it. What follows a block that is not whole (the process
-//! was killed, or the power failed) counts as not there: there is always a state to go on from. What
-//! identifies a run (the fingerprint) is stored in words; a file of another run is refused by naming the
+//! The file is a mark, the format, a checksum, and a map in CBOR (RFC 8949) that names all its parts, the
+//! version of the code that wrote it first. Each write replaces the whole file: it goes to a temporary file,
+//! which is renamed, so a kill leaves the state before. Writing takes at most a tenth of the time of a run.
+//! What identifies a run (the fingerprint) is stored in words; a file of another run is refused by naming the
 //! difference, and left as it is.
 //!
 //! A batch that was cut short by the end of a run is not told to the stored state: the outcomes that were
@@ -18,14 +15,12 @@ use crate::evaluation::counted_batch::CountedBatch;
 use crate::evaluation::ledger::Ledger;
 use crate::evaluation::store::{EarlyOutcome, Store};
 use crate::method_interface::interface::{Method, Setup};
-use crate::outcome::trace::{LaterPart, Trace, TraceLength};
 use crate::problem::option_texts;
 use crate::values::encoding::{decode, encode};
-use base::files::{self, AtomicFile, Claim};
-use crc32fast::Hasher;
+use base::files::{AtomicFile, Claim};
 use serde::{Deserialize, Serialize};
-use std::fs::{File, Metadata};
-use std::io::{BufWriter, ErrorKind, Read, Seek, SeekFrom, Write};
+use std::borrow::Cow;
+use std::io::{ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -33,10 +28,7 @@ use std::time::{Duration, Instant};
 const MARK: &[u8; 15] = b"dfo checkpoint\0";
 
 /// The format that this version reads and writes. It changes with everything that a file holds.
-const FORMAT: u8 = 13;
-
-/// Bytes before a block: its length and its checksum.
-const BLOCK_HEAD: usize = 12;
+const FORMAT: u8 = 14;
 
 /// Version of the code, which every file names.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
@@ -117,7 +109,7 @@ impl Checkpoint {
     /// # Errors
     /// The file cannot be read, or is no checkpoint, or there is none and one is required.
     pub fn stored_identity(&self) -> Result<Option<Vec<(String, String)>>, Error> {
-        Ok(load(self)?.map(|snapshot| snapshot.fingerprint))
+        Ok(load(self)?.map(|snapshot| snapshot.fingerprint.into_owned()))
     }
 
     /// Adds something that identifies the run: a file with another value is refused.
@@ -129,19 +121,17 @@ impl Checkpoint {
 }
 
 /// The whole state of a run.
-#[derive(Debug, Deserialize)]
-pub(crate) struct Snapshot {
-    pub(crate) fingerprint: Vec<(String, String)>,
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Snapshot<'a> {
+    version: Cow<'a, str>,
+    pub(crate) fingerprint: Cow<'a, [(String, String)]>,
     #[serde(with = "serde_bytes")]
     pub(crate) method: Vec<u8>,
-    pub(crate) ledger: Ledger,
-    trace: Trace,
-    /// Length of what the run has dropped of its trace.
-    dropped: TraceLength,
-    pub(crate) store: Store,
+    pub(crate) ledger: Cow<'a, Ledger>,
+    pub(crate) store: Cow<'a, Store>,
     pub(crate) stale: usize,
     /// Evaluations so far of the batch that the method waits for.
-    pub(crate) known: Vec<EarlyOutcome>,
+    pub(crate) known: Cow<'a, [EarlyOutcome]>,
     pub(crate) observed: Option<usize>,
     pub(crate) first_recent: usize,
     pub(crate) seconds: f64,
@@ -152,25 +142,6 @@ pub(crate) struct Snapshot {
 #[derive(Debug, Deserialize)]
 struct Written {
     version: String,
-}
-
-/// A [`Snapshot`] with borrowed fields, for writing.
-#[derive(Serialize)]
-struct SnapshotRef<'a> {
-    version: &'a str,
-    fingerprint: &'a [(String, String)],
-    #[serde(with = "serde_bytes")]
-    method: &'a [u8],
-    ledger: &'a Ledger,
-    trace: LaterPart<'a>,
-    dropped: TraceLength,
-    store: &'a Store,
-    stale: usize,
-    known: &'a [EarlyOutcome],
-    observed: Option<usize>,
-    first_recent: usize,
-    seconds: f64,
-    seed: Option<u64>,
 }
 
 /// Identity of a run, as text.
@@ -221,7 +192,7 @@ fn file_failed(path: &Path, e: &std::io::Error) -> Error {
 }
 
 /// The state in the file that a run is to continue from, if it is to; whatever run it is of.
-fn load(options: &Checkpoint) -> Result<Option<Snapshot>, Error> {
+fn load(options: &Checkpoint) -> Result<Option<Snapshot<'static>>, Error> {
     let path = &options.path;
     let is_required = options.resume == Resume::Require;
     if path.as_os_str().is_empty() {
@@ -258,45 +229,18 @@ fn load(options: &Checkpoint) -> Result<Option<Snapshot>, Error> {
             ),
         ));
     }
-    let mut snapshot: Option<Snapshot> = None;
-    let mut rest = rest;
-    while !rest.is_empty() {
-        let Some((block, later)) = next_block(rest) else {
-            if snapshot.is_none() {
-                return Err(failed(
-                    path,
-                    "the file is damaged: its checksum does not fit; go on with a copy of it, or start anew (resume never)",
-                ));
-            }
-            let (path, n) = (path.display(), rest.len());
-            log::warn!(
-                "checkpoint '{path}': its last {n} bytes are no whole state; it goes on from the state before"
-            );
-            break;
-        };
-        let mut next: Snapshot = decode(block).map_err(|e| {
-            let writer =
-                decode::<Written>(block).map_or_else(|_| "another".to_owned(), |written| written.version);
-            failed(path, format!("version {writer} wrote it, {VERSION} cannot read it: {e}"))
-        })?;
-        let mut trace = snapshot.map_or_else(|| Trace::new(next.trace.n()), |before| before.ledger.trace);
-        if !trace.go_on(std::mem::take(&mut next.trace)) {
-            return Err(failed(path, "the parts of the file do not fit together"));
-        }
-        trace.drop_before(next.dropped);
-        next.ledger.trace = trace;
-        snapshot = Some(next);
-        rest = later;
-    }
-    snapshot.map(Some).ok_or_else(|| failed(path, "the file ends after its head"))
-}
-
-/// The first block and what follows it; `None` if there is no whole one.
-fn next_block(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
-    let (length, rest) = bytes.split_first_chunk::<8>()?;
-    let (sum, rest) = rest.split_first_chunk::<4>()?;
-    let (block, later) = rest.split_at_checked(usize::try_from(u64::from_le_bytes(*length)).ok()?)?;
-    (u32::from_le_bytes(*sum) == crc32fast::hash(block) && !block.is_empty()).then_some((block, later))
+    let whole = rest.split_first_chunk().filter(|(sum, state)| crc32fast::hash(state).to_le_bytes() == **sum);
+    let Some((_, state)) = whole else {
+        return Err(failed(
+            path,
+            "the file is damaged: its checksum does not fit; go on with a copy of it, or start anew (resume never)",
+        ));
+    };
+    decode(state).map(Some).map_err(|e| {
+        let writer =
+            decode::<Written>(state).map_or_else(|_| "another".to_owned(), |written| written.version);
+        failed(path, format!("version {writer} wrote it, {VERSION} cannot read it: {e}"))
+    })
 }
 
 /// The words of users for what identifies a run.
@@ -315,7 +259,7 @@ pub(crate) fn read(
     fingerprint: &[(String, String)],
     seed: Option<u64>,
     n: usize,
-) -> Result<Option<Snapshot>, Error> {
+) -> Result<Option<Snapshot<'static>>, Error> {
     let path = &options.path;
     let Some(snapshot) = load(options)? else { return Ok(None) };
     let mismatch = |what: &str, stored: &str, given: &str| Error::CheckpointMismatch {
@@ -362,75 +306,10 @@ pub(crate) fn read(
     Ok(Some(snapshot))
 }
 
-/// A file with the checksum of what is written to it.
-struct Summed<'a> {
-    file: &'a File,
-    sum: Hasher,
-    length: u64,
-}
-
-impl Write for Summed<'_> {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        let n = self.file.write(bytes)?;
-        self.sum.update(&bytes[..n]);
-        self.length += n as u64;
-        Ok(n)
-    }
-
-    fn flush(&mut self) -> std::io::Result<()> {
-        self.file.flush()
-    }
-}
-
 /// Time that a run lasts before it writes again: all writes take at most a tenth of it, also where long
 /// states take long to write, with the next, and one at the end, each up to half as long again as the last.
 fn least_time(spent: Duration, last: Duration) -> Duration {
     10 * (spent + 3 * last)
-}
-
-/// Writes a block at the end of a file. Its length and checksum come last, once they are known.
-fn write_block(mut file: &File, snapshot: &SnapshotRef<'_>) -> std::io::Result<u64> {
-    let head = file.seek(SeekFrom::End(0))?;
-    file.write_all(&[0; BLOCK_HEAD])?;
-    let mut summed = BufWriter::new(Summed { file, sum: Hasher::new(), length: 0 });
-    ciborium::into_writer(snapshot, &mut summed).map_err(|e| match e {
-        ciborium::ser::Error::Io(e) => e,
-        other => std::io::Error::other(other.to_string()),
-    })?;
-    let Summed { sum, length, .. } = summed.into_inner().map_err(|e| e.into_error())?;
-    file.seek(SeekFrom::Start(head))?;
-    file.write_all(&length.to_le_bytes())?;
-    file.write_all(&sum.finalize().to_le_bytes())?;
-    Ok(length)
-}
-
-/// A file with blocks.
-#[derive(Debug)]
-struct Blocks {
-    file: File,
-    n_bytes: u64,
-    /// Bytes of the last state, and of all, beside those of the trace.
-    n_state: u64,
-    n_states: u64,
-    /// Length of the trace that is in it.
-    extent: TraceLength,
-}
-
-impl Blocks {
-    /// True if the states that have been replaced, and what the run has dropped of its trace, fill more than
-    /// half of it.
-    fn is_wasteful(&self, trace: &Trace) -> bool {
-        let kept = trace.len() as f64 / trace.extent().path.max(1) as f64;
-        let whole = (self.n_bytes - self.n_states) as f64 * kept + self.n_state as f64;
-        (self.n_bytes + self.n_state) as f64 > 2.0 * whole
-    }
-
-    /// True if it is still the file at a place, as it was written, and may be written to.
-    fn is_at(&self, path: &Path) -> bool {
-        let is_whole = |file: Metadata| file.len() == self.n_bytes && !file.permissions().readonly();
-        files::is_at(&self.file, &files::followed(path)).unwrap_or(false)
-            && self.file.metadata().is_ok_and(is_whole)
-    }
 }
 
 /// Writes snapshots, not too often.
@@ -442,8 +321,6 @@ pub(crate) struct Writer {
     next: Instant,
     /// Time of all writes.
     spent: Duration,
-    /// What this process has written so far, where the next block goes on.
-    written: Option<Blocks>,
     /// No other run writes to the file.
     _claim: Claim,
 }
@@ -465,7 +342,7 @@ impl Writer {
         })?;
         let began = Instant::now();
         let next = began + options.interval;
-        Ok(Self { began, next, spent: Duration::ZERO, written: None, options, fingerprint, _claim: claim })
+        Ok(Self { began, next, spent: Duration::ZERO, options, fingerprint, _claim: claim })
     }
 
     /// True if it is time for the next write.
@@ -473,7 +350,7 @@ impl Writer {
         Instant::now() >= self.next
     }
 
-    /// Adds a block to the file, or puts a whole one in its place. `known`: what is known of the batch that
+    /// Replaces the file by one with the state of now. `known`: what is known of the batch that
     /// the method waits for; `observed`: the iteration that the observer saw last, and where the trace stood
     /// then.
     pub(crate) fn write<M: Method + ?Sized>(
@@ -488,41 +365,25 @@ impl Writer {
         let path = &self.options.path;
         let begin = Instant::now();
         let state = method.save().ok_or_else(|| failed(path, "this method cannot be continued"))?;
-        let trace = &round.ledger.trace;
-        let before = self.written.take().filter(|blocks| !blocks.is_wasteful(trace) && blocks.is_at(path));
-        let extent = before.as_ref().map_or(TraceLength::default(), |blocks| blocks.extent);
-        let snapshot = SnapshotRef {
-            version: VERSION,
-            fingerprint: &self.fingerprint,
-            method: &state,
-            ledger: &round.ledger,
-            trace: trace.since(extent),
-            dropped: trace.dropped_extent(),
-            store: &round.store,
+        let snapshot = Snapshot {
+            version: Cow::Borrowed(VERSION),
+            fingerprint: Cow::Borrowed(&self.fingerprint),
+            method: state,
+            ledger: Cow::Borrowed(&round.ledger),
+            store: Cow::Borrowed(&round.store),
             stale: round.stale,
-            known,
+            known: Cow::Borrowed(known),
             observed,
             first_recent,
             seconds,
             seed: method.details().seed,
         };
-        let written = match before {
-            Some(blocks) => write_block(&blocks.file, &snapshot)
-                .inspect_err(|_| _ = blocks.file.set_len(blocks.n_bytes))
-                .map(|n| (n, Some(blocks.file), blocks.n_states)),
-            None => AtomicFile::new(path).and_then(|unfinished| {
-                unfinished.file().write_all(&[&MARK[..], &[FORMAT]].concat())?;
-                let n = write_block(unfinished.file(), &snapshot)?;
-                Ok((n, unfinished.finish_open()?, 0))
-            }),
-        };
-        let written = written.and_then(|(length, file, n_states)| {
-            let Some(file) = file else { return Ok(()) };
-            let n_state = length.saturating_sub(snapshot.trace.n_bytes());
-            let n_bytes = file.metadata()?.len();
-            let (n_states, extent) = ((n_states + n_state).min(n_bytes), trace.extent());
-            self.written = Some(Blocks { file, n_bytes, n_state, n_states, extent });
-            Ok(())
+        let bytes = encode(&snapshot).map_err(|e| failed(path, e))?;
+        let written = AtomicFile::new(path).and_then(|unfinished| {
+            let mut file = unfinished.file();
+            file.write_all(&[&MARK[..], &[FORMAT], &crc32fast::hash(&bytes).to_le_bytes()].concat())?;
+            file.write_all(&bytes)?;
+            unfinished.finish()
         });
         // What could not be written is tried again.
         self.spent += begin.elapsed();

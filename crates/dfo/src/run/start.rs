@@ -176,11 +176,11 @@ impl<M: MethodOptions> Description<M> {
         );
         if let Some(stored) = checkpoint::read(&place, &fingerprint, setup.seed, n)? {
             started.method = method.restore(&setup, &stored.method)?;
-            started.round = CountedBatch::new(stored.ledger, stored.store);
+            started.round = CountedBatch::new(stored.ledger.into_owned(), stored.store.into_owned());
             started.round.store.forget_aborts();
             started.round.stale = stored.stale;
             let n_known = stored.known.len();
-            for known in stored.known {
+            for known in stored.known.into_owned() {
                 started.round.store.keep(known);
             }
             (started.observed, started.first_recent) = (stored.observed, stored.first_recent);
