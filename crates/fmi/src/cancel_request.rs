@@ -1,34 +1,31 @@
-//! A request to end work early, made by another thread: opening, unpacking and compiling look at it.
+//! A request to end work early: opening, unpacking and compiling look at it.
 
 use crate::error::{FmiError, Result};
+use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
 
-/// A flag or a time that ends work early; by default there is none, and work runs to its end.
+/// A function that ends work early; by default there is none, and work runs to its end.
 ///
 /// Two of them count as equal: when work is to end is no property of its result.
-#[derive(Debug, Clone, Default)]
-pub struct CancelRequest {
-    flag: Option<Arc<AtomicBool>>,
-    at: Option<Instant>,
-}
+#[derive(Clone, Default)]
+pub struct CancelRequest(Option<Arc<dyn Fn() -> bool + Send + Sync>>);
 
 impl CancelRequest {
-    /// Work ends, with [`FmiError::Cancelled`], soon after `flag` was raised.
+    /// Work ends, with [`FmiError::Cancelled`], when this function, which the thread that works calls now and
+    /// then, returns true.
+    pub fn asking(ask: impl Fn() -> bool + Send + Sync + 'static) -> Self {
+        Self(Some(Arc::new(ask)))
+    }
+
+    /// The same, soon after `flag` was raised.
     pub fn when(flag: Arc<AtomicBool>) -> Self {
-        Self { flag: Some(flag), at: None }
+        Self::asking(move || flag.load(Ordering::Relaxed))
     }
 
-    /// Work ends in the same way soon after that time, as measured from now.
-    pub fn after(time: Duration) -> Self {
-        Self { flag: None, at: Instant::now().checked_add(time) }
-    }
-
-    /// True if the flag is set, or the time limit has passed.
+    /// True if the work is to end.
     pub fn is_asked(&self) -> bool {
-        self.flag.as_ref().is_some_and(|flag| flag.load(Ordering::Relaxed))
-            || self.at.is_some_and(|at| Instant::now() >= at)
+        self.0.as_ref().is_some_and(|ask| ask())
     }
 
     /// The error, if work is to end.
@@ -37,9 +34,15 @@ impl CancelRequest {
     }
 }
 
+impl fmt::Debug for CancelRequest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("CancelRequest")
+    }
+}
+
 impl From<Option<Arc<AtomicBool>>> for CancelRequest {
     fn from(flag: Option<Arc<AtomicBool>>) -> Self {
-        Self { flag, at: None }
+        flag.map_or_else(Self::default, Self::when)
     }
 }
 
@@ -56,16 +59,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn work_ends_by_a_flag_or_at_a_time() {
+    fn work_ends_by_a_flag_or_a_function() {
         let flag = Arc::new(AtomicBool::new(false));
         let cancel = CancelRequest::when(Arc::clone(&flag));
         assert!(!cancel.is_asked() && !CancelRequest::default().is_asked());
         flag.store(true, Ordering::Relaxed);
         assert!(matches!(cancel.check(), Err(FmiError::Cancelled)));
-        assert!(
-            !CancelRequest::after(Duration::from_secs(3600)).is_asked()
-                && !CancelRequest::after(Duration::MAX).is_asked()
-        );
-        assert!(CancelRequest::after(Duration::ZERO).is_asked());
+        assert!(CancelRequest::asking(|| true).is_asked() && !CancelRequest::from(None).is_asked());
     }
 }

@@ -18,9 +18,8 @@ use crate::{platform, source};
 use base::Number;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
-use std::time::Duration;
 
 const KINDS: [InterfaceKind; 2] = [InterfaceKind::ModelExchange, InterfaceKind::CoSimulation];
 
@@ -51,9 +50,6 @@ pub struct Fmu {
 #[derive(Debug)]
 struct Inner {
     libraries: Libraries,
-    /// Of each way of running the model: how long the last simulation of a session took, in ns; 0: there was
-    /// none.
-    last_runs: [AtomicU64; 2],
     /// Who makes one of the simulations that take turns has one.
     turns: Arc<FairLock>,
     /// Value references of the variables of type Real and their positions, sorted; made when first needed.
@@ -151,7 +147,6 @@ impl Fmu {
         }
         let inner = Inner {
             libraries: Libraries::default(),
-            last_runs: Default::default(),
             turns: Arc::default(),
             real_references: OnceLock::new(),
             quirks_seen: Mutex::default(),
@@ -384,18 +379,6 @@ impl Fmu {
     /// [`ModelDescription::quirks`](crate::ModelDescription::quirks).
     pub fn quirks_seen(&self) -> Vec<Quirk> {
         self.inner.quirks_seen.lock().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-
-    /// Wall-clock time of the last simulation of a [`Session`](crate::Session) of this FMU, by any of its
-    /// clones; loading the library does not count. `None`: there was none.
-    pub fn last_run(&self, kind: InterfaceKind) -> Option<Duration> {
-        let nanoseconds = self.inner.last_runs[kind as usize].load(Ordering::Relaxed);
-        (nanoseconds > 0).then(|| Duration::from_nanos(nanoseconds))
-    }
-
-    pub(crate) fn note_run(&self, kind: InterfaceKind, took: Duration) {
-        let nanoseconds = u64::try_from(took.as_nanos()).unwrap_or(u64::MAX);
-        self.inner.last_runs[kind as usize].store(nanoseconds.max(1), Ordering::Relaxed);
     }
 
     /// Notes that the start value of a state, a guess by the description, is not its value after the

@@ -11,7 +11,6 @@ use crate::simulation::{Inputs, SimulateOptions};
 use crate::simulators::Simulator;
 use std::ops::ControlFlow;
 use std::sync::Arc;
-use std::time::Instant;
 
 /// So many values are parameters of a plan. More are start values, which take a new plan where they change,
 /// and no search among all of them for those that are one variable.
@@ -280,11 +279,8 @@ impl Session {
             }
         };
         let plan = Arc::clone(simulator.plan());
-        let begun = Instant::now();
         let given = values.as_deref().unwrap_or(plan.parameter_starts());
-        let trajectory = simulator.trajectory_with(given, poll);
-        self.fmu.note_run(plan.kind(), begun.elapsed());
-        let trajectory = trajectory?;
+        let trajectory = simulator.trajectory_with(given, poll)?;
         self.last = Some(Last { simulator, asked, values });
         self.pending.clear();
         Ok(trajectory)

@@ -269,35 +269,3 @@ def test_input_functions_of_short_runs_are_awaited_and_end_the_run(raises):
         model.simulate(final_time=1e6, input=(("u1", "u2"), slow_voltages))
     assert time.monotonic() - start < 1.3
     assert set(seen) == {threading.get_ident()}
-
-
-def test_the_first_run_leaves_the_calling_thread_and_short_ones_stay_on_it():
-    model = pydfo.FMUModel(pydfo.example_fmu("quad_tank"))
-    threads = []
-
-    def voltages(t):
-        threads.append(threading.get_ident())
-        return 5.0, 5.0
-
-    def used():
-        threads.clear()
-        model.simulate(final_time=1.0, input=(("u1", "u2"), voltages), isolation="none")
-        return set(threads) == {threading.get_ident()}
-
-    used()
-    assert used()
-
-    def elsewhere(size):
-        """On a thread with a stack of its own size."""
-        found = []
-        before = threading.stack_size(size)
-        try:
-            thread = threading.Thread(target=lambda: found.append(used()))
-            thread.start()
-        finally:
-            threading.stack_size(before)
-        thread.join()
-        return found[0]
-
-    assert elsewhere(16 << 20)
-    assert not elsewhere(1 << 20)

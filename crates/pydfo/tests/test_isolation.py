@@ -102,8 +102,12 @@ def test_a_model_that_cannot_run_here_is_an_error_of_the_fmu(tmp_path):
 def test_ctrl_c_ends_what_never_returns(tmp_path):
     calibration = decay(evil(tmp_path / "hangs.fmu", "FAULT_ABOVE=0", "FAULT=hang()"))
     threading.Timer(0.5, os.kill, (os.getpid(), 2)).start()
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(pydfo.Interrupted):
         calibration.cost([1.0])
+    model = FMUModel(evil(tmp_path / "hangs_at_start.fmu", "AT_INITIALIZE=for (;;) {}"))
+    threading.Timer(0.5, os.kill, (os.getpid(), 2)).start()
+    with pytest.raises(pydfo.Interrupted):
+        model.get("y")
 
 
 def children():
@@ -155,6 +159,34 @@ def test_a_state_that_only_a_new_process_renews_is_found(tmp_path):
     fit = calibration.fit(workers=1)
     again = decay(fmu).cost(fit.x)
     assert again == fit.cost
+
+
+def test_a_state_found_by_simulations_is_a_quirk(tmp_path, caplog):
+    model = FMUModel(evil(tmp_path / "remembers.fmu", "SHARED_GLOBALS", "REMEMBERS=1.2"))
+    with caplog.at_level("WARNING", "pydfo"):
+        for k in (1.0, 1.5, 2.0, 1.0, 1.5):
+            model.simulate(final_time=1, start_values={"k": k})
+    assert [quirk.kind for quirk in model.description.quirks] == ["hidden-state"]
+    assert sum("no variable shows" in message for message in caplog.messages) == 1
+
+
+def test_a_new_process_after_a_death_is_logged_once(tmp_path, caplog):
+    model = FMUModel(evil(tmp_path / "deadly.fmu", "FAULT_ABOVE=2.2", "FAULT=abort()"))
+    model.set("x", 3.0)
+    with caplog.at_level("WARNING", "pydfo"):
+        for _ in range(2):
+            with pytest.raises(pydfo.SimulationError, match="abort in fmi2GetDerivatives"):
+                model.simulate(final_time=1, start_values={"k": 3.0})
+            assert model.simulate(final_time=1).final("x") == pytest.approx(3 * np.exp(-1), rel=1e-5)
+    assert sum("a new one is started with the same values set" in message for message in caplog.messages) == 1
+
+
+def test_a_missing_folder_for_temporary_files_is_named(tmp_path, monkeypatch):
+    model = FMUModel(evil(tmp_path / "sound.fmu"))
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "missing"))
+    with pytest.raises(pydfo.FmuError, match=r"TMPDIR: cannot make the folder .*missing.*No such file") as info:
+        model.simulate(final_time=1)
+    assert sys.executable not in str(info.value)
 
 
 def test_a_program_that_embeds_python_finds_an_interpreter_or_says_so(tmp_path):

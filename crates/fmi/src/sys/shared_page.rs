@@ -115,12 +115,14 @@ impl Page {
         self.shared().cancel.load(Ordering::Relaxed) != 0
     }
 
-    /// Says that a question is on its way, and whether the worker may [wait](Self::wait_for_question) for the
-    /// next one.
-    pub(crate) fn note_question(&self, number: u32, may_spin: bool) {
-        let turns = &self.shared().turns;
-        turns.may_spin.store(may_spin.into(), Ordering::Relaxed);
-        turns.asked.store(number, Ordering::Release);
+    /// Sets whether the worker may [wait](Self::wait_for_question) for the next question without sleeping.
+    pub(crate) fn set_may_spin(&self, may_spin: bool) {
+        self.shared().turns.may_spin.store(may_spin.into(), Ordering::Relaxed);
+    }
+
+    /// Says that a question was sent. Who is told before sleeps until it arrives.
+    pub(crate) fn note_question(&self, number: u32) {
+        self.shared().turns.asked.store(number, Ordering::Release);
     }
 
     /// Says that an answer is on its way.

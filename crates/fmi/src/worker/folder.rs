@@ -5,25 +5,26 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::SystemTime;
 
-/// The folder of a process, which makes it; it is removed when this is dropped by the process that has named
-/// it.
+/// The folder of a template; it is removed when this is dropped by the process that has made it.
 #[derive(Debug)]
 pub(super) struct Folder {
     path: PathBuf,
     owner: u32,
 }
 
-/// Folders that this process has named.
-static N_NAMED: AtomicU32 = AtomicU32::new(0);
+/// Folders that this process has made.
+static N_MADE: AtomicU32 = AtomicU32::new(0);
 
 impl Folder {
-    /// Names a folder that is not there yet.
-    pub(super) fn named() -> Self {
+    /// Makes a folder in the folder for temporary files.
+    pub(super) fn new() -> std::io::Result<Self> {
         let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-        let (owner, n) = (std::process::id(), N_NAMED.fetch_add(1, Ordering::Relaxed));
+        let (owner, n) = (std::process::id(), N_MADE.fetch_add(1, Ordering::Relaxed));
         let name = format!("fmufit-worker-{owner}-{n}-{:x}", since.as_nanos());
         let path = std::env::temp_dir().join(name);
-        Self { path: worker_folder(&std::path::absolute(&path).unwrap_or(path), 0), owner }
+        let path = worker_folder(&std::path::absolute(&path).unwrap_or(path), 0);
+        make(&path)?;
+        Ok(Self { path, owner })
     }
 
     pub(super) fn path(&self) -> &Path {
@@ -44,10 +45,14 @@ pub(super) fn worker_folder(template: &Path, number: u32) -> PathBuf {
     template.with_extension(format!("{number:010}"))
 }
 
-/// Makes the folder of this process, for nobody else.
+/// Makes a folder for nobody else. The error names it.
 pub(super) fn make(folder: &Path) -> std::io::Result<()> {
     use std::os::unix::fs::DirBuilderExt;
-    std::fs::DirBuilder::new().mode(0o700).create(folder)
+    let named = |error: std::io::Error| {
+        let problem = format!("TMPDIR: cannot make the folder {}: {error}", folder.display());
+        std::io::Error::new(error.kind(), problem)
+    };
+    std::fs::DirBuilder::new().mode(0o700).create(folder).map_err(named)
 }
 
 /// Removes a folder in which something may be made meanwhile. A confined worker empties it; the process that

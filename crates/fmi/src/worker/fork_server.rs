@@ -156,7 +156,7 @@ impl Template {
     }
 
     pub(super) fn start(launcher: &Launcher) -> Result<Self, FmiError> {
-        let folder = Folder::named();
+        let folder = Folder::new().map_err(no_worker)?;
         let (socket, theirs) = UnixStream::pair().map_err(no_worker)?;
         socket.set_read_timeout(Some(LOOK)).map_err(no_worker)?;
         socket.set_write_timeout(Some(LONGEST)).map_err(no_worker)?;

@@ -1,6 +1,6 @@
 //! The process that worker processes are copied from: it takes its orders until the other end is closed.
 
-use super::folder::{make, remove, worker_folder};
+use super::folder::{remove, worker_folder};
 use super::fork_server::{DESCRIPTORS, Order, Start};
 use super::frame::{Frame, FrameSize};
 use super::handshake::{ASKED, FOLDER, LEVEL, VERSION};
@@ -37,7 +37,6 @@ pub fn serve_if_worker(service: impl FnOnce() -> Box<dyn Service + Send>) {
 fn serve(mut service: Box<dyn Service + Send>) -> io::Result<()> {
     let named = std::env::var_os(FOLDER.to_str().unwrap_or_default()).map(PathBuf::from);
     let folder = named.ok_or(ErrorKind::NotFound)?;
-    make(&folder)?;
     std::env::set_current_dir(&folder)?;
     close_inherited()?;
     let control = UnixStream::from(rustix::io::fcntl_dupfd_cloexec(rustix::stdio::stdin(), 3)?);

@@ -2,6 +2,7 @@
 
 use super::frame::FrameSize;
 use serde::{Deserialize, Serialize};
+use std::sync::LazyLock;
 use std::time::Duration;
 
 /// Memory that a worker may gain before it is replaced, in bytes.
@@ -25,7 +26,7 @@ pub struct WorkerLimits {
 
 impl Default for WorkerLimits {
     fn default() -> Self {
-        Self { memory: memory_of_machine(), growth: GROWTH, calls: None, sandbox: false }
+        Self { memory: *MEMORY_OF_MACHINE, growth: GROWTH, calls: None, sandbox: false }
     }
 }
 
@@ -48,13 +49,14 @@ impl WorkerLimits {
     }
 }
 
-/// Bytes of memory that this machine has, where the system tells.
-fn memory_of_machine() -> Option<u64> {
+/// Bytes of memory that this machine has, where the system tells. Read once: that takes as long as a short
+/// simulation.
+static MEMORY_OF_MACHINE: LazyLock<Option<u64>> = LazyLock::new(|| {
     let text = std::fs::read_to_string("/proc/meminfo").ok()?;
     let line = text.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
     let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kilobytes << 10)
-}
+});
 
 /// Limits the memory of this process, and lets it write no core files.
 #[cfg(unix)]

@@ -190,7 +190,7 @@ impl Process {
         let n_calls = Counted::one(&CALLS);
         let began = Instant::now();
         let may_spin = self.last_took < SPIN && 2 * n_calls.n <= *CORES;
-        self.page.note_question(self.number, may_spin);
+        self.page.set_may_spin(may_spin);
         let (page, number) = (&self.page, self.number);
         let run_limit =
             limits.run.map(|limit| RunLimit { limit, runs: page.runs(), left: limits.runs, since: began });
@@ -203,6 +203,7 @@ impl Process {
         let outcome = match sent {
             Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error),
             _ => {
+                page.note_question(number);
                 if may_spin {
                     page.wait_for_answer(number, SPIN);
                 }

@@ -12,9 +12,9 @@ use crate::convert::fmu_error;
 use crate::convert::object;
 use crate::convert::record::{PyRecord, read};
 use crate::convert::report::{self, LastProgress, Listener};
-use crate::interrupt::interrupt_guard::InterruptGuard;
+use crate::interrupt::interrupt_guard::{CallingThread, InterruptGuard};
+use crate::interrupt::lock::lock;
 use crate::interrupt::logs;
-use crate::interrupt::threads::lock;
 use crate::model::description::Fmu;
 use crate::model::files;
 use crate::model::inputs::Callbacks;
@@ -156,21 +156,23 @@ impl PyCalibration {
         let watch = InterruptGuard::new(py)?;
         let stop = Arc::clone(watch.stop());
         let inner = Arc::clone(&self.shared.inner);
-        let asked = watch.run(move |_| {
+        let answer = move |_: &CallingThread| {
             let mut stats = ode::Stats::default();
             let flag = stop.flag();
             let query = Query::new(0, 0, cutoff).want(Want::Residuals).cancellable(&flag, deadline);
             let answer = inner.answer_counted(&x, &query, loss, &mut stats);
             (answer, stats)
-        })?;
-        let Some(answered) = asked else { return Err(error::interrupted(py, None, None)) };
+        };
+        let Some(answered) = watch.run(answer, |_| Ok(()))? else {
+            return Err(error::interrupted(py, None, None));
+        };
         Ok(PyBytes::new(py, &object::to_bytes(&answered)?))
     }
 
     /// The path and the content hash of the model of a state.
     #[staticmethod]
     fn model_of(state: &[u8]) -> PyResult<(PathBuf, String)> {
-        let (problem, _) = stored(state)?;
+        let problem = stored(state)?;
         Ok((problem.model.path, problem.model.content_hash))
     }
 
@@ -405,7 +407,7 @@ impl PyCalibration {
         page.iter().for_each(|page| page.attach(&mut shown));
         let FitOptions { phase, live, .. } = shown;
         let (told, stopped) = (Arc::clone(&phase), page.clone());
-        let outcome = watch.run_with_ticks(
+        let outcome = watch.run(
             move |caller| {
                 let is_stop_asked = || page.as_ref().is_some_and(|page| page.is_stop_asked());
                 let (flag, ask) =

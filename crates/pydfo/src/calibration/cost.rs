@@ -1,7 +1,7 @@
 //! The cost of a fit by name, or a Python function of what was measured and simulated.
 
 use crate::interrupt::interrupt_guard::{EndRequest, Inside};
-use crate::interrupt::threads::lock;
+use crate::interrupt::lock::lock;
 use crate::optimize::objective::{number, residuals};
 use calibration::{Calibration, Compared, CostKind, CustomCost, CustomFailure};
 use numpy::PyArray1;

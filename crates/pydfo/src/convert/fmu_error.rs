@@ -6,7 +6,7 @@ use calibration::visible_error;
 use fmi::FmiError;
 use fmi::error::{ReportedError, ReportedErrorKind};
 use pyo3::IntoPyObjectExt;
-use pyo3::exceptions::{PyFileNotFoundError, PyKeyboardInterrupt, PyMemoryError, PyOSError};
+use pyo3::exceptions::{PyFileNotFoundError, PyMemoryError, PyOSError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
 use std::io;
@@ -14,6 +14,7 @@ use std::path::Path;
 
 pyo3::import_exception!(pydfo._errors, BadModelValueError);
 pyo3::import_exception!(pydfo._errors, FmuError);
+pyo3::import_exception!(pydfo._errors, Interrupted);
 pyo3::import_exception!(pydfo._errors, ModelTypeError);
 pyo3::import_exception!(pydfo._errors, SimulationError);
 pyo3::import_exception!(pydfo._errors, UnknownVariableError);
@@ -26,7 +27,7 @@ pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
     }
     let told = error.told();
     match told.kind {
-        ReportedErrorKind::Cancelled => PyKeyboardInterrupt::new_err(()),
+        ReportedErrorKind::Cancelled => Interrupted::new_err("interrupted"),
         ReportedErrorKind::Memory => PyMemoryError::new_err(message),
         ReportedErrorKind::NoFile => PyFileNotFoundError::new_err(message),
         ReportedErrorKind::UnknownVariable => UnknownVariableError::new_err(message),

@@ -3,7 +3,7 @@
 use crate::convert::dict::dict;
 use crate::convert::object;
 use crate::interrupt::interrupt_guard::CallingThread;
-use crate::interrupt::threads::lock;
+use crate::interrupt::lock::lock;
 use base::RunContext;
 use dfo::{Outcome, Progress, Report, Simplex, Termination, ToleranceTests, Trace, TraceEntry};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};

@@ -1,25 +1,28 @@
-//! Ctrl-C: the calling thread looks for Python's signals while work goes on elsewhere, between two steps of a
-//! short simulation, or inside of a Python function.
+//! Ctrl-C: the calling thread looks for Python's signals while it waits for a worker process or another
+//! thread, between two steps of a simulation, or inside of a Python function.
 //!
 //! While there is a [`InterruptGuard`], SIGINT is handled by us: the first one raises a flag, so that no
 //! further evaluation starts and simulations stop at their next step, while a Python function that is running
 //! is left to end; from the second one on KeyboardInterrupt is raised, as always. A handler of the user's is
 //! left in place. Work that runs inside of other work (a simulation inside of an objective) stops with it.
 
+use crate::interrupt::lock::lock;
 use crate::interrupt::logs;
-use crate::interrupt::threads::{self, lock};
 use calibration::RunContext;
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::PyTuple;
-use std::cell::{Cell, RefCell};
-use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::cell::RefCell;
+use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, Sender, TryRecvError, channel};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex};
+use std::thread::Builder;
 use std::time::{Duration, Instant};
+
+pyo3::import_exception!(pydfo._errors, Interrupted);
 
 /// Longest time that the calling thread waits before it checks for signals.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
@@ -27,64 +30,8 @@ const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Shortest time between two reports of progress on the calling thread.
 const TICK: Duration = Duration::from_millis(250);
 
-/// Work that took less than this the last time is done on the calling thread: handing it to another one takes
-/// up to 0.5 ms.
-const SHORT: Duration = Duration::from_millis(50);
-
-/// Stack that the calling thread must have left for that: what 8 MiB, the usual limit of a main thread, leave
-/// when an interpreter has used some.
-const LEAST_STACK: usize = 7 << 20;
-
-/// True if work that took this long the last time (`None`: it was never done) can be done on the calling
-/// thread.
-pub(crate) fn fits_here(last: Option<Duration>) -> bool {
-    last.is_some_and(|took| took < SHORT)
-        && stacker::remaining_stack().is_some_and(|left| left >= LEAST_STACK)
-}
-
-/// Polls between two readings of the clock, which takes as long as a step of a small model does...
-const POLLS_PER_READING: u32 = 16;
-
-/// ... unless so many take longer than this: then the clock is read at each.
-const SLOW: Duration = Duration::from_millis(1);
-
-/// Timer of [`POLL_INTERVAL`], checked before every step.
-struct PollClock {
-    start: Instant,
-    polls: Cell<u32>,
-    /// Times since the start: of the last reading, and of the next look.
-    read: Cell<Duration>,
-    due: Cell<Duration>,
-    polls_per_reading: Cell<u32>,
-}
-
-impl PollClock {
-    fn new() -> Self {
-        Self {
-            start: Instant::now(),
-            polls: Cell::new(0),
-            read: Cell::new(Duration::ZERO),
-            due: Cell::new(POLL_INTERVAL),
-            polls_per_reading: Cell::new(POLLS_PER_READING),
-        }
-    }
-
-    fn is_due(&self) -> bool {
-        self.polls.set(self.polls.get() + 1);
-        if self.polls.get() < self.polls_per_reading.get() {
-            return false;
-        }
-        let now = self.start.elapsed();
-        let is_slow = now - self.read.replace(now) > SLOW;
-        self.polls_per_reading.set(if is_slow { 1 } else { POLLS_PER_READING });
-        self.polls.set(0);
-        let is_due = now >= self.due.get();
-        if is_due {
-            self.due.set(now + POLL_INTERVAL);
-        }
-        is_due
-    }
-}
+/// Stack of a thread that works for the calling one: compiled models put large arrays there.
+const STACK_SIZE: usize = 16 << 20;
 
 /// A request to end one piece of work.
 #[derive(Default)]
@@ -246,14 +193,8 @@ impl<'py> InterruptGuard<'py> {
     /// Leaves SIGINT to the handler that is there: for work that calls no Python function, on the calling
     /// thread, which looks for signals itself and otherwise leaves them to whatever comes next.
     pub(crate) fn without_handler(py: Python<'py>) -> Self {
-        Self::with_flag(py, Arc::default())
-    }
-
-    /// The same; `flag`, used by nothing else meanwhile, is lowered and raised when the work is to end.
-    pub(crate) fn with_flag(py: Python<'py>, flag: Arc<AtomicBool>) -> Self {
-        flag.store(false, Ordering::Relaxed);
         let parent = AROUND.with_borrow(|around| around.last().cloned());
-        let stop = Arc::new(EndRequest { flag, parent, ..EndRequest::default() });
+        let stop = Arc::new(EndRequest { parent, ..EndRequest::default() });
         Self { py, stop, handler: None, previous: None }
     }
 
@@ -289,106 +230,64 @@ impl<'py> InterruptGuard<'py> {
         &self.stop
     }
 
-    /// Exception to raise where the work was ended: the one raised by a signal handler, else
-    /// KeyboardInterrupt.
+    /// Exception to raise where the work was ended: the one raised by a signal handler, else `Interrupted`.
     pub(crate) fn interrupted(&self) -> PyErr {
-        self.stop.take_raised().unwrap_or_else(|| PyKeyboardInterrupt::new_err(()))
+        self.stop.take_raised().unwrap_or_else(|| Interrupted::new_err("interrupted"))
     }
 
-    /// Runs `work` on a thread of its own without the interpreter lock, while this thread handles signals and
-    /// does what `work` asks for at the [`CallingThread`]. `None`: the user has interrupted it twice; `work`
-    /// will end on its own some time.
+    /// Function that handles signals every 20 ms, for the calling thread without the interpreter lock; it
+    /// returns true if the work is to end.
+    pub(crate) fn poller(&self) -> impl Fn() -> bool + Send + Sync + use<> {
+        let (stop, next) = (Arc::clone(&self.stop), Mutex::new(Instant::now() + POLL_INTERVAL));
+        move || {
+            if Instant::now() >= *lock(&next) {
+                Python::attach(|py| stop.look(py));
+                *lock(&next) = Instant::now() + POLL_INTERVAL;
+            }
+            stop.is_asked()
+        }
+    }
+
+    /// Runs `work` on the calling thread without the interpreter lock. Its context looks for signals every
+    /// 20 ms.
+    pub(crate) fn run_here<T: Send>(&self, work: impl FnOnce(&RunContext<'_>) -> T + Send) -> T {
+        let (flag, ask) = (self.stop.flag(), self.poller());
+        self.py.detach(|| work(&RunContext::new().flagged(&flag).asking(&ask)))
+    }
+
+    /// Runs work that calls Python functions on several threads on a thread of its own without the
+    /// interpreter lock, while this thread handles signals, does what `work` asks for at the
+    /// [`CallingThread`], and calls `tick` every quarter of a second. `None`: the user has interrupted it
+    /// twice; `work` will end on its own some time.
     pub(crate) fn run<T: Send + 'static>(
-        &self,
-        work: impl FnOnce(&CallingThread) -> T + Send + 'static,
-    ) -> PyResult<Option<T>> {
-        self.serve(work, EndRequest::look, &mut |_| ())
-    }
-
-    /// The same; `tick` is called on this thread every quarter of a second.
-    pub(crate) fn run_with_ticks<T: Send + 'static>(
         &self,
         work: impl FnOnce(&CallingThread) -> T + Send + 'static,
         mut tick: impl FnMut(Python<'_>) -> PyResult<()>,
     ) -> PyResult<Option<T>> {
-        let mut last = Instant::now();
-        self.serve(work, EndRequest::look, &mut |py| {
-            if last.elapsed() >= TICK {
-                last = Instant::now();
-                if let Err(e) = tick(py) {
-                    self.stop.end_with(e);
-                }
-            }
-        })
-    }
-
-    /// Runs `work` on the calling thread without the interpreter lock. The context that `work` is given looks
-    /// for signals every 20 ms.
-    pub(crate) fn run_here<T: Send>(&self, work: impl FnOnce(&RunContext<'_>) -> T + Send) -> T {
-        let stop = &*self.stop;
-        self.py.detach(move || {
-            let clock = PollClock::new();
-            let ask = || {
-                if clock.is_due() {
-                    Python::attach(|py| stop.look(py));
-                }
-                stop.is_asked()
-            };
-            work(&RunContext::new().asking(&ask))
-        })
-    }
-
-    /// As [`run`](Self::run), but the first Ctrl-C does not wait for the work to notice.
-    pub(crate) fn run_briefly<T: Send + 'static>(
-        &self,
-        work: impl FnOnce() -> T + Send + 'static,
-    ) -> PyResult<Option<T>> {
-        self.serve(move |_| work(), EndRequest::poll, &mut |_| ())
-    }
-
-    fn serve<T: Send + 'static>(
-        &self,
-        work: impl FnOnce(&CallingThread) -> T + Send + 'static,
-        leave: fn(&EndRequest, Python<'_>) -> bool,
-        tick: &mut dyn FnMut(Python<'_>),
-    ) -> PyResult<Option<T>> {
         let (sender, mut jobs) = channel();
-        let (give, result) = channel();
         let caller = CallingThread { sender };
-        threads::run(Box::new(move || {
-            let end = catch_unwind(AssertUnwindSafe(|| work(&caller)));
-            // Nobody takes it if the user has interrupted it twice. `caller` is dropped last: the calling thread sees the channel closed.
-            let _ = give.send(end);
-            Box::new(move || drop(caller))
-        }))?;
-        // Where nothing came for a while, it is not worth while to stay awake.
-        let mut is_long = false;
+        let thread = Builder::new().name("pydfo-run".to_owned()).stack_size(STACK_SIZE);
+        // The channel is closed when the work has ended, and with it `caller`.
+        let thread = thread.spawn(move || work(&caller))?;
+        let mut last = Instant::now();
         loop {
             let job;
-            (job, jobs) = self.py.detach(move || {
-                let soon = if is_long { Err(TryRecvError::Empty) } else { threads::soon(&jobs) };
-                let job = match soon {
-                    Err(TryRecvError::Empty) => jobs.recv_timeout(POLL_INTERVAL),
-                    arrived => arrived.map_err(|_| RecvTimeoutError::Disconnected),
-                };
-                (job, jobs)
-            });
-            is_long = matches!(job, Err(RecvTimeoutError::Timeout));
+            (job, jobs) = self.py.detach(move || (jobs.recv_timeout(POLL_INTERVAL), jobs));
             match job {
                 Ok(job) => job(self.py),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
                     // Short work has ended before anybody looked.
                     self.stop.look(self.py);
-                    return match result.recv() {
-                        Ok(Ok(result)) => Ok(Some(result)),
-                        Ok(Err(panic)) => resume_unwind(panic),
-                        Err(_) => Ok(None),
-                    };
+                    let result = self.py.detach(|| thread.join());
+                    return result.map(Some).or_else(|panic| resume_unwind(panic));
                 }
             }
-            tick(self.py);
-            if leave(&self.stop, self.py) {
+            if last.elapsed() >= TICK {
+                last = Instant::now();
+                tick(self.py).unwrap_or_else(|e| self.stop.end_with(e));
+            }
+            if self.stop.look(self.py) {
                 return Ok(None);
             }
         }

@@ -3,7 +3,7 @@
 //! Lines are kept until the calling thread next looks for signals, or returns: the threads that simulate must
 //! not wait for the interpreter lock.
 
-use crate::interrupt::threads::lock;
+use crate::interrupt::lock::lock;
 use calibration::SETUP_LOG_TARGET;
 use log::{Level, LevelFilter, Log, Metadata, Record};
 use pyo3::prelude::*;

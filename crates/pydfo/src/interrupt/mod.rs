@@ -1,5 +1,5 @@
-//! Work on other threads, Ctrl-C, logs.
+//! Ctrl-C, logs, locks.
 
 pub(crate) mod interrupt_guard;
+pub(crate) mod lock;
 pub(crate) mod logs;
-pub(crate) mod threads;

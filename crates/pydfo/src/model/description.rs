@@ -9,7 +9,6 @@ use crate::model::files;
 use fmi::description::{Dimension, Terminal, TypeDefinition};
 use fmi::{
     DescriptionLimits, InterfaceKind, LoaderOptions, LogFilter, LogOptions, ModelDescription, OpenOptions,
-    Reuse,
 };
 use pyo3::IntoPyObjectExt;
 use pyo3::prelude::*;
@@ -125,8 +124,8 @@ impl Fmu {
     /// have shown.
     fn reuse(&self) -> &'static str {
         match self.fmu.reuse() {
-            Reuse::Reset => "reset",
-            Reuse::Reinstantiate => "reinstantiate",
+            fmi::Reuse::Reset => "reset",
+            fmi::Reuse::Reinstantiate => "reinstantiate",
             _ => "process",
         }
     }

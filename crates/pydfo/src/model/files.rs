@@ -9,18 +9,13 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use std::sync::LazyLock;
-use std::time::Duration;
 
 /// FMUs that stay open after their last use: scripts open their model at every evaluation.
 const KEPT_OPEN: usize = 32;
 
 static OPEN: LazyLock<FmuCache> = LazyLock::new(|| FmuCache::new(KEPT_OPEN));
 
-/// So long the calling thread tries to open a file, without looking for signals: most files take less.
-const SHORT: Duration = Duration::from_millis(20);
-
-/// The FMU at `path`, opened now or before with the same options. What takes long is opened while this thread
-/// looks for signals: small files can hold large descriptions.
+/// The FMU at `path`, opened now or before with the same options.
 pub(crate) fn open(py: Python<'_>, path: PathBuf, options: &OpenOptions) -> PyResult<fmi::Fmu> {
     try_open(py, path, options)?.map_err(|e| fmu_error::raise(py, &e))
 }
@@ -31,27 +26,18 @@ pub(crate) fn try_open(
     path: PathBuf,
     options: &OpenOptions,
 ) -> PyResult<Result<fmi::Fmu, FmiError>> {
-    let try_here =
-        || OPEN.open_with(&path, &OpenOptions { cancel: CancelRequest::after(SHORT), ..options.clone() });
-    let opened = match py.detach(try_here) {
-        Err(FmiError::Cancelled) => {
-            let options = options.clone();
-            watched(py, move |cancel| OPEN.open_with(&path, &OpenOptions { cancel, ..options }))?
-        }
-        opened => opened,
-    };
+    // Small files can hold large descriptions.
+    let opened = watched(py, |cancel| OPEN.open_with(&path, &OpenOptions { cancel, ..options.clone() }))?;
     logs::pass_on(py)?;
     Ok(opened)
 }
 
-/// Does work of some seconds while this thread looks for signals: one that asks for an early end ends it.
-pub(crate) fn watched<T: Send + 'static>(
-    py: Python<'_>,
-    work: impl FnOnce(CancelRequest) -> T + Send + 'static,
-) -> PyResult<T> {
-    let watch = InterruptGuard::new(py)?;
-    let cancel = CancelRequest::when(watch.stop().flag());
-    watch.run_briefly(move || work(cancel))?.ok_or_else(|| watch.interrupted())
+/// Does work that may take seconds without the interpreter lock: Ctrl-C ends it.
+pub(crate) fn watched<T: Send>(py: Python<'_>, work: impl FnOnce(CancelRequest) -> T + Send) -> PyResult<T> {
+    let watch = InterruptGuard::without_handler(py);
+    let cancel = CancelRequest::asking(watch.poller());
+    let done = py.detach(|| work(cancel));
+    if watch.stop().is_asked() { Err(watch.interrupted()) } else { Ok(done) }
 }
 
 /// Forgets the FMUs that were kept open; called when the interpreter ends, so that no unpacked folder stays

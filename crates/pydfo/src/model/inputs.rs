@@ -1,7 +1,7 @@
 //! Inputs from Python: tables as arrays, and functions that are called with the interpreter lock taken only
 //! inside.
 
-use crate::interrupt::threads::lock;
+use crate::interrupt::lock::lock;
 use fmi::{Inputs, Value};
 use numpy::PyReadonlyArray1;
 use pyo3::exceptions::{PyTypeError, PyValueError};

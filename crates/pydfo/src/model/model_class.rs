@@ -4,9 +4,9 @@ use crate::convert::error;
 use crate::convert::fmu_error;
 use crate::convert::record::{PyRecord, read, time_limit};
 use crate::convert::values;
-use crate::interrupt::interrupt_guard::{CallingThread, EndRequest, InterruptGuard, fits_here};
+use crate::interrupt::interrupt_guard::{EndRequest, InterruptGuard};
+use crate::interrupt::lock::lock;
 use crate::interrupt::logs;
-use crate::interrupt::threads::lock;
 use crate::model::description::Fmu;
 use crate::model::inputs::{self, Callbacks, Function, Table};
 use crate::model::trajectory;
@@ -23,10 +23,13 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
-use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 
 pyo3::import_exception!(pydfo._errors, Interrupted);
+
+/// Logged once for each model.
+const RESTARTED: &str =
+    "the process of the model ended in an earlier call; a new one is started with the same values set";
 
 /// A model with the values set since it was opened or reset. Whatever waits for its session, or frees an
 /// instance, does so without the lock of the interpreter, which the functions of a simulation may need.
@@ -35,9 +38,6 @@ pub(crate) struct Model {
     fmu: fmi::Fmu,
     kind: InterfaceKind,
     slot: Arc<Mutex<Slot>>,
-    /// Ends a simulation on the calling thread; the same for all of them, so that the next one has the same
-    /// options.
-    flag: Arc<AtomicBool>,
 }
 
 /// The values set, and where the model runs.
@@ -48,6 +48,10 @@ struct Own {
     process: Option<ModelProcess>,
     /// Options of the last simulation, where it was made in a process.
     last: Option<SimulateOptions>,
+    /// The process has ended in a call.
+    has_ended: bool,
+    /// That was logged.
+    is_end_logged: bool,
 }
 
 /// Holds the model. A simulation takes it out, so that other calls are refused and do not wait for a lock.
@@ -164,10 +168,11 @@ impl Model {
     fn new(py: Python<'_>, fmu: &Bound<'_, Fmu>, kind: &str) -> PyResult<Self> {
         let fmu = fmu.get().fmu.clone();
         let kind = kind.parse().map_err(|e| fmu_error::raise(py, &e))?;
-        let own = Own { session: Session::of_kind(fmu.clone(), kind), kind, process: None, last: None };
+        let session = Session::of_kind(fmu.clone(), kind);
+        let own = Own { session, kind, process: None, last: None, has_ended: false, is_end_logged: false };
         let kind = fmu.choose(kind).map_err(|e| fmu_error::raise(py, &e))?;
         let slot = Arc::new(Mutex::new(Slot::Here(Box::new(own))));
-        Ok(Self { fmu, kind, slot, flag: Arc::default() })
+        Ok(Self { fmu, kind, slot })
     }
 
     /// Values of variables.
@@ -240,41 +245,28 @@ impl Model {
         shown.collect()
     }
 
-    /// In a worker process, unless it is asked for otherwise. In this process on the calling thread if the
-    /// last simulation of this FMU was short.
+    /// In a worker process, unless it is asked for otherwise.
     fn simulate<'py>(&self, py: Python<'py>, request: Request<'py>) -> PyResult<Bound<'py, PyDict>> {
         let limits = request.worker_limits().map_err(|e| fmu_error::raise(py, &e))?;
-        let is_on_this_thread = limits.is_some() || fits_here(self.fmu.last_run(self.kind));
         let mut loan = self.lend()?;
         // An input function is Python code: what a Ctrl-C does to it is up to our handler.
-        let watch = match is_on_this_thread && request.functions.is_empty() {
-            true => InterruptGuard::with_flag(py, Arc::clone(&self.flag)),
+        let watch = match request.functions.is_empty() {
+            true => InterruptGuard::without_handler(py),
             false => InterruptGuard::new(py)?,
         };
-        let stop = Arc::clone(watch.stop());
+        let stop = watch.stop();
         let described =
             request.described.as_ref().map_or_else(|| self.fmu.clone(), |own| own.get().fmu.clone());
-        let (options, callbacks) = self.options(py, request, described.description(), &stop)?;
-        let outcome = if is_on_this_thread {
-            let outcome = watch.run_here(|context| {
-                Some(match limits {
-                    Some(limits) => loan.own.as_mut()?.simulate_apart(limits, &options, context),
-                    None => loan.own.as_mut()?.simulate_here(&options, context),
-                })
-            });
-            callbacks.release();
-            drop(loan);
-            outcome
-        } else {
-            let releasing = callbacks.clone();
-            let run = move |_: &CallingThread| {
-                let outcome = loan.own.as_mut().map(|own| own.simulate_here(&options, &RunContext::new()));
-                releasing.release();
-                drop(loan);
-                outcome
-            };
-            watch.run(run)?.flatten()
-        };
+        let (options, callbacks) = self.options(py, request, described.description(), stop)?;
+        let outcome = watch.run_here(|context| {
+            let own = loan.own.as_mut()?;
+            Some(match limits {
+                Some(limits) => own.simulate_apart(limits, &options, context),
+                None => own.simulate_here(&options, context),
+            })
+        });
+        callbacks.release();
+        drop(loan);
         logs::pass_on(py)?;
         if let Some(e) = callbacks.take_raised().or_else(|| stop.take_raised()) {
             return Err(e);
@@ -297,6 +289,11 @@ impl Model {
 impl Own {
     /// The processes of the model, with these limits.
     fn process(&mut self, limits: WorkerLimits) -> Result<&ModelProcess, FmiError> {
+        if self.has_ended && !self.is_end_logged {
+            let model = &self.session.fmu().description().model_name;
+            log::warn!("{model}: {RESTARTED}");
+            self.is_end_logged = true;
+        }
         // One with other limits is not asked.
         drop(self.process.take_if(|process| *process.limits() != limits));
         Ok(match &mut self.process {
@@ -305,16 +302,21 @@ impl Own {
         })
     }
 
+    /// Notes whether the process has ended in a call.
+    fn note_end<T>(&mut self, outcome: Result<T, FmiError>) -> Result<T, FmiError> {
+        self.has_ended |= matches!(outcome, Err(FmiError::WorkerEnded(_)));
+        outcome
+    }
+
     fn simulate_apart(
         &mut self,
         limits: WorkerLimits,
         options: &SimulateOptions,
         context: &RunContext<'_>,
     ) -> Result<Trajectory, FmiError> {
-        let mut options = self.session.with_values(options);
-        let flag = options.cancel.take();
-        let context = flag.as_deref().map_or(*context, |flag| context.flagged(flag));
-        let trajectory = self.process(limits)?.simulate(&options, &context)?;
+        let options = self.session.with_values(options);
+        let outcome = self.process(limits)?.simulate(&options, context);
+        let trajectory = self.note_end(outcome)?;
         if trajectory.termination != Termination::StoppedByObserver {
             self.session.note_simulated();
             self.last = Some(options);
@@ -388,7 +390,7 @@ impl Own {
             None => process.initial_values(kind, set, names, context),
         };
         self.last = last;
-        found
+        self.note_end(found)
     }
 }
 
@@ -420,10 +422,8 @@ impl Model {
         description: &ModelDescription,
         stop: &Arc<EndRequest>,
     ) -> PyResult<(SimulateOptions, Callbacks)> {
-        let flag = stop.flag();
-        let (inputs, callbacks) = inputs::inputs(request.tables, request.functions, &flag)?;
-        let mut options =
-            SimulateOptions::new().inputs(inputs).cancel(flag).record_events(request.record_events);
+        let (inputs, callbacks) = inputs::inputs(request.tables, request.functions, &stop.flag())?;
+        let mut options = SimulateOptions::new().inputs(inputs).record_events(request.record_events);
         if !request.settings.values.is_empty() {
             options.run = request.settings.settings(py)?.run;
         }

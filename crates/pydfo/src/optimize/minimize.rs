@@ -4,7 +4,7 @@
 use crate::convert::error;
 use crate::convert::record::PyRecord;
 use crate::convert::report::{self, LastProgress, Listener, ResultKind, Snapshot};
-use crate::interrupt::interrupt_guard::{EndRequest, InterruptGuard};
+use crate::interrupt::interrupt_guard::{CallingThread, EndRequest, InterruptGuard};
 use crate::interrupt::logs;
 use crate::optimize::futures;
 use crate::optimize::objective::PyObjective;
@@ -116,11 +116,12 @@ pub(crate) fn minimize<'py>(
         let last_progress = Arc::new(LastProgress::new(kind));
         let (objective, stop) = (Arc::clone(&objective), Arc::clone(&stop));
         let (seen, notified) = (Arc::clone(&last_progress), listener.clone());
-        let outcome = watch.run(move |caller| {
+        let work = move |caller: &CallingThread| {
             let mut notify = |progress: &Progress<'_>| seen.pass_on(progress, caller, notified.as_ref());
             let run = dfo::minimize(ByRef(&*objective));
             setup.run(run, &stop, &|| stop.is_asked(), Some(&mut notify))
-        })?;
+        };
+        let outcome = watch.run(work, |_| Ok(()))?;
         match outcome {
             Some(outcome) => outcome,
             None => return Err(error::interrupted(py, last_progress.result(py)?.as_ref(), None)),

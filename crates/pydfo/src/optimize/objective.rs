@@ -2,7 +2,7 @@
 //! evaluates.
 
 use crate::interrupt::interrupt_guard::{EndRequest, Inside};
-use crate::interrupt::threads::lock;
+use crate::interrupt::lock::lock;
 use dfo::{Answer, BatchView, CutoffUse, Objective, Outcome, Query, Report, RobustLoss};
 use numpy::{PyArray1, PyArrayMethods, PyUntypedArray};
 use pyo3::exceptions::{PyBaseException, PyException, PyKeyboardInterrupt, PyTypeError, PyValueError};

@@ -103,9 +103,8 @@ class Evaluation:
     def cost(self, x: npt.ArrayLike | Mapping[str, float] | None = None) -> float:
         """The sum of the squared weighted residuals.
 
-        The interpreter lock is released meanwhile. If the last evaluation took less than 50 ms, the calling thread simulates
-        and looks for Ctrl-C every 20 ms, between two steps; else another thread simulates, so that Ctrl-C gives control back
-        even if a call of the FMU does not return.
+        The interpreter lock is released meanwhile. Ctrl-C ends the simulation, and its process if the FMU does not return
+        within 0.1 s.
 
         Parameters
         ----------

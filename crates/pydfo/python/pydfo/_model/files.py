@@ -65,8 +65,8 @@ def build_fmu(folder: PathLike, out: PathLike) -> Path:
         The folder holds no FMU; there is no compiler; the sources do not compile.
     OSError
         Files cannot be read or written.
-    KeyboardInterrupt
-        Ctrl-C: the compiler is ended, and nothing is written.
+    Interrupted
+        Ctrl-C (a KeyboardInterrupt): the compiler is ended, and nothing is written.
     """
     _core.build_fmu(_values.path("folder", folder), _values.path("out", out))
     return Path(out)

@@ -101,7 +101,7 @@ class FMUModel:
     values, so that the same values give the same bits.
 
     The FMU runs in a process of its own, which is kept from one call to the next. If the process ends, the next call starts another one
-    with the same values set. The second simulation is also made in a new process: where that gives other bits, the FMU keeps a state
+    with the same values set, and the first time a warning is logged. The second simulation is also made in a new process: where that gives other bits, the FMU keeps a state
     that no variable shows. Then it is named in ``description.quirks``, and each simulation has a new process.
 
     Parameters
@@ -392,7 +392,8 @@ class FMUModel:
         isolation : {"none", "process"}, optional
             Where the FMU runs: in a process of its own (the default), or in this one, with the same bits. A crash, `exit`, or a call
             that does not return within `max_time` ends the process of the FMU and is a SimulationError; the next call starts another
-            process. "none" is for programs that embed the module, and for benchmarks: there, a crash of the FMU ends Python.
+            process. "none" is for programs that embed the module, and for benchmarks: there, a crash of the FMU ends Python, and Ctrl-C
+            acts between two calls into it only.
         sandbox : bool
             Confine the process of the FMU, as in a `Calibration`; an error where the system cannot do that.
         units : dict of str to str, optional

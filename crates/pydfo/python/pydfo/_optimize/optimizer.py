@@ -137,8 +137,8 @@ class Optimizer:
             A number that is not waiting for an answer; what stands before it is told.
         ValueError, TypeError
             More or fewer values than numbers; a value that is no number, or no vector of residuals where these are wanted.
-        KeyboardInterrupt
-            Ctrl-C while the method chose its next points: the value counts, and the next `ask` goes on with that.
+        Interrupted
+            Ctrl-C (a KeyboardInterrupt) while the method chose its next points: the value counts, and the next `ask` goes on with that.
         """
         if type(ids) is np.ndarray and ids.ndim == 1:
             numbers = ids.tolist()
