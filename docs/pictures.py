@@ -1,8 +1,9 @@
-"""Draws the pictures of the pages: fits of the examples, with the seed 1 where something is random.
+"""Draw the pictures of the pages. Methods with random numbers use the seed 1.
 
-    python docs/pictures.py [FOLDER]        default: docs/pictures, beside this file
+    python docs/pictures.py [FOLDER]        default: docs/pictures
 """
 
+import os
 import runpy
 import sys
 import tempfile
@@ -11,23 +12,17 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-import pydfo
-
 HERE = Path(__file__).resolve().parent
 SEED = 1
-EXHAUST_INPUTS = ["T_in", "p_in", "w_turb1", "w_turb2", "p_out"]
-WALLS = {"C1": (2500, 50000), "G1": (120, 500), "C2": (9000, 50000), "G2": (80, 500)}
 
 
-def pendulum(files):
-    """The calibration of the pendulum."""
-    angles = {"armJoint.phi": "phi", "pendulumJoint.phi": "theta"}
-    frictions = [pydfo.Parameter("armFriction", 0.012, 0, 0.022), pydfo.Parameter("pendulumFriction", 0.002, 0, 0.012)]
-    return pydfo.Calibration(files / "furuta.fmu", files / "furuta.csv", angles, frictions)
+def calibration_of(setup):
+    """Calibration of a set-up file in docs/setups. The working folder must contain the example files."""
+    return runpy.run_path(f"{setup}.py")["calibration"]
 
 
 def methods(calibration):
-    """The best cost over the evaluations, by method."""
+    """Best cost against the number of evaluations for four methods."""
     figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
     for method in ("least-squares", "nelder-mead", "cma-es", "de"):
         fit = calibration.fit(method=method, rng=SEED, covariance=None)
@@ -38,35 +33,38 @@ def methods(calibration):
     return figure
 
 
-def drawn(files):
-    """Each picture with its name, one after the other."""
-    calibration = pendulum(files)
+def drawn():
+    """Yields the name and the figure of each picture."""
+    calibration = calibration_of("pendulum")
     fit = calibration.fit()
     yield "furuta", fit.plot()
     yield "profile", fit.plot_profiles()
     yield "sensitivity", fit.plot_sensitivity()
     yield "waterfall", calibration.fit(search="global", rng=SEED).plot_waterfall()
     yield "methods", methods(calibration)
-    parameters = [pydfo.Parameter(name, start, 1e-4 * start, upper) for name, (start, upper) in WALLS.items()]
-    pipe = pydfo.Calibration(files / "exhaust.fmu", files / "exhaust.csv", ["T_out"], parameters, inputs=EXHAUST_INPUTS, window=(0, 500))
-    staged = pipe.fit(stages=[["C2", "G2"], ["C1", "G1"]])
-    yield "exhaust", staged.plot()
-    yield "validation", staged.validate(windows=(501, 1200)).plot()
-    yield "correlation", staged.plot_correlation()
+    pipe = calibration_of("pipe").fit()
+    yield "exhaust", pipe.plot()
+    yield "validation", pipe.validate(windows=(501, 1200)).plot()
+    yield "correlation", pipe.plot_correlation()
 
 
 def write(folder):
-    """Draws all pictures into a folder; returns their files."""
-    folder = Path(folder)
+    """Draws all pictures into a folder and returns their paths."""
+    folder = Path(folder).resolve()
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     with tempfile.TemporaryDirectory() as files:
         runpy.run_path(str(HERE / "example_files.py"))["write"](files)
-        for name, figure in drawn(Path(files)):
-            path = folder / f"{name}.png"
-            figure.savefig(path, dpi=72, metadata={"Software": None})
-            plt.close(figure)
-            written.append(path)
+        before = Path.cwd()
+        os.chdir(files)
+        try:
+            for name, figure in drawn():
+                path = folder / f"{name}.png"
+                figure.savefig(path, dpi=72, metadata={"Software": None})
+                plt.close(figure)
+                written.append(path)
+        finally:
+            os.chdir(before)
     return written
 
 

@@ -1,5 +1,5 @@
 //! What many workers gain, by a clock of their own: each evaluation takes one unit of time, one in so many ten.
-//! Prints the table of docs/scaling.md and writes its picture to the path that is given after `--`.
+//! Prints the table of benches/scaling.md and writes its picture to the path that is given after `--`.
 #![allow(clippy::print_stdout, clippy::unwrap_used, unreachable_pub)]
 
 #[path = "../tests/common/clocked.rs"]

@@ -1,15 +1,15 @@
-"""The pages for readers: every code block of README and of docs/ runs, and what it is said to print is what it prints.
+"""Runs every code block of README and docs/, and compares the printed output with the page.
 
-The blocks of a page share their variables and a folder with the files of docs/example_files.py. By their language:
+The blocks of a page share their variables and a folder with the files that docs/example_files.py writes. The language of a block decides:
 
-- ``python`` is executed; ``pycon`` is executed and compared as a doctest, ``...`` standing for any text;
-- ``console`` has its lines after ``$`` executed by a shell, in which ``fmufit`` is the command line of this module; output that is
-  shown is compared in the same way, and only a block that shows ``error:`` may fail;
-- ``toml`` and ``python`` with ``title="NAME"`` are written into the folder first;
-- a block without a language, and ``text``, ``rust`` and ``sh`` are not executed here (those of Rust are doctests of Rust, those of ``sh``
-  change the machine).
+- ``python`` is executed; ``pycon`` is executed and compared like a doctest, in which ``...`` stands for any text;
+- ``console``: the lines after ``$`` are executed by a shell in which ``fmufit`` is the command line of this module. The output is
+  compared in the same way. Only a block that shows ``error:`` may fail;
+- ``toml`` and ``python`` with ``title="NAME"`` are first written to the folder;
+- blocks without a language, and ``text``, ``rust`` and ``sh``, are not executed here. Rust blocks are doctests of Rust; ``sh`` blocks
+  change the machine.
 
-A block that imports a package that is not installed is skipped with those after it, and says so.
+If a block imports a package that is not installed, this block and the following ones are skipped with a message.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ ROOT = Path(__file__).resolve().parents[3]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "crates" / "pydfo" / "README.md", *sorted(DOCS.rglob("*.md"))]
 NOTEBOOKS = sorted(DOCS.rglob("*.ipynb"))
+SETUPS = sorted((DOCS / "setups").glob("*.py"))
 FENCE = re.compile(r"^```(?P<info>[^\n]*)\n(?P<code>.*?)^```$", re.M | re.S)
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 #: Languages that are not executed here.
@@ -53,7 +54,7 @@ def blocks(page: Path) -> list[tuple[str, str, str, int]]:
 
 @pytest.fixture(scope="module")
 def example_files() -> dict[str, bytes]:
-    """What docs/example_files.py writes, by names."""
+    """Contents of the files that docs/example_files.py writes, by name."""
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:
@@ -63,7 +64,7 @@ def example_files() -> dict[str, bytes]:
 
 @pytest.fixture
 def folder(tmp_path, example_files, monkeypatch):
-    """A folder with the files and the command line, in which the blocks run."""
+    """A folder with the example files and the command line, in which the blocks run."""
     for name, content in example_files.items():
         (tmp_path / name).write_bytes(content)
     commands = tmp_path / ".bin"
@@ -74,7 +75,11 @@ def folder(tmp_path, example_files, monkeypatch):
     monkeypatch.setenv("PATH", f"{commands}{os.pathsep}{os.environ['PATH']}")
     monkeypatch.setenv("MPLBACKEND", "Agg")
     monkeypatch.chdir(tmp_path)
-    return tmp_path
+    # Pages import the set-ups, which read files of the working folder.
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield tmp_path
+    for setup in SETUPS:
+        sys.modules.pop(setup.stem, None)
 
 
 def executed(code: str, names: dict[str, object], place: str, line: int) -> None:
@@ -157,3 +162,38 @@ def test_every_page_is_in_the_menu() -> None:
     menu = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     missing = [str(page.relative_to(DOCS)) for page in (*PAGES[2:], *NOTEBOOKS) if str(page.relative_to(DOCS)) not in menu]
     assert not missing
+
+
+def test_first_fit_shows_the_setup_of_the_other_pages() -> None:
+    page = (DOCS / "first-fit.md").read_text(encoding="utf-8")
+    setup = (DOCS / "setups" / "pendulum.py").read_text(encoding="utf-8").partition("import pydfo\n\n")[2]
+    assert setup in page
+
+
+GUIDES = [page for page in sorted(DOCS.glob("*.md")) if page.name != "index.md"]
+
+
+@pytest.mark.parametrize("page", GUIDES, ids=lambda page: page.name)
+def test_guide_begins_with_its_purpose(page: Path) -> None:
+    title, _, text = page.read_text(encoding="utf-8").partition("\n\n")
+    assert title.startswith("# ")
+    assert re.match(r"This page (explains|lists|shows) ", text)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_to_files_and_headings(page: Path) -> None:
+    text = FENCE.sub("", page.read_text(encoding="utf-8"))
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+        path, _, anchor = link.partition("#")
+        if "://" in link:
+            continue
+        target = (page.parent / path) if path else page
+        assert target.exists(), link
+        if anchor:
+            assert anchor in headings(target), link
+
+
+def headings(page: Path) -> set[str]:
+    """Anchors of the headings of a page."""
+    titles = re.findall(r"^#+ (.+)$", FENCE.sub("", page.read_text(encoding="utf-8")), re.M)
+    return {re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", title).strip().lower()) for title in titles}

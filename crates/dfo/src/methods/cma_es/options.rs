@@ -72,7 +72,7 @@ pub struct CmaEs {
     /// populations: farther ahead the search does not converge. Default 0: a generation is drawn when the one
     /// before it is known whole, which takes the fewest evaluations and is best for one worker. With four
     /// times the workers these are busy where one evaluation in ten takes ten times as long
-    /// (docs/scaling.md).
+    /// (benches/scaling.md).
     pub lag: usize,
 }
 

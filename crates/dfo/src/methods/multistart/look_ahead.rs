@@ -34,7 +34,7 @@ impl MultistartState {
         }
         // The first search after an exploration may need the rest of the budget: then no other is certain.
         // It shares the workers with those that run side by side once it has ended: Nelder-Mead gains nothing past four
-        // of them (docs/scaling.md), and the more of these there are, the fewer of them the budget reaches.
+        // of them (benches/scaling.md), and the more of these there are, the fewer of them the budget reaches.
         let is_alone = self.needs_the_rest();
         let n_next = if is_alone { self.core.queue.len().min(SIDE_BY_SIDE) } else { 0 };
         let share = (wanted / 2).div_ceil(1 + n_next);

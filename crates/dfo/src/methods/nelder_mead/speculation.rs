@@ -30,7 +30,7 @@ const BETTER_THAN_WORST: f64 = 0.8;
 const COUNTED: f64 = 0.1;
 
 /// A point that the path needs with less probability is not worth its evaluation, however many are wanted:
-/// with 1000 workers a quarter of this gains nothing (docs/scaling.md has the clock) and takes five times as
+/// with 1000 workers a quarter of this gains nothing (benches/scaling.md) and takes five times as
 /// long to find.
 const LEAST_PROBABILITY: f64 = 1.0 / 256.0;
 
