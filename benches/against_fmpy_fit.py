@@ -218,7 +218,7 @@ def main() -> int:
     arguments = parser.parse_args()
     import pydfo
 
-    names = ("fmpy", "scipy", "fmufit-pydfo")
+    names = ("fmpy", "scipy", "fmufit")
     versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in names[:2])
     print(f"Python {platform.python_version()}, {versions}, pydfo {pydfo.__version__} on {platform.platform()} {platform.machine()}")
     required = dict(zip(("Nelder-Mead", "least_squares"), map(float, arguments.require.split(","))))

@@ -142,7 +142,7 @@ def run(name: str, asked: list[str] | None, half: str, seeds: int, jobs: int) ->
 
 
 def versions() -> str:
-    names = ("fmufit-pydfo", "numpy", "scipy", "nlopt", "cobyqa", "Py-BOBYQA", "DFO-LS", "cma", "pygmo")
+    names = ("fmufit", "numpy", "scipy", "nlopt", "cobyqa", "Py-BOBYQA", "DFO-LS", "cma", "pygmo")
     found = {d.metadata["Name"]: d.version for d in importlib.metadata.distributions()}
     return ", ".join(f"{name} {found[name]}" for name in names if name in found)
 

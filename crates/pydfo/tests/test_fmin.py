@@ -286,7 +286,7 @@ def test_the_trace_as_a_data_frame():
 def test_the_version_is_that_of_the_distribution():
     from importlib.metadata import version
 
-    assert pydfo.__version__ == version("fmufit-pydfo")
+    assert pydfo.__version__ == version("fmufit")
 
 
 def test_executors_and_maps_evaluate_as_threads_do():
