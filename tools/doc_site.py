@@ -2,7 +2,7 @@
 
 As a hook of MkDocs (mkdocs.yml) it
 
-- takes in CHANGELOG.md, SECURITY.md and CONTRIBUTING.md as pages of the folder project/,
+- takes in CHANGELOG.md, SECURITY.md, CONTRIBUTING.md and CODE_OF_CONDUCT.md as pages of the folder project/,
 - copies each other file of the project that a page links to into files/, and has the link lead there,
 - turns notebooks into pages: their text, code and stored output.
 
@@ -23,7 +23,7 @@ from urllib.parse import unquote, urlsplit
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
-PAGES = ("CHANGELOG.md", "SECURITY.md", "CONTRIBUTING.md")
+PAGES = ("CHANGELOG.md", "SECURITY.md", "CONTRIBUTING.md", "CODE_OF_CONDUCT.md")
 LINK = re.compile(r"(\]\()([^)#\s]+)((?:#[^)\s]*)?\))")
 
 
