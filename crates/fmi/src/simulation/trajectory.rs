@@ -140,6 +140,15 @@ impl PartialEq for ValueColumn {
 }
 
 impl Trajectory {
+    getters! {
+        /// Number of rows.
+        pub len(self) -> usize = self.time.len();
+        /// True if there are no rows.
+        pub is_empty(self) -> bool = self.time.is_empty();
+        /// Times of the rows, in the order of the rows.
+        pub times(self) -> &[f64] = &self.time;
+    }
+
     /// True if all columns have their rows, and all variables their columns. One that another process has
     /// sent may be none that a simulation can have.
     pub fn is_consistent(&self) -> bool {
