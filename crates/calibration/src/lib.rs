@@ -12,7 +12,12 @@
 //! `uncertainty` (covariance, residual tests, active bounds, the same before a fit); `fit` (one stage,
 //! several stages); `intervals` (profiles, bands), `validation`; `report` (pages and figures), `export`
 //! (files, tables, other programs); `live_page` (the page of a running fit).
+//!
+//! Features: `sandbox` (default) and `sparse` are those of `fmi` and `ode`. `report` adds the HTML report,
+//! figures and the page of a running fit. `schema` adds JSON schemas.
 #![forbid(unsafe_code)]
+// The state of a running fit and the summary of a result are read by pages only.
+#![cfg_attr(not(feature = "report"), allow(dead_code))]
 
 mod check;
 mod cost;
@@ -22,6 +27,7 @@ mod export;
 mod findings;
 mod fit;
 mod intervals;
+#[cfg(feature = "report")]
 mod live_page;
 mod loaded;
 mod problem;
@@ -57,6 +63,7 @@ pub use fit::several_stages::{Stage, StageRecord};
 pub use fmi;
 pub use intervals::bands::{BandOptions, PredictionBand};
 pub use intervals::profile::{ParameterProfile, Profile, ProfileEnd, ProfileOptions, ProfilePoint};
+#[cfg(feature = "report")]
 pub use live_page::LivePage;
 pub use loaded::calibration::{Calibration, CalibrationBuilder};
 pub use loaded::effort::Effort;
@@ -72,7 +79,9 @@ pub use problem::prior::Prior;
 pub use problem::residual_layout::{OutputResiduals, PriorResidual, ResidualLayout};
 pub use problem::settings::SimulationSettings;
 pub use problem::warning::{SETUP_LOG_TARGET, SetupWarning};
-pub use report::{ExperimentCurves, OutputCurves, Signal, plot};
+#[cfg(feature = "report")]
+pub use report::plot;
+pub use report::{ExperimentCurves, OutputCurves, Signal};
 pub use uncertainty::diagnostics::prior_check::PriorConflict;
 pub use uncertainty::diagnostics::residual_check::ResidualCheck;
 pub use uncertainty::differences::ResidualBend;

@@ -30,8 +30,8 @@
 //!
 //! # Features
 //!
-//! Both are on by default: `sandbox` confines worker processes where that is asked for (Landlock and seccomp,
-//! on Linux), `sparse` is that of `ode`.
+//! `sandbox` (on by default) confines worker processes on request (Landlock and seccomp, on Linux). `sparse`
+//! (off by default) is the feature of `ode`.
 #![deny(unsafe_code)]
 // Worker processes are those of Unix.
 #![cfg_attr(not(unix), allow(dead_code))]

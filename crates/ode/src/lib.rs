@@ -10,8 +10,8 @@
 //!
 //! A [`Driver`] integrates whatever is a [`HybridSystem`], and shows an [`Observer`] what it asks for.
 //!
-//! The feature `sparse` (default) has large Jacobians with few entries decomposed as sparse matrices. Without
-//! it they are dense.
+//! The feature `sparse` (off by default) decomposes large Jacobians with few entries as sparse matrices.
+//! Without it they are dense.
 #![forbid(unsafe_code)]
 
 mod auto;

@@ -1,6 +1,7 @@
 //! Data of the figures of a fit: measurements, responses at the start and at the fitted values, residuals,
 //! inputs, sensitivities.
 
+#[cfg(feature = "report")]
 use super::figure::{self, Panel, Series};
 use crate::cost::parallel;
 use crate::error::CalibrationError;
@@ -14,6 +15,7 @@ use serde::Serialize;
 use std::thread::available_parallelism;
 
 /// Height of a panel of a plot, in pixels.
+#[cfg(feature = "report")]
 const PANEL: u32 = 160;
 
 /// Points of a response, about.
@@ -65,6 +67,7 @@ pub struct Signal {
 
 /// Columns over their times, in s, as an SVG drawing with a panel for each, labelled by its name; `None`
 /// where there is nothing finite to draw.
+#[cfg(feature = "report")]
 pub fn plot<'a>(times: &[f64], columns: impl IntoIterator<Item = (String, &'a [f64])>) -> Option<String> {
     let panel = |(y_label, values): (String, &[f64])| {
         let points = times.iter().copied().zip(values.iter().copied()).collect();

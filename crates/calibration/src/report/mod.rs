@@ -1,25 +1,31 @@
 //! Reports of a fit: as text, as a part of a notebook, and as a page with figures.
 
 mod curves;
+#[cfg(feature = "report")]
 mod figure;
+#[cfg(feature = "report")]
 pub(crate) mod live_content;
 mod number;
+#[cfg(feature = "report")]
 mod page;
+#[cfg(feature = "report")]
 mod setup;
 mod summary;
+#[cfg(feature = "report")]
 mod template;
 mod text;
 
-pub use curves::{ExperimentCurves, OutputCurves, Signal, plot};
+#[cfg(feature = "report")]
+pub use curves::plot;
+pub use curves::{ExperimentCurves, OutputCurves, Signal};
 
-use crate::error::CalibrationError;
-use crate::fit::one_stage::Fit;
-use crate::loaded::calibration::Calibration;
-use base::RunContext;
-use base::files::AtomicFile;
-use std::io::Write;
-use std::path::Path;
+#[cfg(feature = "report")]
+use {
+    crate::error::CalibrationError, crate::fit::one_stage::Fit, crate::loaded::calibration::Calibration,
+    base::RunContext, base::files::AtomicFile, std::io::Write, std::path::Path,
+};
 
+#[cfg(feature = "report")]
 impl Fit {
     /// Content of [`Display`](std::fmt::Display) as an HTML element for a notebook: it takes the colours of
     /// the page around it, light or dark.
@@ -28,6 +34,7 @@ impl Fit {
     }
 }
 
+#[cfg(feature = "report")]
 impl Calibration {
     /// Writes a report of a fit: one HTML page that needs nothing but itself, with parameters and their
     /// intervals, outputs, figures of measurements, responses and residuals, correlation, search, warnings,
@@ -60,6 +67,7 @@ impl Calibration {
     }
 }
 
+#[cfg(feature = "report")]
 impl Calibration {
     /// The page that [`report`](Self::report) writes.
     pub(crate) fn report_page(
