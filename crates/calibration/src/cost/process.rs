@@ -2,6 +2,7 @@
 
 use crate::cost::accuracy::Accuracy;
 use crate::cost::failure::{CostFailure, ReportedCostFailure};
+use crate::cost::parallel::map;
 use crate::cost::residual::{CostRule, sum_of_squares};
 use crate::error::CalibrationError;
 use crate::problem::definition::{ModelFile, Problem};
@@ -102,6 +103,8 @@ pub(crate) struct BestPoint {
 pub(crate) enum ProcessChoice {
     /// Any that has loaded the problem.
     Any,
+    /// Of those that have loaded the problem and are idle, the one that was asked longest ago.
+    LongestIdle,
     /// Any. After an answer of one that was asked before, the first question of all is asked again and
     /// compared, until one comparison agrees. In searches, which compare the best point at their end.
     ComparedFirst,
@@ -185,6 +188,7 @@ impl Processes {
         let whom = match process {
             _ if reuse == Reuse::NewProcess => Some(AskedProcess::FreshOnce),
             ProcessChoice::Fresh => Some(AskedProcess::Fresh),
+            ProcessChoice::LongestIdle => Some(AskedProcess::LongestIdle),
             ProcessChoice::ComparedFirst | ProcessChoice::Compared
                 if self.comparisons.is_due(reuse, process) =>
             {
@@ -297,6 +301,7 @@ impl Processes {
     /// Brings the model back in another way from now on, for answers of processes that were asked before
     /// differ from those of fresh ones.
     fn give_up(&self, reuse: Reuse) {
+        self.workers.forget(&self.load);
         if self.comparisons.has_passed(reuse) {
             self.comparisons.n_late.fetch_add(1, Ordering::Relaxed);
         }
@@ -334,7 +339,9 @@ impl Comparisons {
     }
 
     fn note_passed(&self, reuse: Reuse) {
-        self.passed.store(reuse as u8 + 1, Ordering::Relaxed);
+        if self.passed.swap(reuse as u8 + 1, Ordering::Relaxed) != reuse as u8 + 1 {
+            self.n_accepted.store(0, Ordering::Relaxed);
+        }
     }
 
     /// True if the next answer is to be compared.
@@ -440,42 +447,49 @@ impl Remote {
         self.processes.comparisons.is_random.load(Ordering::Relaxed)
     }
 
-    /// Evaluates the best point of a search in a fresh process, and compares the answers. As in any
-    /// comparison, the model is brought back in another way from now on if they differ.
-    pub(crate) fn compare_with_fresh(
+    /// Evaluates the best point of a search in a fresh process and in at most `most_used` processes that the search
+    /// has used, and compares the answers. If they differ, the model is brought back in another way from now on.
+    /// Returns what that takes.
+    pub(crate) fn compare_best(
         &self,
         best: &BestPoint,
-        evaluation: Evaluation,
-        rule: CostRule<'_>,
-        stats: &mut Stats,
-    ) {
-        let mut fresh = || {
-            let mut residuals = vec![0.0; best.n_residuals];
-            let evaluation = Evaluation { process: ProcessChoice::Fresh, ..evaluation };
-            let cost = match self.evaluate(&best.x, evaluation, rule, &mut residuals, stats) {
-                Ok(cost) => cost,
-                Err(CostFailure::Failed { .. }) => f64::INFINITY,
-                Err(_) => return None,
-            };
-            Some((cost.to_bits(), residuals.iter().map(|residual| residual.to_bits()).collect::<Vec<u64>>()))
+        loss: RobustLoss,
+        most_used: usize,
+        context: &RunContext<'_>,
+    ) -> Stats {
+        let stats = Mutex::new(Stats::default());
+        let evaluate = |process: ProcessChoice, context: &RunContext<'_>| {
+            let (mut residuals, mut taken) = (vec![0.0; best.n_residuals], Stats::default());
+            let (evaluation, rule) = (Evaluation { accuracy: None, process }, CostRule::whole(loss, context));
+            let cost = self.evaluate(&best.x, evaluation, rule, &mut residuals, &mut taken);
+            *stats.lock().unwrap_or_else(PoisonError::into_inner) += taken;
+            let bits = residuals.iter().map(|residual| residual.to_bits()).collect::<Vec<u64>>();
+            match cost {
+                Ok(cost) => Some((cost.to_bits(), bits)),
+                Err(CostFailure::Failed { .. }) => Some((f64::INFINITY.to_bits(), Vec::new())),
+                Err(_) => None,
+            }
         };
         let reuse = self.processes.fmu.reuse();
-        let Some((cost, residuals)) = fresh() else { return };
-        let is_same = match &best.residuals {
-            Some(known) => known.iter().map(|residual| residual.to_bits()).eq(residuals.iter().copied()),
-            None => best.cost.to_bits() == cost,
-        };
-        if is_same {
-            return;
-        }
-        match fresh() {
-            Some(again) if again == (cost, residuals) => {
-                self.processes.comparisons.note_passed(reuse);
-                self.processes.give_up(reuse);
+        let n = self.processes.workers.n_idle(&self.processes.load).min(most_used);
+        let used = map(n, n, context, &|_, context| evaluate(ProcessChoice::LongestIdle, context));
+        if let Some(fresh) = evaluate(ProcessChoice::Fresh, context) {
+            let is_known = match &best.residuals {
+                Some(known) => known.iter().map(|residual| residual.to_bits()).eq(fresh.1.iter().copied()),
+                None => best.cost.to_bits() == fresh.0,
+            };
+            if !is_known || used.into_iter().flatten().flatten().any(|used| used != fresh) {
+                match evaluate(ProcessChoice::Fresh, context) {
+                    Some(again) if again == fresh => {
+                        self.processes.comparisons.note_passed(reuse);
+                        self.processes.give_up(reuse);
+                    }
+                    Some(_) => self.processes.comparisons.is_random.store(true, Ordering::Relaxed),
+                    None => {}
+                }
             }
-            Some(_) => self.processes.comparisons.is_random.store(true, Ordering::Relaxed),
-            None => {}
         }
+        stats.into_inner().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Begins work in which all processes have the working folder and the environment variables of its begin.

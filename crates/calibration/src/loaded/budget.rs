@@ -73,6 +73,11 @@ impl Budget {
         is_allowed
     }
 
+    /// Number of whole simulations that are left after `reserved` is set aside.
+    pub(crate) fn left_beside(&self, reserved: f64) -> usize {
+        (self.left - reserved).max(0.0) as usize
+    }
+
     /// Notes that something was skipped.
     pub(crate) fn skip(&mut self, extra: Extra) {
         if !self.skipped.contains(&extra) {

@@ -114,6 +114,9 @@ impl Calibration {
         if !(2..=n).contains(&k) {
             return setup(format!("{k} folds of {n} recordings: there must be from 2 to {n}"));
         }
+        if context.is_cancelled() {
+            return Err(CalibrationError::Cancelled);
+        }
         self.prepare()?;
         let workers = options.run.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
         let end = context.within(options.run.limits.max_time).end();

@@ -106,8 +106,9 @@ fn a_late_state_that_no_variable_shows_is_found_outside_of_fits() {
     for k in [1.1, 1.2, 1.3, 3.0] {
         calibration.residuals(&[k], &context).unwrap();
     }
-    for _ in 0..2 {
-        assert_eq!(calibration.residuals(&[1.0], &context).unwrap(), expected);
+    for k in [1.0, 1.0, 3.0, 1.0] {
+        let residuals = calibration.residuals(&[k], &context).unwrap();
+        assert!(k > 1.0 || residuals == expected);
     }
     assert_eq!(calibration.fmu().reuse(), Reuse::NewProcess);
 }

@@ -46,6 +46,11 @@ impl Workers {
         match *self {}
     }
     /// Not reached.
+    pub fn n_idle(&self, _: &Load) -> usize {
+        match *self {}
+    }
+
+    /// Not reached.
     pub fn forget(&self, _: &Load) {
         match *self {}
     }

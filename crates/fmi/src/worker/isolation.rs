@@ -63,6 +63,8 @@ pub struct Question<'a> {
 pub enum AskedProcess {
     /// Any that is idle and has loaded the same; a new one if there is none.
     Any,
+    /// Of these, the one that was asked longest ago.
+    LongestIdle,
     /// One that was never asked before.
     Fresh,
     /// One that was never asked before, and is not asked again.

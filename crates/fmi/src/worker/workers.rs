@@ -416,6 +416,11 @@ impl Workers {
         idle
     }
 
+    /// Number of idle workers that have loaded this.
+    pub fn n_idle(&self, load: &Load) -> usize {
+        self.idle().lent_to(load).filter(|loaded| *loaded == load.id).count()
+    }
+
     /// Ends the idle workers of this: nobody asks them any more.
     pub fn forget(&self, load: &Load) {
         let is_of_load = |(process, _): &mut (Process, Instant)| {
@@ -438,6 +443,7 @@ impl Workers {
                 let own = idle.processes.iter().rposition(is_of_load);
                 own.or_else(|| idle.processes.iter().rposition(is_lent))
             }
+            AskedProcess::LongestIdle => idle.processes.iter().position(is_of_load),
             AskedProcess::Fresh | AskedProcess::FreshOnce => None,
         };
         Some(idle.processes.remove(place?).0)

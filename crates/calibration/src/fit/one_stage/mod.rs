@@ -18,8 +18,7 @@ pub use simulation_executor::SimulationExecutor;
 pub use tolerance::ChosenTolerance;
 
 use crate::cost::parallel::beside;
-use crate::cost::process::{BestPoint, Evaluation, NOT_REPRODUCED, ProcessChoice, Remote};
-use crate::cost::residual::CostRule;
+use crate::cost::process::{NOT_REPRODUCED, Remote};
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Origin, Severity};
 use crate::fit::output_fit::KeptResiduals;
@@ -27,10 +26,9 @@ use crate::fit::phase::FitPhase;
 use crate::loaded::budget::Extra;
 use crate::loaded::calibration::Calibration;
 use base::RunContext;
-use dfo::RobustLoss;
 use fmi::Reuse;
 pub(crate) use noise_iterations::FinalSearch;
-use ode::{Checks, Stats};
+use ode::Stats;
 pub(crate) use search::{Job, SearchResult, UsedLimits};
 use std::convert::Infallible;
 
@@ -68,6 +66,9 @@ impl Calibration {
     ) -> Result<(Fit, KeptResiduals), CalibrationError> {
         let _held = self.hold();
         let mut job = Job::new(self, options, within)?;
+        if job.context.is_cancelled() {
+            return Err(CalibrationError::Cancelled);
+        }
         self.choose_method(&mut job.run, &job.held, &job.objective)?;
         let (run, wants_preflight) = (job.run.clone(), job.wants_preflight);
         let mut stats = Stats::default();
@@ -88,8 +89,11 @@ impl Calibration {
             let own = own.as_ref().unwrap_or(self);
             let best = made.best(own.n_residuals());
             let mut budget = made.budget();
-            // Taken without a comparison, too: no process decides what else is simulated.
+            // Taken without a comparison, too, and with room left for an accurate simulation of the result: neither a
+            // process nor the number of workers decides what else is simulated.
             let has_room = budget.take(1.0);
+            let reserved = if job.has_uncertainty() { own.price_of_accurate() } else { 0.0 };
+            let most_used = budget.left_beside(reserved);
             if !has_room {
                 budget.skip(Extra::FreshProcess);
             }
@@ -98,7 +102,10 @@ impl Calibration {
             let judge = || Ok::<_, Infallible>(self.judged(own, &job, made, stats, budget));
             let (Ok((mut fit, kept)), checks) = match own_remote {
                 Some(remote) => {
-                    let compare = |context: &RunContext<'_>| own.compare(remote, &best, job.loss, context);
+                    let compare = |context: &RunContext<'_>| {
+                        let stats = remote.compare_best(&best, job.loss, most_used, context);
+                        stats.as_checks(own.problem().experiments.len() as u64)
+                    };
                     beside(&job.context, compare, judge)
                 }
                 None => (judge(), None),
@@ -124,19 +131,5 @@ impl Calibration {
             log::warn!("{model}: evaluations depended on those before them: the fit restarts");
             job.begin_anew(run.clone(), wants_preflight);
         }
-    }
-
-    /// Compares the best point with a fresh process; what that takes.
-    fn compare(
-        &self,
-        remote: &Remote,
-        best: &BestPoint,
-        loss: RobustLoss,
-        context: &RunContext<'_>,
-    ) -> Checks {
-        let mut stats = Stats::default();
-        let evaluation = Evaluation { accuracy: None, process: ProcessChoice::Fresh };
-        remote.compare_with_fresh(best, evaluation, CostRule::whole(loss, context), &mut stats);
-        stats.as_checks(self.problem().experiments.len() as u64)
     }
 }
