@@ -65,6 +65,27 @@ pub(crate) enum Job {
 }
 
 impl Job {
+    /// The question without the values of parameters.
+    fn without_values(&self) -> io::Result<Frame> {
+        match self {
+            Self::Simulate(options) => {
+                let mut options = options.clone();
+                options.start_values.clear();
+                Frame::of(&Self::Simulate(options))
+            }
+            Self::Experiment { experiment, times, .. } => {
+                Frame::of(&Self::Experiment { experiment: *experiment, x: Vec::new(), times: times.clone() })
+            }
+            Self::Variables { experiment, times, variables, .. } => Frame::of(&Self::Variables {
+                experiment: *experiment,
+                x: Vec::new(),
+                times: times.clone(),
+                variables: variables.clone(),
+            }),
+            _ => Ok(Frame::default()),
+        }
+    }
+
     /// Has the model log, where a model is opened.
     fn switch_log_on(&mut self) {
         match self {
@@ -201,7 +222,7 @@ impl Processes {
         let question = Question { asked: &asked, context, limits, is_repetition: false };
         let accepted = match whom {
             Some(whom) => self.call(&question, &mut answer, accept, whom),
-            None => self.ask_compared(&question, &mut answer, accept),
+            None => self.ask_compared(job, &question, &mut answer, accept),
         };
         frames().push((asked, answer));
         accepted
@@ -245,21 +266,24 @@ impl Processes {
     /// from now on, and a fresh process answers.
     fn ask_compared<T>(
         &self,
+        job: &Job,
         question: &Question<'_>,
         answer: &mut Frame,
         accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
     ) -> Result<T, FmiError> {
         let reuse = self.fmu.reuse();
         let told = self.call(question, answer, accept, AskedProcess::Any);
-        let Some(own) = bits_of(&told, answer) else { return told };
+        // An answer that was ended early depends on the clock.
+        let own = bits_of(&told, answer).filter(|_| !question.context.is_over());
+        let (Some(own), Ok(shape)) = (own, job.without_values()) else { return told };
         let first = || self.comparisons.first.lock().unwrap_or_else(PoisonError::into_inner);
         let n_changes = self.workers.n_changes();
-        let known = first().clone().filter(|first| first.n_changes == n_changes);
+        let known = first().clone().filter(|first| first.n_changes == n_changes && first.shape == shape);
         let mut known = match known {
             Some(known) => known,
             None => {
                 let (asked, limits) = (question.asked.clone(), question.limits);
-                let mut new = FirstQuestion { asked, limits, n_changes, bits: Vec::new() };
+                let mut new = FirstQuestion { asked, limits, shape, n_changes, bits: Vec::new() };
                 let is_own = !answer.is_of_used_process;
                 let bits =
                     if is_own { Some(own.clone()) } else { self.bits(&new, AskedProcess::Fresh, question) };
@@ -314,6 +338,9 @@ impl Processes {
 struct FirstQuestion {
     asked: Frame,
     limits: AnswerLimits,
+    /// The question without the values of parameters. A question of another shape becomes the first one,
+    /// because the first one may take longer.
+    shape: Frame,
     /// Number of changes of the surroundings until then.
     n_changes: u64,
     bits: Vec<u64>,
@@ -447,9 +474,9 @@ impl Remote {
         self.processes.comparisons.is_random.load(Ordering::Relaxed)
     }
 
-    /// Evaluates the best point of a search in a fresh process and in at most `most_used` processes that the search
-    /// has used, and compares the answers. If they differ, the model is brought back in another way from now on.
-    /// Returns what that takes.
+    /// Evaluates the best point of a search in a fresh process and in at most `most_used` processes that the
+    /// search has used, and compares the answers. If they differ, the model is brought back in another way
+    /// from now on. Returns what that takes.
     pub(crate) fn compare_best(
         &self,
         best: &BestPoint,
