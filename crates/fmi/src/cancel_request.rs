@@ -1,34 +1,34 @@
-//! A request to end work early: opening, unpacking and compiling look at it.
+//! A request to cancel work. Opening, unpacking and compiling check it regularly.
 
 use crate::error::{FmiError, Result};
 use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// A function that ends work early; by default there is none, and work runs to its end.
+/// A function that cancels work. The default has no function, so work is never cancelled.
 ///
-/// Two of them count as equal: when work is to end is no property of its result.
+/// Two requests always compare equal, because cancellation does not affect the result of the work.
 #[derive(Clone, Default)]
 pub struct CancelRequest(Option<Arc<dyn Fn() -> bool + Send + Sync>>);
 
 impl CancelRequest {
-    /// Work ends, with [`FmiError::Cancelled`], when this function, which the thread that works calls now and
-    /// then, returns true.
+    /// Creates a request from a function. The working thread calls it from time to time. If it returns true,
+    /// the work ends with [`FmiError::Cancelled`].
     pub fn asking(ask: impl Fn() -> bool + Send + Sync + 'static) -> Self {
         Self(Some(Arc::new(ask)))
     }
 
-    /// The same, soon after `flag` was raised.
+    /// Creates a request that cancels the work soon after `flag` is set.
     pub fn when(flag: Arc<AtomicBool>) -> Self {
         Self::asking(move || flag.load(Ordering::Relaxed))
     }
 
-    /// True if the work is to end.
+    /// True if cancellation is requested.
     pub fn is_asked(&self) -> bool {
         self.0.as_ref().is_some_and(|ask| ask())
     }
 
-    /// The error, if work is to end.
+    /// Returns [`FmiError::Cancelled`] if cancellation is requested.
     pub(crate) fn check(&self) -> Result<()> {
         if self.is_asked() { Err(FmiError::Cancelled) } else { Ok(()) }
     }

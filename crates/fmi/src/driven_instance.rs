@@ -1,5 +1,5 @@
-//! One instance of an FMU that is driven call by call, in whichever phase it is: each call is a value that
-//! can be sent to another process, and so is its answer.
+//! An instance of an FMU that is driven call by call, in any of its phases. Calls and answers are values that
+//! can be sent to another process.
 
 use crate::error::{FmiError, Result};
 use crate::fmu::Fmu;
@@ -17,28 +17,28 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 
-/// Reason if the instance was freed after a call into the FMU failed.
+/// Reason reported if the instance was freed after a call into the FMU failed.
 const LOST: &str = "the instance was freed when a call into it failed: make another one";
 
-/// A call of a [`DrivenInstance`]. The vector of a call is passed beside it.
+/// A call of a [`DrivenInstance`]. The input vector is passed separately.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum InstanceCall {
-    /// Its phase; answered with [`InstanceAnswer::Phase`].
+    /// Returns the phase; answered with [`InstanceAnswer::Phase`].
     Phase,
-    /// The next time event or tick; answered with [`InstanceAnswer::Time`].
+    /// Returns the time of the next time event or tick; answered with [`InstanceAnswer::Time`].
     NextEvent,
     /// Reads variables; answered with [`InstanceAnswer::Values`].
     Get(Vec<String>),
-    /// Sets variables, one after the other.
+    /// Sets variables in the given order.
     Set(Vec<(String, Value)>),
     /// Sets the experiment up and enters initialization mode.
     EnterInitialization {
         /// Start time.
         start_time: f64,
-        /// Stop time, if the FMU is to know one.
+        /// Stop time, if the FMU should know one.
         stop_time: Option<f64>,
-        /// Relative tolerance, if the FMU is to know one.
+        /// Relative tolerance, if the FMU should know one.
         tolerance: Option<f64>,
     },
     /// Ends the initialization.
@@ -61,13 +61,13 @@ pub enum InstanceCall {
     Nominals,
     /// Returns the event indicators in the vector.
     EventIndicators,
-    /// Names of the states; answered with [`InstanceAnswer::Names`].
+    /// Returns the names of the states; answered with [`InstanceAnswer::Names`].
     StateNames,
     /// Completes a step of an integrator; answered with [`InstanceAnswer::StepEnd`].
     CompletedIntegratorStep,
     /// Integrates to `end`; answered with [`InstanceAnswer::Reached`].
     Integrate {
-        /// Time at which the instance stands.
+        /// Current time of the instance.
         start: f64,
         /// End of the integration.
         end: f64,
@@ -75,12 +75,12 @@ pub enum InstanceCall {
         method: Method,
         /// Relative tolerance of the adaptive methods.
         relative_tolerance: f64,
-        /// Step of the fixed-step methods.
+        /// Step size of the fixed-step methods.
         step_size: Option<f64>,
     },
-    /// Makes a step of a co-simulation; answered with [`InstanceAnswer::Step`].
+    /// Performs a co-simulation step; answered with [`InstanceAnswer::Step`].
     DoStep {
-        /// Time at which the instance stands.
+        /// Current time of the instance.
         time: f64,
         /// Length of the step.
         step: f64,
@@ -89,32 +89,32 @@ pub enum InstanceCall {
     HandleEvents(f64),
     /// Sets the derivatives of these inputs to the vector.
     SetInputDerivatives(Vec<u32>),
-    /// Returns the derivative along the vector in the vector, which has `n` elements then.
+    /// Multiplies the input vector by the derivatives. Returns the result, of length `n`, in the vector.
     Derivative {
         /// Value references of the unknowns.
         unknowns: Vec<u32>,
         /// Value references of the knowns.
         knowns: Vec<u32>,
-        /// Length of the derivative.
+        /// Length of the result.
         n: usize,
-        /// The adjoint derivative instead of the directional one.
+        /// Requests the adjoint derivative instead of the directional derivative.
         is_adjoint: bool,
     },
-    /// Linearises the model, by differences in any case if that is true; answered with
-    /// [`InstanceAnswer::Linearization`].
+    /// Linearizes the model; answered with [`InstanceAnswer::Linearization`]. If true, finite differences are
+    /// always used.
     Linearize(bool),
-    /// Saves the state, after the states of these numbers were dropped: their memory is used again. Answered
-    /// with [`InstanceAnswer::State`].
+    /// Saves the state; answered with [`InstanceAnswer::State`]. Drops the states with these numbers first,
+    /// so that their memory can be reused.
     SaveState(Vec<u64>),
-    /// Brings back the state of this number.
+    /// Restores the state with this number.
     RestoreState(u64),
-    /// Switches the log on or off, for these categories or for all.
+    /// Switches logging on or off, for these categories. An empty list means all categories.
     SetLogging(bool, Vec<String>),
-    /// The last lines of the log; answered with [`InstanceAnswer::Log`].
+    /// Returns the last lines of the log; answered with [`InstanceAnswer::Log`].
     Log,
     /// Ends the simulation.
     Terminate,
-    /// Brings the instance back to its beginning.
+    /// Resets the instance to the phase after instantiation.
     Reset,
     /// Frees the instance.
     Close,
@@ -124,7 +124,7 @@ pub enum InstanceCall {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum InstanceAnswer {
-    /// The call is done; what it returns is in the vector.
+    /// The call succeeded. Its result, if any, is in the vector.
     Done,
     /// The phase.
     Phase(InstancePhase),
@@ -134,9 +134,9 @@ pub enum InstanceAnswer {
     Values(Vec<Value>),
     /// Result of an event iteration.
     Events(EventOutcome),
-    /// True if the model wants to enter event mode, and true if it wants to end the simulation.
+    /// True if the model requests event mode, and true if it requests the end of the simulation.
     StepEnd(bool, bool),
-    /// The time that was reached, and true if the model has ended the simulation there.
+    /// Time that was reached, and true if the model ended the simulation at that time.
     Reached(f64, bool),
     /// Result of a step.
     Step(StepOutcome),
@@ -146,7 +146,7 @@ pub enum InstanceAnswer {
     Linearization(Linearization),
     /// Number of a saved state.
     State(u64),
-    /// Lines of the log, and the number of those that were not kept.
+    /// Lines of the log, and number of lines that were not kept.
     Log(Vec<String>, u64),
 }
 
@@ -154,7 +154,7 @@ words! {
     /// Phase of a [`DrivenInstance`].
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
     pub enum InstancePhase {
-        /// Made or reset.
+        /// Instantiated or reset.
         Instantiated = "instantiated",
         /// Initialization mode.
         Initialization = "initialization",
@@ -200,7 +200,7 @@ impl State {
         }
     }
 
-    /// The error of a call that is not one of this phase.
+    /// Returns the error for a call that is not allowed in the current phase.
     fn refuse(&self, call: &'static str, needed: &'static str) -> FmiError {
         match self {
             Self::Freed(reason) => FmiError::Freed(reason),
@@ -209,7 +209,7 @@ impl State {
     }
 }
 
-/// Works with the instance in the phases named; in others the call is refused.
+/// Runs an expression with the instance if it is in one of these phases. Otherwise, the call is rejected.
 macro_rules! within {
     ($state:expr, $call:literal, $needed:literal, [$($phase:ident),+], $instance:ident => $body:expr) => {
         match &mut $state {
@@ -220,7 +220,7 @@ macro_rules! within {
     };
 }
 
-/// Works with the instance in any phase.
+/// Runs an expression with the instance in any phase.
 macro_rules! anywhere {
     ($state:expr, $instance:ident => $body:expr) => {
         within!($state, "", "", [
@@ -229,7 +229,7 @@ macro_rules! anywhere {
     };
 }
 
-/// Works with the instance where values can be read.
+/// Runs an expression with the instance in the phases in which values can be read.
 macro_rules! readable {
     ($state:expr, $call:literal, $instance:ident => $body:expr) => {
         within!($state, $call, "initialization or a later one", [
@@ -238,7 +238,7 @@ macro_rules! readable {
     };
 }
 
-/// Leads the instance from one phase to another; where that fails, the instance is freed.
+/// Moves the instance from one phase to another. If that fails, the instance is freed.
 macro_rules! lead {
     ($state:expr, $call:literal, $needed:literal, {$($from:ident => $to:ident),+}, $instance:ident => $body:expr) => {
         match std::mem::replace(&mut $state, State::Freed(LOST)) {
@@ -255,8 +255,8 @@ macro_rules! lead {
     };
 }
 
-/// An instance that is driven call by call. A call that its phase does not have is refused; where a call that
-/// leads to another phase fails, the instance is freed.
+/// An instance that is driven call by call. Calls that are not allowed in the current phase are rejected. If
+/// a call that changes the phase fails, the instance is freed.
 #[derive(Debug)]
 pub struct DrivenInstance {
     state: State,
@@ -266,10 +266,10 @@ pub struct DrivenInstance {
 }
 
 impl DrivenInstance {
-    /// Reason of an instance that was closed.
+    /// Reason reported for an instance that was closed.
     pub const CLOSED: &'static str = "the instance has been closed";
 
-    /// Makes an instance. **This loads the library and runs its code.**
+    /// Creates an instance. **This loads the library and runs its code.**
     ///
     /// # Errors
     /// As [`Fmu::instantiate`].
@@ -281,16 +281,18 @@ impl DrivenInstance {
         Ok(Self { state, saved: BTreeMap::new(), n_saved: 0 })
     }
 
-    /// An instance that was freed for this reason: each call that needs it is refused with it.
+    /// Creates an instance that was freed for this reason. Calls that require the instance fail with this
+    /// reason.
     pub fn freed(reason: &'static str) -> Self {
         Self { state: State::Freed(reason), saved: BTreeMap::new(), n_saved: 0 }
     }
 
-    /// Makes a call. `given` is the vector that it takes; the vector that it returns goes to `vector`. An
-    /// integration ends with [`FmiError::Cancelled`] when the context is over.
+    /// Performs a call. `given` is the input vector; a returned vector is stored in `vector`. An integration
+    /// ends with [`FmiError::Cancelled`] when the run context ends.
     ///
     /// # Errors
-    /// [`FmiError::WrongPhase`], [`FmiError::Freed`]; those of the method of [`Instance`] of the same name.
+    /// [`FmiError::WrongPhase`], [`FmiError::Freed`], and the errors of the corresponding method of
+    /// [`Instance`].
     pub fn call(
         &mut self,
         call: InstanceCall,
@@ -429,7 +431,7 @@ impl DrivenInstance {
         options: Options,
         context: &RunContext<'_>,
     ) -> Result<InstanceAnswer> {
-        // Before the instance is taken: a wrong argument must not free it.
+        // Checked before the instance is taken, because a wrong argument must not free the instance.
         options.check()?;
         let instance = match std::mem::replace(&mut self.state, State::Freed(LOST)) {
             State::Continuous(instance) => instance,
@@ -456,14 +458,14 @@ fn done(outcome: Result<()>) -> Result<InstanceAnswer> {
     outcome.map(|()| InstanceAnswer::Done)
 }
 
-/// The vector with `n` elements.
+/// Resizes the vector to `n` zeros.
 fn sized(vector: &mut Vec<f64>, n: usize) -> &mut [f64] {
     vector.clear();
     vector.resize(n, 0.0);
     vector
 }
 
-/// Ends an integration when the context is over.
+/// Ends an integration when the run context ends.
 struct Until<'a>(&'a RunContext<'a>);
 
 impl Observer for Until<'_> {

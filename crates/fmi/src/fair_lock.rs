@@ -7,13 +7,13 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, ThreadId};
 use std::time::Duration;
 
-/// Time between two checks of a waiting thread for whether it is to go on waiting.
+/// Time between two calls of the function that decides if a thread continues to wait.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 type Task = Box<dyn FnOnce() + Send>;
 
-/// Lets one thread in at a time. A thread that is in may enter again: its turns end in any order, the last
-/// one lets others in.
+/// A fair reentrant lock. A thread that holds the lock may enter again. Its turns may end in any order, and
+/// the last one releases the lock.
 #[derive(Default)]
 pub(crate) struct FairLock {
     state: Mutex<State>,
@@ -22,13 +22,13 @@ pub(crate) struct FairLock {
 
 #[derive(Default)]
 struct State {
-    /// Who is in, and how many turns it has.
+    /// Thread that holds the lock, and its number of turns.
     owner: Option<ThreadId>,
     turns: usize,
-    /// Those who wait, by the numbers of their coming.
+    /// Waiting threads, by the order of arrival.
     waiting: VecDeque<u64>,
     last_number: u64,
-    /// Tasks left by other threads for the thread that is in.
+    /// Tasks that other threads have left for the thread that holds the lock.
     left: Vec<Task>,
 }
 
@@ -39,7 +39,7 @@ impl fmt::Debug for FairLock {
 }
 
 impl FairLock {
-    /// Enters as soon as nobody else is in.
+    /// Enters as soon as no other thread holds the lock.
     pub(crate) fn enter(self: &Arc<Self>) -> Turn {
         match self.enter_while(&mut || true) {
             Some(turn) => turn,
@@ -47,7 +47,8 @@ impl FairLock {
         }
     }
 
-    /// The same, as long as `wait` (asked every 20 ms while others are in) says so.
+    /// Enters the lock if `wait` (called every 20 ms while another thread holds it) returns true until the
+    /// lock is free.
     pub(crate) fn enter_while(self: &Arc<Self>, wait: &mut dyn FnMut() -> bool) -> Option<Turn> {
         let me = thread::current().id();
         let mut state = self.state();
@@ -55,7 +56,7 @@ impl FairLock {
             state.last_number += 1;
             let number = state.last_number;
             state.waiting.push_back(number);
-            // Also where `wait` panics.
+            // Removes the entry also if `wait` panics.
             let _waiting = Waiting { lock: self, number };
             loop {
                 let is_next = |state: &State| state.owner.is_none() && state.waiting.front() == Some(&number);
@@ -82,8 +83,8 @@ impl FairLock {
         Some(Turn { lock: Arc::clone(self), _of_thread: PhantomData })
     }
 
-    /// Does something inside: now if nobody else is in, else it is done by the thread that is, at its end.
-    /// Waits for nobody.
+    /// Runs a task with the lock held. If no other thread holds the lock, the task runs immediately.
+    /// Otherwise, the thread that holds the lock runs the task when it leaves. Never blocks.
     pub(crate) fn when_free(self: &Arc<Self>, task: impl FnOnce() + Send + 'static) {
         let mut state = self.state();
         let me = thread::current().id();
@@ -103,7 +104,7 @@ impl FairLock {
     }
 }
 
-/// A place among those who wait.
+/// An entry in the queue.
 struct Waiting<'a> {
     lock: &'a FairLock,
     number: u64,
@@ -187,7 +188,7 @@ mod tests {
         assert!(lock.state().owner.is_none() && lock.state().waiting.is_empty());
     }
 
-    /// Who leaves and comes again at once does so behind those who wait.
+    /// A thread that leaves and immediately enters again is queued after the waiting threads.
     #[test]
     fn nobody_is_kept_out_by_a_thread_that_comes_again_and_again() {
         let lock = Arc::new(FairLock::default());
@@ -198,7 +199,7 @@ mod tests {
                 std::thread::yield_now();
             }
             drop(turn);
-            // Behind the other one, which has been in when this returns.
+            // This thread is queued after the other one, which has had its turn when this call returns.
             drop(lock.enter());
             assert!(lock.state().last_number >= 1);
             other.join().unwrap();

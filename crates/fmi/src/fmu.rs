@@ -31,8 +31,8 @@ const HIDDEN_STATE: &str = "a simulation depends on earlier ones in the same pro
 
 /// An opened FMU. Clones share everything and are cheap.
 ///
-/// Opening reads the description and no other file of it. The first instance unpacks what the library may
-/// look for and loads the library. Opening and inspecting run no code of the FMU; loading does.
+/// Opening reads only the description. The first instance unpacks the files that the library may access and
+/// loads the library. Opening and inspecting run no code of the FMU; loading does.
 ///
 /// A loaded library stays in the process until the process ends, because threads and exit functions of the
 /// library may outlive its instances. If a program opens many FMUs, use a [`FmuCache`](crate::FmuCache) or
@@ -40,9 +40,9 @@ const HIDDEN_STATE: &str = "a simulation depends on earlier ones in the same pro
 #[derive(Debug, Clone)]
 pub struct Fmu {
     inner: Arc<Inner>,
-    /// The path it was opened by.
+    /// Path that was passed when the FMU was opened.
     path: Arc<Path>,
-    /// The description with units that the file does not state; `None`: that of the file.
+    /// Description with added units; `None` if the description of the file is used unchanged.
     with_units: Option<Arc<ModelDescription>>,
 }
 
@@ -50,17 +50,17 @@ pub struct Fmu {
 #[derive(Debug)]
 struct Inner {
     libraries: Libraries,
-    /// Who makes one of the simulations that take turns has one.
+    /// Lock for simulations that must not run at the same time.
     turns: Arc<FairLock>,
-    /// Value references of the variables of type Real and their positions, sorted; made when first needed.
+    /// Value references of the variables of type Real and their positions, sorted. Built on first use.
     real_references: OnceLock<Vec<(u32, usize)>>,
-    /// Departures from the standard that showed in runs.
+    /// Departures from the standard that were detected in runs.
     quirks_seen: Mutex<Vec<Quirk>>,
-    /// A [`Reuse`], as its number.
+    /// A [`Reuse`], stored as its number.
     reuse: AtomicU8,
-    /// A worker process has left a repetition to be asked for.
+    /// True if a worker process has left a repetition to its caller.
     is_to_be_repeated: AtomicBool,
-    /// Subjects of messages that simulations have logged; each is logged once.
+    /// Subjects of messages that simulations have logged. Each subject is logged once.
     said: Mutex<Vec<&'static str>>,
     workers: Mutex<std::sync::Weak<Workers>>,
     description: ModelDescription,
@@ -71,10 +71,10 @@ struct Inner {
 /// Choice of the interface that runs a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 pub enum InterfaceChoice {
-    /// By model exchange where the FMU offers it, else by co-simulation.
+    /// Model exchange if the FMU supports it, otherwise co-simulation.
     #[default]
     Auto,
-    /// The FMU's equations are integrated by a method of [`ode`](crate::ode).
+    /// A method of [`ode`](crate::ode) integrates the equations of the FMU.
     ModelExchange,
     /// The FMU integrates itself, from one communication point to the next.
     CoSimulation,
@@ -83,8 +83,8 @@ pub enum InterfaceChoice {
 impl std::str::FromStr for InterfaceChoice {
     type Err = FmiError;
 
-    /// `auto`, `me` or `cs`, or the names in full (`ModelExchange`, `co-simulation`), whatever the case of
-    /// the letters.
+    /// Parses `auto`, `me` or `cs`, or a full name (`ModelExchange`, `co-simulation`). Upper and lower case
+    /// are not distinguished.
     fn from_str(text: &str) -> Result<Self> {
         let letters =
             text.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_ascii_lowercase();
@@ -101,30 +101,30 @@ impl std::str::FromStr for InterfaceChoice {
 
 impl Fmu {
     getters! {
-        /// The path it was opened by.
+        /// Returns the path that was passed when the FMU was opened.
         pub path(self) -> &Path = &self.path;
-        /// The model description.
+        /// Returns the model description.
         pub description(self) -> &ModelDescription = self.with_units.as_deref().unwrap_or(&self.inner.description);
-        /// Options with which it was opened.
+        /// Returns the options with which the FMU was opened.
         pub options(self) -> &OpenOptions = &self.inner.options;
-        /// True if only its description is available, see [`absent`](Self::absent).
+        /// True if only the description is available, see [`absent`](Self::absent).
         pub is_absent(self) -> bool = self.inner.archive.is_absent();
         pub(crate) archive(self) -> &Arc<Archive> = &self.inner.archive;
-        /// Log settings.
+        /// Returns the log settings.
         pub(crate) logging(self) -> &LogOptions = &self.inner.options.logging;
-        /// The simulations that take turns.
+        /// Returns the lock for simulations that must not run at the same time.
         pub(crate) turns(self) -> &Arc<FairLock> = &self.inner.turns;
     }
 
     /// Opens a `.fmu` file or an unpacked folder and reads its description.
     ///
     /// # Errors
-    /// Everything that can be wrong with the file; see [`FmiError`].
+    /// Returns an error if the file cannot be used as an FMU; see [`FmiError`].
     pub fn open(path: impl AsRef<Path>) -> Result<Fmu> {
         Self::open_with(path, &OpenOptions::default())
     }
 
-    /// Opens a `.fmu` file or an unpacked folder with other limits, or to be loaded in another way.
+    /// Opens a `.fmu` file or an unpacked folder with other limits or other loader options.
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -161,12 +161,13 @@ impl Fmu {
         Ok(Fmu { inner: Arc::new(inner), path: path.into(), with_units: None })
     }
 
-    /// The FMU that was at `path` with this content, of which only `modelDescription.xml` is at hand: it can
-    /// be inspected, and simulations of it can be planned. What needs its other files fails with
-    /// [`FmiError::Absent`]. `reason`: why it is not at hand, for that error.
+    /// Creates an FMU of which only `modelDescription.xml` is available. The FMU had this content when it was
+    /// at `path`. It can be inspected, and simulations of it can be planned. Operations that require its
+    /// other files fail with [`FmiError::Absent`]. `reason` is the text in that error that explains why the
+    /// FMU is unavailable.
     ///
     /// # Errors
-    /// The description cannot be read as one.
+    /// Returns an error if the description cannot be read.
     pub fn absent(
         path: impl AsRef<Path>,
         description: Vec<u8>,
@@ -178,19 +179,19 @@ impl Fmu {
         Self::describe(Archive::absent(path, description, content_hash, reason), path, options)
     }
 
-    /// The bytes of its `modelDescription.xml`, as it is at present.
+    /// Returns the current bytes of `modelDescription.xml`.
     ///
     /// # Errors
-    /// The file cannot be read any more.
+    /// Returns an error if the file can no longer be read.
     pub fn description_file(&self) -> Result<Vec<u8>> {
         self.inner.archive.description(self.inner.options.description.bytes, &CancelRequest::default())
     }
 
-    /// The same FMU with units of variables of which its description states none, by name. They change no
-    /// simulation; who reads the description finds them.
+    /// Returns the FMU with additional units, by variable name, for variables whose description declares no
+    /// unit. The units change the description only, not the simulations.
     ///
     /// # Errors
-    /// There is no such variable, or it has another unit.
+    /// Returns an error if there is no such variable, or if it has another unit.
     pub fn with_units<'a>(&self, units: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<Fmu> {
         let mut description = self.description().clone();
         for (name, unit) in units {
@@ -212,12 +213,12 @@ impl Fmu {
         Ok(Fmu { with_units: Some(Arc::new(description)), ..self.clone() })
     }
 
-    /// True if both share one state: a library loaded by one is loaded for the other.
+    /// True if both share one state: a library that one of them has loaded is also loaded for the other.
     pub fn is_same(&self, other: &Fmu) -> bool {
         Arc::ptr_eq(&self.inner, &other.inner)
     }
 
-    /// The variable of type Real with this value reference (the first one, of aliases).
+    /// Returns the variable of type Real with this value reference (the first one if there are aliases).
     #[inline]
     pub(crate) fn real_variable(&self, reference: u32) -> Option<&Variable> {
         let variables = &self.description().variables;
@@ -228,7 +229,7 @@ impl Fmu {
             known.dedup_by_key(|(reference, _)| *reference);
             known
         });
-        // Most tools count their references up from one number: then the place is known.
+        // Most tools use consecutive value references, so the position is the offset from the first one.
         let offset = reference.wrapping_sub(known.first()?.0) as usize;
         let place = match known.get(offset) {
             Some((guessed, _)) if *guessed == reference => offset,
@@ -237,7 +238,8 @@ impl Fmu {
         Some(&variables[known[place].1])
     }
 
-    /// Refuses value references that no variable of type Real has: FMUs use them as indices without looking.
+    /// Rejects value references that no variable of type Real has. FMUs use value references as indices
+    /// without checking them.
     #[inline]
     pub(crate) fn check_real_references(&self, call: &'static str, references: &[u32]) -> Result<()> {
         match references.iter().find(|reference| self.real_variable(**reference).is_none()) {
@@ -246,11 +248,11 @@ impl Fmu {
         }
     }
 
-    /// The terminals of the model (`terminalsAndIcons/terminalsAndIcons.xml`), read now; none where it has no
-    /// such file. Their members are names of variables, which need not be there.
+    /// Reads the terminals of the model (`terminalsAndIcons/terminalsAndIcons.xml`). Returns an empty list if
+    /// the FMU has no such file. The members of a terminal are names of variables that need not exist.
     ///
     /// # Errors
-    /// [`FmiError::Description`] with a line for a file that is none; those of reading.
+    /// [`FmiError::Description`] with a line if the file is invalid, and the errors of reading the file.
     pub fn terminals(&self) -> Result<Vec<Terminal>> {
         let limits = &self.inner.options.description;
         let name = format!("terminalsAndIcons/{TERMINALS}");
@@ -258,7 +260,7 @@ impl Fmu {
         bytes.map_or(Ok(Vec::new()), |bytes| terminals(&bytes, limits))
     }
 
-    /// The folder that holds all of its content, unpacked now if it was not before.
+    /// Returns the folder with all files of the FMU. Unpacks it if necessary.
     ///
     /// # Errors
     /// As [`Archive::unpack`].
@@ -266,13 +268,13 @@ impl Fmu {
         self.inner.archive.unpack()
     }
 
-    /// The folder that holds what the library may look for when it runs; unpacked now if it was not before,
-    /// or if somebody has removed it.
+    /// Returns the folder with the files that the library may access at run time. Unpacks it on first use, or
+    /// if it has been removed.
     pub(crate) fn running_root(&self) -> Result<PathBuf> {
         self.inner.archive.unpack_part(Part::Running, &CancelRequest::default())
     }
 
-    /// SHA-256 of its content, in hexadecimal; computed when it is first asked for.
+    /// Returns the SHA-256 of the content, in hexadecimal. The first call computes it.
     ///
     /// # Errors
     /// As [`Archive::content_hash`].
@@ -280,9 +282,9 @@ impl Fmu {
         self.inner.archive.content_hash()
     }
 
-    /// Worker processes with these limits: those that others have of this FMU where there are any, so that
-    /// its processes are shared. They end when the last of their users drops them. `None`: this program
-    /// cannot start any (see [`Launcher`](crate::worker::Launcher)).
+    /// Returns worker processes with these limits. Existing ones of this FMU with equal limits are shared.
+    /// The processes end when their last user drops them. Returns `None` if this program cannot start worker
+    /// processes (see [`Launcher`](crate::worker::Launcher)).
     pub fn workers(&self, limits: WorkerLimits) -> Option<Arc<Workers>> {
         let mut known = self.inner.workers.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(workers) = known.upgrade().filter(|workers| *workers.limits() == limits) {
@@ -293,28 +295,28 @@ impl Fmu {
         Some(workers)
     }
 
-    /// Lists departures from the standard that have shown in a worker process; those that are new go to the
-    /// program's logger, too.
+    /// Adds departures from the standard that were detected in a worker process. New ones are also sent to
+    /// the program's logger.
     pub fn add_quirks(&self, quirks: Vec<Quirk>) {
         for Quirk { kind, message, .. } in quirks {
             self.note_quirk(kind, message);
         }
     }
 
-    /// How worker processes return the model to its start between simulations, as far as comparisons with
-    /// fresh processes have shown.
+    /// Returns how worker processes reset the model between simulations. Comparisons with fresh processes
+    /// determine it.
     pub fn reuse(&self) -> Reuse {
         let code = usize::from(self.inner.reuse.load(Ordering::Relaxed));
         Reuse::ALL.get(code).copied().unwrap_or(Reuse::NewProcess)
     }
 
-    /// Takes `reuse` from now on: for a worker process, which is told so with every question.
+    /// Uses `reuse` from now on. Worker processes receive it with every request.
     pub fn set_reuse(&self, reuse: Reuse) {
         self.inner.reuse.store(reuse as u8, Ordering::Relaxed);
     }
 
-    /// A simulation after others has differed from one in a fresh process: takes the way after `reuse` from
-    /// now on, and adds a quirk.
+    /// Records that a simulation after others differed from one in a fresh process with the reset `reuse`.
+    /// Uses the next way after `reuse` from now on, and adds a quirk.
     pub fn give_up(&self, reuse: Reuse) {
         let (next, kind, message) = match reuse {
             Reuse::Reset => (Reuse::Reinstantiate, QuirkKind::Promise, LEAVES_TRACES),
@@ -324,17 +326,17 @@ impl Fmu {
         self.note_quirk(kind, message);
     }
 
-    /// The level at which lines of its log go to the program's logger.
+    /// Returns the level at which log lines of the FMU are sent to the program's logger.
     pub(crate) fn log_level(&self) -> log::Level {
         if self.inner.options.logging.shown { log::Level::Info } else { log::Level::Debug }
     }
 
-    /// Lists a departure from the standard that showed in a run among the quirks; one that is new goes to the
-    /// program's logger, too.
+    /// Adds a departure from the standard that was detected in a run to the quirks. A new one is also sent to
+    /// the program's logger.
     pub(crate) fn note_quirk(&self, kind: QuirkKind, message: impl AsRef<str> + Into<String>) {
         let mut seen = self.inner.quirks_seen.lock().unwrap_or_else(PoisonError::into_inner);
         if !seen.iter().any(|quirk| quirk.kind == kind && quirk.message == message.as_ref()) {
-            // A worker sends it to the process that has started it.
+            // A worker sends the quirk to its parent process, which logs it.
             if !is_worker() {
                 log::warn!("{}: {}", self.description().model_name, message.as_ref());
             }
@@ -342,8 +344,7 @@ impl Fmu {
         }
     }
 
-    /// Hands a message about its simulations to the program's logger, the first time that there is one on
-    /// this subject.
+    /// Sends a message about simulations of the FMU to the program's logger, once per subject.
     pub(crate) fn say_once(&self, level: log::Level, subject: &'static str, message: &str) {
         let mut said = self.inner.said.lock().unwrap_or_else(PoisonError::into_inner);
         if !said.contains(&subject) {
@@ -352,9 +353,10 @@ impl Fmu {
         }
     }
 
-    /// Makes a simulation, and again if it failed and has shown how the model must be run: a co-simulation
-    /// refused the step to its stop time. In a worker process the repetition is [left to the
-    /// caller](Self::take_repetition), who so knows how many simulations an answer can take.
+    /// Runs a simulation, and repeats it if it failed and revealed how the model must be run. An example is a
+    /// co-simulation that rejected the step to its stop time. In a worker process the repetition is [left to
+    /// the caller](Self::take_repetition), so that the caller knows how many simulations an answer can
+    /// require.
     pub fn repeat_if_learned<T, E>(&self, mut simulate: impl FnMut() -> Result<T, E>) -> Result<T, E> {
         let known_now = || self.reset_knowledge(InterfaceKind::CoSimulation).stop_time;
         loop {
@@ -370,19 +372,19 @@ impl Fmu {
         }
     }
 
-    /// True if a repetition was left since the last call.
+    /// True if a repetition has been left to the caller since the last call.
     pub fn take_repetition(&self) -> bool {
         self.inner.is_to_be_repeated.swap(false, Ordering::Relaxed)
     }
 
-    /// Departures from the standard that showed when the FMU was run; those of its description are in
-    /// [`ModelDescription::quirks`](crate::ModelDescription::quirks).
+    /// Returns the departures from the standard that were detected in runs of the FMU. The departures in its
+    /// description are in [`ModelDescription::quirks`](crate::ModelDescription::quirks).
     pub fn quirks_seen(&self) -> Vec<Quirk> {
         self.inner.quirks_seen.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Notes that the start value of a state, a guess by the description, is not its value after the
-    /// initialization.
+    /// Records that the start value of a state is not its value after the initialization. The description
+    /// declares such a start value as a guess.
     pub(crate) fn note_ineffective_start_value(&self, name: &str, given: f64, found: f64) {
         let message = format!(
             "{}, and is {} after the initialization: the start value is a guess (initial=\"approx\"). In model exchange \
@@ -394,20 +396,22 @@ impl Fmu {
         self.note_quirk(QuirkKind::Start, message);
     }
 
-    /// Message that the start value of a state, a guess by the description, had no effect in a simulation.
+    /// Returns the message that the start value of a state had no effect in a simulation. The description
+    /// declares such a start value as a guess.
     pub fn ineffective_start_value(&self, name: &str, value: f64) -> Option<String> {
         let beginning = start_value_given(name, value) + ",";
         let mut messages = self.quirks_seen().into_iter().filter(|quirk| quirk.kind == QuirkKind::Start);
         messages.find(|quirk| quirk.message.starts_with(&beginning)).map(|quirk| quirk.message)
     }
 
-    /// State of knowledge about the reset of instances of one interface.
+    /// Returns the knowledge about the reset of instances of one interface.
     pub(crate) fn reset_knowledge(&self, kind: InterfaceKind) -> MutexGuard<'_, ResetKnowledge> {
         self.inner.libraries.reset_knowledge(kind)
     }
 
-    /// Unpacks what simulations need, for this process and copies of it (see `fork` of POSIX), which share
-    /// it; runs nothing of the FMU. Where it has resources, which simulations may change, nothing is done.
+    /// Unpacks the files that simulations need, for this process and for copies made with `fork` (POSIX). The
+    /// copies share the unpacked files. Runs no code of the FMU. Does nothing if the FMU has resources,
+    /// because simulations may change them.
     ///
     /// # Errors
     /// As [`Archive::unpack`].
@@ -422,11 +426,11 @@ impl Fmu {
         Ok(())
     }
 
-    /// Unpacks or builds the libraries for this platform of all interfaces that the FMU offers; runs nothing
-    /// of them.
+    /// Unpacks or builds the libraries for this platform of all interfaces that the FMU offers. Runs no code
+    /// of the libraries.
     ///
     /// # Errors
-    /// There is none, and it cannot be built.
+    /// Returns an error if a library is missing and cannot be built.
     pub fn provide_libraries(&self) -> Result<()> {
         let (archive, loader) = (self.archive(), self.inner.options.loader);
         let cancel = CancelRequest::default();
@@ -437,22 +441,22 @@ impl Fmu {
         Ok(())
     }
 
-    /// Unpacks, compiles and loads what the first simulation needs, so that it is not kept waiting; ends
-    /// early when `cancel` asks for it. **This loads the library and runs its code.**
+    /// Unpacks, compiles and loads everything that the first simulation needs, to avoid a delay there. Ends
+    /// early if `cancel` requests it. **This loads the library and runs its code.**
     ///
     /// # Errors
-    /// The FMU cannot be run here (see [`FmiError`]); [`FmiError::Cancelled`].
+    /// [`FmiError::Cancelled`], and other variants of [`FmiError`] if the FMU cannot be run on this machine.
     pub fn prepare(&self, kind: InterfaceChoice, cancel: &CancelRequest) -> Result<()> {
         self.library(self.choose(kind)?, Some(&[]), cancel, &mut || !cancel.is_asked()).map(|_| ())
     }
 
-    /// The loaded library for this platform, for an instance in which this is going to be set (sorted;
-    /// `None`: anything, by hand). It is compiled before that if the FMU brings sources only; ends early when
-    /// `cancel` asks for it. Where another thread is making it, waits as long as `wait` (asked every 20 ms)
-    /// says so.
+    /// Returns the loaded library for this platform, for an instance with these settings. `settings` are
+    /// sorted; `None` means any settings, made by calls of the user. If the FMU contains only sources, they
+    /// are compiled first. Ends early if `cancel` requests it. If another thread is loading the library,
+    /// waits while `wait` (called every 20 ms) returns true.
     ///
     /// # Errors
-    /// The FMU cannot be run here (see [`FmiError`]); [`FmiError::Cancelled`].
+    /// [`FmiError::Cancelled`], and other variants of [`FmiError`] if the FMU cannot be run on this machine.
     pub(crate) fn library(
         &self,
         kind: InterfaceKind,
@@ -470,12 +474,12 @@ impl Fmu {
             open: &|from| self.load(from, kind),
         };
         let library = self.inner.libraries.get(Wanted { kind, settings, only_one }, &maker, wait)?;
-        // Somebody may have removed what was unpacked.
+        // The unpacked files may have been removed in the meantime.
         self.running_root()?;
         Ok(library)
     }
 
-    /// The file of the library for this platform, as the FMU had it when it was opened.
+    /// Returns the library file for this platform, unchanged since the FMU was opened.
     fn library_file(&self, interface: &Interface, cancel: &CancelRequest) -> Result<LibraryFile> {
         let library = self.binary(interface, cancel)?;
         let archive = self.archive();
@@ -488,24 +492,24 @@ impl Fmu {
         Ok(LibraryFile { library, root: archive.unpack_part(Part::Running, cancel)? })
     }
 
-    /// Uses a loaded library no more; the next one that is asked for is another.
+    /// Stops using a loaded library. The next request gets another copy.
     pub(crate) fn give_up_library(&self, library: &Arc<LoadedLibrary>) {
         self.inner.libraries.give_up(library);
     }
 
-    /// Checks that the FMU can be simulated in this way; returns the interface that would be used.
+    /// Checks that the FMU supports this interface. Returns the interface that would be used.
     ///
     /// # Errors
-    /// [`FmiError::NotOffered`].
+    /// Returns [`FmiError::NotOffered`] if the FMU does not support the interface.
     pub fn check_runnable_as(&self, kind: InterfaceChoice) -> Result<InterfaceKind> {
         let kind = self.choose(kind)?;
         self.check_interface(kind).map(|_| kind)
     }
 
-    /// The interface that a simulation would use.
+    /// Returns the interface that a simulation would use.
     ///
     /// # Errors
-    /// [`FmiError::NotOffered`].
+    /// Returns [`FmiError::NotOffered`] if the FMU does not support the interface.
     pub fn choose(&self, kind: InterfaceChoice) -> Result<InterfaceKind> {
         let wanted = match kind {
             InterfaceChoice::ModelExchange => InterfaceKind::ModelExchange,
@@ -542,24 +546,24 @@ impl Fmu {
         }
     }
 
-    /// All that it offers.
+    /// Returns all interfaces that the FMU offers.
     fn interfaces(&self) -> impl Iterator<Item = (InterfaceKind, &Interface)> {
         KINDS.into_iter().filter_map(|kind| Some((kind, self.interface(kind)?)))
     }
 
-    /// Checks that the FMU can be run by this interface, and returns it.
+    /// Checks that the FMU offers this interface, and returns the interface.
     pub(crate) fn check_interface(&self, kind: InterfaceKind) -> Result<&Interface> {
         self.interface(kind).ok_or_else(|| self.not_offered(kind.to_string()))
     }
 
-    /// The tool that the model calls when it runs, as a message names it (`needsExecutionTool`).
+    /// Returns the name of the tool that the model calls at run time (`needsExecutionTool`), for messages.
     fn needed_tool(&self) -> Option<String> {
         let needs = |(_, interface): (_, &Interface)| interface.capabilities.needs_execution_tool;
         let tool = || self.description().generation_tool.as_deref().unwrap_or("the tool that made it");
         self.interfaces().any(needs).then(|| tool().to_owned())
     }
 
-    /// Logs once that the model needs a tool.
+    /// Logs once that the model requires a tool.
     pub fn note_needed_tool(&self) {
         if let Some(tool) = self.needed_tool().filter(|_| !is_worker()) {
             let message = format!("the model needs {tool} to run (needsExecutionTool)");
@@ -567,8 +571,8 @@ impl Fmu {
         }
     }
 
-    /// What may be the cause where the model fails: the tool that it needs is missing, or it follows a draft
-    /// of the standard.
+    /// Returns possible causes of a failure of the model: a required tool may be missing, or the model
+    /// follows a draft of the standard.
     pub fn hint(&self) -> Option<String> {
         let tool = self
             .needed_tool()
@@ -584,13 +588,13 @@ impl Fmu {
         (!hints.is_empty()).then(|| hints.join("; "))
     }
 
-    /// The file of the library for this platform among those of an unpacked part.
+    /// Finds the library file for this platform in an unpacked part.
     fn find_binary(&self, root: &Path, interface: &Interface) -> Result<platform::FoundBinary> {
         let names = self.description().fmi_version.folder_names();
         platform::find_binary(root, &interface.model_identifier, names)
     }
 
-    /// The file of the library for this platform: unpacked, or built from the sources.
+    /// Returns the library file for this platform, unpacked or built from the sources.
     pub(crate) fn binary(&self, interface: &Interface, cancel: &CancelRequest) -> Result<PathBuf> {
         let (archive, description) = (&self.inner.archive, self.description());
         let find = |part| self.find_binary(&archive.unpack_part(part, cancel)?, interface);
@@ -606,7 +610,7 @@ impl Fmu {
         }
         self.warn_of_unusable(archive.unpack_part(Part::Running, cancel)?.as_ref(), interface);
         let root = archive.unpack_part(Part::Sources, cancel)?;
-        // A folder may have been edited since it was opened: the library belongs to what is there now.
+        // A folder may have been edited since it was opened. The library must match its present files.
         let hash = archive.present_hash()?;
         let check = || match archive.present_hash()? {
             now if now == hash => Ok(()),
@@ -622,7 +626,7 @@ impl Fmu {
             &source::Patience { cancel, limit: self.inner.options.compile_time },
             check,
         ) {
-            // With the binaries of other platforms, for the message.
+            // The message also lists the binaries of other platforms.
             Err(FmiError::NoSources { reason, .. }) => find(Part::Binaries)
                 .map(|found| found.path)
                 .map_err(|no_binary| self.no_library(no_binary, &reason)),
@@ -630,7 +634,7 @@ impl Fmu {
         }
     }
 
-    /// Says that the library for this platform is not what runs.
+    /// Warns that the library for this platform cannot be used.
     fn warn_of_unusable(&self, root: &Path, interface: &Interface) {
         let names = self.description().fmi_version.folder_names();
         if let Some(file) = platform::unusable_binary(root, &interface.model_identifier, names) {
@@ -659,7 +663,7 @@ impl Fmu {
             }
             (error, _) => error,
         })?;
-        // Versions of the library that differ after the second number speak the same language.
+        // Versions with equal first two numbers have the same interface.
         let numbers = |text: &str| {
             text.split(|c: char| !c.is_ascii_digit()).take(2).map(str::to_owned).collect::<Vec<_>>()
         };
@@ -677,8 +681,7 @@ impl Fmu {
         Ok(library)
     }
 
-    /// Says the path the user knows instead of that of the private folder, and why there is nothing to build
-    /// either.
+    /// Replaces the private folder in the error by the user's path, and adds why no library can be built.
     fn no_library(&self, no_binary: FmiError, no_sources: &str) -> FmiError {
         match no_binary {
             FmiError::NoBinary { wanted, present, .. } => FmiError::NoBinary {
@@ -691,7 +694,7 @@ impl Fmu {
     }
 }
 
-/// Beginning of the message about a start value without effect.
+/// Returns the beginning of the message about a start value without effect.
 fn start_value_given(name: &str, value: f64) -> String {
     format!("{name} was given the start value {}", Number(value))
 }

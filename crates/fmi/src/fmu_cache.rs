@@ -1,4 +1,4 @@
-//! A cache of opened FMUs, by file.
+//! A cache of opened FMUs, with the file as key.
 
 use crate::cancel_request::CancelRequest;
 use crate::error::{FmiError, Result};
@@ -8,20 +8,20 @@ use crate::platform;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-/// Opens each file once: as long as it does not change, [`open`](Self::open) returns the same [`Fmu`] for the
-/// same options.
+/// A cache that opens each file once. While the file is unchanged, [`open`](Self::open) returns the same
+/// [`Fmu`] for equal options.
 ///
-/// A file counts as unchanged while its path, identity on the disk, size and time of modification are the
-/// same; it is not read for that. Of a folder, `modelDescription.xml`, its libraries and the folder itself
-/// are looked at.
+/// A file counts as unchanged if its path, identity on the disk, size and modification time are unchanged.
+/// The file is not read for this check. For a folder, the check covers `modelDescription.xml`, the libraries
+/// and the folder itself.
 #[derive(Debug)]
 pub struct FmuCache {
     capacity: usize,
-    /// The most recently used last.
+    /// Entries, the most recently used last.
     entries: Mutex<Vec<Entry>>,
 }
 
-/// An open FMU and what it was opened by.
+/// An open FMU, with its key and its options.
 #[derive(Debug)]
 struct Entry {
     key: Key,
@@ -33,13 +33,13 @@ struct Entry {
 type Key = (PathBuf, platform::FileIdentity, Option<platform::FileIdentity>);
 
 impl FmuCache {
-    /// A cache that holds at most `capacity` FMUs (at least one); the one not used for the longest time goes
+    /// Creates a cache for at most `capacity` FMUs (at least one). The least recently used one is removed
     /// first.
     pub fn new(capacity: usize) -> Self {
         Self { capacity: capacity.max(1), entries: Mutex::new(Vec::new()) }
     }
 
-    /// The FMU at `path`, opened now or before.
+    /// Returns the FMU at `path`, from the cache if possible.
     ///
     /// # Errors
     /// As [`Fmu::open`].
@@ -47,7 +47,7 @@ impl FmuCache {
         self.open_with(path, &OpenOptions::default())
     }
 
-    /// The FMU at `path` with these options, opened now or before.
+    /// Returns the FMU at `path` with these options, from the cache if possible.
     ///
     /// # Errors
     /// As [`Fmu::open_with`].
@@ -57,15 +57,15 @@ impl FmuCache {
         if let Some(fmu) = self.find(&key, options) {
             return Ok(fmu);
         }
-        // Not under the lock: opening one file does not keep others waiting. Two threads may both open a new file;
-        // the first to finish is kept.
+        // The lock is not held here, so that opening one file does not block the others. If two threads open
+        // a new file at the same time, the first result is kept.
         let fmu = Fmu::open_with(path, options)?;
         if let Some(first) = self.find(&key, options) {
             return Ok(first);
         }
         let dropped: Vec<Entry> = {
             let mut entries = self.entries();
-            // An older version of the same file will not be asked for again.
+            // An older version of the same file is no longer needed.
             let is_older = |old: &mut Entry| old.key.0 == key.0 && old.key != key;
             let mut dropped: Vec<_> = entries.extract_if(.., is_older).collect();
             if entries.len() >= self.capacity {
@@ -79,7 +79,7 @@ impl FmuCache {
         Ok(fmu)
     }
 
-    /// Forgets everything. FMUs that are in use stay open.
+    /// Removes all entries. FMUs that are in use stay open.
     pub fn clear(&self) {
         let entries = std::mem::take(&mut *self.entries());
         drop(entries);

@@ -1,39 +1,43 @@
-//! A safe importer of Functional Mock-up Units: opening, describing, building and running them.
+//! A safe importer of Functional Mock-up Units (FMUs): opening, describing, building and running them.
 //!
 //! # Layers
 //!
-//! A module imports from those below it only (`tools/layers.py` checks that), from top to bottom:
+//! A module imports only from the layers below it (checked by `tools/layers.py`). From top to bottom:
 //!
-//! - `session`: one model as scripts use it: set, simulate, get
-//! - `driven_instance`: one instance, driven by calls that can be sent to another process
-//! - `write_start_values`: a copy of an FMU with other start values
-//! - `simulators/`: a plan that is run many times: its instance, brought back to its start, and the check of
-//!   that
-//! - `simulation/`: options, the plan that resolves them, the start of an instance, the run, what is recorded
-//! - `instance/`: the phases of an instance as types, its values
+//! - `session`: a model for scripts: set, simulate, get
+//! - `driven_instance`: an instance driven by calls that can be sent to another process
+//! - `write_start_values`: copies of an FMU with other start values
+//! - `simulators/`: simulators that run a plan many times: instances, their reset, and checks of the reset
+//! - `simulation/`: options, the plan that resolves them, the start of an instance, the run, the recorded
+//!   results
+//! - `instance/`: the phases of an instance as types, and its values
 //! - `fmu`, `fmu_cache`, `open_options`: an opened FMU: its file, its description, its library
-//! - `libraries/`: the loaded copy of a library that an opened FMU has for itself
+//! - `libraries/`: the separate loaded copy of a library for each opened FMU
 //! - `source/`: source-code FMUs: build, compiler, cache, pack
-//! - `worker/`: processes in which FMUs run: start, protocol, limits, folder, supervision
-//! - `sys/`: what touches foreign code and raw pointers; versions of FMI stop here
-//! - `description/`: what `modelDescription.xml` says, whatever the version
+//! - `worker/`: processes that run FMUs: start, protocol, limits, folder, supervision
+//! - `sys/`: all foreign code and raw pointers. The layers above do not depend on the FMI version.
+//! - `description/`: the contents of `modelDescription.xml`, independent of the FMI version
 //! - `archive/`: the files of an FMU
 //! - `platform/`, `fair_lock`, `log`, `cancel_request`, `error/`, `value`, `macros`: operating systems and
-//!   files, who may be inside of a library, the log of an instance, ending early, errors, types of variables,
-//!   repeated declarations
+//!   files, access to a library by one thread at a time, the log of an instance, cancellation, errors, types
+//!   of variables, repeated declarations
 //!
-//! A right-hand side passes four functions on its way from the stepper to the FMU: `derivatives` of the
-//! system (`simulation/model_exchange.rs`), `Current::call` (`simulation/running.rs`: what a refused call
-//! means for the run), `right_hand_side` of the raw instance (`sys/raw_instance/component.rs`: lengths,
-//! floating-point mode), the C function, whose pointer stands in a table that is the same for all versions of
-//! FMI: none of the calls between is dynamic.
+//! An evaluation of the right-hand side passes through four functions, from the stepper to the FMU:
+//!
+//! - `derivatives` of the system (`simulation/model_exchange.rs`)
+//! - `Current::call` (`simulation/running.rs`), which decides how a failed call affects the run
+//! - `right_hand_side` of the raw instance (`sys/raw_instance/component.rs`), which checks lengths and sets
+//!   the floating-point mode
+//! - the C function, whose pointer is in a table shared by all FMI versions
+//!
+//! None of these calls uses dynamic dispatch.
 //!
 //! # Features
 //!
 //! `sandbox` (on by default) confines worker processes on request (Landlock and seccomp, on Linux). `sparse`
-//! (off by default) is the feature of `ode`.
+//! (off by default) enables the feature of the same name of `ode`.
 #![deny(unsafe_code)]
-// Worker processes are those of Unix.
+// Worker processes exist only on Unix.
 #![cfg_attr(not(unix), allow(dead_code))]
 
 pub mod archive;

@@ -1,4 +1,4 @@
-//! The log of an instance: a bounded store of its last lines, with a limit of their rate.
+//! The log of an instance: a bounded store of its last lines, with a rate limit.
 
 use crate::error::{LogLine, Status};
 use serde::{Deserialize, Serialize};
@@ -9,27 +9,27 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// Lines kept per instance.
 pub(crate) const LINES: usize = 32;
 
-/// The rate limit, counted in what the FMU is asked to do and not in time, so that the same run leaves the
-/// same lines: an instance may log so many lines at once,
+/// Number of lines that an instance may log at once. The rate limit counts calls of the FMU, not time, so
+/// that repeated runs keep identical lines.
 const BURST: i32 = 64;
-/// so many more with every point of time, completed step and event iteration,
+/// Number of additional lines for every time point, completed step and event iteration.
 const PER_POINT: i32 = 4;
-/// and when it has used that up, may still log so many errors. The lines beyond are counted, and neither
-/// expanded nor kept.
+/// Number of errors that an instance may log after it has used up its lines. Further lines are counted, but
+/// neither expanded nor kept.
 const ERRORS_BEYOND: i32 = 64;
 
-/// Filter for the lines of an FMU's log; lines that are not kept are not even expanded.
+/// Filter for the log lines of an FMU. Lines that are not kept are not expanded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum LogFilter {
-    /// All.
+    /// All lines.
     #[default]
     All,
     /// Lines whose status is not ok.
     Warnings,
     /// Lines whose status is error, fatal or unknown.
     Errors,
-    /// None.
+    /// No lines.
     Nothing,
 }
 
@@ -48,17 +48,17 @@ fn is_error(status: Status) -> bool {
     matches!(status, Status::Error | Status::Fatal | Status::Unknown(_))
 }
 
-/// The last lines an instance logged, and how many earlier ones were dropped.
+/// The last lines that an instance logged, and the number of earlier lines that were dropped.
 #[derive(Debug)]
 pub(crate) struct Lines {
     pub(crate) kept: VecDeque<LogLine>,
-    /// Of which lines with the status ok are kept; empty: of all.
+    /// Categories of the lines with status ok that are kept; empty for all categories.
     pub(crate) categories: Vec<String>,
     dropped: u64,
 }
 
 impl Lines {
-    /// Adds a line; when full, the oldest gives its place and its buffers.
+    /// Adds a line. If the store is full, the new line reuses the buffers of the oldest one.
     pub(crate) fn push(&mut self, status: Status, category: &[u8], text: &[u8]) {
         let is_asked = |asked: &String| asked.as_bytes() == category;
         if status == Status::Ok && !self.categories.is_empty() && !self.categories.iter().any(is_asked) {
@@ -78,7 +78,7 @@ impl Lines {
     }
 }
 
-/// Copies text, replacing what is not UTF-8 and what could steer a terminal.
+/// Copies text. Replaces invalid UTF-8 and control characters that could affect a terminal.
 fn copy_lossy(bytes: &[u8], target: &mut String) {
     target.clear();
     for chunk in bytes.utf8_chunks() {
@@ -95,15 +95,15 @@ fn copy_lossy(bytes: &[u8], target: &mut String) {
     }
 }
 
-/// The log of one instance. FMUs may log from threads of their own, hence the mutex.
+/// The log of one instance. The mutex is needed because FMUs may log from their own threads.
 #[derive(Debug)]
 pub(crate) struct Log {
     lines: Mutex<Lines>,
-    /// A [`LogFilter`].
+    /// A [`LogFilter`], stored as its number.
     pub(crate) filter: AtomicU8,
-    /// Lines that may still be logged; below zero for errors only.
+    /// Number of lines that may still be logged; if negative, only errors may be logged.
     credit: AtomicI32,
-    /// Lines beyond the rate limit.
+    /// Number of lines beyond the rate limit.
     pub(crate) refused: AtomicU64,
 }
 
@@ -121,7 +121,7 @@ impl Log {
         }
     }
 
-    /// Notes that the FMU is taken to another point of time, or has to do with a step or an event.
+    /// Adds credit for a new time point, a step or an event.
     #[inline]
     pub(crate) fn go_on(&self) {
         let credit = self.credit.load(Ordering::Relaxed);
@@ -130,7 +130,7 @@ impl Log {
         }
     }
 
-    /// True if a line is to be expanded and kept.
+    /// True if a line should be expanded and kept.
     pub(crate) fn admits(&self, status: Status) -> bool {
         const FILTERS: [LogFilter; 4] =
             [LogFilter::All, LogFilter::Warnings, LogFilter::Errors, LogFilter::Nothing];
@@ -151,7 +151,7 @@ impl Log {
         self.lines.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The last `n` lines that were kept, oldest first, and how many others there were.
+    /// Returns the last `n` lines that were kept, oldest first, and the number of other lines.
     pub(crate) fn last(&self, n: usize) -> (Vec<LogLine>, u64) {
         let lines = self.lines();
         let skip = lines.kept.len().saturating_sub(n);
@@ -159,7 +159,7 @@ impl Log {
         (lines.kept.iter().skip(skip).cloned().collect(), others)
     }
 
-    /// Forgets the lines.
+    /// Clears the log.
     pub(crate) fn clear(&self) {
         let mut lines = self.lines();
         lines.kept.clear();

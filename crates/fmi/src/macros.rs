@@ -1,6 +1,6 @@
-//! Declarations by macro: enumerations whose values have words, functions that return a part of a value.
+//! Macros for declarations: enumerations with a name for each value, and getters.
 
-/// Declares an enumeration with its words: `WORDS`, `name` and `Display`.
+/// Declares an enumeration with a name for each value: `WORDS`, `name` and `Display`.
 macro_rules! words {
     ($(#[$meta:meta])* $vis:vis enum $type:ident { $($(#[$doc:meta])* $variant:ident = $word:literal,)+ }) => {
         $(#[$meta])*
@@ -8,10 +8,10 @@ macro_rules! words {
 
         #[allow(dead_code)]
         impl $type {
-            /// All values, by their words.
+            /// All values with their names.
             pub(crate) const WORDS: &[(&str, $type)] = &[$(($word, $type::$variant)),+];
 
-            /// The word for it.
+            /// Returns the name of the value.
             pub fn name(self) -> &'static str {
                 match self {
                     $($type::$variant => $word),+
@@ -28,7 +28,7 @@ macro_rules! words {
 }
 pub(crate) use words;
 
-/// Declares functions that return a part of the value.
+/// Declares getters.
 macro_rules! getters {
     ($($(#[$meta:meta])* $vis:vis $name:ident($self:ident) -> $type:ty = $value:expr;)+) => {$(
         $(#[$meta])*

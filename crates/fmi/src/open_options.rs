@@ -9,8 +9,8 @@ use crate::sys::LoaderOptions;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
-/// Options of [`Fmu::open_with`](crate::Fmu::open_with); the default is what [`Fmu::open`](crate::Fmu::open)
-/// does.
+/// Options of [`Fmu::open_with`](crate::Fmu::open_with). The defaults are the options of
+/// [`Fmu::open`](crate::Fmu::open).
 ///
 /// ```
 /// use fmi::{LoaderOptions, OpenOptions};
@@ -28,7 +28,7 @@ pub struct OpenOptions {
     pub logging: LogOptions,
     /// Time limit of the compiler that builds the library of a source-code FMU (default: five minutes).
     pub compile_time: Duration,
-    /// Ends the opening early. It is not looked at any more when the FMU is open.
+    /// Cancels the opening. Not used after the FMU is open.
     #[serde(skip)]
     pub cancel: CancelRequest,
 }
@@ -46,17 +46,18 @@ impl Default for OpenOptions {
     }
 }
 
-/// Log settings of an FMU. Its lines are kept per instance, not for ever, and the last of them are part of
-/// every error.
+/// Log settings of an FMU. The last lines are kept for each instance, and every error of a call includes the
+/// latest of them.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct LogOptions {
-    /// The FMU is asked to log. FMUs log what they think important without being asked, too.
+    /// Requests logging from the FMU. FMUs may also log important lines without a request.
     pub asked: bool,
-    /// Of which categories, by their names; none: of all (see
+    /// Requested categories; empty for all (see
     /// [`Instance::log_categories`](crate::Instance::log_categories)).
     pub categories: Vec<String>,
     /// Filter for the lines.
     pub filter: LogFilter,
-    /// Lines go to the program's logger at the level `info`, after the run that they are of; else at `debug`.
+    /// Sends the lines to the program's logger at level `info`, after the run that produced them. If false,
+    /// the level is `debug`.
     pub shown: bool,
 }

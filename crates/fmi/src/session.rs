@@ -1,4 +1,4 @@
-//! One model as scripts use it: set values, simulate, look at the values, set others, simulate again.
+//! A model for scripts: set values, simulate, read the results, and repeat with other values.
 
 use crate::description::{Causality, Structure, Value, VariableKind};
 use crate::error::{FmiError, Result};
@@ -12,58 +12,59 @@ use crate::simulators::Simulator;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-/// So many values are parameters of a plan. More are start values, which take a new plan where they change,
-/// and no search among all of them for those that are one variable.
+/// Maximum number of start values that become parameters of a plan. With more, all remain start values. A
+/// change then requires a new plan, but no search for aliases among them is needed.
 const MOST_PARAMETERS: usize = 1 << 10;
 
 /// A model with the values set since it was loaded or reset. Every simulation starts from a freshly reset
-/// model with all these values, so that a second one gives the same bits.
+/// model with all these values, so repeated simulations are bit-for-bit identical.
 ///
-/// Sessions of one [`Fmu`] have instances of their own in one loaded library; making a session costs next to
-/// nothing.
+/// Sessions of one [`Fmu`] have separate instances in one loaded library, so creating a session is cheap.
 #[derive(Debug)]
 pub struct Session {
     fmu: Fmu,
     kind: InterfaceChoice,
-    /// Position of the variable and its value, in the order of setting; each position once.
+    /// Position of each variable and its value, in the order of setting. Each position occurs once.
     values: Vec<(usize, Value)>,
-    /// Positions set since the last simulation.
+    /// Positions of the variables set since the last simulation.
     pending: Vec<usize>,
     last: Option<Last>,
-    /// Holds initial values, while nothing has been simulated.
+    /// Simulator with the initial values, until the first simulation.
     initial: Option<Simulator>,
 }
 
 /// The last simulation.
 #[derive(Debug)]
 struct Last {
-    /// Holds the final values.
+    /// Simulator with the final values.
     simulator: Simulator,
     asked: SimulateOptions,
-    /// Values of its parameters.
+    /// Values of the parameters of the plan.
     values: Option<Vec<f64>>,
 }
 
 impl Session {
-    /// A session with nothing set.
+    /// Creates a session with no values set.
     pub fn new(fmu: Fmu) -> Self {
         Self::of_kind(fmu, InterfaceChoice::Auto)
     }
 
-    /// The same, for one way of running the model: that of every simulation whose options leave it open.
+    /// Creates a session for one interface. It applies to every simulation whose options do not specify an
+    /// interface.
     pub fn of_kind(fmu: Fmu, kind: InterfaceChoice) -> Self {
         Self { fmu, kind, values: Vec::new(), pending: Vec::new(), last: None, initial: None }
     }
 
-    /// The model.
+    /// Returns the model.
     pub fn fmu(&self) -> &Fmu {
         &self.fmu
     }
 
-    /// Sets a parameter, a start value, or the constant value of an input, for all simulations from now on.
+    /// Sets a parameter, a start value, or the constant value of an input, for all following simulations.
     ///
     /// # Errors
-    /// Unknown name (with the nearest names), wrong type, NaN or infinity, or a variable that cannot be set.
+    /// Returns an error if the name is unknown (with the nearest names), if the type is wrong, if the value
+    /// is NaN or infinite, or if the variable cannot be set.
     pub fn set(&mut self, name: &str, value: impl Into<Value>) -> Result<()> {
         let fmu = self.fmu.clone();
         let description = fmu.description();
@@ -78,7 +79,7 @@ impl Session {
                 Starts { description, structure: &structure, given: &self.values }
                     .with_element(index, element, value)?
             }
-            // How many values an array has is checked in a simulation: structural parameters may change it.
+            // A simulation checks the number of elements, because structural parameters may change it.
             (None, value) if !variable.dimensions.is_empty() => {
                 let found = if let Value::Array(values) = &value { values.len() } else { 1 };
                 convert(variable, &value, Some(found))?
@@ -96,7 +97,7 @@ impl Session {
         Ok(())
     }
 
-    /// Sets several variables one after the other: all of them, or none if one cannot be set.
+    /// Sets several variables in order. If one cannot be set, none is changed.
     ///
     /// # Errors
     /// As [`set`](Self::set).
@@ -113,17 +114,18 @@ impl Session {
         outcome
     }
 
-    /// Names and values of what was set, in the order of setting.
+    /// Returns the names and values that were set, in the order of setting.
     pub fn values(&self) -> impl Iterator<Item = (&str, &Value)> {
         let variables = &self.fmu.description().variables;
         self.values.iter().map(|(index, value)| (variables[*index].name.as_str(), value))
     }
 
-    /// Value of a variable: after a simulation its final value, unless it has been set since; before, the
-    /// value set or the start value, or what the initialization makes of them.
+    /// Returns the value of a variable. After a simulation this is the final value, unless the variable has
+    /// been set since. Before a simulation this is the value that was set or the start value. If neither
+    /// exists, the model is initialized.
     ///
     /// # Errors
-    /// Unknown name; the model cannot be initialized.
+    /// Returns an error if the name is unknown, or if the model cannot be initialized.
     pub fn get(&mut self, name: &str) -> Result<Value> {
         if let Some(value) = self.known(name, self.last.is_some())? {
             return Ok(value);
@@ -134,17 +136,18 @@ impl Session {
         }
     }
 
-    /// Value of a variable that is known without the model, if it is: the value that was set, or the start
-    /// value; after a simulation, what has been set since.
+    /// Returns the value of a variable if it is known without running the model. Before a simulation this is
+    /// the value that was set, or the start value. After a simulation (`is_simulated`) this is the value set
+    /// since.
     ///
     /// # Errors
-    /// Unknown name.
+    /// Returns an error if the name is unknown.
     pub fn known(&self, name: &str, is_simulated: bool) -> Result<Option<Value>> {
         let VariableElement { variable: index, element } =
             VariableElement::of_name(self.fmu.description(), &self.structure(), name)?;
         let set = || self.values.iter().find(|(i, _)| *i == index).map(|(_, value)| value.clone());
         let variable = &self.fmu.description().variables[index];
-        // The start values of an array that has got another size are not those of this model.
+        // The start values of the description do not fit an array whose size was changed.
         let fits = |start: &&Value| match start {
             Value::Array(values) => {
                 values.len() == self.structure().elements(self.fmu.description(), variable)
@@ -158,22 +161,23 @@ impl Session {
         Ok(value.map(|value| element_value(value, element)))
     }
 
-    /// True if the session has simulated, and holds the final values.
+    /// True if the session has simulated and has the final values.
     pub fn is_simulated(&self) -> bool {
         self.last.is_some()
     }
 
-    /// Notes that a simulation with these values was made elsewhere.
+    /// Records that a simulation with these values was run elsewhere.
     pub fn note_simulated(&mut self) {
         (self.last, self.initial) = (None, None);
         self.pending.clear();
     }
 
-    /// Values of variables at the end of the simulation with these options, which is made again unless it
-    /// was the last one.
+    /// Returns the values of variables at the end of the simulation with these options. Repeats the
+    /// simulation unless it was the last one.
     ///
     /// # Errors
-    /// Those of the simulation; unknown names.
+    /// Returns an error if the simulation fails or a name is unknown. Also returns an error if the simulation
+    /// has input functions and was not the last one.
     pub fn final_values(
         &mut self,
         options: &SimulateOptions,
@@ -193,11 +197,11 @@ impl Session {
         names.iter().map(|name| last.simulator.value(name)).collect()
     }
 
-    /// Number of elements of an array in each direction, with the structural parameters that were set; empty
-    /// for a single value.
+    /// Returns the number of elements of an array in each dimension, with the structural parameters that were
+    /// set. The result is empty for a scalar.
     ///
     /// # Errors
-    /// Unknown name.
+    /// Returns an error if the name is unknown.
     pub fn extents(&self, name: &str) -> Result<Vec<usize>> {
         let description = self.fmu.description();
         let structure = self.structure();
@@ -208,7 +212,7 @@ impl Session {
         })
     }
 
-    /// Sizes of arrays with the values set.
+    /// Returns the array sizes that follow from the values set.
     fn structure(&self) -> Structure {
         let mut structure = Structure::default();
         for (index, value) in &self.values {
@@ -235,13 +239,13 @@ impl Session {
         value
     }
 
-    /// Forgets all values set and the last simulation.
+    /// Clears all values set and the last simulation.
     pub fn reset(&mut self) {
         *self = Self::of_kind(self.fmu.clone(), self.kind);
     }
 
-    /// Simulates from a freshly reset model with all values set; `start_values` of the options count on top
-    /// of them for this simulation only.
+    /// Simulates from a freshly reset model with all values set. `start_values` of the options take
+    /// precedence over these values, for this simulation only.
     ///
     /// # Errors
     /// As [`Fmu::simulate`].
@@ -249,8 +253,8 @@ impl Session {
         self.simulate_with(options, &mut || ControlFlow::Continue(()))
     }
 
-    /// As [`simulate`](Self::simulate); `poll` is asked before every step, and `Break` ends the simulation
-    /// there, with the rows so far and
+    /// Simulates as [`simulate`](Self::simulate), and calls `poll` before every step. `Break` ends the
+    /// simulation at that step. The result then contains the rows so far and
     /// [`Termination::StoppedByObserver`](ode::Termination::StoppedByObserver).
     ///
     /// # Errors
@@ -267,13 +271,13 @@ impl Session {
             last => {
                 let plan = match SimulationPlan::new(&self.fmu, &asked) {
                     Ok(plan) => Arc::new(plan),
-                    // Options that cannot be used change nothing.
+                    // Invalid options leave the session unchanged.
                     Err(error) => {
                         self.last = last;
                         return Err(error);
                     }
                 };
-                // Its instance is freed before another one is made.
+                // The old instance is freed before another one is created.
                 drop(last);
                 Simulator::new(plan)?.keeping_end()
             }
@@ -286,9 +290,9 @@ impl Session {
         Ok(trajectory)
     }
 
-    /// Start values that may differ from run to run of one plan become its parameters: so a simulation that
-    /// differs from the last one only by them needs no new plan. `None`: the parameters have the values that
-    /// the plan says.
+    /// Converts start values that may change between runs of one plan to parameters. A simulation that
+    /// differs from the last one only in these values then reuses the plan. Returns `None` if the parameters
+    /// have the values in the plan.
     fn with_parameters(&self, mut options: SimulateOptions) -> (SimulateOptions, Option<Vec<f64>>) {
         if !options.parameters.is_empty() || options.start_values.len() > MOST_PARAMETERS {
             return (options, None);
@@ -297,7 +301,7 @@ impl Session {
         let mut references: Vec<u32> = Vec::new();
         let mut values: Vec<f64> = Vec::new();
         let (mut parameters, mut others) = (Vec::new(), Vec::new());
-        // Of a tunable parameter that is driven the start value has no effect, as that of an input.
+        // The start value of a driven tunable parameter has no effect, as for an input.
         let driven =
             options.inputs.iter().flat_map(Inputs::names).filter_map(|name| description.variable(name));
         let driven: Vec<u32> =
@@ -315,7 +319,7 @@ impl Session {
                 others.push((name, value));
                 continue;
             };
-            // The last value counts, under whatever name it is given.
+            // The last value counts, also if it is set through an alias.
             match references.iter().position(|known| *known == variable.value_reference) {
                 Some(k) => (parameters[k], values[k]) = (name, number),
                 None => {
@@ -329,7 +333,7 @@ impl Session {
         (options, Some(values))
     }
 
-    /// The options of a simulation with all values set.
+    /// Returns the options of a simulation with all values set.
     pub fn with_values(&self, options: &SimulateOptions) -> SimulateOptions {
         let mut options = options.clone();
         if options.run.kind == InterfaceChoice::Auto {
@@ -351,13 +355,13 @@ impl Fmu {
     /// Simulates once.
     ///
     /// # Errors
-    /// Options that do not fit the model, and everything that can go wrong in a simulation.
+    /// Returns an error if the options do not fit the model or if the simulation fails.
     pub fn simulate(&self, options: &SimulateOptions) -> Result<Trajectory> {
         self.simulate_with(options, &mut || ControlFlow::Continue(()))
     }
 
-    /// As [`simulate`](Self::simulate); `poll` is asked before every step, and `Break` ends the simulation
-    /// there.
+    /// Simulates as [`simulate`](Self::simulate), and calls `poll` before every step. `Break` ends the
+    /// simulation at that step.
     ///
     /// # Errors
     /// As [`simulate`](Self::simulate).

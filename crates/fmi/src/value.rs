@@ -1,19 +1,20 @@
-//! The types of variables, and their values.
+//! Types of variables, and their values.
 
 use crate::macros::words;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Values that differ by no more than this part of them were stored in single precision, or printed and read.
+/// Relative difference of two numbers up to which they count as equal. A value that was stored in single
+/// precision, or printed and read, may differ by this much.
 const FEWER_DIGITS: f64 = 1e-6;
 
-/// True if two values are one number, with fewer digits perhaps.
+/// True if two values are the same number, up to a loss of digits.
 pub(crate) fn is_same_number(one: f64, other: f64) -> bool {
     one == other || (one - other).abs() <= FEWER_DIGITS * one.abs().max(other.abs()).min(f64::MAX)
 }
 
 words! {
-    /// Type of a variable. Its name is the word of FMI 2.0, and of FMI 3.0 where FMI 2.0 has none.
+    /// Type of a variable. The name follows FMI 2.0, or FMI 3.0 for types that FMI 2.0 does not have.
     #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
     #[non_exhaustive]
     pub enum VariableKind {
@@ -38,9 +39,9 @@ words! {
         Int64 = "Int64",
         /// Unsigned 64-bit integer.
         UInt64 = "UInt64",
-        /// True or false.
+        /// Boolean.
         Boolean = "Boolean",
-        /// Text.
+        /// String.
         String = "String",
         /// Bytes.
         Binary = "Binary",
@@ -52,17 +53,17 @@ words! {
 }
 
 impl VariableKind {
-    /// A floating-point number.
+    /// True for floating-point types.
     pub fn is_float(self) -> bool {
         matches!(self, VariableKind::Real | VariableKind::Float32)
     }
 
-    /// An integer, of an enumeration too.
+    /// True for integer types and enumerations.
     pub fn is_integer(self) -> bool {
         self.range().is_some()
     }
 
-    /// Smallest and largest value of an integer type.
+    /// Returns the smallest and the largest value of an integer type.
     pub(crate) fn range(self) -> Option<(i128, i128)> {
         Some(match self {
             VariableKind::Int8 => (i8::MIN.into(), i8::MAX.into()),
@@ -77,32 +78,33 @@ impl VariableKind {
         })
     }
 
-    /// True if values are numbers, so that results can hold them.
+    /// True if values are numbers and can be stored in results.
     pub fn is_number(self) -> bool {
         !matches!(self, VariableKind::String | VariableKind::Binary)
     }
 }
 
-/// A value of a variable. Enumerations are integers, clocks Booleans.
+/// A value of a variable. Enumerations are stored as integers, clocks as Booleans.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Value {
-    /// A number.
+    /// A floating-point number.
     Real(f64),
     /// An integer of any width, or the value of an enumeration.
     Integer(i128),
-    /// True or false.
+    /// Boolean.
     Boolean(bool),
-    /// Text.
+    /// String.
     String(String),
     /// Bytes.
     Binary(Vec<u8>),
-    /// The elements of an array, all of one type, the last index varying fastest.
+    /// The elements of an array, all of one type, in row-major order (the last index varies fastest).
     Array(Vec<Value>),
 }
 
 impl Value {
-    /// The (nearest) number: also of integers, and 0 or 1 for Booleans; `None` for texts, bytes and arrays.
+    /// Returns the nearest floating-point number; Booleans are 0 or 1. Returns `None` for strings, bytes and
+    /// arrays.
     pub fn as_number(&self) -> Option<f64> {
         match self {
             Value::Real(x) => Some(*x),
@@ -112,7 +114,7 @@ impl Value {
         }
     }
 
-    /// The word for its type.
+    /// Returns the name of the type.
     pub fn kind_name(&self) -> &'static str {
         match self {
             Value::Real(_) => "Real",

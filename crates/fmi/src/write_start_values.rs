@@ -15,18 +15,17 @@ use zip::ZipArchive;
 use zip::write::{SimpleFileOptions, ZipWriter};
 
 impl Fmu {
-    /// Writes an `.fmu` in which these variables, or elements of arrays (`a[2,1]`, counted from 1), have
-    /// other start values. In `modelDescription.xml` nothing changes but their `start` attributes and those
-    /// of their aliases, which follow; all other files are copied as they are packed.
+    /// Writes an `.fmu` in which these variables, or array elements (`a[2,1]`, counted from 1), have other
+    /// start values. Only their `start` attributes and the `start` attributes of their aliases change in
+    /// `modelDescription.xml`. All other files are copied unchanged.
     ///
-    /// **Many libraries do not look at the description**: their variables start from values that were
-    /// compiled into them, unless the importing tool sets the start values of the description. (FMI 2.0.4,
-    /// section 2.2.7.)
+    /// **Many libraries ignore the description**: their variables start from compiled-in values, unless the
+    /// importing tool sets the start values of the description. (FMI 2.0.4, section 2.2.7.)
     ///
     /// # Errors
-    /// [`FmiError::UnknownVariable`], [`FmiError::NotSettable`], [`FmiError::WrongType`] and the like for
-    /// values that cannot be set; [`FmiError::BadArchive`] if the file was changed since it was opened;
-    /// [`FmiError::Io`]. What was written is then no FMU.
+    /// [`FmiError::UnknownVariable`], [`FmiError::NotSettable`], [`FmiError::WrongType`] and similar errors
+    /// for values that cannot be set. [`FmiError::BadArchive`] if the file has been modified since it was
+    /// opened. [`FmiError::Io`] if reading or writing fails. After an error, the output is not a valid FMU.
     pub fn write_with_start_values(&self, values: &[(String, f64)], out: &File) -> Result<()> {
         let bytes = self.description_file()?;
         let description = with_start_texts(&bytes, self.description(), &self.start_texts(values)?)?;
@@ -39,7 +38,7 @@ impl Fmu {
         }
     }
 
-    /// Copies the entries of the file as they are packed, but for the description.
+    /// Copies the entries of the file without recompression, except the description.
     fn copy_packed(&self, out: &File, description: &[u8]) -> Result<()> {
         let mut archive = ZipWriter::new(BufWriter::new(out));
         let path = self.path();
@@ -71,11 +70,11 @@ impl Fmu {
         buffer.flush().map_err(FmiError::io("write a copy of", path))
     }
 
-    /// The start values as the description writes them, by the positions of the variables.
+    /// Returns the start values as strings for the description, by the positions of the variables.
     fn start_texts(&self, values: &[(String, f64)]) -> Result<BTreeMap<usize, String>> {
         let model = self.description();
         let structure = Structure::default();
-        // Whole values by position: elements of one array come together.
+        // Complete values by position, because several elements of one array may be set.
         let mut starts: BTreeMap<usize, Value> = BTreeMap::new();
         for (name, value) in values {
             let VariableElement { variable, element } = VariableElement::of_name(model, &structure, name)?;
@@ -116,7 +115,7 @@ impl Fmu {
     }
 }
 
-/// A start value as an attribute has it: the shortest text that stands for the same number.
+/// Formats a start value as the shortest string that represents the same number.
 fn text(kind: VariableKind, value: &Value) -> String {
     match value {
         Value::Real(x) if kind == VariableKind::Float32 => format!("{:?}", *x as f32),

@@ -1,36 +1,36 @@
-//! Reasons to refuse an entry of an archive.
+//! Reasons to reject an entry of an archive.
 
-/// Reason to refuse an entry of an archive.
+/// Reason to reject an entry of an archive.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum EntryProblem {
-    /// The name is empty, or names only the folder of the archive.
+    /// The name is empty, or refers to the root folder of the archive.
     #[error("has an empty name or an empty folder name in it")]
     EmptyName,
-    /// `..` as a component (`.` in a path that is not the name of an entry).
+    /// The path contains `..` (or `.`, unless the path is the name of an entry).
     #[error("leads out of the archive (\"..\" or \".\" in its path)")]
     Traversal,
     /// Starts with `/` or a drive letter.
     #[error("has an absolute path")]
     Absolute,
-    /// Holds a backslash, a colon or a control character (NUL included).
+    /// Contains a backslash, a colon or a control character (NUL included).
     #[error("has the character {0:?} in its name")]
     ForbiddenCharacter(char),
-    /// The name or one of its components is longer than file systems take.
+    /// The name or one of its components is longer than file systems allow.
     #[error("has a name of {found} bytes, more than the limit of {limit}")]
     NameTooLong {
-        /// Bytes of the name or component.
+        /// Length of the name or component in bytes.
         found: usize,
-        /// Bytes allowed.
+        /// Maximum length in bytes.
         limit: usize,
     },
-    /// More folders within folders than allowed.
+    /// The path has more components than allowed.
     #[error("lies more than {limit} folders deep")]
     TooDeep {
-        /// Components allowed.
+        /// Maximum number of components.
         limit: usize,
     },
-    /// A folder that has contents of its own.
+    /// A folder with data.
     #[error("is a folder with {0} bytes of data")]
     FolderWithData(u64),
     /// A device name reserved on Windows, or a component ending in a dot or a space.
@@ -42,16 +42,16 @@ pub enum EntryProblem {
     /// Encrypted.
     #[error("is encrypted")]
     Encrypted,
-    /// A compression method other than stored and deflate.
+    /// A compression method other than stored (0) and deflate (8).
     #[error("is compressed with method {0}; FMUs use 0 (stored) and 8 (deflate)")]
     Compression(u16),
     /// Two entries of the same name with different contents.
     #[error("occurs twice, with different contents")]
     Duplicate,
-    /// Two entries whose names differ in case only.
+    /// Two entries whose names differ only in case.
     #[error("differs from \"{0}\" in upper and lower case only")]
     CaseDuplicate(String),
-    /// A file where another entry needs a folder, or the other way round.
+    /// The name is used both for a file and for a folder.
     #[error("makes \"{0}\" both a file and a folder")]
     FileAndFolder(String),
     /// The data overlap those of another entry.
@@ -59,42 +59,42 @@ pub enum EntryProblem {
     Overlap {
         /// First shared byte.
         start: u64,
-        /// One behind the last.
+        /// Byte after the last shared byte.
         end: u64,
-        /// The other entry.
+        /// Name of the other entry.
         other: String,
     },
     /// The local header and the central directory disagree.
     #[error("is described differently in its local header: {0}")]
     HeaderMismatch(String),
-    /// Inflates to less than the directory says, or is stored with another size.
+    /// The uncompressed size is smaller than the directory declares, or the size of stored data differs.
     #[error("inflates to {found} bytes, its header says {declared}")]
     WrongSize {
-        /// Bytes found.
+        /// Size found in bytes.
         found: u64,
-        /// Bytes declared.
+        /// Size declared in bytes.
         declared: u64,
     },
     /// Larger than the limit for one file.
     #[error("has {found} bytes, more than the limit of {limit}")]
     TooLarge {
-        /// Bytes declared.
+        /// Size declared in bytes.
         found: u64,
-        /// Bytes allowed.
+        /// Maximum size in bytes.
         limit: u64,
     },
-    /// Inflates more than deflated data of a model do.
+    /// The ratio of uncompressed to compressed size exceeds the limit.
     #[error("would inflate from {compressed} to {size} bytes, more than {limit} times")]
     Ratio {
-        /// Compressed bytes.
+        /// Compressed size in bytes.
         compressed: u64,
-        /// Bytes declared.
+        /// Declared size in bytes.
         size: u64,
-        /// Factor allowed.
+        /// Maximum ratio.
         limit: u64,
     },
-    /// The compressed data are damaged (bad stream, wrong checksum, truncated) or inflate to more than the
-    /// directory says.
+    /// The compressed data are damaged (bad stream, wrong checksum, truncated) or inflate to more bytes than
+    /// the directory declares.
     #[error("is damaged: {0}")]
     Damaged(String),
 }

@@ -1,4 +1,4 @@
-//! A call into an FMU that failed: which call, for what, when, and what the FMU had to say about it.
+//! A failed call into an FMU: the call, its variables, its time and the log lines of the FMU.
 
 use base::Number;
 use std::fmt;
@@ -8,19 +8,19 @@ use std::sync::Arc;
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct CallFailure {
-    /// The function, by the standard's name.
+    /// Name of the function in the standard.
     pub call: &'static str,
-    /// Status that it returned.
+    /// Status that the function returned.
     pub status: Status,
-    /// The variables it was about, as far as that is known.
+    /// Variables that the call concerned, if known.
     pub variables: Vec<String>,
     /// Simulated time.
     pub time: Option<f64>,
-    /// The last lines the instance logged, oldest first; references to variables are expanded to names.
+    /// Last lines that the instance logged, oldest first. References to variables are expanded to names.
     pub log: Vec<LogLine>,
-    /// Number of other lines that are not shown: earlier ones, and those beyond the rate limit.
+    /// Number of other lines that are not shown: earlier lines and lines beyond the rate limit.
     pub dropped_log_lines: u64,
-    /// What may be the cause beside the call: a missing tool, a draft of the standard, a sandbox.
+    /// Possible causes other than the call itself: a missing tool, a draft of the standard, a sandbox.
     pub hints: Vec<Arc<str>>,
 }
 
@@ -60,21 +60,21 @@ impl std::error::Error for CallFailure {}
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Status {
-    /// Done.
+    /// Succeeded.
     Ok,
-    /// Done, with something to say about it.
+    /// Succeeded, with a warning.
     Warning,
-    /// Not possible at this point; nothing is broken.
+    /// Not possible at this point; the instance remains usable.
     Discard,
-    /// The instance cannot go on; it can be freed or reset.
+    /// The instance cannot continue; it can be freed or reset.
     Error,
-    /// The instance is broken beyond repair.
+    /// The instance is permanently unusable.
     Fatal,
     /// Not finished yet (co-simulation only).
     Pending,
-    /// The library does not offer the function.
+    /// The library does not have the function.
     Missing,
-    /// A number that the standard does not know.
+    /// A status code that the standard does not define.
     Unknown(i32),
 }
 
@@ -98,9 +98,9 @@ impl fmt::Display for Status {
 pub struct LogLine {
     /// Severity.
     pub status: Status,
-    /// Category, one of the model description's or anything else.
+    /// Category, usually from the model description.
     pub category: String,
-    /// The message; bytes that are not UTF-8 and control characters are replaced, long messages cut.
+    /// Message. Invalid UTF-8 and control characters are replaced, and long messages are truncated.
     pub text: String,
 }
 

@@ -1,4 +1,4 @@
-//! The error type of this crate; each error names the place and the numbers.
+//! The error type of this crate. Each error contains its location and the relevant numbers.
 
 use super::entry_problem::EntryProblem;
 use super::failure::CallFailure;
@@ -8,23 +8,23 @@ use base::Number;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Outcome of what may fail with an [`FmiError`].
+/// Result of an operation that may fail with an [`FmiError`].
 pub type Result<T, E = FmiError> = std::result::Result<T, E>;
 
-/// Why an FMU could not be opened, understood, built or run.
+/// Reason why an FMU could not be opened, read, built or run.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FmiError {
-    /// Opening, unpacking or compiling was ended from outside.
+    /// Opening, unpacking or compiling was cancelled.
     #[error("cancelled")]
     Cancelled,
-    /// The initial events, without a simulation, were ended from outside.
+    /// The initial events, without a simulation, were cancelled.
     #[error(transparent)]
     Stopped(#[from] ode::Stopped),
-    /// There is not enough memory for something large; nothing was taken.
+    /// Not enough memory is available for a large object; nothing was allocated.
     #[error("{what} would take {} MB of memory, more than is available", bytes / 1_000_000)]
     Memory {
-        /// Object to be allocated, with its numbers.
+        /// Object to be allocated, with its dimensions.
         what: String,
         /// Size in bytes.
         bytes: u64,
@@ -32,53 +32,53 @@ pub enum FmiError {
     /// An error in a worker process.
     #[error("{}", .0.message)]
     ReportedError(Box<ReportedError>),
-    /// A worker process ended in the middle of what it was asked for.
+    /// A worker process ended during a request.
     #[error("{0}")]
     WorkerEnded(Box<WorkerEnd>),
     /// No worker process can be started.
     #[error("no process can be started for the FMU ({reason}); isolation = \"none\" runs it in this one")]
     NoWorker {
-        /// Why.
+        /// Reason.
         reason: String,
     },
     /// Worker processes cannot be confined, or none can be started.
     #[error("sandbox: {reason}. Run the model in a container, or without a sandbox if you trust it")]
     NoSandbox {
-        /// Why.
+        /// Reason.
         reason: String,
     },
-    /// The operating system refused something.
+    /// An operation of the operating system failed.
     #[error("cannot {action} {}: {source}{}", path.display(), limit_of_files(source.raw_os_error()))]
     Io {
         /// Action that failed, as a verb phrase: "open", "create".
         action: &'static str,
-        /// The file or folder.
+        /// File or folder.
         path: PathBuf,
-        /// The system's reason.
+        /// Error of the system.
         source: io::Error,
     },
-    /// Of the FMU only its description is at hand; see [`Fmu::absent`](crate::Fmu::absent).
+    /// Only the description of the FMU is available; see [`Fmu::absent`](crate::Fmu::absent).
     #[error("the FMU {} is needed with the content that it had (SHA-256 {content_hash}); {reason}", path.display())]
     Absent {
-        /// Where it was.
+        /// Former path of the FMU.
         path: PathBuf,
         /// SHA-256 of its content.
         content_hash: String,
-        /// Why it is not at hand.
+        /// Reason why the FMU is unavailable.
         reason: String,
     },
     /// The file is not a zip archive, or it is damaged.
     #[error("{} is not a usable FMU archive: {reason}", path.display())]
     BadArchive {
-        /// The archive.
+        /// Path of the archive.
         path: PathBuf,
         /// Defect of the archive.
         reason: String,
     },
-    /// An entry of the archive is not what an FMU may contain; nothing of it was unpacked.
+    /// An entry of the archive is not allowed in an FMU; nothing was unpacked.
     #[error("{}: entry \"{}\" {problem}", path.display(), entry.escape_debug())]
     BadEntry {
-        /// The archive.
+        /// Path of the archive.
         path: PathBuf,
         /// Name of the entry as stored.
         entry: String,
@@ -88,24 +88,24 @@ pub enum FmiError {
     /// The archive as a whole exceeds a limit of [`ArchiveLimits`](crate::archive::ArchiveLimits).
     #[error("{}: {found} {what}, more than the limit of {limit}", path.display())]
     ArchiveLimit {
-        /// The archive.
+        /// Path of the archive.
         path: PathBuf,
-        /// Quantity counted.
+        /// Quantity that was counted.
         what: &'static str,
-        /// Count found (at least).
+        /// Count that was found (lower bound).
         found: u64,
-        /// Largest count allowed.
+        /// Maximum count.
         limit: u64,
     },
-    /// There is no `modelDescription.xml` at the root.
+    /// The root contains no `modelDescription.xml`.
     #[error("{} has no modelDescription.xml at its root{}", path.display(), hint.as_deref().unwrap_or(""))]
     NoModelDescription {
         /// The archive or folder.
         path: PathBuf,
-        /// Where one was found instead, as the rest of the sentence.
+        /// Location of another `modelDescription.xml`, as the rest of the sentence.
         hint: Option<String>,
     },
-    /// `modelDescription.xml` (or `buildDescription.xml`) cannot be read as what it should be.
+    /// `modelDescription.xml` (or `buildDescription.xml`) cannot be read.
     #[error("{file}, line {line}: {message}")]
     Description {
         /// Name of the file.
@@ -115,27 +115,27 @@ pub enum FmiError {
         /// Description of the defect.
         message: String,
     },
-    /// A version of the standard that is unknown.
+    /// The version of the standard is unknown.
     #[error("the FMU follows FMI {0}; known are 1.0, 2.0 and 3.0")]
     UnknownVersion(String),
-    /// `modelDescription.xml` is well formed but leaves the standard, and strict reading was asked for.
+    /// `modelDescription.xml` is well formed but departs from the standard, and strict reading was requested.
     #[error(
         "the model description departs from the FMI standard in {count} places, first (line {line}): {first}"
     )]
     NotConforming {
-        /// Number of quirks.
+        /// Number of departures.
         count: usize,
-        /// Line of the first one.
+        /// Line of the first departure.
         line: u32,
-        /// The first one.
+        /// First departure.
         first: String,
     },
-    /// The FMU has no sources to build a library from.
+    /// The FMU has no sources from which a library can be built.
     #[error("no sources for \"{model_identifier}\": {reason}")]
     NoSources {
         /// Model identifier of the interface.
         model_identifier: String,
-        /// Sources that were looked for.
+        /// Reason, with the missing sources.
         reason: String,
     },
     /// No C compiler was found.
@@ -143,10 +143,10 @@ pub enum FmiError {
     NoCompiler {
         /// Model identifier of the interface.
         model_identifier: String,
-        /// The names tried.
+        /// Compiler names that were tried.
         tried: String,
     },
-    /// The C compiler refused the sources.
+    /// The C compiler rejected the sources.
     #[error("building \"{model_identifier}\" failed ({status}): {command}\n{output}")]
     CompileFailed {
         /// Model identifier of the interface.
@@ -155,261 +155,262 @@ pub enum FmiError {
         command: String,
         /// Exit status of the compiler.
         status: String,
-        /// The last lines it wrote.
+        /// Last lines of the compiler's output.
         output: String,
     },
-    /// No binary for this platform.
+    /// The FMU has no binary for this platform.
     #[error("{} has no binary for this platform ({wanted}); present: {present}", path.display())]
     NoBinary {
-        /// The FMU.
+        /// Path of the FMU.
         path: PathBuf,
-        /// The folders looked for, in order.
+        /// Folders that were searched, in order.
         wanted: String,
-        /// The folders (with their machine types) present.
+        /// Folders in the FMU (with their machine types).
         present: String,
     },
-    /// The FMU cannot be run in the way asked for.
+    /// The FMU does not support the requested interface.
     #[error("{model} offers no {wanted}; it offers {offered}")]
     NotOffered {
         /// Name of the model.
         model: String,
-        /// The interface asked for.
+        /// Requested interface.
         wanted: String,
-        /// The interfaces there are.
+        /// Interfaces that the FMU supports.
         offered: String,
     },
-    /// The dynamic loader refused the library; its own words.
+    /// The dynamic loader rejected the library.
     #[error("cannot load {}: {message}{}", library.display(), limit_of_files(message.contains(TOO_MANY_FILES).then_some(EMFILE)))]
     LoadFailed {
-        /// The library.
+        /// Path of the library.
         library: PathBuf,
-        /// The loader's message.
+        /// Message of the loader.
         message: String,
     },
-    /// The library lacks a function that FMI demands.
+    /// The library lacks a function that FMI requires.
     #[error("{} has no function {symbol}, which the standard demands", library.display())]
     MissingSymbol {
-        /// The library.
+        /// Path of the library.
         library: PathBuf,
-        /// The function.
+        /// Name of the function.
         symbol: &'static str,
     },
-    /// An optional function was called that the library does not have.
+    /// A call requires an optional function that the library does not have.
     #[error("the FMU has no function {0}")]
     MissingFunction(&'static str),
-    /// A call of the instance's loaded library, of this file, returned `Fatal`: the standard lets nothing of
-    /// it be called after that.
+    /// A call of the loaded library of the instance, with this path, returned `Fatal`. The standard forbids
+    /// all further calls of the library.
     #[error("{} is unusable since one of its calls returned fatal; new instances and simulations have a newly loaded copy", .0.display())]
     LibraryUnusable(PathBuf),
     /// A call into the FMU failed.
     #[error(transparent)]
     Call(Box<CallFailure>),
-    /// A call of an instance made by hand after this one had returned `Error`; the FMU was not called.
+    /// A call of an instance driven by the user, after this function had returned `Error`; the FMU was not
+    /// called.
     #[error(
         "after {0} returned error nothing is left but to reset the instance, restore a saved state or free it"
     )]
     AfterError(&'static str),
-    /// Slices of different lengths, or a vector that has not the model's size; the FMU was not called.
+    /// Slices differ in length, or a vector does not have the size of the model; the FMU was not called.
     #[error("{call}: {found} values where {expected} are needed")]
     Length {
-        /// The call.
+        /// Name of the call.
         call: &'static str,
-        /// Length needed.
+        /// Expected length.
         expected: usize,
         /// Length given.
         found: usize,
     },
-    /// The FMU says that a value has more bytes than its variable may have, or than there is memory for.
+    /// The FMU reports a value with more bytes than its variable allows or than memory can hold.
     #[error("{call}: the FMU has a value of {size} bytes, more than its maxSize or than memory can hold")]
     TooLarge {
-        /// The call.
+        /// Name of the call.
         call: &'static str,
-        /// The size it says.
+        /// Size that the FMU reports.
         size: usize,
     },
-    /// A step that the model ended where it began, again and again, without an event.
+    /// The model repeatedly ended a step at its start time, without an event.
     #[error("{call} returned early at t = {time} without having gone on, and without an event", time = Number(*.time))]
     NoProgress {
-        /// The call.
+        /// Name of the call.
         call: &'static str,
-        /// Time at which the model stands.
+        /// Current time of the model.
         time: f64,
     },
-    /// The discrete states do not settle.
+    /// The event iteration did not converge.
     #[error("the event iteration at t = {time} did not end after {limit} rounds", time = Number(*.time))]
     EventIteration {
         /// Time of the event.
         time: f64,
-        /// Rounds allowed.
+        /// Maximum number of rounds.
         limit: u32,
     },
-    /// A call of an instance driven by hand that its phase does not have.
+    /// A call of an instance driven by the user is not allowed in the current phase.
     #[error("{call} is called in the phase {needed}; the instance is in the phase {phase}")]
     WrongPhase {
-        /// The call.
+        /// Name of the call.
         call: &'static str,
-        /// The phase of the instance.
+        /// Phase of the instance.
         phase: &'static str,
-        /// The phases that have the call.
+        /// Phases that allow the call.
         needed: &'static str,
     },
-    /// A call of an instance driven by hand that was freed, with the reason.
+    /// A call of an instance driven by the user that was freed; contains the reason.
     #[error("{0}")]
     Freed(&'static str),
-    /// A saved state of another instance, or written by an instance of another FMU or of another kind.
+    /// A saved state belongs to another instance, another FMU or another interface.
     #[error("the saved state belongs to another instance")]
     ForeignState,
-    /// A saved state of another phase: the instance would be in one and its type would say another.
+    /// A saved state belongs to another phase. Restoring it would contradict the type of the instance.
     #[error("the state was saved in {saved}, the instance is in {now}")]
     StateOfAnotherPhase {
-        /// The phase of the saved state.
+        /// Phase of the saved state.
         saved: &'static str,
-        /// The phase of the instance.
+        /// Phase of the instance.
         now: &'static str,
     },
     /// The model has no variable of this name.
     #[error("the model has no variable \"{name}\"{}", did_you_mean(nearest))]
     UnknownVariable {
-        /// The name.
+        /// Name that was requested.
         name: String,
-        /// Names that resemble it, the most similar first.
+        /// Similar names, the most similar first.
         nearest: Vec<String>,
     },
-    /// A value reference that no variable of type Real has; the FMU was not called.
+    /// No variable of type Real has the value reference; the FMU was not called.
     #[error("{call}: the model has no variable of type Real with the value reference {reference}")]
     UnknownReference {
-        /// The call.
+        /// Name of the call.
         call: &'static str,
-        /// The reference.
+        /// Value reference.
         reference: u32,
     },
-    /// A value of the wrong type.
+    /// The value has the wrong type.
     #[error("{name} is of type {kind}, {value} ({given}) does not fit")]
     WrongType {
-        /// The variable.
+        /// Name of the variable.
         name: String,
-        /// Its type.
+        /// Type of the variable.
         kind: VariableKind,
         /// The value.
         value: Value,
         /// Type of the value.
         given: &'static str,
     },
-    /// A number that the type of the variable has no room for.
+    /// A number is out of range for the type of its variable.
     #[error("{name} is of type {kind} ({} bits, from {} to {}), {value} does not fit", bits(range.0, range.1), range.0, range.1)]
     OutOfRange {
-        /// The variable.
+        /// Name of the variable.
         name: String,
-        /// Its type.
+        /// Type of the variable.
         kind: VariableKind,
         /// The value.
         value: Value,
-        /// The smallest and the largest value that fit.
+        /// Smallest and largest value of the type.
         range: (i128, i128),
     },
-    /// A variable that cannot be set, or not now.
+    /// The variable cannot be set, or cannot be set in the current phase.
     #[error("{name} cannot be set: {reason}")]
     NotSettable {
-        /// The variable.
+        /// Name of the variable.
         name: String,
-        /// Why.
+        /// Reason.
         reason: &'static str,
     },
-    /// A parameter does not have the value that it was given: the model overrides it.
+    /// A parameter does not keep the value that was set, because the model overrides it.
     #[error(
         "{name} was given the value {given}, and after the initialization it is {found}: the model sets it by itself, or does not take \
          values from outside",
         given = Number(*.given), found = Number(*.found)
     )]
     NotTaken {
-        /// The parameter.
+        /// Name of the parameter.
         name: String,
-        /// The value that it was given.
+        /// Value that was set.
         given: f64,
-        /// The value that it has.
+        /// Value after the initialization.
         found: f64,
     },
-    /// A variable that was to have a value at the start of a simulation has another one.
+    /// A variable does not have the requested value at the start of a simulation.
     #[error(
         "{name} starts with {found} instead of {given}: the initialization computes it. In model exchange initial states are set after \
          the initialization (kind = \"ME\"); otherwise set the parameters from which the model computes it",
         given = Number(*.given), found = Number(*.found)
     )]
     StateNotTaken {
-        /// The variable.
+        /// Name of the variable.
         name: String,
-        /// The value that it was given.
+        /// Value that was requested.
         given: f64,
-        /// The value that it has.
+        /// Value after the initialization.
         found: f64,
     },
-    /// NaN or an infinity where a number is needed.
+    /// A value is NaN or infinite, but must be finite.
     #[error("{name} = {value}: a finite number is needed", value = Number(*.value))]
     NotFinite {
-        /// Name that was to get the value.
+        /// Name to which the value was assigned.
         name: String,
         /// The value.
         value: f64,
     },
-    /// A variable that is a continuous state is NaN or infinite, and the state is not.
+    /// A variable is NaN or infinite, but the continuous state that it represents is finite.
     #[error("{name} is {value}, and the continuous state that it is by the description is finite", value = Number(*.value))]
     StateNotFinite {
-        /// The variable.
+        /// Name of the variable.
         name: String,
         /// The value.
         value: f64,
     },
-    /// A variable that cannot be an output.
+    /// The variable cannot be an output.
     #[error("{name} cannot be an output: {reason}")]
     NotAnOutput {
-        /// The variable.
+        /// Name of the variable.
         name: String,
-        /// Why.
+        /// Reason.
         reason: &'static str,
     },
-    /// An input that cannot be used.
+    /// The input cannot be used.
     #[error("input {name}: {problem}")]
     BadInput {
-        /// The variable, or what stands for it.
+        /// Name of the variable, or a description of the input.
         name: String,
         /// The problem, with numbers.
         problem: String,
     },
-    /// Settings of a simulation that do not make sense: the problem, with numbers.
+    /// Settings of a simulation are invalid; contains the problem, with numbers.
     #[error("{0}")]
     BadSetting(String),
-    /// An option of the integration method that cannot be used.
+    /// An option of the integration method is invalid.
     #[error(transparent)]
     Options(#[from] ode::OptionsError),
-    /// A simulation that started but failed.
+    /// A simulation started but failed.
     #[error(transparent)]
     Simulation(Box<ode::SimulationError>),
-    /// No result holds this variable.
+    /// The result does not contain this variable.
     #[error("there is no value of \"{name}\"; there are: {present}")]
     NotInResult {
-        /// The name.
+        /// Name that was requested.
         name: String,
-        /// The names in the result.
+        /// Names in the result.
         present: String,
     },
     /// The folder cannot be packed into an FMU.
     #[error("cannot pack {}: {reason}", folder.display())]
     CannotPack {
-        /// The folder.
+        /// Path of the folder.
         folder: PathBuf,
-        /// Why not.
+        /// Reason.
         reason: String,
     },
 }
 
-/// Width of a type of integers.
+/// Returns the width of an integer type in bits.
 fn bits(least: i128, most: i128) -> u32 {
     i128::BITS - (most - least).leading_zeros()
 }
 
 impl FmiError {
-    /// True if the error has a cause outside of the model: a file, memory, a compiler, the loader or a
-    /// process. It does not depend on the values of the simulation.
+    /// True if the cause is outside the model: a file, memory, a compiler, the loader or a process. Such an
+    /// error does not depend on the values of the simulation.
     pub fn is_of_machine(&self) -> bool {
         matches!(
             self,
@@ -430,7 +431,7 @@ impl FmiError {
         )
     }
 
-    /// Form of this error for another process: its kind, and the data that are passed on.
+    /// Converts the error for another process: its kind and the data to be sent.
     pub fn told(&self) -> ReportedError {
         let (kind, time) = match self {
             FmiError::ReportedError(told) => return (**told).clone(),
@@ -475,7 +476,7 @@ impl FmiError {
         }
     }
 
-    /// The failed call at the bottom of this error, if there is one.
+    /// Returns the failed call that caused this error, if any.
     pub fn call_failure(&self) -> Option<&CallFailure> {
         match self {
             FmiError::Call(failure) => Some(failure),
@@ -489,32 +490,32 @@ impl FmiError {
         }
     }
 
-    /// A library file that is not any more what was loaded from it.
+    /// Returns the error for a library file that has been modified since it was loaded.
     pub(crate) fn written_over(library: &Path) -> FmiError {
         let message = "the file was written over after this process had loaded it; restart the process, or give the new \
                        version a file of its own";
         FmiError::LoadFailed { library: library.to_owned(), message: message.to_owned() }
     }
 
-    /// An archive, or a folder that should be one, that cannot be used.
+    /// Returns the error for an unusable archive, or a folder used as one.
     pub(crate) fn bad_archive(path: impl Into<PathBuf>, reason: impl Into<String>) -> FmiError {
         FmiError::BadArchive { path: path.into(), reason: reason.into() }
     }
 
-    /// Wraps an error of the operating system with what was tried on which path.
+    /// Returns a function that wraps an error of the operating system, with the action and its path.
     pub fn io(action: &'static str, path: impl Into<PathBuf>) -> impl FnOnce(io::Error) -> FmiError {
         let path = path.into();
         move |source| FmiError::Io { action, path, source }
     }
 }
 
-/// Number of the system's error for more open files than a process may have, and the C library's words for
-/// it.
+/// Error number of the system for too many open files in a process, and the corresponding message of the C
+/// library.
 const EMFILE: i32 = 24;
 const TOO_MANY_FILES: &str = "Too many open files";
 
-/// Limit on the number of open files of this process; `None` where the system does not say, or there is no
-/// limit.
+/// Returns the limit on the number of open files of this process. Returns `None` if the system does not
+/// report a limit or has none.
 fn open_files_limit() -> Option<u64> {
     #[cfg(unix)]
     return rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
@@ -522,7 +523,7 @@ fn open_files_limit() -> Option<u64> {
     None
 }
 
-/// Addition to an error where the process has as many open files as it may have.
+/// Returns an addition to an error message if the process has reached its limit of open files.
 fn limit_of_files(error: Option<i32>) -> String {
     match open_files_limit() {
         Some(limit) if error == Some(EMFILE) => {
@@ -534,7 +535,7 @@ fn limit_of_files(error: Option<i32>) -> String {
     }
 }
 
-/// The end of a sentence about a name that does not exist.
+/// Returns the end of the message about an unknown name.
 fn did_you_mean(nearest: &[String]) -> String {
     if nearest.is_empty() { String::new() } else { format!("; did you mean {}?", nearest.join(", ")) }
 }

@@ -8,42 +8,42 @@ use std::fmt;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum ReportedErrorKind {
-    /// A setting or a value that cannot be used.
+    /// A setting or a value is invalid.
     Setting,
-    /// A name that the model does not have.
+    /// The model has no variable of this name.
     UnknownVariable,
-    /// A value of another type than the variable's.
+    /// A value does not have the type of its variable.
     WrongType,
     /// The simulation failed.
     Simulation,
-    /// There was not enough memory.
+    /// Not enough memory was available.
     Memory,
     /// The FMU cannot be opened, loaded or instantiated.
     Model,
-    /// A file is not there.
+    /// A file does not exist.
     NoFile,
-    /// It was cancelled.
+    /// The operation was cancelled.
     Cancelled,
 }
 
-/// An error that a worker process has told.
+/// An error that a worker process has reported.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct ReportedError {
-    /// Its text.
+    /// Message.
     pub message: String,
-    /// Its sort.
+    /// Kind of the error.
     pub kind: ReportedErrorKind,
-    /// Simulated time at which a simulation failed.
+    /// Simulated time at which the simulation failed.
     pub time: Option<f64>,
     /// Status that the failed call returned.
     pub status: Option<String>,
-    /// The last lines that the instance logged, oldest first.
+    /// Last lines that the instance logged, oldest first.
     pub log: Vec<String>,
 }
 
 impl ReportedError {
-    /// True if it concerns the process or its files rather than a simulation.
+    /// True if the error concerns the process or its files, not a simulation.
     pub fn is_of_process(&self) -> bool {
         matches!(self.kind, ReportedErrorKind::Model | ReportedErrorKind::NoFile | ReportedErrorKind::Memory)
     }
@@ -53,35 +53,35 @@ impl ReportedError {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum EndKind {
-    /// It ended by itself: a signal, `exit`, `abort`.
+    /// The process ended by itself: a signal, `exit`, `abort`.
     Died,
-    /// It did not come back from the FMU in time, and was ended.
+    /// A call into the FMU did not return in time, and the process was killed.
     Hung,
-    /// It had more memory than its limit, and was ended.
+    /// The process exceeded its memory limit and was killed.
     Memory,
-    /// Its output was not a valid answer; it was ended.
+    /// The output of the process was not a valid answer, and the process was killed.
     Garbage,
 }
 
-/// The end of a worker process, in the middle of an evaluation.
+/// The end of a worker process during an evaluation.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct WorkerEnd {
     /// Cause.
     pub kind: EndKind,
-    /// The same in words: "segmentation fault".
+    /// Cause in words, for example "segmentation fault".
     pub what: String,
-    /// The last call into the FMU, by the standard's name.
+    /// Last call into the FMU; name of the function in the standard.
     pub function: Option<String>,
-    /// The simulated time of that call.
+    /// Simulated time of that call.
     pub time: Option<f64>,
-    /// The last lines that the process has printed.
+    /// Last lines that the process printed.
     pub output: String,
-    /// What may be the cause (see [`CallFailure::hints`](super::CallFailure::hints)).
+    /// Possible cause (see [`CallFailure::hints`](super::CallFailure::hints)).
     pub hint: Option<String>,
 }
 
-/// Calls that are made when a run is over: what they do changes none of its rows.
+/// Calls at the end of a run. They do not change the rows of the run.
 const AT_END_OF_RUN: [&str; 13] = [
     "fmiTerminate",
     "fmiFreeModelInstance",
@@ -99,13 +99,13 @@ const AT_END_OF_RUN: [&str; 13] = [
 ];
 
 impl WorkerEnd {
-    /// The call at the end of a run that has ended the process, or has not returned.
+    /// Returns the call at the end of a run during which the process ended or hung.
     pub fn call_at_end_of_run(&self) -> Option<&str> {
         let is_of_call = matches!(self.kind, EndKind::Died | EndKind::Hung);
         self.function.as_deref().filter(|function| is_of_call && AT_END_OF_RUN.contains(function))
     }
 
-    /// Cause and place, the same for all ends of that kind: "segmentation fault in fmi2DoStep".
+    /// Returns the cause and the function, for example "segmentation fault in fmi2DoStep".
     pub fn reason(&self) -> String {
         match &self.function {
             Some(function) => format!("{} in {function}", self.what),

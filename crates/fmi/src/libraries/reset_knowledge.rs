@@ -1,27 +1,27 @@
-//! What is known about the instances of an FMU: how they are brought back to their start, and which promises
-//! of the description they do not keep.
+//! Knowledge about the instances of an FMU: how they are reset, and which declarations of the description
+//! they do not follow.
 
-/// What is known about the instances of one interface.
+/// Knowledge about the instances of one interface.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct ResetKnowledge {
-    /// Co-simulation: instances are not made with the event mode that the description promises.
+    /// Co-simulation: instances are created without the event mode that the description declares.
     pub(crate) no_event_mode: bool,
-    /// Co-simulation: whether the model is told the stop time.
+    /// Co-simulation: state of the decision to pass the stop time to the model.
     pub(crate) stop_time: StopTime,
 }
 
-/// Whether a co-simulation is told its stop time. Some models add up their steps and refuse the last one,
+/// Decision to pass the stop time to a co-simulation. Some models add up their steps and reject the last one,
 /// which ends a rounding error after the stop time (seen in FMUs of 20-sim).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum StopTime {
-    /// It is told: the last step was not refused yet.
+    /// Passed: the last step has not been rejected so far.
     #[default]
     Told,
-    /// The last step was refused: the next run is not told, to compare.
+    /// The last step was rejected. The next run omits the stop time, for comparison.
     OnTrial,
-    /// It is not told: the last step was refused with a stop time, and made without one.
+    /// Omitted: the last step was rejected with a stop time and succeeded without one.
     Withheld,
-    /// It is told: without a stop time the run failed, too.
+    /// Passed: the run also failed without a stop time.
     Kept,
 }
 
@@ -30,12 +30,13 @@ impl StopTime {
         matches!(self, Self::Told | Self::Kept)
     }
 
-    /// What is known after the model failed in a run; `was_told`: in this run.
+    /// Returns the state after the model failed in a run. `was_told` is true if this run passed the stop
+    /// time.
     pub(crate) fn after_failure(self, was_told: bool) -> Self {
         if self == Self::OnTrial && !was_told { Self::Kept } else { self }
     }
 
-    /// What is known after a last step; `was_told`: in the run that it belongs to.
+    /// Returns the state after a last step. `was_told` is true if its run passed the stop time.
     pub(crate) fn after_last_step(self, was_told: bool, is_refused: bool) -> Self {
         match (self, was_told, is_refused) {
             (Self::Told, true, true) => Self::OnTrial,
@@ -46,18 +47,19 @@ impl StopTime {
     }
 }
 
-/// How a worker process returns a model to its start between two simulations. A new model begins with
-/// `Reset`. The process that asks compares answers with those of a fresh process, and takes the next way if
-/// they differ.
+/// Way in which a worker process resets a model between two simulations. A new model begins with `Reset`. The
+/// parent process compares answers with the answers of a fresh process. If they differ, the parent uses the
+/// next way.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 #[non_exhaustive]
 pub enum Reuse {
-    /// By the FMU's reset function. Without one (FMI 1.0 model exchange) or if it fails, by a new instance.
+    /// The reset function of the FMU. A new instance is created if there is no such function (FMI 1.0 model
+    /// exchange) or if it fails.
     #[default]
     Reset,
-    /// By a new instance for every simulation.
+    /// A new instance for every simulation.
     Reinstantiate,
-    /// By a new process for every simulation: the model keeps a state outside of its instances.
+    /// A new process for every simulation, because the model keeps state outside of its instances.
     NewProcess,
 }
 
