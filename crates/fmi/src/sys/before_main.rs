@@ -1,9 +1,9 @@
-//! Libraries that the dynamic linker loads ahead of a program (`LD_PRELOAD`, see ld.so(8)) and that serve
-//! before its `main`.
+//! Libraries that the dynamic linker loads before a program (`LD_PRELOAD`, see ld.so(8)) and that run a
+//! worker before its `main`.
 
-/// Runs a function before the `main` of a program ahead of which this library was loaded to serve as a worker
-/// process (see `worker::Launcher`); elsewhere it does nothing. Python, for example, takes
-/// milliseconds to start, of which a worker needs nothing.
+/// Runs a function before the `main` of a program if this library was preloaded to serve as a worker process
+/// (see `worker::Launcher`). Otherwise, it does nothing. This avoids the start of the program. Python, for
+/// example, takes milliseconds to start, and a worker does not need it.
 #[macro_export]
 macro_rules! serve_before_main {
     ($serve:path) => {
@@ -23,21 +23,21 @@ macro_rules! serve_before_main {
     };
 }
 
-/// Variable of the environment with the libraries that are loaded ahead of a program.
+/// Environment variable with the libraries that are loaded before a program.
 pub(crate) const PRELOAD: &str = "LD_PRELOAD";
 
-/// Variable with the value that it had before the library that serves was added.
+/// Environment variable with the value of `LD_PRELOAD` before the serving library was added.
 pub(crate) const PRELOADED_BEFORE: &str = "FMUFIT_WORKER_PRELOADED_BEFORE";
 
-/// True if a library of this process was loaded ahead of its program to serve. Before the program's `main`;
-/// the process is from then on what Rust expects of one, and its environment that which it would have
-/// without.
+/// True if a library of this process was preloaded to serve. Must be called before the program's `main`. Sets
+/// up the process as Rust expects it, and restores the environment to its state without preloading.
 #[cfg(target_os = "linux")]
 #[doc(hidden)]
 pub fn is_loaded_to_serve() -> bool {
     use std::env::{remove_var, set_var, var_os};
     let (Some(before), Some(_)) = (var_os(PRELOADED_BEFORE), var_os(PRELOAD)) else { return false };
-    // SAFETY: numbers only. A write to a closed pipe is an error, as in every Rust program, not the end.
+    // SAFETY: the arguments are numbers. A write to a closed pipe becomes an error, as in every Rust program,
+    // and does not end the process.
     unsafe { libc::signal(libc::SIGPIPE, libc::SIG_IGN) };
     // SAFETY: before `main` there is no other thread that could read the environment.
     unsafe {

@@ -1,12 +1,13 @@
 //! Callbacks of an FMU: the logger and the memory functions.
 //!
-//! The loggers of FMI 1.0 and 2.0 are variadic, which stable Rust can call but not define. A function with a
-//! fixed number of arguments in their place loses the arguments (messages keep their `%s`), so a C shim
-//! (`logger.c`) expands the message with `vsnprintf` and passes plain bytes to [`sink`].
+//! The loggers of FMI 1.0 and 2.0 are variadic. Stable Rust can call such functions but not define them. A
+//! function with a fixed number of arguments would lose the arguments (messages would keep their `%s`). A C
+//! shim (`logger.c`) therefore expands the message with `vsnprintf` and passes plain bytes to [`sink`].
 //!
-//! A message goes to the instance that is being called on its thread. The environment that an FMU passes is
-//! not followed: FMI 1.0 has none, and FMUs are known that pass NULL or a constant. On threads that belong to
-//! the FMU, where no instance is called, it is compared with the known addresses.
+//! A message is stored in the log of the instance that is being called on its thread. The environment that an
+//! FMU passes is ignored, because FMI 1.0 has none and some FMUs pass NULL or a constant. On threads that
+//! belong to the FMU, no instance is being called. There, the environment is compared with the known
+//! addresses.
 
 use super::types;
 use crate::log::{Log, LogFilter};
@@ -18,13 +19,13 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::Ordering;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-/// Everything that an FMU is given for calling back. FMUs are known whose threads log on when their instance
-/// is gone, so none of it is ever freed: the library hands it on to its next instance
-/// ([`Library`](super::Library)), which gets such lines.
+/// All data that an FMU receives for callbacks. Threads of some FMUs log after their instance has been freed,
+/// so these data are never freed. The library passes them to its next instance ([`Library`](super::Library)),
+/// which receives such lines.
 #[derive(Debug)]
 pub(super) struct Callbacks {
     environment: &'static Environment,
-    /// Additional data that a version of the standard needs, at an address that does not change.
+    /// Additional data that a version of the standard requires, at an address that does not change.
     keep: OnceLock<&'static (dyn Any + Send + Sync)>,
     log: &'static Log,
 }
@@ -42,43 +43,43 @@ impl Callbacks {
         Self { environment, keep: OnceLock::new(), log }
     }
 
-    /// Makes the instance that of this thread: it receives the messages of the calls that follow.
+    /// Makes the instance the current one of this thread. The messages of the following calls go to its log.
     #[inline]
     pub(super) fn enter(&self) {
         // SAFETY: environments of callbacks are never freed.
         unsafe { fmufit_enter(self.environment) };
     }
 
-    /// What the version keeps, made if there is nothing yet.
+    /// Returns the data kept for the version. Creates them on first use.
     pub(super) fn keep<T: Any + Send + Sync>(&self, make: impl FnOnce(&Environment) -> T) -> *const T {
         let kept = self.keep.get_or_init(|| Box::leak(Box::new(make(self.environment))));
-        // Of another type only if the instances of one library followed different versions.
+        // The type differs only if the instances of one library followed different versions.
         kept.downcast_ref::<T>().map_or(std::ptr::null(), std::ptr::from_ref)
     }
 
-    /// For another instance.
+    /// Resets the callbacks for another instance.
     pub(super) fn renew(&self, filter: LogFilter) {
         self.log.filter.store(filter as u8, Ordering::Relaxed);
         self.log.lines().categories.clear();
         self.log.clear();
     }
 
-    /// Never used again by us; what was logged is forgotten.
+    /// Discards the log lines. This program does not use the callbacks again.
     pub(super) fn abandon(self) {
         self.log.lines().kept = VecDeque::new();
     }
 }
 
-/// Addresses of the environments that were given to FMUs.
+/// Addresses of the environments that were passed to FMUs.
 static KNOWN: Mutex<Vec<usize>> = Mutex::new(Vec::new());
 
-/// The environment at an address, or NULL.
+/// Returns the environment at an address, or NULL.
 extern "C" fn find(address: *const c_void) -> *const Environment {
     let known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
     if known.contains(&address.addr()) { address.cast() } else { std::ptr::null() }
 }
 
-/// Target of `componentEnvironment`; the same layout as in `logger.c`.
+/// Target of `componentEnvironment`, with the layout declared in `logger.c`.
 #[repr(C)]
 #[derive(Debug, Clone)]
 pub(super) struct Environment {
@@ -87,45 +88,46 @@ pub(super) struct Environment {
     data: *mut c_void,
 }
 
-// SAFETY: never written after it was made; `data` leads to a `Log`, which is a mutex and may be used from any thread.
+// SAFETY: not written after construction; `data` points to a `Log`, which is a mutex and may be used from any
+// thread.
 unsafe impl Send for Environment {}
 // SAFETY: as for `Send`.
 unsafe impl Sync for Environment {}
 
 impl Environment {
-    /// An environment whose messages go to `log`, which must outlive every component that knows the
+    /// Creates an environment whose messages go to `log`. The log must outlive every component that knows the
     /// environment.
     pub(super) fn new(log: &Log) -> Self {
         Self { admits, sink, data: std::ptr::from_ref(log).cast_mut().cast() }
     }
 
-    /// Lets messages from threads that call no instance find it.
+    /// Registers the environment for messages from threads that call no instance.
     fn make_known(&'static self) {
         let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
         if known.is_empty() {
-            // SAFETY: no FMU has an environment yet, so none calls the logger.
+            // SAFETY: no FMU has an environment so far, so none calls the logger.
             unsafe { fmufit_set_find(find) };
         }
         known.push(std::ptr::from_ref(self).addr());
     }
 }
 
-/// Tells the C shim whether a message is wanted.
+/// Returns nonzero to the C shim if a message should be logged.
 ///
 /// # Safety
 /// `data` is the address of a live [`Log`].
 unsafe extern "C" fn admits(data: *mut c_void, status: c_int) -> c_int {
-    // SAFETY: `Environment::new` stored the address of a `Log` that outlives the component (invariant 3). Nothing here
-    // panics.
+    // SAFETY: `Environment::new` stored the address of a `Log` that outlives the component (invariant 3).
+    // Nothing here panics.
     let log = unsafe { &*data.cast::<Log>() };
     c_int::from(log.admits(types::status(status)))
 }
 
-/// Takes a message from the C shim.
+/// Receives a message from the C shim.
 ///
 /// # Safety
-/// `data` is the address of a live [`Log`]; `category` and `text` point to as many bytes as their lengths
-/// say.
+/// `data` is the address of a live [`Log`]; `category` and `text` point to at least `category_length` and
+/// `text_length` bytes.
 unsafe extern "C" fn sink(
     data: *mut c_void,
     status: c_int,
@@ -134,11 +136,12 @@ unsafe extern "C" fn sink(
     text: *const c_char,
     text_length: usize,
 ) {
-    // A panic (out of memory at worst) must not unwind into C; the line is lost then.
+    // A panic (for example, out of memory) must not unwind into C. In that case the line is lost.
     let _ = catch_unwind(AssertUnwindSafe(|| {
         // SAFETY: `Environment::new` stored the address of a `Log` that outlives the component (invariant 3).
         let log = unsafe { &*data.cast::<Log>() };
-        // SAFETY: the shim passes a buffer of its own, or the FMU's category up to its NUL, with the length it found.
+        // SAFETY: the shim passes its own buffer, or the FMU's category up to its NUL, with the length it
+        // found.
         let (category, text) = unsafe {
             (
                 std::slice::from_raw_parts(category.cast::<u8>(), category_length),
@@ -152,7 +155,7 @@ unsafe extern "C" fn sink(
 unsafe extern "C" {
     /// Sets the function that finds an environment by its address (`logger.c`).
     fn fmufit_set_find(find: extern "C" fn(*const c_void) -> *const Environment);
-    /// Sets the environment of the thread, which must not be freed before another one is set.
+    /// Sets the environment of the thread. It must not be freed before another one is set.
     fn fmufit_enter(environment: *const Environment);
     /// The logger of FMI 1.0 and 2.0 (`logger.c`).
     pub(super) fn fmufit_log(
@@ -163,7 +166,7 @@ unsafe extern "C" {
         message: *const c_char,
         ...
     );
-    /// The logger of FMI 3.0, which takes a finished text.
+    /// The logger of FMI 3.0, which receives a complete string.
     pub(super) fn fmufit_fmi3_log(
         passed: *mut c_void,
         status: c_int,
@@ -188,9 +191,9 @@ mod tests {
         log.last(LINES).0.into_iter().map(|line| line.text).collect()
     }
 
-    /// Makes it that of the thread, which ends with the test.
+    /// Makes the environment the current one of the thread, which ends with the test.
     fn enter(environment: &Environment) {
-        // SAFETY: nobody logs after the end of the test.
+        // SAFETY: nothing logs after the end of the test.
         unsafe { fmufit_enter(environment) };
     }
 
@@ -323,7 +326,7 @@ mod tests {
             say(4, c"fatal");
         }
         assert_eq!(log.refused.load(Ordering::Relaxed), 937 + 100 - 63);
-        // Every point of time gives leave for some lines.
+        // Every time point allows some more lines.
         log.go_on();
         say(1, c"not yet");
         assert!(texts(&log).iter().all(|text| text != "not yet"));

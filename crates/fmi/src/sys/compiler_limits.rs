@@ -1,4 +1,4 @@
-//! Limits of a compiler that is started: memory, files, time of the processor, and an end with the thread
+//! Limits of a compiler process: memory, file size, processor time. The process also ends with the thread
 //! that waits for it.
 
 #[cfg(unix)]
@@ -6,15 +6,16 @@ use std::io;
 use std::process::Command;
 use std::time::Duration;
 
-/// Address space in bytes, more than any C compiler needs for a model.
+/// Address space in bytes; more than any C compiler needs for a model.
 const MEMORY: u64 = 4 << 30;
 
-/// The largest file that may be written, in bytes.
+/// Maximum size of a written file in bytes.
 const FILE_SIZE: u64 = 1 << 30;
 
-/// Limits what a command may take once it is started: 4 GiB of address space, files of 1 GiB, and a little
-/// more than `time` of a processor, each for every process that it starts. On Linux it is killed when the
-/// thread ends that has started it, and with that at the latest when this process does.
+/// Limits the resources of a command after it is started: 4 GiB of address space, files of 1 GiB, and
+/// slightly more than `time` of processor time. The limits apply to each process that it starts. On Linux,
+/// the command is killed when the thread that started it ends, and therefore no later than the end of this
+/// process.
 #[cfg(unix)]
 pub(crate) fn limit(command: &mut Command, time: Duration) {
     use std::os::unix::process::CommandExt;
@@ -26,27 +27,27 @@ pub(crate) fn limit(command: &mut Command, time: Duration) {
         set(libc::RLIMIT_CPU, seconds)?;
         end_with(parent)
     };
-    // SAFETY: between fork and exec only calls are made that POSIX lists as safe in signal handlers, or that are plain system calls of
-    // Linux (setrlimit, prctl, getppid); nothing is allocated and no lock is taken.
+    // SAFETY: between fork and exec, only functions are called that POSIX lists as async-signal-safe, or that
+    // are plain system calls of Linux (setrlimit, prctl, getppid). Nothing is allocated and no lock is taken.
     unsafe { command.pre_exec(prepare) };
 }
 
-/// Not limited where there are no such limits.
+/// Sets no limits on systems that do not support them.
 #[cfg(not(unix))]
 pub(crate) fn limit(_: &mut Command, _: Duration) {}
 
-/// Lowers a limit of the calling process; one that is lower stays.
+/// Lowers a limit of the calling process. A lower existing limit is kept.
 #[cfg(unix)]
 fn set(resource: Resource, most: u64) -> io::Result<()> {
     let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
-    // SAFETY: the address is that of a local.
+    // SAFETY: the address is the address of a local.
     if unsafe { libc::getrlimit(resource, &raw mut limit) } != 0 {
         return Err(io::Error::last_os_error());
     }
     let most = libc::rlim_t::try_from(most).unwrap_or(libc::RLIM_INFINITY);
     limit.rlim_max = limit.rlim_max.min(most);
     limit.rlim_cur = limit.rlim_cur.min(most);
-    // SAFETY: the address is that of a local, which was filled in.
+    // SAFETY: the address is the address of a local that was initialized.
     match unsafe { libc::setrlimit(resource, &raw const limit) } {
         0 => Ok(()),
         _ => Err(io::Error::last_os_error()),
@@ -58,15 +59,15 @@ type Resource = libc::__rlimit_resource_t;
 #[cfg(all(unix, not(target_env = "gnu")))]
 type Resource = libc::c_int;
 
-/// Lets the calling process be killed with the thread that has started it.
+/// Requests that the calling process is killed when the thread that started it ends.
 #[cfg(any(target_os = "linux", target_os = "android"))]
 fn end_with(parent: u32) -> io::Result<()> {
-    // SAFETY: numbers only.
+    // SAFETY: the arguments are numbers.
     if unsafe { libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL as libc::c_ulong, 0, 0, 0) } != 0 {
         return Err(io::Error::last_os_error());
     }
-    // It may have ended before.
-    // SAFETY: asks for a number.
+    // The parent may have ended before.
+    // SAFETY: returns a number.
     match u32::try_from(unsafe { libc::getppid() }) {
         Ok(now) if now == parent => Ok(()),
         _ => Err(io::ErrorKind::Interrupted.into()),

@@ -1,8 +1,8 @@
-//! The functions of an FMI 1.0 library (Model Exchange 1.0, chapter 2; Co-Simulation 1.0, chapter 3), bound
-//! by name.
+//! Functions of an FMI 1.0 library (Model Exchange 1.0, chapter 2; Co-Simulation 1.0, chapter 3), bound by
+//! name.
 //!
-//! FMI 1.0 has no initialization mode, no event mode and no environment for callbacks. Names carry the model
-//! identifier as prefix.
+//! FMI 1.0 has no initialization mode, no event mode and no environment for callbacks. The model identifier
+//! is the prefix of all names.
 
 use super::callbacks::{Callbacks, fmufit_allocate, fmufit_free, fmufit_log};
 use super::function::{Answer, call};
@@ -32,7 +32,7 @@ pub(super) struct ModelCallbacks {
 #[derive(Clone, Copy)]
 pub(super) struct SlaveCallbacks {
     common: ModelCallbacks,
-    /// Only for asynchronous steps.
+    /// Used only for asynchronous steps.
     step_finished: Option<StepFinished>,
 }
 
@@ -56,7 +56,7 @@ impl RawEventInfo {
         EventInfo {
             new_discrete_states_needed: self.iteration_converged == 0,
             terminate: self.terminate_simulation != 0,
-            // Other states have other nominals.
+            // Different states have different nominals.
             nominals_changed: self.state_value_references_changed != 0,
             values_changed: self.state_values_changed != 0 || self.state_value_references_changed != 0,
             next_event_time: (self.upcoming_time_event != 0).then_some(self.next_event_time),
@@ -79,7 +79,7 @@ type InstantiateSlave = unsafe extern "C" fn(
 ) -> Component;
 
 table! {
-    /// The functions of one library whose types are those of FMI 1.0.
+    /// Functions of one library whose types are specific to FMI 1.0.
     pub(super) struct Fmi1 {
         both {
             set_debug_logging(Boolean) = optional "fmiSetDebugLogging";
@@ -110,13 +110,14 @@ impl Fmi1 {
 impl Version for Fmi1 {
     unsafe fn instantiate(&self, request: &Request<'_>, _: &Callbacks) -> (Component, &'static str) {
         let (name, guid, logging) = (request.name.as_ptr(), request.guid.as_ptr(), request.logging.into());
-        // SAFETY: the strings end in NUL; the callbacks are passed by value, and lead to the environment of the thread.
+        // SAFETY: the strings are NUL-terminated; the callbacks are passed by value and use the environment
+        // of the thread.
         match self.kind() {
             InterfaceKind::ModelExchange => self
                 .instantiate_model
                 .make(|instantiate| unsafe { instantiate(name, guid, CALLBACKS, logging) }),
             InterfaceKind::CoSimulation => self.instantiate_slave.make(|instantiate| {
-                // The location is that of the unpacked FMU, above its resources.
+                // The location is the root of the unpacked FMU, the parent folder of its resources.
                 let root = file_uri(request.resources.parent().unwrap_or(request.resources));
                 let (location, mime_type) = (root.as_ptr(), c"application/x-fmu-sharedlibrary".as_ptr());
                 let callbacks = SlaveCallbacks { common: CALLBACKS, step_finished: None };
@@ -131,7 +132,7 @@ impl Version for Fmi1 {
         call!(self.set_debug_logging, c, on.into())
     }
 
-    /// Model exchange begins with the time; co-simulation has no mode of its own for the initialization.
+    /// Sets the time for model exchange. Co-simulation has no separate initialization mode.
     unsafe fn enter_initialization(&self, f: &Functions, c: Component, experiment: &Experiment) -> Answer {
         match self.kind() {
             InterfaceKind::ModelExchange => call!(f.set_time, c, experiment.start),
@@ -167,8 +168,8 @@ impl Version for Fmi1 {
 
     unsafe fn new_discrete_states(&self, c: Component, info: &mut EventInfo) -> Answer {
         let mut raw = RawEventInfo::default();
-        // fmiFalse: the FMU iterates by itself and returns when it is done. That is what every other importer asks for;
-        // one that returns before is asked again.
+        // fmiFalse: the FMU iterates internally and returns when it has converged. Every other importer
+        // requests this. An FMU that returns earlier is called again.
         let answer = call!(self.event_update, c, 0, &raw mut raw);
         *info = raw.info();
         answer

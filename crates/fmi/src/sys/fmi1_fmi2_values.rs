@@ -9,8 +9,8 @@ use crate::value::VariableKind;
 use std::ffi::{c_char, c_int};
 
 table! {
-    /// Getters and setters of FMI 1.0 and 2.0, where a reference stands for one value; `B` is the version's
-    /// Boolean.
+    /// Getters and setters of FMI 1.0 and 2.0. Each reference refers to one value. `B` is the Boolean type of
+    /// the version.
     pub(super) struct ScalarValues<B> {
         both {
             get_real(*const u32, usize, *mut f64) = required "fmiGetReal" | "fmi2GetReal";

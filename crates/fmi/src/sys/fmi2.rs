@@ -1,4 +1,4 @@
-//! The functions of an FMI 2.0 library (FMI 2.0.x, sections 2.1, 3.2 and 4.2), bound by name.
+//! Functions of an FMI 2.0 library (FMI 2.0.x, sections 2.1, 3.2 and 4.2), bound by name.
 
 use super::callbacks::{Callbacks, fmufit_allocate, fmufit_free, fmufit_log};
 use super::function::{Answer, call};
@@ -23,12 +23,12 @@ pub(super) struct CallbackFunctions {
     logger: Logger,
     allocate_memory: unsafe extern "C" fn(usize, usize) -> *mut c_void,
     free_memory: unsafe extern "C" fn(*mut c_void),
-    /// Only for asynchronous co-simulation.
+    /// Used only for asynchronous co-simulation.
     step_finished: Option<StepFinished>,
     component_environment: *mut c_void,
 }
 
-// SAFETY: never written after it was made, and what its environment leads to is a mutex (see `Environment`).
+// SAFETY: not written after construction, and the environment points to a mutex (see `Environment`).
 unsafe impl Send for CallbackFunctions {}
 // SAFETY: as for `Send`.
 unsafe impl Sync for CallbackFunctions {}
@@ -56,8 +56,8 @@ type Instantiate = unsafe extern "C" fn(
 ) -> Component;
 
 table! {
-    /// The functions of one library whose types are those of FMI 2.0. What may be missing is optional in the
-    /// standard, or FMUs that leave it out are known and can be used all the same.
+    /// Functions of one library whose types are specific to FMI 2.0. A function is optional if it is optional
+    /// in the standard, or if there are usable FMUs that lack it.
     pub(super) struct Fmi2 {
         both {
             instantiate[Instantiate] = required "fmi2Instantiate";
@@ -88,7 +88,7 @@ impl Version for Fmi2 {
         });
         let resources = file_uri(request.resources);
         let kind = if request.kind == InterfaceKind::ModelExchange { MODEL_EXCHANGE } else { CO_SIMULATION };
-        // SAFETY: the strings end in NUL; the callbacks are on the heap and never freed.
+        // SAFETY: the strings are NUL-terminated; the callbacks are on the heap and never freed.
         self.instantiate.make(|instantiate| unsafe {
             instantiate(
                 request.name.as_ptr(),

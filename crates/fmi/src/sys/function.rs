@@ -1,4 +1,4 @@
-//! A function of a library, and what a call of it answers.
+//! A function of a library, and the answer of a call.
 
 use super::shared_page;
 use super::types::{Component, OK, status};
@@ -8,10 +8,10 @@ use std::ffi::c_int;
 /// A function of a library.
 #[derive(Clone, Copy)]
 pub(super) struct Function<F> {
-    /// The standard's.
+    /// Name in the standard.
     pub(super) name: &'static str,
     pub(super) pointer: Option<F>,
-    /// By which its calls are told, see [`last_call`].
+    /// Number with which calls of the function are recorded, see [`last_call`].
     pub(super) number: u32,
 }
 
@@ -26,24 +26,26 @@ pub(super) struct Answer {
 impl<F> Function<F> {
     #[inline(always)]
     pub(super) fn answer(&self, code: c_int) -> Answer {
-        // Which code it is matters where it is not this one.
+        // The conversion of other codes is needed only after a failure.
         let status = if code == OK { Status::Ok } else { status(code) };
         Answer { function: self.name, status }
     }
 
-    /// The component that an instantiating function makes, NULL without the function; and its name.
+    /// Calls a function that creates a component. Returns the component (NULL if the function is missing) and
+    /// the name of the function.
     pub(super) fn make(&self, call: impl FnOnce(&F) -> Component) -> (Component, &'static str) {
         self.note_call();
         (self.pointer.as_ref().map_or(Component::NULL, call), self.name)
     }
 
-    /// Tells that it is called now.
+    /// Records that the function is being called.
     #[inline]
     pub(super) fn note_call(&self) {
         shared_page::note_call(self.number);
     }
 
-    /// Without a function: missing, unless the version does not ask for the call.
+    /// Returns the answer for a function that the library lacks: `Ok` if the version does not need the call,
+    /// otherwise `Missing`.
     #[cold]
     pub(super) fn answer_without(&self) -> Answer {
         let status = if self.name.is_empty() { Status::Ok } else { Status::Missing };
@@ -57,21 +59,21 @@ impl Answer {
         matches!(self.status, Status::Ok | Status::Warning)
     }
 
-    /// The answer where it is not good.
+    /// Returns the answer as an error if it is neither ok nor a warning.
     #[inline(always)]
     pub(super) fn good(self) -> Result<(), Self> {
         if self.is_good() { Ok(()) } else { Err(self) }
     }
 }
 
-/// Calls a function of a table, if the library has it.
+/// Calls a function of a table if the library has it.
 macro_rules! call {
     ($function:expr, $($argument:expr),* $(,)?) => {{
         let function = $function;
         match function.pointer {
             Some(pointer) => {
                 function.note_call();
-                // SAFETY: the caller's promises are those of `Version`.
+                // SAFETY: the caller upholds the requirements of `Version`.
                 function.answer(unsafe { pointer($($argument),*) })
             }
             None => function.answer_without(),

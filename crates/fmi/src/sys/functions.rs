@@ -1,9 +1,9 @@
-//! The functions of an FMI library: tables that hold for each its type and, in the same row, its names in the
-//! standard; and those that have one type in all versions that know them.
+//! Functions of an FMI library. The tables contain the type of each function and, in the same row, its names
+//! in the standard. This file contains the functions with one type in all versions that have them.
 //!
-//! A row has one name, or one for each of FMI 1.0, 2.0, 3.0 (and co-simulation of FMI 1.0, where that is
-//! another one). An empty name stands for what a version does not ask for: calling it does nothing. A name in
-//! brackets says what a version does not offer.
+//! A row has one name, or one name for each of FMI 1.0, 2.0 and 3.0. A fourth name is for co-simulation of
+//! FMI 1.0, if it differs. An empty name means that the version does not need the call, which then does
+//! nothing. A name in parentheses describes a feature that the version does not have.
 
 use super::function::{Answer, Function, call};
 use super::symbols::{signature, table};
@@ -19,7 +19,7 @@ pub(super) type Derivative =
     signature!((*const u32, usize, *const u32, usize, *const f64, usize, *mut f64, usize));
 
 table! {
-    /// The functions that have one type in all versions that know them.
+    /// Functions with one type in all versions that have them.
     pub(super) struct Functions {
         both {
             get_version[Text] = optional "fmiGetVersion" | "fmi2GetVersion" | "fmi3GetVersion";
@@ -95,7 +95,7 @@ table! {
     }
 }
 
-/// A directional or adjoint derivative of FMI 3.0.
+/// Computes a directional or adjoint derivative of FMI 3.0.
 ///
 /// # Safety
 /// As for the methods of [`Version`](super::versioned_functions::Version).
@@ -133,7 +133,7 @@ impl Functions {
         answer
     }
 
-    /// Asks what became of a step that was not completed.
+    /// Queries the result of a step that was not completed.
     ///
     /// # Safety
     /// As for the methods of [`Version`](super::versioned_functions::Version).
@@ -143,7 +143,7 @@ impl Functions {
             return;
         }
         let (mut reached, mut terminated) = (f64::NAN, 0);
-        // Both questions may be answered with an error; then nothing is known.
+        // Both queries may fail; the result is then unknown.
         let known = call!(self.get_real_status, component, LAST_SUCCESSFUL_TIME, &raw mut reached).status;
         info.reached = (known == Status::Ok && reached.is_finite()).then_some(reached);
         let known = call!(self.get_boolean_status, component, TERMINATED, &raw mut terminated).status;

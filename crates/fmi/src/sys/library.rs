@@ -22,26 +22,26 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// An open library and the functions found in it.
+/// An open library and its functions.
 pub(crate) struct Library {
     pub(super) functions: Functions,
     pub(super) values: Box<dyn Values>,
     pub(super) version: Box<dyn Version>,
     path: PathBuf,
-    /// What may be the cause where a call fails.
+    /// Possible cause of a failed call.
     hint: Option<Arc<str>>,
-    /// Callbacks of instances that are gone, for the next ones: never freed, for the FMU may still use them,
-    /// at last in its destructors.
+    /// Callbacks of freed instances, to be reused by new ones. They are never freed, because the FMU may
+    /// still use them, even in its destructors.
     retired: Mutex<Vec<Callbacks>>,
     handle: Arc<Handle>,
 }
 
-/// Where the functions of a library are found.
+/// Source of the functions of a library.
 #[derive(Clone, Copy)]
 pub(crate) enum LoadFrom<'a> {
-    /// In a file, which is loaded; who is inside of it has a turn of this lock.
+    /// A file to be loaded. Threads that use it hold this lock.
     File(&'a Path, &'a Arc<FairLock>),
-    /// In a library that is loaded already, whose file may have gone since.
+    /// A library that is already loaded. Its file may have been removed since.
     Loaded(&'a Library),
 }
 
@@ -53,26 +53,26 @@ impl fmt::Debug for Library {
 
 impl Library {
     getters! {
-        /// The file.
+        /// Returns the path of the file.
         pub(crate) path(self) -> &Path = &self.path;
-        /// What may be the cause where a call fails.
+        /// Returns a possible cause of a failed call.
         pub(crate) hint(self) -> Option<&Arc<str>> = self.hint.as_ref();
-        /// Who is inside of it has a turn of this.
+        /// Returns the lock that a thread must hold to use the library.
         #[inline]
         pub(crate) lock(self) -> &Arc<FairLock> = &self.handle.lock;
-        /// True if a call has returned `Fatal`: then the state of the loaded file is not reliable any more.
+        /// True if a call has returned `Fatal`. The state of the loaded file is then unreliable.
         #[inline]
         pub(crate) is_fatal(self) -> bool = self.handle.is_fatal.load(Ordering::Relaxed);
-        /// True if a component was ever made in the loaded file: then its static variables may have been
+        /// True if a component was ever created in the loaded file. Its static variables may then have
         /// changed.
         pub(crate) is_used(self) -> bool = self.handle.is_used.load(Ordering::Relaxed);
     }
 
-    /// Loads the library, where it is not loaded already, and looks up the functions of one interface. **This
+    /// Loads the library, unless it is already loaded, and looks up the functions of one interface. **This
     /// runs foreign code** (the library's constructors).
     ///
     /// # Errors
-    /// The dynamic loader's own message, or the name of the mandatory function that is missing.
+    /// Returns the message of the dynamic loader, or the name of a mandatory function that is missing.
     pub(crate) fn open(
         from: LoadFrom<'_>,
         version: &FmiVersion,
@@ -85,7 +85,7 @@ impl Library {
             LoadFrom::Loaded(library) => (Arc::clone(&library.handle), &*library.path),
             LoadFrom::File(path, lock) => (Self::load(path, lock, options)?, path),
         };
-        // It is asked for its types.
+        // The lock is needed because `check_types` calls a function of the library.
         let _inside = Inside::enter(&handle.lock);
         let dialect = match (version.major, kind) {
             (1, InterfaceKind::ModelExchange) => Dialect::Fmi1,
@@ -95,7 +95,7 @@ impl Library {
         };
         let prefix = (version.major == 1).then_some(model_identifier);
         let symbols = Symbols { handle: &handle, path, prefix, dialect, kind, is_unused: false };
-        // SAFETY: the description says that the library follows this version of the standard.
+        // SAFETY: the description declares that the library follows this version of the standard.
         unsafe {
             let (version, values): (Box<dyn Version>, Box<dyn Values>) = match dialect {
                 Dialect::Fmi1 | Dialect::Fmi1Slave => (
@@ -123,13 +123,13 @@ impl Library {
         })?;
         check_length(path)?;
         let _inside = Inside::enter(lock);
-        // SAFETY: the user asked to run this FMU, and running its constructors is part of that.
+        // SAFETY: the user asked to run this FMU, which includes running its constructors.
         let opened = unsafe { platform::open(path, options) }
             .map_err(|error| FmiError::LoadFailed { library: path.to_owned(), message: message(&error) })?;
         Ok(Arc::new(Handle::new(opened, Arc::clone(lock))))
     }
 
-    /// The version of FMI that it says it follows, where it has the function for that.
+    /// Returns the FMI version that the library reports, if it has the function for it.
     pub(crate) fn version_text(&self) -> Option<String> {
         text_of(&self.functions.get_version)
     }
@@ -142,13 +142,13 @@ impl Library {
         self.handle.is_used.store(true, Ordering::Relaxed);
     }
 
-    /// Callbacks for a new instance.
+    /// Returns callbacks for a new instance.
     pub(super) fn callbacks(&self, filter: LogFilter) -> Callbacks {
         let retired = self.retired.lock().unwrap_or_else(PoisonError::into_inner).pop();
         retired.inspect(|known| known.renew(filter)).unwrap_or_else(|| Callbacks::new(filter))
     }
 
-    /// Takes the callbacks of an instance that is gone.
+    /// Accepts the callbacks of a freed instance for reuse.
     pub(super) fn retire(&self, callbacks: Callbacks) {
         self.retired.lock().unwrap_or_else(PoisonError::into_inner).push(callbacks);
     }
@@ -161,8 +161,8 @@ impl Drop for Library {
     }
 }
 
-/// Refuses a library whose types are those of another platform than that of the standard's headers (FMI 1.0
-/// and 2.0): the calls would pass other types than it takes.
+/// Rejects a library whose types do not match the standard's headers (FMI 1.0 and 2.0). Calls would pass
+/// arguments of the wrong types.
 fn check_types(functions: &Functions, path: &Path) -> Result<()> {
     match text_of(&functions.get_types_platform) {
         Some(platform) if !["standard32", "default", ""].contains(&platform.as_str()) => {
@@ -177,16 +177,17 @@ fn check_types(functions: &Functions, path: &Path) -> Result<()> {
     }
 }
 
-/// Text returned by a function without arguments; `None` without the function.
+/// Returns the string of a function without arguments; `None` if the library lacks the function.
 fn text_of(function: &Function<Text>) -> Option<String> {
-    // SAFETY: such functions of the standard may be called at any time, and answer with a text that ends in NUL and stays.
+    // SAFETY: the standard allows calling such functions at any time. They return a NUL-terminated string
+    // that stays valid.
     unsafe {
         let text = (function.pointer?)();
         (!text.is_null()).then(|| CStr::from_ptr(text).to_string_lossy().into_owned())
     }
 }
 
-/// The loader's message as the system gives it.
+/// Returns the message of the loader as reported by the system.
 fn message(error: &libloading::Error) -> String {
     match std::error::Error::source(error) {
         Some(source) => source.to_string(),

@@ -1,41 +1,45 @@
-//! Everything that touches foreign code or raw pointers, behind safe functions.
+//! All code that touches foreign code or raw pointers, behind safe functions.
 //!
 //! # Invariants
 //!
-//! 1. **A library outlives its instances.** A [`RawInstance`] holds an `Arc` of the [`Library`] its functions
-//!    come from. The function pointers of a binding are only called through a `Library` that is alive. It is
-//!    never closed: code of it may be called later (destructors of threads, functions that it registered).
-//! 2. **One owner per component.** A component pointer lives in exactly one `RawInstance`, is never copied
-//!    out of it, and is freed once, on drop. `RawInstance` may move to another thread (`Send`): FMI functions
-//!    of one instance may be called from any thread, but not from two at a time (FMI 2.0.x, section 2.1.1);
-//!    so it is not `Sync`, and every method takes `&mut self`.
-//! 3. **Addresses that an FMU keeps stay put.** What it is given for calling back
-//!    ([`Callbacks`](callbacks::Callbacks)) is on the heap (in `Arc`s, whose contents do not move) and never
-//!    freed, for threads of an FMU may outlive its component, and its destructors may log. It is shared with
-//!    C code; all that this reaches is a mutex around the log lines, and no foreign code is ever called while
-//!    that mutex is held.
-//! 4. **Lengths are checked in release builds.** Slices handed to an FMU together with a count have that
-//!    count, and vectors of states, derivatives, nominals and indicators have the model's sizes, fixed at
-//!    instantiation. A mismatch is a typed error and the FMU is not called.
-//! 5. **The state machine of FMI is kept one layer up**: [`Instance`](crate::Instance) makes calls in a wrong
-//!    phase a compile-time error. This module relies on it for the FMU's sake, not for memory safety of its
-//!    own.
-//! 6. **After `Fatal` an instance is dead, and with it all others of its loaded copy of the library.** No
-//!    function is called on any of them again, not even the one that frees it (FMI 2.0.x, section 2.1.3: all
-//!    instances are corrupted). What the FMU might still reach (callbacks, environment, library) is leaked.
-//! 7. **No panic crosses into C.** The sink of the logger catches unwinding; the rest of the callbacks are C.
-//! 8. **Saved states belong to their instance**: pointers stay in a table of the `RawInstance`; the outside
-//!    holds tokens that say whose they are. The table is freed with the instance.
-//! 9. **A run starts in the default floating-point mode**, whatever the loading of an FMU or a run before has
-//!    changed in its thread; [`Inside`] puts back what was there. One thread at a time is inside of a loaded
-//!    library: for a call, or for a whole run.
-//! 10. **Buffers of small numbers** are handed out as what an FMU takes them for (`packed.rs`): never more
-//!     elements than there are words of 64 bits, and only types of which any bits are a value.
+//! 1. **A library outlives its instances.** A [`RawInstance`] has an `Arc` of the [`Library`] that provides
+//! its functions. The function pointers of a binding are only called through a `Library` that is alive. A
+//! library is never closed, because its code may be called later (destructors of threads, functions that it
+//! registered).
+//! 2. **One owner per component.** A component pointer is in exactly one `RawInstance`, is never copied out
+//! of it, and is freed once, on drop. `RawInstance` may move to another thread (`Send`). FMI functions of one
+//! instance may be called from any thread, but not from two at a time (FMI 2.0.x, section 2.1.1).
+//! `RawInstance` is therefore not `Sync`, and every method takes `&mut self`.
+//! 3. **Addresses that an FMU keeps do not change.** The data for callbacks
+//! ([`Callbacks`](callbacks::Callbacks)) are on the heap (in `Arc`s, whose contents do not move). They are
+//! never freed, because threads of an FMU may outlive its component and its destructors may log. C code
+//! shares these data, but reaches only a mutex around the log lines. No foreign code is called while that
+//! mutex is locked.
+//! 4. **Lengths are checked in release builds.** Slices passed to an FMU together with a count have that
+//! count. Vectors of states, derivatives, nominals and indicators have the model's sizes, fixed at
+//! instantiation. A mismatch is a typed error and the FMU is not called.
+//! 5. **The layer above enforces the state machine of FMI**: [`Instance`](crate::Instance) makes calls in a
+//! wrong phase a compile-time error. This module relies on it for correct use of the FMU, not for its own
+//! memory safety.
+//! 6. **After `Fatal` an instance is unusable, and so are all others of its loaded copy of the library.** No
+//! function is called on any of them again, not even the one that frees it (FMI 2.0.x, section 2.1.3: all
+//! instances are corrupted). Data that the FMU might still reach (callbacks, environment, library) are
+//! leaked.
+//! 7. **No panic crosses into C.** The sink of the logger catches unwinding. The rest of the callbacks is C
+//! code.
+//! 8. **Saved states belong to their instance**: pointers stay in a table of the `RawInstance`. The caller
+//! receives tokens that identify their owner. The table is freed with the instance.
+//! 9. **A run starts in the default floating-point mode**, regardless of changes by the loading of an FMU or
+//! by an earlier run on the same thread. [`Inside`] restores the previous mode. One thread at a time is
+//! inside a loaded library, for a call or for a whole run.
+//! 10. **Buffers of small numbers** are passed with the element type that the FMU expects
+//! (`packed_integers.rs`). There are never more elements than 64-bit words, and any bits are a valid value of
+//! these types.
 //!
-//! The versions of FMI stop here: what has one type in several versions stands in the tables of
-//! `functions.rs`, with its names; the rest is [`Version`](versioned_functions::Version), in types of ours,
-//! and `fmi1.rs`, `fmi2.rs` and `fmi3/` are the only files that know how a version spells it. A further
-//! version is a column of the tables, a further implementation and a line in `library.rs`.
+//! Other modules do not depend on the version of FMI. Functions with one type in several versions are in the
+//! tables of `functions.rs`, with their names. All others are in [`Version`](versioned_functions::Version),
+//! with version-independent types. Only `fmi1.rs`, `fmi2.rs` and `fmi3/` contain the declarations of a
+//! version. A new version requires a column of the tables, an implementation, and a line in `library.rs`.
 #![allow(unsafe_code)]
 
 mod before_main;
@@ -56,7 +60,7 @@ mod functions;
 mod shared_page;
 #[cfg(not(unix))]
 mod shared_page {
-    //! No other process reads what is called here.
+    //! Replaces the shared page on systems without worker processes.
     pub(super) fn number_of(_: &str) -> u32 {
         0
     }
@@ -107,7 +111,7 @@ mod tests {
     use super::*;
     use std::path::Path;
 
-    /// The functions of the standard, without prefix (FMI 1.0 for model exchange and for co-simulation, FMI
+    /// Functions of the standard, without prefix (FMI 1.0 for model exchange and for co-simulation, FMI
     /// 2.0.4, FMI 3.0.1).
     const FMI1: &str = "GetModelTypesPlatform GetVersion InstantiateModel FreeModelInstance SetDebugLogging SetTime \
         SetContinuousStates CompletedIntegratorStep SetReal SetInteger SetBoolean SetString Initialize GetDerivatives \
@@ -153,7 +157,7 @@ mod tests {
         let mut n = 0;
         for row in tables.into_iter().flatten() {
             for (place, name) in row.iter().enumerate().filter(|(_, name)| name.starts_with('f')) {
-                // Rows of one name are those of one version.
+                // A row with a single name belongs to a single version.
                 let version = if row.len() == 1 { name.as_bytes()[3] - b'1' } else { place as u8 };
                 let known = match version {
                     1 => name.strip_prefix("fmi2").is_some_and(|name| is_one_of(FMI2, name)),

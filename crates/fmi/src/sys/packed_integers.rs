@@ -1,12 +1,12 @@
-//! Arrays of small numbers inside of arrays of 64-bit words: the FMU writes its own type into the front of
-//! the buffer, and the elements are spread out in place. No second buffer, no allocation, one call for any
-//! number of values.
+//! Arrays of small numbers inside arrays of 64-bit words. The FMU writes its own type to the front of the
+//! buffer, and the elements are then expanded in place. This requires no second buffer, no allocation, and
+//! one call for any number of values.
 
-/// Types whose elements may lie in a word: any bits are a value, at most 8 bytes, alignment at most that of
-/// `i64`.
+/// Types whose elements fit into a word: any bits are a valid value, the size is at most 8 bytes, and the
+/// alignment is at most that of `i64`.
 ///
 /// # Safety
-/// The type is as described.
+/// The type satisfies the requirements above.
 pub(super) unsafe trait Element: Copy {
     fn to_word(self) -> i64;
     fn from_word(word: i64) -> Self;
@@ -15,7 +15,8 @@ pub(super) unsafe trait Element: Copy {
 macro_rules! integers {
     ($($type:ty),+) => {
         $(
-            // SAFETY: integers of at most 8 bytes have no invalid bits, and none is aligned more strictly than i64.
+            // SAFETY: integers of at most 8 bytes have no invalid bits, and their alignment is at most the
+            // alignment of i64.
             unsafe impl Element for $type {
                 fn to_word(self) -> i64 {
                     self as i64
@@ -29,7 +30,7 @@ macro_rules! integers {
 }
 integers!(i8, u8, i16, u16, i32, u32, i64, u64);
 
-// SAFETY: any 4 bytes are a float.
+// SAFETY: any 4 bytes are a valid float.
 unsafe impl Element for f32 {
     fn to_word(self) -> i64 {
         f64::from(self).to_bits() as i64
@@ -39,27 +40,28 @@ unsafe impl Element for f32 {
     }
 }
 
-/// Lets `call` fill in as many elements as there are words, and makes words of them.
+/// Calls `call` to fill as many elements as there are words, and converts the elements to words.
 pub(super) fn get<T: Element, R>(words: &mut [i64], call: impl FnOnce(*mut T) -> R) -> R {
     let base: *mut T = words.as_mut_ptr().cast();
     let code = call(base);
-    // From the end: word i covers elements i and above only, which have been read by then.
+    // In reverse order: word i covers only elements i and above, which have already been read.
     for i in (0..words.len()).rev() {
-        // SAFETY: element i ends at (i + 1) * size <= (i + 1) * 8, inside of the words; it holds bits of a word or what
-        // the call wrote, both values of T.
+        // SAFETY: element i ends at (i + 1) * size <= (i + 1) * 8, inside the words. It contains bits of a
+        // word or bits written by the call; both are valid values of T.
         let element = unsafe { base.add(i).read() };
-        // SAFETY: word i is one of them.
+        // SAFETY: word i is inside the slice.
         unsafe { base.cast::<i64>().add(i).write(element.to_word()) };
     }
     code
 }
 
-/// Hands the words as an array of elements to `call`. The words are used up.
+/// Converts the words to an array of elements and passes it to `call`. The words are overwritten.
 pub(super) fn set<T: Element, R>(words: &mut [i64], call: impl FnOnce(*const T) -> R) -> R {
     let base: *mut i64 = words.as_mut_ptr();
-    // From the front: element i ends within word i, and the words below have been read by then.
+    // In forward order: element i ends within word i, and the words before have already been read.
     for i in 0..words.len() {
-        // SAFETY: word i is one of them, and not yet written over: elements before it end at i * 8 at most.
+        // SAFETY: word i is inside the slice and has not been overwritten, because the elements before it end
+        // at i * 8 or earlier.
         let word = unsafe { base.add(i).read() };
         // SAFETY: as for reading in `get`.
         unsafe { base.cast::<T>().add(i).write(T::from_word(word)) };
@@ -67,7 +69,7 @@ pub(super) fn set<T: Element, R>(words: &mut [i64], call: impl FnOnce(*const T) 
     call(base.cast_const().cast())
 }
 
-/// Booleans are whatever is not 0.
+/// Converts all nonzero words to 1, because every nonzero value is true.
 pub(super) fn normalize(words: &mut [i64]) {
     for word in words {
         *word = i64::from(*word != 0);
@@ -88,7 +90,7 @@ mod tests {
         });
         let mut words = vec![-1; values.len()];
         get::<T, _>(&mut words, |p| {
-            // SAFETY: `get` has room for as many elements as there are words.
+            // SAFETY: `get` provides space for as many elements as there are words.
             unsafe { std::ptr::copy_nonoverlapping(stored.as_ptr(), p, stored.len()) };
             0
         });

@@ -1,4 +1,4 @@
-//! System-dependent part of this module: the loading of a library.
+//! System-dependent part of this module: loading a library.
 
 use crate::fair_lock::FairLock;
 use serde::{Deserialize, Serialize};
@@ -8,20 +8,21 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-/// Options of the dynamic loader for a library. By default all its symbols are looked up when it is loaded,
-/// so that a missing one is an error then and not the end of the process later (`RTLD_NOW`), and none of them
-/// are offered to other libraries (`RTLD_LOCAL`). A library that is loaded already stays as it is; that holds
-/// for the libraries it depends on too, which the loader identifies by their names: of two with one name in a
-/// process it takes the first.
+/// Options of the dynamic loader for a library. By default, all symbols are looked up when the library is
+/// loaded (`RTLD_NOW`). A missing symbol is then an error at load time and does not terminate the process
+/// later. The symbols are not available to other libraries (`RTLD_LOCAL`).
+///
+/// The options do not affect a library that is already loaded, nor the libraries it depends on. The loader
+/// identifies these by name: if two have the same name in a process, it uses the first.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct LoaderOptions {
-    /// Symbols of the library and what it depends on come before those of the process (`RTLD_DEEPBIND` of
-    /// glibc): for libraries that call a function of their own and get one of the same name of the host
-    /// program instead. An error where the system has no such flag. Not together with the address sanitizer,
-    /// which refuses it.
+    /// Symbols of the library and of its dependencies take precedence over symbols of the process
+    /// (`RTLD_DEEPBIND` of glibc). Use this for libraries that call one of their functions and get a function
+    /// of the host program with the same name instead. An error if the system has no such flag. Incompatible
+    /// with the address sanitizer, which rejects the flag.
     pub deepbind: bool,
-    /// Functions are looked up when they are first called (`RTLD_LAZY`): for libraries that lack some which
-    /// are never called. If one is called, the process ends.
+    /// Functions are looked up when they are first called (`RTLD_LAZY`). Use this for libraries that lack
+    /// functions that are never called. If such a function is called, the process ends.
     pub lazy: bool,
 }
 
@@ -30,16 +31,16 @@ pub(super) type Opened = libloading::os::unix::Library;
 #[cfg(not(unix))]
 pub(super) type Opened = libloading::Library;
 
-/// An open library, which one thread at a time is inside of. It is never closed: a thread that has called the
-/// FMU may hold data of its own for it (thread-specific data, `thread_local` of C++) whose destructor is code
-/// of the library and runs when the thread ends.
+/// An open library, used by one thread at a time. It is never closed. A thread that has called the FMU may
+/// have thread-specific data (for example, `thread_local` of C++). Their destructor is code of the library
+/// and runs when the thread ends.
 pub(super) struct Handle {
     library: ManuallyDrop<Opened>,
-    /// Who may be inside.
+    /// Lock for access to the library.
     pub(super) lock: Arc<FairLock>,
-    /// A call returned `Fatal`.
+    /// True after a call has returned `Fatal`.
     pub(super) is_fatal: AtomicBool,
-    /// A component was made.
+    /// True after a component has been created.
     pub(super) is_used: AtomicBool,
 }
 
@@ -58,13 +59,13 @@ impl Deref for Handle {
     }
 }
 
-/// `RTLD_DEEPBIND` of glibc (`dlfcn.h`), where there is such a flag.
+/// `RTLD_DEEPBIND` of glibc (`dlfcn.h`), if the system has this flag.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const DEEPBIND: Option<std::ffi::c_int> = Some(8);
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 const DEEPBIND: Option<std::ffi::c_int> = None;
 
-/// Checks that the loader supports the options; else returns the one that it does not have.
+/// Checks that the loader supports the options. Otherwise, returns the unsupported option.
 pub(super) fn check(options: &LoaderOptions) -> Result<(), &'static str> {
     match options {
         LoaderOptions { deepbind: true, .. } if DEEPBIND.is_none() => Err("deepbind"),
@@ -73,7 +74,7 @@ pub(super) fn check(options: &LoaderOptions) -> Result<(), &'static str> {
     }
 }
 
-/// Opens a shared library and offers none of its symbols to other libraries.
+/// Opens a shared library without making its symbols available to other libraries.
 ///
 /// # Safety
 /// Runs the library's constructors, which is foreign code.
@@ -82,7 +83,7 @@ pub(super) unsafe fn open(path: &Path, options: &LoaderOptions) -> Result<Opened
     use libloading::os::unix::{RTLD_LAZY, RTLD_LOCAL, RTLD_NOW};
     let when = if options.lazy { RTLD_LAZY } else { RTLD_NOW };
     let deep = DEEPBIND.filter(|_| options.deepbind).unwrap_or(0);
-    // SAFETY: handed on to the caller.
+    // SAFETY: the caller upholds the requirements of this function.
     unsafe { Opened::open(Some(path), when | RTLD_LOCAL | deep) }
 }
 
@@ -92,6 +93,6 @@ pub(super) unsafe fn open(path: &Path, options: &LoaderOptions) -> Result<Opened
 /// Runs the library's constructors, which is foreign code.
 #[cfg(not(unix))]
 pub(super) unsafe fn open(path: &Path, _: &LoaderOptions) -> Result<Opened, libloading::Error> {
-    // SAFETY: handed on to the caller.
+    // SAFETY: the caller upholds the requirements of this function.
     unsafe { Opened::new(path) }
 }

@@ -1,6 +1,6 @@
-//! A page of memory that a worker process shares with the process that has started it: the last call into the
-//! FMU, the simulated time, the request to end, and the numbers of the last question and answer. It outlives
-//! the worker, so that its end can be explained.
+//! A page of memory that a worker process shares with its parent process. It contains the last call into the
+//! FMU, the simulated time, the cancellation request, and the numbers of the last request and answer. The
+//! page outlives the worker, so that the end of the worker can be explained.
 
 use crate::error::FmiError;
 use std::fs::File;
@@ -9,65 +9,65 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// Bytes of a function's name; longer ones are cut.
+/// Maximum length of a function name in bytes. Longer names are truncated.
 const NAME: usize = 48;
 
-/// Functions that are known by name; calls of further ones are not told.
+/// Maximum number of function names. Calls of further functions are not recorded.
 const NAMES: usize = 160;
 
-/// Memory shared by both processes. All bits are valid values, whatever an FMU writes there.
+/// Memory shared by both processes. All bits are valid values, whatever an FMU writes to it.
 #[repr(C)]
 struct Shared {
-    /// Not 0: the worker is to end what it does.
+    /// Nonzero if the worker should stop its current work.
     cancel: AtomicU32,
-    /// Simulations begun.
+    /// Number of simulations started.
     runs: AtomicU32,
-    /// The last call: the place of its name, from 1; 0: none.
+    /// Index of the name of the last call, counted from 1; 0 if there is none.
     call: AtomicU32,
     n_names: AtomicU32,
-    /// What had failed when a signal came: [`NO_MEMORY`], [`REFUSED`] or nothing.
+    /// Cause of a failure that preceded a signal: [`NO_MEMORY`], [`REFUSED`] or 0.
     failed: AtomicU32,
-    /// The bits of the simulated time.
+    /// Bits of the simulated time.
     time: AtomicU64,
     names: [[AtomicU8; NAME]; NAMES],
     turns: Turns,
 }
 
-/// In cache lines of its own: who waits reads it all the time, and the rest changes with every call of the
-/// FMU.
+/// In separate cache lines, because a waiting process reads these fields continuously, while the other fields
+/// change with every call of the FMU.
 #[repr(C, align(128))]
 struct Turns {
-    /// Number of the last question that is on its way.
+    /// Number of the last request that was sent.
     asked: AtomicU32,
-    /// Number of the last question whose answer is on its way.
+    /// Number of the last request whose answer was sent.
     answered: AtomicU32,
-    /// Not 0: the worker may keep a core busy for a moment while it waits for the next question.
+    /// Nonzero if the worker may spin for a short time while it waits for the next request.
     may_spin: AtomicU32,
 }
 
 const LENGTH: usize = size_of::<Shared>();
 
-/// An allocation.
+/// An allocation failed.
 pub(super) const NO_MEMORY: u32 = 1;
 
-/// A call that the sandbox does not allow.
+/// The sandbox denied a system call.
 pub(super) const REFUSED: u32 = 2;
 
-/// The last call that a worker has made, as the other process finds it.
+/// The last call of a worker, as read by the parent process.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct LastCall {
-    /// The function, by the standard's name.
+    /// Name of the function in the standard.
     pub(crate) function: String,
-    /// The simulated time.
+    /// Simulated time.
     pub(crate) time: Option<f64>,
 }
 
-/// The page.
+/// The shared page, mapped into this process.
 pub(crate) struct Page {
     shared: std::ptr::NonNull<Shared>,
 }
 
-// SAFETY: all that is reached through the pointer are atomics.
+// SAFETY: only atomics are reached through the pointer.
 unsafe impl Send for Page {}
 // SAFETY: as above.
 unsafe impl Sync for Page {}
@@ -79,21 +79,21 @@ impl std::fmt::Debug for Page {
 }
 
 impl Page {
-    /// A new page, and the file by which the other process gets it. The file cannot be made shorter where the
-    /// system knows that.
+    /// Creates a page and the file through which the other process maps it. The file cannot be truncated if
+    /// the system supports that.
     pub(crate) fn new() -> io::Result<(Self, File)> {
         let file = anonymous_file()?;
         Ok((Self::of(&file)?, file))
     }
 
-    /// The page in a file that [`new`](Self::new) has made.
+    /// Maps the page in a file that [`new`](Self::new) has created.
     pub(crate) fn of(file: &File) -> io::Result<Self> {
         use rustix::mm::{MapFlags, ProtFlags, mmap};
         if file.metadata()?.len() < LENGTH as u64 {
             return Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the shared page is too short"));
         }
         let protection = ProtFlags::READ | ProtFlags::WRITE;
-        // SAFETY: a new mapping at an address that the system chooses, of a file that has this length.
+        // SAFETY: a new mapping, at an address chosen by the system, of a file that has this length.
         let address = unsafe { mmap(std::ptr::null_mut(), LENGTH, protection, MapFlags::SHARED, file, 0) }?;
         std::ptr::NonNull::new(address.cast())
             .map(|shared| Self { shared })
@@ -101,44 +101,45 @@ impl Page {
     }
 
     fn shared(&self) -> &Shared {
-        // SAFETY: mapped until this is dropped, aligned to a page, and made of atomics, for which any bits are valid.
+        // SAFETY: mapped until this is dropped, aligned to a page, and made of atomics, for which any bits
+        // are valid.
         unsafe { self.shared.as_ref() }
     }
 
-    /// Asks the worker to end what it does, or takes that back.
+    /// Sets or clears the request to stop the current work of the worker.
     pub(crate) fn set_cancelled(&self, cancelled: bool) {
         self.shared().cancel.store(cancelled.into(), Ordering::Relaxed);
     }
 
-    /// True if the worker is to end its current work.
+    /// True if the worker should stop its current work.
     pub(crate) fn is_cancelled(&self) -> bool {
         self.shared().cancel.load(Ordering::Relaxed) != 0
     }
 
-    /// Sets whether the worker may [wait](Self::wait_for_question) for the next question without sleeping.
+    /// Sets if the worker may [wait](Self::wait_for_question) for the next request by spinning.
     pub(crate) fn set_may_spin(&self, may_spin: bool) {
         self.shared().turns.may_spin.store(may_spin.into(), Ordering::Relaxed);
     }
 
-    /// Says that a question was sent. Who is told before sleeps until it arrives.
+    /// Records that a request was sent. A reader that sees the number before the request arrives must still
+    /// wait for the request.
     pub(crate) fn note_question(&self, number: u32) {
         self.shared().turns.asked.store(number, Ordering::Release);
     }
 
-    /// Says that an answer is on its way.
+    /// Records that an answer was sent.
     pub(crate) fn note_answer(&self, number: u32) {
         self.shared().turns.answered.store(number, Ordering::Release);
     }
 
-    /// Waits without sleeping until the answer is on its way, no longer than so. A core that sleeps wakes up
-    /// late.
+    /// Spins until the answer was sent, at most for `longest`. Spinning avoids the delay of waking a sleeping
+    /// core.
     pub(crate) fn wait_for_answer(&self, number: u32, longest: Duration) {
         let answered = &self.shared().turns.answered;
         spin_until(longest, || answered.load(Ordering::Acquire) == number);
     }
 
-    /// Waits without sleeping until a question after this one is on its way, no longer than so, and only
-    /// where that was allowed.
+    /// Spins until a later request was sent, at most for `longest`, and only if spinning is allowed.
     pub(crate) fn wait_for_question(&self, after: u32, longest: Duration) {
         let turns = &self.shared().turns;
         if turns.may_spin.load(Ordering::Relaxed) != 0 {
@@ -146,22 +147,22 @@ impl Page {
         }
     }
 
-    /// Simulations begun.
+    /// Returns the number of simulations started.
     pub(crate) fn runs(&self) -> u32 {
         self.shared().runs.load(Ordering::Relaxed)
     }
 
-    /// True if an allocation had failed when a signal came.
+    /// True if a failed allocation preceded a signal.
     pub(crate) fn is_without_memory(&self) -> bool {
         self.shared().failed.load(Ordering::Relaxed) == NO_MEMORY
     }
 
-    /// True if the sandbox had refused something when a signal came.
+    /// True if a denial by the sandbox preceded a signal.
     pub(crate) fn is_refused(&self) -> bool {
         self.shared().failed.load(Ordering::Relaxed) == REFUSED
     }
 
-    /// The last call; `None` before the first one.
+    /// Returns the last call; `None` before the first one.
     pub(crate) fn last_call(&self) -> Option<LastCall> {
         let shared = self.shared();
         let place = (shared.call.load(Ordering::Relaxed) as usize).checked_sub(1)?;
@@ -172,7 +173,7 @@ impl Page {
         Some(LastCall { function, time: time.is_finite().then_some(time) })
     }
 
-    /// The number by which calls of a function are told; 0: they are not.
+    /// Returns the number with which calls of a function are recorded; 0 if they are not recorded.
     fn number_of(&self, name: &str) -> u32 {
         let shared = self.shared();
         let n = shared.n_names.load(Ordering::Relaxed) as usize;
@@ -194,7 +195,7 @@ impl Page {
     }
 }
 
-/// Looks at a condition for so long, and leaves the core to whoever else has use for it.
+/// Spins on a condition for at most `longest`, and yields the core to other threads.
 fn spin_until(longest: Duration, is_met: impl Fn() -> bool) {
     let began = Instant::now();
     while began.elapsed() < longest {
@@ -220,7 +221,7 @@ fn anonymous_file() -> io::Result<File> {
     use rustix::fs::{MemfdFlags, SealFlags, fcntl_add_seals, ftruncate, memfd_create};
     let file = memfd_create("fmufit-worker", MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING)?;
     ftruncate(&file, LENGTH as u64)?;
-    // Whoever reads a page that was cut off is killed.
+    // Reading a truncated page would kill the process.
     fcntl_add_seals(&file, SealFlags::SHRINK | SealFlags::GROW | SealFlags::SEAL)?;
     Ok(file.into())
 }
@@ -232,10 +233,10 @@ fn anonymous_file() -> io::Result<File> {
     Ok(file)
 }
 
-/// The page of this process, if it is a worker.
+/// Page of this process, if it is a worker.
 static PAGE: OnceLock<Page> = OnceLock::new();
 
-/// Makes this process one that tells its calls.
+/// Makes this process record its calls.
 pub(crate) fn tell_calls(page: Page) -> Result<&'static Page, FmiError> {
     PAGE.set(page).map_err(|_| FmiError::BadSetting("this process serves already".to_owned()))?;
     PAGE.get().ok_or(FmiError::Cancelled)
@@ -246,12 +247,12 @@ pub(crate) fn is_worker() -> bool {
     PAGE.get().is_some()
 }
 
-/// The number by which calls of a function are told; 0: they are not.
+/// Returns the number with which calls of a function are recorded; 0 if they are not recorded.
 pub(super) fn number_of(name: &str) -> u32 {
     PAGE.get().map_or(0, |page| page.number_of(name))
 }
 
-/// Tells of a call that will be made.
+/// Records a call before it is made.
 #[inline]
 pub(super) fn note_call(number: u32) {
     if number != 0
@@ -261,7 +262,7 @@ pub(super) fn note_call(number: u32) {
     }
 }
 
-/// Tells the time at which calls are made.
+/// Records the time of the following calls.
 #[inline]
 pub(super) fn note_time(time: f64) {
     if let Some(page) = PAGE.get() {
@@ -269,21 +270,21 @@ pub(super) fn note_time(time: f64) {
     }
 }
 
-/// Tells that a simulation begins, with the checks that come before it.
+/// Records the start of a simulation, before its checks.
 pub(crate) fn note_run() {
     if let Some(page) = PAGE.get() {
         page.shared().runs.fetch_add(1, Ordering::Relaxed);
     }
 }
 
-/// Tells that an instance is brought to its start, where it has no time.
+/// Records that an instance is being reset and has no time.
 pub(crate) fn note_start() {
     if let Some(page) = PAGE.get() {
         page.shared().time.store(f64::NAN.to_bits(), Ordering::Relaxed);
     }
 }
 
-/// Tells what had failed when a signal came.
+/// Records the cause of a failure that preceded a signal.
 pub(super) fn note_failed(what: u32) {
     if let Some(page) = PAGE.get() {
         page.shared().failed.store(what, Ordering::Relaxed);
@@ -307,7 +308,7 @@ mod tests {
         assert_eq!(ours.last_call(), Some(LastCall { function: "fmi2DoStep".to_owned(), time: Some(3.25) }));
         theirs.shared().call.store(cut, Ordering::Relaxed);
         assert_eq!(ours.last_call().unwrap().function.len(), NAME);
-        // Whatever an FMU writes there.
+        // An FMU may write anything to the page.
         theirs.shared().call.store(u32::MAX, Ordering::Relaxed);
         assert_eq!(ours.last_call(), None);
         ours.set_cancelled(true);

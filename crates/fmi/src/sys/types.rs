@@ -1,4 +1,4 @@
-//! Arguments and results of calls into an FMU, in types that do not depend on the version of FMI.
+//! Arguments and results of calls into an FMU, in types that do not depend on the FMI version.
 
 use crate::description::{DependencyKind, Interval};
 use crate::error::Status;
@@ -8,8 +8,9 @@ use serde::{Deserialize, Serialize};
 use std::ffi::{CStr, CString, c_void};
 use std::path::Path;
 
-/// `fmiComponent`, `fmi2Component`, `fmi3Instance`: what an FMU gives for a component and takes in all calls
-/// of it. Nothing of ours can be taken for one: they come from C only.
+/// `fmiComponent`, `fmi2Component` or `fmi3Instance`: the handle of a component. An FMU creates it and
+/// receives it in all calls of the component. Values come from C only, so no other pointer can be mistaken
+/// for a component.
 #[repr(transparent)]
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Component(*mut c_void);
@@ -17,19 +18,19 @@ pub(super) struct Component(*mut c_void);
 impl Component {
     pub(super) const NULL: Self = Self(std::ptr::null_mut());
 
-    /// True if the FMU has made no component.
+    /// True if the FMU has not created a component.
     pub(super) fn is_null(self) -> bool {
         self.0.is_null()
     }
 }
 
-/// `fmi2FMUstate`, `fmi3FMUState`: what an FMU gives for a saved state of a component.
+/// `fmi2FMUstate` or `fmi3FMUState`: the handle of a saved state of a component.
 #[repr(transparent)]
 #[derive(Debug, Clone, Copy)]
 pub(super) struct StatePointer(*mut c_void);
 
 impl StatePointer {
-    /// No state yet.
+    /// No state.
     pub(super) const NULL: Self = Self(std::ptr::null_mut());
 
     pub(super) fn is_null(self) -> bool {
@@ -40,7 +41,8 @@ impl StatePointer {
 /// `fmiOK`, `fmi2OK`, `fmi3OK`.
 pub(super) const OK: std::ffi::c_int = 0;
 
-/// The numbers of `fmiStatus`, which all versions share (1.0 for model exchange and 3.0 have no `Pending`).
+/// Converts a code of `fmiStatus`. All versions share the codes (1.0 for model exchange and 3.0 have no
+/// `Pending`).
 #[cold]
 pub(super) fn status(code: std::ffi::c_int) -> Status {
     match code {
@@ -54,8 +56,8 @@ pub(super) fn status(code: std::ffi::c_int) -> Status {
     }
 }
 
-/// `file:///...` with everything but unreserved characters percent-encoded (RFC 3986), as FMI 1.0 and 2.0
-/// ask.
+/// Returns a `file:///...` URI with all characters percent-encoded except unreserved ones (RFC 3986), as FMI
+/// 1.0 and 2.0 require.
 pub(super) fn file_uri(path: &Path) -> CString {
     let mut uri = String::from("file://");
     let text = path.to_string_lossy().replace(std::path::MAIN_SEPARATOR, "/");
@@ -75,19 +77,19 @@ pub(super) fn file_uri(path: &Path) -> CString {
 /// Result of an event iteration.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct EventInfo {
-    /// Another iteration is wanted.
+    /// The model requests another iteration.
     pub(crate) new_discrete_states_needed: bool,
-    /// The model wishes to end the simulation.
+    /// The model requests the end of the simulation.
     pub(crate) terminate: bool,
     /// The nominals of the states have changed.
     pub(crate) nominals_changed: bool,
     /// The continuous states have changed.
     pub(crate) values_changed: bool,
-    /// The next time event.
+    /// Time of the next time event.
     pub(crate) next_event_time: Option<f64>,
 }
 
-/// Interval before the next tick of a clock, as reported by a model.
+/// Interval until the next tick of a clock, as reported by the model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct IntervalAnswer {
     pub(crate) qualifier: Qualifier,
@@ -98,18 +100,18 @@ pub(crate) struct IntervalAnswer {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Qualifier {
     NotYetKnown,
-    /// As told before.
+    /// The interval is the one reported before.
     Unchanged,
     Changed,
 }
 
 words! {
-    /// The two ways of running a model.
+    /// The two interfaces that can run a model.
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
     pub enum InterfaceKind {
         /// The importer integrates the model.
         ModelExchange = "model exchange",
-        /// The model brings its own solver and is asked to step from one communication point to the next.
+        /// The model has its own solver and steps from one communication point to the next.
         CoSimulation = "co-simulation",
     }
 }
@@ -117,16 +119,17 @@ words! {
 /// Result of a communication step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct StepInfo {
-    /// Time that the model has reached, where that is not the end of the step (or not known to be); FMI 3.0:
-    /// its time after every step.
+    /// Time that the model has reached, if it differs from the end of the step or may differ. FMI 3.0: the
+    /// time of the model after every step.
     pub(crate) reached: Option<f64>,
-    /// The model returned before the end of the step and goes on from where it got (FMI 3.0).
+    /// The model returned before the end of the step and continues from the time it reached (FMI 3.0).
     pub(crate) early: bool,
-    /// The model wishes to end the simulation.
+    /// The model requests the end of the simulation.
     pub(crate) terminate: bool,
-    /// The model knows how far it got but has no word for the end of a simulation: it may have meant that.
+    /// The model reports the time it reached but cannot report the end of a simulation, so it may have ended
+    /// it.
     pub(crate) may_have_ended: bool,
-    /// The model wants to enter event mode.
+    /// The model requests event mode.
     pub(crate) event: bool,
     /// The step is still being computed.
     pub(crate) pending: bool,
@@ -135,18 +138,18 @@ pub(crate) struct StepInfo {
 /// An element of a variable that depends on an element of another one (FMI 3.0).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ElementDependency {
-    /// Position of the element in the array, counted from 0; `None`: all of it.
+    /// Position of the element in the array, counted from 0; `None` for the whole variable.
     pub element: Option<usize>,
-    /// Value reference of the variable it depends on.
+    /// Value reference of the variable on which the element depends.
     pub known: u32,
-    /// Position of the element of that one; `None`: all of it.
+    /// Position of the element in that variable; `None` for the whole variable.
     pub known_element: Option<usize>,
     /// Kind of the dependency.
     pub kind: DependencyKind,
 }
 
-/// A derivative that is asked for: of `unknowns` along `seed` in the space of `knowns`; adjoint: with respect
-/// to `knowns`, weighted with `seed` in the space of `unknowns`.
+/// A requested derivative. Directional: the derivative of `unknowns` along `seed`, in the space of `knowns`.
+/// Adjoint: the derivative with respect to `knowns`, weighted with `seed` in the space of `unknowns`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Direction<'a> {
     pub(crate) unknowns: &'a [u32],
@@ -154,14 +157,14 @@ pub(crate) struct Direction<'a> {
     pub(crate) seed: &'a [f64],
 }
 
-/// Arguments with which an instance is made.
+/// Arguments for creating an instance.
 #[derive(Debug)]
 pub(crate) struct Request<'a> {
     pub(crate) name: &'a CStr,
     pub(crate) guid: &'a CStr,
     pub(crate) resources: &'a Path,
     pub(crate) kind: InterfaceKind,
-    /// Co-simulation: events are handled between steps, and a step may end early at one.
+    /// Co-simulation: events are handled between steps, and an event may end a step early.
     pub(crate) event_mode: bool,
     pub(crate) early_return: bool,
     pub(crate) visible: bool,
@@ -169,7 +172,7 @@ pub(crate) struct Request<'a> {
     pub(crate) log_filter: LogFilter,
 }
 
-/// Arguments with which an experiment is set up.
+/// Arguments for setting up an experiment.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Experiment {
     pub(crate) tolerance: Option<f64>,

@@ -1,4 +1,4 @@
-//! Functions whose types differ between the versions of FMI, behind types that do not depend on the version.
+//! Functions whose types differ between FMI versions, behind version-independent types.
 
 use super::callbacks::Callbacks;
 use super::function::{Answer, call};
@@ -8,21 +8,22 @@ use crate::error::Status;
 use crate::value::VariableKind;
 use std::ffi::{c_char, c_int};
 
-/// The functions of one library whose types differ between the versions of FMI.
+/// Functions of a library whose types differ between FMI versions.
 ///
 /// # Safety
-/// For all `unsafe` methods: `component` was made by this library, is not freed and not dead, and no other
-/// call on it is under way; slices that belong together have the same length; vectors have the model's sizes.
-/// Functions that a library may lack answer [`Status::Missing`].
+/// For all `unsafe` methods: `component` was created by this library, has not been freed, has not returned
+/// `Fatal`, and is not used by another call at the same time. Slices that belong together have the same
+/// length. Vectors have the model's sizes. Functions that a library may lack return [`Status::Missing`].
 #[allow(clippy::missing_safety_doc)]
 pub(super) trait Version: Send + Sync {
-    /// The component, NULL if it was refused, and the name of the function. The callbacks must never be
-    /// freed, nor used for another live component.
+    /// Returns the component (NULL if creation failed) and the name of the function. The callbacks must never
+    /// be freed, nor used for another live component.
     unsafe fn instantiate(&self, request: &Request<'_>, callbacks: &Callbacks) -> (Component, &'static str);
-    /// Messages of these categories; of all, if there are none. FMI 1.0 has no choice of categories.
+    /// Switches logging for these categories; an empty list means all categories. FMI 1.0 cannot select
+    /// categories.
     unsafe fn set_debug_logging(&self, c: Component, on: bool, categories: &[*const c_char]) -> Answer;
     unsafe fn enter_initialization(&self, f: &Functions, c: Component, experiment: &Experiment) -> Answer;
-    /// `announced`: what the initialization has already said about events (FMI 1.0).
+    /// Ends the initialization. `announced` receives the events that it reported (FMI 1.0).
     unsafe fn exit_initialization(
         &self,
         f: &Functions,
@@ -36,13 +37,14 @@ pub(super) trait Version: Send + Sync {
     unsafe fn directional_derivative(&self, c: Component, along: Direction<'_>, out: &mut [f64]) -> Answer;
     unsafe fn new_discrete_states(&self, c: Component, info: &mut EventInfo) -> Answer;
     unsafe fn completed_integrator_step(&self, c: Component, no_prior: bool, info: &mut StepInfo) -> Answer;
-    /// One communication step from `time` on; `is_new`: not the one tried last. `Discard` is for steps of
-    /// which nothing or only a part was computed, also because the model ends the simulation; `Pending` for
-    /// steps that go on.
+    /// Performs one communication step from `time`. `is_new` is false for a repetition of the previous
+    /// attempt. Returns `Discard` if the step was not computed or only in part, also if the model ended the
+    /// simulation. Returns `Pending` if the step is still being computed.
     unsafe fn do_step(&self, f: &Functions, c: Component, step: Step, info: &mut StepInfo) -> Answer;
-    /// Name of the function that makes a step.
+    /// Returns the name of the function that performs a step.
     fn step_function(&self) -> &'static str;
-    /// Derivatives (of these orders) of real outputs with respect to time, at the end of the last step.
+    /// Returns derivatives (of these orders) of real outputs with respect to time, at the end of the last
+    /// step.
     unsafe fn get_output_derivatives(
         &self,
         f: &Functions,
@@ -57,13 +59,13 @@ pub(super) trait Version: Send + Sync {
     }
 }
 
-/// A communication step as it is asked for.
+/// Arguments of a communication step.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Step {
     pub(super) time: f64,
     pub(super) size: f64,
     pub(super) no_set_state_prior: bool,
-    /// Not one that is tried again because nothing of it was computed.
+    /// False for a repetition of a step of which nothing was computed.
     pub(super) is_new: bool,
 }
 
@@ -73,20 +75,20 @@ pub(super) struct Step {
 /// As for [`Version`].
 #[allow(clippy::missing_safety_doc)]
 pub(super) trait Values: Send + Sync {
-    /// True if a reference may stand for several values. If not, there are as many values as references.
+    /// True if a reference may refer to several values. Otherwise, there are as many values as references.
     fn has_arrays(&self) -> bool {
         false
     }
     unsafe fn get_real(&self, c: Component, refs: &[u32], values: &mut [f64]) -> Answer;
     unsafe fn set_real(&self, c: Component, refs: &[u32], values: &[f64]) -> Answer;
-    /// Values of all other kinds of numbers, in words of 64 bits (see `instance/integer_codec.rs`).
+    /// Returns values of all other numeric types, as 64-bit words (see `instance/integer_codec.rs`).
     unsafe fn get_packed(&self, c: Component, kind: VariableKind, refs: &[u32], words: &mut [i64]) -> Answer;
-    /// The words are used up.
+    /// Sets values from 64-bit words, and overwrites the words.
     unsafe fn set_packed(&self, c: Component, kind: VariableKind, refs: &[u32], words: &mut [i64]) -> Answer;
     unsafe fn get_string(&self, c: Component, refs: &[u32], values: &mut [*const c_char]) -> Answer;
     unsafe fn set_string(&self, component: Component, references: &[u32], values: &[*const c_char])
     -> Answer;
-    /// Addresses and sizes of binary values; they stay valid until the next call on the component.
+    /// Returns addresses and sizes of binary values. They stay valid until the next call on the component.
     unsafe fn get_binary(
         &self,
         c: Component,
@@ -103,6 +105,6 @@ pub(super) trait Values: Send + Sync {
     }
 }
 
-/// The version has no variables of a type.
+/// Answer for a type that the version does not have.
 pub(super) const NO_SUCH_TYPE: Answer =
     Answer { function: "(variables of this type)", status: Status::Missing };

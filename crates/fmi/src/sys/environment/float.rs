@@ -1,26 +1,26 @@
-//! The registers that control floating-point arithmetic on a thread: rounding, denormals, exceptions.
+//! Registers that control the floating-point arithmetic of a thread: rounding, denormals, exceptions.
 
 /// A floating-point mode.
 ///
-/// Code linked with `-ffast-math` switches denormals off for the thread that loads it, and solvers change the
+/// Code linked with `-ffast-math` disables denormals on the thread that loads it, and some solvers change the
 /// rounding.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FloatMode(control::Words);
 
 impl FloatMode {
-    /// That of this thread.
+    /// Returns the mode of this thread.
     #[inline]
     pub(super) fn present() -> Self {
         Self(control::read())
     }
 
-    /// Round to nearest, no flushing of denormals, no traps.
+    /// True for round to nearest, no flushing of denormals, and no traps.
     #[inline]
     pub(super) fn is_default(&self) -> bool {
         control::is_default(self.0)
     }
 
-    /// Makes it that of this thread.
+    /// Sets the mode of this thread.
     pub(super) fn set(self) {
         control::write(self.0);
     }
@@ -31,24 +31,24 @@ impl FloatMode {
     }
 }
 
-/// MXCSR for SSE and AVX, the control word for x87 (`long double`).
+/// Control registers: MXCSR for SSE and AVX, the control word for x87 (`long double`).
 #[cfg(target_arch = "x86_64")]
 mod control {
     pub(super) type Words = (u32, u16);
 
-    /// All exceptions masked, round to nearest, no flush-to-zero (Intel SDM volume 1, section 10.2.3); x87:
-    /// the same, and the precision that the system starts threads with (section 8.1.5; extended, double on
+    /// All exceptions masked, round to nearest, no flush-to-zero (Intel SDM volume 1, section 10.2.3). For
+    /// x87 also the precision with which the system starts threads (section 8.1.5; extended, but double on
     /// Windows).
     pub(super) const DEFAULT: Words = (0x1f80, if cfg!(windows) { 0x027f } else { 0x037f });
 
-    /// The lowest six bits of MXCSR tell which exceptions have occurred and control nothing.
+    /// The lowest six bits of MXCSR record which exceptions have occurred. They control nothing.
     const FLAGS: u32 = 0x3f;
 
     #[inline]
     pub(super) fn read() -> Words {
         let (mut mxcsr, mut x87): Words = (0, 0);
-        // SAFETY: STMXCSR stores 32 bits and FNSTCW 16 bits at the addresses given, which are those of locals; neither
-        // waits for pending exceptions nor changes anything else.
+        // SAFETY: STMXCSR stores 32 bits and FNSTCW 16 bits at the addresses of locals. Neither waits for
+        // pending exceptions nor changes anything else.
         unsafe {
             std::arch::asm!(
                 "stmxcsr [{}]", "fnstcw [{}]", in(reg) &raw mut mxcsr, in(reg) &raw mut x87,
@@ -64,8 +64,9 @@ mod control {
     }
 
     pub(super) fn write((mxcsr, x87): Words) {
-        // SAFETY: LDMXCSR and FLDCW read from locals; the values are the default or were read before, so no reserved bit
-        // is set. Pending x87 exceptions are cleared first: unmasked, they would be raised by FLDCW.
+        // SAFETY: LDMXCSR and FLDCW read from locals; the values are the default or were read before, so no
+        // reserved bit is set. Pending x87 exceptions are cleared first, because FLDCW would raise unmasked
+        // ones.
         unsafe {
             std::arch::asm!(
                 "ldmxcsr [{}]", "fnclex", "fldcw [{}]", in(reg) &raw const mxcsr, in(reg) &raw const x87,
@@ -95,7 +96,7 @@ mod control {
     }
 
     pub(super) fn write(word: Words) {
-        // SAFETY: the value is the default or one that was read before.
+        // SAFETY: the value is the default or was read before.
         unsafe { std::arch::asm!("msr fpcr, {}", in(reg) word, options(nostack, preserves_flags)) };
     }
 }
@@ -128,7 +129,7 @@ mod tests {
         let before = FloatMode::present();
         // Flush to zero, denormals are zero; x87 rounds up in double precision.
         let theirs = FloatMode((0x9fc0, 0x0a7f));
-        // Every exception unmasked, and some of them pending.
+        // All exceptions unmasked, and some of them pending.
         let unmasked = FloatMode((0x003f, 0x0340));
         theirs.set();
         assert!(is_same(FloatMode::present(), theirs));
@@ -149,7 +150,7 @@ mod tests {
         }
         assert!(is_same(FloatMode::present(), theirs));
         {
-            // Without anything around it.
+            // A call without an enclosing guard.
             let call = Inside::enter_for_call(&lock);
             assert!(call.is_some() && FloatMode::present().is_default());
             unmasked.set();

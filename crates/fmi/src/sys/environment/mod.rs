@@ -1,9 +1,9 @@
-//! Environment of calls into an FMU: one thread is inside of its loaded library, in the default
-//! floating-point mode.
+//! Environment of calls into an FMU: one thread is inside its loaded library, in the default floating-point
+//! mode.
 //!
-//! The mode is set before a library is loaded, before an instance is made and freed, and before each run, and
-//! what was there is put back at the end. What an FMU changes in a call acts until the end of the run, in
-//! every run alike.
+//! The mode is set before a library is loaded, before an instance is created and freed, and before each run.
+//! The previous mode is restored at the end. A change by an FMU during a call remains until the end of the
+//! run, in every run alike.
 
 mod float;
 
@@ -14,31 +14,31 @@ use std::ptr;
 use std::sync::Arc;
 
 thread_local! {
-    /// The lock of the library that this thread has entered last and is inside of.
+    /// Lock of the library that this thread entered last and is still inside.
     static ENTERED: Cell<*const FairLock> = const { Cell::new(ptr::null()) };
 }
 
-/// No other thread is inside of a loaded library while this lives, and this thread was in the default
-/// floating-point mode when it began. May be nested; the last one is dropped first.
+/// Guard: no other thread is inside the loaded library while it exists. This thread was in the default
+/// floating-point mode when the guard was created. Guards may be nested; the last one is dropped first.
 pub(crate) struct Inside {
     before: *const FairLock,
     mode: FloatMode,
-    // Others are let in last.
+    // Dropped last, to admit other threads after all other fields.
     _turn: Turn,
 }
 
 impl Inside {
-    /// Waits until nobody else is inside.
+    /// Waits until no other thread is inside.
     pub(crate) fn enter(lock: &Arc<FairLock>) -> Self {
         Self::with(lock.enter(), lock)
     }
 
-    /// The same, as long as `wait` (asked every 20 ms) says so.
+    /// Waits as [`enter`](Self::enter), while `wait` (called every 20 ms) returns true.
     pub(crate) fn enter_while(lock: &Arc<FairLock>, wait: &mut dyn FnMut() -> bool) -> Option<Self> {
         lock.enter_while(wait).map(|turn| Self::with(turn, lock))
     }
 
-    /// The same for one call: nothing where the thread has entered the library.
+    /// Enters for one call; returns `None` if the thread is already inside the library.
     #[inline]
     pub(super) fn enter_for_call(lock: &Arc<FairLock>) -> Option<Self> {
         (!ptr::eq(ENTERED.get(), Arc::as_ptr(lock))).then(|| Self::enter(lock))
@@ -54,14 +54,14 @@ impl Inside {
 impl Drop for Inside {
     fn drop(&mut self) {
         ENTERED.set(self.before);
-        // Setting takes longer than looking.
+        // Writing the mode is slower than reading it.
         if !(self.mode.is_default() && FloatMode::present().is_default()) {
             self.mode.set();
         }
     }
 }
 
-/// Sets the default floating-point mode of this thread, if it is another.
+/// Sets the default floating-point mode of this thread, unless it is already set.
 pub(crate) fn set_float_mode() {
     if !FloatMode::present().is_default() {
         FloatMode::set_default();

@@ -1,4 +1,4 @@
-//! The table of the functions of an FMI 3.0 library (FMI 3.0.x, chapters 2, 3 and 4), bound by name.
+//! Table of the functions of an FMI 3.0 library (FMI 3.0.x, chapters 2, 3 and 4), bound by name.
 
 use crate::error::Status;
 use crate::sys::callbacks::{Callbacks, fmufit_fmi3_log};
@@ -9,7 +9,7 @@ use crate::sys::types::{Component, Direction, EventInfo, Experiment, InterfaceKi
 use crate::sys::versioned_functions::{Step, Version};
 use std::ffi::{CString, c_char, c_int, c_void};
 
-/// A C `bool` as an FMU may write it: any bits are tolerated.
+/// A C `bool` as written by an FMU; any bits are tolerated.
 pub(super) type Flag = u8;
 type LogMessage = unsafe extern "C" fn(*mut c_void, c_int, *const c_char, *const c_char);
 type InstantiateModelExchange = unsafe extern "C" fn(
@@ -21,7 +21,7 @@ type InstantiateModelExchange = unsafe extern "C" fn(
     *mut c_void,
     LogMessage,
 ) -> Component;
-/// Never given: inputs are set and outputs read between steps.
+/// Never passed, because inputs are set and outputs read only between steps.
 type IntermediateUpdate = unsafe extern "C" fn(*mut c_void, f64, Flag, Flag, Flag, Flag, *mut Flag, *mut f64);
 type InstantiateCoSimulation = unsafe extern "C" fn(
     *const c_char,
@@ -39,9 +39,9 @@ type InstantiateCoSimulation = unsafe extern "C" fn(
 ) -> Component;
 
 table! {
-    /// The functions of one library whose types are those of FMI 3.0. The standard demands nearly all of
-    /// them; FMUs that leave out the functions they do not need are known, so only those that every
-    /// simulation needs are required.
+    /// Functions of one library whose types are specific to FMI 3.0. The standard requires nearly all of
+    /// them. Some FMUs omit functions they do not need, so only the functions needed by every simulation are
+    /// required.
     pub(crate) struct Fmi3 {
         both {
             enter_initialization(bool, f64, f64, bool, f64) = required "fmi3EnterInitializationMode";
@@ -65,7 +65,7 @@ table! {
 
 impl Version for Fmi3 {
     unsafe fn instantiate(&self, request: &Request<'_>, callbacks: &Callbacks) -> (Component, &'static str) {
-        // FMI 3.0 wants a path, ending in a separator; NULL where there are no resources.
+        // FMI 3.0 requires a path that ends in a separator, or NULL if there are no resources.
         let mut path = request.resources.to_string_lossy().into_owned();
         path.push(std::path::MAIN_SEPARATOR);
         let resources = CString::new(path).unwrap_or_default();
@@ -73,12 +73,12 @@ impl Version for Fmi3 {
         let environment: *mut c_void = std::ptr::from_ref(callbacks.environment()).cast_mut().cast();
         let (name, token) = (request.name.as_ptr(), request.guid.as_ptr());
         let (visible, logging) = (request.visible, request.logging);
-        // SAFETY: the strings end in NUL; the environment is on the heap and never freed.
+        // SAFETY: the strings are NUL-terminated; the environment is on the heap and never freed.
         match request.kind {
             InterfaceKind::ModelExchange => self.instantiate_model.make(|instantiate| unsafe {
                 instantiate(name, token, resources, visible, logging, environment, fmufit_fmi3_log)
             }),
-            // SAFETY: the same; there are no variables for intermediate updates.
+            // SAFETY: as above; there are no variables for intermediate updates.
             InterfaceKind::CoSimulation => self.instantiate_slave.make(|instantiate| unsafe {
                 instantiate(
                     name,
@@ -159,9 +159,9 @@ impl Version for Fmi3 {
             &raw mut early,
             &raw mut reached
         );
-        // Only then do the arguments mean something: the last one is the time of the model whether or not it made the whole
-        // step (section 4.2.1.2). After a discard the model stands where it did before (FMI 3.0.x, section 2.2.4), whatever
-        // they say.
+        // The arguments are valid only after a successful call. `reached` is then the time of the model, even
+        // if the step is incomplete (section 4.2.1.2). After a discard, the model is at its time before the
+        // step (FMI 3.0.x, section 2.2.4), regardless of the arguments.
         if answer.is_good() {
             info.event = event != 0;
             info.terminate = terminate != 0;

@@ -1,4 +1,4 @@
-//! The functions of an FMI 3.0 library whose types are those of FMI 3.0, bound by name.
+//! Functions of an FMI 3.0 library whose types are specific to FMI 3.0, bound by name.
 
 mod functions;
 mod values;

@@ -1,4 +1,4 @@
-//! Getters and setters of FMI 3.0, where a reference may stand for an array: the FMU is told the number of
+//! Getters and setters of FMI 3.0. A reference may refer to an array, so the FMU receives the number of
 //! values.
 
 use super::functions::Flag;
@@ -12,7 +12,7 @@ use crate::value::VariableKind;
 use std::ffi::c_char;
 
 table! {
-    /// The getters and setters of one library.
+    /// Getters and setters of one library.
     pub(crate) struct Fmi3Values {
         both {
             get_float64(*const u32, usize, *mut f64, usize) = required "fmi3GetFloat64";
@@ -47,7 +47,7 @@ table! {
     }
 }
 
-/// Evaluates an expression with the function of a kind of numbers.
+/// Evaluates an expression with the function for a numeric type.
 macro_rules! by_kind {
     ($self:ident, $kind:expr, $($row:ident for $($variant:ident)|+),+; |$function:ident| $body:expr, else $other:expr) => {
         match $kind {
@@ -83,7 +83,7 @@ impl Values for Fmi3Values {
             get_int64 for Int64 | Enumeration, get_uint64 for UInt64, get_boolean for Boolean;
             |function| packed_integers::get(words, |values| call!(function, c, list, n, values, count)),
             else match kind {
-                // One value for each clock: the FMU is not told how many there are.
+                // One value for each clock, because the FMU does not receive the number of values.
                 VariableKind::Clock if n == count => {
                     packed_integers::get(words, |values| call!(self.get_clock, c, list, n, values))
                 }

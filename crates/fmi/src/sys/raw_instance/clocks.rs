@@ -1,4 +1,4 @@
-//! When clocks tick (FMI 3.0.x, section 2.2.8.3).
+//! Intervals and shifts of clocks (FMI 3.0.x, section 2.2.8.3).
 
 use super::component::RawInstance;
 use super::fault::{Fault, Outcome};
@@ -7,7 +7,8 @@ use crate::sys::function::call;
 use crate::sys::types::{IntervalAnswer, Qualifier};
 
 impl RawInstance {
-    /// Interval before the next tick of a clock as reported by the model, as a fraction or not.
+    /// Returns the interval until the next tick of a clock as reported by the model, as a fraction or a
+    /// decimal number.
     pub(crate) fn get_interval(&mut self, clock: u32, fraction: bool) -> Result<IntervalAnswer, Fault> {
         let (clock, mut qualifier) = (&raw const clock, 0);
         let (mut interval, mut counter, mut resolution) = (0.0, 0, 0);
@@ -33,7 +34,7 @@ impl RawInstance {
         Ok(IntervalAnswer { qualifier, interval })
     }
 
-    /// Gives a clock an interval.
+    /// Sets the interval of a clock.
     pub(crate) fn set_interval(&mut self, clock: u32, interval: Interval) -> Outcome {
         let clock = &raw const clock;
         run!(self, |library, c| match interval {
@@ -47,7 +48,7 @@ impl RawInstance {
         })
     }
 
-    /// From the start to the first tick of a clock, as a fraction or not.
+    /// Returns the time from the start to the first tick of a clock, as a fraction or a decimal number.
     pub(crate) fn get_shift(&mut self, clock: u32, fraction: bool) -> Result<Interval, Fault> {
         let clock = &raw const clock;
         let (mut shift, mut counter, mut resolution) = (0.0, 0, 0);

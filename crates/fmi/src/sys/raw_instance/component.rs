@@ -1,4 +1,4 @@
-//! One component of an FMU: the sole owner of its pointer, with every call checked before and after.
+//! One component of an FMU: the sole owner of its pointer. Every call is checked before and after.
 
 use super::buffers::ValueBuffers;
 use super::fault::{Fault, Outcome, Sizes};
@@ -19,51 +19,53 @@ use std::mem::ManuallyDrop;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Log lines that an error carries.
+/// Number of log lines in an error.
 const LINES_IN_ERRORS: usize = 8;
 
 /// `fmi3Independent`.
 const INDEPENDENT: c_int = 0;
 
-/// Data kept of earlier calls, for versions in which later calls need them as arguments or do not return
-/// them.
+/// Data of earlier calls. Some versions require them as arguments of later calls, or do not return them
+/// later.
 #[derive(Default)]
 pub(super) struct Memory {
     /// Arguments with which the experiment was set up.
     experiment: Experiment,
     /// Events reported by the initialization (FMI 1.0).
     announced: Option<EventInfo>,
-    /// Nothing of the step that was tried last was computed.
+    /// True if the last step attempt computed nothing.
     pub(super) is_step_repeated: bool,
 }
 
 /// A live component.
 pub(crate) struct RawInstance {
     pub(super) component: Component,
-    /// The function that returned `Fatal`: nothing is called any more.
+    /// Function that returned `Fatal`. No further call is made.
     pub(super) fatal: Option<&'static str>,
-    /// The function that returned `Error`, of an instance made by hand: only resetting it and restoring a
-    /// state are left.
+    /// Function that returned `Error`, for an instance driven by the user. Only resetting the instance and
+    /// restoring a state are then allowed.
     failed: Option<&'static str>,
     is_by_hand: bool,
     pub(super) sizes: Sizes,
-    /// Co-simulation: made to have its events handled between steps.
+    /// Co-simulation: true if events are handled between steps.
     pub(super) event_mode: bool,
-    /// A reference may stand for several values.
+    /// True if a reference may refer to several values.
     pub(super) has_arrays: bool,
-    /// For messages: the time last set.
+    /// Time set last, for messages.
     pub(super) time: Option<f64>,
     pub(super) saved: SavedStates,
     pub(super) buffers: Box<ValueBuffers>,
     pub(super) memory: Box<Memory>,
-    // What the component may reach; given up by hand, after it, and not at all after `Fatal`.
+    // Data that the component may reach. They are dropped explicitly after the component, and never after
+    // `Fatal`.
     pub(super) callbacks: ManuallyDrop<Callbacks>,
     pub(super) library: ManuallyDrop<Arc<Library>>,
 }
 
-// SAFETY: the component and its saved states are owned by this value alone and all calls take `&mut self`, so calls never
-// overlap, and the pointers of its buffers are followed during a call only; FMI lets the calls of an instance come from different threads one after the other (FMI 2.0.x, section 2.1.1).
-// All other fields are `Send` by themselves. `Sync` stays absent.
+// SAFETY: this value alone owns the component and its saved states. All calls take `&mut self`, so calls
+// never overlap, and the pointers in its buffers are followed only during a call. FMI allows calls of an
+// instance from different threads one after the other (FMI 2.0.x, section 2.1.1). All other fields are
+// `Send`. `Sync` is not implemented.
 unsafe impl Send for RawInstance {}
 
 impl std::fmt::Debug for RawInstance {
@@ -75,7 +77,7 @@ impl std::fmt::Debug for RawInstance {
     }
 }
 
-/// Calls of functions that take nothing but the component.
+/// Defines calls of functions whose only argument is the component.
 macro_rules! plain {
     ($($name:ident)+) => {$(
         pub(crate) fn $name(&mut self) -> Outcome {
@@ -89,24 +91,24 @@ impl RawInstance {
         /// True if a call of this instance, or of another of the same loaded copy of the library, returned
         /// `Fatal`.
         pub(crate) is_fatal(self) -> bool = self.fatal.is_some() || self.library.is_fatal();
-        /// Co-simulation: whether it was made to have its events handled between steps.
+        /// Co-simulation: true if events are handled between steps.
         pub(crate) has_event_mode(self) -> bool = self.event_mode;
-        /// The time last set.
+        /// Returns the time set last.
         pub(crate) time(self) -> Option<f64> = self.time;
-        /// The file of its library.
+        /// Returns the path of the library file.
         pub(crate) library_path(self) -> PathBuf = self.library.path().to_owned();
-        /// The last lines the FMU logged, and how many earlier ones were dropped.
+        /// Returns the last lines that the FMU logged, and the number of earlier lines that were dropped.
         pub(crate) log(self) -> (Vec<LogLine>, u64) = self.callbacks.log().last(usize::MAX);
     }
 
-    /// Makes a component.
+    /// Creates a component.
     pub(crate) fn new(library: &Arc<Library>, request: &Request<'_>, sizes: Sizes) -> Result<Self> {
         let _inside = Inside::enter(library.lock());
         if library.is_fatal() {
             return Err(FmiError::LibraryUnusable(library.path().to_owned()));
         }
         let callbacks = library.callbacks(request.log_filter);
-        // SAFETY: the callbacks are never freed: they are leaked, or go back to the library.
+        // SAFETY: the callbacks are never freed: they are leaked or returned to the library.
         let (component, function) = unsafe {
             callbacks.enter();
             library.version.instantiate(request, &callbacks)
@@ -134,13 +136,13 @@ impl RawInstance {
         })
     }
 
-    /// Makes it refuse calls after an `Error`, as the standard demands. Simulations look after that
-    /// themselves: what a model cannot do at one point they may do without.
+    /// Makes the instance reject calls after an `Error`, as the standard requires. Simulations handle errors
+    /// themselves, because they may continue without a value that a model cannot provide at one point.
     pub(crate) fn set_by_hand(&mut self) {
         self.is_by_hand = true;
     }
 
-    /// Makes a call that brings an instance back after an `Error`.
+    /// Performs a call that makes an instance usable again after an `Error`.
     pub(super) fn recover(&mut self, call: impl FnOnce(&mut Self) -> Outcome) -> Outcome {
         let failed = self.failed.take();
         let outcome = call(self);
@@ -150,29 +152,29 @@ impl RawInstance {
         outcome
     }
 
-    /// Notes the time of the calls that follow.
+    /// Records the time of the following calls.
     #[inline]
     pub(super) fn set_time_told(&mut self, time: f64) {
         self.time = Some(time);
         shared_page::note_time(time);
     }
 
-    /// Forgets the log.
+    /// Clears the log.
     pub(crate) fn clear_log(&mut self) {
         self.callbacks.log().clear();
     }
 
-    /// Keeps lines of these categories only, and those whose status is not ok; all, if there are none.
+    /// Keeps only lines of these categories and lines whose status is not ok. An empty list keeps all lines.
     pub(crate) fn keep_log_categories(&mut self, categories: &[String]) {
         self.callbacks.log().lines().categories = categories.to_vec();
     }
 
-    /// Data of an error about `call`.
+    /// Returns the data of an error in `call`.
     pub(crate) fn failure(&self, call: &'static str, status: Status) -> CallFailure {
         failure(&self.callbacks, &self.library, call, status, self.time)
     }
 
-    /// The one place where a status becomes a result.
+    /// Converts the status of an answer to a result. All calls are checked here.
     pub(super) fn check(&mut self, answer: Answer) -> Outcome {
         if answer.is_good() { Ok(()) } else { self.not_ok(answer) }
     }
@@ -193,8 +195,7 @@ impl RawInstance {
         Err(Fault::Failed(Box::new(self.failure(function, status))))
     }
 
-    /// Refuses calls on a component after `Fatal` or `Error`, or into a library that is not to be trusted any
-    /// more.
+    /// Rejects calls of a component after `Fatal` or `Error`, and calls into an unreliable library.
     #[inline]
     pub(super) fn check_usable(&self) -> Outcome {
         if self.is_fatal() || self.failed.is_some() { self.unusable() } else { Ok(()) }
@@ -209,8 +210,8 @@ impl RawInstance {
         })
     }
 
-    /// As many values as references, or more where references may stand for arrays (how many is the caller's
-    /// to know: the FMU is told the number of values).
+    /// Checks that there are as many values as references. There may be more if references can refer to
+    /// arrays. The caller must then know the number, because the FMU receives the number of values.
     pub(super) fn lengths(&self, references: usize, values: usize) -> Outcome {
         if self.has_arrays { Ok(()) } else { self.length("values by reference", references, values) }
     }
@@ -229,20 +230,20 @@ impl RawInstance {
         }
     }
 
-    /// Calls a function that takes nothing but the component.
+    /// Calls a function whose only argument is the component.
     fn plain(&mut self, function: impl Fn(&Functions) -> &Function<Plain>) -> Outcome {
         run!(self, |library, c| call!(function(&library.functions), c))
     }
 }
 
 impl RawInstance {
-    /// Messages of these categories, of all if there are none.
+    /// Switches logging for these categories; an empty list means all categories.
     pub(crate) fn set_debug_logging(&mut self, on: bool, categories: &[CString]) -> Outcome {
         let categories: Vec<_> = categories.iter().map(|category| category.as_ptr()).collect();
         run!(self, |library, c| library.version.set_debug_logging(c, on, &categories))
     }
 
-    /// Where a version has a call for it before the initialization.
+    /// Sets up the experiment. Calls the FMU if its version has a call for this before the initialization.
     pub(crate) fn setup_experiment(&mut self, experiment: &Experiment) -> Outcome {
         let Experiment { tolerance, start, stop } = *experiment;
         self.set_time_told(start);
@@ -254,7 +255,7 @@ impl RawInstance {
         })
     }
 
-    /// With the experiment that was set up.
+    /// Enters initialization mode with the experiment that was set up.
     pub(crate) fn enter_initialization(&mut self) -> Outcome {
         let experiment = self.memory.experiment;
         run!(self, |library, c| library.version.enter_initialization(&library.functions, c, &experiment))
@@ -269,7 +270,8 @@ impl RawInstance {
         outcome
     }
 
-    /// The sizes of the model's vectors as the FMU says them now, where it has a say.
+    /// Returns the current sizes of the model's vectors as reported by the FMU; `None` if it has no function
+    /// for this.
     pub(crate) fn ask_sizes(&mut self) -> Result<Option<Sizes>, Fault> {
         let Sizes { mut states, mut indicators } = self.sizes;
         match run!(self, |library, c| call!(library.functions.count_states, c, &raw mut states)) {
@@ -280,7 +282,7 @@ impl RawInstance {
         Ok(Some(Sizes { states, indicators }))
     }
 
-    /// Changes the sizes of the model's vectors, after the structure of the model was.
+    /// Changes the sizes of the model's vectors after a change of its structure.
     pub(crate) fn set_sizes(&mut self, sizes: Sizes) {
         self.sizes = sizes;
     }
@@ -303,7 +305,7 @@ impl RawInstance {
         run!(self, |_library, c| derivative(&function, c, along, out))
     }
 
-    /// Dependencies of the elements of a variable.
+    /// Returns the dependencies of the elements of a variable.
     pub(crate) fn variable_dependencies(&mut self, reference: u32) -> Result<Vec<ElementDependency>, Fault> {
         let Functions { count_dependencies, dependencies, .. } = self.library.functions;
         let mut n = 0;
@@ -341,7 +343,8 @@ impl RawInstance {
         Ok(entries.collect())
     }
 
-    /// FMI 1.0: the value references of the states, `u32::MAX` for those that are no variables.
+    /// Returns the value references of the states (FMI 1.0). The reference is `u32::MAX` for states that are
+    /// not variables.
     pub(crate) fn state_references(&mut self) -> Result<Vec<u32>, Fault> {
         let mut references = vec![u32::MAX; self.sizes.states];
         let (list, n) = (references.as_mut_ptr(), references.len());
@@ -358,7 +361,7 @@ impl RawInstance {
         run!(self, |library, c| library.version.new_discrete_states(c, info))
     }
 
-    /// Returns whether the model wants an event, and whether it wants to end.
+    /// Returns true if the model requests an event, and true if it requests the end of the simulation.
     pub(crate) fn completed_integrator_step(&mut self) -> Result<(bool, bool), Fault> {
         self.callbacks.log().go_on();
         let (mut info, no_set_state_prior) = (StepInfo::default(), !self.saved.may_be_restored());
@@ -378,7 +381,7 @@ impl RawInstance {
         run!(self, |_library, c| call!(function, c, states.as_ptr(), states.len()))
     }
 
-    /// Calls a function that fills a vector of the model, which has this size.
+    /// Calls a function that fills a vector of the model with this size.
     fn get_vector(&mut self, function: Function<GetVector>, size: usize, values: &mut [f64]) -> Outcome {
         self.length(function.name, size, values.len())?;
         run!(self, |_library, c| call!(function, c, values.as_mut_ptr(), values.len()))
@@ -404,7 +407,7 @@ impl RawInstance {
         self.derivatives_at(Some((time, states)), derivatives)
     }
 
-    /// The derivatives at a point, or at the one that is set.
+    /// Computes the derivatives at a point, or at the current point.
     #[inline]
     pub(crate) fn derivatives_at(
         &mut self,
@@ -414,14 +417,13 @@ impl RawInstance {
         self.vector_at(point, |all| &all.get_derivatives, self.sizes.states, derivatives)
     }
 
-    /// The event indicators at a point, or at the one that is set.
+    /// Computes the event indicators at a point, or at the current point.
     #[inline]
     pub(crate) fn indicators_at(&mut self, point: Option<(f64, &[f64])>, indicators: &mut [f64]) -> Outcome {
         self.vector_at(point, |all| &all.get_event_indicators, self.sizes.indicators, indicators)
     }
 
-    /// Sets the time, then the states, and calls a function that fills a vector of the model, which has this
-    /// size.
+    /// Sets the time, then the states, and calls a function that fills a vector of the model with this size.
     #[inline(always)]
     fn vector_at(
         &mut self,
@@ -444,8 +446,8 @@ impl RawInstance {
         let _inside = Inside::enter_for_call(self.library.lock());
         self.callbacks.enter();
         let c = self.component;
-        // SAFETY (of the three calls): the component is alive and ours alone (`&mut self`), both slices have as many places as
-        // the function reads or fills.
+        // SAFETY (of the three calls): the component is alive and owned exclusively (`&mut self`). Both
+        // slices have as many elements as the function reads or writes.
         let set = |(time, states): (f64, &[f64])| {
             call!(&functions.set_time, c, time).good()?;
             call!(&functions.set_continuous_states, c, states.as_ptr(), states.len()).good()
@@ -465,7 +467,7 @@ fn wrong_length(call: &'static str, expected: usize, found: usize) -> Outcome {
     Err(Fault::Length { call, expected, found })
 }
 
-/// Data of an error about `call`, with the last lines of the log.
+/// Returns the data of an error in `call`, with the last lines of the log.
 fn failure(
     callbacks: &Callbacks,
     library: &Library,
@@ -478,7 +480,7 @@ fn failure(
     CallFailure { call, status, variables: Vec::new(), time, log, dropped_log_lines, hints }
 }
 
-/// A vector of as many zeros, if there is memory for it.
+/// Returns a vector of `n` zeros; `None` if there is not enough memory.
 fn zeros<T: Copy + Default>(n: usize) -> Option<Vec<T>> {
     let mut vector = Vec::new();
     vector.try_reserve_exact(n).ok()?;
@@ -486,7 +488,7 @@ fn zeros<T: Copy + Default>(n: usize) -> Option<Vec<T>> {
     Some(vector)
 }
 
-/// A component to be freed, with what it may reach.
+/// A component to be freed, with the data that it may reach.
 struct Left {
     component: Component,
     saved: SavedStates,
@@ -494,18 +496,18 @@ struct Left {
     library: Arc<Library>,
 }
 
-// SAFETY: as for `RawInstance`, of which these are the parts.
+// SAFETY: as for `RawInstance`, whose parts these are.
 unsafe impl Send for Left {}
 
 impl Left {
-    /// Frees it. The thread is inside of the library.
+    /// Frees the component. The thread is inside the library.
     fn free(mut self) {
         let is_kept = is_avoided(self.library.functions.free.name);
         if is_kept {
             note_kept();
         }
         if is_kept || self.library.is_fatal() {
-            // Or a call of another instance has returned `Fatal` meanwhile.
+            // Also if a call of another instance has returned `Fatal` in the meantime.
             std::mem::forget(self);
             return;
         }
@@ -518,7 +520,7 @@ impl Left {
         }
         if let Some(free) = functions.free.pointer {
             functions.free.note_call();
-            // SAFETY: the component is alive, ours alone, and gone after this.
+            // SAFETY: the component is alive, owned exclusively, and not used after this call.
             unsafe { free(self.component) };
         }
         self.library.retire(self.callbacks);
@@ -528,16 +530,18 @@ impl Left {
 impl Drop for RawInstance {
     fn drop(&mut self) {
         if self.is_fatal() {
-            // Invariant 6: no further call, and what the component may still reach is leaked: library, callbacks, log.
+            // Invariant 6: no further call is made. Data that the component may still reach are leaked:
+            // library, callbacks, log.
             return;
         }
-        // SAFETY: both are given up once.
+        // SAFETY: both are taken only once.
         let (callbacks, library) =
             unsafe { (ManuallyDrop::take(&mut self.callbacks), ManuallyDrop::take(&mut self.library)) };
         let saved = std::mem::take(&mut self.saved);
         let left = Left { component: self.component, saved, callbacks, library };
         let lock = Arc::clone(left.library.lock());
-        // Without waiting: who drops an instance may hold locks that the one who is inside waits for.
+        // This does not wait, because the dropping thread may hold a lock for which the thread inside the
+        // library waits.
         lock.when_free(move || left.free());
     }
 }

@@ -10,22 +10,22 @@ pub(crate) struct Sizes {
     pub(crate) indicators: usize,
 }
 
-/// Why a call did not deliver. Making a `Discard` allocates nothing.
+/// Reason why a call returned no result. Creating a `Discard` allocates nothing.
 #[derive(Debug)]
 pub(crate) enum Fault {
-    /// Not possible at this point.
+    /// The call is not possible at this point.
     Discard(&'static str),
-    /// Anything worse.
+    /// The call failed with a more severe status.
     Failed(Box<CallFailure>),
     /// The library has no such function.
     Missing(&'static str),
-    /// After a `Fatal` of another instance; the FMU was not called.
+    /// Another instance returned `Fatal` earlier; the FMU was not called.
     Unusable(PathBuf),
-    /// After an `Error` of this function; the FMU was not called.
+    /// This function returned `Error` earlier; the FMU was not called.
     AfterError(&'static str),
     /// A slice of the wrong length; the FMU was not called.
     Length { call: &'static str, expected: usize, found: usize },
-    /// A value of a size that none can have.
+    /// The size of a value exceeds its limit or the memory.
     TooLarge { call: &'static str, size: usize },
 }
 

@@ -1,7 +1,7 @@
-//! The calls of an instance, by topic; `component` owns it.
+//! Calls of an instance, by topic. `component` contains the instance.
 
-/// Runs one call: the component is alive, `$body` is evaluated with the library and the component, its answer
-/// checked. No other thread is inside of the library.
+/// Performs a call of a live component: evaluates `$body` with the library and the component, and checks the
+/// answer. No other thread is inside the library during the call.
 macro_rules! run {
     ($self:ident, |$library:ident, $component:ident| $body:expr) => {{
         match $self.check_usable() {
@@ -11,8 +11,8 @@ macro_rules! run {
                     let ($library, $component) = (&**$self.library, $self.component);
                     let _inside = crate::sys::environment::Inside::enter_for_call($library.lock());
                     $self.callbacks.enter();
-                    // SAFETY: the component is alive and ours alone (`&mut self`); lengths were checked by the caller of
-                    // this macro or are those of the slices passed.
+                    // SAFETY: the component is alive and owned exclusively (`&mut self`). Lengths were
+                    // checked by the caller of this macro or are the lengths of the slices passed.
                     #[allow(unused_unsafe)]
                     unsafe {
                         $body
@@ -25,7 +25,7 @@ macro_rules! run {
 }
 
 mod buffers;
-// Behind the macro, which they use.
+// After the macro, which these modules use.
 mod clocks;
 mod component;
 mod fault;

@@ -1,4 +1,4 @@
-//! Saved states of an instance: made, brought back, turned into bytes.
+//! Saved states of an instance: saving and restoring.
 
 use super::component::RawInstance;
 use super::fault::{Fault, Outcome};
@@ -6,20 +6,20 @@ use super::slots::SavedSlot;
 use crate::sys::function::call;
 
 impl RawInstance {
-    /// Saves the state in a place whose token is gone, or a new one.
+    /// Saves the state in a slot whose token was dropped, or in a new slot.
     pub(crate) fn save_state(&mut self) -> Result<SavedSlot, Fault> {
         let (index, mut pointer) = self.saved.vacant_slot();
         let outcome = run!(self, |library, c| call!(library.functions.save_state, c, &raw mut pointer));
         self.saved.fill_slot(index, pointer, self.time, outcome)
     }
 
-    /// True if the token was made by this instance.
+    /// True if this instance created the token.
     pub(crate) fn owns(&self, saved: &SavedSlot) -> bool {
         self.saved.pointer(saved).is_some()
     }
 
-    /// Brings a saved state back. The caller has checked [`owns`](Self::owns); a foreign token is a
-    /// `Discard`.
+    /// Restores a saved state. The caller has checked [`owns`](Self::owns). A token of another instance
+    /// results in `Discard`.
     pub(crate) fn restore_state(&mut self, saved: &SavedSlot) -> Outcome {
         let function = self.library.functions.restore_state;
         let pointer = self.saved.pointer(saved).ok_or(Fault::Discard(function.name))?;

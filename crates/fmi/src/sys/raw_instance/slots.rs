@@ -1,5 +1,4 @@
-//! The table of the states that an instance has saved: the FMU's pointers, of which the outside holds tokens
-//! only.
+//! Table of the saved states of an instance: the pointers of the FMU. The caller receives only tokens.
 
 use super::fault::{Fault, Outcome};
 use crate::sys::function::{Function, call};
@@ -7,16 +6,16 @@ use crate::sys::functions::GetState;
 use crate::sys::types::{Component, StatePointer};
 use std::sync::{Arc, Weak};
 
-/// Place of a saved state in the table of its instance; alive while its token is.
+/// Token of a saved state in the table of its instance. The slot is in use while the token exists.
 #[derive(Debug)]
 pub(crate) struct SavedSlot {
     owner: Arc<()>,
     slot: Arc<usize>,
-    /// The time last set when it was saved.
+    /// Time set last before the state was saved.
     pub(super) time: Option<f64>,
 }
 
-/// The states an instance has saved.
+/// Saved states of an instance.
 #[derive(Default)]
 pub(super) struct SavedStates {
     pub(super) slots: Vec<Slot>,
@@ -29,26 +28,27 @@ pub(super) struct Slot {
 }
 
 impl SavedStates {
-    /// Frees them all.
+    /// Frees all saved states.
     ///
     /// # Safety
-    /// The component is alive, and they were made by it.
+    /// The component is alive and created these states.
     pub(super) unsafe fn free(&mut self, function: &Function<GetState>, component: Component) {
         for slot in &mut self.slots {
             if !slot.pointer.is_null() {
-                // SAFETY: the caller's promises; each is freed once. The status is of no use.
+                // SAFETY: the caller upholds the requirements; each state is freed once. The status is not
+                // needed.
                 let _ = call!(function, component, &raw mut slot.pointer);
             }
         }
         self.slots.clear();
     }
 
-    /// True if a saved state is held, to which the run may be set back.
+    /// True if a saved state is in use, to which the run may be reset.
     pub(super) fn may_be_restored(&self) -> bool {
         self.slots.iter().any(|slot| slot.token.strong_count() > 0)
     }
 
-    /// A place whose token is gone, or a new one; and the memory that it has.
+    /// Returns a slot whose token was dropped, or a new slot, with its pointer.
     pub(super) fn vacant_slot(&mut self) -> (usize, StatePointer) {
         let vacant = self.slots.iter().position(|slot| slot.token.strong_count() == 0);
         let index = vacant.unwrap_or_else(|| {
@@ -58,7 +58,7 @@ impl SavedStates {
         (index, self.slots[index].pointer)
     }
 
-    /// Notes what a call left in a place, and gives out a token if it went well.
+    /// Stores the pointer that a call returned for a slot. Returns a token if the call succeeded.
     pub(super) fn fill_slot(
         &mut self,
         index: usize,
@@ -73,7 +73,7 @@ impl SavedStates {
         Ok(SavedSlot { owner: Arc::clone(&self.identity), slot, time })
     }
 
-    /// The pointer behind a token; `None` if the token is of another instance.
+    /// Returns the pointer of a token; `None` if the token belongs to another instance.
     pub(super) fn pointer(&self, saved: &SavedSlot) -> Option<StatePointer> {
         if !Arc::ptr_eq(&saved.owner, &self.identity) {
             return None;

@@ -1,5 +1,5 @@
-//! Communication steps: made, asked for while they are pending, given up; derivatives of inputs and outputs
-//! with them.
+//! Communication steps: performing, querying while pending, and abandoning them; derivatives of inputs and
+//! outputs.
 
 use super::component::RawInstance;
 use super::fault::{Fault, Outcome};
@@ -9,8 +9,8 @@ use crate::sys::types::StepInfo;
 use crate::sys::versioned_functions::Step;
 
 impl RawInstance {
-    /// One communication step. A step that was not (or only in part) computed is no fault here: `info` says
-    /// how far the model got, and the answer is `false`. A pending step has to be asked for with
+    /// Performs one communication step. Returns `false` if the step was not computed, or only in part; `info`
+    /// then contains the time reached. The status of a pending step must be queried with
     /// [`step_status`](Self::step_status).
     pub(crate) fn do_step(&mut self, time: f64, size: f64, info: &mut StepInfo) -> Result<bool, Fault> {
         self.callbacks.log().go_on();
@@ -18,13 +18,13 @@ impl RawInstance {
         let no_set_state_prior = !self.saved.may_be_restored();
         let step = Step { time, size, no_set_state_prior, is_new: !self.memory.is_step_repeated };
         let outcome = run!(self, |library, c| library.version.do_step(&library.functions, c, step, info));
-        // A step of which nothing was computed will be tried again.
+        // A step of which nothing was computed will be repeated.
         let is_discarded = matches!(outcome, Err(Fault::Discard(_)));
         self.memory.is_step_repeated = is_discarded && !info.reached.is_some_and(|reached| reached > time);
         completed(outcome, info)
     }
 
-    /// Name of the function that makes a step.
+    /// Returns the name of the function that performs a step.
     pub(crate) fn step_function(&self) -> &'static str {
         self.library.version.step_function()
     }
@@ -35,8 +35,8 @@ impl RawInstance {
         completed(outcome, info)
     }
 
-    /// Gives a pending step up. An instance that does not let go is abandoned: nothing may be called on it
-    /// meanwhile.
+    /// Cancels a pending step. If that fails, the instance is abandoned, because no function may be called on
+    /// it while the step is pending.
     pub(crate) fn abandon_step(&mut self) {
         let cancel = self.library.functions.cancel;
         let mut give_up = || run!(self, |_library, c| call!(cancel, c));
@@ -62,7 +62,7 @@ impl RawInstance {
         })
     }
 
-    /// First derivatives of single real outputs with respect to time, at the end of the last step.
+    /// Returns first derivatives of scalar real outputs with respect to time, at the end of the last step.
     pub(crate) fn get_output_derivatives(&mut self, references: &[u32], values: &mut [f64]) -> Outcome {
         self.length(self.library.functions.get_output_derivatives.name, references.len(), values.len())?;
         self.with_first_orders(values.len(), |raw, orders| {
@@ -73,7 +73,7 @@ impl RawInstance {
         })
     }
 
-    /// Makes a call that wants the orders of `n` derivatives: all are first ones.
+    /// Performs a call that requires the orders of `n` derivatives, with all orders equal to 1.
     fn with_first_orders(&mut self, n: usize, call: impl FnOnce(&mut Self, &[i32]) -> Outcome) -> Outcome {
         let mut orders = std::mem::take(&mut self.buffers.orders);
         orders.clear();
@@ -84,7 +84,7 @@ impl RawInstance {
     }
 }
 
-/// True if a step was completed; `false` for one that was cut short or is pending.
+/// True if a step was completed; `false` if the step ended early or is pending.
 fn completed(outcome: Outcome, info: &StepInfo) -> Result<bool, Fault> {
     match outcome {
         Ok(()) => Ok(true),

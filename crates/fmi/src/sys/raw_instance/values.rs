@@ -1,4 +1,4 @@
-//! Values of variables: read and set by their references, one call for all of one kind.
+//! Values of variables: read and set by their references, one call for all values of one type.
 
 use super::component::RawInstance;
 use super::fault::{Fault, Outcome};
@@ -17,7 +17,7 @@ impl RawInstance {
         run!(self, |library, c| library.values.set_real(c, references, values))
     }
 
-    /// Values of any kind of number but `Real`, in words of 64 bits.
+    /// Reads values of any numeric type except `Real`, as 64-bit words.
     pub(crate) fn get_packed(
         &mut self,
         kind: VariableKind,
@@ -28,7 +28,7 @@ impl RawInstance {
         run!(self, |library, c| library.values.get_packed(c, kind, references, words))
     }
 
-    /// Values of any kind of number but `Real`, in words of 64 bits.
+    /// Sets values of any numeric type except `Real`, from 64-bit words.
     pub(crate) fn set_packed(&mut self, kind: VariableKind, references: &[u32], words: &[i64]) -> Outcome {
         self.lengths(references.len(), words.len())?;
         let mut copy = std::mem::take(&mut self.buffers.words);
@@ -39,7 +39,7 @@ impl RawInstance {
         outcome
     }
 
-    /// Values of type `Float32`, from numbers that need not be of that precision.
+    /// Sets values of type `Float32`. The numbers are rounded to single precision.
     pub(crate) fn set_singles(&mut self, references: &[u32], values: &[f64]) -> Outcome {
         self.lengths(references.len(), values.len())?;
         let mut words = std::mem::take(&mut self.buffers.words);
@@ -51,7 +51,7 @@ impl RawInstance {
         outcome
     }
 
-    /// Reads texts and hands each, `count` in all, to `take` in turn; what is not UTF-8 is replaced.
+    /// Reads `count` strings and passes each to `take`. Invalid UTF-8 is replaced.
     pub(crate) fn get_string(
         &mut self,
         references: &[u32],
@@ -69,8 +69,9 @@ impl RawInstance {
                     take("");
                     continue;
                 }
-                // SAFETY: strings an FMU returns end in NUL and stay valid until the next call on it (FMI 2.0.x,
-                // section 2.1.7; the same in 1.0 and 3.0), and there is none while this instance is borrowed.
+                // SAFETY: strings returned by an FMU are NUL-terminated and stay valid until its next call
+                // (FMI 2.0.x, section 2.1.7; also 1.0 and 3.0). There is no call while this instance is
+                // borrowed.
                 take(&unsafe { CStr::from_ptr(*pointer) }.to_string_lossy());
             }
         }
@@ -88,8 +89,9 @@ impl RawInstance {
         outcome
     }
 
-    /// Reads binary values and hands each, `count` in all, to `take` in turn, which may copy it. `most` says
-    /// how many bytes each may have; more, or more than there is memory for, are an error before any is read.
+    /// Reads `count` binary values and passes each to `take`, which may copy it. `most` returns the maximum
+    /// size of each value in bytes. A value that is larger, or larger than the available memory, is an error
+    /// before any value is read.
     pub(crate) fn get_binary(
         &mut self,
         references: &[u32],
@@ -118,8 +120,9 @@ impl RawInstance {
                 take(&[]);
                 continue;
             }
-            // SAFETY: the FMU says how many bytes there are, no more than a slice may have; they stay valid until the next call
-            // on it (FMI 3.0, section 2.2.6.2), and there is none while this instance is borrowed.
+            // SAFETY: the FMU reports the number of bytes, which is at most the maximum length of a slice.
+            // The bytes stay valid until the next call of the FMU (FMI 3.0, section 2.2.6.2), and there is no
+            // call while this instance is borrowed.
             take(unsafe { std::slice::from_raw_parts(*pointer, *size) });
         }
         (self.buffers.sizes, self.buffers.binaries) = (sizes, pointers);
