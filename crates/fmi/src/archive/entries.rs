@@ -1,5 +1,5 @@
-//! The list of entries of an archive, as the crate `zip` reads it, with the checks that it leaves to its
-//! users: names, kinds and sizes, records that are not counted, and that no byte serves two entries.
+//! The list of entries of an archive, as read by the crate `zip`. This module adds the checks that the crate
+//! omits: names, kinds, sizes, uncounted records, and bytes shared by two entries.
 
 use super::limits::{ArchiveLimits, check_limit};
 use super::names::{self, MODEL_DESCRIPTION, Names};
@@ -14,20 +14,20 @@ use zip::result::{ZipError, ZipResult};
 use zip::unstable::read::ZipIterable;
 use zip::{CompressionMethod, HasZipMetadata};
 
-/// Bits of the flags.
+/// Flag bits of encrypted entries.
 const ENCRYPTED: u16 = 1 | 1 << 6 | 1 << 13;
 
-/// Bytes of a central header without its variable parts.
+/// Size in bytes of a central header without its variable parts.
 const HEADER_BYTES: usize = 46;
 
 /// One entry.
 #[derive(Debug)]
 pub(super) struct Record {
-    /// Name as it is to be understood, without the slash at the end of folders. Empty for the folder of the
-    /// archive itself (`./`).
+    /// Normalized name, without the slash at the end of folders. Empty for the root folder of the archive
+    /// (`./`).
     pub(super) name: String,
     pub(super) is_folder: bool,
-    /// Index of an earlier entry with this name, size and checksum: the content has to be the same.
+    /// Index of an earlier entry with this name, size and checksum. The contents must be identical.
     pub(super) repeats: Option<usize>,
     pub(super) entry: OwnedZipFileEntry,
 }
@@ -38,26 +38,26 @@ impl Record {
         Ok(Self { name, is_folder: false, repeats: None, entry: entry.into() })
     }
 
-    /// Name, size, compressed size and checksum.
+    /// Returns the name, size, compressed size and checksum.
     pub(super) fn content(&self) -> (&str, u64, u64, u32) {
         (&self.name, self.entry.size(), self.entry.compressed_size(), self.entry.crc32())
     }
 }
 
-/// Bytes of the archive that belong to one entry: its local header and its data.
+/// Byte range of one entry in the archive: its local header and its data.
 struct ByteRange {
     start: u64,
     end: u64,
     position: usize,
 }
 
-/// An archive whose entries are read one after the other. Other than [`zip::ZipArchive`], it shows all
-/// entries of one name, and their number before they are read.
+/// Opens an archive for sequential reading. Unlike [`zip::ZipArchive`], the result contains all entries with
+/// the same name, and their number before they are read.
 fn open(file: &File) -> ZipResult<ZipIterable<Positioned<'_>>> {
     ZipIterable::try_new(Positioned::new(file), Config { archive_offset: ArchiveOffset::Known(0) })
 }
 
-/// Lists the entries of an archive. Nothing is inflated and nothing written.
+/// Lists the entries of an archive. Nothing is decompressed or written.
 pub(super) fn list(
     path: &Path,
     file: &File,
@@ -97,7 +97,7 @@ pub(super) fn list(
     Ok(records)
 }
 
-/// True if a record follows the one at `last`: tools that do not count would see it.
+/// True if a record follows the one at `last`. Tools that ignore the count would read it.
 fn has_record_after(file: &File, last: u64) -> io::Result<bool> {
     let mut archive = Positioned::new(file);
     archive.seek(SeekFrom::Start(last))?;
@@ -110,7 +110,8 @@ fn has_record_after(file: &File, last: u64) -> io::Result<bool> {
     Ok(next == b"PK\x01\x02")
 }
 
-/// Reads all local headers: they agree with the directory, and no byte serves two entries.
+/// Reads all local headers, and checks that they agree with the directory and that no two entries share
+/// bytes.
 fn check_local_headers(path: &Path, file: &File, records: &[Record], cancel: &CancelRequest) -> Result<()> {
     let unreadable = |error| unreadable_at(path, file, error);
     let mut archive = open(file).map_err(unreadable)?.enforce_header_consistency(true);
@@ -131,7 +132,7 @@ fn check_local_headers(path: &Path, file: &File, records: &[Record], cancel: &Ca
     }
 }
 
-/// True if the directory of an archive lists these contents at these places.
+/// True if the directory of an archive lists these contents at these positions.
 pub(super) fn are_those_of(records: &[Record], file: &File) -> bool {
     fn place(entry: &impl HasZipMetadata) -> (u32, u64, u64, u64) {
         let entry = entry.get_metadata();
@@ -165,12 +166,12 @@ fn unreadable_at(path: &Path, file: &File, error: ZipError) -> FmiError {
     }
 }
 
-/// The error for a problem with one entry.
+/// Returns the error for a problem with one entry.
 pub(super) fn refused(path: &Path, entry: &str, problem: EntryProblem) -> FmiError {
     FmiError::BadEntry { path: path.to_owned(), entry: entry.to_owned(), problem }
 }
 
-/// Kind of an entry: whether it is a folder, and which earlier one it repeats.
+/// Kind of an entry: true for a folder, and the index of the earlier entry that it repeats.
 type Kind = (bool, Option<usize>);
 
 fn check_record<'a>(
@@ -179,7 +180,7 @@ fn check_record<'a>(
     records: &[Record],
     limits: &ArchiveLimits,
 ) -> Result<Kind, EntryProblem> {
-    // The folder of the archive itself, which some tools list.
+    // The root folder of the archive, which some tools list.
     let is_root = record.name.is_empty() && !record.entry.name_raw().is_empty();
     if !is_root {
         names::check(&record.name)?;
@@ -199,7 +200,7 @@ fn check_record<'a>(
     }
 }
 
-/// Index of an earlier entry that seems to be the same file.
+/// Returns the index of an earlier entry that appears to be the same file.
 fn repeated(record: &Record, names: &Names<'_>, records: &[Record]) -> Option<usize> {
     let content = |record: &Record| (record.entry.size(), record.entry.crc32());
     names
@@ -207,8 +208,8 @@ fn repeated(record: &Record, names: &Names<'_>, records: &[Record]) -> Option<us
         .filter(|&first| records[first].name == record.name && content(&records[first]) == content(record))
 }
 
-/// Tells folders from files and refuses everything else. The file type of Unix is looked at whatever system
-/// the entry claims to come from, because programs that unpack do the same.
+/// Distinguishes folders from files, and rejects everything else. The Unix file type is checked regardless of
+/// the system declared in the entry, because other programs do this, too.
 fn is_folder(record: &Record) -> Result<bool, EntryProblem> {
     match (record.entry.external_attributes() >> 16) & 0o170_000 {
         0o040_000 => Ok(true),
@@ -221,7 +222,7 @@ fn is_folder(record: &Record) -> Result<bool, EntryProblem> {
     }
 }
 
-/// Checks the storage of the data: not encrypted, by a known method, with plausible sizes.
+/// Checks that the data are not encrypted, use a supported method, and have plausible sizes.
 fn check_storage(record: &Record, is_folder: bool, limits: &ArchiveLimits) -> Result<(), EntryProblem> {
     let (compressed, size) = (record.entry.compressed_size(), record.entry.size());
     if record.entry.flags().as_u16() & ENCRYPTED != 0 {
@@ -250,10 +251,11 @@ fn check_storage(record: &Record, is_folder: bool, limits: &ArchiveLimits) -> Re
 /// The description of a system of models (SSP standard 1.0, section 4.3).
 const SYSTEM_STRUCTURE: &str = "SystemStructure.ssd";
 
-/// So many FMUs and parameter sets of such an archive are named.
+/// Maximum number of FMUs, and of parameter sets, in the message about such an archive.
 const MOST_NAMED: usize = 8;
 
-/// The model description is a file at the root; if it is one folder down, the message says so.
+/// Checks that the model description is a file at the root. If it is in a subfolder, the message reports
+/// that.
 fn check_root(path: &Path, listed: &[Record]) -> Result<()> {
     if listed.iter().any(|entry| entry.name == MODEL_DESCRIPTION && !entry.is_folder) {
         return Ok(());
@@ -291,7 +293,7 @@ fn check_root(path: &Path, listed: &[Record]) -> Result<()> {
     Err(FmiError::NoModelDescription { path: path.to_owned(), hint })
 }
 
-/// Expects the ranges in the order of their starts. Entries without data may not share headers either.
+/// Finds overlapping ranges in a list sorted by start. Entries without data may not share headers either.
 fn find_overlap<'a>(ranges: &[ByteRange], records: &'a [Record]) -> Option<(&'a Record, EntryProblem)> {
     let record = |range: &ByteRange| &records[range.position];
     for pair in ranges.windows(2) {

@@ -8,23 +8,23 @@ use std::fs;
 use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-/// A hash in the making.
+/// A hash that is being computed.
 #[derive(Default)]
 pub(super) struct Hashing(Sha256);
 
 impl Hashing {
-    /// Takes everything in that is left of a stream.
+    /// Adds the rest of a stream.
     pub(super) fn feed(&mut self, source: &mut impl Read) -> io::Result<()> {
         io::copy(&mut BufReader::with_capacity(1 << 16, source), self).map(drop)
     }
 
-    /// A text after its length.
+    /// Adds a string after its length.
     fn text(&mut self, text: &str) {
         self.0.update((text.len() as u64).to_le_bytes());
         self.0.update(text.as_bytes());
     }
 
-    /// The hash in hexadecimal digits.
+    /// Returns the hash in hexadecimal digits.
     pub(super) fn finish(self) -> String {
         self.0.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
     }
@@ -41,8 +41,8 @@ impl io::Write for Hashing {
     }
 }
 
-/// Hash of all files below a folder: for each, in the order of the paths, path and content, each after its
-/// length.
+/// Returns the hash of all files below a folder. Files are sorted by path. The path and the content of each
+/// file are added, each after its length.
 pub(super) fn of_folder(root: &Path, limits: &ArchiveLimits) -> Result<String> {
     let mut hashing = Hashing::default();
     for (name, path) in files_below(root, limits.entries)? {
@@ -55,7 +55,7 @@ pub(super) fn of_folder(root: &Path, limits: &ArchiveLimits) -> Result<String> {
     Ok(hashing.finish())
 }
 
-/// Hash of a few texts, each after its length.
+/// Returns the hash of several strings, each added after its length.
 pub(crate) fn of_texts(texts: impl IntoIterator<Item: AsRef<str>>) -> String {
     let mut hashing = Hashing::default();
     for text in texts {
@@ -64,9 +64,9 @@ pub(crate) fn of_texts(texts: impl IntoIterator<Item: AsRef<str>>) -> String {
     hashing.finish()
 }
 
-/// Files below a folder as (path with slashes relative to it, path), sorted by the former. Links to files
-/// count as files; links to folders are refused: what is behind them can change unseen, and may lead round in
-/// a circle.
+/// Returns the files below a folder as (relative path with slashes, path), sorted by relative path. Links to
+/// files count as files. Links to folders are rejected, because their targets may change unnoticed, and links
+/// may form a cycle.
 pub(crate) fn files_below(root: &Path, limit: u64) -> Result<Vec<(String, PathBuf)>> {
     let mut files = Vec::new();
     let mut folders = vec![(String::new(), root.to_owned())];

@@ -4,22 +4,22 @@ use crate::error::{FmiError, Result};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// Limits on the contents of an archive. The defaults are far above any real FMU, and stop archives made to
-/// fill a disk.
+/// Limits on the contents of an archive. The defaults are far above the size of any real FMU, and reject
+/// archives made to fill a disk.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ArchiveLimits {
-    /// Files and folders (default 100 000).
+    /// Maximum number of files and folders (default 100 000).
     pub entries: u64,
-    /// Folders, those included that have no entry of their own (default 10 000).
+    /// Maximum number of folders, including folders without a separate entry (default 10 000).
     pub folders: u64,
-    /// Unpacked bytes of one file (default 2 GiB).
+    /// Maximum unpacked size of one file in bytes (default 2 GiB).
     pub file_bytes: u64,
-    /// Unpacked bytes of all files (default 4 GiB).
+    /// Maximum unpacked size of all files in bytes (default 4 GiB).
     pub total_bytes: u64,
-    /// Unpacked bytes per packed byte, for one file and for all (default 200). Text tables pack well:
-    /// what unpacks to less than [`ratio_free_bytes`](Self::ratio_free_bytes) is not asked.
+    /// Maximum ratio of unpacked to packed size, for each file and for all files (default 200). The ratio is
+    /// not checked up to [`ratio_free_bytes`](Self::ratio_free_bytes), because text tables compress well.
     pub ratio: u64,
-    /// Unpacked bytes up to which the ratio does not matter (default 256 MiB).
+    /// Unpacked size in bytes up to which the ratio is not checked (default 256 MiB).
     pub ratio_free_bytes: u64,
 }
 
@@ -37,7 +37,7 @@ impl Default for ArchiveLimits {
 }
 
 impl ArchiveLimits {
-    /// Refuses entries of these compressed and unpacked sizes, if they are too large together.
+    /// Rejects entries with these compressed and unpacked sizes if their totals are too large.
     pub(super) fn check_totals(&self, path: &Path, sizes: impl Iterator<Item = (u64, u64)>) -> Result<()> {
         let add = |sum: (u64, u64), entry: (u64, u64)| {
             (sum.0.saturating_add(entry.0), sum.1.saturating_add(entry.1))

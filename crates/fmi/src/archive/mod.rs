@@ -1,6 +1,6 @@
-//! The files of an FMU: a `.fmu` archive, unpacked part by part into a private folder that goes when the
-//! value goes, or an unpacked folder as it is. Archives whose entries are not what FMUs hold are refused
-//! before anything is written.
+//! The files of an FMU. A `.fmu` archive is unpacked part by part into a private folder that is removed with
+//! the value. An unpacked folder is used in place. Archives with entries that are not allowed in FMUs are
+//! rejected before anything is written.
 
 mod entries;
 mod hash;
@@ -26,7 +26,7 @@ use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-/// Checks that the names could be those of the files of one archive; else returns the first that could not,
+/// Checks that the names can be the names of files in one archive. Otherwise, returns the first invalid name
 /// and the reason.
 pub(crate) fn check_names<'a>(
     names: impl IntoIterator<Item = &'a str>,
@@ -40,16 +40,16 @@ pub(crate) fn check_names<'a>(
     Ok(())
 }
 
-/// True if a relative path with slashes stays inside of the folder it starts in.
+/// True if a relative path with slashes stays inside its base folder.
 pub(crate) fn is_inside(path: &str) -> bool {
     names::check(path).is_ok()
 }
 
 /// An opened FMU: a `.fmu` file or a folder with `modelDescription.xml` at its root.
 ///
-/// Of a file, the directory is read and checked when it is opened: the headers of all entries agree with it,
-/// and no byte serves two of them. Contents are unpacked, and checked against their sizes and checksums, when
-/// they are needed.
+/// When a file is opened, its directory is read and checked: the headers of all entries must agree with it,
+/// and no two entries may share bytes. Contents are unpacked on demand, and then checked against their sizes
+/// and checksums.
 #[derive(Debug)]
 pub struct Archive {
     content: Content,
@@ -63,19 +63,19 @@ enum Content {
     Absent(Absent),
 }
 
-/// A file or folder that is not there (any more), of which the description was kept.
+/// A file or folder that is not available (any more), with its stored description.
 #[derive(Debug)]
 struct Absent {
     path: PathBuf,
     description: Vec<u8>,
-    /// Why it is not at hand.
+    /// Reason why the file is unavailable.
     reason: String,
 }
 
 /// An unpacked folder.
 #[derive(Debug)]
 struct Folder {
-    /// An absolute path.
+    /// Absolute path.
     root: PathBuf,
     /// Limits on the number and size of the files.
     limits: ArchiveLimits,
@@ -95,9 +95,10 @@ impl Archive {
     /// Opens a `.fmu` file or an unpacked folder.
     ///
     /// # Errors
-    /// [`FmiError::Io`] for what the system refuses; [`FmiError::BadArchive`], [`FmiError::BadEntry`]
-    /// and [`FmiError::ArchiveLimit`] for archives that are damaged, contradict themselves or are too large;
-    /// [`FmiError::NoModelDescription`] for other archives and folders; [`FmiError::Cancelled`].
+    /// [`FmiError::Io`] for errors of the operating system; [`FmiError::BadArchive`], [`FmiError::BadEntry`]
+    /// and [`FmiError::ArchiveLimit`] for archives that are damaged, inconsistent or too large;
+    /// [`FmiError::NoModelDescription`] for archives and folders without a model description;
+    /// [`FmiError::Cancelled`].
     pub fn open_with(
         path: impl AsRef<Path>,
         limits: &ArchiveLimits,
@@ -119,14 +120,14 @@ impl Archive {
         Ok(Archive { content, content_hash: OnceLock::new() })
     }
 
-    /// An archive of which only the description is available: it was at `path` with this content, and no
-    /// other file of it can be read.
+    /// Creates an archive of which only the description is available. The archive had this content when it
+    /// was at `path`. No other file of it can be read.
     pub(crate) fn absent(path: &Path, description: Vec<u8>, content_hash: String, reason: String) -> Archive {
         let content = Content::Absent(Absent { path: path.to_owned(), description, reason });
         Archive { content, content_hash: content_hash.into() }
     }
 
-    /// Why there is nothing but the description.
+    /// True if only the description is available.
     pub(crate) fn is_absent(&self) -> bool {
         matches!(self.content, Content::Absent(_))
     }
@@ -137,24 +138,25 @@ impl Archive {
         FmiError::Absent { path: path.clone(), content_hash, reason: reason.clone() }
     }
 
-    /// Unpacks all of it into a private folder, which goes with this value; returns the folder that holds
-    /// `modelDescription.xml`, an absolute path. An unpacked folder is returned as it is.
+    /// Unpacks the whole archive into a private folder, which is removed with this value. Returns the
+    /// absolute path of the folder that contains `modelDescription.xml`. An unpacked folder is returned
+    /// unchanged.
     ///
     /// # Errors
-    /// [`FmiError::BadEntry`] for contents that are not what the directory of the archive says,
-    /// [`FmiError::Io`]; [`FmiError::BadArchive`] if the file was written over since it was opened. Nothing
-    /// is left behind.
+    /// [`FmiError::BadEntry`] for contents that differ from the directory of the archive; [`FmiError::Io`];
+    /// [`FmiError::BadArchive`] if the file has been modified since it was opened. No files remain after an
+    /// error.
     pub fn unpack(&self) -> Result<PathBuf> {
         self.unpack_part(Part::All, &CancelRequest::default())
     }
 
-    /// True if this process and copies of it can share what is unpacked: it is packed, and there are no
-    /// resources, which simulations may change.
+    /// True if this process and copies of it can share the unpacked files. This requires an archive without
+    /// resources, because simulations may change resources.
     pub(crate) fn serves_copies(&self) -> bool {
         matches!(&self.content, Content::Packed(packed) if !packed.has_resources())
     }
 
-    /// Unpacks a part of it; what is there already stays, and what somebody has removed is unpacked again.
+    /// Unpacks a part of the archive. Existing files are kept, and removed files are unpacked again.
     pub(crate) fn unpack_part(&self, part: Part, cancel: &CancelRequest) -> Result<PathBuf> {
         match &self.content {
             Content::Packed(packed) => packed.unpack(part, cancel),
@@ -166,7 +168,7 @@ impl Archive {
         }
     }
 
-    /// The bytes of `modelDescription.xml`.
+    /// Returns the bytes of `modelDescription.xml`.
     pub(crate) fn description(&self, limit: u64, cancel: &CancelRequest) -> Result<Vec<u8>> {
         let path = || match &self.content {
             Content::Packed(packed) => packed.path(),
@@ -177,8 +179,8 @@ impl Archive {
         bytes.ok_or_else(|| FmiError::NoModelDescription { path: path().to_owned(), hint: None })
     }
 
-    /// The bytes of a file, no more than `limit` (of an unpacked folder: one more); `None` if there is none
-    /// of this name.
+    /// Returns the bytes of a file, at most `limit` (one more for an unpacked folder); `None` if there is no
+    /// file with this name.
     pub(crate) fn read(&self, name: &str, limit: u64, cancel: &CancelRequest) -> Result<Option<Vec<u8>>> {
         match &self.content {
             Content::Packed(packed) => packed.read(name, limit, cancel),
@@ -198,11 +200,12 @@ impl Archive {
         }
     }
 
-    /// SHA-256 of the archive file, or of all names and contents of a folder, in hexadecimal digits; computed
-    /// when it is first asked for.
+    /// Returns the SHA-256 of the archive file, or of all names and contents of a folder, in hexadecimal
+    /// digits. The first call computes it.
     ///
     /// # Errors
-    /// The files cannot be read any more, or the archive was written over since it was opened.
+    /// Returns an error if the files can no longer be read, or if the archive has been modified since it was
+    /// opened.
     pub fn content_hash(&self) -> Result<&str> {
         if let Some(known) = self.content_hash.get() {
             return Ok(known);
@@ -215,8 +218,8 @@ impl Archive {
         Ok(self.content_hash.get_or_init(|| hash))
     }
 
-    /// A hash of the directory of an archive (names, sizes and checksums); a folder, which can be edited, has
-    /// none.
+    /// Returns a hash of the directory of an archive (names, sizes and checksums). Returns `None` for a
+    /// folder, because it can be edited.
     pub(crate) fn fingerprint(&self) -> Option<String> {
         match &self.content {
             Content::Packed(packed) => Some(packed.fingerprint()),
@@ -224,7 +227,7 @@ impl Archive {
         }
     }
 
-    /// Names of files that the archive holds more than once, with the same content each time.
+    /// Returns the names of files that the archive contains more than once, with identical contents.
     pub fn repeated(&self) -> Vec<&str> {
         match &self.content {
             Content::Packed(packed) => packed.repeated().collect(),
@@ -232,7 +235,7 @@ impl Archive {
         }
     }
 
-    /// The hash of the content as it is at present: a folder that is not private may have been edited.
+    /// Returns the hash of the current content. A folder that is not private may have been edited.
     pub(crate) fn present_hash(&self) -> Result<String> {
         match &self.content {
             Content::Packed(_) | Content::Absent(_) => self.content_hash().map(str::to_owned),
@@ -240,8 +243,8 @@ impl Archive {
         }
     }
 
-    /// A library in a folder that is not any more what it was when the folder was opened: its description may
-    /// be that of another version.
+    /// Returns a library in a folder that has changed since the folder was opened. The description may then
+    /// belong to another version of the library.
     pub(crate) fn changed_library(&self) -> Option<&Path> {
         let Content::Folder(folder) = &self.content else { return None };
         let is_changed = |(path, then): &&(PathBuf, FileIdentity)| {
@@ -250,7 +253,7 @@ impl Archive {
         folder.libraries.iter().find(is_changed).map(|(path, _)| &**path)
     }
 
-    /// The files of a folder by their names in an archive; `None` for a file, which is one archive.
+    /// Returns the files of a folder by their names in an archive; `None` for an archive.
     pub(crate) fn loose_files(&self) -> Result<Option<Vec<(String, PathBuf)>>> {
         match &self.content {
             Content::Folder(Folder { root, limits, .. }) => files_below(root, limits.entries).map(Some),
@@ -259,14 +262,14 @@ impl Archive {
         }
     }
 
-    /// True for a file, which is unpacked into a private folder that is removed with this value.
+    /// True for an archive, which is unpacked into a private folder that is removed with this value.
     pub fn is_private(&self) -> bool {
         matches!(self.content, Content::Packed(_))
     }
 }
 
 impl Folder {
-    /// A folder whose files are fit to be those of an FMU.
+    /// Opens a folder, and checks that its files can be those of an FMU.
     fn open(path: &Path, limits: &ArchiveLimits) -> Result<Self> {
         let root = std::path::absolute(path).map_err(FmiError::io("find", path))?;
         if !root.join(MODEL_DESCRIPTION).is_file() {

@@ -1,4 +1,4 @@
-//! Names of archive entries: which are safe to unpack on every system, and which collide.
+//! Names of archive entries: checks for names that are safe to unpack on every system, and for collisions.
 
 use crate::error::EntryProblem;
 use crate::macros::getters;
@@ -6,18 +6,17 @@ use std::borrow::Cow;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 
-/// Name of the file every FMU has at its root.
+/// Name of the description, which every FMU has at its root.
 pub(crate) const MODEL_DESCRIPTION: &str = "modelDescription.xml";
 
-/// Bytes of a whole name, and of one component (what file systems take).
+/// Maximum length in bytes of a whole name, and of one component (limit of file systems).
 const LONGEST_NAME: usize = 1024;
 const LONGEST_COMPONENT: usize = 255;
-/// Components of a name. Bounds the work per entry.
+/// Maximum number of components. Limits the work per entry.
 const DEEPEST: usize = 64;
 
-/// The name as Info-ZIP understands it: backslashes, which some tools of Windows write, are slashes;
-/// components that are empty or `.` lead nowhere and are left out. What leads out of the archive stays as it
-/// is.
+/// Normalizes a name as Info-ZIP does. Backslashes, which some Windows tools write, become slashes. Empty
+/// components and `.` are removed. Components that lead out of the archive are kept.
 pub(super) fn normalized(name: &str) -> String {
     let slashes = name.replace('\\', "/");
     let kept = |component: &&str| !matches!(*component, "" | ".");
@@ -32,8 +31,8 @@ pub(super) fn normalized(name: &str) -> String {
     path
 }
 
-/// Refuses names that lead elsewhere than into the folder unpacked to, here or on another system.
-/// A single slash at the end marks a folder and is not part of the name.
+/// Rejects names that lead outside the target folder, on this or another system. A single slash at the end
+/// marks a folder and is not part of the name.
 pub(super) fn check(name: &str) -> Result<(), EntryProblem> {
     if name.len() > LONGEST_NAME {
         return Err(EntryProblem::NameTooLong { found: name.len(), limit: LONGEST_NAME });
@@ -70,20 +69,20 @@ fn has_drive(name: &str) -> bool {
     matches!(name.as_bytes(), [letter, b':', ..] if letter.is_ascii_alphabetic())
 }
 
-/// Names seen so far, as a file system that ignores case would see them.
+/// Names added so far, compared as on a case-insensitive file system.
 #[derive(Default)]
 pub(super) struct Names<'a> {
     seen: HashMap<Cow<'a, str>, Seen<'a>>,
-    /// Names added.
+    /// Number of names added.
     added: usize,
     folders: u64,
-    /// Folder that the last name lies in: names of one folder follow each other.
+    /// Folder of the last name, because names in one folder usually follow each other.
     last_folder: &'a str,
 }
 
 struct Seen<'a> {
     name: &'a str,
-    /// Index of the name it was part of.
+    /// Index of the name that first contained it.
     position: usize,
     kind: Kind,
 }
@@ -91,24 +90,25 @@ struct Seen<'a> {
 #[derive(Clone, Copy, PartialEq)]
 enum Kind {
     File,
-    /// With an entry of its own, or only as part of other names.
+    /// A folder with a separate entry, or one that occurs only as part of other names.
     Folder,
 }
 
 impl<'a> Names<'a> {
     getters! {
-        /// Number of files and folders, including those that have no entry of their own.
+        /// Returns the number of files and folders, including folders without a separate entry.
         pub(super) count(self) -> u64 = self.seen.len() as u64;
-        /// Number of folders among them.
+        /// Returns the number of folders.
         pub(super) n_folders(self) -> u64 = self.folders;
     }
 
-    /// With room for so many.
+    /// Creates a set with capacity for `n` names.
     pub(super) fn with_capacity(n: usize) -> Self {
         Self { seen: HashMap::with_capacity(n), ..Self::default() }
     }
 
-    /// Adds a checked name, or says with what it collides. Folders may be listed more than once.
+    /// Adds a checked name. Returns an error if it collides with another one. Folders may be listed more than
+    /// once.
     pub(super) fn add(&mut self, name: &'a str, is_folder: bool) -> Result<(), EntryProblem> {
         let path = name.strip_suffix('/').unwrap_or(name);
         self.added += 1;
@@ -120,7 +120,8 @@ impl<'a> Names<'a> {
         self.add_one(path, if is_folder { Kind::Folder } else { Kind::File })
     }
 
-    /// Adds the folders that a path lies in, below the first one that is known: so are those it lies in.
+    /// Adds the parent folders of a path, below the deepest known one. The parents of a known folder are also
+    /// known.
     fn add_folders(&mut self, path: &'a str) -> Result<(), EntryProblem> {
         let mut above = path.rmatch_indices('/').map(|(end, _)| end);
         let known = above.find(|&end| self.is_folder(&path[..end])).map_or(0, |end| end + 1);
@@ -130,12 +131,13 @@ impl<'a> Names<'a> {
         Ok(())
     }
 
-    /// True if a folder of exactly this name was added.
+    /// True if a folder with exactly this name was added.
     fn is_folder(&self, name: &str) -> bool {
         self.seen.get(&*fold(name)).is_some_and(|seen| seen.name == name && seen.kind == Kind::Folder)
     }
 
-    /// Index, counted from 0, of the first name added that is this one (or has it as a part).
+    /// Returns the index, counted from 0, of the first added name that equals this one (or contains it as a
+    /// leading part).
     pub(super) fn position(&self, name: &str) -> Option<usize> {
         self.seen.get(&*fold(name)).map(|seen| seen.position)
     }
@@ -162,8 +164,8 @@ impl<'a> Names<'a> {
     }
 }
 
-/// Form of a name that file systems that ignore case compare, nearly: upper case, then lower case, so that
-/// letters with two lower-case forms become equal.
+/// Returns approximately the form in which case-insensitive file systems compare names: upper case, then
+/// lower case, so that letters with two lower-case forms become equal.
 fn fold(name: &str) -> Cow<'_, str> {
     if !name.is_ascii() {
         Cow::Owned(name.to_uppercase().to_lowercase())

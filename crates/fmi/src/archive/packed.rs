@@ -1,5 +1,5 @@
-//! A `.fmu` file: listed and checked when it is opened, unpacked into a private folder part by part when a
-//! part is needed, and again where somebody has removed it.
+//! A `.fmu` file. It is listed and checked when it is opened. Each part is unpacked into a private folder on
+//! demand, and again if it has been removed.
 
 use super::entries::{self, Record, refused};
 use super::hash::{self, Hashing};
@@ -16,20 +16,20 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-/// Folders at the root that no running FMU needs.
+/// Folders at the root that are not needed to run an FMU.
 const NOT_FOR_RUNNING: &[&str] = &["documentation", "sources", "terminalsAndIcons"];
 
-/// Parts of an archive, each unpacked as one.
+/// Parts of an archive that are unpacked together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Part {
-    /// Files that the library may look for when it runs: everything but documentation, sources and the
+    /// Files that the library may access at run time: all files except documentation, sources and the
     /// binaries of other platforms.
     Running,
     /// `sources/`.
     Sources,
-    /// The binaries of all platforms.
+    /// Binaries of all platforms.
     Binaries,
-    /// All of it.
+    /// All files.
     All,
 }
 
@@ -55,7 +55,7 @@ impl Part {
 #[derive(Debug)]
 pub(super) struct Packed {
     path: PathBuf,
-    /// Stays open: a file that takes the name of this one does not take its place.
+    /// Kept open, so that another file that is moved to this path does not replace it.
     file: File,
     /// Identity of the file when it was listed.
     identity: FileIdentity,
@@ -63,13 +63,13 @@ pub(super) struct Packed {
     unpacked: Mutex<Unpacked>,
 }
 
-/// Entries that are on the disk at present.
+/// Entries that have been unpacked.
 #[derive(Debug, Default)]
 struct Unpacked {
     folder: Option<PrivateFolder>,
-    /// For each entry whether it was unpacked.
+    /// True for each entry that was unpacked.
     done: Vec<bool>,
-    /// The folders made, with what changes when a file in them is removed.
+    /// Folders that were created, with an identity that changes if a file in the folder is removed.
     folders: HashMap<PathBuf, Option<FileIdentity>>,
 }
 
@@ -89,7 +89,7 @@ impl Packed {
         Ok(Self { path: path.to_owned(), file, identity, entries, unpacked: Mutex::default() })
     }
 
-    /// Names of files that are there more than once.
+    /// Returns the names of files that occur more than once.
     pub(super) fn repeated(&self) -> impl Iterator<Item = &str> {
         self.entries.iter().filter(|entry| entry.repeats.is_some()).map(|entry| entry.name.as_str())
     }
@@ -98,7 +98,7 @@ impl Packed {
         self.entries.iter().any(|entry| entry.name.starts_with("resources/"))
     }
 
-    /// A hash of the directory.
+    /// Returns a hash of the directory.
     pub(super) fn fingerprint(&self) -> String {
         hash::of_texts(self.entries.iter().map(Record::content).map(
             |(name, size, compressed_size, crc32)| format!("{name}\0{size} {compressed_size} {crc32:x}"),
@@ -113,12 +113,13 @@ impl Packed {
         Ok(hashing.finish())
     }
 
-    /// The archive.
+    /// Returns the path of the archive.
     pub(super) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The bytes of a file, if it is not larger than `limit`; `None` if there is none of this name.
+    /// Returns the bytes of a file if it is not larger than `limit`; `None` if there is no file with this
+    /// name.
     pub(super) fn read(&self, name: &str, limit: u64, cancel: &CancelRequest) -> Result<Option<Vec<u8>>> {
         let is_meant = |entry: &&Record| entry.name == name && !entry.is_folder;
         let Some(entry) = self.entries.iter().find(is_meant) else { return Ok(None) };
@@ -130,7 +131,7 @@ impl Packed {
         self.source(cancel).read(entry).map(Some)
     }
 
-    /// The folder to which `part` of the archive has been unpacked, now or before.
+    /// Returns the folder with the files of `part`. Unpacks the files on the first call.
     pub(super) fn unpack(&self, part: Part, cancel: &CancelRequest) -> Result<PathBuf> {
         let mut unpacked = self.unpacked.lock().unwrap_or_else(PoisonError::into_inner);
         let is_first = unpacked.folder.is_none();
@@ -139,7 +140,7 @@ impl Packed {
         }
         let outcome = self.complete(&mut unpacked, part, cancel);
         if is_first && outcome.is_err() {
-            // Nothing stays of an archive whose contents are not what its directory says.
+            // Nothing is kept from an archive whose contents differ from its directory.
             *unpacked = Unpacked::default();
         }
         outcome
@@ -193,11 +194,11 @@ impl Packed {
         Source { path: &self.path, file: &self.file, cancel }
     }
 
-    /// Refuses a file that was written over: what is read from now on is another archive.
+    /// Rejects a file that has been modified, because it may now be a different archive.
     fn check_unchanged(&self) -> Result<()> {
         let now = self.file.metadata().map_err(FmiError::io("read", &self.path))?;
         let now = platform::file_identity(&now);
-        // The status changes with links and modes, too; and who writes may put the time of writing back.
+        // Links and modes also change the status, and a writer may restore the modification time.
         if now == self.identity
             || (now.same_content(&self.identity) && entries::are_those_of(&self.entries, &self.file))
         {
@@ -208,8 +209,9 @@ impl Packed {
 }
 
 impl Unpacked {
-    /// Looks whether files were removed, as programs that clean folders for temporary files do, and marks
-    /// those as not unpacked; makes the private folder again where it is gone. How many are missing.
+    /// Detects files that were removed, for example by programs that clean folders for temporary files. Marks
+    /// these files as not unpacked, and recreates the private folder if necessary. Returns the number of
+    /// missing files.
     fn look_after(&mut self, entries: &[Record]) -> Result<usize> {
         let Some(folder) = &mut self.folder else { return Ok(0) };
         if self.folders.iter().all(|(folder, known)| known.is_some() && *known == identity(folder)) {

@@ -1,14 +1,14 @@
-//! A file read from any place, without moving the position that all holders of the file share: other threads,
-//! and a forked child. Small pieces come from a window, which moves with them.
+//! A reader with its own position in a file. It does not move the position that all users of the file share,
+//! including other threads and forked children. Small reads use a buffer, which moves with the position.
 
 use crate::platform;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 
-/// Bytes of the window: a directory is read in pieces of some ten bytes.
+/// Size of the buffer in bytes. A directory is read in pieces of about ten bytes.
 const WINDOW: usize = 1 << 12;
 
-/// A place in a file.
+/// A position in a file.
 #[derive(Debug)]
 pub(super) struct Positioned<'a> {
     file: &'a File,
@@ -18,7 +18,7 @@ pub(super) struct Positioned<'a> {
 }
 
 impl<'a> Positioned<'a> {
-    /// At the beginning.
+    /// Creates a reader at the start of the file.
     pub(super) fn new(file: &'a File) -> Self {
         Self { file, position: 0, window: Vec::new(), window_start: 0 }
     }

@@ -1,9 +1,9 @@
-//! Private folders for unpacked archives: removed with their value, or by a later process if this one was
-//! killed.
+//! Private folders for unpacked archives. They are removed with their value, or by a later process if this
+//! process is killed.
 //!
-//! Layout: `fmufit-unpacked-XXXXXX/fmu/` is what is handed out; `fmufit-unpacked-XXXXXX/lock` says in words
-//! that the folder is ours, and is locked by the process that owns it. Nothing is swept that has not exactly
-//! this layout.
+//! The folder `fmufit-unpacked-XXXXXX/fmu/` is the one that callers receive. The file
+//! `fmufit-unpacked-XXXXXX/lock` contains text that marks the folder as ours, and is locked by the process
+//! that owns the folder. Folders with any other layout are never removed.
 
 use crate::error::{FmiError, Result};
 use crate::platform;
@@ -17,24 +17,26 @@ use tempfile::TempDir;
 const PREFIX: &str = platform::PRIVATE_PREFIX;
 const INSIDE: &str = "fmu";
 const LOCK: &str = "lock";
-/// A lock in the making.
+/// Temporary name of a lock file before it is complete.
 const NEW_LOCK: &str = "lock.new";
 /// Content of a lock file.
 const MARK: &[u8] = b"fmufit: an unpacked FMU; this folder goes with the process that locks this file\n";
 
-/// A folder of this process.
+/// A private folder of this process.
 #[derive(Debug)]
 pub(crate) struct PrivateFolder {
     folder: Option<TempDir>,
     inside: PathBuf,
-    /// Held until the folder goes; absent where the file system has no locks, then nobody sweeps.
+    /// Locked until the folder is removed. `None` if the file system has no locks; the folder is then never
+    /// swept.
     lock: Option<Arc<File>>,
-    /// The process that made it. A forked child has the value too, but not the right to remove the folder.
+    /// Process id of the creator. A forked child has a copy of the value, but must not remove the folder.
     owner: u32,
 }
 
 impl PrivateFolder {
-    /// Makes an empty folder. The first call in a process removes what killed processes left behind.
+    /// Creates an empty folder. The first call in a process removes folders that killed processes have left
+    /// behind.
     pub(crate) fn create() -> Result<Self> {
         static SWEPT: Once = Once::new();
         let base = platform::unpack_base();
@@ -57,15 +59,15 @@ impl PrivateFolder {
         &self.inside
     }
 
-    /// Makes the folder again at the same place where somebody has removed it, or parts of it.
+    /// Recreates the folder at its path if it, or parts of it, have been removed.
     pub(crate) fn restore(&mut self) -> Result<()> {
         let Some(folder) = &self.folder else { return Ok(()) };
         let outer = folder.path();
-        // In a place that is open to everybody, another folder may have taken the name: that is refused.
+        // In a folder open to all users, another folder may have been created with this name. It is rejected.
         platform::create_private_folder(outer).map_err(FmiError::io("create", outer))?;
         if !self.inside.is_dir() {
             fs::create_dir(&self.inside).map_err(FmiError::io("create", &self.inside))?;
-            // Whoever makes it anew removes it.
+            // The process that recreates the folder also removes it.
             self.owner = std::process::id();
         }
         let lock = outer.join(LOCK);
@@ -80,7 +82,7 @@ impl Drop for PrivateFolder {
     fn drop(&mut self) {
         let folder = self.folder.take();
         if let (Some(folder), Some(lock)) = (&folder, self.lock.take()) {
-            // Closed before the folder goes, if it is the last: some systems do not remove open files.
+            // Closed before the folder is removed, because some systems do not remove open files.
             locks().retain(|(_, path, _)| path.parent() != Some(folder.path()));
             drop(lock);
         }
@@ -90,17 +92,17 @@ impl Drop for PrivateFolder {
     }
 }
 
-/// Locks that are held, with the process that made them and one of their names. Those of a process are one
-/// file with many names where the file system has such: its folders take one file handle, however many there
-/// are.
+/// Locks in use, with the process that created them and one of their paths. If the file system has hard
+/// links, all locks of a process are a single file with many names. The folders of the process then require
+/// only one file handle.
 static LOCKS: Mutex<Vec<(u32, PathBuf, Arc<File>)>> = Mutex::new(Vec::new());
 
 fn locks() -> MutexGuard<'static, Vec<(u32, PathBuf, Arc<File>)>> {
     LOCKS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Gives a locked file this name, or creates one that is locked from the moment it has its name; nothing
-/// stays if it cannot be locked.
+/// Creates a hard link to a locked file at this path, or a file that is locked from the moment it has this
+/// name. No file remains if it cannot be locked.
 fn take_lock(path: &Path) -> Option<Arc<File>> {
     let mut locks = locks();
     let process = std::process::id();
@@ -126,12 +128,13 @@ fn new_lock(path: &Path) -> Option<File> {
     None
 }
 
-/// Age at which a folder without a lock was left behind by a process that was killed while making it.
+/// Age after which a folder without a lock counts as left behind by a process that was killed while creating
+/// it.
 const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 
-/// Removes the folders in `base` that have a lock of ours which nobody holds: their processes are gone.
-/// Folders of other users, those in the making, which have no lock yet and are young, and whatever has
-/// another layout are left alone.
+/// Removes the folders in `base` with a lock file of ours that is not locked, because their processes have
+/// ended. Folders of other users, recent folders that have no lock file so far, and folders with another
+/// layout are not changed.
 fn sweep(base: &Path) {
     let Ok(own) = platform::own_file() else { return };
     for entry in fs::read_dir(base).into_iter().flatten().flatten() {
@@ -148,7 +151,7 @@ fn sweep(base: &Path) {
     }
 }
 
-/// Removes a folder with the layout of ours whose lock nobody holds.
+/// Removes a folder with our layout whose lock file is not locked.
 fn remove_unlocked(folder: &Path) {
     let Ok(mut lock) = base::files::open_own(&folder.join(LOCK)) else { return };
     let mut content = Vec::new();
@@ -163,7 +166,7 @@ fn remove_unlocked(folder: &Path) {
     }
 }
 
-/// True if a folder holds nothing but the lock and the unpacked FMU.
+/// True if a folder contains only the lock file and the unpacked FMU.
 fn has_our_layout(folder: &Path) -> bool {
     let is_ours = |entry: io::Result<fs::DirEntry>| {
         entry.is_ok_and(|entry| match entry.file_type() {
@@ -175,8 +178,8 @@ fn has_our_layout(folder: &Path) -> bool {
     fs::read_dir(folder).is_ok_and(|mut entries| entries.all(is_ours))
 }
 
-/// Removes what was left behind by a process that was killed while making a folder: empty folders, and a lock
-/// without its name. On a file system without locks the folder in use is not empty.
+/// Removes what a process left behind that was killed while creating a folder: empty folders, and a lock file
+/// with its temporary name. On a file system without locks, a folder in use is not empty.
 fn remove_begun(folder: &Path) {
     let unnamed = folder.join(NEW_LOCK);
     let length =
@@ -187,12 +190,12 @@ fn remove_begun(folder: &Path) {
             let _ = fs::remove_file(&unnamed);
         }
     }
-    // Folders that are not empty stay: the system refuses.
+    // The system does not remove folders that are not empty.
     let _ = fs::remove_dir(folder.join(INSIDE));
     let _ = fs::remove_dir(folder);
 }
 
-/// True if a folder has not been modified for a long time.
+/// True if a folder was last modified a long time ago.
 fn is_old(folder: &Path) -> bool {
     let modified = folder.symlink_metadata().and_then(|found| found.modified());
     modified.ok().and_then(|time| time.elapsed().ok()).is_some_and(|age| age > ABANDONED)
@@ -221,7 +224,7 @@ mod tests {
         };
         let mut folders: Vec<_> = (0..20).map(|_| PrivateFolder::create_in(base.path()).unwrap()).collect();
         assert!(of_base() <= 1, "{}", of_base());
-        // The others are locked when the first has gone, for others as well.
+        // The other folders remain locked, also for other processes, after the first has been removed.
         folders.remove(0);
         for folder in &folders {
             let lock = folder.path().parent().unwrap().join(LOCK);
@@ -250,7 +253,7 @@ mod tests {
         let dead_path = dead.path().to_owned();
         let lock = dead_path.parent().unwrap().join(LOCK);
         drop(dead);
-        // Its process has let go of the lock.
+        // The process has released the lock.
         fs::remove_file(&lock).unwrap();
         fs::write(&lock, MARK).unwrap();
         let (unlocked, foreign) = (named(&base, "new"), base.path().join("other"));
@@ -275,7 +278,7 @@ mod tests {
         File::open(folder).unwrap().set_modified(long_ago).unwrap();
     }
 
-    /// A folder of a user that has such a name, old, with one thing in it that is not as ours.
+    /// Old folders of a user with such a name, each with one difference from our layout.
     #[test]
     fn what_a_user_has_stays() {
         type Fill = fn(&Path) -> io::Result<()>;

@@ -1,4 +1,4 @@
-//! Writing entries of a checked archive into a folder, or anywhere else, counting every byte.
+//! Writes entries of a checked archive to a folder or to another writer. Every byte is counted.
 
 use super::entries::{Record, refused};
 use super::hash::Hashing;
@@ -11,10 +11,10 @@ use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use zip::ZipReadOptions;
 
-/// Bytes inflated and written at a time.
+/// Number of bytes that are decompressed and written at a time.
 const BUFFER: usize = 1 << 16;
 
-/// Where entries are read from.
+/// Archive from which entries are read.
 #[derive(Clone, Copy)]
 pub(super) struct Source<'a> {
     pub(super) path: &'a Path,
@@ -23,8 +23,8 @@ pub(super) struct Source<'a> {
 }
 
 impl Source<'_> {
-    /// Unpacks an entry below `root`, and notes the folder that holds it. A file that cannot be unpacked
-    /// whole does not stay.
+    /// Unpacks an entry below `root`, and records its folder. A file that cannot be unpacked completely is
+    /// removed.
     pub(super) fn unpack<T: Default>(
         self,
         entry: &Record,
@@ -41,7 +41,8 @@ impl Source<'_> {
     }
 
     fn unpack_file(self, entry: &Record, target: &Path) -> Result<()> {
-        // Refuses to write where something is already: names may collide in ways only the file system knows.
+        // Never writes to an existing file, because names may collide in ways that only the file system
+        // knows.
         let mut out = File::create_new(target).map_err(FmiError::io("create", target))?;
         let written = match (entry.entry.external_attributes() >> 16) & 0o111 != 0 {
             true => {
@@ -50,12 +51,13 @@ impl Source<'_> {
             false => Ok(()),
         };
         written.and_then(|()| self.copy(entry, &mut out, target)).inspect_err(|_| {
-            // Nothing more can be done about half a file that does not go.
+            // An error is ignored, because nothing more can be done about an incomplete file that cannot be
+            // removed.
             let _ = fs::remove_file(target);
         })
     }
 
-    /// The contents of an entry, which its header says are not too long to be held in memory.
+    /// Returns the contents of an entry. Its header declares a size that fits into memory.
     pub(super) fn read(self, entry: &Record) -> Result<Vec<u8>> {
         let mut bytes = Vec::new();
         let size = usize::try_from(entry.entry.size()).unwrap_or(usize::MAX);
@@ -66,7 +68,7 @@ impl Source<'_> {
         Ok(bytes)
     }
 
-    /// Returns true if two entries have the same contents.
+    /// True if two entries have the same contents.
     pub(super) fn are_same(self, one: &Record, other: &Record) -> Result<bool> {
         let hash = |entry: &Record| {
             let mut hashing = Hashing::default();
@@ -76,7 +78,7 @@ impl Source<'_> {
         Ok(hash(one)? == hash(other)?)
     }
 
-    /// Copies the contents of an entry to `out`, which is or stands for the file `target`; stops as soon as
+    /// Copies the contents of an entry to `out`. `target` is the path for error messages. Stops as soon as
     /// there are more bytes than declared. The checksum is compared at the end.
     fn copy(self, entry: &Record, out: &mut dyn Write, target: &Path) -> Result<()> {
         let mut file = Positioned::new(self.file);

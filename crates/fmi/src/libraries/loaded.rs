@@ -1,4 +1,4 @@
-//! A loaded copy of a library: one file with static variables of its own, for both ways of running the model.
+//! A loaded copy of a library: one file with separate static variables, for both interfaces.
 
 use super::original::OriginalLibrary;
 use super::private_copy;
@@ -10,20 +10,20 @@ use std::any::Any;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Owner that keeps the folder of a copy on the disk.
+/// Owner that keeps the folder of a copy from being removed.
 pub(super) type FolderOwner = Arc<dyn Any + Send + Sync>;
 
-/// A variable that runs set: whether before the initialization (or in it, and later), its type, its
-/// reference.
+/// A variable that runs set: true if it is set before the initialization (false during it and later), its
+/// type, and its value reference.
 pub(crate) type Setting = (bool, VariableKind, u32);
 
 /// A loaded copy of a library.
 pub(crate) struct LoadedLibrary {
     path: PathBuf,
-    /// Every setting ever made in it, sorted; `None`: anything, by hand.
+    /// All settings ever made in the copy, sorted; `None` for any settings, made by the user.
     set: Mutex<Option<Vec<Setting>>>,
     lock: Arc<FairLock>,
-    /// One function table for each way of running the model, over the same static variables.
+    /// One function table for each interface, with shared static variables.
     tables: [Mutex<Option<Arc<Library>>>; 2],
     _folder: FolderOwner,
 }
@@ -35,11 +35,11 @@ impl std::fmt::Debug for LoadedLibrary {
 }
 
 impl LoadedLibrary {
-    /// A copy that is not loaded yet: of the file in a folder of its own, or the file itself, where nobody
-    /// else has `owner`'s folder.
+    /// Creates a copy that is not loaded so far. The copy is a file in a separate folder, or the original
+    /// file if the folder of `owner` is not used otherwise.
     ///
     /// # Errors
-    /// The file cannot be copied.
+    /// Returns an error if the file cannot be copied.
     pub(super) fn of(source: &OriginalLibrary, owner: Option<FolderOwner>) -> Result<Self, FmiError> {
         let (path, folder) = match owner {
             Some(owner) => (source.library.clone(), owner),
@@ -52,8 +52,8 @@ impl LoadedLibrary {
         Ok(Self { path, set: Mutex::new(Some(Vec::new())), lock, tables, _folder: folder })
     }
 
-    /// Number of a user's settings that were made in it before (`None`: users set anything, by hand); no
-    /// answer where others were made.
+    /// Returns how many of the settings were made in the copy before. `None` as argument means any settings,
+    /// made by the user. Returns `None` if other settings were made in the copy.
     pub(super) fn n_set_of(&self, settings: Option<&[Setting]>) -> Option<usize> {
         match (&*self.set.lock().unwrap_or_else(PoisonError::into_inner), settings) {
             (None, None) => Some(1),
@@ -65,7 +65,7 @@ impl LoadedLibrary {
         }
     }
 
-    /// Notes what a user sets in it.
+    /// Records the settings that are made in the copy.
     pub(super) fn note_set(&self, settings: Option<&[Setting]>) {
         let mut set = self.set.lock().unwrap_or_else(PoisonError::into_inner);
         *set = match (set.take(), settings) {
@@ -79,10 +79,10 @@ impl LoadedLibrary {
         };
     }
 
-    /// The functions for one way of running the model, loaded by `open` if they are not yet.
+    /// Loads the functions for one interface with `open`, unless they are already loaded.
     ///
     /// # Errors
-    /// Those of `open`.
+    /// Returns the errors of `open`.
     pub(super) fn ensure_table(
         &self,
         kind: InterfaceKind,
@@ -105,15 +105,15 @@ impl LoadedLibrary {
         self.tables[kind as usize].lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The functions for one way of running the model.
+    /// Returns the functions for one interface.
     ///
     /// # Errors
-    /// They were never loaded.
+    /// Returns an error if the functions were never loaded.
     pub(crate) fn functions(&self, kind: InterfaceKind) -> Result<Arc<Library>, FmiError> {
         self.table(kind).clone().ok_or_else(|| FmiError::LibraryUnusable(self.path.clone()))
     }
 
-    /// Who is inside of it has a turn of this.
+    /// Returns the lock that a thread must hold to use the library.
     pub(crate) fn lock(&self) -> &Arc<FairLock> {
         &self.lock
     }
@@ -124,12 +124,12 @@ impl LoadedLibrary {
             .any(|table| table.lock().unwrap_or_else(PoisonError::into_inner).as_deref().is_some_and(&holds))
     }
 
-    /// True if a call has returned `Fatal`: it is never used again.
+    /// True if a call has returned `Fatal`. The copy is then never used again.
     pub(crate) fn is_fatal(&self) -> bool {
         self.any(Library::is_fatal)
     }
 
-    /// True if an instance was ever made in it.
+    /// True if an instance was ever created in the copy.
     pub(crate) fn is_used(&self) -> bool {
         self.any(Library::is_used)
     }

@@ -1,11 +1,12 @@
-//! The loaded libraries of an open FMU, which nobody else has: private copies of its files, loaded when they
-//! are first needed.
+//! The loaded libraries of an open FMU, used by no other FMU: private copies of its files, loaded on first
+//! use.
 //!
-//! Some tools keep parameters in static variables, which neither reset nor a new instance renews (Simulink):
-//! so a simulator has a copy in which nothing was set that it does not set, and instances made by hand have
-//! one of theirs.
+//! Some tools (Simulink) keep parameters in static variables, which are not renewed by a reset or a new
+//! instance. A simulator therefore uses a copy in which only variables were set that the simulator also sets.
+//! Instances driven by the user have a separate copy.
 //!
-//! A library is never unloaded: threads, handlers and exit functions that it has left behind are code of it.
+//! A library is never unloaded, because threads, handlers and exit functions that it has registered run its
+//! code.
 
 mod loaded;
 mod original;
@@ -25,39 +26,39 @@ use original::OriginalLibrary;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// The loaded libraries of an open FMU, and what is known of its instances.
+/// The loaded libraries of an open FMU, and the knowledge about its instances.
 #[derive(Debug, Default)]
 pub(crate) struct Libraries {
-    /// The file for each way of running the model; found when it is first needed.
+    /// Library file for each interface; found on first use.
     sources: [Mutex<Option<Arc<OriginalLibrary>>>; 2],
     loaded: Mutex<Vec<Loaded>>,
-    /// Files of the FMU's own private folder that are loaded as they are.
+    /// Files in the FMU's own private folder that are loaded in place.
     originals: Mutex<Vec<PathBuf>>,
     reset_knowledge: [Mutex<ResetKnowledge>; 2],
-    /// Who builds, finds or loads a library has a turn.
+    /// Held by the thread that builds, finds or loads a library.
     making: Arc<FairLock>,
 }
 
 type Loaded = (Arc<OriginalLibrary>, Arc<LoadedLibrary>);
 
-/// Copies of the libraries of one FMU.
+/// Number of library copies of one FMU up to which the settings decide if a copy is reused.
 const MOST: usize = 16;
 
-/// Use for which a library is needed.
+/// Intended use of a library.
 #[derive(Clone, Copy)]
 pub(crate) struct Wanted<'a> {
     pub(crate) kind: InterfaceKind,
-    /// Everything that is going to be set, sorted; `None`: anything, by hand.
+    /// All variables that will be set, sorted; `None` for any variables, set by the user.
     pub(crate) settings: Option<&'a [Setting]>,
-    /// One that nobody uses: there can be one instance in it only.
+    /// True if the copy must be unused, because it supports only one instance.
     pub(crate) only_one: bool,
 }
 
-/// Functions and options with which a needed library is loaded.
+/// Functions and options for loading a library.
 pub(crate) struct Maker<'a> {
     pub(crate) archive: &'a Arc<Archive>,
     pub(crate) loader: LoaderOptions,
-    /// Finds the file, or builds it.
+    /// Finds or builds the file.
     pub(crate) find: &'a dyn Fn() -> Result<LibraryFile, FmiError>,
     pub(crate) open: &'a dyn Fn(LoadFrom<'_>) -> Result<Library, FmiError>,
 }
@@ -67,16 +68,17 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Libraries {
-    /// State of knowledge about the reset of instances of one interface.
+    /// Returns the knowledge about the reset of instances of one interface.
     pub(crate) fn reset_knowledge(&self, kind: InterfaceKind) -> MutexGuard<'_, ResetKnowledge> {
         lock(&self.reset_knowledge[kind as usize])
     }
 
-    /// A loaded copy of the library. Where another thread is making one, waits as long as `wait` (asked every
-    /// 20 ms) says so. No lock is held meanwhile.
+    /// Returns a loaded copy of the library. If another thread is loading one, waits while `wait` (called
+    /// every 20 ms) returns true. No mutex is locked during the wait.
     ///
     /// # Errors
-    /// Those of the maker; the file cannot be copied; [`FmiError::Cancelled`].
+    /// Returns an error if the maker fails, if the file cannot be copied, or if the wait is cancelled
+    /// ([`FmiError::Cancelled`]).
     pub(crate) fn get(
         &self,
         wanted: Wanted<'_>,
@@ -105,10 +107,10 @@ impl Libraries {
         Ok(library)
     }
 
-    /// The file of the library; found when it is first asked for.
+    /// Returns the file of the library, which is found on first use.
     ///
     /// # Errors
-    /// Those of `find`; the file cannot be looked at.
+    /// Returns an error if `find` fails or if the file cannot be inspected.
     pub(crate) fn source(
         &self,
         kind: InterfaceKind,
@@ -124,7 +126,8 @@ impl Libraries {
         Ok(Arc::clone(lock(&self.sources[kind as usize]).insert(source)))
     }
 
-    /// A loaded copy that serves, the one in which most of the settings were set before.
+    /// Returns a suitable loaded copy. If there are several, returns the one with the largest number of
+    /// matching earlier settings.
     fn find(
         &self,
         source: &Arc<OriginalLibrary>,
@@ -138,13 +141,13 @@ impl Libraries {
             loaded.iter().filter(|(of, library)| of.is_same(source) && (!only_one || is_unused(library)));
         let rated = of_source.filter_map(|(_, library)| Some((library.n_set_of(settings)?, library)));
         let found = rated.max_by_key(|(n, _)| *n).map(|(_, library)| library);
-        // Beyond a number of copies models are taken at their word.
+        // Beyond this number of copies, a copy is reused regardless of its settings.
         let first =
             || loaded.first().filter(|_| loaded.len() >= MOST && !only_one).map(|(_, library)| library);
         found.or_else(first).map(Arc::clone)
     }
 
-    /// True if the file itself is to be loaded: it is in a private folder, and is not loaded yet.
+    /// True if the file itself should be loaded: it is in a private folder, and is not loaded so far.
     fn takes_original(&self, source: &OriginalLibrary, archive: &Archive) -> bool {
         if !(archive.is_private() && source.is_inside()) {
             return false;
@@ -155,7 +158,7 @@ impl Libraries {
         is_new
     }
 
-    /// Uses a library no more.
+    /// Stops using a library.
     pub(crate) fn give_up(&self, library: &Arc<LoadedLibrary>) {
         lock(&self.loaded).retain(|(_, known)| !Arc::ptr_eq(known, library));
     }

@@ -1,4 +1,4 @@
-//! Where the library of an FMU is found, and what is known about its content in this process.
+//! The original library file of an FMU, and the identity of its content in this process.
 
 use crate::archive::Archive;
 use crate::error::FmiError;
@@ -12,17 +12,17 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// Key that distinguishes libraries.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 enum Key {
-    /// Of an archive: its fingerprint, and the place in it.
+    /// A library in an archive: fingerprint of the archive, and path in the archive.
     Content(String, PathBuf, LoaderOptions),
-    /// Of a folder, which may be edited: the file.
+    /// A library in a folder, which may be edited: the file.
     File(FilePlace, FileIdentity, LoaderOptions),
 }
 
-/// The lock of all loaded copies of one library, whoever has opened the FMU: copies may share variables with
-/// each other. No library leaves the process, so no lock does.
+/// Locks of all loaded copies of a library, shared by all FMUs that contain it, because copies may share
+/// variables. Libraries are never unloaded, so locks are never removed.
 static LOCKS: Mutex<Option<HashMap<Key, Arc<FairLock>>>> = Mutex::new(None);
 
-/// Place of a library.
+/// Location of a library.
 #[derive(Debug)]
 pub(crate) struct LibraryFile {
     /// The original file.
@@ -38,14 +38,14 @@ pub(crate) struct OriginalLibrary {
     pub(super) library: PathBuf,
     /// The folder of the FMU.
     pub(super) root: PathBuf,
-    /// Identity of the file when it was found, where it could be written over.
+    /// Identity of the file when it was found, if the file could be modified.
     identity: Option<FileIdentity>,
     lock: Arc<FairLock>,
 }
 
 impl OriginalLibrary {
     /// # Errors
-    /// The file cannot be looked at.
+    /// Returns an error if the file cannot be inspected.
     pub(super) fn new(
         LibraryFile { library, root }: LibraryFile,
         archive: &Archive,
@@ -64,17 +64,17 @@ impl OriginalLibrary {
         Ok(Self { library, root, identity, lock })
     }
 
-    /// True if both are of one content.
+    /// True if both have the same content.
     pub(super) fn is_same(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.lock, &other.lock)
     }
 
-    /// True if the library is one of the FMU's files, not one that was built from its sources.
+    /// True if the library is a file of the FMU, and not built from its sources.
     pub(super) fn is_inside(&self) -> bool {
         self.library.starts_with(&self.root)
     }
 
-    /// Where the library lies in the folder of a copy.
+    /// Returns the path of the library inside the folder of a copy.
     pub(super) fn place(&self) -> PathBuf {
         match self.library.strip_prefix(&self.root) {
             Ok(place) => place.to_owned(),
@@ -83,7 +83,7 @@ impl OriginalLibrary {
     }
 
     /// # Errors
-    /// The file was written over: a copy would be another library.
+    /// Returns an error if the file has been modified, because a copy would be a different library.
     pub(super) fn check_unchanged(&self) -> Result<(), FmiError> {
         let Some(identity) = &self.identity else { return Ok(()) };
         let metadata = self.library.metadata().map_err(FmiError::io("open", &self.library))?;
@@ -93,7 +93,7 @@ impl OriginalLibrary {
         }
     }
 
-    /// The lock of its copies.
+    /// Returns the lock of the copies.
     pub(super) fn lock(&self) -> Arc<FairLock> {
         Arc::clone(&self.lock)
     }

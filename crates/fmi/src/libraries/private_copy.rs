@@ -1,5 +1,5 @@
-//! The files of a private copy of a library: a file of its own, for which the loader makes static variables
-//! of its own, and around it what the library may look for from where it lies.
+//! The files of a private copy of a library. The copy is a separate file, so the loader creates separate
+//! static variables for it. Files that the library may expect next to it are also provided.
 
 use super::original::OriginalLibrary;
 use crate::archive::PrivateFolder;
@@ -9,11 +9,12 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Copies the library into a folder of its own; its path there, and the folder. Blocks are shared where the
-/// file system can.
+/// Copies the library into a separate folder. Returns the path of the copy, and the folder. Data blocks are
+/// shared if the file system supports that.
 ///
 /// # Errors
-/// The system refuses; the library was written over since it was loaded first.
+/// Returns an error if the operating system reports one, or if the library has been modified since it was
+/// first loaded.
 pub(super) fn copy(source: &OriginalLibrary) -> Result<(PathBuf, PrivateFolder), FmiError> {
     source.check_unchanged()?;
     let folder = PrivateFolder::create()?;
@@ -32,8 +33,8 @@ pub(super) fn copy(source: &OriginalLibrary) -> Result<(PathBuf, PrivateFolder),
     Ok((path, folder))
 }
 
-/// Places what lies beside the library beside its copy: libraries as copies, which the loader takes for
-/// others when they are opened by their paths; the rest as links, or copies where links cannot be made.
+/// Provides the files next to the library for its copy. Libraries are copied, so that the loader treats them
+/// as different when they are opened by path. Other files become links, or copies if links are not possible.
 fn place_beside(library: &Path, target: &Path) -> Result<(), FmiError> {
     let beside = library.parent().unwrap_or(Path::new(""));
     let entries = fs::read_dir(beside).map_err(FmiError::io("list", beside))?;
@@ -57,8 +58,8 @@ fn place_beside(library: &Path, target: &Path) -> Result<(), FmiError> {
     Ok(())
 }
 
-/// Copies a file with the right to execute it. [`fs::copy`] changes the mode of the copy afterwards, which a
-/// sandbox refuses.
+/// Copies a file with its execute permission. [`fs::copy`] changes the mode of the copy afterwards, which a
+/// sandbox denies.
 fn copy_file(from: &Path, to: &Path) -> io::Result<()> {
     let mut source = fs::File::open(from)?;
     let mut options = fs::File::options();

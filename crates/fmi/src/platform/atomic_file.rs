@@ -1,17 +1,16 @@
-//! Files that are written in one step: there is the whole of the new one, or the old one.
+//! Atomic writing of files: either the complete new file exists, or the old one.
 
 use crate::error::FmiError;
 use base::files::AtomicFile;
 use std::fs::File;
 use std::path::Path;
 
-/// Writes a file in one step, as [`AtomicFile`] says. `fill` writes to a temporary file, of which it gets the
-/// path as well; where it succeeds, that file takes the place `out`. Else nothing stays, and a file that was
-/// there before is left as it was.
+/// Writes a file atomically, with [`AtomicFile`]. `fill` receives a temporary file and its path. If `fill`
+/// succeeds, the temporary file replaces `out`. Otherwise it is removed, and an existing file is unchanged.
 ///
 /// # Errors
-/// Those of `fill`; [`FmiError::Io`] for what the system refuses: the folder is not there or not writable,
-/// `out` is a folder or read-only.
+/// The errors of `fill`; [`FmiError::Io`] for errors of the operating system, for example if the folder does
+/// not exist or is not writable, or if `out` is a folder or read-only.
 pub fn fill_atomically<E: From<FmiError>>(
     out: &Path,
     fill: impl FnOnce(&File, &Path) -> Result<(), E>,

@@ -1,5 +1,4 @@
-//! Headers of shared libraries: which operating system and which processors they are made for, and how long
-//! their files are.
+//! Headers of shared libraries: target operating system, target processors, and length of the file.
 
 use crate::error::{FmiError, Result};
 use crate::macros::words;
@@ -9,7 +8,7 @@ use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 use std::{env, fmt};
 
-/// Processor a binary is made for.
+/// Processor for which a binary is compiled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Machine {
@@ -23,12 +22,12 @@ pub enum Machine {
     Aarch64,
     /// 64-bit RISC-V.
     Riscv64,
-    /// Anything else, with the number the file gives.
+    /// Any other processor, with its number in the file.
     Other(u32),
 }
 
 impl Machine {
-    /// The processor this library was compiled for.
+    /// Returns the processor for which this library was compiled.
     pub fn host() -> Machine {
         match env::consts::ARCH {
             "x86" => Machine::X86,
@@ -55,7 +54,7 @@ impl fmt::Display for Machine {
 }
 
 words! {
-    /// File format of a binary, which tells the operating system.
+    /// File format of a binary, which determines the operating system.
     #[derive(Debug, Clone, Copy, PartialEq, Eq)]
     pub enum BinaryFormat {
         /// Linux and most other Unix systems.
@@ -68,7 +67,7 @@ words! {
 }
 
 impl BinaryFormat {
-    /// The format this platform loads.
+    /// Returns the format that this platform loads.
     pub fn host() -> BinaryFormat {
         if cfg!(windows) {
             BinaryFormat::Pe
@@ -85,7 +84,7 @@ impl BinaryFormat {
 pub struct BinaryHeader {
     /// File format.
     pub format: BinaryFormat,
-    /// Processors it has code for; more than one only in universal Mach-O files.
+    /// Processors for which the file contains code; more than one only in universal Mach-O files.
     pub machines: Vec<Machine>,
 }
 
@@ -95,7 +94,7 @@ impl BinaryHeader {
         Self::read_from(&mut open_regular(path)?)
     }
 
-    /// Reads the header of a binary from a stream that stands at its beginning.
+    /// Reads the header of a binary from a stream at its start.
     fn read_from(file: &mut (impl Read + Seek)) -> io::Result<Option<BinaryHeader>> {
         let mut start = Vec::with_capacity(1024);
         file.by_ref().take(1024).read_to_end(&mut start)?;
@@ -111,7 +110,7 @@ impl BinaryHeader {
         Ok(header.map(|(format, machines)| BinaryHeader { format, machines }))
     }
 
-    /// True if this platform can load it.
+    /// True if this platform can load the library.
     pub fn runs_here(&self) -> bool {
         self.format == BinaryFormat::host() && self.machines.contains(&Machine::host())
     }
@@ -127,12 +126,12 @@ impl fmt::Display for BinaryHeader {
     }
 }
 
-/// Refuses a file that is shorter than its ELF headers say (of 64-bit processors, little-endian). The loader
-/// maps the segments without looking at the length, and the first access beyond the end of the file ends the
-/// process (SIGBUS). The loaders of Windows and macOS look for themselves.
+/// Rejects a file that is shorter than its ELF headers declare (for 64-bit little-endian processors). The
+/// loader maps the segments without checking the length, and the first access beyond the end of the file ends
+/// the process (SIGBUS). The loaders of Windows and macOS check the length.
 ///
 /// # Errors
-/// [`FmiError::LoadFailed`] with both lengths; the file cannot be read.
+/// [`FmiError::LoadFailed`] with both lengths; [`FmiError::Io`] if the file cannot be read.
 pub(crate) fn check_length(library: &Path) -> Result<()> {
     let lengths = open_regular(library).and_then(|mut file| {
         let length = file.metadata()?.len();
@@ -152,8 +151,8 @@ pub(crate) fn check_length(library: &Path) -> Result<()> {
     Err(FmiError::LoadFailed { library: library.to_owned(), message })
 }
 
-/// Where the segments that are mapped end in an ELF file, and the dynamic section (System V ABI, chapter 5);
-/// 0 for other files.
+/// Returns the end of the mapped segments and of the dynamic section in an ELF file (System V ABI, chapter
+/// 5); 0 for other files.
 fn mapped_length(file: &mut File) -> io::Result<u64> {
     const LOADED: u64 = 1;
     const DYNAMIC: u64 = 2;
@@ -177,12 +176,12 @@ fn mapped_length(file: &mut File) -> io::Result<u64> {
     Ok(end)
 }
 
-/// A little-endian number of `N` bytes; what lies behind the end reads as 0.
+/// Returns a little-endian number of `N` bytes. Bytes beyond the end are read as 0.
 fn number<const N: usize>(bytes: &[u8], at: usize) -> u64 {
     (0..N).rev().fold(0, |number, k| number << 8 | u64::from(bytes.get(at + k).copied().unwrap_or(0)))
 }
 
-/// Kind of the file found in place of a library, for a message.
+/// Describes the file found in place of a library, for a message.
 pub(crate) fn describe(path: &Path) -> String {
     let header = match BinaryHeader::read(path) {
         Ok(Some(header)) => return header.to_string(),

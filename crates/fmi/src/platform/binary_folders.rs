@@ -1,4 +1,4 @@
-//! Names of shared libraries, and of the folders of an FMU that hold them, on this platform.
+//! Names of shared libraries, and of the folders of an FMU that contain them, on this platform.
 
 use super::binary::Machine;
 use std::env;
@@ -15,11 +15,11 @@ pub enum FolderNames {
     ProcessorAndSystem,
 }
 
-/// Folders of `binaries/` that may hold a library for this platform, the best first.
+/// Returns the folders of `binaries/` that may contain a library for this platform, the best first.
 ///
-/// FMI 1.0 and 2.0 name them `linux64`, `win64`, `darwin64` and know no processor but x86; FMUs for ARM use
-/// FMI 3.0's names, or put an ARM library into the x86 folder, so both are looked at and
-/// [`BinaryHeader::runs_here`](super::BinaryHeader::runs_here) decides.
+/// FMI 1.0 and 2.0 use the names `linux64`, `win64` and `darwin64`, which support only x86 processors. FMUs
+/// for ARM use the names of FMI 3.0, or contain an ARM library in the x86 folder. Both are therefore
+/// searched, and [`BinaryHeader::runs_here`](super::BinaryHeader::runs_here) decides.
 pub fn binary_folders(names: FolderNames) -> Vec<String> {
     let modern = format!("{}-{}", modern_processor(), modern_system());
     let classic = format!("{}{}", classic_system(), usize::BITS);

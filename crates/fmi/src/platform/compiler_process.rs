@@ -1,14 +1,14 @@
-//! How a C compiler is called, and ended with all that it has started.
+//! Options for a C compiler, and functions to end it with all the processes that it has started.
 
 use std::process::{Child, Command};
 
-/// Names of C compilers to try where `CC` is not set.
+/// Names of C compilers to try if `CC` is not set.
 pub(crate) const C_COMPILERS: &[&str] = &["cc", "gcc", "clang"];
 
-/// Options that make a C compiler write a shared library. Floating-point arithmetic stays as the standard
-/// says: contraction to fused operations would make results depend on the processor. Without assertions, as
-/// tools compile the libraries that they deliver: one that does not hold ends the process (seen in the reset
-/// function of Dymola's sources).
+/// Returns options for compiling a shared library. Floating-point arithmetic follows the standard:
+/// contraction to fused operations would make results depend on the processor. Assertions are disabled, as in
+/// libraries that tools deliver. A failed assertion would end the process (seen in the reset function of
+/// Dymola's sources).
 pub(crate) fn shared_library_options() -> &'static [&'static str] {
     if cfg!(windows) {
         &["-O2", "-DNDEBUG", "-shared", "-ffp-contract=off"]
@@ -17,7 +17,7 @@ pub(crate) fn shared_library_options() -> &'static [&'static str] {
     }
 }
 
-/// Lets a command and what it starts be ended together.
+/// Puts a command and its child processes into a separate group, so that they can be ended together.
 pub(crate) fn in_own_group(command: &mut Command) {
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(command, 0);
@@ -25,7 +25,8 @@ pub(crate) fn in_own_group(command: &mut Command) {
     let _ = command;
 }
 
-/// Ends a child made by such a command; what it has started as well, where systems have groups of processes.
+/// Kills a child started by such a command. On systems with process groups, its child processes are also
+/// killed.
 pub(crate) fn kill_group(child: &mut Child) {
     #[cfg(unix)]
     if let Ok(id) = i32::try_from(child.id())
@@ -33,11 +34,11 @@ pub(crate) fn kill_group(child: &mut Child) {
     {
         let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
     }
-    // One that has just ended cannot be killed.
+    // An error is ignored, because the child may have just ended.
     let _ = child.kill();
 }
 
-/// Libraries every model is linked with.
+/// Returns the libraries that every model is linked with.
 pub(crate) fn system_libraries() -> &'static [&'static str] {
     if cfg!(windows) { &[] } else { &["-lm"] }
 }

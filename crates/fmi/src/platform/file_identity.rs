@@ -1,11 +1,11 @@
-//! What tells one file from another and from its earlier versions; names, marks and reading of files where
-//! systems differ.
+//! The identity of a file, which distinguishes it from other files and from its earlier versions. Also
+//! system-dependent names, permissions and reading of files.
 
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// True if a component of an archive's path can be the name of a file here.
+/// True if a component of a path in an archive can be a file name on this system.
 pub(crate) fn is_file_name(component: &str) -> bool {
     if !cfg!(windows) {
         return true;
@@ -18,7 +18,7 @@ pub(crate) fn is_file_name(component: &str) -> bool {
     !device && !component.ends_with(['.', ' ']) && !component.contains(['<', '>', ':', '"', '|', '?', '*'])
 }
 
-/// True if a file is marked as executable by its owner.
+/// True if the owner may execute the file.
 pub(crate) fn is_executable(metadata: &fs::Metadata) -> bool {
     #[cfg(unix)]
     {
@@ -32,7 +32,7 @@ pub(crate) fn is_executable(metadata: &fs::Metadata) -> bool {
     }
 }
 
-/// Marks a file as executable by everybody who can read it, where systems have such marks.
+/// Makes a file executable for all users who can read it, on systems with such permissions.
 pub(crate) fn make_executable(file: &File) -> io::Result<()> {
     #[cfg(unix)]
     {
@@ -44,7 +44,7 @@ pub(crate) fn make_executable(file: &File) -> io::Result<()> {
     Ok(())
 }
 
-/// Makes a folder appear at a second place, where systems can do so without ado.
+/// Creates a link to a folder, on systems that support it without special permission.
 pub(crate) fn link_folder(folder: &Path, link: &Path) -> io::Result<()> {
     #[cfg(unix)]
     std::os::unix::fs::symlink(folder, link)?;
@@ -53,7 +53,7 @@ pub(crate) fn link_folder(folder: &Path, link: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Reads from a place in a file; where systems can do so, without moving the position of the file.
+/// Reads at a position in a file. If the system supports it, the position of the file does not change.
 pub(crate) fn read_at(file: &File, buffer: &mut [u8], position: u64) -> io::Result<usize> {
     #[cfg(unix)]
     return std::os::unix::fs::FileExt::read_at(file, buffer, position);
@@ -66,18 +66,18 @@ pub(crate) fn read_at(file: &File, buffer: &mut [u8], position: u64) -> io::Resu
     }
 }
 
-/// Data that distinguish a file from others, and from its earlier versions.
+/// Data that distinguish a file from other files and from its earlier versions.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub(crate) struct FileIdentity {
-    /// Device and inode, where systems have them.
+    /// Device and inode, if the system has them.
     place: (u64, u64),
     size: u64,
-    /// Seconds and nanoseconds of the last modification of the content and, where known, of the status.
+    /// Seconds and nanoseconds of the last modification of the content and, if known, of the status.
     modified: (i64, i64),
     changed: (i64, i64),
 }
 
-/// Where a file lies: device and inode, or the path on systems that have none.
+/// Location of a file: device and inode, or the path on systems without them.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub(crate) enum FilePlace {
     Inode(u64, u64),
@@ -85,7 +85,7 @@ pub(crate) enum FilePlace {
 }
 
 impl FileIdentity {
-    /// The place of the file that is found at `path`.
+    /// Returns the location of the file at `path`.
     pub(crate) fn place(&self, path: &Path) -> FilePlace {
         match self.place {
             (0, 0) => FilePlace::Path(path.canonicalize().unwrap_or_else(|_| path.to_owned())),
@@ -93,13 +93,13 @@ impl FileIdentity {
         }
     }
 
-    /// True if the file has not been written since.
+    /// True if the file has not been modified since.
     pub(crate) fn same_content(&self, other: &Self) -> bool {
         (self.size, self.modified) == (other.size, other.modified)
     }
 }
 
-/// The identity of a file from its metadata; nothing is read.
+/// Returns the identity of a file from its metadata. The file is not read.
 pub(crate) fn file_identity(metadata: &fs::Metadata) -> FileIdentity {
     #[cfg(unix)]
     {

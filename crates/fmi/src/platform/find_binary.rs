@@ -1,4 +1,4 @@
-//! The library of a model among the binaries of an FMU.
+//! Searches the binaries of an FMU for the library of a model.
 
 use super::binary::{self, BinaryFormat, BinaryHeader, Machine};
 use super::binary_folders::{FolderNames, LIBRARY_EXTENSION, binary_folders};
@@ -9,16 +9,16 @@ use std::path::{Path, PathBuf};
 /// A library found in `binaries/`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FoundBinary {
-    /// The library.
+    /// Path of the library.
     pub path: PathBuf,
-    /// Irregularity, if any: another name than the model identifier.
+    /// Irregularity, if any: the name differs from the model identifier.
     pub note: Option<String>,
 }
 
 /// Finds the library of a model for this platform.
 ///
-/// A library of another name is taken if it is the only one in its folder (and noted).
-/// Fails with [`FmiError::NoBinary`], which lists what is there with its machine types.
+/// A library with another name is used (with a note) if it is the only one in its folder. Returns
+/// [`FmiError::NoBinary`] with the existing libraries and their machine types if there is none.
 pub fn find_binary(root: &Path, model_identifier: &str, names: FolderNames) -> Result<FoundBinary> {
     let folders = binary_folders(names);
     for folder in &folders {
@@ -47,7 +47,7 @@ pub fn find_binary(root: &Path, model_identifier: &str, names: FolderNames) -> R
     })
 }
 
-/// The library of a model at its place for this platform, where it is none that runs here.
+/// Returns the library of a model for this platform if it exists but cannot run here.
 pub(crate) fn unusable_binary(root: &Path, model_identifier: &str, names: FolderNames) -> Option<PathBuf> {
     let file = format!("{model_identifier}.{LIBRARY_EXTENSION}");
     let places =
@@ -59,7 +59,7 @@ fn runs_here(path: &Path) -> bool {
     matches!(BinaryHeader::read(path), Ok(Some(header)) if header.runs_here())
 }
 
-/// Files with the extension of this platform's libraries, sorted; empty if there is no such folder.
+/// Returns the files with the library extension of this platform, sorted; empty if there is no such folder.
 fn libraries_in(folder: &Path) -> Vec<PathBuf> {
     sorted_entries(folder)
         .into_iter()
@@ -76,7 +76,7 @@ fn sorted_entries(folder: &Path) -> Vec<PathBuf> {
     paths
 }
 
-/// The folders of `binaries/` and what is in them, for a message.
+/// Describes the folders of `binaries/` and their contents, for a message.
 fn present_binaries(root: &Path) -> String {
     let folders = sorted_entries(&root.join("binaries"));
     let described: Vec<String> =
@@ -104,7 +104,7 @@ mod tests {
     use super::*;
     use std::env;
 
-    /// The header of an ELF library for 64-bit PowerPC, which is number 21.
+    /// The header of an ELF library for 64-bit PowerPC, whose machine number is 21.
     fn foreign_library() -> Vec<u8> {
         let mut bytes = b"\x7fELF\x02\x01\x01".to_vec();
         bytes.resize(18, 0);

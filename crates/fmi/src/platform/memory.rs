@@ -1,13 +1,13 @@
-//! Check that memory for a large object is available, before it is allocated: systems promise more than they
-//! have, and end the process that uses it.
+//! Checks that memory for a large object is available before it is allocated. Systems may grant more memory
+//! than they have, and then kill the process that uses it.
 
 use crate::error::{FmiError, Result};
 use std::fs;
 
-/// Bytes that are allocated without a check.
+/// Number of bytes that are allocated without a check.
 const SMALL: u64 = 64 << 20;
 
-/// Refuses to go on if `bytes` for `what` are more than is available.
+/// Returns an error if `bytes` for `what` exceed the available memory.
 ///
 /// # Errors
 /// [`FmiError::Memory`].
@@ -16,7 +16,7 @@ pub(crate) fn check(what: impl FnOnce() -> String, bytes: u64) -> Result<()> {
         return Ok(());
     }
     let available = available_memory().unwrap_or(u64::MAX);
-    // Limits of the process itself show when it asks for as much.
+    // Limits of the process appear only when it requests the memory.
     let is_given = || usize::try_from(bytes).is_ok_and(|n| Vec::<u8>::new().try_reserve_exact(n).is_ok());
     if bytes < available && is_given() {
         return Ok(());
@@ -24,7 +24,7 @@ pub(crate) fn check(what: impl FnOnce() -> String, bytes: u64) -> Result<()> {
     Err(FmiError::Memory { what: what(), bytes })
 }
 
-/// Room for `n` items in an empty list.
+/// Returns an empty list with capacity for `n` items.
 ///
 /// # Errors
 /// [`FmiError::Memory`].
@@ -36,7 +36,7 @@ pub(crate) fn list_of<T>(what: &str, n: usize) -> Result<Vec<T>> {
     Ok(list)
 }
 
-/// Bytes of memory that can be had without pushing others out; `None` where the system does not say.
+/// Returns the memory in bytes that is available without swapping; `None` if the system does not report it.
 fn available_memory() -> Option<u64> {
     let text = fs::read_to_string("/proc/meminfo").ok()?;
     let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;

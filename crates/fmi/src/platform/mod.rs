@@ -1,5 +1,5 @@
-//! Everything that differs between operating systems and processors: names of folders and libraries, headers
-//! of shared libraries, what tells one file from another, memory that is left.
+//! Everything that depends on the operating system or the processor: names of folders and libraries, headers
+//! of shared libraries, identities of files, available memory.
 
 mod atomic_file;
 mod binary;

@@ -1,13 +1,13 @@
-//! Folders of this library: caches, and private ones that nobody else may write into.
+//! Folders of this library: caches, and private folders that no other user may write to.
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::{env, io};
 
-/// Folder under which private unpack folders are made.
+/// Returns the folder for private unpack folders.
 ///
-/// Some FMUs cannot live in a path with spaces, braces or letters beyond ASCII, because they paste it into
-/// a URI or a format string; then another folder for temporary files is preferred, if there is one.
+/// Some FMUs do not work in a path with spaces, braces or non-ASCII letters, because they insert the path
+/// into a URI or a format string. Another folder for temporary files is then preferred, if there is one.
 pub(crate) fn unpack_base() -> PathBuf {
     let usual = env::temp_dir();
     let others = if cfg!(unix) { &["/tmp", "/var/tmp"][..] } else { &[] };
@@ -22,8 +22,8 @@ fn is_plain(path: &Path) -> bool {
         .is_some_and(|text| text.chars().all(|c| c.is_ascii_alphanumeric() || "/\\:._-~+,=@".contains(c)))
 }
 
-/// Folder for files worth keeping between runs: `FMUFIT_CACHE` if set, else where the system keeps caches
-/// of a user. `None` where nothing says who the user is.
+/// Returns the folder for files that are kept between runs: `FMUFIT_CACHE` if set, otherwise the system's
+/// cache folder of the user. Returns `None` if the user is unknown.
 pub(crate) fn cache_folder() -> Option<PathBuf> {
     if let Some(folder) = absolute_from("FMUFIT_CACHE") {
         return Some(folder);
@@ -38,18 +38,19 @@ pub(crate) fn cache_folder() -> Option<PathBuf> {
     users.map(|folder| folder.join("fmufit"))
 }
 
-/// A folder named by an environment variable; relative ones are ignored, as the XDG specification asks.
+/// Returns a folder from an environment variable. Relative paths are ignored, as the XDG specification
+/// requires.
 fn absolute_from(variable: &str) -> Option<PathBuf> {
     env::var_os(variable).map(PathBuf::from).filter(|path| path.is_absolute())
 }
 
-/// Where caches go if they cannot go into [`cache_folder`].
+/// Returns the folder for caches that is used if [`cache_folder`] is unusable.
 pub(crate) fn fallback_cache_folder() -> PathBuf {
     unpack_base().join("fmufit-cache")
 }
 
-/// Creates a folder that only its owner may write into, and refuses one that is there and is not such.
-/// Libraries are loaded from it, and folders for temporary files are open to everybody.
+/// Creates a folder that only its owner may write to. Returns an error if an existing folder has other
+/// permissions. Libraries are loaded from this folder, and folders for temporary files are open to all users.
 pub(crate) fn create_private_folder(path: &Path) -> io::Result<()> {
     #[cfg_attr(not(unix), allow(unused_mut))]
     let mut builder = fs::DirBuilder::new();
@@ -71,14 +72,14 @@ pub(crate) fn create_private_folder(path: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// A file of this user, without a name.
+/// Returns an unnamed file of this user.
 pub(crate) fn own_file() -> io::Result<File> {
     tempfile::tempfile()
 }
 
-/// Takes the right to write into a folder from the user's group, and refuses a folder that everybody may
-/// write into or that belongs to somebody else than `own`, a file of this user: others may have put something
-/// there.
+/// Removes write permission for the group from a folder. Returns an error if all users may write to the
+/// folder, or if its owner differs from the owner of `own`, a file of this user. Other users may have written
+/// files there.
 pub(crate) fn keep_others_out(folder: &Path, own: &File) -> io::Result<()> {
     #[cfg(unix)]
     {
@@ -96,8 +97,8 @@ pub(crate) fn keep_others_out(folder: &Path, own: &File) -> io::Result<()> {
     Ok(())
 }
 
-/// A text without the places of private folders of this library, which differ from process to process: paths
-/// of files in them begin inside of the FMU.
+/// Removes the paths of private folders of this library from a text, because they differ between processes.
+/// Paths of files in these folders then begin inside the FMU.
 pub fn without_private_folders(text: &str) -> String {
     let base = unpack_base().join(PRIVATE_PREFIX).display().to_string();
     let mut out = String::with_capacity(text.len());
@@ -118,7 +119,7 @@ pub fn without_private_folders(text: &str) -> String {
 
 /// Prefix of the names of private folders.
 pub(crate) const PRIVATE_PREFIX: &str = "fmufit-unpacked-";
-/// Path between the name of a private folder and its content.
+/// Path between the name of a private folder and its contents.
 const PRIVATE_INSIDE: &str = "/fmu/";
 
 #[cfg(test)]

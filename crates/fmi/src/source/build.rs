@@ -1,5 +1,5 @@
-//! The library of a source-code FMU: built, or found in the cache; the recipe for it, from the description or
-//! from the files present.
+//! The library of a source-code FMU: built from a recipe, or found in the cache. The recipe follows the
+//! description or the existing files.
 
 use super::compiler::{Compiler, Patience};
 use super::{cache, headers};
@@ -13,34 +13,34 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Endings of files that belong to the sources but are not compiled by themselves.
+/// Extensions of source files that are not compiled separately.
 const HEADERS: &[&str] = &["h", "hpp", "hh", "inc"];
 
-/// Raised when libraries built by earlier versions must not be used any more.
+/// Increased when libraries built by earlier versions must not be used any more.
 const RECIPE_VERSION: &str = "3";
 
-/// Recipe from which one library is built.
+/// Instructions for building one library.
 #[derive(Debug, PartialEq)]
 pub(super) struct Recipe {
     model_identifier: String,
-    /// Where the compiler runs; all other paths are relative to it, so that nothing in the library depends on
-    /// where the FMU was unpacked.
+    /// Folder in which the compiler runs. All other paths are relative to it, so that the library does not
+    /// depend on the location of the unpacked FMU.
     folder: PathBuf,
     /// Options and files, in the order of the command line.
     arguments: Vec<String>,
-    /// A header included before everything else.
+    /// Contents of a header that is included first.
     plain_names: String,
 }
 
 impl Recipe {
-    /// Finds out what to compile.
+    /// Determines the files and options to compile.
     pub(super) fn find(root: &Path, description: &ModelDescription, interface: &Interface) -> Result<Recipe> {
         let folder = root.join("sources");
         let sources = Sources { folder: &folder, model_identifier: &interface.model_identifier };
         let set = sources.build_set(description, interface)?;
         let mut arguments: Vec<String> =
             platform::shared_library_options().iter().map(|&s| s.into()).collect();
-        // Newer headers of the standard do not put the model identifier before all names when told so.
+        // With this macro, newer headers of the standard do not prefix names with the model identifier.
         arguments.push(format!("-D{}", description.fmi_version.plain_names_macro()));
         arguments.push("-I.".to_owned());
         for include in &set.include_folders {
@@ -62,7 +62,7 @@ impl Recipe {
         Ok(Recipe { model_identifier: interface.model_identifier.clone(), folder, arguments, plain_names })
     }
 
-    /// A key that differs whenever the library could.
+    /// Returns a key that changes whenever the library may change.
     pub(super) fn key(&self, compiler: &Compiler, content_hash: &str) -> String {
         let identity = compiler.identity();
         let platform = format!("{} {}", std::env::consts::OS, std::env::consts::ARCH);
@@ -76,7 +76,7 @@ impl Recipe {
         hash_of_texts(fixed.into_iter().chain(self.arguments.iter().map(String::as_str)))
     }
 
-    /// Compiles and links into `target`.
+    /// Compiles and links to `target`.
     pub(super) fn build(&self, compiler: &Compiler, target: &Path, patience: &Patience<'_>) -> Result<()> {
         let header = target.with_file_name("plain_names.h");
         fs::write(&header, &self.plain_names).map_err(FmiError::io("write", &header))?;
@@ -84,7 +84,7 @@ impl Recipe {
         headers::write(&standard)?;
         let mut arguments = vec!["-include".to_owned(), header.to_string_lossy().into_owned()];
         arguments.extend_from_slice(&self.arguments);
-        // Behind all other folders: headers that the FMU brings come first.
+        // Searched after all other folders, so that headers of the FMU take precedence.
         arguments.extend(["-idirafter".to_owned(), standard.to_string_lossy().into_owned()]);
         arguments.extend(["-o".to_owned(), target.to_string_lossy().into_owned()]);
         arguments.extend(platform::system_libraries().iter().map(|&library| library.to_owned()));
@@ -106,12 +106,12 @@ impl Recipe {
     }
 }
 
-/// Definitions that turn the names in source-code FMUs into those in libraries.
+/// Returns definitions that convert the names in source-code FMUs to the names in libraries.
 ///
-/// In sources the standard puts the model identifier before each name (`Model_fmi2GetReal`), so that several
-/// models can be linked into one program; in libraries there is none. The headers of FMI 2.0.0 to 2.0.3 put
-/// the names together by pasting, and what a macro has pasted is looked up as a macro again. The names are
-/// those that the standard's header lists.
+/// In sources, the standard prefixes each name with the model identifier (`Model_fmi2GetReal`), so that
+/// several models can be linked into one program. Libraries have no prefix. The headers of FMI 2.0.0 to 2.0.3
+/// build the names by token pasting, and the result of pasting is expanded as a macro again. The names are
+/// those in the header of the standard.
 fn plain_names(model_identifier: &str) -> String {
     let is_identifier = model_identifier.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
     if !is_identifier {
@@ -124,7 +124,7 @@ fn plain_names(model_identifier: &str) -> String {
     functions.map(|name| format!("#define {model_identifier}_{name} {name}\n")).collect()
 }
 
-/// The folder with the sources of one interface.
+/// Source folder of one interface.
 struct Sources<'a> {
     folder: &'a Path,
     model_identifier: &'a str,
@@ -135,7 +135,8 @@ impl Sources<'_> {
         FmiError::NoSources { model_identifier: self.model_identifier.to_owned(), reason }
     }
 
-    /// Files to compile: as listed in the description, else in the build description, else every C file.
+    /// Returns the files to compile, from the description or the build description. If neither lists files,
+    /// returns every C file.
     fn build_set(&self, description: &ModelDescription, interface: &Interface) -> Result<BuildSet> {
         if !self.folder.is_dir() {
             return Err(self.error("there is no folder \"sources\"".to_owned()));
@@ -177,10 +178,10 @@ impl Sources<'_> {
         Ok(names)
     }
 
-    /// A path from a file, as an argument: it must lie in `sources/`, also behind links, and be what it
-    /// should be. The leading `./` keeps names from being taken for options.
+    /// Converts a path from a file to an argument. The path must be in `sources/`, also after resolving
+    /// links, and satisfy `is_right`. The prefix `./` prevents names from being read as options.
     fn checked(&self, name: &str, is_right: fn(&Path) -> bool) -> Result<String> {
-        // Tools on Windows write backslashes here.
+        // Windows tools write backslashes here.
         let relative = name.replace('\\', "/");
         let relative = relative.trim_end_matches('/');
         let refuse = |why: &str| self.error(format!("\"{}\" {why}", name.escape_debug()));
@@ -210,17 +211,18 @@ fn is_header(name: &str) -> bool {
 /// Default time limit of a compiler.
 pub(crate) const COMPILE_TIME: Duration = Duration::from_secs(300);
 
-/// Builds the library of an interface from the sources of an FMU with the system's C compiler (`CC`, else
-/// `cc`, `gcc`, `clang`), or finds it in the cache.
+/// Builds the library of an interface from the sources of an FMU with the system's C compiler (`CC`,
+/// otherwise `cc`, `gcc`, `clang`), or finds it in the cache.
 ///
-/// * `root`: the unpacked FMU, `content_hash` the hash of its content.
-/// * Compiled are the files the description lists, or `sources/buildDescription.xml`, or else all `.c` files
-///   in `sources/`. Compiler options in an FMU are ignored.
+/// * `root` is the unpacked FMU, and `content_hash` the hash of its content.
+/// * The compiled files are those in the description, otherwise those in `sources/buildDescription.xml`,
+///   otherwise all `.c` files in `sources/`. Compiler options in an FMU are ignored.
 ///
-/// The library is kept in a cache folder (`FMUFIT_CACHE`, else where the system keeps caches of a user) by
-/// content, compiler and options; the oldest go when there are more than 256 or 512 MiB of them.
+/// The library is kept in a cache folder (`FMUFIT_CACHE`, otherwise the system's cache folder of the user),
+/// with content, compiler and options as key. The oldest libraries are removed if there are more than 256, or
+/// more than 512 MiB in total.
 ///
-/// The headers of FMI 2.0 and 3.0 are found where the FMU does not bring them. The compiler is ended after
+/// Headers of FMI 2.0 and 3.0 are provided if the FMU does not contain them. The compiler is killed after
 /// five minutes.
 ///
 /// Errors: [`FmiError::NoSources`](crate::FmiError::NoSources),
@@ -237,8 +239,8 @@ pub fn build_library(
     build_unchanged(root, description, interface, content_hash, &patience, || Ok(()))
 }
 
-/// The same; the compiler is ended when `patience` is at an end, and the library is kept only
-/// if `check` finds the sources unchanged after the compiler has run.
+/// Builds the library as [`build_library`]. The compiler is ended when `patience` is exhausted. The library
+/// is kept only if `check` succeeds after the compiler has run, because the sources may have changed.
 pub(crate) fn build_unchanged(
     root: &Path,
     description: &ModelDescription,

@@ -1,5 +1,5 @@
-//! A folder of things worth keeping between runs: filled by renaming, so that processes do not meet half of a
-//! file; bounded; removable.
+//! A cache folder for files kept between runs. Entries are added by renaming, so that processes never find
+//! incomplete files. The size is limited, and the folder can be removed.
 
 use crate::error::{FmiError, Result};
 use crate::platform;
@@ -7,25 +7,25 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 use std::{fs, io};
 
-/// Folder of built libraries, one folder for each key inside.
+/// Folder of built libraries, with one subfolder for each key.
 pub(super) const LIBRARIES: &str = "libraries";
-/// Folder of packed FMUs, one folder for each key inside.
+/// Folder of packed FMUs, with one subfolder for each key.
 pub(super) const PACKED: &str = "packed";
-/// Folders that belong to the caches, and nothing else in the cache folder does.
+/// Subfolders of the caches. No other subfolder of the cache folder belongs to them.
 const SUBFOLDERS: &[&str] = &[LIBRARIES, PACKED];
-/// File whose time is that of the last use.
+/// File whose modification time is the time of the last use.
 const USED: &str = "used";
 /// Prefix of unfinished entries.
 const UNFINISHED: &str = ".unfinished-";
 
-/// Bounds of the libraries kept.
+/// Maximum number and total size in bytes of the entries.
 const MOST_ENTRIES: usize = 256;
 const MOST_BYTES: u64 = 512 << 20;
-/// Age at which what is unfinished was left behind by a process that died.
+/// Age after which an unfinished entry counts as left behind by a process that died.
 const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 
-/// A subfolder of the cache folder, made if it is not there; if none can be made where caches belong, one in
-/// the folder for temporary files.
+/// Returns a subfolder of the cache folder, and creates it if necessary. If that fails, a folder among the
+/// temporary files is used.
 fn folder(name: &str) -> Result<PathBuf> {
     if let Some(usual) = platform::cache_folder().map(|folder| folder.join(name)) {
         let Err(error) = prepare(&usual) else { return Ok(usual) };
@@ -38,17 +38,17 @@ fn folder(name: &str) -> Result<PathBuf> {
     Ok(inside)
 }
 
-/// Makes a folder, tries whether it can be written into, and sees to it that nobody else can: libraries are
-/// loaded from it.
+/// Creates a folder, checks that it is writable, and ensures that no other user can write to it, because
+/// libraries are loaded from it.
 fn prepare(folder: &Path) -> io::Result<()> {
     fs::create_dir_all(folder)?;
     let own = tempfile::Builder::new().prefix(UNFINISHED).tempfile_in(folder)?;
     platform::keep_others_out(folder, own.as_file())
 }
 
-/// The file `file_name` kept under `key` in a subfolder, made by `make` (which writes to the path it is
-/// given) if it is not there. Two processes that make the same one at once both succeed, and one result is
-/// kept.
+/// Returns the file `file_name` with this `key` in a subfolder. If it does not exist, `make` creates it at
+/// the path that it receives. If two processes create the same file at the same time, both succeed, and one
+/// result is kept.
 pub(super) fn get_or_make(
     subfolder: &str,
     key: &str,
@@ -78,8 +78,8 @@ pub(super) fn get_or_make(
     Ok(file)
 }
 
-/// Marks a file as used just now, in another one beside it: a library that changes its time looks as if it
-/// had been written over. That it may fail (a cache that can only be read) does no harm.
+/// Records a use of a file in a separate file next to it, because a library whose modification time changes
+/// would appear modified. An error (for example, in a read-only cache) is harmless.
 fn touch(kept: &Path) {
     let mark = kept.with_file_name(USED);
     let file = fs::File::options().create(true).append(true).open(mark);
@@ -95,7 +95,8 @@ struct Kept {
     bytes: u64,
 }
 
-/// Removes what was used longest ago until the bounds hold, but never `spared`; and what was never finished.
+/// Removes the least recently used entries until the limits are met, except `spared`. Also removes abandoned
+/// unfinished entries.
 fn evict(libraries: &Path, spared: &Path, most_entries: usize, most_bytes: u64) {
     let mut entries = Vec::new();
     for path in fs::read_dir(libraries).into_iter().flatten().flatten().map(|entry| entry.path()) {
@@ -141,7 +142,7 @@ impl Kept {
     }
 }
 
-/// Removes a folder. Another process may be doing the same.
+/// Removes a folder. Another process may remove it at the same time.
 fn remove(path: &Path) {
     if let Err(error) = fs::remove_dir_all(path)
         && error.kind() != io::ErrorKind::NotFound
@@ -150,11 +151,11 @@ fn remove(path: &Path) {
     }
 }
 
-/// Removes everything this library keeps between runs: built libraries and packed FMUs. What another thread
-/// or process is making at this moment is left to it.
+/// Removes all files that this library keeps between runs: built libraries and packed FMUs. Files that
+/// another thread or process is currently creating are kept.
 ///
 /// # Errors
-/// Something cannot be removed.
+/// Returns an error if a file cannot be removed.
 pub fn clear_caches() -> Result<()> {
     for folder in platform::cache_folder().into_iter().chain([platform::fallback_cache_folder()]) {
         for name in SUBFOLDERS {

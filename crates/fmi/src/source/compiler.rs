@@ -1,4 +1,4 @@
-//! The system's C compiler: which one, which version, how it is ended, and what it says when it fails.
+//! The system's C compiler: its choice, its version, its limits, and its error messages.
 
 use crate::cancel_request::CancelRequest;
 use crate::error::{FmiError, Result};
@@ -11,14 +11,14 @@ use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-/// Time limit of a compiler that is queried for its version.
+/// Time limit of the query for the compiler's version.
 const ANSWER_TIME: Duration = Duration::from_secs(20);
-/// Number of lines kept of a compiler's messages.
+/// Maximum number of lines kept of a compiler's messages.
 const LAST_LINES: usize = 40;
 const LAST_BYTES: usize = 8000;
-/// Number of bytes of them that are searched for the first error.
+/// Number of bytes of the messages that are searched for the first error.
 const SEARCHED_BYTES: u64 = 1 << 20;
-/// Time between two checks of a running compiler: long enough to cost nothing beside it.
+/// Time between two checks of a running compiler; long enough to cost nothing compared with the compiler.
 const LOOK_EVERY: Duration = Duration::from_millis(5);
 
 /// Conditions that end a running compiler: cancellation and a time limit.
@@ -28,7 +28,7 @@ pub(crate) struct Patience<'a> {
 }
 
 impl Patience<'_> {
-    /// Waits until it has ended; ends it, and all that it has started, when it may not go on.
+    /// Waits until the compiler has ended. Kills it and all its child processes on cancellation or timeout.
     fn wait(&self, child: &mut Child) -> io::Result<Result<ExitStatus, Impatience>> {
         let began = Instant::now();
         loop {
@@ -50,25 +50,25 @@ impl Patience<'_> {
     }
 }
 
-/// Why a compiler was ended.
+/// Reason why a compiler was killed.
 enum Impatience {
     Cancelled,
     TimeLimit,
 }
 
-/// A C compiler that has answered.
+/// A C compiler that has reported its version.
 #[derive(Debug)]
 pub(super) struct Compiler {
     program: String,
-    /// Arguments that come with the name, as in `CC="ccache gcc"`.
+    /// Arguments that are part of the command, as in `CC="ccache gcc"`.
     arguments: Vec<String>,
-    /// First line of what it says about itself.
+    /// First line of the version message.
     version: String,
 }
 
 impl Compiler {
-    /// The compiler named by `CC`, and no other if that is set; else the first of the usual names that
-    /// answers.
+    /// Returns the compiler in `CC` if it is set, and no other. Otherwise, returns the first of the usual
+    /// compilers that reports a version.
     pub(super) fn find(model_identifier: &str, patience: &Patience<'_>) -> Result<Compiler> {
         let chosen = std::env::var("CC").ok().filter(|name| !name.trim().is_empty());
         let found = match &chosen {
@@ -85,7 +85,7 @@ impl Compiler {
         })
     }
 
-    /// Asks it what it is; `Ok(None)`: it is none.
+    /// Queries the version of a command. Returns `Ok(None)` if the command is not a compiler.
     fn ask(command: &str, patience: &Patience<'_>) -> Result<Option<Compiler>> {
         let Some((program, arguments)) = split(command) else { return Ok(None) };
         let mut question = Command::new(&program);
@@ -109,12 +109,12 @@ impl Compiler {
         Ok(Some(Compiler { program, arguments, version }))
     }
 
-    /// Text that distinguishes it from other compilers.
+    /// Returns a string that distinguishes the compiler from others.
     pub(super) fn identity(&self) -> String {
         format!("{} {} {}", self.program, self.arguments.join(" "), self.version)
     }
 
-    /// Runs it in a folder; fails with its first error and its last lines unless it succeeds.
+    /// Runs the compiler in a folder. If it fails, the error contains its first error and its last lines.
     pub(super) fn run(
         &self,
         model_identifier: &str,
@@ -126,7 +126,7 @@ impl Compiler {
         command.args(&self.arguments).args(arguments).current_dir(folder);
         command.env("LC_ALL", "C").stdin(Stdio::null());
         let run = FmiError::io("run", &self.program);
-        // Into a file: a pipe that nobody empties would stop it.
+        // The output goes to a file, because a pipe that is not read would block the compiler.
         let said = tempfile::tempfile().and_then(|said| Ok((said.try_clone()?, said.try_clone()?, said)));
         let (out, err, mut said) = match said {
             Ok(said) => said,
@@ -156,7 +156,7 @@ impl Compiler {
     }
 }
 
-/// The first error in what a compiler said, and its last lines.
+/// Returns the first error in the messages of a compiler, and the last lines.
 fn messages(said: &mut File) -> io::Result<String> {
     let mut start = Vec::new();
     said.rewind()?;
@@ -179,7 +179,7 @@ fn shortened(start: &str, end: &str) -> String {
     }
 }
 
-/// A command as program and arguments. A path with spaces in it is a program if there is such a file.
+/// Splits a command into program and arguments. A path with spaces is the program if such a file exists.
 fn split(command: &str) -> Option<(String, Vec<String>)> {
     let command = command.trim();
     if Path::new(command).is_file() {
@@ -189,7 +189,7 @@ fn split(command: &str) -> Option<(String, Vec<String>)> {
     Some((words.next()?, words.collect()))
 }
 
-/// The end of a long text.
+/// Returns the end of a long text.
 fn last_lines(text: &str) -> String {
     let lines: Vec<&str> = text.lines().collect();
     let tail = lines[lines.len().saturating_sub(LAST_LINES)..].join("\n");

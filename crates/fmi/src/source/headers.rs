@@ -1,11 +1,11 @@
-//! The C headers of the standard, for source-code FMUs that include them and do not bring them
+//! The C headers of the standard, for source-code FMUs that include them but do not contain them
 //! (`headers/readme.md`: origin and licence).
 
 use crate::error::{FmiError, Result};
 use std::fs;
 use std::path::Path;
 
-/// Names and contents.
+/// Defines a list of names and contents.
 macro_rules! headers {
     [$($name:literal),+ $(,)?] => {
         &[$(($name, include_str!(concat!("../../headers/", $name)))),+]
@@ -21,10 +21,10 @@ const HEADERS: &[(&str, &str)] = headers![
     "fmi3Functions.h",
 ];
 
-/// The header that lists the functions of FMI 2.0.
+/// Header that lists the functions of FMI 2.0.
 pub(super) const FMI2_FUNCTIONS: &str = HEADERS[2].1;
 
-/// Writes them into a folder that is made for it.
+/// Writes the headers to a new folder.
 pub(super) fn write(folder: &Path) -> Result<()> {
     fs::create_dir(folder).map_err(FmiError::io("create", folder))?;
     for (name, text) in HEADERS {

@@ -1,4 +1,4 @@
-//! FMUs as source code: building a library for this platform, keeping it, and packing a folder into an
+//! FMUs as source code: building and caching a library for this platform, and packing a folder into an
 //! `.fmu`.
 
 mod build;

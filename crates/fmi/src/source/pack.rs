@@ -1,4 +1,4 @@
-//! Packing a folder into an `.fmu`: everything in it, and a library for this platform built from its sources.
+//! Packs a folder into an `.fmu`: all its files, and a library for this platform built from its sources.
 
 use super::build::{COMPILE_TIME, build_unchanged};
 use super::cache;
@@ -15,21 +15,22 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use zip::write::{SimpleFileOptions, ZipWriter};
 
-/// Packs a folder with `modelDescription.xml` and `sources/` into an `.fmu` that holds all of it and, built
-/// now, a library for this platform in `binaries/`. Folders without sources are packed as they are.
+/// Packs a folder with `modelDescription.xml` and `sources/` into an `.fmu`. The `.fmu` contains all files of
+/// the folder and a newly built library for this platform in `binaries/`. Folders without sources are packed
+/// unchanged.
 ///
-/// The same folder and compiler give the same bytes: entries are sorted and carry no time. The result
-/// replaces `out` in one step, after it has been opened and parsed again.
+/// An unchanged folder and compiler result in identical bytes: entries are sorted and have no time stamps.
+/// The result replaces `out` atomically, after it has been opened and parsed again.
 ///
-/// Errors: [`FmiError::CannotPack`]; those of opening a folder, parsing its description, building its
-/// library.
+/// Errors: [`FmiError::CannotPack`]; the errors of opening a folder, parsing its description, and building
+/// its library.
 pub fn pack(folder: &Path, out: &Path) -> Result<()> {
     pack_unless(folder, out, &CancelRequest::default())
 }
 
-/// As [`pack`], unless `cancel` asks for an early end: nothing is written then.
+/// Packs a folder as [`pack`], unless `cancel` requests an early end. Nothing is written in that case.
 ///
-/// Errors: those of [`pack`]; [`FmiError::Cancelled`].
+/// Errors: the errors of [`pack`]; [`FmiError::Cancelled`].
 pub fn pack_unless(folder: &Path, out: &Path, cancel: &CancelRequest) -> Result<()> {
     let source = Archive::open_with(folder, &ArchiveLimits::default(), cancel)?;
     let description = ModelDescription::read_with(&source, &DescriptionLimits::default(), cancel)?;
@@ -54,12 +55,13 @@ pub fn pack_unless(folder: &Path, out: &Path, cancel: &CancelRequest) -> Result<
     })
 }
 
-/// Path of an `.fmu` named `file_name` with these files (paths inside of it, and texts), packed as by
-/// [`pack`] at the first call and kept in the cache folder until [`clear_caches`](crate::clear_caches): other
-/// texts get another place. As with libraries, those used longest ago go when there are many.
+/// Returns the path of an `.fmu` named `file_name` with these files (paths inside the FMU, and contents). The
+/// first call packs it as [`pack`] does. It is kept in the cache folder until
+/// [`clear_caches`](crate::clear_caches). Different contents result in a different path. If there are many
+/// entries, the least recently used ones are removed, as for libraries.
 ///
 /// # Errors
-/// Those of [`pack`]; the system refuses to write.
+/// The errors of [`pack`]; [`FmiError::Io`] if writing fails.
 pub fn pack_texts(file_name: &str, files: &[(String, String)]) -> Result<PathBuf> {
     let platform = [env!("CARGO_PKG_VERSION"), std::env::consts::OS, std::env::consts::ARCH];
     let texts = files.iter().flat_map(|(name, text)| [name.as_str(), text]);
@@ -77,7 +79,7 @@ pub fn pack_texts(file_name: &str, files: &[(String, String)]) -> Result<PathBuf
     })
 }
 
-/// All files of the folder by the names they get, without `out` itself if it lies there.
+/// Returns all files of the folder with their names in the archive, except `out` itself.
 fn files_to_pack(root: &Path, out: &Path) -> Result<BTreeMap<String, PathBuf>> {
     let out = out.canonicalize().ok();
     let files = files_below(root, ArchiveLimits::default().entries)?;
@@ -85,7 +87,7 @@ fn files_to_pack(root: &Path, out: &Path) -> Result<BTreeMap<String, PathBuf>> {
     Ok(files.into_iter().filter(|(_, path)| !is_out(path)).collect())
 }
 
-/// The interfaces that need a library of their own.
+/// Returns the interfaces that need a separate library.
 fn distinct_interfaces(description: &ModelDescription) -> Vec<&Interface> {
     let mut interfaces: Vec<&Interface> =
         description.model_exchange.iter().chain(&description.co_simulation).collect();
@@ -99,8 +101,8 @@ fn library_name(description: &ModelDescription, interface: &Interface) -> String
     format!("binaries/{folder}/{}.{}", interface.model_identifier, platform::LIBRARY_EXTENSION)
 }
 
-/// Writes an archive of these files; those in `replaced` with another content. For errors: `action` on
-/// `path`.
+/// Writes an archive of these files. Files in `replaced` have other contents. `action` and `path` are used in
+/// errors.
 pub(crate) fn write_archive(
     out: &File,
     action: &'static str,
@@ -114,7 +116,7 @@ pub(crate) fn write_archive(
         let mut content = open_regular(&file).map_err(FmiError::io("read", &file))?;
         let metadata = content.metadata().map_err(FmiError::io("read", &file))?;
         let mode = if platform::is_executable(&metadata) { 0o755 } else { 0o644 };
-        // No time of last modification: the library then writes the first one the format knows, 1980.
+        // Without a modification time, the crate writes the earliest one of the format, 1980.
         let options = SimpleFileOptions::default()
             .compression_method(zip::CompressionMethod::Deflated)
             .last_modified_time(zip::DateTime::default())
@@ -130,7 +132,7 @@ pub(crate) fn write_archive(
     archive.finish().map_err(failed)?.flush().map_err(FmiError::io(action, path))
 }
 
-/// Opens the archive as a user would, and unpacks it.
+/// Opens and unpacks the archive as a user would.
 fn check_result(path: &Path, source: &Archive, folder: &Path) -> Result<()> {
     let archive = Archive::open(path)?;
     ModelDescription::read(&archive)?;

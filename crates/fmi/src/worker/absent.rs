@@ -1,4 +1,4 @@
-//! Where processes cannot be started as workers: there are none.
+//! Replacement of the worker processes on systems that do not support them.
 
 use super::frame::Frame;
 use super::isolation::{AskedProcess, Question};
@@ -16,46 +16,46 @@ use std::sync::Arc;
 pub enum Workers {}
 
 impl Workers {
-    /// `None`.
+    /// Returns `None`.
     pub fn new(_: WorkerLimits) -> Option<Arc<Self>> {
         None
     }
 
-    /// The limits.
+    /// Returns the limits.
     pub fn limits(&self) -> &WorkerLimits {
         match *self {}
     }
 
-    /// Not reached.
+    /// Unreachable.
     pub fn prepare(&self, _: &Load) {
         match *self {}
     }
 
-    /// Not reached.
+    /// Unreachable.
     pub fn prepare_second(&self, _: &Load) {
         match *self {}
     }
 
-    /// Not reached.
+    /// Unreachable.
     pub fn hold(self: &Arc<Self>) -> Held {
         match **self {}
     }
 
-    /// Not reached.
+    /// Unreachable.
     pub fn n_changes(&self) -> u64 {
         match *self {}
     }
-    /// Not reached.
+    /// Unreachable.
     pub fn n_idle(&self, _: &Load) -> usize {
         match *self {}
     }
 
-    /// Not reached.
+    /// Unreachable.
     pub fn forget(&self, _: &Load) {
         match *self {}
     }
 
-    /// Not reached.
+    /// Unreachable.
     ///
     /// # Errors
     /// None.
@@ -63,7 +63,7 @@ impl Workers {
         match **self {}
     }
 
-    /// Not reached.
+    /// Unreachable.
     ///
     /// # Errors
     /// None.
@@ -84,7 +84,7 @@ impl Workers {
 pub enum PinnedProcess {}
 
 impl PinnedProcess {
-    /// Not reached.
+    /// Unreachable.
     ///
     /// # Errors
     /// None.
@@ -97,34 +97,34 @@ impl PinnedProcess {
         match *self {}
     }
 
-    /// Not reached.
+    /// Unreachable.
     pub fn limits(&self) -> &WorkerLimits {
         match *self {}
     }
 
-    /// Not reached.
+    /// Unreachable.
     pub fn is_own(&self) -> bool {
         match *self {}
     }
 
-    /// Not reached.
+    /// Unreachable.
     pub fn has_ended(&self) -> bool {
         match *self {}
     }
 }
 
-/// Not made.
+/// Never constructed.
 #[derive(Debug)]
 pub enum Held {}
 
-/// Returns at once.
+/// Returns immediately.
 pub fn serve_if_worker(_: impl FnOnce() -> Box<dyn Service + Send>) {}
 
-/// Nothing can be started.
+/// Never constructed, because no process can be started.
 #[derive(Debug)]
 pub enum ForkServer {}
 
-/// `None`: nothing can be started.
+/// Returns `None`, because no process can be started.
 pub fn start_fork_server() -> Option<Arc<ForkServer>> {
     None
 }

@@ -1,4 +1,4 @@
-//! Ends of processes.
+//! The ends of processes.
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::Pid;
@@ -7,16 +7,16 @@ use std::os::unix::process::ExitStatusExt;
 use std::process::ExitStatus;
 use std::time::Duration;
 
-/// Time after which a process whose end no system call tells is looked at again.
+/// Time between two checks of a process whose end no system call reports.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// The end of a process, which keeps its number until it is waited for. Where the system has no such thing
-/// (`None`), only its socket tells, and it ends soon after that.
+/// Handle for the end of a process. A process keeps its process id until it is waited for. If the system has
+/// no such handle (`None`), only the socket reports the end, shortly before the process ends.
 #[derive(Debug, Default)]
 pub(super) struct ProcessEnd(Option<OwnedFd>);
 
 impl ProcessEnd {
-    /// The end of a child of this process, or of a child of it.
+    /// Returns the handle for a child of this process, or for a child of a child.
     #[cfg(target_os = "linux")]
     pub(super) fn of(pid: Pid) -> Self {
         Self(rustix::process::pidfd_open(pid, rustix::process::PidfdFlags::empty()).ok())
@@ -27,7 +27,7 @@ impl ProcessEnd {
         Self(None)
     }
 
-    /// True if it comes within this time.
+    /// True if the process ends within this time.
     pub(super) fn is_over_within(&self, longest: Duration) -> bool {
         let Some(end) = &self.0 else {
             std::thread::sleep(longest.min(LOOK));
@@ -38,7 +38,7 @@ impl ProcessEnd {
     }
 }
 
-/// How a process has ended.
+/// Describes how a process ended.
 pub(super) fn in_words(status: ExitStatus) -> String {
     let signal = status.signal();
     match (signal, status.code()) {

@@ -5,18 +5,18 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::SystemTime;
 
-/// The folder of a template; it is removed when this is dropped by the process that has made it.
+/// The folder of a template. It is removed when this value is dropped in the process that created it.
 #[derive(Debug)]
 pub(super) struct Folder {
     path: PathBuf,
     owner: u32,
 }
 
-/// Folders that this process has made.
+/// Number of folders that this process has created.
 static N_MADE: AtomicU32 = AtomicU32::new(0);
 
 impl Folder {
-    /// Makes a folder in the folder for temporary files.
+    /// Creates a folder in the folder for temporary files.
     pub(super) fn new() -> std::io::Result<Self> {
         let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
         let (owner, n) = (std::process::id(), N_MADE.fetch_add(1, Ordering::Relaxed));
@@ -40,12 +40,13 @@ impl Drop for Folder {
     }
 }
 
-/// The folder of a worker, from that of its template or of another one: a name of the same length.
+/// Returns the folder of a worker, from the folder of its template or of another worker. The name has the
+/// same length.
 pub(super) fn worker_folder(template: &Path, number: u32) -> PathBuf {
     template.with_extension(format!("{number:010}"))
 }
 
-/// Makes a folder for nobody else. The error names it.
+/// Creates a folder that only this user can access. The error contains its path.
 pub(super) fn make(folder: &Path) -> std::io::Result<()> {
     use std::os::unix::fs::DirBuilderExt;
     let named = |error: std::io::Error| {
@@ -55,8 +56,8 @@ pub(super) fn make(folder: &Path) -> std::io::Result<()> {
     std::fs::DirBuilder::new().mode(0o700).create(folder).map_err(named)
 }
 
-/// Removes a folder in which something may be made meanwhile. A confined worker empties it; the process that
-/// it was copied from removes it.
+/// Removes a folder in which other processes may still create files. A confined worker can only empty the
+/// folder; its parent process removes it.
 pub(super) fn remove(folder: &Path) {
     for _ in 0..100 {
         match std::fs::remove_dir_all(folder) {

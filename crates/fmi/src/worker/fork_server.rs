@@ -1,8 +1,8 @@
-//! The process that worker processes are copied from, as the process sees it that has started it.
+//! The template process from which worker processes are forked, as seen by its parent process.
 //!
-//! It starts the program and loads a problem once, which takes longer than a short evaluation; a copy of it
-//! takes a millisecond. It runs no foreign code, has one thread, and is the parent of its copies and of
-//! whatever they leave behind.
+//! The template starts the program and loads a problem once, which takes longer than a short evaluation.
+//! Forking takes a millisecond. The template runs no foreign code, has one thread, and is the parent of its
+//! forks and of the processes that they leave behind.
 
 use super::end::{ProcessEnd, in_words};
 use super::folder::{Folder, remove, worker_folder};
@@ -32,21 +32,21 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
-/// Order to the template; its byte goes before the frame, and the descriptors with it. Only the last one has
-/// an answer of the template: a worker says by itself that it is there.
+/// Order to the template. Its byte and the descriptors are sent before the frame. The template answers only
+/// the last one; a worker reports its own arrival.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub(super) enum Order {
-    /// To load what the frame says.
+    /// Load the problem in the frame.
     Load = b'L',
-    /// To start a worker: [`Start`], with [`DESCRIPTORS`]; on its socket follow an [`Arrival`] and a
-    /// [`Hello`], or an error with its text.
+    /// Start a worker: [`Start`], with [`DESCRIPTORS`]. An [`Arrival`] and a [`Hello`] follow on its socket,
+    /// or an error with its message.
     Start = b'S',
-    /// To end a worker, by its number, and what it has left behind; the answer is its status.
+    /// End a worker, by its number, and the processes that it has left behind. The answer is its exit status.
     End = b'E',
 }
 
-/// The socket, the shared page, and the pipe for what is printed.
+/// Number of descriptors: the socket, the shared page, and the pipe for printed output.
 pub(super) const DESCRIPTORS: usize = 3;
 
 /// A worker to be started.
@@ -55,13 +55,13 @@ pub(super) struct Start {
     pub(super) number: u32,
     pub(super) limits: WorkerLimits,
     pub(super) level: LevelFilter,
-    /// It [prepares](super::Service::prepare) before it says that it is there.
+    /// True if the worker [prepares](super::Service::prepare) before it reports that it is ready.
     pub(super) is_prepared: bool,
     pub(super) surroundings: Surroundings,
     /// Functions that are not called because they have ended a worker (see
     /// [`WorkerEnd::call_at_end_of_run`](crate::error::WorkerEnd::call_at_end_of_run)).
     pub(super) avoided_calls: Vec<String>,
-    /// From 0, other than that of all other workers of this program that run at the same time.
+    /// Number from 0, different for all workers of this program that run at the same time.
     pub(super) place: u32,
 }
 
@@ -71,30 +71,30 @@ pub(super) struct Arrival {
     pub(super) pid: i32,
 }
 
-/// Second message of a worker, which is ready for its first question.
+/// Second message of a worker, which is then ready for its first request.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Hello {
-    /// Its template has loaded what it was to load.
+    /// True if the template has loaded the problem.
     pub(super) has_loaded: bool,
 }
 
-/// An order is done after this time, and its end.
+/// Maximum time for an order, and for the end of the template.
 const LONGEST: Duration = Duration::from_secs(60);
 
-/// Time between two looks whether it has ended.
+/// Time between two checks for the end of the template.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// A process that worker processes are copied from. It ends when this is dropped.
+/// A process from which worker processes are forked. It ends when this value is dropped.
 #[derive(Debug)]
 pub(super) struct Template {
     program: Launcher,
     printed: Printed,
     orders: Mutex<Orders>,
-    /// It has ended, or is about to.
+    /// True if the template has ended, or is about to end.
     is_broken: AtomicBool,
-    /// It has ended with all of its workers.
+    /// True if the template has ended together with all its workers.
     is_over: AtomicBool,
-    /// The process that has started it.
+    /// Process id of the parent.
     owner: u32,
     folder: Folder,
 }
@@ -106,11 +106,12 @@ struct Orders {
     buffer: Vec<u8>,
     answer: Frame,
     n_started: u32,
-    /// The load that was sent.
+    /// Load that was sent.
     load: Option<LoadId>,
 }
 
-/// A template that was started before there is a problem to load. It ends with this, unless it was taken.
+/// A template that was started before a problem is known. It ends when this value is dropped, unless it is in
+/// use.
 #[derive(Debug)]
 pub struct ForkServer(Mutex<Option<Template>>);
 
@@ -121,7 +122,7 @@ impl ForkServer {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The template of this program, if one was started ahead and nobody has taken it.
+    /// Takes the template of this program, if one was started in advance and is still available.
     fn take(launcher: &Launcher) -> Option<Template> {
         let ahead = AHEAD.lock().unwrap_or_else(PoisonError::into_inner).upgrade()?;
         let is_usable =
@@ -130,9 +131,9 @@ impl ForkServer {
     }
 }
 
-/// Starts the program of worker processes, which will be needed soon; does not wait for it. It ends when the
-/// last returned `ForkServer` is dropped before it is needed. `None`: it cannot be started; who needs it
-/// meets the error.
+/// Starts the program of worker processes in advance, without waiting for it. The process ends when the last
+/// returned `ForkServer` is dropped, unless it is in use. Returns `None` if the program cannot be started.
+/// The error is reported when a worker is needed.
 pub fn start_fork_server() -> Option<Arc<ForkServer>> {
     let mut known = AHEAD.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(ahead) = known.upgrade().filter(|ahead| ahead.template().is_some()) {
@@ -145,7 +146,8 @@ pub fn start_fork_server() -> Option<Arc<ForkServer>> {
 }
 
 impl Template {
-    /// One that was started before, or is started now, and is to load this.
+    /// Returns a template that loads this problem. Uses a template that was started in advance, or starts a
+    /// new one.
     pub(super) fn loading(launcher: &Launcher, load: &Load) -> Result<Self, FmiError> {
         let template = ForkServer::take(launcher).map_or_else(|| Self::start(launcher), Ok)?;
         let mut orders = template.orders();
@@ -172,7 +174,7 @@ impl Template {
             .stdin(OwnedFd::from(theirs))
             .stdout(Stdio::null())
             .stderr(pipe)
-            // Ctrl-C in a terminal goes to all processes of a group.
+            // Ctrl-C in a terminal is sent to all processes of a group.
             .process_group(0);
         if let Some(library) = &launcher.preload {
             let before = std::env::var_os(PRELOAD).unwrap_or_default();
@@ -202,18 +204,18 @@ impl Template {
         self.orders.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// True if it can start no workers any more.
+    /// True if the template cannot start workers any more.
     pub(super) fn is_broken(&self) -> bool {
         self.is_broken.load(Ordering::Relaxed)
     }
 
-    /// True if all of its workers have ended with it.
+    /// True if all workers have ended together with the template.
     pub(super) fn is_over(&self) -> bool {
         self.is_over.load(Ordering::Relaxed)
     }
 
-    /// Has a worker with these descriptors started, which gets the next number; does not wait for it. Its
-    /// number, and what it has loaded if the template could load it.
+    /// Starts a worker with these descriptors and the next number, without waiting for it. Returns its
+    /// number, and its load if the template could load it.
     pub(super) fn begin_worker(
         &self,
         mut start: Start,
@@ -232,7 +234,8 @@ impl Template {
         }
     }
 
-    /// Error for a worker that was not started: the template, if it has ended, can start no other one.
+    /// Returns the error for a worker that was not started. If the template has ended, the error contains the
+    /// reason.
     pub(super) fn without_worker(&self, error: &str) -> FmiError {
         let reason = match self.end_in_words() {
             Some(end) => Some(self.printed.last_words()).filter(|printed| !printed.is_empty()).unwrap_or(end),
@@ -241,7 +244,7 @@ impl Template {
         FmiError::NoWorker { reason: format!("{}: {reason}", self.program.program.display()) }
     }
 
-    /// How it has ended, if it has.
+    /// Describes how the template ended; `None` if it is running.
     pub(super) fn end_in_words(&self) -> Option<String> {
         let mut orders = self.orders();
         orders.has_ended_within(LOOK);
@@ -250,24 +253,25 @@ impl Template {
         Some(in_words(status))
     }
 
-    /// True if a process is a child of the template, as its workers are; on systems that do not tell, true
-    /// for any process.
+    /// True if a process is a child of the template, as all its workers are. Always true on systems that do
+    /// not report parents.
     pub(super) fn is_parent_of(&self, pid: Pid) -> bool {
         let parent = |pid: u32| -> Option<u32> {
             let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
-            // The state and the parent follow the name of the program, which may hold anything (proc(5)).
+            // The state and the parent follow the name of the program, which may contain any characters
+            // (proc(5)).
             stat.rsplit(')').next()?.split_ascii_whitespace().nth(1)?.parse().ok()
         };
         let template = self.orders().child.id();
         parent(self.owner).is_none() || parent(pid.as_raw_nonzero().get().cast_unsigned()) == Some(template)
     }
 
-    /// Removes the folder of a worker that has ended without the template.
+    /// Removes the folder of a worker whose template ended before it.
     pub(super) fn remove_folder(&self, number: u32) {
         remove(&worker_folder(self.folder.path(), number));
     }
 
-    /// Ends a worker, and all processes that it has started; how it has ended.
+    /// Ends a worker and all processes that it has started. Returns its exit status.
     pub(super) fn end_worker(&self, number: u32) -> Option<ExitStatus> {
         let mut orders = self.orders();
         let mut ask = || -> io::Result<i32> {
@@ -285,9 +289,9 @@ impl Template {
         status.ok().map(ExitStatus::from_raw)
     }
 
-    /// Ends it, with all of its workers and what they have started.
+    /// Ends the template, with all its workers and the processes that they have started.
     pub(super) fn end(&self) {
-        // A child that was forked meanwhile has no templates.
+        // A forked child does not own any templates.
         if self.owner != std::process::id() {
             return;
         }
@@ -295,18 +299,18 @@ impl Template {
         let mut orders = self.orders();
         let _ = orders.socket.shutdown(Shutdown::Both);
         if orders.n_started == 0 {
-            // Nothing is lost.
+            // No worker is lost.
             let _ = orders.child.kill();
         }
         let began = Instant::now();
         let mut has_ended = false;
-        // There may be many processes to be ended.
+        // The template may have to end many processes.
         while !has_ended && began.elapsed() < LONGEST {
             has_ended = orders.has_ended_within(LOOK);
         }
         let _ = orders.child.kill();
         let status = orders.child.wait();
-        // Else each worker is ended alone, and its folder removed.
+        // Otherwise, each worker is ended separately, and its folder removed.
         self.is_over.store(has_ended && status.is_ok_and(|status| status.success()), Ordering::Relaxed);
     }
 }
@@ -319,7 +323,7 @@ impl Orders {
             return Err(ErrorKind::InvalidInput.into());
         }
         let bytes = [order as u8];
-        // Elsewhere the signal is ignored, as in all programs of Rust and Python.
+        // On other systems the signal is ignored, as in all Rust and Python programs.
         #[cfg(target_os = "linux")]
         let flags = SendFlags::NOSIGNAL;
         #[cfg(not(target_os = "linux"))]
@@ -355,7 +359,7 @@ impl Drop for Template {
     }
 }
 
-/// No worker can be started.
+/// Returns the error for a worker that cannot be started.
 pub(super) fn no_worker(error: io::Error) -> FmiError {
     FmiError::NoWorker { reason: error.to_string() }
 }

@@ -1,4 +1,4 @@
-//! The process that worker processes are copied from: it takes its orders until the other end is closed.
+//! The process from which worker processes are forked. It executes orders until the other end is closed.
 
 use super::folder::{remove, worker_folder};
 use super::fork_server::{DESCRIPTORS, Order, Start};
@@ -18,8 +18,9 @@ use std::os::unix::ffi::OsStrExt;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 
-/// Serves until nobody needs it any more, if this process was started for that; then the process ends, and
-/// this does not return. Belongs at the begin of `main`, before any other thread is started.
+/// Serves requests until the other end is closed, if this process was started for that. The process then
+/// ends, and this function does not return. Otherwise, it returns immediately. Call it at the beginning of
+/// `main`, before any other thread is started.
 pub fn serve_if_worker(service: impl FnOnce() -> Box<dyn Service + Send>) {
     super::launcher::know_this_program();
     let Some(version) = std::env::var_os(ASKED) else { return };
@@ -28,7 +29,7 @@ pub fn serve_if_worker(service: impl FnOnce() -> Box<dyn Service + Send>) {
         false => Err(io::Error::other(format!("this program serves version {VERSION}, not {version:?}"))),
     };
     if let Err(error) = &served {
-        // Who has started it reads that.
+        // The parent process reads this message.
         let _ = writeln!(io::stderr(), "{error}");
     }
     std::process::exit(i32::from(served.is_err()));
@@ -54,7 +55,7 @@ fn serve(mut service: Box<dyn Service + Send>) -> io::Result<()> {
                 drop(control);
                 worker_main::run(service, worker)
             }
-            // The other end is closed, or says what this version does not know.
+            // The other end is closed, or has sent an order that this version does not know.
             Err(_) => break,
         }
     }
@@ -63,7 +64,7 @@ fn serve(mut service: Box<dyn Service + Send>) -> io::Result<()> {
     Ok(())
 }
 
-/// Does what it is told next. In a copy of this process: the worker that it is to be.
+/// Executes the next order. Returns the worker to be served in a fork of this process.
 fn take_order(
     control: &UnixStream,
     service: &mut dyn Service,
@@ -74,7 +75,7 @@ fn take_order(
     asked.read(&mut &*control, &mut buffer, FrameSize::ANY, &mut || Ok(()))?;
     if order == Order::Load as u8 {
         respond(service, &asked, &RunContext::new(), &mut answer)?;
-        // Where it failed, a worker tries again, and says why.
+        // After a failure, a worker tries again, and reports the error.
         workers.has_loaded = !answer.is_error;
         return Ok(None);
     }
@@ -101,7 +102,7 @@ fn take_order(
     Ok(None)
 }
 
-/// The next order, with its descriptors.
+/// Receives the next order, with its descriptors.
 fn receive(control: &UnixStream) -> io::Result<(u8, Vec<OwnedFd>)> {
     let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(DESCRIPTORS))];
     let mut ancillary = RecvAncillaryBuffer::new(&mut space);
@@ -120,16 +121,16 @@ fn receive(control: &UnixStream) -> io::Result<(u8, Vec<OwnedFd>)> {
     if received.bytes == 0 { Err(ErrorKind::UnexpectedEof.into()) } else { Ok((order[0], descriptors)) }
 }
 
-/// The workers that were copied from this process and have not been ended, with their numbers.
+/// Workers that were forked from this process and have not been ended, with their numbers.
 struct Workers {
     folder: PathBuf,
     running: Vec<(Pid, u32)>,
-    /// They have what is to be loaded from this process.
+    /// True if the workers inherit the loaded problem from this process.
     has_loaded: bool,
 }
 
 impl Workers {
-    /// Ends all of them.
+    /// Ends all workers.
     fn end_all(&mut self) {
         for (pid, _) in &self.running {
             let _ = kill_process_group(*pid, Signal::KILL);
@@ -139,11 +140,11 @@ impl Workers {
         }
     }
 
-    /// Ends a worker, with what it has started and left behind; its status.
+    /// Ends a worker, with the processes and files that it has left behind. Returns its exit status.
     fn end(&mut self, number: u32) -> i32 {
         let place = self.running.iter().position(|(_, other)| *other == number);
         let Some((pid, _)) = place.map(|place| self.running.swap_remove(place)) else { return 0 };
-        // It leads the group, and has its number until it is waited for.
+        // The worker leads the process group, and keeps its process id until it is waited for.
         let _ = kill_process_group(pid, Signal::KILL);
         let status = kill(pid);
         let folder = worker_folder(&self.folder, number);
@@ -152,9 +153,9 @@ impl Workers {
         status
     }
 
-    /// Ends processes that workers had started and have left behind, wherever these are: when their parents
-    /// end they become children of this one. Who has started them their environment says, by the worker's
-    /// folder; others are ended with the last worker.
+    /// Ends processes that workers have started and left behind. They become children of this process when
+    /// their parents end. Their environment identifies the worker that started them, by the worker's folder.
+    /// All others are ended with the last worker.
     fn end_orphans(&self, folder: &Path) {
         let marker = [FOLDER.to_bytes(), b"=", folder.as_os_str().as_bytes()].concat();
         let is_marked = |pid: i32| {
@@ -163,7 +164,7 @@ impl Workers {
         };
         let is_worker =
             |pid: i32| self.running.iter().any(|(worker, _)| worker.as_raw_nonzero().get() == pid);
-        // Until there are none: those of an orphan follow it.
+        // Repeated until there are none, because children of an orphan become orphans.
         loop {
             let children = std::fs::read_to_string("/proc/thread-self/children").unwrap_or_default();
             let pids = children.split_ascii_whitespace().filter_map(|pid| pid.parse().ok());
@@ -175,7 +176,7 @@ impl Workers {
     }
 }
 
-/// Ends a child of this process; its status.
+/// Kills a child of this process. Returns its exit status.
 fn kill(child: Pid) -> i32 {
     let _ = kill_process(child, Signal::KILL);
     let waited = rustix::io::retry_on_intr(|| waitpid(Some(child), WaitOptions::empty()));

@@ -1,69 +1,72 @@
-//! Messages between the two processes: frames of a head, notes and numbers, in one direction after the other.
+//! Messages between the two processes: frames with a head, notes and numbers, in alternating directions.
 //!
-//! A frame is a magic number, its flags and its number, which an answer has of its question (4 bytes each,
-//! and 4 unused), the lengths of its three parts (8 bytes each, of numbers their count), and the parts; all
-//! numbers little-endian, heads and notes in CBOR (RFC 8949), so that every number keeps its bits.
+//! A frame begins with a magic number, its flags and its number (4 bytes each, and 4 unused). An answer has
+//! the number of its request. The lengths of the three parts follow (8 bytes each; for numbers, their count),
+//! and then the parts. All numbers are little-endian. Heads and notes are encoded in CBOR (RFC 8949), so that
+//! every number keeps its bits.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::cell::Cell;
 use std::io::{self, ErrorKind, Read, Write};
 
-/// Of this version of what is said.
+/// Magic number of this version of the protocol.
 const MAGIC: u32 = 0x464d_5501;
 
 const HEADER: usize = 40;
 
-/// Largest size of a message: what claims to be larger is garbage, and is not read.
+/// Maximum size of a message. A message that claims to be larger is invalid, and is not read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FrameSize {
-    /// Bytes of head and notes.
+    /// Maximum size of head and notes in bytes.
     pub text: u64,
-    /// Count of numbers.
+    /// Maximum count of numbers.
     pub numbers: u64,
 }
 
 impl FrameSize {
-    /// Messages of a process that is trusted.
+    /// Limit for messages of a trusted process.
     pub(crate) const ANY: Self = Self { text: 1 << 36, numbers: 1 << 33 };
 
-    /// Answers with so many numbers, and texts as errors and notes have: these are cut far below.
+    /// Returns the limit for answers with this count of numbers. The limit for text is far above the length
+    /// of errors and notes.
     pub const fn of_numbers(numbers: u64) -> Self {
         Self { text: 16 << 20, numbers }
     }
 }
 
-/// A message. Its buffers are kept from one to the next.
+/// A message. Its buffers are reused from one message to the next.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Frame {
-    /// The sender could not do what it was asked for; the head says why.
+    /// True if the sender could not complete the request. The head contains the error.
     pub(crate) is_error: bool,
-    /// The worker is not to be used again.
+    /// True if the worker must not be used again.
     pub is_last: bool,
-    /// No answer: the same is to be asked once more, for the first try has shown how the model is read.
+    /// Not an answer: true if the request must be repeated, because the first attempt revealed how the model
+    /// must be run.
     pub is_repeated: bool,
-    /// No answer yet: the worker wants the value of a function first.
+    /// Not an answer: true if the worker first requests the value of a function.
     pub(super) is_asking: bool,
-    /// Of a question: simulations are to have new instances.
+    /// In a request: true if simulations must use new instances.
     pub needs_new_instance: bool,
-    /// Of an answer: the process was asked something before. Not sent.
+    /// In an answer: true if the process had received a request before. Not sent.
     pub is_of_used_process: bool,
-    /// Of one that was read: which question it is, or is answered.
+    /// Number of the request, or of the request that is answered. Set when a frame is read.
     pub(crate) number: u32,
     head: Vec<u8>,
     pub(crate) notes: Vec<u8>,
-    /// Numbers in bulk, with all their bits.
+    /// Bulk numbers, transferred bit for bit.
     pub numbers: Vec<f64>,
 }
 
 impl Frame {
-    /// A frame with this head.
+    /// Creates a frame with this head.
     ///
     /// # Errors
-    /// It cannot be encoded.
+    /// Returns an error if the head cannot be encoded.
     pub fn of(head: &impl Serialize) -> io::Result<Self> {
         let mut frame = Self::default();
-        // Memory that grows would take twice as much.
+        // A growing buffer would need twice the memory.
         let mut length = Length(0);
         encode(head, &mut length)?;
         frame.head.reserve_exact(length.0);
@@ -71,7 +74,7 @@ impl Frame {
         Ok(frame)
     }
 
-    /// Empties it.
+    /// Clears the frame.
     pub fn clear(&mut self) {
         (self.is_error, self.is_last, self.is_repeated, self.is_asking) = (false, false, false, false);
         (self.needs_new_instance, self.is_of_used_process) = (false, false);
@@ -80,10 +83,10 @@ impl Frame {
         self.numbers.clear();
     }
 
-    /// Sets what it says.
+    /// Sets the head.
     ///
     /// # Errors
-    /// It cannot be encoded.
+    /// Returns an error if the head cannot be encoded.
     pub fn set_head(&mut self, head: &impl Serialize) -> io::Result<()> {
         self.head.clear();
         encode(head, &mut self.head)
@@ -92,12 +95,12 @@ impl Frame {
     /// Decodes the head.
     ///
     /// # Errors
-    /// It says something else.
+    /// Returns an error if the head has a different type.
     pub fn head<T: DeserializeOwned>(&self) -> io::Result<T> {
         decode(&self.head)
     }
 
-    /// Writes it with this number, through a buffer.
+    /// Writes the frame with this number, through a buffer.
     pub(crate) fn write(&self, number: u32, to: &mut impl Write, buffer: &mut Vec<u8>) -> io::Result<()> {
         buffer.clear();
         let flags = [self.is_error, self.is_last, self.is_repeated, self.is_asking, self.needs_new_instance];
@@ -125,11 +128,12 @@ impl Frame {
         to.write_all(buffer)
     }
 
-    /// Reads the next one, through a buffer. The reader may give up for a while; `wait` is asked then, and
-    /// whenever a part has arrived.
+    /// Reads the next frame, through a buffer. `wait` is called whenever the reader times out and whenever a
+    /// part has arrived.
     ///
     /// # Errors
-    /// Those of the reader and of `wait`; `InvalidData` for what is no frame, or a larger one than `most`.
+    /// The errors of the reader and of `wait`; `InvalidData` if the data are not a frame, or if the frame is
+    /// larger than `most`.
     pub(crate) fn read(
         &mut self,
         from: &mut impl Read,
@@ -171,7 +175,7 @@ impl Frame {
     }
 }
 
-/// The number of bytes written to it.
+/// Counts the bytes written to it.
 struct Length(usize);
 
 impl Write for Length {
@@ -185,7 +189,7 @@ impl Write for Length {
     }
 }
 
-/// A writer that gives up for a while when nobody reads; `wait` is asked then.
+/// A writer that calls `wait` whenever a write times out because the other side does not read.
 pub(super) struct PatientWriter<'a, W> {
     pub(super) to: W,
     pub(super) wait: &'a mut dyn FnMut() -> io::Result<()>,
@@ -211,13 +215,13 @@ thread_local! {
     static IS_IN_FRAME: Cell<bool> = const { Cell::new(false) };
 }
 
-/// True while this thread encodes or decodes a message. An input function is serialised only then: it cannot
-/// be stored, but the worker can ask for its values.
+/// True while this thread encodes or decodes a message. An input function is serialized only then. It cannot
+/// be stored, but the worker can request its values.
 pub fn is_in_frame() -> bool {
     IS_IN_FRAME.get()
 }
 
-/// Does this with [`is_in_frame`] true.
+/// Runs a function with [`is_in_frame`] true.
 fn in_frame<T>(work: impl FnOnce() -> T) -> T {
     let before = IS_IN_FRAME.replace(true);
     let done = work();
@@ -229,7 +233,7 @@ fn encode(head: &impl Serialize, to: impl Write) -> io::Result<()> {
     in_frame(|| ciborium::into_writer(head, to)).map_err(|e| bad(format!("a message cannot be encoded: {e}")))
 }
 
-/// Decodes what a head or notes say.
+/// Decodes a head or notes.
 pub(crate) fn decode<T: DeserializeOwned>(bytes: &[u8]) -> io::Result<T> {
     use ciborium::de::Error;
     in_frame(|| ciborium::from_reader(bytes)).map_err(|error| {
@@ -246,7 +250,8 @@ fn bad(message: String) -> io::Error {
     io::Error::new(ErrorKind::InvalidData, message)
 }
 
-/// Memory is taken as the bytes arrive: a false length takes none. Longer parts are not copied to be sent.
+/// Memory is allocated as the bytes arrive, so a false length allocates none. Parts longer than this are sent
+/// without copying.
 const PIECE: usize = 1 << 20;
 
 fn read_part(
@@ -274,7 +279,7 @@ fn fill(from: &mut impl Read, mut to: &mut [u8], wait: &mut dyn FnMut() -> io::R
             Ok(n) if n == to.len() => return Ok(()),
             Ok(n) => {
                 to = &mut to[n..];
-                // Who sends byte by byte is not waited for any longer.
+                // A sender that sends single bytes does not prolong the wait.
                 wait()?;
             }
             Err(e) if e.kind() == ErrorKind::Interrupted => {}
@@ -341,7 +346,7 @@ mod tests {
             prop_assert!(read(&bytes[..cut]).is_err());
             let flip = flip % bytes.len();
             bytes[flip] ^= 1 << bit;
-            // No panic, no memory for what is not there; what is read is a frame.
+            // There must be no panic and no allocation for missing data. A frame that is read must be valid.
             if let Ok(frame) = read(&bytes) {
                 prop_assert!(frame.numbers.len() <= 3);
             }

@@ -2,19 +2,19 @@
 
 use std::ffi::CStr;
 
-/// Version that must be the same in both processes.
+/// Version that must be identical in both processes.
 pub(super) const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), "/3");
 
-/// Environment variable by which a process is asked to serve; its value is the version.
+/// Environment variable that requests a process to serve; the value is the version.
 pub(super) const ASKED: &str = "FMUFIT_WORKER";
 
 /// Environment variable with the worker's folder.
 pub(super) const FOLDER: &CStr = c"FMUFIT_WORKER_FOLDER";
 
-/// Environment variable with the folder for temporary files, which is the same.
+/// Environment variable with the folder for temporary files, which is the worker's folder.
 pub(super) const TEMPORARY: &CStr = c"TMPDIR";
 
-/// Environment variable with the level up to which it is to log.
+/// Environment variable with the maximum log level.
 pub(super) const LEVEL: &str = "FMUFIT_WORKER_LOG";
 
 /// True if this process was started to serve.

@@ -1,5 +1,5 @@
-//! Functions of time that drive inputs. They run in the process that made them: a worker process asks its
-//! caller for each value while it answers.
+//! Functions of time that drive inputs. They run in the process that created them. A worker process requests
+//! each value from its caller while it answers.
 
 use super::frame::{Frame, is_in_frame};
 use serde::de::Error as _;
@@ -14,19 +14,19 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 /// A function of time that drives an input.
 ///
-/// Serialised in a message to a worker process it is a number, by which the worker asks this process for
-/// values. Anywhere else it cannot be serialised.
+/// In a message to a worker process, the function is serialized as a number, with which the worker requests
+/// values from this process. It cannot be serialized elsewhere.
 #[derive(Clone)]
 pub struct InputFunction(Arc<Numbered>);
 
 struct Numbered {
     number: u64,
-    /// Number of the function of the caller of this worker process that is asked.
+    /// Number of the function in the caller of this worker process, if it belongs to the caller.
     of_caller: Option<u64>,
     function: Box<dyn Fn(f64) -> f64 + Send + Sync>,
 }
 
-/// The functions of this process that still exist, by number.
+/// Functions of this process that still exist, by number.
 static FUNCTIONS: Mutex<BTreeMap<u64, Weak<Numbered>>> = Mutex::new(BTreeMap::new());
 
 impl Drop for Numbered {
@@ -36,7 +36,7 @@ impl Drop for Numbered {
 }
 
 impl InputFunction {
-    /// A function of this process.
+    /// Creates a function of this process.
     pub fn new(function: impl Fn(f64) -> f64 + Send + Sync + 'static) -> Self {
         Self::numbered(None, Box::new(function))
     }
@@ -49,18 +49,18 @@ impl InputFunction {
         Self(own)
     }
 
-    /// Value at a time.
+    /// Returns the value at a time.
     pub fn value(&self, time: f64) -> f64 {
         (self.0.function)(time)
     }
 
-    /// True if both are one function.
+    /// True if both are the same function.
     pub fn is_same(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0)
             || (self.0.of_caller.is_some() && self.0.of_caller == other.0.of_caller)
     }
 
-    /// Value of the function of this process with a number; NaN if it does not exist any more.
+    /// Returns the value of the function of this process with this number; NaN if it no longer exists.
     pub(crate) fn value_of(number: u64, time: f64) -> f64 {
         let known =
             FUNCTIONS.lock().unwrap_or_else(PoisonError::into_inner).get(&number).and_then(Weak::upgrade);
@@ -93,29 +93,29 @@ impl<'de> Deserialize<'de> for InputFunction {
     }
 }
 
-/// The value that is asked for.
+/// A request for a value.
 #[derive(Serialize, Deserialize)]
 struct Wanted {
     function: u64,
     time: f64,
 }
 
-/// Sends a frame to the caller, and reads the next one into it.
+/// Sends a frame to the caller, and reads the reply into it.
 pub(super) type Exchange = Box<dyn FnMut(&mut Frame) -> io::Result<()>>;
 
 thread_local! {
-    /// The connection of the thread that answers the caller.
+    /// Connection of the thread that answers the caller.
     static CALLER: RefCell<Option<(Exchange, Frame)>> = const { RefCell::new(None) };
 }
 
-/// From now on this thread asks its caller through this.
+/// Sets the connection through which this thread requests values from its caller.
 #[cfg(unix)]
 pub(super) fn set_caller(exchange: Exchange) {
     CALLER.set(Some((exchange, Frame::default())));
 }
 
-/// Asks the caller of this worker process for the value of one of its functions. NaN if it does not
-/// answer.
+/// Requests the value of one of its functions from the caller of this worker process. Returns NaN if the
+/// caller does not answer.
 fn ask_for_value(function: u64, time: f64) -> f64 {
     let ask = |(exchange, frame): &mut (Exchange, Frame)| {
         frame.clear();
@@ -129,7 +129,7 @@ fn ask_for_value(function: u64, time: f64) -> f64 {
     })
 }
 
-/// Turns what a worker asks for into the answer.
+/// Replaces a request for a value by the answer.
 #[cfg(unix)]
 pub(super) fn answer_wanted(frame: &mut Frame) -> io::Result<()> {
     let Wanted { function, time } = frame.head()?;
@@ -138,6 +138,6 @@ pub(super) fn answer_wanted(frame: &mut Frame) -> io::Result<()> {
     Ok(())
 }
 
-/// Size of such an answer.
+/// Maximum size of such an answer.
 #[cfg(unix)]
 pub(super) const VALUE: super::frame::FrameSize = super::frame::FrameSize::of_numbers(1);

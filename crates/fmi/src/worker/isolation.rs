@@ -1,4 +1,4 @@
-//! Where an FMU runs, and which worker process is asked.
+//! Choice of the process in which an FMU runs, and of the worker process for a request.
 
 use super::frame::Frame;
 use super::limits::AnswerLimits;
@@ -6,11 +6,11 @@ use base::RunContext;
 use serde::{Deserialize, Serialize};
 use std::str::FromStr;
 
-/// Where an FMU runs.
+/// Process in which an FMU runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Isolation {
-    /// In processes of its own, one per thread that evaluates: this process outlives whatever the FMU does.
+    /// Separate processes, one for each evaluating thread. Failures of the FMU do not affect this process.
     #[default]
     Process,
     /// In this process, one simulation at a time.
@@ -18,10 +18,10 @@ pub enum Isolation {
 }
 
 impl Isolation {
-    /// All of them, by their names.
+    /// All values, with their names.
     pub const NAMES: [(&'static str, Self); 2] = [("process", Self::Process), ("none", Self::None)];
 
-    /// The name by which it is asked for.
+    /// Returns the name of the value.
     pub fn name(self) -> &'static str {
         match self {
             Self::Process => "process",
@@ -43,30 +43,30 @@ impl FromStr for Isolation {
     }
 }
 
-/// A question to a worker.
+/// A request to a worker.
 #[derive(Clone, Copy)]
 pub struct Question<'a> {
-    /// The question.
+    /// Message to the worker.
     pub asked: &'a Frame,
-    /// Ends the wait for the answer: it is looked at every 10 ms, and the worker has 0.1 s to answer once it
-    /// is over.
+    /// Ends the wait for the answer. It is checked every 10 ms. After it ends, the worker has 0.1 s to
+    /// answer.
     pub context: &'a RunContext<'a>,
-    /// Limits of the answer: a simulation that takes longer than its time and 0.25 s ends the worker, and so
-    /// does an answer that is larger.
+    /// Limits of the answer. A simulation that exceeds its time limit by more than 0.25 s ends the worker,
+    /// and so does an answer that is too large.
     pub limits: AnswerLimits,
-    /// True if the answer is only compared with another one. What the worker logs is dropped then.
+    /// True if the answer is only compared with another one. Log lines of the worker are then dropped.
     pub is_repetition: bool,
 }
 
-/// Process that is asked.
+/// Choice of the process that receives a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AskedProcess {
-    /// Any that is idle and has loaded the same; a new one if there is none.
+    /// Any idle process with the required load; a new one if there is none.
     Any,
-    /// Of these, the one that was asked longest ago.
+    /// The process with the required load that has been idle the longest.
     LongestIdle,
-    /// One that was never asked before.
+    /// A process that has not received a request before.
     Fresh,
-    /// One that was never asked before, and is not asked again.
+    /// A process that has not received a request before, and receives no further ones.
     FreshOnce,
 }

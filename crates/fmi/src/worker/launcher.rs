@@ -4,29 +4,29 @@ use std::ffi::OsString;
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
-/// A program that serves as a worker when it is started with these arguments: it calls
+/// A program that serves as a worker if it is started with these arguments. It must call
 /// [`serve_if_worker`](super::serve_if_worker).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Launcher {
-    /// The program.
+    /// Path of the program.
     pub program: PathBuf,
-    /// Its arguments.
+    /// Arguments of the program.
     pub arguments: Vec<OsString>,
-    /// A library with [`serve_before_main`](crate::serve_before_main), which is loaded ahead of the program:
-    /// then that need not start.
+    /// A library with [`serve_before_main`](crate::serve_before_main), to be preloaded. The start of the
+    /// program itself is then skipped.
     pub preload: Option<PathBuf>,
 }
 
 static KNOWN: Mutex<Option<Launcher>> = Mutex::new(None);
 
 impl Launcher {
-    /// A program without arguments.
+    /// Creates a launcher for a program without arguments.
     pub fn of(program: impl Into<PathBuf>) -> Self {
         Self { program: program.into(), arguments: Vec::new(), preload: None }
     }
 
-    /// Has a library loaded ahead of the program where that is possible: on Linux, where the program is that
-    /// of this process, in which the library has found what it needs.
+    /// Preloads a library if possible. This requires Linux and the program of this process, which satisfies
+    /// the dependencies of the library.
     #[must_use]
     pub fn preloading(mut self, library: PathBuf) -> Self {
         let is_listable = |byte: &u8| !byte.is_ascii_whitespace() && *byte != b':';
@@ -41,7 +41,7 @@ impl Launcher {
         self
     }
 
-    /// Has all workers that this process starts from now on started so.
+    /// Uses this launcher for all workers that this process starts from now on.
     pub fn set(self) {
         *KNOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(self);
     }
@@ -51,13 +51,13 @@ impl Launcher {
         cfg!(unix) && Self::known().is_some()
     }
 
-    /// Command that starts workers; `None`: it has not been set.
+    /// Returns the launcher of workers; `None` if it has not been set.
     pub(super) fn known() -> Option<Self> {
         KNOWN.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 }
 
-/// This program serves: unless another one was named, it starts itself.
+/// Makes this program the launcher, unless another one has been set.
 pub(super) fn know_this_program() {
     let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
     if known.is_none()

@@ -1,26 +1,26 @@
-//! Limits of a worker process, and how it sets them for itself.
+//! Limits of a worker process, and the functions that set them.
 
 use super::frame::FrameSize;
 use serde::{Deserialize, Serialize};
 use std::sync::LazyLock;
 use std::time::Duration;
 
-/// Memory that a worker may gain before it is replaced, in bytes.
+/// Memory growth in bytes after which a worker is replaced.
 const GROWTH: u64 = 512 << 20;
 
 /// Limits of a worker process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct WorkerLimits {
-    /// Bytes of memory that it may have. On Linux what goes beyond fails in the FMU, and where the system
-    /// does not count it (what is shared with other processes), the worker is ended. Default: the memory of
-    /// the machine.
+    /// Maximum memory in bytes. On Linux, allocations beyond the limit fail in the FMU. If memory is not
+    /// counted by the system (memory shared with other processes), the worker is killed instead. Default: the
+    /// memory of the machine.
     pub memory: Option<u64>,
-    /// Bytes of memory that it may gain after its first answer, before it is replaced. Default: 512 MiB.
+    /// Memory growth in bytes after the first answer, after which the worker is replaced. Default: 512 MiB.
     pub growth: u64,
-    /// Answers after which it is replaced; default: no limit.
+    /// Number of answers after which the worker is replaced; default: no limit.
     pub calls: Option<u64>,
-    /// It is confined: it may write into its own folder only, and open no connections (Linux; see
-    /// [`check_sandbox`](super::check_sandbox)).
+    /// True if the worker is confined. It may then write only to its own folder, and open no connections
+    /// (Linux; see [`check_sandbox`](super::check_sandbox)).
     pub sandbox: bool,
 }
 
@@ -30,27 +30,27 @@ impl Default for WorkerLimits {
     }
 }
 
-/// Limits of an answer, which hold whatever the worker says.
+/// Limits of an answer, enforced regardless of what the worker reports.
 #[derive(Debug, Clone, Copy)]
 pub struct AnswerLimits {
     /// Wall-clock time of a single simulation; default: no limit.
     pub run: Option<Duration>,
-    /// Simulations that the question can have.
+    /// Maximum number of simulations for the request.
     pub runs: u32,
-    /// Its size.
+    /// Maximum size of the answer.
     pub size: FrameSize,
 }
 
 impl WorkerLimits {
-    /// Size of any answer: a worker has it in its memory before it sends it.
+    /// Returns the maximum size of any answer. A worker must have the answer in memory before it sends it.
     pub fn answer_size(&self) -> FrameSize {
         let most = self.memory.unwrap_or(FrameSize::ANY.text);
         FrameSize { text: most, numbers: most / size_of::<f64>() as u64 }
     }
 }
 
-/// Bytes of memory that this machine has, where the system tells. Read once: that takes as long as a short
-/// simulation.
+/// Memory of this machine in bytes, if the system reports it. Read only once, because reading takes as long
+/// as a short simulation.
 static MEMORY_OF_MACHINE: LazyLock<Option<u64>> = LazyLock::new(|| {
     let text = std::fs::read_to_string("/proc/meminfo").ok()?;
     let line = text.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
@@ -58,7 +58,7 @@ static MEMORY_OF_MACHINE: LazyLock<Option<u64>> = LazyLock::new(|| {
     Some(kilobytes << 10)
 });
 
-/// Limits the memory of this process, and lets it write no core files.
+/// Limits the memory of this process, and disables core files.
 #[cfg(unix)]
 pub(super) fn limit_self(limits: &WorkerLimits) -> std::io::Result<()> {
     let lower = |resource: rustix::process::Resource, most: u64| {

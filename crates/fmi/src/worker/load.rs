@@ -11,12 +11,12 @@ pub struct Load {
     frame: Box<dyn Fn() -> io::Result<Frame> + Send + Sync>,
 }
 
-/// Number of a load, and of the one in whose processes it is asked.
+/// Number of a load, and of the load whose processes may serve it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct LoadId {
     pub(super) number: u64,
     pub(super) owner: u64,
-    /// One idle worker of it is not ended, however long nobody asks.
+    /// True if one idle worker with this load is never ended for being idle.
     pub(super) is_kept: bool,
 }
 
@@ -24,22 +24,23 @@ pub(super) struct LoadId {
 static NEXT_ID: AtomicU64 = AtomicU64::new(1);
 
 impl Load {
-    /// A load from the frame that a worker receives before its first request; it is made whenever it is
-    /// needed, and not kept.
+    /// Creates a load from a function that returns the first frame for a worker. The frame is created
+    /// whenever it is needed, and not stored.
     pub fn new(frame: impl Fn() -> io::Result<Frame> + Send + Sync + 'static) -> Self {
         let number = NEXT_ID.fetch_add(1, Ordering::Relaxed);
         Self { id: LoadId { number, owner: number, is_kept: false }, frame: Box::new(frame) }
     }
 
-    /// The same, of the same model: where processes that have loaded `owner` are idle, they are asked.
+    /// Marks the load as belonging to the model of `owner`. Idle processes with the load `owner` then also
+    /// serve it.
     #[must_use]
     pub fn in_processes_of(mut self, owner: &Self) -> Self {
         self.id.owner = owner.id.owner;
         self
     }
 
-    /// The same, with one worker that is kept until the load is [forgotten](super::Workers::forget): it holds
-    /// the end of a simulation.
+    /// Keeps one worker until the load is [forgotten](super::Workers::forget), because the worker has the
+    /// final state of a simulation.
     #[must_use]
     pub fn kept(mut self) -> Self {
         self.id.is_kept = true;

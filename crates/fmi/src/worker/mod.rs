@@ -1,12 +1,13 @@
-//! Processes in which FMUs run: what an FMU does to its process, this one does not notice.
+//! Processes that run FMUs. Failures of an FMU do not affect the calling process.
 //!
-//! An FMU is foreign machine code: it crashes, hangs, leaks, calls `exit`, keeps values in statics. Whatever
-//! evaluates a model more than once asks [`Workers`] to do it. A program that calls [`serve_if_worker`] first
-//! in its `main` is started once, as a template: it loads what is to be evaluated, and copies itself whenever
-//! a worker is needed. A worker has a socket pair (see [`Frame`] for what is said), the working folder and
-//! the environment variables of its caller, a separate folder for temporary files, and limits that it sets on
-//! itself. It runs one FMU in one thread. It ends when the socket is closed, at the latest with the process
-//! that has started it.
+//! An FMU is foreign machine code. It may crash, hang, leak memory, call `exit`, or keep values in static
+//! variables. Callers that evaluate a model more than once use [`Workers`]. A program that calls
+//! [`serve_if_worker`] first in its `main` is started once, as a template. The template loads the problem to
+//! be evaluated, and forks itself whenever a worker is needed.
+//!
+//! A worker has a socket pair (see [`Frame`] for the messages), the working folder and the environment
+//! variables of its caller, a separate folder for temporary files, and limits that it sets on itself. It runs
+//! one FMU in one thread. It ends when the socket is closed, no later than the end of its parent process.
 
 #[cfg(not(unix))]
 mod absent;

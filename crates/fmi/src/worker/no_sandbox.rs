@@ -1,8 +1,8 @@
-//! Systems and builds that have no sandbox for worker processes.
+//! Replacement of the sandbox on systems and in builds that do not support it.
 
 use crate::error::FmiError;
 
-/// Returns the error that says why there is no sandbox.
+/// Returns the error that explains why there is no sandbox.
 ///
 /// # Errors
 /// Always [`FmiError::NoSandbox`].
@@ -15,7 +15,7 @@ pub fn check_sandbox() -> Result<(), FmiError> {
     Err(FmiError::NoSandbox { reason: reason.to_owned() })
 }
 
-/// Returns the same error.
+/// Returns the error of [`check_sandbox`].
 #[cfg(unix)]
 pub(super) fn confine(_: &std::path::Path) -> std::io::Result<()> {
     check_sandbox().map_err(std::io::Error::other)

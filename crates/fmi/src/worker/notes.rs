@@ -1,5 +1,5 @@
 //! Notes that a worker sends with its answers: lines for the program's logger, and departures from the
-//! standard that showed in runs.
+//! standard that were detected in runs.
 
 use crate::description::Quirk;
 use log::{Level, Log, Metadata, Record};
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// More lines than this between two answers are not kept.
+/// Maximum number of lines between two answers. Further lines are dropped.
 const MOST_LINES: usize = 1000;
 
 /// A line for the program's logger.
@@ -18,7 +18,7 @@ pub(crate) struct Line {
     text: String,
 }
 
-/// Notes made since the last answer.
+/// Notes since the last answer.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(crate) struct Notes {
     pub(crate) lines: Vec<Line>,
@@ -30,8 +30,8 @@ impl Notes {
         self.lines.is_empty() && self.quirks.is_empty()
     }
 
-    /// Hands the lines to the logger of this program. A warning that another worker has logged
-    /// (`said`) is not repeated.
+    /// Sends the lines to the logger of this program. Warnings that another worker has already logged
+    /// (`said`) are not repeated.
     pub(crate) fn pass_on(&self, said: &Mutex<HashSet<String>>) {
         for Line { level, target, text } in &self.lines {
             let mut said = said.lock().unwrap_or_else(PoisonError::into_inner);
@@ -74,14 +74,14 @@ impl Log for Keeper {
     fn flush(&self) {}
 }
 
-/// Keeps what is logged up to this level, unless the program has a logger already.
+/// Stores log records up to this level, unless the program already has a logger.
 pub(crate) fn keep_lines(level: log::LevelFilter) {
     if log::set_logger(&KEEPER).is_ok() {
         log::set_max_level(level);
     }
 }
 
-/// The lines since the last call.
+/// Returns the lines since the last call.
 pub(crate) fn take_lines() -> Vec<Line> {
     std::mem::take(&mut *lines())
 }

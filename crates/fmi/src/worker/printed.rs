@@ -1,4 +1,4 @@
-//! What a process prints: the last of it is kept.
+//! The last part of the printed output of a process.
 
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind, PipeWriter, Read};
@@ -6,25 +6,25 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Bytes that are kept.
+/// Number of bytes that are kept.
 const KEPT: usize = 16 << 10;
 
-/// Of these, characters that an error carries.
+/// Maximum number of characters in an error.
 const IN_ERRORS: usize = 400;
 
-/// So long the last that a process printed is waited for after its end.
+/// Maximum time to wait for the last output of a process after its end.
 const LAST_WORDS: Duration = Duration::from_millis(100);
 
-/// The last of what processes write into a pipe.
+/// The last bytes that processes write to a pipe.
 #[derive(Debug)]
 pub(super) struct Printed {
     kept: Arc<Mutex<VecDeque<u8>>>,
-    /// Reads until all who could print have ended. Without it they wait when the pipe is full.
+    /// Reads until all writers have ended. Without the reader, the writers would block when the pipe is full.
     reader: JoinHandle<()>,
 }
 
 impl Printed {
-    /// A reader, and the end of the pipe to print into.
+    /// Creates a reader, and returns the pipe for the output.
     pub(super) fn pipe() -> io::Result<(Self, PipeWriter)> {
         let (from, to) = io::pipe()?;
         let kept = Arc::default();
@@ -33,7 +33,8 @@ impl Printed {
         Ok((Self { reader: reader.spawn(move || keep_printed(from, &keep))?, kept }, to))
     }
 
-    /// The last that was printed, after the end of the process. Others may have the pipe open for longer.
+    /// Returns the last output after the end of the process. Other processes may keep the pipe open for
+    /// longer.
     pub(super) fn last_words(&self) -> String {
         let began = Instant::now();
         while !self.reader.is_finished() && began.elapsed() < LAST_WORDS {

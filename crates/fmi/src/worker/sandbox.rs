@@ -1,7 +1,8 @@
-//! The sandbox of worker processes: Landlock confines files, a seccomp filter refuses system calls.
+//! The sandbox of worker processes: Landlock confines access to files, and a seccomp filter denies system
+//! calls.
 //!
-//! Both hold for the threads and processes that the confined thread starts, and never end. So a process is
-//! confined before it has a second thread. `SECURITY.md` lists what remains possible.
+//! Both are permanent, and apply to the threads and processes that the confined thread starts. A process is
+//! therefore confined before it has a second thread. `SECURITY.md` lists the operations that remain possible.
 
 use crate::error::FmiError;
 use landlock::{
@@ -21,7 +22,7 @@ use std::path::{Path, PathBuf};
 /// Devices that any process may read and write.
 const DEVICES: [&str; 3] = ["/dev/null", "/dev/zero", "/dev/full"];
 
-/// What may be read below `/dev`. Terminals are left out: what a user types is not for the model.
+/// Readable paths below `/dev`. Terminals are excluded, because the model must not read the user's input.
 const READABLE_DEVICES: [&str; 3] = ["/dev/random", "/dev/urandom", "/dev/shm"];
 
 /// Returns an error if this build or this system has no sandbox for worker processes.
@@ -34,8 +35,8 @@ pub fn check_sandbox() -> Result<(), FmiError> {
     })
 }
 
-/// Confines this process, which has one thread: it may write below this folder only, and the system calls of
-/// [`REFUSED`] and [`refused_with`] fail with `EPERM`.
+/// Confines this process, which has one thread. It may then write only below this folder, and the system
+/// calls in [`REFUSED`] and [`refused_with`] fail with `EPERM`.
 pub(super) fn confine(folder: &Path) -> io::Result<()> {
     let n_threads = std::fs::read_dir("/proc/self/task")?.count();
     if n_threads != 1 {
@@ -50,7 +51,7 @@ pub(super) fn confine(folder: &Path) -> io::Result<()> {
     confined().map_err(|error| io::Error::other(format!("sandbox: {error}")))
 }
 
-/// Rights that are refused unless a rule grants them.
+/// Returns the rights that are denied unless a rule grants them.
 fn ruleset() -> Result<RulesetCreated, RulesetError> {
     let needed = AccessFs::from_write(ABI::V1) | AccessFs::ReadFile | AccessFs::ReadDir;
     Ruleset::default()
@@ -65,12 +66,12 @@ fn ruleset() -> Result<RulesetCreated, RulesetError> {
 
 fn confine_files(folder: &Path) -> Result<(), RulesetError> {
     let read = AccessFs::ReadFile | AccessFs::ReadDir;
-    // No devices: a privileged user could make one of a disk.
+    // Device files are excluded, because a privileged user could create one for a disk.
     let special = AccessFs::MakeChar | AccessFs::MakeBlock | AccessFs::MakeSock | AccessFs::IoctlDev;
     let write = read | (AccessFs::from_write(ABI::V3) & !special);
     let mut rules = ruleset()?;
     let mut allow = |path: &Path, access: BitFlags<AccessFs>| -> Result<(), RulesetError> {
-        // What cannot be opened cannot be read either.
+        // A path that cannot be opened cannot be read either.
         let Ok(opened) = PathFd::new(path) else { return Ok(()) };
         let access = if path.is_dir() { access } else { access & AccessFs::from_file(ABI::V3) };
         (&mut rules).add_rule(PathBeneath::new(opened, access)).map(drop)
@@ -81,7 +82,8 @@ fn confine_files(folder: &Path) -> Result<(), RulesetError> {
             allow(&path, read)?;
         }
     }
-    // If `/` can be listed, only these folders have no rule yet, and a rule for them would open `/dev`.
+    // If `/` can be listed, only these folders have no rule so far, and a rule for the others would grant
+    // access to `/dev`.
     let working = std::env::current_dir().ok();
     let working = working.filter(|working| working != Path::new("/") && !working.starts_with("/dev"));
     for path in READABLE_DEVICES.iter().map(PathBuf::from).chain(working) {
@@ -94,7 +96,7 @@ fn confine_files(folder: &Path) -> Result<(), RulesetError> {
     rules.restrict_self().map(drop)
 }
 
-/// System calls that no model needs.
+/// System calls that models do not need.
 const REFUSED: &[c_long] = &[
     // Sockets of every family: TCP is also reached by MPTCP and `MSG_FASTOPEN`.
     libc::SYS_socket,
@@ -104,11 +106,11 @@ const REFUSED: &[c_long] = &[
     libc::SYS_listen,
     libc::SYS_accept,
     libc::SYS_accept4,
-    // Requests to the kernel that no filter sees, sockets among them.
+    // Requests to the kernel that bypass filters, including sockets.
     libc::SYS_io_uring_setup,
     libc::SYS_io_uring_enter,
     libc::SYS_io_uring_register,
-    // Other processes. `tkill` does not say whose thread it is.
+    // Other processes. `tkill` does not specify the process of the thread.
     libc::SYS_ptrace,
     libc::SYS_process_vm_readv,
     libc::SYS_process_vm_writev,
@@ -144,7 +146,8 @@ const REFUSED: &[c_long] = &[
     libc::SYS_keyctl,
     libc::SYS_add_key,
     libc::SYS_request_key,
-    // Changes of files that Landlock does not know: owner, mode, times, attributes; the length by name before Linux 6.2.
+    // Changes of files that Landlock does not cover: owner, mode, times, attributes; the length by name
+    // before Linux 6.2.
     libc::SYS_fchmod,
     libc::SYS_fchmodat,
     SYS_FCHMODAT2,
@@ -179,7 +182,7 @@ const REFUSED: &[c_long] = &[
     libc::SYS_fsconfig,
     libc::SYS_fsmount,
     libc::SYS_fspick,
-    // The machine, for a privileged user, and parts of the kernel that attacks begin with.
+    // Administration of the machine by a privileged user, and common targets of kernel exploits.
     libc::SYS_bpf,
     libc::SYS_perf_event_open,
     libc::SYS_userfaultfd,
@@ -220,7 +223,8 @@ const REFUSED_OF_ARCHITECTURE: &[c_long] = &[
 #[cfg(target_arch = "aarch64")]
 const REFUSED_OF_ARCHITECTURE: &[c_long] = &[];
 
-/// Numbers that the C library's bindings do not have; from 424 on they are those of all architectures.
+/// Numbers that are missing in the bindings of the C library. From 424 on, they are identical on all
+/// architectures.
 const SYS_FCHMODAT2: c_long = 452;
 const SYS_SETXATTRAT: c_long = 463;
 const SYS_REMOVEXATTRAT: c_long = 466;
@@ -231,10 +235,10 @@ const SYS_KEXEC_FILE_LOAD: c_long = libc::SYS_kexec_file_load;
 #[cfg(target_arch = "aarch64")]
 const SYS_KEXEC_FILE_LOAD: c_long = 294;
 
-/// System calls of Linux 6.18 end before this number.
+/// Number after the last system call of Linux 6.18.
 const FIRST_UNKNOWN: u32 = 470;
 
-/// Commands of `ioctl` that are not refused: sizes, modes and the descriptor itself (linux/fs.h,
+/// Commands of `ioctl` that are allowed: sizes, modes and the descriptor itself (linux/fs.h,
 /// asm-generic/ioctls.h; the last one is `TCGETS2`). All others can change files, terminals and devices
 /// through a descriptor that was opened for reading.
 // The type of these numbers differs among C libraries.
@@ -249,8 +253,8 @@ const IOCTLS: [u64; 7] = [
     0x802c_542a,
 ];
 
-/// Commands of `fcntl` that are not refused: descriptors, flags, locks, pipes and seals. The others send
-/// signals (`F_SETOWN`) or act on the file (`F_SETLEASE`).
+/// Commands of `fcntl` that are allowed: descriptors, flags, locks, pipes and seals. The others send signals
+/// (`F_SETOWN`) or act on the file (`F_SETLEASE`).
 const FCNTLS: [i32; 17] = [
     libc::F_DUPFD,
     libc::F_DUPFD_CLOEXEC,
@@ -272,7 +276,7 @@ const FCNTLS: [i32; 17] = [
     1027,
 ];
 
-/// New namespaces, by the flags of `clone`.
+/// Flags of `clone` that create namespaces.
 const NAMESPACES: [i32; 7] = [
     libc::CLONE_NEWNS,
     libc::CLONE_NEWCGROUP,
@@ -283,8 +287,8 @@ const NAMESPACES: [i32; 7] = [
     libc::CLONE_NEWNET,
 ];
 
-/// Calls that are refused for some of their arguments, with the conditions, one of which is enough; each is a
-/// list of comparisons of arguments, which all hold.
+/// Returns calls that are denied for certain arguments, with their conditions. One condition is sufficient.
+/// Each condition is a list of comparisons that must all hold.
 fn refused_with(own: u32) -> Vec<(c_long, Vec<Vec<Compared>>)> {
     let other_than = |argument: u8, allowed: &[u64]| -> Vec<Compared> {
         allowed.iter().map(|value| (argument, SeccompCmpOp::Ne, *value)).collect()
@@ -294,7 +298,7 @@ fn refused_with(own: u32) -> Vec<(c_long, Vec<Vec<Compared>>)> {
     let fcntls = FCNTLS.map(|command| command as u64);
     let truncated = libc::O_TRUNC as u64;
     let mode = libc::O_ACCMODE as u64 | truncated;
-    // Landlock sees a file that is opened for reading.
+    // Landlock treats the file as opened for reading.
     let emptied = |flags: u8| {
         let opened_for = |access: u64| vec![(flags, SeccompCmpOp::MaskedEq(mode), access | truncated)];
         vec![opened_for(libc::O_RDONLY as u64), opened_for(libc::O_ACCMODE as u64)]
@@ -323,10 +327,10 @@ fn refused_with(own: u32) -> Vec<(c_long, Vec<Vec<Compared>>)> {
     refused
 }
 
-/// An argument, counted from 0, and the value that it is compared with.
+/// Index of an argument, counted from 0, and the value to which it is compared.
 type Compared = (u8, SeccompCmpOp, u64);
 
-/// Calls that this process, which has this number, is refused.
+/// Returns the filter of calls that are denied to this process, which has the process id `own`.
 fn filter_of_refused(own: u32) -> Result<BpfProgram, BackendError> {
     let rule = |compared: Vec<Compared>| {
         let condition = |(argument, comparison, value)| {
@@ -343,9 +347,9 @@ fn filter_of_refused(own: u32) -> Result<BpfProgram, BackendError> {
     SeccompFilter::new(rules, SeccompAction::Allow, refuse, std::env::consts::ARCH.try_into()?)?.try_into()
 }
 
-/// Calls that a filter cannot judge do not exist (`ENOSYS`), so that programs take older ones: those with
-/// their arguments in memory, and all that came after this list, with which 32-bit numbers of x86-64 (x32)
-/// are refused as well.
+/// Returns the filter of calls that a filter cannot inspect. They fail with `ENOSYS`, so that programs use
+/// older calls. These are calls whose arguments are in memory, and all calls that are newer than this list.
+/// The comparison also denies 32-bit numbers of x86-64 (x32).
 fn filter_of_unknown() -> BpfProgram {
     let instruction = |code: u32, jt: u8, jf: u8, k: u32| sock_filter { code: code as u16, jt, jf, k };
     let (load, compare) = (libc::BPF_LD | libc::BPF_W | libc::BPF_ABS, libc::BPF_JMP | libc::BPF_K);

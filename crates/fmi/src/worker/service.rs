@@ -1,26 +1,26 @@
-//! Interface between a worker process and the work that it does.
+//! Interface between a worker process and the work that it performs.
 
 use super::frame::Frame;
 use crate::description::Quirk;
 use crate::error::FmiError;
 use base::RunContext;
 
-/// Work that a worker does for the process that has started it.
+/// Work that a worker performs for its parent process.
 pub trait Service {
-    /// Answers a message; once the context is over, the answer is not wanted any more.
+    /// Answers a message. After the context has ended, the answer is no longer needed.
     ///
     /// # Errors
-    /// Told to the other side.
+    /// Any error is sent to the caller.
     fn answer(&mut self, asked: &Frame, context: &RunContext<'_>, answer: &mut Frame)
     -> Result<(), FmiError>;
 
-    /// Has the files of the model unpacked, and its sources compiled: that writes outside of the folder of
-    /// the worker. Runs no code of the model.
+    /// Unpacks the files of the model, and compiles its sources. This writes outside the folder of the
+    /// worker. Runs no code of the model.
     fn provide_files(&mut self);
 
-    /// Has the model compiled and loaded, so that the first answer takes less.
+    /// Compiles and loads the model, so that the first answer is faster.
     fn prepare(&mut self);
 
-    /// Departures from the standard that have shown in runs since the last call.
+    /// Returns the departures from the standard that were detected in runs since the last call.
     fn new_quirks(&mut self) -> Vec<Quirk>;
 }

@@ -1,4 +1,4 @@
-//! The working folder and the environment variables that a worker has: those of its caller.
+//! The working folder and the environment variables of a worker, which are those of its caller.
 
 use super::handshake::{FOLDER, TEMPORARY};
 use crate::sys::{overwrite_variable, replace_environment};
@@ -11,25 +11,26 @@ use std::path::Path;
 /// The working folder and the environment variables of a process.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Surroundings {
-    /// `None`: it has been removed.
+    /// Working folder; `None` if it has been removed.
     folder: Option<OsString>,
     variables: Vec<(OsString, OsString)>,
 }
 
 impl Surroundings {
-    /// Those that this process has now.
+    /// Returns the present working folder and environment variables of this process.
     pub(super) fn present() -> Self {
         let folder = std::env::current_dir().ok().map(Into::into);
         Self { folder, variables: std::env::vars_os().collect() }
     }
 
-    /// Gives them to this process, a worker whose own folder is `own`. Temporary files go there. It is the
-    /// working folder if the other one cannot be entered. No other thread may be at work.
+    /// Applies them to this process, a worker whose own folder is `own`. Temporary files go to `own`. `own`
+    /// becomes the working folder if the other one cannot be entered. No other thread may be running.
     pub(super) fn enter(&self, own: &Path) -> io::Result<()> {
         if self.folder.as_ref().is_none_or(|folder| std::env::set_current_dir(folder).is_err()) {
             std::env::set_current_dir(own)?;
         }
-        // Where they are: who reads `/proc/<pid>/environ` recognises what the worker starts by its folder.
+        // Overwritten in place, because child processes of the worker are identified by this folder in
+        // `/proc/<pid>/environ`.
         for name in [FOLDER, TEMPORARY] {
             overwrite_variable(name, own.as_os_str().as_bytes())?;
         }

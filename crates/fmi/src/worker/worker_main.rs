@@ -1,4 +1,5 @@
-//! The worker process itself: it limits itself, and answers until the other end of its socket is closed.
+//! The worker process itself. It limits itself, and answers requests until the other end of its socket is
+//! closed.
 
 use super::folder::{make, remove};
 use super::fork_server::{Arrival, DESCRIPTORS, Hello, Start};
@@ -25,25 +26,25 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::time::Duration;
 
-/// The next question is waited for without sleeping for so long, where the other side allows it.
+/// Time to spin for the next request, if the caller allows it.
 const SPIN: Duration = Duration::from_micros(50);
 
-/// Bytes that are read at once.
+/// Size of the read buffer in bytes.
 const BUFFER: usize = 16 << 10;
 
-/// The stack of the thread that runs the FMU: compiled models put large arrays there.
+/// Stack size of the thread that runs the FMU, because compiled models allocate large arrays on the stack.
 const STACK_SIZE: usize = 64 << 20;
 
-/// A worker that a copy of its template is to be.
+/// A worker to be served in a fork of its template.
 pub(super) struct Worker {
     pub(super) folder: PathBuf,
     pub(super) start: Start,
     pub(super) descriptors: Vec<OwnedFd>,
-    /// The template has loaded what it was to load.
+    /// True if the template has loaded the problem.
     pub(super) has_loaded: bool,
 }
 
-/// Serves as a worker, in a copy of the process that worker processes are copied from; then the process ends.
+/// Serves as a worker, in a fork of the template. The process then ends.
 pub(super) fn run(mut service: Box<dyn Service + Send>, worker: Worker) -> ! {
     let folder = worker.folder.clone();
     let served = begin(&mut *service, worker).and_then(|connection| {
@@ -53,20 +54,21 @@ pub(super) fn run(mut service: Box<dyn Service + Send>, worker: Worker) -> ! {
             thread.map(|thread| thread.join())
         })
     });
-    // The process ends before who watches the socket may be done with that.
+    // Removed here also, because the process may end before the thread that watches the socket has removed
+    // the folder.
     remove(&folder);
     let error = match served {
         Ok(Ok(Ok(()))) => std::process::exit(0),
         Ok(Ok(Err(error))) | Err(error) => error.to_string(),
-        // A panic has said so.
+        // The panic has already printed its message.
         Ok(Err(_)) => String::new(),
     };
-    // Who has started it reads that.
+    // The parent process reads this message.
     let _ = writeln!(io::stderr(), "{error}");
     std::process::exit(1);
 }
 
-/// A worker that is ready for its questions.
+/// A worker that is ready for requests.
 struct Connection {
     socket: UnixStream,
     page: &'static Page,
@@ -75,14 +77,14 @@ struct Connection {
     has_loaded: bool,
 }
 
-/// Limits and confines this process, which has one thread: whatever starts later is confined with it, and
-/// handlers of signals run in confined threads only.
+/// Limits and confines this process, which has one thread. All threads started later are also confined, and
+/// signal handlers run only in confined threads.
 fn begin(service: &mut dyn Service, worker: Worker) -> io::Result<Connection> {
     let Worker { folder, start, descriptors, has_loaded } = worker;
     let Ok([socket, page, output]) = <[OwnedFd; DESCRIPTORS]>::try_from(descriptors) else {
         return Err(io::ErrorKind::InvalidInput.into());
     };
-    // Ctrl-C in a terminal, and the end of a worker, go to all processes of a group.
+    // Ctrl-C in a terminal, and the signal that ends a worker, are sent to all processes of a group.
     rustix::process::setpgid(None, None)?;
     rustix::stdio::dup2_stdout(&output)?;
     rustix::stdio::dup2_stderr(output)?;
@@ -92,14 +94,14 @@ fn begin(service: &mut dyn Service, worker: Worker) -> io::Result<Connection> {
     set_instance_suffix(start.place);
     log::set_max_level(start.level);
     let (socket, page) = (UnixStream::from(socket), File::from(page));
-    // No foreign code has run in this process, so nobody else can have written this.
+    // No foreign code has run in this process, so the message cannot be forged.
     let arrival = Arrival { pid: std::process::id().cast_signed() };
     Frame::of(&arrival)?.write(0, &mut &socket, &mut Vec::new())?;
     let page = tell_calls(Page::of(&page)?).map_err(io::Error::other)?;
     tell_faults()?;
     limit_self(&start.limits)?;
     if start.limits.sandbox {
-        // Where this fails, so does what is asked, and says why.
+        // If this fails, the request also fails and reports the error.
         let _ = catch_unwind(AssertUnwindSafe(|| service.provide_files()));
         confine(&folder)?;
         set_confined();
@@ -112,7 +114,7 @@ fn serve(mut service: Box<dyn Service + Send>, connection: &Connection) -> io::R
     let (watched, folder_to_remove) = (socket.try_clone()?, folder.clone());
     std::thread::Builder::new().spawn(move || end_with(&watched, &folder_to_remove))?;
     if start.is_prepared {
-        // Where this fails, so does what is asked, and says why.
+        // If this fails, the request also fails and reports the error.
         let _ = catch_unwind(AssertUnwindSafe(|| service.prepare()));
     }
 
@@ -133,28 +135,29 @@ fn serve(mut service: Box<dyn Service + Send>, connection: &Connection) -> io::R
         let is_cancelled = || page.is_cancelled();
         respond(&mut *service, &asked, &RunContext::new().asking(&is_cancelled), &mut answer)?;
         if std::process::id() != own {
-            // The FMU has forked, and this is the copy.
+            // The FMU has forked, and this process is the copy.
             std::process::abort();
         }
-        // What the model needs may be gone with the folder.
+        // Files that the model needs may have been removed with the folder.
         answer.is_last |= !folder.is_dir() || has_kept_instances();
         answer.write(asked.number, &mut answers, &mut buffer)?;
         page.note_answer(asked.number);
     }
 }
 
-/// Sends a frame to the caller during the answer to the question of this number, and reads what comes back.
+/// Returns a function that sends a frame to the caller during the answer to the current request, and reads
+/// the reply.
 fn exchange(socket: UnixStream, page: &'static Page, number: Rc<Cell<u32>>) -> Exchange {
     let mut buffer = Vec::new();
     Box::new(move |frame| {
         frame.write(number.get(), &mut &socket, &mut buffer)?;
-        // The caller may wait for the answer without sleeping.
+        // The caller may be spinning for the answer.
         page.note_answer(number.get());
         frame.read(&mut &socket, &mut buffer, VALUE, &mut || Ok(()))
     })
 }
 
-/// Has the service answer, and adds what is to be said beside that. A panic is an error of it.
+/// Answers a request with the service, and adds the notes. A panic becomes an error.
 pub(super) fn respond(
     service: &mut dyn Service,
     asked: &Frame,
@@ -190,8 +193,7 @@ pub(super) fn respond(
     Ok(())
 }
 
-/// Ends the process when the other end is closed, whatever the FMU does at that moment, and removes its
-/// folder.
+/// Ends the process when the other end is closed, even during a call of the FMU, and removes its folder.
 fn end_with(socket: &UnixStream, folder: &Path) {
     loop {
         let mut ends = [PollFd::new(socket, PollFlags::empty())];
@@ -205,7 +207,7 @@ fn end_with(socket: &UnixStream, folder: &Path) {
     std::process::abort();
 }
 
-/// Nothing is read from the standard input.
+/// Replaces the standard input by `/dev/null`.
 pub(super) fn close_stdin() -> io::Result<()> {
     let nothing: OwnedFd = rustix::fs::open("/dev/null", OFlags::RDONLY | OFlags::CLOEXEC, Mode::empty())?;
     rustix::stdio::dup2_stdin(&nothing)?;

@@ -1,4 +1,4 @@
-//! One worker process, as the process sees it that has started it.
+//! A worker process, as seen by its parent process.
 
 use super::end::{ProcessEnd, in_words};
 use super::fork_server::{Arrival, Hello, Start, Template, no_worker};
@@ -29,44 +29,45 @@ use std::time::{Duration, Instant};
 /// Time between two checks for cancellation and limits while an answer is awaited.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// A worker whose simulation has reached its time limit has so long to answer.
+/// Time that a worker has to answer after its simulation has reached the time limit.
 const GRACE: Duration = Duration::from_millis(250);
 
-/// One that was asked to end what it does has so long: whoever has pressed Ctrl-C waits for it.
+/// Time that a worker has to answer after cancellation. It is short because a user who has pressed Ctrl-C
+/// waits for it.
 const GRACE_OF_CANCELLED: Duration = Duration::from_millis(100);
 
-/// An answer that comes within this time is waited for without sleeping, as long as there is a core for each
-/// side: to wake up takes up to 50 us, on each side.
+/// Maximum time to spin for an answer, if there is a core for each side. Waking up takes up to 50 us on each
+/// side.
 const SPIN: Duration = Duration::from_millis(1);
 
-/// Calls under way in this process.
+/// Number of calls in progress in this process.
 static CALLS: AtomicUsize = AtomicUsize::new(0);
 
 static CORES: LazyLock<usize> = LazyLock::new(|| available_parallelism().map_or(1, usize::from));
 
-/// Bytes that are read at once.
+/// Size of the read buffer in bytes.
 const BUFFER: usize = 64 << 10;
 
-/// Why there is no answer.
+/// Reason why there is no answer.
 #[derive(Debug)]
 pub(super) enum NoAnswer {
-    /// It was cancelled; the process has ended, if it did not answer in time.
+    /// The call was cancelled. The process has ended if it did not answer in time.
     Cancelled,
     /// The process has ended.
     Ended(WorkerEnd),
-    /// This process has no memory for it; the other has ended.
+    /// This process does not have enough memory for the answer. The worker has ended.
     Memory,
 }
 
-/// A worker process. It ends when this is dropped.
+/// A worker process. It ends when this value is dropped.
 #[derive(Debug)]
 pub(super) struct Process {
-    /// `None` before it has said that it is there.
+    /// Process id; `None` before the worker has arrived.
     pid: Option<Pid>,
-    /// Its number among those of the template.
+    /// Number of the worker among the workers of its template.
     number_of_worker: u32,
     _place: Place,
-    /// Functions that it does not call.
+    /// Functions that the worker does not call.
     pub(super) avoided_calls: Vec<String>,
     template: Arc<Template>,
     end: ProcessEnd,
@@ -74,29 +75,29 @@ pub(super) struct Process {
     page: Page,
     printed: Printed,
     buffer: Vec<u8>,
-    /// The process that has started it: a child that was forked meanwhile has no workers.
+    /// Process id of the parent. A child forked from the parent does not own any workers.
     owner: u32,
     has_ended: bool,
-    /// The problem that it has loaded.
+    /// Load of the worker.
     pub(super) loaded: Option<LoadId>,
-    /// Quirks of the model that nobody has been told of.
+    /// Quirks of the model that have not been reported.
     pub(super) quirks: Vec<Quirk>,
     pub(super) n_calls: u64,
-    /// It was asked something else than to load.
+    /// True if the worker has received a request other than loading.
     pub(super) is_used: bool,
-    /// Questions that it had repeated.
+    /// Number of requests that the worker asked to repeat.
     pub(super) n_repeated: u32,
     number: u32,
-    /// Time that the last answer took.
+    /// Duration of the last answer.
     last_took: Duration,
-    /// Bytes in memory after the first call.
+    /// Memory in bytes after the first call.
     pub(super) first_size: Option<u64>,
-    /// Bytes that it may have in memory.
+    /// Maximum memory in bytes.
     most_memory: u64,
 }
 
 impl Process {
-    /// Has one started; it [arrives](Self::arrive) later.
+    /// Starts a worker; it [arrives](Self::arrive) later.
     pub(super) fn begin(
         template: &Arc<Template>,
         limits: &WorkerLimits,
@@ -122,7 +123,7 @@ impl Process {
         };
         let (number_of_worker, loaded) =
             template.begin_worker(start, [theirs.as_fd(), file.as_fd(), pipe.as_fd()])?;
-        // It holds the other ends.
+        // The child has the other ends.
         Ok(Self {
             pid: None,
             number_of_worker,
@@ -148,11 +149,11 @@ impl Process {
         })
     }
 
-    /// Waits until it is there, no longer than so.
+    /// Waits until the worker has arrived, at most for `longest`.
     pub(super) fn arrive(&mut self, context: &RunContext<'_>, longest: Duration) -> Result<(), FmiError> {
         let late = Instant::now() + longest;
         let Arrival { pid } = self.greeting(context, late)?;
-        // A number below 1 would stand for many processes (kill(2)).
+        // A number below 1 would refer to several processes (kill(2)).
         let pid = Some(pid).filter(|pid| *pid > 0).and_then(Pid::from_raw);
         let Some(pid) = pid.filter(|pid| self.template.is_parent_of(*pid)) else {
             return Err(self.template.without_worker("its process is no child of that program"));
@@ -164,7 +165,7 @@ impl Process {
         Ok(())
     }
 
-    /// The next of the messages that a worker sends unasked.
+    /// Receives the next message that a worker sends without a request.
     fn greeting<T: DeserializeOwned>(
         &mut self,
         context: &RunContext<'_>,
@@ -181,7 +182,7 @@ impl Process {
         said.map_err(|error| self.template.without_worker(&error))
     }
 
-    /// Asks for something and waits for the answer.
+    /// Sends a request and waits for the answer.
     pub(super) fn call(&mut self, question: &Question<'_>, answer: &mut Frame) -> Result<Notes, NoAnswer> {
         let Question { asked, context, limits, .. } = *question;
         self.page.set_cancelled(false);
@@ -199,7 +200,7 @@ impl Process {
         let mut look = || watch.look();
         let mut to = PatientWriter { to: self.socket.get_ref(), wait: &mut look };
         let sent = asked.write(number, &mut to, &mut self.buffer);
-        // The end of the process shows in the answer.
+        // If the process has ended, reading the answer fails.
         let outcome = match sent {
             Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error),
             _ => {
@@ -218,7 +219,7 @@ impl Process {
                         answer.write(number, &mut to, &mut self.buffer)
                     });
                     match told {
-                        // The end of the process shows in the answer.
+                        // If the process has ended, reading the answer fails.
                         Err(error) if error.kind() != ErrorKind::BrokenPipe => break Err(error),
                         _ => {}
                     }
@@ -229,7 +230,7 @@ impl Process {
         outcome.map_err(|error| self.no_answer(why, &error))?;
         self.last_took = began.elapsed();
         if answer.number != self.number {
-            // Of a copy of the worker, for example, that the FMU has made.
+            // For example, the answer of a copy of the worker that the FMU has forked.
             return Err(NoAnswer::Ended(self.unreadable("it is the answer to another question")));
         }
         if answer.notes.is_empty() {
@@ -238,7 +239,7 @@ impl Process {
         decode(&answer.notes).map_err(|error| NoAnswer::Ended(self.unreadable(&error.to_string())))
     }
 
-    /// Waits for a message that the worker sends unasked.
+    /// Waits for a message that the worker sends without a request.
     fn receive(&mut self, context: &RunContext<'_>, end: Instant, to: &mut Frame) -> Result<(), NoAnswer> {
         let whose = (self.pid, self.most_memory);
         let mut watch = Watch::new(&self.page, &self.end, whose, context, None, Some(end));
@@ -265,12 +266,12 @@ impl Process {
         })
     }
 
-    /// The end of a process whose answer cannot be read.
+    /// Returns the end of a process whose answer cannot be read.
     pub(super) fn unreadable(&mut self, why: &str) -> WorkerEnd {
         self.ended(EndKind::Garbage, why)
     }
 
-    /// Why the process is gone, after it was ended if it is not.
+    /// Ends the process if it is still running, and returns the reason for its end.
     #[cold]
     fn ended(&mut self, kind: EndKind, detail: &str) -> WorkerEnd {
         let last = self.page.last_call();
@@ -287,7 +288,7 @@ impl Process {
                 format!("{} after an allocation beyond the memory limit of {limit} bytes", in_words(status))
             }
             (EndKind::Died, Some(status)) => in_words(status),
-            // Its status was for the template.
+            // The template received the exit status.
             (EndKind::Died, None) => format!(
                 "the process ended; how is not known, for the process that it was copied from had ended before: {}",
                 self.template.end_in_words().unwrap_or_else(|| "it does not answer".to_owned())
@@ -298,22 +299,22 @@ impl Process {
         WorkerEnd { kind, what, function, time, output: self.printed.last_words(), hint }
     }
 
-    /// True if it was ended, or its answer was not valid.
+    /// True if the process was ended, or if its answer was invalid.
     pub(super) fn has_ended(&self) -> bool {
         self.has_ended
     }
 
-    /// True if this process has started it.
+    /// True if this process started the worker.
     pub(super) fn is_own(&self) -> bool {
         self.owner == std::process::id()
     }
 
-    /// Bytes that it has in memory, where the system tells.
+    /// Returns the memory of the worker in bytes, if the system reports it.
     pub(super) fn size(&self) -> Option<u64> {
         self.pid.and_then(size_of)
     }
 
-    /// Ends it, and all processes that it has started; how it has ended.
+    /// Ends the worker and all processes that it has started. Returns its exit status.
     fn kill(&mut self) -> Option<ExitStatus> {
         if self.has_ended || !self.is_own() {
             return None;
@@ -341,7 +342,7 @@ impl Drop for Process {
     }
 }
 
-/// Bytes that a process has in memory, where the system tells.
+/// Returns the memory of a process in bytes, if the system reports it.
 fn size_of(pid: Pid) -> Option<u64> {
     let text = std::fs::read_to_string(format!("/proc/{}/statm", pid.as_raw_nonzero())).ok()?;
     let pages: u64 = text.split(' ').nth(1)?.parse().ok()?;
@@ -352,7 +353,7 @@ fn size_of(pid: Pid) -> Option<u64> {
 #[derive(Debug, Clone, Default)]
 pub(super) struct Places(Arc<Mutex<BTreeSet<u32>>>);
 
-/// Number of a worker: the smallest that was free.
+/// Number of a worker: the smallest free one.
 #[derive(Debug)]
 struct Place {
     number: u32,
@@ -376,7 +377,7 @@ impl Drop for Place {
     }
 }
 
-/// One more, as long as it lives.
+/// Increments a counter while it exists.
 struct Counted {
     counter: &'static AtomicUsize,
     /// Value of the counter including this one.
@@ -402,7 +403,7 @@ enum KillReason {
     Memory,
 }
 
-/// What ends the wait for an answer. The clock is that of this process.
+/// Conditions that end the wait for an answer, measured with the clock of this process.
 struct Watch<'a> {
     page: &'a Page,
     end_of: &'a ProcessEnd,
@@ -410,7 +411,7 @@ struct Watch<'a> {
     most_memory: u64,
     context: &'a RunContext<'a>,
     run_limit: Option<RunLimit>,
-    /// The answer comes before that.
+    /// Latest time of the answer.
     end: Option<Instant>,
     asked_to_end: Option<Instant>,
     why: Option<KillReason>,
@@ -441,14 +442,14 @@ impl<'a> Watch<'a> {
         }
     }
 
-    /// Fails if the wait is over.
+    /// Returns an error if the wait must end.
     fn look(&mut self) -> io::Result<()> {
         let now = Instant::now();
         if now < self.next_look {
             return Ok(());
         }
         self.next_look = now + LOOK;
-        // Processes that it has started may keep its end of the socket open.
+        // Processes started by the worker may keep its end of the socket open.
         if self.end_of.is_over_within(Duration::ZERO) {
             return Err(ErrorKind::UnexpectedEof.into());
         }
@@ -462,7 +463,7 @@ impl<'a> Watch<'a> {
         if is_out_of_grace {
             self.why = Some(KillReason::Cancelled);
         } else if self.pid.and_then(size_of).is_some_and(|size| size > self.most_memory) {
-            // What it shares with others the system's limit does not count.
+            // The system's limit does not count memory that is shared with other processes.
             self.why = Some(KillReason::Memory);
         } else if is_hung || self.end.is_some_and(|end| now > end) {
             self.why = Some(KillReason::Hung);
@@ -471,12 +472,13 @@ impl<'a> Watch<'a> {
     }
 }
 
-/// The wall-clock limit of the simulations of a question.
+/// The wall-clock limit for the simulations of a request.
 struct RunLimit {
     limit: Duration,
-    /// Simulations begun when it was looked at last, as the worker says.
+    /// Number of simulations started at the last check, as reported by the worker.
     runs: u32,
-    /// Simulations of the question that have not begun: a worker that says more is not given more time.
+    /// Number of simulations of the request that have not started. A worker that reports more receives no
+    /// additional time.
     left: u32,
     since: Instant,
 }
@@ -488,7 +490,7 @@ impl RunLimit {
             self.since = now;
         }
         (self.runs, self.left) = (runs, self.left - begun);
-        // The worker looks at the limit itself, between two calls of the FMU.
+        // The worker also checks the limit, between two calls of the FMU.
         now > self.since + self.limit + GRACE
     }
 }
@@ -528,7 +530,7 @@ mod tests {
         let mut run_limit = RunLimit { limit, runs: u32::MAX, left: 2, since: began };
         let after = |seconds: f64| began + Duration::from_secs_f64(seconds);
         assert!(!run_limit.is_over(u32::MAX, after(1.0)));
-        // The first simulation begins after 1.5 s, the second one after 3 s, and that is all.
+        // The first simulation begins after 1.5 s, the second one after 3 s. There are no others.
         assert!(!run_limit.is_over(0, after(1.5)) && !run_limit.is_over(1, after(3.0)));
         assert!(!run_limit.is_over(2, after(5.0)) && run_limit.is_over(3, after(5.3)));
     }

@@ -1,5 +1,5 @@
-//! Worker processes for as many threads as ask for something: started when they are needed, replaced when
-//! they end or grow.
+//! A set of worker processes, with one worker for each calling thread. Workers are started when needed, and
+//! replaced when they end or grow.
 
 use super::fork_server::Template;
 use super::frame::{Frame, FrameSize};
@@ -18,27 +18,28 @@ use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// A worker that nobody has asked for anything for so long is ended.
+/// Time after which an idle worker is ended.
 const IDLE: Duration = Duration::from_secs(5);
 
-/// A worker is there after this time.
+/// Maximum start time of a worker.
 const START: Duration = Duration::from_secs(60);
 
-/// A confined one compiles the sources of its model before.
+/// Maximum start time of a confined worker, which first compiles the sources of its model.
 const START_CONFINED: Duration = Duration::from_secs(600);
 
-/// One that was started before it was needed is there after this time, or is not waited for.
+/// Maximum time to wait for a worker that was started in advance.
 const PREPARED: Duration = Duration::from_secs(10);
 
-/// Largest number of questions that a worker may ask to repeat: it learns in two trials if a co-simulation is
-/// told its stop time. See [`Fmu::take_repetition`](crate::Fmu::take_repetition).
+/// Maximum number of requests that a worker may ask to repeat. It needs two trials to determine if a
+/// co-simulation should receive its stop time. See [`Fmu::take_repetition`](crate::Fmu::take_repetition).
 const MOST_REPEATED: u32 = 2;
 
-/// The memory of a worker is looked at after each so many calls, and after every one that took so long.
+/// The memory of a worker is checked after this number of calls, and after every call longer than
+/// `LONG_CALL`.
 const LOOK_EVERY: u64 = 32;
 const LONG_CALL: Duration = Duration::from_millis(20);
 
-/// A set of worker processes of one program, with limits. Each serves one thread at a time.
+/// A set of worker processes of one program, with limits. Each worker serves one thread at a time.
 #[derive(Debug)]
 pub struct Workers {
     launcher: Launcher,
@@ -51,36 +52,37 @@ pub struct Workers {
 
 #[derive(Debug, Default)]
 struct Idle {
-    /// With the time since when they are; those that were asked last at the end.
+    /// Idle processes with the time since when they are idle, the most recently used last.
     processes: Vec<(Process, Instant)>,
-    /// One that is being started.
+    /// Process that is being started.
     begun: Option<Process>,
-    /// What they are copied from.
+    /// Template from which the processes are forked.
     template: Option<Arc<Template>>,
-    /// Somebody looks after those that are idle for long.
+    /// True if a thread watches for processes that are idle for too long.
     is_watched: bool,
-    /// Whose they are: a child that was forked meanwhile has none.
+    /// Process id of the owner. A forked child does not own any workers.
     owner: u32,
     /// Working folder and environment variables of the caller.
     surroundings: Surroundings,
-    /// Number of times that these have changed.
+    /// Number of times that the surroundings have changed.
     n_changes: u64,
-    /// Calls, and longer uses, under way.
+    /// Number of calls, and longer uses, in progress.
     n_held: usize,
-    /// Calls at the end of a run that have ended a worker: new workers leave them out.
+    /// Calls at the end of a run that have ended a worker. New workers omit them.
     avoided_calls: Vec<String>,
-    /// Quirks that this process has found, and has told nobody of.
+    /// Quirks that this process has found and not reported so far.
     quirks: Vec<Quirk>,
 }
 
 impl Idle {
-    /// What those have loaded that may be asked for this.
+    /// Returns the loads of idle processes that may serve this load.
     fn lent_to(&self, load: &Load) -> impl Iterator<Item = LoadId> {
         let loaded = self.processes.iter().filter_map(|(process, _)| process.loaded);
         loaded.filter(|loaded| loaded.owner == load.id.owner)
     }
 
-    /// The processes that nobody has asked for long, without the last one of each load that is kept.
+    /// Removes and returns the processes that have been idle for too long, except one process of each kept
+    /// load.
     fn take_old(&mut self) -> Vec<Process> {
         let mut kept = Vec::new();
         let mut is_old = |(process, since): &(Process, Instant)| {
@@ -96,14 +98,14 @@ impl Idle {
         self.processes.extract_if(.., |_| is_old.next() == Some(true)).map(|(process, _)| process).collect()
     }
 
-    /// The processes that are not to be asked any more; they end when they are dropped.
+    /// Removes and returns the processes that must not be used any more. They end when they are dropped.
     fn take_processes(&mut self) -> (Vec<(Process, Instant)>, Option<Process>) {
         (std::mem::take(&mut self.processes), self.begun.take())
     }
 }
 
-/// While this lives, workers have the working folder and the environment variables that the caller had at its
-/// begin.
+/// While this value exists, workers have the working folder and the environment variables that the caller had
+/// when it was created.
 #[derive(Debug)]
 pub struct Held(Arc<Workers>);
 
@@ -114,20 +116,21 @@ impl Drop for Held {
     }
 }
 
-/// A worker process of one user. It ends when this is dropped.
+/// A worker process of a single user. It ends when this value is dropped.
 #[derive(Debug)]
 pub struct PinnedProcess {
     process: Process,
-    /// Their end is that of all processes.
+    /// Keeps the set alive, because dropping the set ends all its processes.
     workers: Arc<Workers>,
 }
 
 impl PinnedProcess {
-    /// Asks it, has `accept` read the answer, and returns that with the quirks of the model that it has
-    /// found. Nothing is asked twice.
+    /// Sends a request, reads the answer with `accept`, and returns the result with the quirks that were
+    /// found in the model. No request is repeated after a failure.
     ///
     /// # Errors
-    /// [`FmiError::ReportedError`]; [`FmiError::WorkerEnded`]: it has ended; [`FmiError::Cancelled`].
+    /// [`FmiError::ReportedError`] if the worker reports an error; [`FmiError::WorkerEnded`] if the worker
+    /// has ended; [`FmiError::Cancelled`].
     pub fn call<T>(
         &mut self,
         question: &Question<'_>,
@@ -138,24 +141,25 @@ impl PinnedProcess {
         Ok((accepted, std::mem::take(&mut self.process.quirks)))
     }
 
-    /// Its limits.
+    /// Returns the limits.
     pub fn limits(&self) -> &WorkerLimits {
         self.workers.limits()
     }
 
-    /// True if it was started by this process, and not by the one that this process was forked from.
+    /// True if this process started the worker. False in a child that was forked from the starting process.
     pub fn is_own(&self) -> bool {
         self.process.is_own()
     }
 
-    /// True if it has ended.
+    /// True if the worker has ended.
     pub fn has_ended(&self) -> bool {
         self.process.has_ended()
     }
 }
 
 impl Workers {
-    /// Nothing is started yet. `None`: this program does not know how to start a worker (see [`Launcher`]).
+    /// Creates a set without starting any process. Returns `None` if this program cannot start workers (see
+    /// [`Launcher`]).
     pub fn new(limits: WorkerLimits) -> Option<Arc<Self>> {
         let launcher = Launcher::known()?;
         Some(Arc::new(Self {
@@ -167,14 +171,14 @@ impl Workers {
         }))
     }
 
-    /// The limits.
+    /// Returns the limits.
     pub fn limits(&self) -> &WorkerLimits {
         &self.limits
     }
 
-    /// Begins a piece of work of several calls, in all of which workers have the working folder and the
-    /// environment variables that this process has now, or had at the begin of work that is under way. A call
-    /// alone is such a piece, too.
+    /// Begins a sequence of calls. During the sequence, workers have the present working folder and
+    /// environment variables of this process. If another sequence is in progress, they keep those from its
+    /// start. A single call is also such a sequence.
     pub fn hold(self: &Arc<Self>) -> Held {
         let mut idle = self.idle();
         idle.n_held += 1;
@@ -184,7 +188,7 @@ impl Workers {
             if idle.surroundings != present {
                 idle.surroundings = present;
                 idle.n_changes += 1;
-                // All of them are idle: none is in a call.
+                // All processes are idle, because no call is in progress.
                 outdated = Some(idle.take_processes());
             }
         }
@@ -192,19 +196,19 @@ impl Workers {
         drop(outdated);
         Held(Arc::clone(self))
     }
-    /// Number of times that the caller has had another working folder or other environment variables than at
-    /// the call before: answers on either side are not to be compared.
+    /// Returns the number of times that the caller's working folder or environment variables have changed
+    /// between calls. Answers before and after a change must not be compared.
     pub fn n_changes(&self) -> u64 {
         self.idle().n_changes
     }
 
-    /// Starts the program of the workers, has it load this, and the first worker copied from it, in the
-    /// background: that takes longer than a short evaluation.
+    /// Starts the template with this load and a first worker in the background, because this takes longer
+    /// than a short evaluation.
     pub fn prepare(self: &Arc<Self>, load: &Load) {
         self.prepare_one_of(1, load, false);
     }
 
-    /// Has a second worker started in the background, and its model loaded: it will be needed soon.
+    /// Starts a second worker in the background and loads its model, because the worker will be needed soon.
     pub fn prepare_second(self: &Arc<Self>, load: &Load) {
         self.prepare_one_of(2, load, true);
     }
@@ -213,7 +217,7 @@ impl Workers {
         let _held = self.hold();
         let are_there = |idle: &Idle| idle.begun.is_some() || idle.lent_to(load).count() >= n;
         if !are_there(&self.idle()) {
-            // Who needs a worker meets the same error.
+            // An error is ignored here, because the next call that needs a worker returns it.
             let begun = self.begin(load, is_prepared).ok();
             self.idle().begun = begun;
         }
@@ -231,7 +235,7 @@ impl Workers {
         Process::begin(&template, &self.limits, is_prepared, surroundings, &avoided_calls, &self.places)
     }
 
-    /// The process that workers are copied from.
+    /// Returns the template from which workers are forked. Starts one if necessary.
     fn template(&self, load: &Load) -> Result<Arc<Template>, FmiError> {
         let mut idle = self.idle();
         match &idle.template {
@@ -240,12 +244,13 @@ impl Workers {
         }
     }
 
-    /// A process that was never asked for anything. An FMU may have ended the template: then there is another
-    /// one.
+    /// Returns a process that has not received a request. If an FMU has ended the template, a new template is
+    /// started.
     fn new_process(&self, load: &Load, context: &RunContext<'_>) -> Result<Process, FmiError> {
         let arrived = |mut process: Process, longest| process.arrive(context, longest).map(|()| process);
         let begun = self.idle().begun.take();
-        // One that does not arrive may have loaded a model that ends it: then the next one says so.
+        // A process that does not arrive may have loaded a model that ends it. The next process then reports
+        // the error.
         if let Some(Ok(process)) = begun.map(|process| arrived(process, PREPARED)) {
             return Ok(process);
         }
@@ -261,9 +266,8 @@ impl Workers {
         })
     }
 
-    /// Starts a worker process of its own for one user, with `load` loaded: it is asked by nobody else, keeps
-    /// what it was asked to make, and has the working folder and the environment variables of this moment.
-    ///
+    /// Starts a separate worker process for one user, with `load` loaded. No other user can use it, and it
+    /// keeps its state between calls. It has the present working folder and environment variables.
     /// # Errors
     /// As [`call`](Self::call).
     pub fn pinned(
@@ -279,15 +283,16 @@ impl Workers {
         Ok(PinnedProcess { process, workers: Arc::clone(self) })
     }
 
-    /// Asks a worker that has loaded `load`, has `accept` read the answer, and returns that with the quirks
-    /// of the model that the worker has found. A worker whose answer is not accepted is ended. Where a worker
-    /// ends otherwise than by a time limit, the same is asked once more in a fresh one, unless it was one.
-    /// Where it dies at the end of a run, when the rows are complete, a fresh one that leaves out that call
-    /// is asked in any case.
+    /// Sends a request to a worker with `load` loaded, reads the answer with `accept`, and returns the result
+    /// with the quirks that were found in the model. A worker whose answer is not accepted is ended.
     ///
+    /// If a worker ends for a reason other than a time limit, the request is repeated once in a fresh worker,
+    /// unless the worker was fresh. If a worker dies at the end of a run, when the rows are complete, the
+    /// request is always repeated in a fresh worker that omits that call.
     /// # Errors
-    /// [`FmiError::ReportedError`]: what the worker says; [`FmiError::WorkerEnded`]: it ended twice, or once by the time limit; [`FmiError::NoWorker`] or
-    /// [`FmiError::NoSandbox`]; [`FmiError::Cancelled`].
+    /// [`FmiError::ReportedError`] if the worker reports an error; [`FmiError::WorkerEnded`] if it ended
+    /// twice, or once by the time limit; [`FmiError::NoWorker`] or [`FmiError::NoSandbox`];
+    /// [`FmiError::Cancelled`].
     pub fn call<T>(
         self: &Arc<Self>,
         load: &Load,
@@ -307,7 +312,7 @@ impl Workers {
             };
             let (accepted, can_go_on) = self.call_in(&mut process, load, question, answer, accept);
             is_of_end.set(self.avoid_call_at_end_of_run(&process, &accepted));
-            // Otherwise it ends here.
+            // Otherwise, the process is dropped here, which ends it.
             if can_go_on && whom != AskedProcess::FreshOnce {
                 self.give_back(process);
             }
@@ -326,7 +331,7 @@ impl Workers {
             };
             let is_tried_again = match &error {
                 FmiError::WorkerEnded(end) => end.kind != EndKind::Hung,
-                // A process that was used before may have lost what it needs.
+                // A used process may have lost files that it needs.
                 FmiError::ReportedError(told) => was_used && told.is_of_process(),
                 _ => false,
             };
@@ -340,8 +345,8 @@ impl Workers {
         }
     }
 
-    /// Notes a call at the end of a run that has ended a process, so that new ones leave it out. True if this
-    /// process did not leave it out: what was asked can be asked again.
+    /// Records a call at the end of a run that has ended a process, so that new processes omit it. Returns
+    /// true if this process did not omit the call; the request can then be repeated.
     fn avoid_call_at_end_of_run<T>(&self, process: &Process, answer: &Result<T, FmiError>) -> bool {
         let Err(FmiError::WorkerEnded(end)) = answer else { return false };
         let Some(function) = end.call_at_end_of_run() else { return false };
@@ -366,7 +371,7 @@ impl Workers {
         true
     }
 
-    /// The answer and the quirks; and whether the process can be asked again.
+    /// Returns the answer with the quirks, and true if the process can be used again.
     fn call_in<T>(
         &self,
         process: &mut Process,
@@ -392,7 +397,7 @@ impl Workers {
         (told.map(|accepted| (accepted, std::mem::take(&mut process.quirks))), can_go_on)
     }
 
-    /// True if a worker has served long enough, or has grown too much.
+    /// True if a worker has reached its maximum number of calls or its maximum memory growth.
     fn is_worn(&self, process: &mut Process, took: Duration) -> bool {
         if self.limits.calls.is_some_and(|most| process.n_calls >= most) {
             return true;
@@ -416,12 +421,12 @@ impl Workers {
         idle
     }
 
-    /// Number of idle workers that have loaded this.
+    /// Returns the number of idle workers with this load.
     pub fn n_idle(&self, load: &Load) -> usize {
         self.idle().lent_to(load).filter(|loaded| *loaded == load.id).count()
     }
 
-    /// Ends the idle workers of this: nobody asks them any more.
+    /// Ends the idle workers of this load, which are no longer needed.
     pub fn forget(&self, load: &Load) {
         let is_of_load = |(process, _): &mut (Process, Instant)| {
             process.loaded.is_some_and(|loaded| loaded.owner == load.id.number)
@@ -430,8 +435,8 @@ impl Workers {
         drop(ended);
     }
 
-    /// One of those that have loaded this, else one that is [lent](Load::in_processes_of), and no other: what
-    /// ran before in a process may show in its answers.
+    /// Returns an idle process with this load, or one that is [lent](Load::in_processes_of). No other process
+    /// is used, because earlier work in a process may affect its answers.
     fn idle_process(&self, load: &Load, whom: AskedProcess) -> Option<Process> {
         let mut idle = self.idle();
         let is_of_load = |(process, _): &(Process, Instant)| process.loaded == Some(load.id);
@@ -455,7 +460,7 @@ impl Workers {
         self.watch(&mut idle);
     }
 
-    /// Ends what nobody has asked for anything for long.
+    /// Starts a thread that ends processes that are idle for too long.
     fn watch(self: &Arc<Self>, idle: &mut Idle) {
         if idle.is_watched {
             return;
@@ -484,14 +489,14 @@ impl Workers {
 
 impl Drop for Workers {
     fn drop(&mut self) {
-        // All at once.
+        // Ends all workers at once.
         if let Some(template) = self.idle().template.take() {
             template.end();
         }
     }
 }
 
-/// Has a process load this. One that cannot is of no use to anybody.
+/// Loads this into a process. A process that fails to load is discarded.
 fn ask_to_load(
     process: &mut Process,
     load: &Load,
@@ -507,7 +512,7 @@ fn ask_to_load(
     Ok(())
 }
 
-/// Asks a process, and passes on what it says beside its answer.
+/// Sends a request to a process, and forwards the notes in its answer.
 fn ask<T>(
     process: &mut Process,
     question: &Question<'_>,
@@ -547,7 +552,8 @@ fn ask<T>(
     }
 }
 
-/// This process has no memory for an answer, of which `answer` is a part.
+/// Returns the error for an answer that does not fit into the memory of this process. `answer` is the part
+/// that was received.
 fn no_memory(answer: &Frame) -> FmiError {
     let bytes = 8 * answer.numbers.len() as u64;
     FmiError::Memory {
