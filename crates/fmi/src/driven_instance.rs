@@ -36,9 +36,9 @@ pub enum InstanceCall {
     EnterInitialization {
         /// Start time.
         start_time: f64,
-        /// Stop time, if the FMU should know one.
+        /// Stop time, if it should be passed to the FMU.
         stop_time: Option<f64>,
-        /// Relative tolerance, if the FMU should know one.
+        /// Relative tolerance, if it should be passed to the FMU.
         tolerance: Option<f64>,
     },
     /// Ends the initialization.

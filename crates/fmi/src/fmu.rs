@@ -571,8 +571,8 @@ impl Fmu {
         }
     }
 
-    /// Returns possible causes of a failure of the model: a required tool may be missing, or the model
-    /// follows a draft of the standard.
+    /// Returns possible causes of a failure of the model. A required tool may be missing, or the model may
+    /// follow a draft of the standard.
     pub fn hint(&self) -> Option<String> {
         let tool = self
             .needed_tool()

@@ -63,8 +63,8 @@ impl Session {
     /// Sets a parameter, a start value, or the constant value of an input, for all following simulations.
     ///
     /// # Errors
-    /// Returns an error if the name is unknown (with the nearest names), if the type is wrong, if the value
-    /// is NaN or infinite, or if the variable cannot be set.
+    /// Returns an error if the name is unknown (with the nearest names) or the type is wrong. Also returns an
+    /// error if the value is NaN or infinite, or if the variable cannot be set.
     pub fn set(&mut self, name: &str, value: impl Into<Value>) -> Result<()> {
         let fmu = self.fmu.clone();
         let description = fmu.description();

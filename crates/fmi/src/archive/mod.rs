@@ -47,9 +47,9 @@ pub(crate) fn is_inside(path: &str) -> bool {
 
 /// An opened FMU: a `.fmu` file or a folder with `modelDescription.xml` at its root.
 ///
-/// When a file is opened, its directory is read and checked: the headers of all entries must agree with it,
-/// and no two entries may share bytes. Contents are unpacked on demand, and then checked against their sizes
-/// and checksums.
+/// The directory of a file is read and checked when the file is opened. The headers of all entries must agree
+/// with the directory, and no two entries may share bytes. Contents are unpacked on demand, and then checked
+/// against their sizes and checksums.
 #[derive(Debug)]
 pub struct Archive {
     content: Content,

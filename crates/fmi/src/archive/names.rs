@@ -164,8 +164,8 @@ impl<'a> Names<'a> {
     }
 }
 
-/// Returns approximately the form in which case-insensitive file systems compare names: upper case, then
-/// lower case, so that letters with two lower-case forms become equal.
+/// Returns approximately the form in which case-insensitive file systems compare names. Converts to upper
+/// case, then to lower case, so that letters with two lower-case forms become equal.
 fn fold(name: &str) -> Cow<'_, str> {
     if !name.is_ascii() {
         Cow::Owned(name.to_uppercase().to_lowercase())

@@ -101,7 +101,7 @@ fn locks() -> MutexGuard<'static, Vec<(u32, PathBuf, Arc<File>)>> {
     LOCKS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Creates a hard link to a locked file at this path, or a file that is locked from the moment it has this
+/// Creates a hard link to a locked file at this path, or a new file. A new file is locked before it has this
 /// name. No file remains if it cannot be locked.
 fn take_lock(path: &Path) -> Option<Arc<File>> {
     let mut locks = locks();

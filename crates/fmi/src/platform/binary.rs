@@ -227,7 +227,7 @@ fn elf_machine(start: &[u8]) -> Option<Machine> {
     })
 }
 
-/// `Machine` of the COFF header behind the PE signature (Microsoft PE format).
+/// `Machine` of the COFF header after the PE signature (Microsoft PE format).
 fn pe_machine(start: &[u8], file: &mut (impl Read + Seek)) -> io::Result<Option<Machine>> {
     let Some(offset) = u32_le(start, 0x3c) else { return Ok(None) };
     file.seek(SeekFrom::Start(u64::from(offset)))?;

@@ -1,4 +1,4 @@
-//! Everything that depends on the operating system or the processor: names of folders and libraries, headers
+//! Code that depends on the operating system or the processor: names of folders and libraries, headers
 //! of shared libraries, identities of files, available memory.
 
 mod atomic_file;

@@ -6,8 +6,8 @@ use std::{env, io};
 
 /// Returns the folder for private unpack folders.
 ///
-/// Some FMUs do not work in a path with spaces, braces or non-ASCII letters, because they insert the path
-/// into a URI or a format string. Another folder for temporary files is then preferred, if there is one.
+/// Some FMUs do not work in a path with spaces, braces or non-ASCII letters. They insert the path into a URI
+/// or a format string. Another folder for temporary files is then preferred, if there is one.
 pub(crate) fn unpack_base() -> PathBuf {
     let usual = env::temp_dir();
     let others = if cfg!(unix) { &["/tmp", "/var/tmp"][..] } else { &[] };
@@ -77,8 +77,8 @@ pub(crate) fn own_file() -> io::Result<File> {
     tempfile::tempfile()
 }
 
-/// Removes write permission for the group from a folder. Returns an error if all users may write to the
-/// folder, or if its owner differs from the owner of `own`, a file of this user. Other users may have written
+/// Removes write permission for the group from a folder. `own` is a file of this user. Returns an error if
+/// all users may write to the folder, or if it has another owner than `own`. Other users may have written
 /// files there.
 pub(crate) fn keep_others_out(folder: &Path, own: &File) -> io::Result<()> {
     #[cfg(unix)]

@@ -110,8 +110,8 @@ impl Recipe {
 ///
 /// In sources, the standard prefixes each name with the model identifier (`Model_fmi2GetReal`), so that
 /// several models can be linked into one program. Libraries have no prefix. The headers of FMI 2.0.0 to 2.0.3
-/// build the names by token pasting, and the result of pasting is expanded as a macro again. The names are
-/// those in the header of the standard.
+/// build the names by token pasting. The result of pasting is expanded as a macro again. The list of names
+/// comes from the header of the standard.
 fn plain_names(model_identifier: &str) -> String {
     let is_identifier = model_identifier.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
     if !is_identifier {
@@ -211,8 +211,8 @@ fn is_header(name: &str) -> bool {
 /// Default time limit of a compiler.
 pub(crate) const COMPILE_TIME: Duration = Duration::from_secs(300);
 
-/// Builds the library of an interface from the sources of an FMU with the system's C compiler (`CC`,
-/// otherwise `cc`, `gcc`, `clang`), or finds it in the cache.
+/// Builds the library of an interface from the sources of an FMU, or finds it in the cache. Uses the system's
+/// C compiler (`CC`, otherwise `cc`, `gcc`, `clang`).
 ///
 /// * `root` is the unpacked FMU, and `content_hash` the hash of its content.
 /// * The compiled files are those in the description, otherwise those in `sources/buildDescription.xml`,

@@ -38,7 +38,7 @@ fn folder(name: &str) -> Result<PathBuf> {
     Ok(inside)
 }
 
-/// Creates a folder, checks that it is writable, and ensures that no other user can write to it, because
+/// Creates a folder and checks that it is writable. Ensures that no other user can write to it, because
 /// libraries are loaded from it.
 fn prepare(folder: &Path) -> io::Result<()> {
     fs::create_dir_all(folder)?;

@@ -12,10 +12,10 @@ const MEMORY: u64 = 4 << 30;
 /// Maximum size of a written file in bytes.
 const FILE_SIZE: u64 = 1 << 30;
 
-/// Limits the resources of a command after it is started: 4 GiB of address space, files of 1 GiB, and
-/// slightly more than `time` of processor time. The limits apply to each process that it starts. On Linux,
-/// the command is killed when the thread that started it ends, and therefore no later than the end of this
-/// process.
+/// Limits the resources of a command after it is started. The limits are 4 GiB of address space, files of 1
+/// GiB, and slightly more than `time` of processor time. The limits apply to each process that it starts. On
+/// Linux, the command is killed when the thread that started it ends, and therefore no later than the end of
+/// this process.
 #[cfg(unix)]
 pub(crate) fn limit(command: &mut Command, time: Duration) {
     use std::os::unix::process::CommandExt;

@@ -2,8 +2,8 @@
 //! buffer, and the elements are then expanded in place. This requires no second buffer, no allocation, and
 //! one call for any number of values.
 
-/// Types whose elements fit into a word: any bits are a valid value, the size is at most 8 bytes, and the
-/// alignment is at most that of `i64`.
+/// Types whose elements fit into a word. Any bits are a valid value. The size is at most 8 bytes, and the
+/// alignment is at most the alignment of `i64`.
 ///
 /// # Safety
 /// The type satisfies the requirements above.

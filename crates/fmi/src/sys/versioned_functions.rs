@@ -11,8 +11,8 @@ use std::ffi::{c_char, c_int};
 /// Functions of a library whose types differ between FMI versions.
 ///
 /// # Safety
-/// For all `unsafe` methods: `component` was created by this library, has not been freed, has not returned
-/// `Fatal`, and is not used by another call at the same time. Slices that belong together have the same
+/// For all `unsafe` methods: `component` was created by this library, has not been freed, and has not
+/// returned `Fatal`. No other call uses it at the same time. Slices that belong together have the same
 /// length. Vectors have the model's sizes. Functions that a library may lack return [`Status::Missing`].
 #[allow(clippy::missing_safety_doc)]
 pub(super) trait Version: Send + Sync {

@@ -1,5 +1,5 @@
-//! State of a worker process that affects its calls: the calls that it omits at the end of a run, because
-//! they have ended an earlier process, and the suffix of its instance names.
+//! State of a worker process that affects its calls. It contains the calls to be omitted at the end of a run,
+//! because they have ended an earlier process. It also contains the suffix of instance names.
 
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};

@@ -51,8 +51,8 @@ pub struct Question<'a> {
     /// Ends the wait for the answer. It is checked every 10 ms. After it ends, the worker has 0.1 s to
     /// answer.
     pub context: &'a RunContext<'a>,
-    /// Limits of the answer. A simulation that exceeds its time limit by more than 0.25 s ends the worker,
-    /// and so does an answer that is too large.
+    /// Limits of the answer. The worker is ended if a simulation exceeds its time limit by more than 0.25 s,
+    /// or if the answer is too large.
     pub limits: AnswerLimits,
     /// True if the answer is only compared with another one. Log lines of the worker are then dropped.
     pub is_repetition: bool,

@@ -5,9 +5,10 @@
 //! [`serve_if_worker`] first in its `main` is started once, as a template. The template loads the problem to
 //! be evaluated, and forks itself whenever a worker is needed.
 //!
-//! A worker has a socket pair (see [`Frame`] for the messages), the working folder and the environment
-//! variables of its caller, a separate folder for temporary files, and limits that it sets on itself. It runs
-//! one FMU in one thread. It ends when the socket is closed, no later than the end of its parent process.
+//! A worker communicates through a socket pair (see [`Frame`] for the messages). It has the working folder
+//! and the environment variables of its caller, and a separate folder for temporary files. It sets limits on
+//! itself. It runs one FMU in one thread. It ends when the socket is closed, no later than the end of its
+//! parent process.
 
 #[cfg(not(unix))]
 mod absent;

@@ -283,12 +283,12 @@ impl Workers {
         Ok(PinnedProcess { process, workers: Arc::clone(self) })
     }
 
-    /// Sends a request to a worker with `load` loaded, reads the answer with `accept`, and returns the result
+    /// Sends a request to a worker with `load` loaded, and reads the answer with `accept`. Returns the result
     /// with the quirks that were found in the model. A worker whose answer is not accepted is ended.
     ///
-    /// If a worker ends for a reason other than a time limit, the request is repeated once in a fresh worker,
-    /// unless the worker was fresh. If a worker dies at the end of a run, when the rows are complete, the
-    /// request is always repeated in a fresh worker that omits that call.
+    /// If a used worker ends for a reason other than a time limit, the request is repeated once in a fresh
+    /// worker. If a worker dies at the end of a run, the rows are complete. The request is then always
+    /// repeated in a fresh worker that omits that call.
     /// # Errors
     /// [`FmiError::ReportedError`] if the worker reports an error; [`FmiError::WorkerEnded`] if it ended
     /// twice, or once by the time limit; [`FmiError::NoWorker`] or [`FmiError::NoSandbox`];
