@@ -59,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn work_ends_by_a_flag_or_a_function() {
+    fn cancel_request_is_set_by_flag_or_function() {
         let flag = Arc::new(AtomicBool::new(false));
         let cancel = CancelRequest::when(Arc::clone(&flag));
         assert!(!cancel.is_asked() && !CancelRequest::default().is_asked());

@@ -152,7 +152,7 @@ mod tests {
     use std::sync::mpsc;
 
     #[test]
-    fn one_thread_is_in_and_may_enter_again() {
+    fn fair_lock_admits_one_thread_and_is_reentrant() {
         let (lock, inside) = (Arc::new(FairLock::default()), AtomicU64::new(0));
         std::thread::scope(|scope| {
             for _ in 0..4 {
@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thread_that_waits_may_give_up_and_what_it_leaves_is_done() {
+    fn fair_lock_runs_left_task_after_abandoned_wait() {
         let lock = Arc::new(FairLock::default());
         let turn = lock.enter();
         let (done, seen) = mpsc::channel();
@@ -190,7 +190,7 @@ mod tests {
 
     /// A thread that leaves and immediately enters again is queued after the waiting threads.
     #[test]
-    fn nobody_is_kept_out_by_a_thread_that_comes_again_and_again() {
+    fn fair_lock_queues_reentering_thread_after_waiting_one() {
         let lock = Arc::new(FairLock::default());
         let turn = lock.enter();
         std::thread::scope(|scope| {

@@ -1,4 +1,4 @@
-//! A simulation through an FMU allocates nothing per step: a long run takes as many allocations as a short one.
+//! A simulation of an FMU allocates no memory per step: long and short runs need equally many allocations.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -20,7 +20,7 @@ impl Observer for Sum {
     }
 }
 
-/// Allocations and steps of a warm run until `end`.
+/// Returns the numbers of allocations and steps of a warm run until `end`.
 fn count(fmu: &Fmu, options: &SimulateOptions, end: f64, parameters: &[f64]) -> (u64, u64) {
     let plan = SimulationPlan::new(fmu, &options.clone().final_time(end)).unwrap();
     let mut simulator = Simulator::new(Arc::new(plan)).unwrap().resetting();
@@ -35,14 +35,14 @@ fn count(fmu: &Fmu, options: &SimulateOptions, end: f64, parameters: &[f64]) -> 
         });
         counted.count_total
     };
-    // On a slow machine one of the first runs also checks the reset.
+    // On a slow machine, one of the first runs also checks the reset.
     let least = (0..8).map(|_| measured()).min().unwrap();
     assert!(sum.0.is_finite());
     (least, steps)
 }
 
 #[test]
-fn furuta_with_events() {
+fn events_allocate_nothing_per_step() {
     let folder = model("furuta");
     let options = SimulateOptions::new().parameters(["armFriction", "pendulumFriction"]).record_events(true);
     let (short, few) = count(&folder.open(), &options, 2.0, &[0.012, 0.002]);
@@ -53,7 +53,7 @@ fn furuta_with_events() {
 }
 
 #[test]
-fn inputs_that_jump() {
+fn discontinuous_inputs_allocate_nothing_per_step() {
     let folder = model("switched_input");
     let times: Vec<f64> = (0..100).map(f64::from).collect();
     let inputs = Inputs::new().table(
@@ -71,7 +71,7 @@ fn inputs_that_jump() {
     assert_eq!(short, long);
 }
 
-/// The same number of allocations whether it is short or long.
+/// Asserts that short and long runs need equally many allocations.
 fn allocates_nothing_per_step(fmu: &Fmu, options: &SimulateOptions, ends: [f64; 2]) {
     let counts = ends.map(|end| count(fmu, options, end, &[]));
     let [(short, few), (long, many)] = counts;
@@ -80,7 +80,7 @@ fn allocates_nothing_per_step(fmu: &Fmu, options: &SimulateOptions, ends: [f64; 
 }
 
 #[test]
-fn co_simulation() {
+fn co_simulation_allocates_nothing_per_step() {
     let options = SimulateOptions::new().kind(InterfaceChoice::CoSimulation).step_size(0.01);
     for kind in [ExampleKind::Fmi1CoSimulation, ExampleKind::Fmi2CoSimulation, ExampleKind::Fmi3] {
         let folder = model_as("van_der_pol", kind, &[], |xml| xml);
@@ -94,7 +94,7 @@ fn co_simulation() {
 }
 
 #[test]
-fn clocks_of_all_kinds() {
+fn clocks_allocate_nothing_per_step() {
     let folder = fixture("clocks", |xml| xml);
     let fmu = folder.open();
     let times: Vec<f64> = (0..200).map(|k| 0.1 * f64::from(k)).collect();
@@ -112,7 +112,7 @@ fn clocks_of_all_kinds() {
 }
 
 #[test]
-fn a_long_text_is_kept_once_in_however_many_rows_it_stands() {
+fn repeated_text_is_stored_once_in_results() {
     const SIZE: usize = 1 << 20;
     let folder = fixture_with("arrays", &[&format!("LONG_TEXT={SIZE}")], |xml| xml);
     for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
@@ -132,7 +132,7 @@ fn a_long_text_is_kept_once_in_however_many_rows_it_stands() {
 }
 
 #[test]
-fn texts_and_bytes() {
+fn texts_and_bytes_allocate_nothing_per_step() {
     let folder = arrays();
     let fmu = folder.open();
     let times: Vec<f64> = (0..400).map(|k| 0.05 * f64::from(k)).collect();

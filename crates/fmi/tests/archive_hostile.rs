@@ -1,5 +1,5 @@
-//! Archives that are damaged, dishonest or too large are refused with an error that names entry and numbers, and
-//! leave nothing behind.
+//! Archives that are damaged, inconsistent or too large are rejected with an error that contains the entry
+//! and numbers. No files remain.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -14,14 +14,14 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use zip_bytes::{Entry, description, zip};
 
-/// A file that is gone at the end of the test.
+/// A file that is removed at the end of the test.
 fn file(bytes: &[u8]) -> tempfile::NamedTempFile {
     let file = tempfile::Builder::new().prefix("test-").suffix(".fmu").tempfile().unwrap();
     fs::write(file.path(), bytes).unwrap();
     file
 }
 
-/// Opens an archive and unpacks all of it.
+/// Opens an archive and unpacks all its files.
 fn open(bytes: &[u8]) -> Result<Archive, FmiError> {
     open_with(bytes, &ArchiveLimits::default())
 }
@@ -32,7 +32,7 @@ fn open_with(bytes: &[u8], limits: &ArchiveLimits) -> Result<Archive, FmiError> 
     Ok(archive)
 }
 
-/// The problem with the last entry of an archive that starts well.
+/// Returns the problem with the last entry of an archive that is otherwise valid.
 fn problem_of(entries: &[Entry]) -> EntryProblem {
     let mut all = vec![description()];
     all.extend_from_slice(entries);
@@ -52,7 +52,7 @@ fn problem_of_name(name: &str) -> EntryProblem {
 }
 
 #[test]
-fn an_honest_archive_is_unpacked_and_its_folder_goes_with_it() {
+fn archive_is_unpacked_and_folder_removed_on_drop() {
     let archive = open(&zip(&[
         description(),
         Entry::stored("resources/", b"").with(|entry| entry.mode = 0o040_755),
@@ -82,7 +82,7 @@ fn an_honest_archive_is_unpacked_and_its_folder_goes_with_it() {
 }
 
 #[test]
-fn the_hash_is_that_of_the_bytes() {
+fn content_hash_depends_on_bytes_of_archive() {
     let bytes = zip(&[description()]);
     let (one, two) = (open(&bytes).unwrap(), open(&bytes).unwrap());
     assert_eq!(one.content_hash().unwrap(), two.content_hash().unwrap());
@@ -93,7 +93,7 @@ fn the_hash_is_that_of_the_bytes() {
 }
 
 #[test]
-fn an_unpacked_folder_is_used_as_it_is() {
+fn unpacked_folder_is_used_in_place() {
     let folder = tempfile::tempdir().unwrap();
     let error = Archive::open(folder.path()).unwrap_err();
     assert!(matches!(error, FmiError::NoModelDescription { .. }), "{error}");
@@ -106,14 +106,14 @@ fn an_unpacked_folder_is_used_as_it_is() {
 }
 
 #[test]
-fn a_missing_file_is_an_io_error_with_its_path() {
+fn missing_archive_is_io_error_with_path() {
     let error = Archive::open("/no/such/file.fmu").unwrap_err();
     assert!(matches!(&error, FmiError::Io { source, .. } if source.kind() == std::io::ErrorKind::NotFound));
     assert!(error.to_string().contains("/no/such/file.fmu"), "{error}");
 }
 
 #[test]
-fn what_is_no_archive_is_told_from_what_was_one() {
+fn truncated_archive_is_distinguished_from_other_files() {
     for (bytes, part) in [
         (&b""[..], "not a zip archive"),
         (b"hello, world", "not a zip archive"),
@@ -132,7 +132,7 @@ fn what_is_no_archive_is_told_from_what_was_one() {
 }
 
 #[test]
-fn a_missing_model_description_is_looked_for_elsewhere() {
+fn missing_model_description_is_reported_with_hint() {
     let none = open(&zip(&[Entry::stored("a.txt", b"")])).unwrap_err();
     assert!(matches!(none, FmiError::NoModelDescription { hint: None, .. }), "{none}");
     let down = open(&zip(&[description().with(|entry| {
@@ -159,7 +159,7 @@ fn a_missing_model_description_is_looked_for_elsewhere() {
 }
 
 #[test]
-fn names_that_lead_out_of_the_folder_are_refused() {
+fn archive_rejects_names_outside_folder() {
     for name in
         ["../evil", "a/../../evil", "resources/..", "./../evil", "..\\evil", "a\\..\\..\\evil", "a//../b"]
     {
@@ -177,7 +177,7 @@ fn names_that_lead_out_of_the_folder_are_refused() {
 }
 
 #[test]
-fn names_with_backslashes_and_dots_are_unpacked_where_info_zip_does() {
+fn archive_unpacks_backslashes_and_dots_as_info_zip() {
     let description = Entry::stored("./modelDescription.xml", zip_bytes::DESCRIPTION.as_bytes());
     let archive = open(&zip(&[
         Entry::stored("./", b"").with(|entry| entry.mode = 0o040_755),
@@ -197,7 +197,7 @@ fn names_with_backslashes_and_dots_are_unpacked_where_info_zip_does() {
 }
 
 #[test]
-fn names_that_are_not_utf8_are_in_the_alphabet_of_the_first_pc() {
+fn archive_reads_names_without_utf8_flag_as_cp437() {
     let entry = Entry::stored("", b"x").with(|entry| {
         entry.name = b"resources/\x84.txt".to_vec();
         entry.local_name = entry.name.clone();
@@ -207,7 +207,7 @@ fn names_that_are_not_utf8_are_in_the_alphabet_of_the_first_pc() {
 }
 
 #[test]
-fn names_that_collide_are_refused() {
+fn archive_rejects_colliding_names() {
     let pair = |one: &str, two: &str| problem_of(&[Entry::stored(one, b"1"), Entry::stored(two, b"2")]);
     assert_eq!(pair("a.txt", "a.txt"), EntryProblem::Duplicate);
     assert_eq!(pair("a.txt", "A.TXT"), EntryProblem::CaseDuplicate("a.txt".into()));
@@ -222,7 +222,7 @@ fn names_that_collide_are_refused() {
 }
 
 #[test]
-fn a_file_may_be_packed_twice_if_it_is_the_same() {
+fn archive_accepts_duplicate_file_with_identical_content() {
     let text = b"resource ".repeat(30_000);
     let bytes = zip(&[
         description(),
@@ -240,13 +240,13 @@ fn a_file_may_be_packed_twice_if_it_is_the_same() {
         quirk.kind == QuirkKind::Duplicate && quirk.message.contains("\"resources/a.txt\" and 1 more"),
         "{quirk}"
     );
-    // The same size and checksum, but not the same bytes.
+    // Size and checksum are equal, but the bytes differ.
     let pair = [Entry::stored("a", b"plumless"), Entry::stored("a", b"buckeroo")];
     assert_eq!(problem_of(&pair), EntryProblem::Duplicate);
 }
 
 #[test]
-fn links_devices_and_the_like_are_refused() {
+fn archive_rejects_links_and_special_files() {
     for (mode, what) in [
         (0o120_777, "symbolic link"),
         (0o020_644, "device"),
@@ -262,7 +262,7 @@ fn links_devices_and_the_like_are_refused() {
 }
 
 #[test]
-fn encrypted_and_exotically_packed_entries_are_refused() {
+fn archive_rejects_encryption_and_unsupported_compression() {
     assert_eq!(
         problem_of(&[Entry::stored("a", b"x").with(|entry| entry.flags = 1)]),
         EntryProblem::Encrypted
@@ -274,8 +274,8 @@ fn encrypted_and_exotically_packed_entries_are_refused() {
 }
 
 #[test]
-fn bytes_that_serve_two_entries_are_refused() {
-    // Two names for one file: the building block of the bombs that overlap.
+fn archive_rejects_overlapping_entries() {
+    // Two names for one file, as in overlapping zip bombs.
     let twice = [
         Entry::stored("a", b"12345"),
         Entry::stored("b", b"12345").with(|entry| {
@@ -284,7 +284,7 @@ fn bytes_that_serve_two_entries_are_refused() {
         }),
     ];
     assert!(matches!(problem_of(&twice), EntryProblem::HeaderMismatch(_)));
-    // The data of the first entry are the second one.
+    // The data of the first entry contain the second one.
     let inner = Entry::stored("b", b"12345");
     let inner_bytes = zip(std::slice::from_ref(&inner));
     let local = &inner_bytes[..30 + 1 + 5];
@@ -293,7 +293,7 @@ fn bytes_that_serve_two_entries_are_refused() {
     let find = |needle: &[u8], from: usize| {
         from + bytes[from..].windows(needle.len()).position(|window| window == needle).unwrap()
     };
-    // Point the directory's third record at the copy inside of the second.
+    // The third record of the directory now refers to the copy inside the second.
     let copy = find(local, 0);
     let third = bytes.windows(4).rposition(|window| window == b"PK\x01\x02").unwrap();
     bytes[third + 42..third + 46].copy_from_slice(&(copy as u32).to_le_bytes());
@@ -306,7 +306,7 @@ fn bytes_that_serve_two_entries_are_refused() {
 }
 
 #[test]
-fn data_that_reach_into_the_directory_are_refused() {
+fn archive_rejects_data_overlapping_directory() {
     let entry = Entry::stored("a", b"12345").with(|entry| {
         entry.sizes = (50, 50);
         entry.local_sizes = (50, 50);
@@ -318,7 +318,7 @@ fn data_that_reach_into_the_directory_are_refused() {
 }
 
 #[test]
-fn sizes_that_lie_are_found_out() {
+fn archive_rejects_wrong_sizes() {
     let data = b"some text, some text, some text, some text".repeat(10);
     let honest = Entry::deflated("a", &data);
     let lying = |size: u64| {
@@ -344,7 +344,7 @@ fn sizes_that_lie_are_found_out() {
 }
 
 #[test]
-fn headers_that_contradict_the_directory_are_refused() {
+fn archive_rejects_inconsistent_local_headers() {
     type Change = fn(&mut Entry);
     let changes: [Change; 3] = [
         |entry| entry.local_name = b"b".to_vec(),
@@ -355,11 +355,11 @@ fn headers_that_contradict_the_directory_are_refused() {
         let problem = problem_of(&[Entry::deflated("a", b"12345").with(change)]);
         assert!(matches!(problem, EntryProblem::HeaderMismatch(_)), "{problem}");
     }
-    // They are compared when the archive is opened.
+    // The headers are compared when the archive is opened.
     let bytes = zip(&[description().with(|entry| entry.local_sizes.1 += 1)]);
     let error = Fmu::open(file(&bytes).path()).unwrap_err();
     assert!(matches!(error, FmiError::BadEntry { problem: EntryProblem::HeaderMismatch(_), .. }), "{error}");
-    // Sizes behind the data (bit 3) are legal, and the header then says 0.
+    // Sizes after the data (bit 3) are valid, and the header then contains 0.
     let streamed = Entry::deflated("a", b"12345").with(|entry| {
         entry.flags = 8;
         entry.local_sizes = (0, 0);
@@ -368,19 +368,19 @@ fn headers_that_contradict_the_directory_are_refused() {
 }
 
 #[test]
-fn damaged_data_are_refused() {
+fn archive_rejects_damaged_data() {
     let wrong_sum = Entry::deflated("a", b"12345").with(|entry| entry.crc32 ^= 1);
     assert!(matches!(problem_of(&[wrong_sum]), EntryProblem::Damaged(_)));
     let garbage = Entry::packed("a", vec![0xff; 100], 100, 0);
     assert!(matches!(problem_of(&[garbage]), EntryProblem::Damaged(_)));
 }
 
-/// A deflate stream of `mebibytes` of zeros, about a thousandth of that long.
+/// Returns a deflate stream of `mebibytes` of zeros, compressed to about a thousandth.
 fn bomb(mebibytes: usize) -> Vec<u8> {
     let mut compress = flate2::Compress::new(flate2::Compression::best(), false);
     let zeros = vec![0; 1 << 20];
     let mut block = Vec::with_capacity(1 << 16);
-    // A full flush ends on a byte and forgets what came before, so the block can be repeated.
+    // A full flush ends on a byte boundary and resets the state, so the block can be repeated.
     compress.compress_vec(&zeros, &mut block, flate2::FlushCompress::Full).unwrap();
     let mut stream = block.repeat(mebibytes);
     stream.extend([1, 0, 0, 0xff, 0xff]);
@@ -388,7 +388,7 @@ fn bomb(mebibytes: usize) -> Vec<u8> {
 }
 
 #[test]
-fn a_bomb_is_refused_at_once_whatever_its_header_says() {
+fn archive_rejects_zip_bomb_for_any_declared_size() {
     const SIZE: u64 = 10 << 30;
     let stream = bomb(10 << 10);
     assert!((5 << 20..15 << 20).contains(&stream.len()), "{}", stream.len());
@@ -404,7 +404,7 @@ fn a_bomb_is_refused_at_once_whatever_its_header_says() {
 }
 
 #[test]
-fn a_bomb_in_many_pieces_is_refused_by_the_sum() {
+fn archive_rejects_zip_bomb_in_many_entries() {
     let piece = bomb(100);
     let entries: Vec<Entry> =
         (0..30).map(|i| Entry::packed(&format!("piece{i}"), piece.clone(), 100 << 20, 0)).collect();
@@ -417,7 +417,7 @@ fn a_bomb_in_many_pieces_is_refused_by_the_sum() {
 }
 
 #[test]
-fn tables_that_pack_well_are_not_taken_for_bombs() {
+fn archive_accepts_highly_compressible_tables() {
     let table = b"0.0,0.0,0.0\n".repeat(1 << 20);
     let entry = Entry::deflated("resources/table.csv", &table);
     assert!(entry.packed.len() * 200 < table.len());
@@ -425,7 +425,7 @@ fn tables_that_pack_well_are_not_taken_for_bombs() {
 }
 
 #[test]
-fn each_limit_is_named_with_its_numbers() {
+fn archive_limits_are_reported_with_numbers() {
     let archive = zip(&[description(), Entry::stored("a", &[1; 5000]), Entry::stored("b", &[2; 5000])]);
     let limits = ArchiveLimits::default();
     let entries = open_with(&archive, &ArchiveLimits { entries: 2, ..limits.clone() }).unwrap_err();
@@ -438,7 +438,7 @@ fn each_limit_is_named_with_its_numbers() {
 }
 
 #[test]
-fn folders_without_entries_count() {
+fn archive_limits_count_folders_without_entries() {
     let mut entries = vec![description()];
     entries.extend((0..10).map(|i| Entry::stored(&format!("{i}{}f", "/d".repeat(20) + "/"), b"x")));
     let limits = ArchiveLimits { entries: 100, ..ArchiveLimits::default() };
@@ -447,7 +447,7 @@ fn folders_without_entries_count() {
 }
 
 #[test]
-fn many_entries_are_no_trouble() {
+fn archive_unpacks_many_entries() {
     let mut entries = vec![description()];
     entries.extend((0..20_000).map(|i| Entry::stored(&format!("resources/{}/{i}.txt", i % 100), b"x")));
     let archive = open(&zip(&entries)).unwrap();
@@ -455,7 +455,7 @@ fn many_entries_are_no_trouble() {
 }
 
 #[test]
-fn entries_the_directory_does_not_count_are_refused() {
+fn archive_rejects_uncounted_directory_entries() {
     let mut bytes = zip(&[description(), Entry::stored("a", b"hidden")]);
     let end = bytes.len() - 22;
     bytes[end + 8..end + 12].copy_from_slice(&[1, 0, 1, 0]);
@@ -463,7 +463,7 @@ fn entries_the_directory_does_not_count_are_refused() {
     assert!(message.contains("more than the 1 entries"), "{message}");
 }
 
-/// Everything above that is refused late: when the archive is unpacked.
+/// Returns the archives above that are only rejected when they are unpacked.
 fn refused_while_unpacking() -> Vec<Vec<u8>> {
     let wrong_sum = Entry::deflated("resources/a", b"12345").with(|entry| entry.crc32 ^= 1);
     let too_long = Entry::packed("resources/bomb", bomb(10), 1000, 0);
@@ -475,7 +475,7 @@ fn names_in(folder: &Path) -> Vec<PathBuf> {
     fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect()
 }
 
-/// Runs itself again in a process with its own folder for temporary files, where nobody else leaves anything.
+/// Runs this test in a separate process with its own folder for temporary files, which no other process uses.
 #[test]
 fn nothing_is_left_behind() {
     const INSIDE: &str = "FMUFIT_TEST_INSIDE";
@@ -514,12 +514,12 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn any_bytes_end_in_an_error(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+    fn archive_rejects_random_bytes(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
         prop_assert!(open(&bytes).is_err());
     }
 
     #[test]
-    fn a_changed_archive_opens_or_is_refused(
+    fn modified_archive_is_opened_or_rejected(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
         cut in prop::option::of(any::<prop::sample::Index>()),
     ) {
@@ -535,7 +535,7 @@ proptest! {
     }
 
     #[test]
-    fn headers_that_claim_anything_do_no_harm(
+    fn arbitrary_headers_are_handled_safely(
         sizes in any::<(u64, u64)>(), local_sizes in any::<(u32, u32)>(), method in 0_u16..10, flags in any::<u16>(),
         mode in any::<u32>(), header_of in prop::option::of(0_usize..2),
     ) {

@@ -1,4 +1,4 @@
-//! Small or large, no description takes more memory than its limit allows, nor asks for arrays without end.
+//! The memory for a description is bounded by its limit, and the number of array elements is limited.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 mod zip_bytes;
@@ -29,7 +29,7 @@ fn fmi2(head: &str, variables: &str, structure: &str) -> String {
     )
 }
 
-/// Repeats a text until it fills a document of the limit, with numbers in the place of `#`.
+/// Repeats a text up to the size limit, with numbers in place of `#`.
 fn filled(text: &str) -> String {
     let mut all = String::new();
     for k in 1.. {
@@ -42,7 +42,7 @@ fn filled(text: &str) -> String {
     all
 }
 
-/// Documents of nearly the limit, each full of what takes the most memory in one way.
+/// Returns documents close to the size limit, each with a different kind of memory use.
 fn hungry_documents() -> Vec<(&'static str, Vec<u8>)> {
     let words = filled("1 ");
     let (long, zeros) = ("u".repeat(1000), "0".repeat(LIMIT - 2000));
@@ -230,7 +230,7 @@ fn hungry_documents() -> Vec<(&'static str, Vec<u8>)> {
 }
 
 #[test]
-fn no_document_takes_more_than_eight_times_the_limit() {
+fn description_memory_is_at_most_eight_times_the_limit() {
     let limits = DescriptionLimits { bytes: LIMIT as u64, ..DescriptionLimits::default() };
     let folder = tempfile::tempdir().unwrap();
     let mut refused = 0;
@@ -255,7 +255,7 @@ fn no_document_takes_more_than_eight_times_the_limit() {
 }
 
 #[test]
-fn an_ordinary_document_of_the_limit_is_read() {
+fn ordinary_description_at_the_limit_is_read() {
     let limits = DescriptionLimits { bytes: LIMIT as u64, ..DescriptionLimits::default() };
     let variables = filled(
         "<ScalarVariable name=\"plant.stage[#].pipe.massFlowRate\" valueReference=\"#\" causality=\"local\" \
@@ -281,7 +281,7 @@ fn folder_of(xml: &str) -> tempfile::TempDir {
 }
 
 #[test]
-fn the_elements_of_all_arrays_together_have_a_limit() {
+fn total_number_of_array_elements_is_limited() {
     // 135 kB of arrays, each of them below any limit for one.
     let array = |extent: usize| {
         format!(
@@ -326,7 +326,7 @@ fn the_elements_of_all_arrays_together_have_a_limit() {
 }
 
 #[test]
-fn structural_parameters_are_held_to_the_limit_too() {
+fn structural_parameters_respect_element_limit() {
     let variables = "<UInt64 name=\"n\" valueReference=\"1\" causality=\"structuralParameter\" variability=\"fixed\" start=\"3\"/>\
                      <Float64 name=\"a\" valueReference=\"2\" causality=\"output\"><Dimension valueReference=\"1\"/></Float64>\
                      <Float64 name=\"b\" valueReference=\"3\" causality=\"output\"><Dimension valueReference=\"1\"/>\
@@ -345,7 +345,7 @@ fn structural_parameters_are_held_to_the_limit_too() {
 }
 
 #[test]
-fn folders_are_counted() {
+fn number_of_folders_is_limited() {
     let mut entries = vec![zip_bytes::description()];
     let deep = "d/".repeat(60);
     entries.extend((0..1600).map(|k| zip_bytes::Entry::stored(&format!("{k}/{deep}f"), b"")));
@@ -357,7 +357,7 @@ fn folders_are_counted() {
 }
 
 #[test]
-fn opening_ends_soon_after_it_is_cancelled() {
+fn opening_ends_shortly_after_cancellation() {
     let flag = Arc::new(AtomicBool::new(true));
     let options = OpenOptions { cancel: CancelRequest::when(Arc::clone(&flag)), ..OpenOptions::default() };
     let folder = folder_of(&fmi3("", "", ""));

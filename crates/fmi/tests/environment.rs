@@ -1,4 +1,4 @@
-//! What FMUs do to their thread is undone, and late messages do no harm.
+//! Changes that FMUs make to their thread are undone, and late messages are harmless.
 
 #![cfg(all(target_os = "linux", target_arch = "x86_64"))]
 #![allow(clippy::unwrap_used, clippy::panic)]
@@ -25,7 +25,7 @@ fn bits(t: &Trajectory) -> Vec<u64> {
 }
 
 #[test]
-fn runs_of_a_model_that_changes_the_floating_point_mode_have_the_same_bits() {
+fn runs_are_reproducible_when_model_changes_float_mode() {
     let options = SimulateOptions::new().ncp(50).outputs(["y", "der(x)"]).parameters(["k"]);
     for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
         let options = options.clone().kind(kind);
@@ -40,17 +40,17 @@ fn runs_of_a_model_that_changes_the_floating_point_mode_have_the_same_bits() {
             let [first, second, _] = runs(&folder, [1.7; 3]);
             let [_, _, after_others] = runs(&folder, [0.3, 2.9, 1.7]);
             assert!(first == second && first == after_others, "{kind:?}, {place}");
-            // In instantiating, freeing and initializing it acts on nothing of the run.
+            // In instantiation, freeing and initialization, the mode does not affect the run.
             assert!(![1, 5, 6].contains(&place) || first == truth, "{kind:?}, {place}");
         }
     }
-    // The thread is as before, and arithmetic of ours goes on.
+    // The thread has its earlier mode, and arithmetic of this program is unaffected.
     let tiny = std::hint::black_box(1e-310f64);
     assert!(tiny / 2.0 > 0.0 && std::hint::black_box(1.0) / std::hint::black_box(0.0f64) > 1.0);
 }
 
 #[test]
-fn calls_by_hand_are_guarded_too() {
+fn manual_calls_restore_float_mode() {
     let folder = evil(&["FLOAT_IN=3", "UNMASKS"]);
     let instance = folder.open().instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
     let mut instance = instance.exit_initialization().unwrap().enter_continuous_time().unwrap();
@@ -64,13 +64,13 @@ fn calls_by_hand_are_guarded_too() {
 }
 
 #[test]
-fn messages_of_a_thread_that_outlives_its_instance_go_nowhere_bad() {
-    // FMI 3.0 has another callback.
+fn late_messages_of_foreign_threads_are_harmless() {
+    // FMI 3.0 has a different callback.
     for folder in [evil(&["LOGS_LATE"]), support::fixture_with("arrays", &["LOGS_LATE"], |xml| xml)] {
         let fmu = folder.open();
         for _ in 0..20 {
             drop(fmu.instantiate().unwrap());
-            // What was freed is used again, for other things.
+            // Freed memory is reused for other data.
             let scratch: Vec<Vec<u8>> = (0..200).map(|n| vec![0xa5; n]).collect();
             std::hint::black_box(&scratch);
         }
@@ -83,10 +83,10 @@ fn messages_of_a_thread_that_outlives_its_instance_go_nowhere_bad() {
 }
 
 #[test]
-fn a_binary_value_larger_than_memory_is_an_error() {
+fn binary_value_larger_than_memory_is_an_error() {
     let limited =
         |xml: String| xml.replacen("valueReference=\"23\"", "valueReference=\"23\" maxSize=\"1000\"", 1);
-    // Of the last one the model has less than it says; its variable may not have as much.
+    // In the last case, the model has fewer bytes than it reports, but more than its variable allows.
     for (power, is_limited) in [(63, false), (40, false), (40, true), (10, true)] {
         let defines = [format!("HUGE_BINARY={power}")];
         let folder =
@@ -107,7 +107,7 @@ fn a_binary_value_larger_than_memory_is_an_error() {
         );
         assert_eq!(instance.get("bytes").unwrap_err().to_string(), message);
         drop(instance);
-        // In a simulation as well.
+        // Also in a simulation.
         for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
             let options = SimulateOptions::new().kind(kind).final_time(1.0).outputs(["bytes"]);
             let error = fmu.simulate(&options).unwrap_err().to_string();

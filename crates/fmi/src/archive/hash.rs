@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stream_has_the_hash_of_the_standard() {
+    fn hash_of_stream_matches_fips_180_4() {
         let mut hashing = Hashing::default();
         hashing.feed(&mut &b"abc"[..]).unwrap();
         let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"; // FIPS 180-4, "abc"
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn the_hash_of_a_folder_depends_on_names_and_contents_only() {
+    fn hash_of_folder_depends_only_on_names_and_contents() {
         let one = [("a", "1"), ("b/c", "2")];
         assert_eq!(hash(&one), hash(&[("b/c", "2"), ("a", "1")]));
         for other in [[("a", "2"), ("b/c", "2")], [("a", "1"), ("b/d", "2")], [("a", "12"), ("b/c", "")]] {
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn folders_with_too_many_files_are_refused() {
+    fn hash_rejects_folder_with_too_many_files() {
         let root = folder(&[("a", ""), ("b", ""), ("c", "")]);
         let limits = ArchiveLimits { entries: 2, ..ArchiveLimits::default() };
         assert!(matches!(
@@ -146,7 +146,7 @@ mod tests {
 
     #[test]
     #[cfg(unix)]
-    fn links_to_files_count_and_links_to_folders_are_refused() {
+    fn files_below_includes_file_links_and_rejects_folder_links() {
         let root = folder(&[("a/b", "1")]);
         std::os::unix::fs::symlink(root.path().join("a/b"), root.path().join("a/c")).unwrap();
         assert_eq!(files_below(root.path(), 100).unwrap().len(), 2);

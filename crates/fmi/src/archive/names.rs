@@ -181,7 +181,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_are_normalized_as_info_zip_does() {
+    fn entry_names_are_normalized_as_by_info_zip() {
         for (name, expected) in [
             ("./modelDescription.xml", "modelDescription.xml"),
             ("binaries\\linux64\\m.so", "binaries/linux64/m.so"),
@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn ordinary_names_pass() {
+    fn entry_names_accept_ordinary_names() {
         for name in [
             "modelDescription.xml",
             "binaries/",
@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn names_that_lead_elsewhere_are_refused() {
+    fn entry_names_reject_paths_outside_folder() {
         for (name, problem) in [
             ("", EntryProblem::EmptyName),
             ("a//b", EntryProblem::EmptyName),
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn names_no_file_system_takes_are_refused() {
+    fn entry_names_reject_long_and_deep_paths() {
         let long = "x".repeat(256);
         assert_eq!(check(&long), Err(EntryProblem::NameTooLong { found: 256, limit: 255 }));
         assert_eq!(check(&"x/".repeat(513)), Err(EntryProblem::NameTooLong { found: 1026, limit: 1024 }));
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn collisions_are_found_whatever_the_order() {
+    fn entry_names_report_collisions_in_any_order() {
         for (names, problem) in [
             (&["a", "a"][..], EntryProblem::Duplicate),
             (&["a", "A"], EntryProblem::CaseDuplicate("a".into())),
@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn folders_may_be_listed_again() {
+    fn entry_names_accept_repeated_folders() {
         assert_eq!(add_all(&["a/", "a/b", "a/", "a/c/d", "a/c/"]), Ok(()));
     }
 }

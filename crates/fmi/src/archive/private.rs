@@ -206,7 +206,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_folder_goes_with_its_value() {
+    fn private_folder_is_removed_with_its_value() {
         let base = tempfile::tempdir().unwrap();
         let folder = PrivateFolder::create_in(base.path()).unwrap();
         assert!(folder.path().is_dir() && folder.lock.is_some());
@@ -216,7 +216,7 @@ mod tests {
 
     #[cfg(target_os = "linux")]
     #[test]
-    fn many_folders_take_one_file_handle() {
+    fn private_folders_share_one_file_handle() {
         let base = tempfile::tempdir().unwrap();
         let of_base = || {
             let handles = fs::read_dir("/proc/self/fd").unwrap().flatten();
@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_inherited_from_another_process_leaves_the_folder() {
+    fn private_folder_survives_drop_in_forked_child() {
         let base = tempfile::tempdir().unwrap();
         let mut folder = PrivateFolder::create_in(base.path()).unwrap();
         folder.owner ^= 1;
@@ -245,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_was_left_behind_is_swept() {
+    fn sweep_removes_only_abandoned_folders() {
         let base = tempfile::tempdir().unwrap();
         let live = PrivateFolder::create_in(base.path()).unwrap();
         let mut dead = PrivateFolder::create_in(base.path()).unwrap();
@@ -280,7 +280,7 @@ mod tests {
 
     /// Old folders of a user with such a name, each with one difference from our layout.
     #[test]
-    fn what_a_user_has_stays() {
+    fn sweep_keeps_folders_of_user() {
         type Fill = fn(&Path) -> io::Result<()>;
         let others: [(&str, Fill); 7] = [
             ("results", |f| fs::write(f.join("results.csv"), "1")),
@@ -314,7 +314,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn a_pipe_as_a_lock_is_not_waited_for() {
+    fn sweep_does_not_block_on_pipe_as_lock() {
         let base = tempfile::tempdir().unwrap();
         let folder = named(&base, "x");
         fs::create_dir(&folder).unwrap();

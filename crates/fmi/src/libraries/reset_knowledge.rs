@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn stop_time_is_withheld_if_only_its_absence_lets_the_last_step_pass() {
+    fn stop_time_is_withheld_when_last_step_succeeds_without_it() {
         let after = |steps: &[bool]| {
             steps
                 .iter()

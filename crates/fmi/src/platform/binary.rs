@@ -291,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn elf_headers_tell_the_machine() {
+    fn machine_is_read_from_elf_header() {
         for (bytes, machine) in [
             (elf(2, 1, [62, 0]), Machine::X86_64),
             (elf(1, 1, [3, 0]), Machine::X86),
@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn pe_headers_tell_the_machine() {
+    fn machine_is_read_from_pe_header() {
         let mut bytes = b"MZ".to_vec();
         bytes.resize(0x3c, 0);
         bytes.extend(2000u32.to_le_bytes());
@@ -321,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn mach_o_headers_tell_all_machines() {
+    fn machines_are_read_from_mach_o_header() {
         let thin = [0xcf, 0xfa, 0xed, 0xfe, 0x0c, 0, 0, 1];
         assert_eq!(header(&thin).map(|h| h.machines), Some(vec![Machine::Aarch64]));
         let mut fat = vec![0xca, 0xfe, 0xba, 0xbe, 0, 0, 0, 2];
@@ -333,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn other_files_are_not_binaries() {
+    fn binary_header_rejects_other_files() {
         let java = [0xca, 0xfe, 0xba, 0xbe, 0, 0, 0, 52];
         for bytes in [
             &b""[..],
@@ -348,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn this_very_program_runs_here() {
+    fn binary_header_of_test_program_matches_host() {
         let header = BinaryHeader::read(&env::current_exe().unwrap()).unwrap().unwrap();
         assert!(header.runs_here(), "{header}");
     }

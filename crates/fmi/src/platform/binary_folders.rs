@@ -52,7 +52,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_classic_folder_comes_first_on_x86_only() {
+    fn classic_folder_precedes_modern_one_only_on_x86() {
         let two = binary_folders(FolderNames::SystemAndBits);
         let three = binary_folders(FolderNames::ProcessorAndSystem);
         assert_eq!(two.len(), 2);

@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn a_foreign_library_is_not_taken_and_is_listed() {
+    fn find_binary_lists_library_of_other_machine() {
         let root = tempfile::tempdir().unwrap();
         let mine = root.path().join("binaries").join(&binary_folders(FolderNames::SystemAndBits)[0]);
         let other = root.path().join("binaries/plan9");
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn a_single_library_of_another_name_is_taken_and_noted() {
+    fn find_binary_accepts_single_library_with_other_name() {
         let root = tempfile::tempdir().unwrap();
         let mine = root.path().join("binaries").join(&binary_folders(FolderNames::SystemAndBits)[0]);
         fs::create_dir_all(&mine).unwrap();
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn an_fmu_without_binaries_says_so() {
+    fn find_binary_reports_missing_binaries() {
         let root = tempfile::tempdir().unwrap();
         let message = find_binary(root.path(), "m", FolderNames::SystemAndBits).unwrap_err().to_string();
         assert!(message.contains("no binaries at all"), "{message}");

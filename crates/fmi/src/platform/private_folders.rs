@@ -127,7 +127,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn private_folders_are_no_part_of_a_reason() {
+    fn private_folders_are_removed_from_texts() {
         let base = unpack_base();
         let base = base.display();
         let text = format!(
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn paths_that_upset_fmus_are_recognised() {
+    fn paths_that_break_fmus_are_recognised() {
         assert!(is_plain(Path::new("/tmp/a-b_c.d")));
         for bad in ["/tmp/a b", "/tmp/{a}", "/tmp/\u{e4}", "/tmp/a%20b"] {
             assert!(!is_plain(Path::new(bad)), "{bad}");

@@ -296,18 +296,18 @@ mod tests {
     }
 
     #[test]
-    fn listed_files_are_compiled_in_their_order() {
+    fn recipe_keeps_order_of_listed_files() {
         assert_eq!(compiled(&["a.c", "b.c", "c.h", "x.c"], &["b.c", "c.h", "a.c"]), ["./b.c", "./a.c"]);
         assert_eq!(compiled(&["s/a.c"], &["s\\a.c"]), ["./s/a.c"]);
     }
 
     #[test]
-    fn without_a_list_all_c_files_are_compiled() {
+    fn recipe_contains_all_c_files_when_none_is_listed() {
         assert_eq!(compiled(&["b.c", "a.c", "a.h", "sub/c.c"], &[]), ["./a.c", "./b.c"]);
     }
 
     #[test]
-    fn names_lose_their_prefix() {
+    fn plain_names_remove_prefix_of_functions() {
         let header = plain_names("Model");
         assert_eq!(header.lines().count(), 44);
         assert!(header.contains("#define Model_fmi2GetReal fmi2GetReal\n"));
@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn a_build_description_is_used() {
+    fn recipe_follows_build_description() {
         let root = sources(&["a.c", "b.c", "inc/x.h"]);
         fs::write(
             root.path().join("sources/buildDescription.xml"),
@@ -331,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn names_that_lead_out_of_the_sources_are_refused() {
+    fn recipe_rejects_paths_outside_sources() {
         for name in ["../a.c", "/etc/passwd", "..\\a.c", "C:\\a.c", "x/../../a.c", ""] {
             let message = recipe(&["a.c"], &[name]).unwrap_err().to_string();
             assert!(message.contains("no path inside"), "{name}: {message}");
@@ -341,7 +341,7 @@ mod tests {
 
     #[test]
     #[cfg(unix)]
-    fn links_that_lead_out_of_the_sources_are_refused() {
+    fn recipe_rejects_links_outside_sources() {
         let root = sources(&[]);
         let outside = tempfile::NamedTempFile::new().unwrap();
         std::os::unix::fs::symlink(outside.path(), root.path().join("sources/a.c")).unwrap();
@@ -351,7 +351,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_sources_are_told_apart() {
+    fn recipe_distinguishes_missing_sources() {
         assert!(recipe(&["a.h"], &[]).unwrap_err().to_string().contains("no C files"));
         let empty = tempfile::tempdir().unwrap();
         let description = description(&[]);

@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn the_longest_unused_go_first_and_the_new_one_stays() {
+    fn cache_evicts_least_recently_used_entries() {
         let root = tempfile::tempdir().unwrap();
         let spared = keep(root.path(), "new", 10, 1000);
         for (name, age) in [("a", 30), ("b", 10), ("c", 20)] {
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn touching_makes_a_library_young() {
+    fn touch_marks_library_as_recently_used() {
         let root = tempfile::tempdir().unwrap();
         let folder = keep(root.path(), "a", 1, 1000);
         touch(&folder.join("m.so"));
@@ -227,7 +227,7 @@ mod tests {
 
     #[test]
     #[cfg(unix)]
-    fn a_folder_that_others_may_write_into_is_not_trusted() {
+    fn cache_rejects_folder_writable_by_others() {
         use std::os::unix::fs::PermissionsExt;
         let root = tempfile::tempdir().unwrap();
         let mine = root.path().join("mine");

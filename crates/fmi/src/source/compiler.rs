@@ -203,7 +203,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn commands_are_split_at_spaces_unless_they_are_files() {
+    fn compiler_command_is_split_unless_it_is_a_file() {
         assert_eq!(split(" ccache gcc -m64 "), Some(("ccache".into(), vec!["gcc".into(), "-m64".into()])));
         assert_eq!(split("  "), None);
         let folder = tempfile::tempdir().unwrap();
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_does_not_exist_is_no_compiler() {
+    fn missing_program_is_not_a_compiler() {
         let (cancel, limit) = (CancelRequest::default(), Duration::from_secs(20));
         let ask =
             |command: &str, limit| Compiler::ask(command, &Patience { cancel: &cancel, limit }).unwrap();
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_error_is_kept_whatever_follows() {
+    fn compiler_messages_keep_first_error() {
         let many: String = (0..100).map(|line| format!("note {line}\n")).collect();
         let text =
             format!("a.c:1: warning: w\na.c:2:1: fatal error: x.h: not there\n{many}a.c:9: error: y\n");
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_end_of_long_messages_is_kept() {
+    fn compiler_messages_keep_end_of_long_text() {
         let many: String = (0..100).map(|line| format!("line {line}\n")).collect();
         let kept = last_lines(&many);
         assert!(kept.starts_with("line 60\n") && kept.ends_with("line 99"));

@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn messages_are_expanded() {
+    fn logger_expands_messages() {
         let log = Log::new(LogFilter::All);
         let environment = Environment::new(&log);
         enter(&environment);
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn null_pointers_bad_formats_and_bad_bytes_are_tolerated() {
+    fn logger_tolerates_null_pointers_and_invalid_formats() {
         let log = Log::new(LogFilter::All);
         let environment = Environment::new(&log);
         enter(&environment);
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn texts_that_were_not_meant_as_formats_stay_as_they_are() {
+    fn logger_keeps_texts_with_unsupported_conversions() {
         for text in [
             c"100 % successfully",
             c"% s and % d",
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn plain_conversions_of_all_sizes_are_expanded() {
+    fn logger_expands_conversions_of_all_sizes() {
         let log = Log::new(LogFilter::All);
         let environment = Environment::new(&log);
         enter(&environment);
@@ -304,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn a_flood_is_counted_and_errors_come_through() {
+    fn log_admits_errors_beyond_rate_limit() {
         let log = Log::new(LogFilter::All);
         let environment = Environment::new(&log);
         enter(&environment);
@@ -343,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_that_nobody_wants_are_not_counted() {
+    fn log_does_not_count_filtered_lines() {
         for (filter, expected) in [
             (LogFilter::All, &["0", "1", "2", "3", "4", "9"][..]),
             (LogFilter::Warnings, &["1", "2", "3", "4", "9"]),
@@ -368,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn messages_go_to_the_instance_of_the_thread_whatever_environment_they_pass() {
+    fn logger_uses_instance_of_thread_for_any_environment() {
         let (first, second) = (Log::new(LogFilter::All), Log::new(LogFilter::All));
         let (one, two) = (Environment::new(&first), Environment::new(&second));
         let passed: [*mut c_void; 3] =
@@ -391,7 +391,7 @@ mod tests {
     }
 
     #[test]
-    fn messages_of_other_threads_go_to_the_instance_whose_address_they_pass() {
+    fn logger_uses_passed_environment_on_foreign_threads() {
         let (mine, other) = (Callbacks::new(LogFilter::All), Callbacks::new(LogFilter::All));
         mine.enter();
         let passed = std::ptr::from_ref(other.environment()).addr();
@@ -408,7 +408,7 @@ mod tests {
     }
 
     #[test]
-    fn finished_texts_are_taken_as_they_are() {
+    fn fmi3_logger_does_not_expand_texts() {
         let log = Log::new(LogFilter::All);
         let environment = Environment::new(&log);
         enter(&environment);
@@ -422,7 +422,7 @@ mod tests {
     }
 
     #[test]
-    fn long_messages_are_cut_and_a_flood_is_counted() {
+    fn log_truncates_long_messages_and_counts_dropped_lines() {
         let log = Log::new(LogFilter::All);
         let environment = Environment::new(&log);
         enter(&environment);

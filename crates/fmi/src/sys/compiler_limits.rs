@@ -85,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_program_has_its_limits() {
+    fn limited_command_has_resource_limits() {
         let mut command = Command::new("sh");
         command.args(["-c", "ulimit -v; ulimit -f; ulimit -t"]);
         limit(&mut command, Duration::from_secs(10));
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_ends_with_the_thread_that_has_started_it() {
+    fn limited_command_ends_with_its_starting_thread() {
         let start = || {
             let mut command = Command::new("sleep");
             command.arg("600");

@@ -140,7 +140,7 @@ mod tests {
         GetOutputDerivatives DoStep ActivateModelPartition";
 
     #[test]
-    fn functions_are_called_what_the_standard_calls_them() {
+    fn function_names_follow_standard() {
         use super::fmi1_fmi2_values::ScalarValues;
         use super::fmi3::Fmi3;
         use super::fmi3::Fmi3Values;
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn uris_are_percent_encoded() {
+    fn file_uri_percent_encodes_special_characters() {
         let uri = |path: &str| file_uri(Path::new(path)).into_string().unwrap();
         assert_eq!(uri("/tmp/a-b_c.d/resources"), "file:///tmp/a-b_c.d/resources");
         assert_eq!(uri("/tmp/a b/{\u{e4}}"), "file:///tmp/a%20b/%7B%C3%A4%7D");

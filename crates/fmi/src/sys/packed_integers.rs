@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn elements_of_all_sizes_are_spread_and_gathered() {
+    fn packed_integers_keep_elements_of_all_sizes() {
         let small = [0, 1, -1, 127, -128, 5];
         assert_eq!(round::<i8>(&small), small);
         assert_eq!(round::<i16>(&[-32768, 7, 32767]), [-32768, 7, 32767]);

@@ -296,7 +296,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_one_side_notes_the_other_reads() {
+    fn shared_page_transfers_last_call() {
         let (ours, file) = Page::new().unwrap();
         let theirs = Page::of(&file).unwrap();
         assert_eq!(ours.last_call(), None);
@@ -316,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn names_beyond_the_room_are_not_told() {
+    fn shared_page_ignores_names_beyond_capacity() {
         let (page, _file) = Page::new().unwrap();
         let numbers: Vec<u32> = (0..NAMES + 2).map(|k| page.number_of(&format!("f{k}"))).collect();
         assert_eq!((numbers[NAMES - 1], numbers[NAMES]), (NAMES as u32, 0));

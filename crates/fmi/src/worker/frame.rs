@@ -309,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn long_frames_arrive_and_take_no_buffer() {
+    fn long_frames_are_transferred_with_bounded_buffer() {
         let mut frame = Frame::of(&"x".repeat(3 * PIECE)).unwrap();
         frame.numbers = (0..PIECE / 2).map(|k| k as f64).collect();
         let (mut bytes, mut buffer) = (Vec::new(), Vec::new());
@@ -323,7 +323,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn frames_arrive_as_they_were_sent(text: String, bits: Vec<u64>, flags: (bool, bool, bool, bool)) {
+        fn frames_survive_transfer(text: String, bits: Vec<u64>, flags: (bool, bool, bool, bool)) {
             let mut frame = Frame::of(&text).unwrap();
             (frame.is_error, frame.is_last, frame.is_repeated, frame.is_asking) = flags;
             frame.numbers = bits.iter().map(|bits| f64::from_bits(*bits)).collect();
@@ -337,7 +337,7 @@ mod tests {
         }
 
         #[test]
-        fn garbage_is_an_error(mut bytes: Vec<u8>, cut in 0usize..100, flip in 0usize..100, bit in 0u8..8) {
+        fn frame_rejects_invalid_bytes(mut bytes: Vec<u8>, cut in 0usize..100, flip in 0usize..100, bit in 0u8..8) {
             prop_assert!(read(&bytes).is_err());
             let mut frame = Frame::of(&bytes).unwrap();
             frame.numbers = vec![1.0; 3];

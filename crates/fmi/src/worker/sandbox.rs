@@ -369,7 +369,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn filters_fit_into_the_kernel_s_limit() {
+    fn sandbox_filters_fit_kernel_limit() {
         // BPF_MAXINSNS of linux/bpf_common.h.
         let n = filter_of_refused(4711).unwrap().len();
         assert!(n < 4096, "{n}");
@@ -377,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn lists_of_calls_have_no_call_twice() {
+    fn sandbox_lists_contain_no_duplicate_calls() {
         let conditional = refused_with(1).into_iter().map(|(call, _)| call);
         let mut calls: Vec<_> =
             REFUSED.iter().chain(REFUSED_OF_ARCHITECTURE).copied().chain(conditional).collect();

@@ -501,7 +501,7 @@ mod tests {
     use crate::worker::Launcher;
 
     #[test]
-    fn a_process_that_is_no_child_of_the_template_is_not_taken_for_a_worker() {
+    fn worker_must_be_child_of_template() {
         let template = Arc::new(Template::start(&Launcher::of("/bin/cat")).unwrap());
         let mut process = Process::begin(
             &template,
@@ -525,7 +525,7 @@ mod tests {
     }
 
     #[test]
-    fn a_worker_that_claims_more_simulations_is_given_no_more_time() {
+    fn run_limit_ignores_excess_simulations() {
         let (began, limit) = (Instant::now(), Duration::from_secs(2));
         let mut run_limit = RunLimit { limit, runs: u32::MAX, left: 2, since: began };
         let after = |seconds: f64| began + Duration::from_secs_f64(seconds);

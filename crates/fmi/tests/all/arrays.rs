@@ -1,4 +1,4 @@
-//! FMI 3.0 beyond single values: arrays, structural parameters, all types.
+//! FMI 3.0 beyond scalar values: arrays, structural parameters, all types.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -15,7 +15,7 @@ fn close(a: f64, b: f64) {
 }
 
 #[test]
-fn arrays_are_columns_and_structural_parameters_change_their_number() {
+fn structural_parameters_change_number_of_array_columns() {
     let folder = arrays();
     let fmu = folder.open();
     assert!(fmu.description().quirks.is_empty(), "{:?}", fmu.description().quirks);
@@ -29,7 +29,7 @@ fn arrays_are_columns_and_structural_parameters_change_their_number() {
         }
         close(result.final_value("sum").unwrap().unwrap(), 6.0 * (-1f64).exp());
 
-        // Two states instead of three, with other values, twice with the same bits, and back to three.
+        // Two states instead of three, with other values, twice with identical bits, and then again three.
         let smaller = options
             .clone()
             .start_value("n", 2)
@@ -54,13 +54,13 @@ fn arrays_are_columns_and_structural_parameters_change_their_number() {
     }
 }
 
-/// Solution of x' = u - k x at `t`.
+/// Returns the solution of x' = u - k x at `t`.
 fn grown(x0: f64, k: f64, u: f64, t: f64) -> f64 {
     u / k + (x0 - u / k) * (-k * t).exp()
 }
 
 #[test]
-fn elements_are_start_values_parameters_and_inputs() {
+fn array_elements_work_as_start_values_parameters_and_inputs() {
     let folder = arrays();
     let fmu = folder.open();
     let inputs = Inputs::new()
@@ -111,7 +111,7 @@ fn elements_are_start_values_parameters_and_inputs() {
 }
 
 #[test]
-fn a_session_knows_elements() {
+fn session_sets_and_gets_array_elements() {
     let folder = arrays();
     let mut session = Session::new(folder.open());
     session.set("k[2]", 3.0).unwrap();
@@ -128,7 +128,7 @@ fn a_session_knows_elements() {
 }
 
 #[test]
-fn values_of_all_types_are_set_and_read() {
+fn session_round_trips_values_of_all_types() {
     let folder = arrays();
     let mut session = Session::new(folder.open());
     let values: [(&str, Value); 15] = [
@@ -163,7 +163,7 @@ fn values_of_all_types_are_set_and_read() {
 }
 
 #[test]
-fn outputs_of_every_type_are_sampled_at_the_same_rows() {
+fn outputs_of_every_type_share_sample_rows() {
     let folder = arrays();
     let fmu = folder.open();
     for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
@@ -203,7 +203,7 @@ fn outputs_of_every_type_are_sampled_at_the_same_rows() {
             assert_eq!(result.values_of("label").unwrap()[row], label, "row {row}");
             let count = (1i64 << 53) + 1 + i64::try_from(row).unwrap();
             assert_eq!(result.values_of("count").unwrap()[row], count.into());
-            // The number is the nearest one there is.
+            // The number is the nearest representable one.
             assert_eq!(result.get("count").unwrap()[row], count as f64);
             assert_eq!(result.values_of("blob").unwrap()[row], Value::Binary(bytes[..row % 4].to_vec()));
             assert_eq!(result.values_of("u64").unwrap()[row], 18_000_000_000_000_000_064u64.into());
@@ -212,7 +212,8 @@ fn outputs_of_every_type_are_sampled_at_the_same_rows() {
         let error = result.values_of("sum").unwrap_err().to_string();
         assert!(error.contains("label, count"), "{error}");
 
-        // By default everything of causality output, text too; again with the same instance and other texts.
+        // The default outputs are all variables with causality output, also strings. Repeated with the same
+        // instance and other strings.
         let mut session = Session::of_kind(fmu.clone(), kind);
         let result = session.simulate(&options).unwrap();
         assert_eq!(result.recorded.len(), 3);
@@ -236,7 +237,7 @@ fn outputs_of_every_type_are_sampled_at_the_same_rows() {
 }
 
 #[test]
-fn values_that_do_not_fit_are_refused_by_name() {
+fn start_values_that_do_not_fit_are_rejected_by_name() {
     let folder = arrays();
     let fmu = folder.open();
     let problem = |name: &str, value: Value| {
@@ -265,7 +266,7 @@ fn values_that_do_not_fit_are_refused_by_name() {
 }
 
 #[test]
-fn instances_know_the_sizes_of_their_arrays() {
+fn instance_checks_array_sizes() {
     let folder = arrays();
     let fmu: Fmu = folder.open();
     let mut instance = fmu.instantiate().unwrap();
@@ -288,7 +289,7 @@ fn instances_know_the_sizes_of_their_arrays() {
 }
 
 #[test]
-fn tunable_structural_parameters_change_a_running_instance() {
+fn tunable_structural_parameters_resize_running_instance() {
     let tunable = |xml: String| {
         xml.replace(
             "causality=\"structuralParameter\" variability=\"fixed\"",
@@ -317,7 +318,7 @@ fn tunable_structural_parameters_change_a_running_instance() {
     let mut slopes = [0.0; 4];
     instance.get_derivatives(&mut slopes).unwrap();
     assert_eq!(slopes, [-1.0, -2.0, -3.0, -4.0]);
-    // Reset brings back the sizes of the description.
+    // A reset restores the sizes of the description.
     let fresh = instance.terminate().unwrap().reset().unwrap();
     let mut instance = fresh.enter_initialization(0.0, None, None).unwrap();
     assert_eq!(instance.get("x").unwrap(), vec![1.0, 2.0, 3.0].into());
@@ -331,7 +332,7 @@ fn tunable_structural_parameters_change_a_running_instance() {
     instance.do_step(1.0, 1.0).unwrap();
     assert_eq!(instance.get("x").unwrap(), vec![1f64 * (-1f64).exp() * (-1f64).exp()].into());
 
-    // Between runs any structural parameter changes, and a simulation after it is as a first one.
+    // Between runs any structural parameter may change, and a simulation after a change equals a first one.
     let run = |n: u64| {
         fmu.simulate(
             &SimulateOptions::new()
@@ -345,7 +346,7 @@ fn tunable_structural_parameters_change_a_running_instance() {
     let two = run(2);
     assert_eq!((run(4).names.len(), run(2)), (5, two));
 
-    // Nothing to reconfigure, or not this one.
+    // Nothing can be reconfigured, or not this variable.
     let fixed = arrays();
     let instance = fixed.open().instantiate().unwrap();
     let instance = instance.enter_initialization(0.0, None, None).unwrap().exit_initialization().unwrap();
@@ -354,11 +355,11 @@ fn tunable_structural_parameters_change_a_running_instance() {
 }
 
 #[test]
-fn a_structural_parameter_given_as_a_real_number_counts() {
+fn structural_parameter_accepts_whole_real_number() {
     let folder = arrays();
     let fmu = folder.open();
     let mut instance = fmu.instantiate().unwrap();
-    // A whole number is one, also for the sizes of the vectors.
+    // A whole number is accepted, also for the sizes of vectors.
     instance.set("n", 2.0).unwrap();
     let mut instance = instance.enter_initialization(0.0, None, None).unwrap().exit_initialization().unwrap();
     let mut states = [0.0; 2];
@@ -368,15 +369,15 @@ fn a_structural_parameter_given_as_a_real_number_counts() {
 }
 
 #[test]
-fn a_session_knows_the_sizes_that_it_was_given() {
+fn session_uses_array_sizes_of_structural_parameters() {
     let folder = arrays();
     let mut session = Session::new(folder.open());
     session.set_all([("n", 4.into()), ("k", vec![1.0, 2.0, 3.0, 4.0].into()), ("k[4]", 5.into())]).unwrap();
     assert_eq!(session.get("k").unwrap(), vec![1.0, 2.0, 3.0, 5.0].into());
-    // Start values for another size are none: the model says what it has.
+    // Start values for another size are ignored. The model provides the values.
     assert_eq!(session.get("x").unwrap(), vec![1.0, 2.0, 3.0, 4.0].into());
     assert_eq!(session.get("u[4]").unwrap(), 0.0.into());
-    // All or none.
+    // Either all values are set, or none.
     let error = session.set_all([("k[1]", 9.into()), ("f32", 0.25.into()), ("k[5]", 1.into())]).unwrap_err();
     assert!(error.to_string().contains("k[5]"), "{error}");
     assert_eq!(session.get("k[1]").unwrap(), 1.0.into());
@@ -384,7 +385,7 @@ fn a_session_knows_the_sizes_that_it_was_given() {
 }
 
 #[test]
-fn saved_states_bring_their_sizes_back() {
+fn saved_states_restore_array_sizes() {
     let folder = arrays();
     let fmu = folder.open();
     let mut instance = fmu.instantiate().unwrap();
@@ -402,9 +403,9 @@ fn saved_states_bring_their_sizes_back() {
     assert_eq!(states, [1.0, 2.0, 3.0]);
 }
 
-/// Texts and bytes change at their rows, as events, and come back to the start values in the next run.
+/// Strings and bytes change at their rows, as events. The next run starts from the start values again.
 #[test]
-fn texts_and_bytes_are_inputs() {
+fn inputs_accept_texts_and_bytes() {
     let folder = arrays();
     let fmu = folder.open();
     let inputs = || {
@@ -421,7 +422,7 @@ fn texts_and_bytes_are_inputs() {
             .output_interval(0.25)
             .outputs(["word", "packet"]);
         let found = fmu.simulate(&options.clone().inputs(inputs())).unwrap();
-        // Without event mode a row is read before the inputs of the next step are set.
+        // Without event mode, a row is read before the inputs of the next step are set.
         let late = kind == InterfaceChoice::CoSimulation;
         let words = if late { [1, 1, 2, 1, 1] } else { [1, 2, 1, 1, 1] };
         let words = words.map(|word| Value::String(["none", "first", "second"][word].into()));
@@ -449,7 +450,7 @@ fn texts_and_bytes_are_inputs() {
 }
 
 #[test]
-fn integers_of_64_bits_are_inputs_without_loss() {
+fn inputs_accept_64_bit_integers_without_loss() {
     let folder = fixture("arrays", |xml| {
         let input = |xml: String, name: &str| {
             let from = format!("name=\"{name}\"");
@@ -485,7 +486,7 @@ fn integers_of_64_bits_are_inputs_without_loss() {
             "{kind:?}"
         );
         assert_eq!(result.get("i16").unwrap(), [-300.0, -300.0, 300.0, 300.0]);
-        // Changes of held values are events; a row that changes nothing is none.
+        // Changes of held values are events. A row without a change is not an event.
         assert_eq!(result.stats.input_events, if kind == InterfaceChoice::ModelExchange { 2 } else { 0 });
     }
     let refused = |inputs: Inputs| {
@@ -500,13 +501,14 @@ fn integers_of_64_bits_are_inputs_without_loss() {
 }
 
 #[test]
-fn a_structure_that_is_refused_leaves_the_instance_as_it_was() {
+fn instance_is_unchanged_after_rejected_structure() {
     let folder = arrays();
     let fmu = folder.open();
     let mut instance = fmu.instantiate().unwrap();
     let error = instance.set("n", 99).unwrap_err();
     assert!(error.to_string().contains("fmi3SetUInt64"), "{error}");
-    // Out of configuration mode again: what is set there only is refused elsewhere by the model itself.
+    // The instance has left configuration mode. The model itself rejects calls that are only allowed in that
+    // mode.
     instance.set("k", vec![1.0, 2.0, 3.0]).unwrap();
     let mut instance = instance.enter_initialization(0.0, None, None).unwrap();
     assert_eq!(instance.get("k").unwrap(), vec![1.0, 2.0, 3.0].into());
@@ -529,11 +531,11 @@ fn driven_by_single(edit: &'static str) -> support::Folder {
 }
 
 #[test]
-fn inputs_of_single_precision_are_interpolated() {
+fn single_precision_inputs_are_interpolated() {
     let folder = driven_by_single("valueReference=\"10\" causality=\"input\" variability=\"continuous\"");
     let fmu = folder.open();
     let rows: Vec<f64> = (0..11).map(|k| 0.1 * f64::from(k)).collect();
-    // The one of double precision comes behind: both have their own call.
+    // The double-precision input follows, because each type has a separate call.
     let ramp = Inputs::new().series("f32", rows.clone(), rows);
     let function = Inputs::new().function("f32", |t| t);
     for inputs in [ramp, function] {
@@ -557,7 +559,7 @@ fn inputs_of_single_precision_are_interpolated() {
 }
 
 #[test]
-fn parameters_of_single_precision_are_those_of_runs() {
+fn single_precision_parameters_change_between_runs() {
     let folder = driven_by_single("valueReference=\"10\" causality=\"parameter\" variability=\"fixed\"");
     let fmu = folder.open();
     for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
@@ -595,7 +597,7 @@ fn aliases_are_recorded_by_their_names() {
     assert_eq!(names(&["level[2]", "x[2]"]), ["level[2]", "x[2]"]);
     let all = names(&["all"]);
     assert!(["x[1]", "level[1]", "sum"].iter().all(|name| all.iter().any(|known| known == name)), "{all:?}");
-    // By another name it is another column; by the same name it is one.
+    // A different name results in a separate column; the same name does not.
     assert_eq!(names(&["level", "*evel", "x"]).iter().filter(|name| *name == "level[1]").count(), 1);
     let result = fmu.simulate(&SimulateOptions::new().outputs(["x", "level"])).unwrap();
     assert_eq!(result.get("x[2]").unwrap(), result.get("level[2]").unwrap());

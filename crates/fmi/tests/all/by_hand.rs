@@ -1,4 +1,5 @@
-//! Instances that are driven by hand do what a simulation does, and a saved state has all that a later run depends on.
+//! Manually driven instances behave as in a simulation, and a saved state contains everything that affects a
+//! later run.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -17,7 +18,7 @@ fn sampled() -> Folder {
     fixture("sampled", |xml| xml)
 }
 
-/// In continuous time at `start`.
+/// Returns an instance in continuous-time mode at `start`.
 fn begun(instance: Instance<Instantiated>, start: f64) -> Instance<ContinuousTime> {
     let mut instance =
         instance.enter_initialization(start, None, None).unwrap().exit_initialization().unwrap();
@@ -36,9 +37,9 @@ fn number<P: fmi::Readable, K>(instance: &mut Instance<P, K>, name: &str) -> f64
     instance.get(name).unwrap().as_number().unwrap()
 }
 
-/// n after k ticks, and x, the integral of n; steps add up their rounding errors.
+/// n after k ticks, and x, the integral of n. The times of steps accumulate rounding errors.
 #[test]
-fn a_tick_at_the_end_of_a_step_counts_when_rounding_puts_it_behind_the_end() {
+fn step_includes_tick_rounded_past_its_end() {
     let folder = sampled();
     let fmu = folder.open();
     for method in Method::ALL {
@@ -63,7 +64,7 @@ fn a_tick_at_the_end_of_a_step_counts_when_rounding_puts_it_behind_the_end() {
 }
 
 #[test]
-fn a_simulation_ends_with_the_tick_at_its_end_when_rounding_puts_it_behind_the_end() {
+fn simulation_includes_tick_rounded_past_its_end() {
     let folder = sampled();
     let fmu = folder.open();
     for method in Method::ALL {
@@ -74,7 +75,7 @@ fn a_simulation_ends_with_the_tick_at_its_end_when_rounding_puts_it_behind_the_e
             assert_eq!(result.get("n").unwrap(), [f64::from(k)], "{} to {end}", method.name());
         }
     }
-    // In co-simulation no step leads beyond the end; ticks on the way are all there, each at its row.
+    // In co-simulation no step exceeds the end. All earlier ticks are present, each at its row.
     let times: Vec<f64> =
         (1..=100_u32).map(|k| format!("{:.1}", 0.1 * f64::from(k)).parse().unwrap()).collect();
     for step in [None, Some(0.1), Some(0.05)] {
@@ -88,7 +89,7 @@ fn a_simulation_ends_with_the_tick_at_its_end_when_rounding_puts_it_behind_the_e
 
 /// Compares with an instance that was never saved.
 #[test]
-fn a_restored_state_goes_on_as_if_nothing_had_happened_since_when_it_was_saved() {
+fn restored_state_continues_as_unsaved_instance() {
     let folder = sampled();
     let fmu = folder.open();
     let method = Method::Auto;
@@ -107,7 +108,7 @@ fn a_restored_state_goes_on_as_if_nothing_had_happened_since_when_it_was_saved()
         let mut instance = to(instance, at, 0.85, method);
         let found = (number(&mut instance, "x"), number(&mut instance, "n"), instance.next_event());
         assert_eq!(found, plain(&[0.0, at, 0.85]), "{at}");
-        // After a reset, too.
+        // Also after a reset.
         let mut instance = to(begun(instance.reset().unwrap(), 0.0), 0.0, 0.2, method);
         instance.restore_state(&saved).unwrap();
         let mut instance = to(instance, at, 0.85, method);
@@ -117,7 +118,7 @@ fn a_restored_state_goes_on_as_if_nothing_had_happened_since_when_it_was_saved()
 }
 
 #[test]
-fn values_set_before_the_initialization_go_with_a_reset_and_an_earlier_state() {
+fn reset_and_restore_discard_later_start_values() {
     let folder = sampled();
     let fmu = folder.open();
     let period = |instance: Instance<Instantiated>| {
@@ -135,7 +136,7 @@ fn values_set_before_the_initialization_go_with_a_reset_and_an_earlier_state() {
 }
 
 #[test]
-fn arrays_take_the_sizes_that_structural_parameters_give_them_in_any_order() {
+fn arrays_and_structural_parameters_can_be_set_in_any_order() {
     let folder = arrays();
     let fmu = folder.open();
     let two = || Value::Array(vec![3.0.into(), 4.0.into()]);
@@ -151,16 +152,16 @@ fn arrays_take_the_sizes_that_structural_parameters_give_them_in_any_order() {
         let mut instance = instance.enter_initialization(0.0, None, None).unwrap();
         assert_eq!(instance.get("k").unwrap(), two());
     }
-    // One that does not fit in the end is refused.
+    // An array that does not fit at the end is rejected.
     let mut instance = fmu.instantiate().unwrap();
     instance.set("k", two()).unwrap();
     let error = instance.enter_initialization(0.0, None, None).unwrap_err().to_string();
     assert!(error.contains("array of another size"), "{error}");
 }
 
-/// x' = n + 10 on, where "on" is whether u was above 0.5 at the last event: at 1 s it jumps there.
+/// x' = n + 10 on. "on" is true if u was above 0.5 at the last event. At 1 s, u jumps.
 #[test]
-fn an_input_that_takes_an_indicator_across_zero_is_an_event_when_it_is_set_between_two_steps() {
+fn input_change_across_zero_between_steps_is_an_event() {
     let folder = sampled();
     let fmu = folder.open();
     let by_hand = |values: &[(f64, f64)]| {
@@ -193,14 +194,14 @@ fn stepping(fmu: &Fmu) -> Instance<StepMode, CoSimulation> {
 }
 
 #[test]
-fn discrete_inputs_of_a_co_simulation_are_set_in_event_mode() {
+fn discrete_inputs_of_co_simulation_are_set_in_event_mode() {
     let folder = sampled();
     let fmu = folder.open();
     let mut instance = stepping(&fmu);
     instance.do_step(0.0, 0.0625).unwrap();
     instance.set("gear", 2.0).unwrap();
     assert_eq!(number(&mut instance, "gear"), 2.0);
-    // What waits is part of the state.
+    // Pending inputs are part of the state.
     let saved = instance.save_state().unwrap();
     instance.set("gear", 3.0).unwrap();
     instance.do_step(0.0625, 0.03125).unwrap();
@@ -209,7 +210,7 @@ fn discrete_inputs_of_a_co_simulation_are_set_in_event_mode() {
     let step = instance.do_step(0.0625, 0.0625).unwrap();
     assert!(step.complete && step.event);
     assert_eq!((number(&mut instance, "x"), number(&mut instance, "visits")), (12.5, 2.0));
-    // With the events that the model asks for in one visit.
+    // Together with the events that the model requests, in one visit.
     instance.set("gear", 0.0).unwrap();
     assert_eq!(instance.handle_events(0.125).unwrap().next_time, Some(0.2));
     assert_eq!(instance.next_event(), Some(0.2));
@@ -218,9 +219,9 @@ fn discrete_inputs_of_a_co_simulation_are_set_in_event_mode() {
     assert_eq!((number(&mut instance, "x"), number(&mut instance, "visits")), (12.5 + 0.0625, 3.0));
 }
 
-/// Each clock ticks by hand as often as in a simulation; the one that inputs trigger is set by hand.
+/// Manually driven clocks tick as often as in a simulation. The triggered input clock is set explicitly.
 #[test]
-fn clocks_tick_by_hand_as_in_a_simulation() {
+fn manual_clock_ticks_match_simulation() {
     let folder = fixture("clocks", |xml| xml);
     let fmu = folder.open();
     let clocks = ["sample", "third", "counted", "growing", "later", "optional", "retuned"];
@@ -261,7 +262,7 @@ fn clocks_tick_by_hand_as_in_a_simulation() {
     }
 }
 
-/// Makes calls that were sent: they and their answers are what arrives.
+/// Sends calls and answers through serialization, as to another process.
 struct Driver(DrivenInstance, Vec<f64>);
 
 impl Driver {
@@ -280,7 +281,7 @@ impl Driver {
 }
 
 #[test]
-fn driven_instance_refuses_calls_of_other_phases_and_keeps_its_own() {
+fn driven_instance_rejects_calls_of_other_phases() {
     let folder = sampled();
     let fmu = Fmu::open(folder.path()).unwrap();
     let new = DrivenInstance::new(&fmu, InterfaceKind::ModelExchange, &InstanceOptions::default()).unwrap();
@@ -313,7 +314,7 @@ fn driven_instance_refuses_calls_of_other_phases_and_keeps_its_own() {
     driver.call(InstanceCall::States, &[]).unwrap();
     assert_eq!(driver.1, states);
     assert!(matches!(driver.call(InstanceCall::RestoreState(number + 1), &[]), Err(FmiError::ForeignState)));
-    // Arguments that are wrong do not free it; an integration that is cancelled does.
+    // Invalid arguments do not free the instance; a cancelled integration does.
     let integrate = |relative_tolerance| InstanceCall::Integrate {
         start: 0.0,
         end: 1.0,

@@ -1,4 +1,5 @@
-//! Clocks of FMI 3.0 in model exchange and co-simulation: who ticks when, and what happens at a tick, in closed form.
+//! Clocks of FMI 3.0 in model exchange and co-simulation: tick times and the effects of ticks, in closed
+//! form.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -22,7 +23,7 @@ fn ticks(result: &Trajectory, clock: &str) -> Vec<f64> {
     result.ticks.iter().filter(|tick| &*tick.clock == clock).map(|tick| tick.time).collect()
 }
 
-/// When each clock ticks between 0 and 2.
+/// Returns the tick times of each clock between 0 and 2.
 fn expected() -> Vec<(&'static str, Vec<f64>)> {
     let multiples = |n: u32, of: &dyn Fn(f64) -> f64| (0..n).map(|k| of(f64::from(k))).collect();
     vec![
@@ -39,7 +40,7 @@ fn expected() -> Vec<(&'static str, Vec<f64>)> {
 }
 
 #[test]
-fn the_description_tells_when_clocks_tick() {
+fn clock_intervals_are_read_from_description() {
     let folder = fixture("clocks", |xml| xml);
     let fmu = folder.open();
     assert!(fmu.description().quirks.is_empty(), "{:?}", fmu.description().quirks);
@@ -56,7 +57,7 @@ fn the_description_tells_when_clocks_tick() {
 }
 
 #[test]
-fn clocks_inherit_from_their_types() {
+fn clock_attributes_are_inherited_from_types() {
     let folder = fixture("clocks", |xml| xml);
     let xml = std::fs::read_to_string(folder.path().join("modelDescription.xml")).unwrap();
     let plain = fmi::ModelDescription::parse(xml.as_bytes()).unwrap();
@@ -85,7 +86,7 @@ fn clocks_inherit_from_their_types() {
         assert_eq!(inherited.variable(name).unwrap().clock, plain.variable(name).unwrap().clock, "{name}");
     }
 
-    // An interval of the variable's own counts, though the type's is a fraction.
+    // An interval of the variable takes precedence, although the interval of the type is a fraction.
     let own =
         edited.replace("declaredType=\"third type\"", "declaredType=\"third type\" intervalDecimal=\"0.25\"");
     let own = fmi::ModelDescription::parse(own.as_bytes()).unwrap();
@@ -94,7 +95,7 @@ fn clocks_inherit_from_their_types() {
 }
 
 #[test]
-fn every_kind_of_clock_ticks_when_it_should_and_the_controller_is_exact() {
+fn clocks_of_all_kinds_tick_at_exact_times() {
     let folder = fixture("clocks", |xml| xml);
     let fmu = folder.open();
     for kind in KINDS {
@@ -108,7 +109,7 @@ fn every_kind_of_clock_ticks_when_it_should_and_the_controller_is_exact() {
         for tick in result.ticks.windows(2) {
             assert!(tick[0].time <= tick[1].time + 1e-13);
         }
-        // One visit for all that happens at an instant; 0.75 is that of a tick that is left out.
+        // One visit for all events at one time. The visit at 0.75 belongs to a skipped tick.
         instants.push(0.75);
         instants.sort_by(f64::total_cmp);
         instants.dedup_by(|a, b| (*a - *b).abs() < 1e-12);
@@ -137,7 +138,7 @@ fn every_kind_of_clock_ticks_when_it_should_and_the_controller_is_exact() {
         let analytic = 1.0 - 0.8f64.powi(10) * (1.0 - 0.8f64.powi(10));
         assert!((last("x") - analytic).abs() < 1e-9 && (state - analytic).abs() < 1e-12);
 
-        // Clocks as outputs: 1 in the rows of their ticks.
+        // Clocks as outputs are 1 in the rows of their ticks.
         let options = SimulateOptions { ncp: None, ..options }
             .times([0.0, 0.3, 0.5, 0.6, 0.625, 0.625, 0.9])
             .outputs(["alarm", "sample", "button"]);
@@ -149,7 +150,7 @@ fn every_kind_of_clock_ticks_when_it_should_and_the_controller_is_exact() {
 }
 
 #[test]
-fn a_second_run_has_the_same_bits_and_parameters_change_intervals() {
+fn clock_runs_are_reproducible_and_follow_interval_parameters() {
     let folder = fixture("clocks", |xml| xml);
     let fmu = folder.open();
     for kind in KINDS {
@@ -166,7 +167,7 @@ fn a_second_run_has_the_same_bits_and_parameters_change_intervals() {
 }
 
 #[test]
-fn a_start_that_is_not_zero_shifts_all_clocks() {
+fn nonzero_start_time_shifts_all_clocks() {
     let folder = fixture("clocks", |xml| xml);
     let fmu = folder.open();
     for kind in KINDS {
@@ -180,7 +181,7 @@ fn a_start_that_is_not_zero_shifts_all_clocks() {
 }
 
 #[test]
-fn what_cannot_be_done_is_said() {
+fn unsupported_clock_uses_are_reported() {
     let folder = fixture("clocks", |xml| xml);
     let fmu = folder.open();
     let problem = |inputs: Inputs| {
@@ -191,7 +192,7 @@ fn what_cannot_be_done_is_said() {
     assert!(problem(one("button", 0.5)).contains("0.5 in row 0 is not 0 or 1"));
     assert!(problem(one("alarm", 1.0)).contains("causality output"));
 
-    // A changing clock whose interval is always 0 never lets time go on.
+    // A changing clock whose interval is always 0 prevents time from advancing.
     for kind in KINDS {
         let error = fmu.simulate(&SimulateOptions::new().kind(kind).start_value("gap", 0.0)).unwrap_err();
         assert!(error.to_string().contains("event iteration"), "{error}");
@@ -199,13 +200,13 @@ fn what_cannot_be_done_is_said() {
         assert!(error.to_string().contains("clock counted"), "{error}");
     }
 
-    // Steps of one length that lead over a tick.
+    // Fixed steps that would skip a tick.
     let fixed = fixture("clocks", |xml| xml.replace("canHandleVariableCommunicationStepSize=\"true\"", ""));
     let options = SimulateOptions::new().kind(InterfaceChoice::CoSimulation).step_size(0.25).ncp(8);
     let error = fixed.open().simulate(&options).unwrap_err().to_string();
     assert!(error.contains("the clock growing ticks at 0.0625, within the step from 0 to 0.25"), "{error}");
 
-    // Without an event mode nobody can trigger clocks, and those that tick by themselves would stand still.
+    // Without event mode, clocks cannot be triggered, and time-based clocks would not tick.
     let by_themselves = "intervalVariability=\"triggered\"";
     let plain = |silence: bool| {
         fixture("clocks", |xml| {
@@ -235,7 +236,7 @@ fn what_cannot_be_done_is_said() {
 }
 
 #[test]
-fn intervals_can_be_given() {
+fn clock_intervals_can_be_set_in_options() {
     let folder = fixture("clocks", |xml| xml);
     let fmu = folder.open();
     for kind in KINDS {
@@ -246,7 +247,8 @@ fn intervals_can_be_given() {
             .clock_interval("optional", Interval::Decimal(1.0))
             .clock_interval("retuned", Interval::Decimal(0.75));
         let result = fmu.simulate(&given).unwrap();
-        // The shift of "counted" is half of its interval; the model tunes "retuned" to 0.25 after its second tick.
+        // The shift of "counted" is half of its interval. The model sets "retuned" to 0.25 after its second
+        // tick.
         let counted: Vec<f64> = (0..8).map(|k| (125.0 + 250.0 * f64::from(k)) / 1000.0).collect();
         assert_eq!(ticks(&result, "counted").len(), counted.len(), "{kind:?}");
         for (found, expected) in ticks(&result, "counted").iter().zip(counted) {
@@ -254,7 +256,7 @@ fn intervals_can_be_given() {
         }
         assert_eq!(ticks(&result, "optional"), [0.25, 1.25], "{kind:?}");
         assert_eq!(ticks(&result, "retuned"), [0.25, 1.0, 1.25, 1.5, 1.75, 2.0], "{kind:?}");
-        // What one simulation was given is none of the next one's business.
+        // Intervals of one simulation do not affect the next one.
         assert_eq!(ticks(&fmu.simulate(&options).unwrap(), "counted"), expected()[2].1, "{kind:?}");
         let error = fmu.simulate(&options.clone().clock_interval("counted", Interval::Decimal(101.0)));
         let error = error.unwrap_err().to_string();
@@ -278,7 +280,7 @@ fn intervals_can_be_given() {
 }
 
 #[test]
-fn clocks_need_an_event_mode_that_is_there() {
+fn clocks_require_event_mode() {
     let folder = fixture_with("clocks", &["NO_EVENT_MODE"], |xml| xml);
     let error =
         folder.open().simulate(&SimulateOptions::new().kind(InterfaceChoice::CoSimulation)).unwrap_err();
@@ -286,7 +288,7 @@ fn clocks_need_an_event_mode_that_is_there() {
 }
 
 #[test]
-fn clocks_can_be_set_by_hand() {
+fn clocks_can_be_set_on_instance() {
     let folder = fixture("clocks", |xml| xml);
     let fmu = folder.open();
     let instance = fmu.instantiate().unwrap();

@@ -1,4 +1,4 @@
-//! Co-simulation: the same samples as by model exchange, whatever steps an FMU takes.
+//! Co-simulation yields the samples of model exchange, regardless of the steps of the FMU.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -14,12 +14,12 @@ use std::sync::Arc;
 use std::time::Duration;
 use support::{Folder, MODELS, evil_with, model_as};
 
-/// FMI 2.0 co-simulation, steps of any length.
+/// FMI 2.0 co-simulation with steps of any length.
 fn slave(name: &str) -> Fmu {
     Fmu::open(example_models::example_fmu_as(name, ExampleKind::Fmi2CoSimulation).unwrap()).unwrap()
 }
 
-/// The same with steps of one length only.
+/// FMI 2.0 co-simulation with steps of fixed length.
 fn fixed_step(name: &str, step: &str) -> Folder {
     model_as(name, ExampleKind::Fmi2CoSimulation, &[&format!("FIXED_STEP={step}")], |xml| {
         xml.replace("canHandleVariableCommunicationStepSize=\"true\"", "")
@@ -44,7 +44,7 @@ fn bits(t: &Trajectory) -> Vec<u64> {
 }
 
 #[test]
-fn all_examples_agree_with_model_exchange() {
+fn co_simulation_of_all_examples_agrees_with_model_exchange() {
     for (name, end) in MODELS {
         let options = SimulateOptions::new().final_time(end).ncp(97).relative_tolerance(1e-9);
         let truth =
@@ -62,7 +62,7 @@ fn all_examples_agree_with_model_exchange() {
 }
 
 #[test]
-fn the_loop_makes_the_steps_that_a_user_would_make() {
+fn co_simulation_performs_the_same_steps_as_manual_loop() {
     let fmu = slave("furuta");
     let options = SimulateOptions::new().final_time(2.0).output_interval(0.05).outputs(["armJoint.phi"]);
     let plan = SimulationPlan::new(&fmu, &options).unwrap();
@@ -82,7 +82,7 @@ fn the_loop_makes_the_steps_that_a_user_would_make() {
 }
 
 #[test]
-fn rows_anywhere_are_points_where_steps_may_vary() {
+fn rows_are_communication_points_when_steps_may_vary() {
     let fmu = slave("dahlquist");
     let times = [0.0, 0.013, 0.5, 0.5, 1.7, 2.0];
     let options = SimulateOptions::new().times(times).final_time(2.0).step_size(0.25);
@@ -95,7 +95,7 @@ fn rows_anywhere_are_points_where_steps_may_vary() {
 }
 
 #[test]
-fn rows_between_fixed_steps_are_interpolated_and_the_end_is_reached() {
+fn rows_between_fixed_steps_are_interpolated() {
     let folder = fixed_step("dahlquist", "0.1");
     let times = [0.0, 0.05, 0.1, 0.12, 0.12, 0.95, 0.97];
     let options = SimulateOptions::new().times(times).final_time(0.97).step_size(0.1);
@@ -119,10 +119,10 @@ fn rows_between_fixed_steps_are_interpolated_and_the_end_is_reached() {
         (10, Termination::Finished, 0.97)
     );
     assert_eq!(result.time, times);
-    // 0.1 * k, not a sum of steps: the model refuses steps that are not exactly 0.1.
+    // Times are 0.1 * k, not a sum of steps, because the model rejects steps that are not exactly 0.1.
     let long = SimulateOptions::new().final_time(100.0).step_size(0.1).ncp(7);
     assert_eq!(folder.open().simulate(&long).unwrap().stats.accepted_steps, 1000);
-    // Another step is the model's to refuse.
+    // The model decides about other step sizes, and rejects this one.
     let error = folder.open().simulate(&options.step_size(0.2)).unwrap_err();
     assert_eq!(error.call_failure().unwrap().call, "fmi2DoStep");
 }
@@ -144,7 +144,7 @@ fn a_model_may_end_the_simulation() {
     let result = slave("stair").simulate(&options).unwrap();
     assert_eq!((result.termination, result.end_time), (Termination::StoppedByModel, 9.0));
     assert_eq!(result.time.last(), Some(&9.0));
-    // In the middle of a step.
+    // Within a step.
     let folder = evil(&["ENDS_ITSELF"]);
     let mut simulator = Simulator::new(Arc::new(
         SimulationPlan::new(&folder.open(), &SimulateOptions::new().ncp(10)).unwrap(),
@@ -157,7 +157,7 @@ fn a_model_may_end_the_simulation() {
 }
 
 #[test]
-fn inputs_jump_at_communication_points_and_follow_their_slopes() {
+fn inputs_jump_at_communication_points_and_follow_slopes() {
     let fmu = slave("switched_input");
     let inputs = Inputs::new()
         .table(vec![0.0, 10.0], [("u", vec![1.0, 1.0])])
@@ -175,12 +175,12 @@ fn inputs_jump_at_communication_points_and_follow_their_slopes() {
     close(x[3], 1.7293294335267746, 1e-9);
     close(x[5], 3.6926981557493064, 1e-9);
     close(x[6], 3.6926981557493064 * (-2f64).exp(), 1e-9);
-    // Rows are read before inputs are set: where these jump, both rows are the limit from the left.
+    // Rows are read before inputs are set. At jumps, both rows are the limit from the left.
     assert_eq!(result.get("target").unwrap(), [2.0, 2.0, 2.0, 2.0, 4.0, 4.0, 0.0]);
     assert_eq!(result.get("gear").unwrap(), [1.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0]);
     assert_eq!(result.get("enabled").unwrap(), [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0]);
 
-    // A ramp is followed exactly where the FMU takes derivatives, and held over a step where it does not.
+    // A ramp is followed exactly if the FMU accepts derivatives. Otherwise, it is held over a step.
     let ramp = |t: f64| 2.0 * 0.3 * (t - 0.5 * (1.0 - (-t / 0.5).exp()));
     let ramps = [
         Inputs::new().series("u", vec![0.0, 0.7, 2.0], vec![0.0, 0.21, 0.6]),
@@ -202,7 +202,7 @@ fn inputs_jump_at_communication_points_and_follow_their_slopes() {
 }
 
 #[test]
-fn a_second_run_has_the_same_bits_on_every_worker() {
+fn repeated_run_is_bit_identical_on_every_thread() {
     let fmu = slave("furuta");
     let options = SimulateOptions::new()
         .final_time(2.0)
@@ -227,7 +227,7 @@ fn a_second_run_has_the_same_bits_on_every_worker() {
 }
 
 #[test]
-fn steps_computed_in_part_or_refused_are_gone_on_from() {
+fn co_simulation_continues_after_partial_or_rejected_steps() {
     let options = SimulateOptions::new().ncp(10);
     for (fault, rejected) in [("PARTIAL_STEPS", false), ("REFUSES_LONG_STEPS", true), ("PENDING", false)] {
         let folder = evil(&[fault]);
@@ -240,7 +240,7 @@ fn steps_computed_in_part_or_refused_are_gone_on_from() {
 }
 
 #[test]
-fn steps_that_fail_say_where_and_why() {
+fn failed_step_reports_time_and_log() {
     let run = |fault: &str| {
         let folder = evil(&[fault]);
         let plan = Arc::new(SimulationPlan::new(&folder.open(), &SimulateOptions::new().ncp(10)).unwrap());
@@ -258,7 +258,7 @@ fn steps_that_fail_say_where_and_why() {
 }
 
 #[test]
-fn a_step_that_does_not_end_is_cancelled() {
+fn unfinished_step_is_cancelled_after_timeout() {
     let folder = evil(&["STUCK"]);
     let options = SimulateOptions::new().timeout(Duration::from_millis(50));
     let plan = Arc::new(SimulationPlan::new(&folder.open(), &options).unwrap());
@@ -270,7 +270,7 @@ fn a_step_that_does_not_end_is_cancelled() {
 }
 
 #[test]
-fn the_kind_is_chosen_or_asked_for() {
+fn interface_kind_is_chosen_or_requested() {
     let both = evil_with(&[], |xml| {
         xml.replace(
             "<ModelExchange modelIdentifier=\"evil\"/>",
@@ -296,7 +296,7 @@ fn the_kind_is_chosen_or_asked_for() {
 }
 
 #[test]
-fn an_observer_ends_a_run_at_any_sample() {
+fn observer_stops_run_at_any_sample() {
     struct Stop(usize);
     impl fmi::ode::Observer for Stop {
         fn sample(&mut self, sample: &fmi::ode::Sample<'_>) -> std::ops::ControlFlow<()> {
@@ -318,7 +318,7 @@ fn an_observer_ends_a_run_at_any_sample() {
 }
 
 #[test]
-fn after_an_error_an_instance_can_only_be_brought_back() {
+fn instance_allows_only_recovery_after_error() {
     let folder = support::evil_with(&["STEP_ERROR"], |xml| {
         let slave = "<CoSimulation modelIdentifier=\"evil\" canHandleVariableCommunicationStepSize=\"true\" \
                      canGetAndSetFMUstate=\"true\"/>";
@@ -362,25 +362,25 @@ fn integrator(more: &str) -> Folder {
 }
 
 #[test]
-fn every_row_of_a_held_input_is_a_communication_point() {
+fn rows_of_held_input_are_communication_points() {
     let times: Vec<f64> = (0..=100).map(|k| 0.01 * f64::from(k)).collect();
     let options = |values: Vec<f64>| {
         let inputs = Inputs::new().series("u", times.clone(), values);
         SimulateOptions::new().final_time(1.0).times([0.0, 1.0]).step_size(0.5).inputs(inputs).outputs(["x"])
     };
-    // The library has no function that sets derivatives, whatever the description says.
+    // The library has no function that sets derivatives, regardless of the description.
     for more in ["", " canInterpolateInputs=\"true\""] {
         let folder = integrator(more);
         let fmu = folder.open();
         let ramp = fmu.simulate(&options(times.clone())).unwrap();
         close(ramp.final_value("x").unwrap().unwrap(), 1.495, 1e-12);
         assert_eq!(ramp.stats.accepted_steps, 100, "{more}");
-        // A constant needs no points.
+        // A constant input requires no communication points.
         let constant = fmu.simulate(&options(vec![2.0; 101])).unwrap();
         close(constant.final_value("x").unwrap().unwrap(), 3.0, 1e-12);
         assert_eq!(constant.stats.accepted_steps, 2);
     }
-    // Where derivatives are passed on, a straight line needs none either.
+    // If derivatives are passed to the model, a straight line requires none either.
     let inputs = Inputs::new().series("u", times.clone(), times.clone());
     let options = |passed| {
         SimulateOptions::new()
@@ -415,13 +415,13 @@ fn communication_step_is_the_larger_of_stated_step_and_row_distance() {
     assert_eq!(steps("1e-8", false, &rows), 20);
     assert_eq!(steps("1e-3", true, &rows), 20);
     assert_eq!(steps("1e-3", true, &rows.clone().step_size(1e-3)), 1000);
-    // A model with steps of one length keeps the one it states.
+    // A model with steps of fixed length uses the step size that it declares.
     assert_eq!(steps("1e-3", false, &rows), 1000);
     let irregular = SimulateOptions::new().times([0.0, 0.25, 1.0]);
     assert_eq!(steps("1e-8", true, &irregular), 3);
 }
 
-/// The evil model with steps of one length, or of any.
+/// The evil model with steps of fixed length, or of any length.
 fn with_stop_time(faults: &[&str], variable: bool) -> Folder {
     evil_with(faults, |xml| {
         let interface = format!(
@@ -432,7 +432,7 @@ fn with_stop_time(faults: &[&str], variable: bool) -> Folder {
 }
 
 #[test]
-fn every_co_simulation_is_told_a_stop_time() {
+fn co_simulation_always_receives_stop_time() {
     for variable in [true, false] {
         let folder = with_stop_time(&["NEEDS_STOP"], variable);
         for (end, step) in [(1.0, 0.1), (0.97, 0.1), (0.3, 0.1)] {
@@ -444,7 +444,7 @@ fn every_co_simulation_is_told_a_stop_time() {
 }
 
 #[test]
-fn stop_time_is_withheld_when_the_last_step_was_refused_because_of_it() {
+fn stop_time_is_withheld_when_last_step_is_rejected() {
     // 0.1 + 0.1 + 0.1 > 0.3.
     let options = SimulateOptions::new().final_time(0.3).step_size(0.1).output_interval(0.1);
     for status in ["fmi2Error", "fmi2Discard"] {
@@ -460,7 +460,7 @@ fn stop_time_is_withheld_when_the_last_step_was_refused_because_of_it() {
         let quirks: Vec<String> = fmu.quirks_seen().into_iter().map(|quirk| quirk.message).collect();
         assert!(quirks.len() == 1 && quirks[0].contains("the stop time 0.3"), "{quirks:?}");
     }
-    // A model whose last step fails anyway is told the stop time as before.
+    // A model whose last step also fails without a stop time still receives the stop time.
     let folder = with_stop_time(&["NEEDS_STOP", "FAILS_BEYOND=0.25"], false);
     let fmu = folder.open();
     for _ in 0..2 {

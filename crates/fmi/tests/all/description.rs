@@ -1,5 +1,5 @@
-//! Model descriptions: what the standard allows is understood, what the wild brings is tolerated and reported, what is
-//! hostile is refused with the line.
+//! Model descriptions: valid documents are read, common deviations are tolerated and reported, and malicious
+//! documents are rejected with the line.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
@@ -12,7 +12,7 @@ use fmi::description::{
 use fmi::{FmiError, Value};
 use proptest::prelude::*;
 
-/// A description that uses nearly everything FMI 2.0 knows, and no quirk.
+/// A description that uses nearly all features of FMI 2.0, without quirks.
 const FULL: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" fmiVersion="2.0" modelName="Full &amp; good"
   guid="{8c4e810f-3df3-4a00-8276-176fa3c9f013}" description="d" author="a" version="1.2" copyright="c" license="l"
@@ -78,7 +78,7 @@ fn refusal(text: &str) -> String {
     ModelDescription::parse(text.as_bytes()).expect_err("must be refused").to_string()
 }
 
-/// A description of FMI 2.0 with these variables and this structure.
+/// Returns a description of FMI 2.0 with these variables and this structure.
 fn document(variables: &str, structure: &str) -> String {
     format!(
         "<fmiModelDescription fmiVersion=\"2.0\" modelName=\"m\" guid=\"g\"><ModelExchange modelIdentifier=\"m\"/>\n\
@@ -86,7 +86,7 @@ fn document(variables: &str, structure: &str) -> String {
     )
 }
 
-/// The quirks of a description with one variable, made from attributes and a type element.
+/// Returns the quirks of a description with one variable, given its attributes and its type element.
 fn quirks_of(attributes: &str, kind: &str) -> Vec<(QuirkKind, String)> {
     let text = document(
         &format!("<ScalarVariable name=\"v\" valueReference=\"1\" {attributes}>{kind}</ScalarVariable>"),
@@ -96,7 +96,7 @@ fn quirks_of(attributes: &str, kind: &str) -> Vec<(QuirkKind, String)> {
 }
 
 #[test]
-fn long_texts_are_not_copied_into_every_variable() {
+fn long_texts_are_not_copied_to_variables() {
     let long = "q".repeat(2000);
     let text = document("<ScalarVariable name=\"v\" valueReference=\"1\"><Real declaredType=\"T\"/></ScalarVariable>", "")
         .replace(
@@ -117,7 +117,7 @@ fn kinds_of(attributes: &str, kind: &str) -> Vec<QuirkKind> {
 }
 
 #[test]
-fn the_header_and_the_interfaces_are_complete() {
+fn description_contains_header_and_interfaces() {
     let model = parse(FULL);
     assert_eq!(
         (model.fmi_version.major, model.fmi_version.minor, model.fmi_version.text.as_str()),
@@ -155,7 +155,7 @@ fn the_header_and_the_interfaces_are_complete() {
 }
 
 #[test]
-fn units_convert_both_ways() {
+fn units_convert_in_both_directions() {
     let model = parse(FULL);
     let [speed, temperature, force, odd] = &model.units[..] else { panic!("{:?}", model.units) };
     assert_eq!(speed.base, Some(BaseUnit { s: -1, rad: 1, ..BaseUnit::default() }));
@@ -168,7 +168,7 @@ fn units_convert_both_ways() {
 }
 
 #[test]
-fn variables_have_all_their_attributes() {
+fn variables_contain_all_attributes() {
     let model = parse(FULL);
     let w = model.variable("w").unwrap();
     assert_eq!((w.value_reference, w.kind, w.causality), (1, VariableKind::Real, Causality::Output));
@@ -196,7 +196,7 @@ fn variables_have_all_their_attributes() {
 }
 
 #[test]
-fn types_supply_what_variables_leave_open() {
+fn types_supply_missing_attributes_of_variables() {
     let model = parse(FULL);
     let (w, k) = (model.variable("w").unwrap(), model.variable("k").unwrap());
     for variable in [w, k] {
@@ -221,7 +221,7 @@ fn types_supply_what_variables_leave_open() {
 }
 
 #[test]
-fn the_structure_counts_from_zero_and_keeps_its_dependencies() {
+fn structure_is_zero_based_and_keeps_dependencies() {
     let structure = parse(FULL).structure;
     assert_eq!(
         (structure.outputs[0].index, structure.outputs[0].dependencies.as_deref()),
@@ -238,7 +238,7 @@ fn the_structure_counts_from_zero_and_keeps_its_dependencies() {
 }
 
 #[test]
-fn names_are_found_and_missed_names_get_suggestions() {
+fn unknown_names_get_suggestions() {
     let model = parse(FULL);
     assert_eq!(model.variable_index("gear"), Some(7));
     assert_eq!(model.variable("Gear"), None);
@@ -247,7 +247,7 @@ fn names_are_found_and_missed_names_get_suggestions() {
 }
 
 #[test]
-fn versions_are_recognised_by_their_numbers() {
+fn fmi_version_is_parsed_from_its_numbers() {
     for (text, major, minor) in [("2.0", 2, 0), ("2.0.4", 2, 0), ("2", 2, 0), ("2.1-beta", 2, 1)] {
         let version =
             parse(&FULL.replace("fmiVersion=\"2.0\"", &format!("fmiVersion=\"{text}\""))).fmi_version;
@@ -296,7 +296,7 @@ fn descriptions_of_fmi_1_are_read() {
 }
 
 #[test]
-fn names_of_fmi_3_are_those_of_variables_and_aliases() {
+fn names_of_fmi_3_include_aliases() {
     let model = parse(
         r#"<fmiModelDescription fmiVersion="3.0" modelName="m" instantiationToken="t"><CoSimulation modelIdentifier="m"/>
            <ModelVariables>
@@ -311,7 +311,7 @@ fn names_of_fmi_3_are_those_of_variables_and_aliases() {
     let found = ["x", "y", "z", "w"].map(|name| model.variable_index(name).unwrap());
     assert_eq!(found, [0, 0, 0, 1]);
     assert_eq!(model.nearest_names("Y", 1), ["y"]);
-    // Where other types have it, and where it does not belong.
+    // Elements of other types, and in an invalid place.
     assert_eq!(model.variable("s").unwrap().start, Some("text".into()));
     assert_eq!(model.variable("b").unwrap().start, Some(Value::Binary(vec![0, 255])));
     let quirks: Vec<_> = model.quirks.iter().map(|quirk| (quirk.kind, quirk.line)).collect();
@@ -379,7 +379,7 @@ fn descriptions_of_fmi_3_are_read() {
 }
 
 #[test]
-fn dimensions_that_cannot_be_are_refused() {
+fn invalid_dimensions_are_rejected() {
     let array = |dimension: &str| {
         refusal(&format!(
             r#"<fmiModelDescription fmiVersion="3.0" modelName="m" instantiationToken="t"><ModelExchange modelIdentifier="m"/>
@@ -406,7 +406,7 @@ fn unknown_elements_and_attributes_are_ignored() {
 }
 
 #[test]
-fn values_that_are_not_understood_become_quirks_with_their_lines() {
+fn invalid_values_become_quirks_with_lines() {
     let quirks = quirks_of("causality='sideways'", "<Real min='1,5' start='2.0' initial='x'/>");
     assert_eq!(
         quirks,
@@ -429,7 +429,7 @@ fn values_that_are_not_understood_become_quirks_with_their_lines() {
 }
 
 #[test]
-fn odd_combinations_are_tolerated_and_reported() {
+fn invalid_combinations_are_tolerated_and_reported() {
     use QuirkKind::{Combination, Range, Start, Undefined};
     for (attributes, kind, expected) in [
         ("causality='parameter' variability='constant'", "<Real start='1'/>", Combination),
@@ -457,7 +457,7 @@ fn odd_combinations_are_tolerated_and_reported() {
 }
 
 #[test]
-fn a_wrong_structure_is_tolerated_where_it_is_safe() {
+fn wrong_structure_is_tolerated_when_safe() {
     let variables = "<ScalarVariable name='x' valueReference='1' initial='exact'><Real start='1'/></ScalarVariable>\n\
         <ScalarVariable name='der(x)' valueReference='2'><Real derivative='1'/></ScalarVariable>\n\
         <ScalarVariable name='d2' valueReference='3'><Real derivative='77'/></ScalarVariable>";
@@ -479,7 +479,7 @@ fn a_wrong_structure_is_tolerated_where_it_is_safe() {
 }
 
 #[test]
-fn what_cannot_be_worked_with_is_refused_with_its_line() {
+fn unusable_description_is_rejected_with_line() {
     for (variable, part) in [
         ("<ScalarVariable valueReference='1'><Real/></ScalarVariable>", "no name"),
         ("<ScalarVariable name='a'><Real/></ScalarVariable>", "no valueReference"),
@@ -496,7 +496,7 @@ fn what_cannot_be_worked_with_is_refused_with_its_line() {
 }
 
 #[test]
-fn model_identifiers_with_path_separators_are_refused() {
+fn model_identifiers_with_path_separators_are_rejected() {
     for name in ["../evil", "a/b", "a\\b", "C:evil", "..", ".", "", "a&#10;b"] {
         let message = refusal(&FULL.replace("full_me", name));
         assert!(message.contains("line 6: <ModelExchange>: modelIdentifier="), "{name}: {message}");
@@ -510,7 +510,7 @@ fn model_identifiers_with_path_separators_are_refused() {
 }
 
 #[test]
-fn entity_bombs_are_refused() {
+fn entity_bombs_are_rejected() {
     let mut bomb = "<?xml version=\"1.0\"?>\n<!DOCTYPE bomb [<!ENTITY a0 \"ha\">".to_owned();
     for i in 1..30 {
         bomb += &format!("<!ENTITY a{i} \"&a{0};&a{0};\">", i - 1);
@@ -523,7 +523,7 @@ fn entity_bombs_are_refused() {
 }
 
 #[test]
-fn bottomless_nesting_is_refused() {
+fn excessive_nesting_is_rejected() {
     let deep = format!("{}{}", "<a>".repeat(1000), "</a>".repeat(1000));
     let inside = FULL.replace("<anything>", &format!("<anything>{deep}"));
     assert!(refusal(&inside).contains("more than 128 elements inside each other"));
@@ -532,7 +532,7 @@ fn bottomless_nesting_is_refused() {
 }
 
 #[test]
-fn truncated_documents_are_refused() {
+fn truncated_documents_are_rejected() {
     for length in (0..FULL.len() - 20).step_by(37).filter(|&at| FULL.is_char_boundary(at)) {
         let message = refusal(&FULL[..length]);
         assert!(message.starts_with("modelDescription.xml, line "), "{message}");
@@ -540,7 +540,7 @@ fn truncated_documents_are_refused() {
 }
 
 #[test]
-fn bad_utf8_is_replaced_and_reported() {
+fn invalid_utf8_is_replaced_and_reported() {
     let mut bytes = FULL.as_bytes().to_vec();
     let place = FULL.find("by hand").unwrap();
     bytes[place] = 0xff;
@@ -551,7 +551,7 @@ fn bad_utf8_is_replaced_and_reported() {
 }
 
 #[test]
-fn the_declared_encoding_is_believed() {
+fn declared_encoding_is_used() {
     let latin = FULL.replace("UTF-8", "ISO-8859-1").replace("by hand", "M\u{fc}ller");
     let bytes: Vec<u8> = latin.chars().map(|c| u8::try_from(u32::from(c)).unwrap()).collect();
     assert_eq!(ModelDescription::parse(&bytes).unwrap().generation_tool.as_deref(), Some("M\u{fc}ller"));
@@ -564,7 +564,7 @@ fn the_declared_encoding_is_believed() {
     assert_eq!(wide, parse(FULL));
 }
 
-/// A description with this many variables, four lines each.
+/// Returns a description with this number of variables, four lines each.
 fn large(n: usize) -> String {
     let variables: String = (1..=n)
         .map(|i| {
@@ -581,9 +581,9 @@ fn large(n: usize) -> String {
     document(&variables, &format!("<Derivatives>{unknowns}</Derivatives>"))
 }
 
-/// How long it takes is the question of `benches/open.rs`.
+/// The benchmark `benches/open.rs` measures the duration.
 #[test]
-fn a_hundred_thousand_variables_are_read_and_found() {
+fn description_with_100_000_variables_is_searchable() {
     let model = parse(&large(100_000));
     assert_eq!(model.variables.len(), 100_000);
     for i in 1..=100_000 {
@@ -596,18 +596,18 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 500, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn any_bytes_are_refused_or_read(bytes in prop::collection::vec(any::<u8>(), 0..500)) {
+    fn arbitrary_bytes_are_read_or_rejected(bytes in prop::collection::vec(any::<u8>(), 0..500)) {
         promises::hold_for_document(&bytes);
     }
 
     #[test]
-    fn any_text_inside_the_root_is_refused_or_read(text in "[<>/=\"' a-zA-Z&;#0-9!\\[\\]?-]{0,200}") {
+    fn arbitrary_text_in_root_element_is_read_or_rejected(text in "[<>/=\"' a-zA-Z&;#0-9!\\[\\]?-]{0,200}") {
         promises::hold_for_document(format!("<fmiModelDescription fmiVersion='2.0'>{text}").as_bytes());
     }
 
-    /// Whatever a changed document says, all indices of what is accepted are in range.
+    /// All indices in an accepted document are in range, whatever the changes.
     #[test]
-    fn changed_documents_are_refused_or_consistent(
+    fn modified_documents_are_consistent_or_rejected(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..8),
         digits in prop::collection::vec((any::<prop::sample::Index>(), b'0'..=b'9'), 0..8),
         version in 1..4_u32,

@@ -16,7 +16,7 @@ fn ramp() -> SimulateOptions {
     SimulateOptions::new().inputs(inputs).times([0.0, 1.0, 2.0, 3.0]).step_size(0.5)
 }
 
-/// x where u is held from each of these points to the next.
+/// Returns x if u is held from each of these points to the next.
 fn held(points: &[f64]) -> f64 {
     points.windows(2).map(|pair| pair[0] * (pair[1] - pair[0])).sum()
 }
@@ -24,14 +24,14 @@ fn held(points: &[f64]) -> f64 {
 const GRID: [f64; 7] = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0];
 
 #[test]
-fn events_end_steps_early() {
+fn early_return_handles_events_within_steps() {
     let folder = fixture("early_return", |xml| xml);
     let fmu = folder.open();
     assert!(fmu.description().quirks.is_empty(), "{:?}", fmu.description().quirks);
     let plan = Arc::new(SimulationPlan::new(&fmu, &ramp()).unwrap());
     let mut simulator = Simulator::new(plan).unwrap();
     let result = simulator.trajectory(&[]).unwrap();
-    // x is 1 at 1.667 and 3 at 2.676; substeps of 0.05 end behind.
+    // x is 1 at 1.667 and 3 at 2.676. The events are at the ends of the substeps of 0.05.
     let events: Vec<f64> = result.events.iter().map(|event| event.time).collect();
     assert!(
         events.len() == 2 && (events[0] - 1.7).abs() < 1e-14 && (events[1] - 2.7).abs() < 1e-14,
@@ -46,8 +46,8 @@ fn events_end_steps_early() {
 }
 
 #[test]
-fn what_the_model_does_not_offer_is_not_used() {
-    // No early return: events wait for the end of a step of 0.5 or are not noticed.
+fn early_return_is_unused_when_not_declared() {
+    // Without early return, events wait for the end of a step of 0.5, or are not detected.
     let folder = fixture("early_return", |xml| xml.replace("mightReturnEarlyFromDoStep=\"true\"", ""));
     let result = folder.open().simulate(&ramp()).unwrap();
     assert_eq!((result.events.len(), result.stats.accepted_steps), (0, 6));
@@ -55,7 +55,7 @@ fn what_the_model_does_not_offer_is_not_used() {
 }
 
 #[test]
-fn an_event_mode_that_is_promised_and_refused_is_done_without() {
+fn event_mode_is_omitted_when_model_rejects_it() {
     let folder = fixture_with("early_return", &["NO_EVENT_MODE"], |xml| {
         xml.replace("mightReturnEarlyFromDoStep=\"true\"", "")
     });
@@ -70,7 +70,8 @@ fn an_event_mode_that_is_promised_and_refused_is_done_without() {
     let seen = fmu.quirks_seen();
     assert!(seen.len() == 1 && seen[0].kind == QuirkKind::Promise, "{seen:?}");
 
-    // A model that cannot be made at all says so for the first attempt, and nothing is learnt of it.
+    // If a model cannot be instantiated at all, the first attempt reports the error, and the knowledge does
+    // not change.
     let folder =
         fixture_with("early_return", &["NO_EVENT_MODE"], |xml| xml.replace("{early_return}", "{other}"));
     let fmu = folder.open();
@@ -83,14 +84,14 @@ fn an_event_mode_that_is_promised_and_refused_is_done_without() {
 }
 
 #[test]
-fn single_steps_by_hand_end_early() {
+fn manual_step_returns_early() {
     let folder = fixture("early_return", |xml| xml);
     let fmu = folder.open();
     let instance = fmu.instantiate_co_simulation(&fmi::InstanceOptions::default()).unwrap();
     let mut instance = instance.enter_initialization(0.0, None, None).unwrap().exit_initialization().unwrap();
     instance.set("u", 2.0).unwrap();
     let outcome = instance.do_step(0.0, 1.0).unwrap();
-    // x = 2 t reaches 1 with the fifth substep.
+    // x = 2 t reaches 1 in the fifth substep.
     assert!(!outcome.complete && outcome.event && !outcome.terminate, "{outcome:?}");
     assert_eq!(outcome.reached, Some(0.5));
     let events = instance.handle_events(0.5).unwrap();
@@ -100,7 +101,7 @@ fn single_steps_by_hand_end_early() {
 }
 
 #[test]
-fn samples_between_communication_points_take_the_derivatives_of_outputs_into_account() {
+fn samples_between_communication_points_use_output_derivatives() {
     let fixed = |order: &str| {
         let order = order.to_owned();
         fixture("early_return", move |xml| {
@@ -110,17 +111,17 @@ fn samples_between_communication_points_take_the_derivatives_of_outputs_into_acc
     let options = SimulateOptions { times: Some(vec![0.2, 0.7, 1.0, 1.3]), ..ramp() };
     let folder = fixed("maxOutputDerivativeOrder=\"1\"");
     let result = folder.open().simulate(&options).unwrap();
-    // In each step, in which u is held, w is the parabola through both ends with the slope at its end.
+    // u is held in each step. w is the parabola through both ends with the slope at the end of the step.
     for (found, expected) in result.get("w").unwrap().iter().zip([0.0, 0.01, 0.0625, 0.1825]) {
         assert!((found - expected).abs() < 1e-14, "{found}, not {expected}");
     }
-    // Nobody offers derivatives: the chord.
+    // Without derivatives, samples are on the chord.
     let folder = fixed("");
     let result = folder.open().simulate(&options).unwrap();
     assert!((result.get("w").unwrap()[1] - 0.4 * 0.0625).abs() < 1e-14);
 }
 
-/// x' = 1 in steps of its own of 0.1, whatever it is asked for.
+/// x' = 1 with internal steps of 0.1, regardless of the requested steps.
 fn internal_steps(declared: bool) -> support::Folder {
     fixture_with("early", &["INTERNAL_STEPS"], |xml| match declared {
         true => xml.replace("mightReturnEarlyFromDoStep=\"true\"", "fixedInternalStepSize=\"0.1\""),
@@ -129,7 +130,7 @@ fn internal_steps(declared: bool) -> support::Folder {
 }
 
 #[test]
-fn rows_between_the_steps_of_the_model_are_interpolated_or_refused() {
+fn rows_between_internal_steps_are_interpolated_or_rejected() {
     let folder = internal_steps(true);
     let fmu = folder.open();
     for times in [vec![0.0, 0.2, 0.25, 1.0], vec![0.03, 0.04, 0.11, 0.97]] {
@@ -154,8 +155,8 @@ fn rows_between_the_steps_of_the_model_are_interpolated_or_refused() {
 }
 
 #[test]
-fn inputs_change_at_steps_of_the_model() {
-    // A stop between two steps of the model makes no point between them.
+fn inputs_change_at_internal_steps() {
+    // A stop between two internal steps does not create a point between them.
     let folder = fixture_with("early", &["INTERNAL_STEPS"], |xml| {
         let input = "<Float64 name=\"u\" valueReference=\"2\" causality=\"input\" variability=\"continuous\" start=\"0\"/>";
         xml.replace("mightReturnEarlyFromDoStep=\"true\"", "fixedInternalStepSize=\"0.1\"")
@@ -169,7 +170,7 @@ fn inputs_change_at_steps_of_the_model() {
 }
 
 #[test]
-fn the_time_of_the_model_after_a_step_is_always_read() {
+fn time_after_step_is_always_read() {
     let folder = internal_steps(false);
     let fmu = folder.open();
     let instance = fmu.instantiate_co_simulation(&fmi::InstanceOptions::default()).unwrap();
@@ -184,7 +185,7 @@ fn the_time_of_the_model_after_a_step_is_always_read() {
 }
 
 #[test]
-fn a_model_that_ends_with_an_event_is_not_sent_to_event_mode() {
+fn event_mode_is_not_entered_after_termination() {
     let folder = fixture_with("early", &["ENDS_IN_EVENT"], |xml| {
         xml.replace("mightReturnEarlyFromDoStep=\"true\"", "hasEventMode=\"true\"")
     });

@@ -1,5 +1,6 @@
-//! Every fault that stays inside of the process, in every version and both ways of running: a typed error that names what
-//! happened, when, and what the FMU said; and the same library works as before with the next run and the next instance.
+//! Every fault that does not end the process, in every version and with both interfaces. Each results in a
+//! typed error with the call, the time and the log of the FMU. The library remains usable for the next run
+//! and the next instance.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -27,18 +28,18 @@ fn plan(fmu: &Fmu, kind: InterfaceChoice) -> Arc<SimulationPlan> {
     Arc::new(SimulationPlan::new(fmu, &options).unwrap())
 }
 
-/// What a run with a fault must end in.
+/// Expected end of a run with a fault.
 #[derive(Debug, Clone, Copy)]
 enum Ends {
-    /// With a call whose name ends so, a status, a time in this range, and these words in the log.
+    /// A failed call with this suffix of its name, a status, a time in this range, and this text in the log.
     Call(&'static str, Status, [f64; 2], &'static str),
-    /// By the integration, with an error for which this holds.
+    /// An error of the integration that satisfies this condition.
     Integration(fn(&ErrorKind) -> bool),
-    /// By an event iteration that is cut.
+    /// A stopped event iteration.
     Iteration,
-    /// Well, for this reason; what is not finite is for the reader of the results.
+    /// A normal end with this reason. Non-finite values are left to the reader of the results.
     Well(Termination),
-    /// Not run: the FMU goes through a million million events inside of one step and does not come back.
+    /// Not run, because the FMU processes 10^12 events within one step and does not return.
     NotHere,
 }
 
@@ -52,8 +53,8 @@ fn stuck(kind: &ErrorKind) -> bool {
     matches!(kind, ErrorKind::StepTooSmall { discarded: true })
 }
 
-/// The faults of `tests/evil/model.c`: the value of k that stands for each, its name, and its end for model exchange and
-/// co-simulation.
+/// Faults of `tests/evil/model.c`: the value of k for each fault, its name, and its expected end for model
+/// exchange and for co-simulation.
 const FAULTS: [(f64, &str, Ends, Ends); 12] = [
     (
         10.0,
@@ -114,7 +115,7 @@ fn check(what: &str, ends: Ends, outcome: &Result<Report, FmiError>) {
             assert_eq!(failure.status, status, "{what}: {error}");
             assert!(failure.time.is_some_and(|time| time >= from && time <= to), "{what}: {error}");
             assert!(failure.log.iter().any(|line| line.text.contains(words)), "{what}: {error}");
-            // The message has it all.
+            // The message contains all data.
             let text = error.to_string();
             for part in [failure.call, &status.to_string(), words, "t = "] {
                 assert!(text.contains(part), "{what}: {text}");
@@ -125,7 +126,7 @@ fn check(what: &str, ends: Ends, outcome: &Result<Report, FmiError>) {
 }
 
 #[test]
-fn every_fault_ends_in_a_typed_error_and_leaves_the_library_as_it_was() {
+fn faults_return_typed_errors_and_keep_library_usable() {
     for version in [Fmi1ModelExchange, Fmi1CoSimulation, Fmi2ModelExchange, Fmi2CoSimulation, Fmi3] {
         let folder = faulty(version, &[]);
         for kind in ALL.iter().filter(|(of, _)| *of == version).map(|(_, kind)| *kind) {
@@ -138,7 +139,7 @@ fn every_fault_ends_in_a_typed_error_and_leaves_the_library_as_it_was() {
                 let what = format!("{name} of {version:?} {kind:?}");
                 let ends = match (version, kind) {
                     (_, InterfaceChoice::ModelExchange) => exchange,
-                    // In FMI 1.0 a step that is not made is also how a model says that it is at its end.
+                    // In FMI 1.0, a rejected step may also mean that the model has ended the simulation.
                     (Fmi1CoSimulation, _) if name == "DISCARD_LATE" => Well(Termination::StoppedByModel),
                     _ => stepping,
                 };
@@ -148,7 +149,7 @@ fn every_fault_ends_in_a_typed_error_and_leaves_the_library_as_it_was() {
                 let first = simulator.run(&[k], &mut Ignore);
                 check(&what, ends, &first);
                 assert_eq!(simulator.trajectory(&[1.0]).unwrap(), truth, "after {what}");
-                // The same fault again, in a new instance, beside one that is in good health.
+                // The same fault again in a new instance, next to a healthy one.
                 let mut other = Simulator::new(plan(&fmu, kind)).unwrap();
                 let second = other.run(&[k], &mut Ignore);
                 assert_eq!(
@@ -167,9 +168,10 @@ fn every_fault_ends_in_a_typed_error_and_leaves_the_library_as_it_was() {
     }
 }
 
-/// Those that end or hang the process are built and can be inspected, which runs nothing of them.
+/// Faults that end or hang the process are built and can be inspected, because inspection runs no code of the
+/// FMU.
 #[test]
-fn what_kills_a_process_can_be_looked_at() {
+fn crashing_model_can_be_inspected() {
     for version in [Fmi1CoSimulation, Fmi2ModelExchange, Fmi3] {
         let folder = faulty(version, &["CRASHES_WHEN_LOADED"]);
         let fmu = folder.open();

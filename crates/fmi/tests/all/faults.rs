@@ -1,4 +1,4 @@
-//! What happens when an FMU misbehaves: each test has an FMU with one fault.
+//! Behavior of faulty FMUs: each test uses an FMU with one fault.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -20,26 +20,26 @@ fn fails(faults: &[&str]) -> FmiError {
     let folder = evil(faults);
     let mut simulator = Simulator::new(plan(&folder)).unwrap();
     let first = simulator.run(&[1.0], &mut Ignore).unwrap_err();
-    // The simulator survives, and the second run fails in the same way.
+    // The simulator remains usable, and the second run fails in the same way.
     let second = simulator.run(&[1.0], &mut Ignore).unwrap_err();
     assert_eq!(first.to_string(), second.to_string());
     first
 }
 
 #[test]
-fn without_faults_it_runs() {
+fn model_without_faults_runs() {
     let folder = evil(&[]);
     let result = folder.open().simulate(&SimulateOptions::new().relative_tolerance(1e-9)).unwrap();
     assert!((result.final_value("y").unwrap().unwrap() - (-1f64).exp()).abs() < 1e-8);
 }
 
 #[test]
-fn points_refused_for_good_end_in_an_error_with_the_time() {
+fn permanent_discard_is_an_error_with_time() {
     let FmiError::Simulation(error) = fails(&["DISCARD_BELOW"]) else { panic!() };
     assert!(matches!(error.kind, ErrorKind::StepTooSmall { discarded: true }), "{error}");
     assert!((error.time - 2f64.ln()).abs() < 1e-5, "{error}");
     assert!(error.to_string().contains(": fmi2GetDerivatives returned discard at t = 0.69"), "{error}");
-    // Also where it begins.
+    // Also at the start.
     let error = fails(&["FAILING_ALWAYS=fmi2Discard"]).to_string();
     assert!(
         error.contains("its own state at t = 0: fmi2GetDerivatives returned discard at t = 0"),
@@ -48,14 +48,14 @@ fn points_refused_for_good_end_in_an_error_with_the_time() {
 }
 
 #[test]
-fn nan_is_a_refused_point() {
+fn nan_derivative_rejects_step() {
     let FmiError::Simulation(error) = fails(&["NAN_LATE"]) else { panic!() };
     assert!(matches!(error.kind, ErrorKind::StepTooSmall { discarded: true }), "{error}");
     assert!(error.time <= 0.5 && error.time > 0.4, "{error}");
 }
 
 #[test]
-fn errors_name_the_call_the_time_and_the_log() {
+fn error_contains_call_time_and_log() {
     let error = fails(&["ERROR_LATE"]);
     let failure = error.call_failure().unwrap();
     assert_eq!((failure.call, failure.status), ("fmi2GetDerivatives", Status::Error));
@@ -66,15 +66,15 @@ fn errors_name_the_call_the_time_and_the_log() {
 }
 
 #[test]
-fn after_fatal_the_instance_is_abandoned() {
-    // Freeing it would abort this process.
+fn instance_is_abandoned_after_fatal() {
+    // Freeing the instance would abort this process.
     let folder = evil(&["FATAL_LATE"]);
     let error = Simulator::new(plan(&folder)).unwrap().run(&[1.0], &mut Ignore).unwrap_err();
     assert_eq!(error.call_failure().unwrap().status, Status::Fatal);
 }
 
 #[test]
-fn after_an_error_there_are_no_values() {
+fn simulator_has_no_values_after_error() {
     let folder = evil(&["ERROR_LATE"]);
     let mut simulator = Simulator::new(plan(&folder)).unwrap();
     simulator.run(&[1.0], &mut Ignore).unwrap_err();
@@ -83,7 +83,7 @@ fn after_an_error_there_are_no_values() {
 }
 
 #[test]
-fn references_of_no_variable_are_not_shown_to_the_fmu() {
+fn unknown_references_are_not_passed_to_fmu() {
     let folder = evil(&["TRUSTS_REFERENCES"]);
     let mut instance = folder.open().instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
     let (far, mut value) = (0xf000_0000, [0.0]);
@@ -99,12 +99,12 @@ fn references_of_no_variable_are_not_shown_to_the_fmu() {
 }
 
 #[test]
-fn an_unknown_status_is_an_error() {
+fn unknown_status_is_an_error() {
     assert_eq!(fails(&["ODD_STATUS"]).call_failure().unwrap().status, Status::Unknown(77));
 }
 
 #[test]
-fn a_failing_initialization_expands_references_in_its_log() {
+fn failed_initialization_expands_references_in_log() {
     let error = fails(&["NO_START"]);
     let failure = error.call_failure().unwrap();
     assert_eq!(failure.call, "fmi2ExitInitializationMode");
@@ -112,7 +112,7 @@ fn a_failing_initialization_expands_references_in_its_log() {
 }
 
 #[test]
-fn a_refused_value_names_its_variable() {
+fn rejected_value_is_reported_with_variable() {
     let folder = evil(&[]);
     let error = Simulator::new(plan(&folder)).unwrap().run(&[-1.0], &mut Ignore).unwrap_err();
     let failure = error.call_failure().unwrap();
@@ -121,19 +121,19 @@ fn a_refused_value_names_its_variable() {
 }
 
 #[test]
-fn an_endless_event_iteration_is_cut() {
+fn endless_event_iteration_is_stopped() {
     let error = fails(&["ENDLESS_EVENTS"]);
     assert!(error.to_string().contains("did not end after 100 rounds"), "{error}");
 }
 
 #[test]
-fn an_event_in_the_past_is_an_error() {
+fn event_in_the_past_is_an_error() {
     let FmiError::Simulation(error) = fails(&["PAST_EVENT"]) else { panic!() };
     assert!(matches!(error.kind, ErrorKind::EventInThePast(next) if next == -1.0), "{error}");
 }
 
 #[test]
-fn a_flood_of_odd_log_messages_is_bounded() {
+fn log_is_bounded_for_many_messages() {
     let folder = evil(&["LOG_FLOOD"]);
     let result = folder.open().simulate(&SimulateOptions::new().ncp(1)).unwrap();
     assert_eq!(result.termination, Termination::Finished);
@@ -153,25 +153,25 @@ fn a_flood_of_odd_log_messages_is_bounded() {
     let texts: Vec<&str> = lines[28..].iter().map(|line| line.text.as_str()).collect();
     assert_eq!(texts[..3], ["", "100 % sure, %", "bad \u{fffd}\u{fffd} bytes"]);
     assert!(texts[3].starts_with("x = 1 of "), "{texts:?}");
-    // Beyond the rate limit by now; all are counted.
+    // The rate limit is exceeded here, and all lines are counted.
     instance.get_derivatives(&mut [0.0]).unwrap();
     let (lines, dropped) = instance.log();
     assert_eq!((lines.len(), dropped), (32, 1568));
 }
 
 #[test]
-fn the_reason_of_an_error_comes_through_a_flood() {
+fn error_log_contains_reason_despite_many_messages() {
     let error = fails(&["LOG_FLOOD", "ERROR_LATE"]);
     let failure = error.call_failure().unwrap();
     assert_eq!(failure.log.last().unwrap().text, "broken beyond t = 0.5");
-    // At least the initial right-hand side and one step were made before.
+    // At least the initial right-hand side and one step were evaluated before.
     assert!(failure.dropped_log_lines > 2 * 800 - 8, "{}", failure.dropped_log_lines);
 }
 
 #[test]
-fn lines_below_the_level_asked_for_are_not_kept() {
+fn log_filter_drops_lines_below_level() {
     let folder = evil(&["LOG_FLOOD", "ERROR_LATE"]);
-    // In simulations, as the FMU was opened.
+    // In simulations, the filter of the opened FMU applies.
     for (filter, kept) in [(LogFilter::All, 8), (LogFilter::Errors, 1), (LogFilter::Nothing, 0)] {
         let options =
             OpenOptions { logging: LogOptions { filter, ..LogOptions::default() }, ..OpenOptions::default() };
@@ -199,7 +199,7 @@ fn a_model_may_end_the_simulation() {
 }
 
 #[test]
-fn flushing_of_denormals_neither_counts_nor_stays() {
+fn flush_to_zero_is_disabled_during_and_after_run() {
     let tiny = std::hint::black_box(1e-310);
     let folder = evil(&["FLUSHES"]);
     let result = folder.open().simulate(&SimulateOptions::new().ncp(1)).unwrap();
@@ -208,7 +208,7 @@ fn flushing_of_denormals_neither_counts_nor_stays() {
 }
 
 #[test]
-fn inputs_are_set_once_at_an_instant() {
+fn inputs_are_set_once_per_time_point() {
     let folder = evil_with(&["ONE_SET"], |xml| {
         let input = r#"<ScalarVariable name="u" valueReference="7" causality="input" variability="continuous"
             canHandleMultipleSetPerTimeInstant="false"><Real start="0"/></ScalarVariable></ModelVariables>"#;
@@ -231,7 +231,7 @@ fn inputs_are_set_once_at_an_instant() {
 }
 
 #[test]
-fn inputs_that_do_not_vary_are_set_in_initialization_mode() {
+fn constant_inputs_are_set_in_initialization_mode() {
     let folder = evil_with(&["ONE_SET", "LATE_INPUTS"], |xml| {
         let input = r#"<ScalarVariable name="u" valueReference="7" causality="input" variability="continuous">
             <Real start="0"/></ScalarVariable></ModelVariables>"#;
@@ -257,7 +257,7 @@ fn inputs_that_do_not_vary_are_set_in_initialization_mode() {
 }
 
 #[test]
-fn outputs_that_are_nan_are_passed_on() {
+fn nan_outputs_are_recorded() {
     let folder = evil(&["NAN_OUTPUT"]);
     let result = folder.open().simulate(&SimulateOptions::new().ncp(2)).unwrap();
     assert!(result.get("y").unwrap().iter().all(|y| y.is_nan()));
@@ -265,7 +265,7 @@ fn outputs_that_are_nan_are_passed_on() {
 
 /// A state is copied from the vector of the integration; the variable that it is by the description may say something else.
 #[test]
-fn a_state_that_its_variable_contradicts_is_found_out() {
+fn state_contradicting_its_variable_is_reported() {
     let said = "x has another value than the continuous state that it is by the description";
     let options = SimulateOptions::new().ncp(10).outputs(["x", "y"]);
     let simulate = |value: &str| {
@@ -298,7 +298,7 @@ fn a_state_that_its_variable_contradicts_is_found_out() {
 }
 
 #[test]
-fn a_nominal_of_zero_counts_as_one() {
+fn zero_nominal_is_replaced_by_one() {
     let folder = evil(&["BAD_NOMINAL"]);
     let good = evil(&[]);
     let options = SimulateOptions::new();
@@ -306,13 +306,13 @@ fn a_nominal_of_zero_counts_as_one() {
 }
 
 #[test]
-fn a_library_without_a_mandatory_function_is_refused() {
+fn library_without_mandatory_function_is_rejected() {
     let error = evil(&["MISSING_SYMBOL"]).open().instantiate().unwrap_err();
     assert!(matches!(&error, FmiError::MissingSymbol { symbol: "fmi2GetDerivatives", .. }), "{error}");
 }
 
 #[test]
-fn missing_optional_functions_matter_only_when_they_are_called() {
+fn missing_optional_function_is_an_error_when_called() {
     let folder = evil(&[]);
     let mut instance = folder.open().instantiate().unwrap();
     for (error, function) in [
@@ -328,7 +328,7 @@ fn missing_optional_functions_matter_only_when_they_are_called() {
 }
 
 #[test]
-fn a_refusal_to_instantiate_carries_the_log() {
+fn failed_instantiation_contains_log() {
     let error = evil(&["NOT_INSTANTIABLE"]).open().instantiate().unwrap_err();
     assert!(
         error.to_string().contains("fmi2Instantiate") && error.to_string().contains("no licence for evil"),
@@ -337,7 +337,7 @@ fn a_refusal_to_instantiate_carries_the_log() {
 }
 
 #[test]
-fn fmus_that_cannot_be_run_say_why() {
+fn unusable_fmu_reports_reason() {
     let folder = evil(&[]);
     let options = SimulateOptions::new().kind(InterfaceChoice::CoSimulation);
     let cs = SimulationPlan::new(&folder.open(), &options).unwrap_err();
@@ -363,7 +363,7 @@ fn fmus_that_cannot_be_run_say_why() {
 }
 
 #[test]
-fn values_are_checked_by_name_type_and_settability() {
+fn start_values_are_checked_by_name_type_and_settability() {
     let folder = evil(&[]);
     let fmu = folder.open();
     let set = |name: &str, value: Value| {

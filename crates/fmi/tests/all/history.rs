@@ -1,4 +1,4 @@
-//! Runs do not depend on those before them.
+//! Runs do not depend on earlier runs.
 
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used, clippy::panic)]
@@ -19,7 +19,7 @@ fn simulator(fmu: &Fmu) -> Simulator {
 }
 
 #[test]
-fn runs_after_a_reset_have_the_bits_of_runs_on_new_instances() {
+fn runs_after_reset_match_runs_on_new_instances() {
     let folder = evil(&[]);
     let fmu = folder.open();
     let mut simulator = simulator(&fmu).resetting();
@@ -35,9 +35,9 @@ fn runs_after_a_reset_have_the_bits_of_runs_on_new_instances() {
     assert!(fmu.quirks_seen().is_empty());
 }
 
-/// Ending or resetting the instance of a run that is over changes nothing of that run, nor of the next.
+/// Errors of terminating or resetting an instance affect neither the finished run nor the next one.
 #[test]
-fn instances_that_cannot_be_ended_or_reset_cost_nothing() {
+fn failed_terminate_or_reset_does_not_change_results() {
     for status in ["fmi2Error", "fmi2Discard", "fmi2Fatal"] {
         for call in ["TERMINATE", "RESET"] {
             let folder = evil(&[&format!("{call}={status}")]);
@@ -54,7 +54,7 @@ fn instances_that_cannot_be_ended_or_reset_cost_nothing() {
 }
 
 #[test]
-fn honest_failures_are_left_alone() {
+fn failed_runs_add_no_quirks() {
     for fault in ["ERROR_ABOVE=1.5", "FATAL_ABOVE=1.5", "NO_START"] {
         let folder = evil(&[fault]);
         let fmu = folder.open();
@@ -71,9 +71,9 @@ fn honest_failures_are_left_alone() {
     }
 }
 
-/// An input function that is not finite says nothing about the model, whichever run it is.
+/// A non-finite input function is not a fault of the model, in any run.
 #[test]
-fn runs_that_an_input_function_ends_say_nothing() {
+fn non_finite_input_function_adds_no_quirks() {
     use example_models::ExampleKind;
     use fmi::{Inputs, InterfaceChoice};
     for (kind, example) in [
@@ -85,7 +85,7 @@ fn runs_that_an_input_function_ends_say_nothing() {
             let mut session = Session::of_kind(fmu.clone(), kind);
             let options = |ends: bool| {
                 let is_over = std::sync::atomic::AtomicBool::new(false);
-                // As a function does that has raised an exception: it has no value from then on.
+                // A function that has raised an exception returns no more values.
                 let function = move |t: f64| {
                     is_over.fetch_or(ends && t > 4.0, std::sync::atomic::Ordering::Relaxed);
                     if is_over.load(std::sync::atomic::Ordering::Relaxed) { f64::NAN } else { 3.0 + 0.1 * t }
@@ -101,9 +101,9 @@ fn runs_that_an_input_function_ends_say_nothing() {
     }
 }
 
-/// As Simulink exports it: a parameter is in a static variable, which is changed by nothing but being set.
+/// As in a Simulink export: a parameter is in a static variable, which changes only when it is set.
 #[test]
-fn what_others_have_set_is_not_there() {
+fn static_parameters_do_not_leak_between_users() {
     let folder = evil(&["STATIC_PARAMETERS"]);
     let fmu = folder.open();
     let truth = fmu.simulate(&options()).unwrap();

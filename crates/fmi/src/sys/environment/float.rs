@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn runs_start_in_the_default_mode_and_what_was_there_comes_back() {
+    fn inside_sets_default_float_mode_and_restores_previous_one() {
         let lock = Arc::new(FairLock::default());
         let before = FloatMode::present();
         // Flush to zero, denormals are zero; x87 rounds up in double precision.

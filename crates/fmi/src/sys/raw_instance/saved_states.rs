@@ -33,7 +33,7 @@ mod tests {
     use crate::{InstanceOptions, sys::InterfaceKind};
 
     #[test]
-    fn places_of_states_that_nobody_holds_are_used_again() {
+    fn slots_of_dropped_states_are_reused() {
         let fmu = crate::Fmu::open(example_models::example_fmu("dahlquist").unwrap()).unwrap();
         let options = InstanceOptions::default();
         let (core, _lease) = fmu.instantiate_by_hand(InterfaceKind::ModelExchange, &options).unwrap();
