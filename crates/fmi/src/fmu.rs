@@ -282,9 +282,9 @@ impl Fmu {
         self.inner.archive.content_hash()
     }
 
-    /// Returns worker processes with these limits. Existing ones of this FMU with equal limits are shared.
-    /// The processes end when their last user drops them. Returns `None` if this program cannot start worker
-    /// processes (see [`Launcher`](crate::worker::Launcher)).
+    /// Returns worker processes with these limits. Existing processes of this FMU with equal limits are
+    /// shared. The processes end when their last user drops them. Returns `None` if this program cannot start
+    /// worker processes (see [`Launcher`](crate::worker::Launcher)).
     pub fn workers(&self, limits: WorkerLimits) -> Option<Arc<Workers>> {
         let mut known = self.inner.workers.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(workers) = known.upgrade().filter(|workers| *workers.limits() == limits) {
@@ -315,8 +315,8 @@ impl Fmu {
         self.inner.reuse.store(reuse as u8, Ordering::Relaxed);
     }
 
-    /// Records that a simulation after others differed from one in a fresh process with the reset `reuse`.
-    /// Uses the next way after `reuse` from now on, and adds a quirk.
+    /// Records that a simulation in a used process differed from one in a fresh process. `reuse` is the way
+    /// in which the used process was reset. The next way is used from now on, and a quirk is added.
     pub fn give_up(&self, reuse: Reuse) {
         let (next, kind, message) = match reuse {
             Reuse::Reset => (Reuse::Reinstantiate, QuirkKind::Promise, LEAVES_TRACES),

@@ -20,7 +20,7 @@ const ENCRYPTED: u16 = 1 | 1 << 6 | 1 << 13;
 /// Size in bytes of a central header without its variable parts.
 const HEADER_BYTES: usize = 46;
 
-/// One entry.
+/// An entry of an archive.
 #[derive(Debug)]
 pub(super) struct Record {
     /// Normalized name, without the slash at the end of folders. Empty for the root folder of the archive
@@ -209,7 +209,7 @@ fn repeated(record: &Record, names: &Names<'_>, records: &[Record]) -> Option<us
 }
 
 /// Distinguishes folders from files, and rejects everything else. The Unix file type is checked regardless of
-/// the system declared in the entry, because other programs do this, too.
+/// the system declared in the entry, because other programs also check it.
 fn is_folder(record: &Record) -> Result<bool, EntryProblem> {
     match (record.entry.external_attributes() >> 16) & 0o170_000 {
         0o040_000 => Ok(true),

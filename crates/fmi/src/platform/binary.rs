@@ -211,7 +211,7 @@ pub(crate) fn describe(path: &Path) -> String {
     what.to_owned()
 }
 
-/// `e_machine` of an ELF header (System V ABI, chapter 4): two bytes at offset 18.
+/// Reads `e_machine` of an ELF header (System V ABI, chapter 4): two bytes at offset 18.
 fn elf_machine(start: &[u8]) -> Option<Machine> {
     let bytes: [u8; 2] = start.get(18..20)?.try_into().ok()?;
     let big_endian = *start.get(5)? == 2;
@@ -227,7 +227,7 @@ fn elf_machine(start: &[u8]) -> Option<Machine> {
     })
 }
 
-/// `Machine` of the COFF header after the PE signature (Microsoft PE format).
+/// Reads `Machine` of the COFF header after the PE signature (Microsoft PE format).
 fn pe_machine(start: &[u8], file: &mut (impl Read + Seek)) -> io::Result<Option<Machine>> {
     let Some(offset) = u32_le(start, 0x3c) else { return Ok(None) };
     file.seek(SeekFrom::Start(u64::from(offset)))?;
@@ -244,7 +244,7 @@ fn pe_machine(start: &[u8], file: &mut (impl Read + Seek)) -> io::Result<Option<
     }))
 }
 
-/// `cputype` of a Mach-O header (`mach/machine.h`).
+/// Converts `cputype` of a Mach-O header (`mach/machine.h`).
 fn mach_o_machine(cpu: u32) -> Machine {
     match cpu {
         7 => Machine::X86,
@@ -255,7 +255,7 @@ fn mach_o_machine(cpu: u32) -> Machine {
     }
 }
 
-/// Processors of a universal Mach-O file. Java class files have the same magic number; their next
+/// Reads the processors of a universal Mach-O file. Java class files have the same magic number; their next
 /// field, read as a count, is far above any number of processors.
 fn universal_machines(start: &[u8]) -> Option<Vec<Machine>> {
     let count = u32_be(start, 4)?;

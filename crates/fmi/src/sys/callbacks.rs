@@ -173,9 +173,9 @@ unsafe extern "C" {
         category: *const c_char,
         message: *const c_char,
     );
-    /// `calloc`.
+    /// Allocates memory with `calloc`.
     pub(super) fn fmufit_allocate(count: usize, size: usize) -> *mut c_void;
-    /// `free`.
+    /// Frees memory with `free`.
     pub(super) fn fmufit_free(block: *mut c_void);
 }
 

@@ -33,8 +33,8 @@ struct Shared {
     turns: Turns,
 }
 
-/// In separate cache lines, because a waiting process reads these fields continuously, while the other fields
-/// change with every call of the FMU.
+/// Fields that a waiting process reads continuously. They are in separate cache lines, because the other
+/// fields change with every call of the FMU.
 #[repr(C, align(128))]
 struct Turns {
     /// Number of the last request that was sent.

@@ -10,10 +10,11 @@ use std::str::FromStr;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Isolation {
-    /// Separate processes, one for each evaluating thread. Failures of the FMU do not affect this process.
+    /// Separate processes, one for each thread that evaluates. Failures of the FMU do not affect this
+    /// process.
     #[default]
     Process,
-    /// In this process, one simulation at a time.
+    /// This process, one simulation at a time.
     None,
 }
 

@@ -263,7 +263,8 @@ fn nan_outputs_are_recorded() {
     assert!(result.get("y").unwrap().iter().all(|y| y.is_nan()));
 }
 
-/// A state is copied from the vector of the integration; the variable that it is by the description may say something else.
+/// A state is copied from the vector of the integration. The corresponding variable of the description may
+/// have a different value.
 #[test]
 fn state_contradicting_its_variable_is_reported() {
     let said = "x has another value than the continuous state that it is by the description";
@@ -274,14 +275,14 @@ fn state_contradicting_its_variable_is_reported() {
         let quirks = |fmu: &Fmu| fmu.quirks_seen().into_iter().map(|quirk| quirk.message).collect::<Vec<_>>();
         (fmu.simulate(&options), quirks(&fmu))
     };
-    // From the start: the variable is what was asked for.
+    // From the start: the variable is recorded, as requested.
     let (result, quirks) = simulate("2*m->x");
     let result = result.unwrap();
     assert!(result.get("x").unwrap().iter().zip(result.get("y").unwrap()).all(|(x, y)| *x == 2.0 * y));
     assert_eq!(quirks, [format!("{said}: the variable is recorded")]);
     let (result, _) = simulate("NAN");
     assert!(result.unwrap().get("x").unwrap().iter().all(|x| x.is_nan()));
-    // Later: too late for the rows.
+    // Later: the rows are already recorded.
     let (result, quirks) = simulate("m->time>0.5?2*m->x:m->x");
     let result = result.unwrap();
     assert_eq!(result.get("x").unwrap(), result.get("y").unwrap());

@@ -91,7 +91,7 @@ impl RawInstance {
         /// True if a call of this instance, or of another of the same loaded copy of the library, returned
         /// `Fatal`.
         pub(crate) is_fatal(self) -> bool = self.fatal.is_some() || self.library.is_fatal();
-        /// Co-simulation: true if events are handled between steps.
+        /// True if events are handled between steps (co-simulation).
         pub(crate) has_event_mode(self) -> bool = self.event_mode;
         /// Returns the time set last.
         pub(crate) time(self) -> Option<f64> = self.time;
