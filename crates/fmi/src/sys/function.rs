@@ -11,7 +11,7 @@ pub(super) struct Function<F> {
     /// Name in the standard.
     pub(super) name: &'static str,
     pub(super) pointer: Option<F>,
-    /// Number with which calls of the function are recorded, see [`last_call`].
+    /// Number with which calls of the function are recorded, see `Page::last_call`.
     pub(super) number: u32,
 }
 

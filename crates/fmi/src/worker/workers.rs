@@ -286,8 +286,9 @@ impl Workers {
     /// Sends a request to a worker with `load` loaded, and reads the answer with `accept`. Returns the result
     /// with the quirks that were found in the model. A worker whose answer is not accepted is ended.
     ///
-    /// If a used worker ends for a reason other than a time limit, the request is repeated once in a fresh
-    /// worker. If a worker dies at the end of a run, the rows are complete. The request is then always
+    /// If a worker ends for a reason other than a time limit, the request is repeated once in a fresh worker,
+    /// unless `whom` requests a fresh one. It is also repeated if a used worker reports an error of its
+    /// process. If a worker dies at the end of a run, the rows are complete. The request is then always
     /// repeated in a fresh worker that omits that call.
     /// # Errors
     /// [`FmiError::ReportedError`] if the worker reports an error; [`FmiError::WorkerEnded`] if it ended
