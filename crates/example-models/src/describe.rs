@@ -1,5 +1,5 @@
-//! Model descriptions of the bundled models for every version of the standard, written from the one that lies
-//! beside the model's source (FMI 2.0 model exchange).
+//! Model descriptions of the bundled models for every version of the standard. They are generated from the
+//! description next to the model's source (FMI 2.0 model exchange).
 
 use crate::kind::ExampleKind;
 use fmi::FmiError;
@@ -9,7 +9,8 @@ use fmi::description::{
 };
 use std::fmt::Write;
 
-/// `modelDescription.xml` of a model in another form; `original` is that of FMI 2.0 model exchange.
+/// Returns `modelDescription.xml` of a model in another form. `original` is the description for FMI 2.0 model
+/// exchange.
 pub(crate) fn description(original: &str, kind: ExampleKind) -> Result<String, FmiError> {
     Ok(match kind {
         ExampleKind::Fmi2ModelExchange => original.to_owned(),
@@ -20,7 +21,7 @@ pub(crate) fn description(original: &str, kind: ExampleKind) -> Result<String, F
     })
 }
 
-/// The same description with the other interface.
+/// Returns the description with the co-simulation interface.
 fn as_co_simulation(original: &str) -> String {
     original
         .replace("<ModelExchange", "<CoSimulation\n    canHandleVariableCommunicationStepSize=\"true\"\n    canInterpolateInputs=\"true\"")
@@ -29,14 +30,14 @@ fn as_co_simulation(original: &str) -> String {
         .replace("fmi2_me.c", "fmi2_cs.c")
 }
 
-/// Attributes, each only where there is a value.
+/// Attributes. Those without a value are omitted.
 #[derive(Default)]
 struct Attributes(String);
 
 impl Attributes {
     fn text(mut self, name: &str, value: Option<&str>) -> Self {
         if let Some(value) = value {
-            // Writing to a text does not fail.
+            // Writing to a string does not fail.
             let _ = write!(self.0, " {name}=\"{}\"", escaped(value));
         }
         self
@@ -48,7 +49,7 @@ impl Attributes {
     }
 
     fn number(self, name: &str, value: Option<f64>) -> Self {
-        // {:?} writes the shortest decimal that reads as the same number.
+        // {:?} writes the shortest decimal that parses to the same number.
         self.shown(name, value.map(|value| format!("{value:?}")))
     }
 }
@@ -63,7 +64,7 @@ fn start(variable: &Variable) -> Option<String> {
         Value::Integer(i) => i.to_string(),
         Value::Boolean(b) => b.to_string(),
         Value::String(text) => text.clone(),
-        // No bundled model has others.
+        // No bundled model has other types.
         other => other.to_string(),
     })
 }
@@ -89,7 +90,7 @@ fn identifier(model: &ModelDescription) -> Option<&str> {
     model.model_exchange.as_ref().map(|interface| interface.model_identifier.as_str())
 }
 
-/// FMI 1.0: parameters are a variability, time is no variable, states are a number.
+/// Writes FMI 1.0: parameters are a variability, time is not a variable, and states are only a number.
 fn fmi1(model: &ModelDescription, co_simulation: bool) -> String {
     let header = header(model)
         .text("modelIdentifier", identifier(model))
@@ -128,7 +129,7 @@ fn fmi1(model: &ModelDescription, co_simulation: bool) -> String {
             .text("variability", Some(variability))
             .text("causality", Some(causality));
         let start = start(variable);
-        // Inputs have a start value, which is neither a guess nor kept.
+        // The start value of an input is neither a guess nor fixed.
         let fixed = start.is_some() && variable.causality != Causality::Input;
         let inner = Attributes::default()
             .text("unit", variable.unit.as_deref())
@@ -155,7 +156,7 @@ fn fmi1(model: &ModelDescription, co_simulation: bool) -> String {
     out
 }
 
-/// A bound as the type of the variable writes numbers; Booleans and texts have none.
+/// Formats a bound in the format of the variable's type. Booleans and strings have no bounds.
 fn bound(variable: &Variable, value: Option<f64>) -> Option<String> {
     value.map(|value| match variable.kind {
         VariableKind::Real => format!("{value:?}"),
@@ -163,7 +164,8 @@ fn bound(variable: &Variable, value: Option<f64>) -> Option<String> {
     })
 }
 
-/// FMI 3.0, both interfaces: value references instead of positions, event indicators are variables.
+/// Writes FMI 3.0 with both interfaces. Value references replace positions, and event indicators are
+/// variables.
 fn fmi3(model: &ModelDescription) -> String {
     let header =
         header(model).text("license", model.license.as_deref()).text("instantiationToken", Some(&model.guid));
@@ -275,7 +277,7 @@ fn variable3(model: &ModelDescription, variable: &Variable, out: &mut String) {
     };
     let state = variable.derivative.map(|state| model.variables[state].value_reference);
     let is_real = variable.kind == VariableKind::Real;
-    // Bounds of Booleans and texts do not exist, and `initial` of inputs and time is not written.
+    // Booleans and strings have no bounds, and `initial` of inputs and time is omitted.
     let initial = variable.initial.filter(|_| variable.causality != Causality::Input);
     let attributes = Attributes::default()
         .text("name", Some(&variable.name))
@@ -306,7 +308,7 @@ fn unknown3(model: &ModelDescription, element: &str, unknown: &Unknown, out: &mu
     let _ = writeln!(out, "    <{element}{}/>", attributes.0);
 }
 
-/// `sources/buildDescription.xml`, which FMI 3.0 has in place of a list of files.
+/// Returns `sources/buildDescription.xml`, which replaces the list of files in FMI 3.0.
 pub(crate) fn build_description(identifier: &str, files: &[&str]) -> String {
     let files: String = files.iter().map(|file| format!("      <SourceFile name=\"{file}\"/>\n")).collect();
     format!(

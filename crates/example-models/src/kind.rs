@@ -1,13 +1,13 @@
-//! The versions and interfaces an example is made for, and the front end of each.
+//! Versions and interfaces of the examples, and the front end of each.
 
-/// Names and contents of files of the front ends.
+/// Names and contents of front-end files.
 macro_rules! frontend {
     [$($name:literal),+] => {
         [$(($name, include_str!(concat!("../models/frontend/", $name)))),+]
     };
 }
 
-/// The version and interface an example is made for.
+/// Version and interface of an example.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum ExampleKind {
@@ -19,12 +19,12 @@ pub enum ExampleKind {
     Fmi2ModelExchange,
     /// FMI 2.0 co-simulation.
     Fmi2CoSimulation,
-    /// FMI 3.0, model exchange and co-simulation in one.
+    /// FMI 3.0 for model exchange and co-simulation in one file.
     Fmi3,
 }
 
 impl ExampleKind {
-    /// All of them.
+    /// All kinds.
     pub const ALL: [ExampleKind; 5] = [
         ExampleKind::Fmi1ModelExchange,
         ExampleKind::Fmi1CoSimulation,
@@ -33,7 +33,7 @@ impl ExampleKind {
         ExampleKind::Fmi3,
     ];
 
-    /// Suffix that follows the model's name in the file name.
+    /// Returns the suffix that follows the model's name in the file name.
     pub(crate) fn suffix(self) -> &'static str {
         match self {
             ExampleKind::Fmi1ModelExchange => "-fmi1-me",
@@ -44,7 +44,7 @@ impl ExampleKind {
         }
     }
 
-    /// The files that turn a model into an FMU, the one that is compiled first; see `models/readme.md`.
+    /// Returns the files that make an FMU from a model. The first one is compiled; see `models/readme.md`.
     pub(crate) fn frontend(self) -> &'static [(&'static str, &'static str)] {
         match self {
             ExampleKind::Fmi2CoSimulation => {

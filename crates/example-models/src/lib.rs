@@ -1,7 +1,7 @@
-//! Example models for documentation, tests and demos: their sources are part of this library, and become
-//! `.fmu` files on demand, for every version of the standard.
+//! Example models for documentation, tests and demos. The library contains their sources and creates `.fmu`
+//! files on demand, for every version of the standard.
 //!
-//! The crate stands above the importer, which packs the models; the importer knows nothing of them.
+//! This crate depends on the importer, which packs the models. The importer does not depend on this crate.
 
 mod describe;
 mod kind;
@@ -38,18 +38,19 @@ const EXAMPLES: [Example; 8] = [
     example!("exhaust"),
 ];
 
-/// The names that [`example_fmu`] knows.
+/// Returns the names that [`example_fmu`] accepts.
 pub fn example_names() -> impl ExactSizeIterator<Item = &'static str> {
     EXAMPLES.iter().map(|example| example.name)
 }
 
-/// Path of an `.fmu` of a bundled model, with its sources and a library for this platform.
+/// Returns the path of an `.fmu` file of a bundled model, with its sources and a library for this platform.
 ///
-/// It is packed at the first call, with the system's C compiler, and kept in a cache folder
-/// (see [`fmi::build_library`]).
+/// The first call compiles it with the system's C compiler and stores it in a cache folder (see
+/// [`fmi::build_library`]).
 ///
 /// # Errors
-/// [`FmiError::BadSetting`] lists the names there are; no compiler; the system refuses to write.
+/// [`FmiError::BadSetting`] with the available names if the name is unknown. There is no compiler, or a file
+/// cannot be written.
 ///
 /// ```no_run
 /// let furuta = fmi::Fmu::open(example_models::example_fmu("furuta")?)?;
@@ -59,10 +60,10 @@ pub fn example_fmu(name: &str) -> Result<PathBuf, FmiError> {
     example_fmu_as(name, ExampleKind::Fmi2ModelExchange)
 }
 
-/// As [`example_fmu`], for any version of the standard.
+/// Returns a path as [`example_fmu`] does, for any version of the standard.
 ///
 /// # Errors
-/// As [`example_fmu`].
+/// As for [`example_fmu`].
 pub fn example_fmu_as(name: &str, kind: ExampleKind) -> Result<PathBuf, FmiError> {
     let Some(example) = EXAMPLES.iter().find(|example| example.name == name) else {
         let known: Vec<&str> = example_names().collect();
@@ -73,7 +74,7 @@ pub fn example_fmu_as(name: &str, kind: ExampleKind) -> Result<PathBuf, FmiError
     fmi::pack_texts(&file_name, &files(example, kind)?)
 }
 
-/// The files of an example as a source-code FMU, by their paths in it.
+/// Returns the files of an example as a source-code FMU, with their paths in the FMU.
 fn files(example: &Example, kind: ExampleKind) -> Result<Vec<(String, String)>, FmiError> {
     let frontend = kind.frontend();
     let mut files = vec![
@@ -82,7 +83,7 @@ fn files(example: &Example, kind: ExampleKind) -> Result<Vec<(String, String)>, 
     ];
     files.extend(frontend.iter().map(|(name, text)| (format!("sources/{name}"), (*text).to_owned())));
     if matches!(kind, ExampleKind::Fmi1ModelExchange | ExampleKind::Fmi1CoSimulation) {
-        // The names of FMI 1.0's functions begin with it.
+        // FMI 1.0 prefixes its function names with this identifier.
         let text = format!("#define MODEL_IDENTIFIER {}\n", example.name);
         files.push(("sources/identifier.h".to_owned(), text));
     }

@@ -1,7 +1,7 @@
-//! Checks that need the whole description: references between its parts, and the quirk report.
+//! Checks that need the complete description: references between its parts, and the quirk report.
 //!
-//! Everything that can be worked with is tolerated and reported (exported FMUs leave the standard in many
-//! small ways); only what would make a run wrong or unsafe is an error.
+//! Tolerable deviations are reported as quirks, because exported FMUs often deviate from the standard in
+//! small ways. A deviation is an error only if it would make a run wrong or unsafe.
 
 use super::draft::Draft;
 use super::limits::Reading;
@@ -16,7 +16,7 @@ use crate::error::{FmiError, Result};
 use crate::value::{Value, VariableKind};
 use std::collections::{HashMap, HashSet};
 
-/// Resolves the references of a draft and turns it into a description.
+/// Resolves the references of a draft and converts it to a description.
 pub(super) fn finish(mut draft: Draft) -> Result<ModelDescription> {
     inherit_types(&mut draft)?;
     resolve_derivatives(&mut draft);
@@ -57,7 +57,7 @@ pub(super) fn finish(mut draft: Draft) -> Result<ModelDescription> {
     Ok(model)
 }
 
-/// There is one independent variable at most.
+/// Reports a second independent variable.
 fn check_time(variables: &[Variable], quirks: &mut Quirks) {
     let mut independent = variables.iter().filter(|variable| variable.causality == Causality::Independent);
     let Some(first) = independent.next() else { return };
@@ -68,7 +68,7 @@ fn check_time(variables: &[Variable], quirks: &mut Quirks) {
     }
 }
 
-/// Refuses a description that has quirks other than those of the importer itself.
+/// Returns an error if there are quirks other than features that the importer does not support.
 pub(super) fn require_conforming(quirks: &[Quirk]) -> Result<()> {
     let mut departures = quirks.iter().filter(|quirk| quirk.kind != QuirkKind::Unsupported);
     match departures.next() {
@@ -81,11 +81,11 @@ pub(super) fn require_conforming(quirks: &[Quirk]) -> Result<()> {
     }
 }
 
-/// Longest text that variables inherit: each has a copy, so that a long one in a small file could fill the
-/// memory.
+/// Maximum length of a string that variables inherit. Each variable has a copy, so a long string in a small
+/// file could exhaust the memory.
 const LONGEST_INHERITED: usize = 1024;
 
-/// Fills in what variables leave to their types.
+/// Fills in the attributes that variables inherit from their types.
 fn inherit_types(draft: &mut Draft) -> Result<()> {
     let model = &mut draft.model;
     for definition in &mut model.type_definitions {
@@ -141,7 +141,7 @@ fn inherit(variable: &mut Variable, definition: &TypeDefinition, reading: &Readi
     variable.nominal = variable.nominal.or(definition.nominal);
 }
 
-/// Removes `derivative` attributes that name no variable.
+/// Removes `derivative` attributes that do not refer to a variable.
 fn resolve_derivatives(draft: &mut Draft) {
     let n_variables = draft.model.variables.len();
     for variable in &mut draft.model.variables {
@@ -154,7 +154,8 @@ fn resolve_derivatives(draft: &mut Draft) {
     }
 }
 
-/// Refuses arrays whose dimensions are those of no structural parameter, and those too large to be meant.
+/// Returns an error for a dimension that is not a structural parameter. Reports start values that do not
+/// match the number of elements.
 fn resolve_dimensions(draft: &mut Draft) -> Result<()> {
     let model = &draft.model;
     for variable in model.variables.iter().filter(|variable| !variable.dimensions.is_empty()) {
@@ -180,7 +181,7 @@ fn resolve_dimensions(draft: &mut Draft) -> Result<()> {
             Some(_) => 1,
             None => continue,
         };
-        // One value stands for all.
+        // A single value applies to all elements.
         if given != elements && given != 1 {
             draft.reading.quirk(QuirkKind::Start, variable.line, || {
                 format!("\"{}\" has {given} start values for {elements} elements", variable.name)
@@ -190,8 +191,8 @@ fn resolve_dimensions(draft: &mut Draft) -> Result<()> {
     Ok(())
 }
 
-/// Brings all indices of the model structure into range. An unknown derivative or event indicator cannot be
-/// left out, because their numbers would not be the model's.
+/// Removes invalid indices from the model structure. An invalid derivative or event indicator is an error,
+/// because removing it would change their number.
 fn resolve_structure(draft: &mut Draft) -> Result<()> {
     let n_variables = draft.model.variables.len();
     let quirks = &mut draft.reading.quirks.borrow_mut();
@@ -234,7 +235,7 @@ fn keep_known(what: &str, list: &mut Vec<Unknown>, lines: &[u32], n_variables: u
     });
 }
 
-/// Dependencies that make no sense become "depends on all", which is always right.
+/// Replaces invalid dependencies by "depends on all", which is always valid.
 fn resolve_dependencies(unknown: &mut Unknown, n_variables: usize, quirks: &mut Quirks) {
     let Unknown { index, dependencies, kinds } = unknown;
     let in_range = dependencies.iter().flatten().all(|&known| known < n_variables);
@@ -263,7 +264,7 @@ fn resolve_dependencies(unknown: &mut Unknown, n_variables: usize, quirks: &mut 
 
 fn check_header(model: &ModelDescription, quirks: &mut Quirks) {
     let has_interface = model.model_exchange.is_some() || model.co_simulation.is_some();
-    // The third interface has its own quirk.
+    // Scheduled execution has a separate quirk.
     if !has_interface && !model.offers_scheduled_execution {
         quirks
             .add(QuirkKind::Missing, 0, || "neither model exchange nor co-simulation is offered".to_owned());
@@ -278,7 +279,7 @@ fn check_header(model: &ModelDescription, quirks: &mut Quirks) {
     }
 }
 
-/// Units that variables use but nobody defines; each name is reported once.
+/// Reports undefined units of variables. Each name is reported once.
 fn check_units(model: &ModelDescription, quirks: &mut Quirks) {
     let units: HashMap<&str, &Unit> = model.units.iter().map(|unit| (unit.name.as_str(), unit)).collect();
     if units.len() < model.units.len() {
@@ -304,7 +305,7 @@ fn check_units(model: &ModelDescription, quirks: &mut Quirks) {
     }
 }
 
-/// Checks that the derivatives name their states, and that the outputs listed are the outputs.
+/// Checks that derivatives refer to their states, and that the listed outputs are the output variables.
 fn check_structure(model: &ModelDescription, quirks: &mut Quirks) {
     let mut listed = HashSet::new();
     let mut states = HashSet::new();
@@ -369,7 +370,7 @@ fn check_range(variable: &Variable, quirks: &mut Quirks) {
     }
 }
 
-/// Combinations of causality, variability and initial that the tables of FMI 2.0 (2.2.7) allow.
+/// Checks combinations of causality, variability and initial against the tables of FMI 2.0 (2.2.7).
 fn check_roles(variable: &Variable, quirks: &mut Quirks) {
     use {Causality as C, Initial as I, Variability as V};
     let pair_fits = match variable.causality {
@@ -395,7 +396,7 @@ fn check_roles(variable: &Variable, quirks: &mut Quirks) {
     }
 }
 
-/// Start values that must be there and are not, or the other way round.
+/// Reports missing and superfluous start values.
 fn check_start(variable: &Variable, quirks: &mut Quirks) {
     let needed = variable.causality == Causality::Input
         || matches!(variable.initial, Some(Initial::Exact | Initial::Approx));

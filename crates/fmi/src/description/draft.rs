@@ -1,29 +1,29 @@
-//! A description in the making: what a file says, before its parts are checked against each other.
+//! Incomplete description: the content of a file before its parts are checked against each other.
 
 use super::limits::Reading;
 use super::model::{ModelDescription, Unknown};
 use super::variable::Variable;
 use std::rc::Rc;
 
-/// A description in the making.
+/// Incomplete description.
 pub(super) struct Draft {
     pub(super) model: ModelDescription,
     pub(super) reading: Rc<Reading>,
-    /// For each variable which of its flags the file sets, so that a type does not overrule them.
+    /// For each variable, the flags that the file sets. A type definition does not override them.
     pub(super) flags: Vec<Flags>,
-    /// Lines of the unknowns in the model structure, in the order of outputs, derivatives, initial unknowns,
-    /// event indicators.
+    /// Lines of the unknowns in the model structure: outputs, derivatives, initial unknowns, event
+    /// indicators.
     pub(super) structure_lines: [Vec<u32>; 4],
 }
 
-/// Flags that a variable sets itself, and that its type would else supply.
+/// Flags that a variable sets. The remaining flags come from its type.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Flags {
     pub(super) relative_quantity: bool,
     pub(super) unbounded: bool,
 }
 
-/// An index that stands for "not a variable"; the checks remove it.
+/// Index that means "not a variable". The checks remove it.
 pub(super) const NOWHERE: usize = usize::MAX;
 
 /// The lists of the model structure.
@@ -38,7 +38,7 @@ pub(super) enum StructureList {
 impl Draft {
     /// Adds a variable.
     pub(super) fn add_variable(&mut self, variable: Variable, flags: Flags) {
-        // Its places in the index of names and in the sets that checks make.
+        // Memory for the entries in the name index and in the sets used by the checks.
         self.reading.take(64);
         self.reading.push(&mut self.model.variables, variable);
         self.reading.push(&mut self.flags, flags);

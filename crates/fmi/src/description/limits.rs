@@ -1,4 +1,4 @@
-//! Limits on the memory for reading a model description, and the amount used so far.
+//! Limits on the memory for reading a model description, and the memory used so far.
 
 use super::model::QuirkKind;
 use super::quirks::Quirks;
@@ -8,15 +8,16 @@ use crate::error::{EntryProblem, FmiError, Result};
 use serde::{Deserialize, Serialize};
 use std::cell::{Cell, RefCell};
 
-/// Limits on a model description. The defaults are above what real models need, and stop small files that
-/// would fill the memory.
+/// Limits on a model description. The defaults exceed the needs of real models. They stop small files that
+/// would exhaust the memory.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DescriptionLimits {
-    /// Bytes of `modelDescription.xml` (default 64 MiB, a description of 200 000 variables). Reading it takes
-    /// at most eight times as much memory.
+    /// Maximum size of `modelDescription.xml` in bytes (default 64 MiB, a description of 200 000 variables).
+    /// Reading it requires at most eight times as much memory.
     pub bytes: u64,
-    /// Elements of all array variables together, continuous states and event indicators (default 2 million):
-    /// as declared, and as they are after structural parameters have been set.
+    /// Maximum number of elements of all array variables together, of continuous states, and of event
+    /// indicators (default 2 million). The limit applies to the declared sizes and to the sizes after
+    /// structural parameters are set.
     pub elements: usize,
 }
 
@@ -26,12 +27,12 @@ impl Default for DescriptionLimits {
     }
 }
 
-/// Memory for reading, per byte that a document may have.
+/// Memory for reading, in bytes per byte of the maximum document size.
 const MEMORY_PER_BYTE: u64 = 8;
-/// Of it, for what is there for a moment only: attributes as they are read, a list that grows.
+/// Part of `MEMORY_PER_BYTE` reserved for temporary data, such as attributes and growing lists.
 const TRANSIENT_PER_BYTE: u64 = 2;
 
-/// The reading of one document: memory left for it, the flag that cancels it, departures from the standard.
+/// State of reading one document: remaining memory, cancellation flag and deviations from the standard.
 #[derive(Debug)]
 pub(super) struct Reading {
     pub(super) limits: DescriptionLimits,
@@ -53,12 +54,12 @@ impl Reading {
         }
     }
 
-    /// Notes a departure from the standard.
+    /// Records a deviation from the standard.
     pub(super) fn quirk(&self, kind: QuirkKind, line: u32, message: impl FnOnce() -> String) {
         self.quirks.borrow_mut().add(kind, line, message);
     }
 
-    /// Notes memory that is about to be taken; whether there is as much.
+    /// Reserves memory. Returns false if the remaining memory is insufficient.
     pub(super) fn take(&self, bytes: usize) -> bool {
         match self.left.get().checked_sub(bytes as u64) {
             Some(left) => self.left.set(left),
@@ -67,12 +68,12 @@ impl Reading {
         !self.is_exceeded.get()
     }
 
-    /// Notes a text that is kept: its bytes, and what allocators add.
+    /// Reserves memory for a stored string, including the overhead of the allocator.
     pub(super) fn take_text(&self, text: &str) -> bool {
         self.take((text.len() + 8).next_multiple_of(16).max(32))
     }
 
-    /// Adds to a list that grows by quarters, and notes what it takes.
+    /// Appends to a list that grows by a quarter at a time, and reserves the memory.
     pub(super) fn push<T>(&self, list: &mut Vec<T>, item: T) {
         if list.len() == list.capacity() {
             let more = (list.len() / 4).max(4);
@@ -84,14 +85,14 @@ impl Reading {
         list.push(item);
     }
 
-    /// Refuses to go on if more was taken than there is, or the reading is cancelled.
+    /// Returns an error if the memory limit is exceeded or reading is cancelled.
     pub(super) fn check(&self, line: u32) -> Result<()> {
         self.cancel.check()?;
         let refusal = |message| FmiError::Description { file: MODEL_DESCRIPTION, line, message };
         self.complaint().map_or(Ok(()), |complaint| Err(refusal(complaint)))
     }
 
-    /// Message if more memory was taken than there is.
+    /// Returns a message if the memory limit is exceeded.
     pub(super) fn complaint(&self) -> Option<String> {
         let Self { limits: DescriptionLimits { bytes, .. }, .. } = self;
         self.is_exceeded.get().then(|| {
@@ -110,12 +111,12 @@ impl Default for Reading {
     }
 }
 
-/// Refuses a file with more bytes than there may be.
+/// Returns an error for a file that exceeds the size limit.
 pub(super) fn check_size(bytes: &[u8], file: &'static str, limits: &DescriptionLimits) -> Result<()> {
     if bytes.len() as u64 <= limits.bytes { Ok(()) } else { Err(too_large(file, limits.bytes)) }
 }
 
-/// The error for a file with more bytes than this limit.
+/// Returns the error for a file that exceeds this limit.
 fn too_large(file: &'static str, limit: u64) -> FmiError {
     let message = format!(
         "it has more bytes than the limit of {limit}; raise it with max_description_bytes (DescriptionLimits::bytes)"
@@ -123,7 +124,7 @@ fn too_large(file: &'static str, limit: u64) -> FmiError {
     FmiError::Description { file, line: 1, message }
 }
 
-/// Names the limit where an archive has a larger file.
+/// Adds the name of the limit to the error for a file that is too large.
 pub(super) fn name_limit(error: FmiError) -> FmiError {
     match error {
         FmiError::BadEntry { problem: EntryProblem::TooLarge { limit, .. }, .. } => {

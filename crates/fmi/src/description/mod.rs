@@ -1,5 +1,4 @@
-//! The model description: what `modelDescription.xml` says, in types of ours that do not depend on the FMI
-//! version.
+//! Model description: the content of `modelDescription.xml` in types that are independent of the FMI version.
 
 mod checks;
 mod clock;

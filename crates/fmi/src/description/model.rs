@@ -1,4 +1,4 @@
-//! The model description as a whole: header, interfaces, structure, quirks, lookup by name.
+//! Model description: header, interfaces, structure, quirks, and lookup by name.
 
 use super::names;
 use super::names::NameIndex;
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::fmt;
 
-/// The content of `modelDescription.xml`.
+/// Content of `modelDescription.xml`.
 #[derive(Debug, Clone, Default, PartialEq)]
 #[non_exhaustive]
 pub struct ModelDescription {
@@ -18,38 +18,39 @@ pub struct ModelDescription {
     pub fmi_version: FmiVersion,
     /// Name of the model.
     pub model_name: String,
-    /// Key shared by the description and the binary, exactly as in the file
-    /// (`guid` in FMI 1.0 and 2.0, `instantiationToken` in 3.0).
+    /// Key shared by the description and the binary, exactly as in the file (`guid` in FMI 1.0 and 2.0,
+    /// `instantiationToken` in 3.0).
     pub guid: String,
     /// Description of the model.
     pub description: Option<String>,
-    /// Who made it.
+    /// Author of the model.
     pub author: Option<String>,
     /// Version of the model.
     pub version: Option<String>,
     /// Copyright notice.
     pub copyright: Option<String>,
-    /// Licence.
+    /// License.
     pub license: Option<String>,
-    /// Tool that made the file.
+    /// Tool that generated the file.
     pub generation_tool: Option<String>,
-    /// When it was made.
+    /// Date and time of the generation.
     pub generation_date_and_time: Option<String>,
     /// `flat` or `structured`.
     pub variable_naming_convention: Option<String>,
-    /// Model exchange, if offered.
+    /// Model-exchange interface, if supported.
     pub model_exchange: Option<Interface>,
-    /// Co-simulation, if offered.
+    /// Co-simulation interface, if supported.
     pub co_simulation: Option<Interface>,
-    /// Scheduled execution is offered (FMI 3.0). It can be described, not run.
+    /// True if the model supports scheduled execution (FMI 3.0). This library can describe such models but
+    /// not run them.
     pub offers_scheduled_execution: bool,
     /// Units.
     pub units: Vec<Unit>,
-    /// Types.
+    /// Type definitions.
     pub type_definitions: Vec<TypeDefinition>,
     /// Categories of log messages.
     pub log_categories: Vec<LogCategory>,
-    /// Suggested span, tolerance and step.
+    /// Suggested time span, tolerance and step size.
     pub default_experiment: DefaultExperiment,
     /// Variables in the order of the file.
     pub variables: Vec<Variable>,
@@ -57,32 +58,32 @@ pub struct ModelDescription {
     pub structure: ModelStructure,
     /// Number of event indicators, with structural parameters at their start values.
     pub n_event_indicators: usize,
-    /// Number of continuous states where the file gives a number and no list of derivatives (FMI 1.0).
+    /// Number of continuous states if the file contains a number instead of a list of derivatives (FMI 1.0).
     pub declared_states: Option<usize>,
-    /// Where the file departs from the standard.
+    /// Deviations of the file from the standard.
     pub quirks: Vec<Quirk>,
     /// True if a variable is an array (FMI 3.0).
     pub(crate) has_arrays: bool,
-    /// Elements that its arrays may have together.
+    /// Maximum total number of array elements.
     pub(crate) most_elements: usize,
     pub(super) names: NameIndex,
-    /// Positions of variables by their further names.
+    /// Indices of variables by their alias names.
     pub(super) aliases: HashMap<String, usize>,
 }
 
 impl ModelDescription {
-    /// The variable of this name; constant time.
+    /// Returns the variable with this name, in constant time.
     pub fn variable(&self, name: &str) -> Option<&Variable> {
         self.variable_index(name).map(|index| &self.variables[index])
     }
 
-    /// Position in [`variables`](Self::variables) of the variable of this name; constant time.
+    /// Returns the index in [`variables`](Self::variables) of the variable with this name, in constant time.
     pub fn variable_index(&self, name: &str) -> Option<usize> {
         self.names.find(name, &self.variables).or_else(|| self.aliases.get(name).copied())
     }
 
-    /// All names with the positions of their variables, in the order of the file: each variable by its own
-    /// name, then by its aliases (FMI 3.0).
+    /// Returns all names with the indices of their variables, in file order. Each variable is listed under
+    /// its name and then under its aliases (FMI 3.0).
     pub fn names(&self) -> impl Iterator<Item = (&str, usize)> {
         self.variables.iter().enumerate().flat_map(|(position, variable)| {
             let aliases = variable.aliases.iter().map(|alias| alias.name.as_str());
@@ -90,77 +91,79 @@ impl ModelDescription {
         })
     }
 
-    /// At most `n` names of variables that `name` may have been meant for, the most similar first.
+    /// Returns at most `n` variable names similar to `name`, the most similar first.
     pub fn nearest_names(&self, name: &str, n: usize) -> Vec<&str> {
         names::nearest(name, self.names().map(|(name, _)| name), n)
     }
 }
 
-/// One way of running the model: model exchange or co-simulation.
+/// Interface for running the model: model exchange or co-simulation.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Interface {
-    /// Base name of the binary (and prefix of FMI 1.0's functions); never holds a path separator.
+    /// Base name of the binary and function prefix of FMI 1.0. It never contains a path separator.
     pub model_identifier: String,
     /// Capability flags.
     pub capabilities: Capabilities,
-    /// Files in `sources/` to compile, relative to it. For FMI 3.0, see `sources/buildDescription.xml`
-    /// instead.
+    /// Files in `sources/` to compile, relative to that folder. For FMI 3.0, see
+    /// `sources/buildDescription.xml` instead.
     pub source_files: Vec<String>,
 }
 
-/// Capabilities of an interface; false and 0 unless the file says more.
+/// Capabilities of an interface. The defaults are false and 0.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 #[non_exhaustive]
 pub struct Capabilities {
-    /// Runs only with the tool that made it installed.
+    /// The model requires an installation of the tool that generated it.
     pub needs_execution_tool: bool,
-    /// Completed steps need not be announced (model exchange).
+    /// Completed steps need not be reported to the model (model exchange).
     pub completed_integrator_step_not_needed: bool,
-    /// One instance per process only.
+    /// Only one instance per process is possible.
     pub can_be_instantiated_only_once_per_process: bool,
-    /// Does not use the memory callbacks.
+    /// The model does not use the memory callbacks.
     pub can_not_use_memory_management_functions: bool,
-    /// State can be saved and restored.
+    /// The state can be saved and restored.
     pub can_get_and_set_state: bool,
-    /// Saved state can be turned into bytes.
+    /// A saved state can be serialized to bytes.
     pub can_serialize_state: bool,
-    /// Directional derivatives.
+    /// The model provides directional derivatives.
     pub provides_directional_derivative: bool,
-    /// Adjoint derivatives (FMI 3.0).
+    /// The model provides adjoint derivatives (FMI 3.0).
     pub provides_adjoint_derivative: bool,
-    /// Communication steps may vary (co-simulation).
+    /// The communication step size may vary (co-simulation).
     pub can_handle_variable_communication_step_size: bool,
-    /// Inputs are extrapolated from their derivatives (co-simulation).
+    /// The model extrapolates inputs from their derivatives (co-simulation).
     pub can_interpolate_inputs: bool,
-    /// Steps may return before they are done (co-simulation).
+    /// A step may be computed asynchronously (co-simulation).
     pub can_run_asynchronuously: bool,
-    /// Highest derivative of outputs (co-simulation).
+    /// Maximum order of output derivatives (co-simulation).
     pub max_output_derivative_order: u32,
     /// The model has an event mode in co-simulation (FMI 3.0).
     pub has_event_mode: bool,
-    /// A step may end before its end, at an event (FMI 3.0).
+    /// A step may return before its end because of an event (FMI 3.0).
     pub might_return_early_from_do_step: bool,
-    /// It calls back during a step (FMI 3.0). No such callback is passed: inputs are set between steps.
+    /// The model supports callbacks during a step (FMI 3.0). This library passes no such callback: inputs are
+    /// set between steps.
     pub provides_intermediate_update: bool,
-    /// A step ends early where the callback wishes it (FMI 3.0).
+    /// A step ends early if the callback requests it (FMI 3.0).
     pub can_return_early_after_intermediate_update: bool,
-    /// The model steps from one multiple of this to the next (FMI 3.0); in between it stands at the last one.
+    /// Internal step size of the model (FMI 3.0). The model advances only between multiples of this step.
+    /// Between two multiples it stays at the previous one.
     pub fixed_internal_step_size: Option<f64>,
 }
 
 impl Capabilities {
-    /// True if a co-simulation with it handles events between steps.
+    /// True if the co-simulation handles events between steps.
     pub(crate) fn uses_event_mode(&self) -> bool {
         self.has_event_mode
     }
 
-    /// True if its steps may end early: only where the next step may have any length.
+    /// True if steps may end early. This requires that the next step may have any length.
     pub(crate) fn may_return_early(&self) -> bool {
         self.might_return_early_from_do_step && self.can_handle_variable_communication_step_size
     }
 }
 
-/// A category of log messages.
+/// Category of log messages.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LogCategory {
     /// Name.
@@ -169,7 +172,7 @@ pub struct LogCategory {
     pub description: Option<String>,
 }
 
-/// Suggested settings of a simulation; the unit of time is the second.
+/// Suggested settings of a simulation. Times are in seconds.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct DefaultExperiment {
     /// Start time.
@@ -182,13 +185,13 @@ pub struct DefaultExperiment {
     pub step_size: Option<f64>,
 }
 
-/// Outputs, derivatives and initial unknowns, with the variables that they depend on.
-/// All indices are in range of the variables.
+/// Outputs, derivatives and initial unknowns, with the variables on which they depend. All indices are valid
+/// indices of variables.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ModelStructure {
     /// Outputs.
     pub outputs: Vec<Unknown>,
-    /// Derivatives of the continuous states; their order is the order of the state vector.
+    /// Derivatives of the continuous states, in the order of the state vector.
     pub derivatives: Vec<Unknown>,
     /// Unknowns of the initialization.
     pub initial_unknowns: Vec<Unknown>,
@@ -196,27 +199,28 @@ pub struct ModelStructure {
     pub event_indicators: Vec<Unknown>,
 }
 
-/// A variable computed by the model.
+/// Variable computed by the model.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Unknown {
     /// Index of the variable, counted from 0.
     pub index: usize,
-    /// Indices of the variables it depends on; `None`: on all (nothing known), empty: on none.
+    /// Indices of the variables on which it depends. `None` means all variables (nothing is known); an empty
+    /// list means none.
     pub dependencies: Option<Vec<usize>>,
-    /// Kind of its dependency on each of them; empty where the file does not say.
+    /// Kind of each dependency; empty if the file does not specify the kinds.
     pub kinds: Vec<DependencyKind>,
 }
 
 words! {
-    /// Kind of the dependency of an unknown on a known.
+    /// Kind of the dependency of an unknown on a known variable.
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
     #[non_exhaustive]
     pub enum DependencyKind {
-        /// No particular structure.
+        /// No specific structure.
         Dependent = "dependent",
         /// Linear with a constant factor.
         Constant = "constant",
-        /// Linear, with a factor fixed after initialization.
+        /// Linear, with a factor that is fixed after the initialization.
         Fixed = "fixed",
         /// Linear, with a factor that changes with tunable parameters.
         Tunable = "tunable",
@@ -225,48 +229,48 @@ words! {
     }
 }
 
-/// A departure from the standard that was tolerated.
+/// Tolerated deviation from the standard.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Quirk {
-    /// Its class.
+    /// Class of the deviation.
     pub kind: QuirkKind,
-    /// The departure, and how it was treated.
+    /// Description of the deviation and its treatment.
     pub message: String,
-    /// Line in the file, counted from 1 (0: the file as a whole).
+    /// Line in the file, counted from 1; 0 for the file as a whole.
     pub line: u32,
 }
 
 words! {
-    /// Classes of departures from the standard.
+    /// Classes of deviations from the standard.
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
     #[non_exhaustive]
     pub enum QuirkKind {
-        /// The text is not in the encoding it declares.
+        /// The text is not in its declared encoding.
         Encoding = "encoding",
-        /// A value of an attribute that is not understood; the default was taken.
+        /// An attribute value is invalid; its default is used.
         Attribute = "attribute",
         /// A mandatory attribute or element is missing.
         Missing = "missing",
-        /// An element that is not allowed where it stands, or more often than allowed.
+        /// An element is not allowed at its location, or occurs too often.
         Element = "element",
-        /// A name or value that must be unique is not.
+        /// A name or value is not unique.
         Duplicate = "duplicate",
-        /// A unit, type or variable that is referred to is not defined.
+        /// A referenced unit, type or variable is not defined.
         Undefined = "undefined",
-        /// Causality, variability and initial do not go together.
+        /// The combination of causality, variability and initial is not allowed.
         Combination = "combination",
         /// A start value is missing, superfluous or out of range.
         Start = "start",
-        /// A nominal that is zero, negative or not finite; min above max.
+        /// A nominal value is zero, negative or not finite, or min is greater than max.
         Range = "range",
         /// The model structure is not consistent.
         Structure = "structure",
-        /// The model does not do what the description promises.
+        /// The model does not behave as its description specifies.
         Promise = "promise",
-        /// A simulation depends on earlier ones in the same process: each one is to have a process of its
-        /// own.
+        /// A simulation depends on earlier simulations in the same process. Each simulation needs a separate
+        /// process.
         HiddenState = "hidden-state",
-        /// Something this version of the importer does not represent was left out.
+        /// A feature that this version of the importer does not support was ignored.
         Unsupported = "unsupported",
     }
 }

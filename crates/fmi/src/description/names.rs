@@ -1,21 +1,22 @@
-//! Lookup of variables by name: a hashed index, and suggestions for names that do not exist.
+//! Lookup of variables by name: a hash index, and suggestions for unknown names.
 
 use super::variable::{Alias, Variable};
 use std::collections::HashMap;
 use std::hash::{BuildHasher, RandomState};
 
-/// Open-addressing table of positions in the list of variables; the names stay in the variables.
-/// Hashes are keyed at random, so that a file cannot be made to collide.
+/// Open-addressing table of indices into the list of variables. The names stay in the variables. Hash keys
+/// are random, so that a file cannot cause collisions deliberately.
 #[derive(Clone, Default)]
 pub(super) struct NameIndex {
-    /// Position + 1, 0 = empty; a power of two long, at most half full.
+    /// Index + 1, or 0 for an empty slot. The length is a power of two, and at most half of the slots are
+    /// used.
     slots: Vec<u32>,
     hasher: RandomState,
 }
 
 impl NameIndex {
-    /// Indexes the variables; of several with one name the first is found, and `duplicate` hears of the
-    /// others (position of the duplicate, position of the first).
+    /// Indexes the variables. If several variables have the same name, the first is used, and `duplicate` is
+    /// called for each of the others (index of the duplicate, index of the first).
     pub(super) fn build(variables: &[Variable], mut duplicate: impl FnMut(usize, usize)) -> Self {
         let n_slots = (2 * variables.len() + 1).next_power_of_two();
         let mut index = NameIndex { slots: vec![0; n_slots], hasher: RandomState::new() };
@@ -28,12 +29,13 @@ impl NameIndex {
         index
     }
 
-    /// Position of the variable of this name.
+    /// Returns the index of the variable with this name.
     pub(super) fn find(&self, name: &str, variables: &[Variable]) -> Option<usize> {
         if self.slots.is_empty() { None } else { self.probe(name, variables).1 }
     }
 
-    /// The slot where the search for `name` ends, and the position it holds if that is the name.
+    /// Returns the slot where the search for `name` ends, and the variable index in the slot if the name
+    /// matches.
     fn probe(&self, name: &str, variables: &[Variable]) -> (usize, Option<usize>) {
         let mask = self.slots.len() - 1;
         let mut slot = self.hasher.hash_one(name) as usize & mask;
@@ -51,8 +53,9 @@ impl NameIndex {
     }
 }
 
-/// Positions of variables by their aliases; of several with one name the first, after those whose own name it
-/// is. `duplicate` hears of the others (position, alias, position of the first).
+/// Returns the indices of variables by alias. A variable name takes precedence over an alias, and an earlier
+/// alias over a later one. `duplicate` is called for each ignored alias (index, alias, index of the first
+/// variable).
 pub(super) fn aliases(
     variables: &[Variable],
     names: &NameIndex,
@@ -72,7 +75,7 @@ pub(super) fn aliases(
     found
 }
 
-/// The index is made of the variables, so it takes no part in comparisons.
+/// The index is derived from the variables, so comparisons ignore it.
 impl PartialEq for NameIndex {
     fn eq(&self, _: &Self) -> bool {
         true
@@ -85,14 +88,14 @@ impl std::fmt::Debug for NameIndex {
     }
 }
 
-/// Longest name for which similar ones are looked for.
+/// Maximum length of a name for which similar names are searched.
 const LONGEST_WANTED: usize = 100;
 
-/// Letters that make a word, where names share no more than a part.
+/// Minimum number of characters that count as a common word of two names.
 const SHORTEST_WORD: usize = 4;
 
-/// At most `n` of the names that resemble `wanted`, the most similar first, in the order of the file where
-/// they are equally similar.
+/// Returns at most `n` names similar to `wanted`, the most similar first. Equally similar names are in file
+/// order.
 pub(super) fn nearest<'a>(wanted: &str, names: impl Iterator<Item = &'a str>, n: usize) -> Vec<&'a str> {
     let mut search = Search::new(wanted);
     let mut best: Vec<(usize, &str)> = Vec::with_capacity(n + 1);
@@ -107,10 +110,10 @@ pub(super) fn nearest<'a>(wanted: &str, names: impl Iterator<Item = &'a str>, n:
     best.into_iter().map(|(_, name)| name).collect()
 }
 
-/// Bounded search for names near one name, ignoring case; memory is reused from name to name.
+/// Bounded search for names similar to one name, ignoring case. Memory is reused for each name.
 struct Search {
     wanted: Vec<char>,
-    /// Largest distance that counts as similar: a third of the length.
+    /// Maximum distance of similar names: a third of the length plus one.
     limit: usize,
     name: Vec<char>,
     rows: [Vec<usize>; 3],
@@ -123,7 +126,8 @@ impl Search {
         Search { wanted, limit, name: Vec::new(), rows: Default::default() }
     }
 
-    /// Distance of a name, if not too large. The last part of a name, `phi` of `joint.phi`, may stand for it.
+    /// Returns the distance of a name if it is within the limit. The last component of a name also matches,
+    /// for example `phi` for `joint.phi`.
     fn distance(&mut self, name: &str) -> Option<usize> {
         if name.len() > 16 * LONGEST_WANTED {
             return None;
@@ -141,8 +145,8 @@ impl Search {
         edits.or_else(|| self.shares_a_word().then_some(self.limit + 1))
     }
 
-    /// True if a name contains the wanted one, or begins with at least half of it: `fricScale`,
-    /// `joint.friction` for `friction`.
+    /// True if the name contains the wanted name, or begins with at least half of it. For example,
+    /// `fricScale` and `joint.friction` match `friction`.
     fn shares_a_word(&self) -> bool {
         let same = self.name.iter().zip(&self.wanted).take_while(|(a, b)| a == b).count();
         let n = self.wanted.len();
@@ -151,8 +155,8 @@ impl Search {
                 || self.name.windows(n).any(|part| part == self.wanted))
     }
 
-    /// Insertions, deletions, replacements and swaps of neighbours between the two names (optimal string
-    /// alignment), if at most `limit`.
+    /// Returns the number of insertions, deletions, replacements and swaps of adjacent characters between the
+    /// two names (optimal string alignment). Returns `None` if it exceeds `limit`.
     fn edits(&mut self) -> Option<usize> {
         let (a, b) = (&self.wanted, &self.name);
         let [before, last, row] = &mut self.rows;
@@ -191,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn typing_errors_are_forgiven() {
+    fn nearest_names_tolerate_typing_errors() {
         let names = ["armJoint.phi", "armJoint.w", "pendulumJoint.phi", "armFriction", "time"];
         assert_eq!(near("armFrction", &names), ["armFriction"]);
         assert_eq!(near("armFritcion", &names), ["armFriction"]);
@@ -202,13 +206,13 @@ mod tests {
     }
 
     #[test]
-    fn the_closest_come_first_and_no_more_than_asked() {
+    fn nearest_returns_at_most_n_names_sorted_by_distance() {
         assert_eq!(near("abcd", &["abxx", "abcx", "abcd1", "zbcd", "abcd"]), ["abcd", "abcx", "abcd1"]);
         assert!(nearest("a", ["a"].into_iter(), 0).is_empty());
     }
 
     #[test]
-    fn odd_names_do_no_harm() {
+    fn nearest_handles_empty_and_very_long_names() {
         let long = "x".repeat(100_000);
         assert!(near(&long, &["x", ""]).is_empty());
         assert!(near("", &["time", &long]).is_empty());
@@ -216,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn a_swap_is_one_edit() {
+    fn distance_counts_a_swap_as_one_edit() {
         let mut search = Search::new("abcdefghi");
         assert_eq!(search.distance("abdcefghi"), Some(1));
         assert_eq!(search.distance("abcdefghi"), Some(0));

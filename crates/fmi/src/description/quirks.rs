@@ -1,10 +1,10 @@
-//! Collecting departures from the standard, so many of each class that a report stays readable.
+//! Collection of deviations from the standard, with a maximum number per class that keeps a report readable.
 
 use super::model::{Quirk, QuirkKind};
 
-/// Quirks of one class kept with their lines; of the rest only the number.
+/// Number of quirks per class that are kept with their lines. The others are only counted.
 const KEPT: usize = 50;
-/// Characters of a message.
+/// Maximum number of characters in a message.
 const LONGEST: usize = 500;
 
 #[derive(Debug, Default)]
@@ -14,7 +14,7 @@ pub(super) struct Quirks {
 }
 
 impl Quirks {
-    /// Notes a quirk. The message is only made if it is kept.
+    /// Records a quirk. The message is created only if it is kept.
     pub(super) fn add(&mut self, kind: QuirkKind, line: u32, message: impl FnOnce() -> String) {
         let count = match self.counts.iter_mut().find(|(known, _)| *known == kind) {
             Some((_, count)) => count,
@@ -27,7 +27,7 @@ impl Quirks {
         *count += 1;
         if *count <= KEPT {
             let mut message = message();
-            // Names in it may be as long as the file.
+            // Names in the message may be as long as the file.
             if let Some((end, _)) = message.char_indices().nth(LONGEST) {
                 message.truncate(end);
                 message.push_str("...");
@@ -37,7 +37,8 @@ impl Quirks {
         }
     }
 
-    /// The quirks in the order of their lines, those of the file as a whole first.
+    /// Returns the quirks sorted by line, with quirks of the whole file first. The counts of omitted quirks
+    /// are at the end.
     pub(super) fn into_list(mut self) -> Vec<Quirk> {
         self.list.sort_by_key(|quirk| quirk.line);
         for (kind, count) in self.counts {
@@ -55,7 +56,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_flood_of_one_class_leaves_room_for_the_others() {
+    fn quirks_limit_the_number_kept_per_class() {
         let mut quirks = Quirks::default();
         for line in (1..=1000).rev() {
             quirks.add(QuirkKind::Undefined, line, || format!("unit {line}"));

@@ -1,5 +1,4 @@
-//! Start values in the text of a `modelDescription.xml` are changed, and nothing else: all other bytes stay
-//! as they are.
+//! Changes start values in the text of a `modelDescription.xml`. All other bytes stay unchanged.
 
 use super::model::ModelDescription;
 use super::parse::encoding_of;
@@ -11,17 +10,17 @@ use quick_xml::events::{BytesStart, Event};
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-/// The byte order mark of two-byte encodings; that of UTF-8 is three characters here.
+/// Byte order mark of two-byte encodings. The UTF-8 mark is decoded to three characters here.
 const MARK: char = '\u{feff}';
 
-/// The elements of FMI 1.0 and 2.0 that have the start value of a variable.
+/// Elements of FMI 1.0 and 2.0 that contain the start value of a variable.
 const TYPES: [&str; 5] = ["Real", "Integer", "Boolean", "String", "Enumeration"];
 
-/// The document with other start values: of the variables at these positions of the list, as the file would
-/// have them. Where one of them has no `start`, it gets one.
+/// Returns the document with other start values. `starts` maps variable indices to attribute values. An
+/// element without `start` gets the attribute.
 ///
 /// # Errors
-/// [`FmiError::Description`]: the document is not the one of the description, or its variables are not found in it.
+/// [`FmiError::Description`]: the document does not match the description, or a variable is not found in it.
 pub(crate) fn with_start_texts(
     bytes: &[u8],
     description: &ModelDescription,
@@ -32,9 +31,9 @@ pub(crate) fn with_start_texts(
     let mut found = std::collections::BTreeSet::new();
     let bad = |message: String| FmiError::Description { file: MODEL_DESCRIPTION, line: 1, message };
     let mut reader = Reader::from_str(&document.text);
-    // Names of the elements that are open.
+    // Names of the open elements.
     let mut path: Vec<String> = Vec::new();
-    // Of FMI 1.0 and 2.0: the variable whose type element comes next.
+    // FMI 1.0 and 2.0: variable whose type element comes next.
     let mut waiting: Option<usize> = None;
     loop {
         let before = reader.buffer_position() as usize;
@@ -82,11 +81,11 @@ pub(crate) fn with_start_texts(
     Ok(document.with(edits))
 }
 
-/// The change that gives an element a start value. `at`: where its tag stands.
+/// Returns the edit that sets the start value of an element. `at` is the position of its tag.
 fn edit(tag: &str, at: usize, text: &str) -> Option<(Range<usize>, String)> {
     let after_name = 1 + tag[1..].find(|c: char| c.is_ascii_whitespace() || c == '/' || c == '>')?;
     let mut rest = after_name;
-    // The reader has checked that the attributes are well formed.
+    // The reader has already checked that the attributes are well formed.
     while let Some(length) = tag[rest..].find('=') {
         let name = tag[rest..rest + length].trim_ascii();
         let quoted = rest + length + 1 + tag[rest + length + 1..].find(['"', '\''])?;
@@ -100,11 +99,11 @@ fn edit(tag: &str, at: usize, text: &str) -> Option<(Range<usize>, String)> {
     Some((at + after_name..at + after_name, format!(" start=\"{text}\"")))
 }
 
-/// A document as text of which every byte is kept: of two-byte encodings the characters, else one character
-/// for each byte.
+/// Document as text that preserves every byte. Two-byte encodings are decoded; in all other encodings each
+/// byte becomes one character.
 struct Text {
     encoding: &'static Encoding,
-    /// True if a byte order mark comes before the text.
+    /// True if a byte order mark precedes the text.
     is_marked: bool,
     text: String,
 }
@@ -117,7 +116,7 @@ impl Text {
             true => encoding.decode_without_bom_handling(bytes).0.into_owned(),
             false => bytes.iter().map(|byte| char::from(*byte)).collect(),
         };
-        // The reader does not count the mark.
+        // The reader does not count the byte order mark.
         let text: String = text;
         let is_marked = text.starts_with(MARK);
         Self { encoding, is_marked, text: text.trim_start_matches(MARK).to_owned() }
@@ -127,7 +126,7 @@ impl Text {
         self.encoding == UTF_16LE || self.encoding == UTF_16BE
     }
 
-    /// The name that an element gives, as the description has it.
+    /// Returns the `name` attribute of an element, decoded as in the description.
     fn name_of(&self, start: &BytesStart<'_>) -> Option<String> {
         let raw = start.try_get_attribute("name").ok()??.value;
         let raw = raw.into_owned();
@@ -141,7 +140,7 @@ impl Text {
         quick_xml::escape::unescape(&text).ok().map(|name| name.into_owned())
     }
 
-    /// The bytes with these changes, which follow each other.
+    /// Returns the bytes after these edits. The edits are in ascending order.
     fn with(&self, edits: Vec<(Range<usize>, String)>) -> Vec<u8> {
         let mut text = self.text.clone();
         for (place, new) in edits.into_iter().rev() {
@@ -185,7 +184,7 @@ mod tests {
 "#;
 
     #[test]
-    fn only_the_start_values_change() {
+    fn with_start_texts_changes_only_start_values() {
         let new = changed(FMI2.as_bytes(), &[("k", "0.25"), ("<T\u{e4}>", "-3e-5"), ("open", "7")]);
         let expected = FMI2
             .replace("start = '1.0'", "start = '0.25'")
@@ -195,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn every_encoding_keeps_its_bytes() {
+    fn with_start_texts_preserves_bytes_in_every_encoding() {
         let name = FMI2.replace("&lt;T&#228;&gt;", "T\u{e4}");
         let new = name.replace("start=\"2\"", "start=\"8.5\"");
         let change = |bytes: Vec<u8>| changed(&bytes, &[("T\u{e4}", "8.5")]);
@@ -211,13 +210,13 @@ mod tests {
             std::iter::once(0xfeff).chain(text.encode_utf16()).flat_map(u16::to_le_bytes).collect()
         };
         assert_eq!(change(wide(&name)), wide(&new));
-        // Bytes that are not of the encoding stay, too.
+        // Bytes that are invalid in the encoding stay unchanged.
         let damaged = |text: &str| [text.as_bytes(), b"<!-- \xff -->"].concat();
         assert_eq!(change(damaged(&name)), damaged(&new));
     }
 
     #[test]
-    fn elements_of_fmi_3_are_the_variables() {
+    fn with_start_texts_edits_fmi3_variable_elements() {
         let document = r#"<fmiModelDescription fmiVersion="3.0" modelName="m" instantiationToken="g"><CoSimulation modelIdentifier="m"/>
 <ModelVariables><Float64 name="a" valueReference="1" causality="parameter" variability="fixed" start="1 2 3"><Dimension start="3"/></Float64>
 <Int32 name="n" valueReference="2" causality="parameter" variability="fixed" start="4"><Alias name="start" description="start=5"/></Int32>

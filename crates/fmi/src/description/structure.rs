@@ -1,10 +1,10 @@
-//! Sizes of arrays: dimensions that are numbers, and those that are values of structural parameters.
+//! Array sizes: constant dimensions, and dimensions that are values of structural parameters.
 
 use super::model::{ModelDescription, Unknown};
 use super::variable::{Dimension, Variable};
 use crate::value::Value;
 
-/// Values of structural parameters, where they are not the start values.
+/// Values of structural parameters that differ from the start values.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Structure {
     values: Vec<(usize, usize)>,
@@ -16,7 +16,7 @@ impl Structure {
         self.values.is_empty()
     }
 
-    /// Sets the structural parameter at a position; negative values count as 0.
+    /// Sets the structural parameter with this index. Negative values count as 0.
     pub(crate) fn set(&mut self, index: usize, value: &Value) {
         let Value::Integer(value) = value else { return };
         let value = usize::try_from(*value).unwrap_or(0);
@@ -26,7 +26,7 @@ impl Structure {
         }
     }
 
-    /// Extents of a variable; empty for a single value.
+    /// Returns the extents of a variable; empty for a scalar.
     pub(crate) fn extents(&self, model: &ModelDescription, variable: &Variable) -> Vec<usize> {
         variable.dimensions.iter().map(|dimension| self.extent(model, *dimension)).collect()
     }
@@ -45,7 +45,7 @@ impl Structure {
         }
     }
 
-    /// Number of values of a variable, `usize::MAX` for more than that.
+    /// Returns the number of values of a variable, or `usize::MAX` on overflow.
     pub(crate) fn elements(&self, model: &ModelDescription, variable: &Variable) -> usize {
         let product = variable
             .dimensions
@@ -54,8 +54,8 @@ impl Structure {
         product.unwrap_or(usize::MAX)
     }
 
-    /// Refuses sizes with which the model has more elements than its limit: of all arrays together, of the
-    /// states, of the event indicators. The message names the array with which the sum passes it.
+    /// Returns an error if all arrays together, the states or the event indicators exceed the limit on
+    /// elements. The message contains the array with which the sum exceeds the limit.
     pub(crate) fn check(&self, model: &ModelDescription) -> Result<(), (u32, String)> {
         let limit = model.most_elements;
         let refuse = |line, what: &str| {
@@ -90,7 +90,7 @@ impl Structure {
         Ok(())
     }
 
-    /// Number of continuous states.
+    /// Returns the number of continuous states.
     pub(crate) fn states(&self, model: &ModelDescription) -> usize {
         match model.declared_states {
             Some(n) => n,
@@ -98,7 +98,7 @@ impl Structure {
         }
     }
 
-    /// Number of event indicators.
+    /// Returns the number of event indicators.
     pub(crate) fn indicators(&self, model: &ModelDescription) -> usize {
         match &model.structure.event_indicators[..] {
             [] => model.n_event_indicators,

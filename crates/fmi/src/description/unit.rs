@@ -1,15 +1,15 @@
-//! Units: SI exponents with factor and offset, and the display units defined on top of them.
+//! Units: SI exponents with factor and offset, and the display units derived from them.
 
 use serde::Serialize;
 
-/// A unit used by the variables of a model.
+/// Unit used by the variables of a model.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Unit {
-    /// Name, as variables refer to it.
+    /// Name by which variables refer to the unit.
     pub name: String,
-    /// Exponents of the SI base units, factor and offset; `None` where the file does not say.
+    /// Exponents of the SI base units, factor and offset; `None` if the file does not specify them.
     pub base: Option<BaseUnit>,
-    /// Other units values may be shown in.
+    /// Units in which values can be displayed.
     pub display_units: Vec<DisplayUnit>,
 }
 
@@ -18,7 +18,7 @@ pub struct Unit {
 pub struct BaseUnit {
     /// Exponent of the kilogram.
     pub kg: i32,
-    /// Exponent of the metre.
+    /// Exponent of the meter.
     pub m: i32,
     /// Exponent of the second.
     pub s: i32,
@@ -56,17 +56,17 @@ impl BaseUnit {
     }
 }
 
-/// A unit for showing values, with `shown value = factor * value + offset`
-/// (`factor / value` where `inverse`, FMI 3.0).
+/// Unit for displaying values, with `shown value = factor * value + offset`. If `inverse` is true, the shown
+/// value is `factor / value` (FMI 3.0).
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DisplayUnit {
-    /// Name, as variables refer to it.
+    /// Name by which variables refer to the display unit.
     pub name: String,
     /// Factor from the unit to the display unit.
     pub factor: f64,
     /// Offset in the display unit.
     pub offset: f64,
-    /// The shown value is `factor / value` (FMI 3.0; then the offset is 0).
+    /// True if the shown value is `factor / value` (FMI 3.0; the offset is then 0).
     pub inverse: bool,
 }
 
@@ -76,7 +76,7 @@ impl DisplayUnit {
         if self.inverse { self.factor / value } else { self.factor * value + self.offset }
     }
 
-    /// Converts a shown value back to the unit.
+    /// Converts a displayed value back to the unit.
     pub fn read(&self, shown: f64) -> f64 {
         if self.inverse { self.factor / shown } else { (shown - self.offset) / self.factor }
     }

@@ -5,26 +5,25 @@ use crate::macros::words;
 use crate::value::{Value, VariableKind};
 use serde::Serialize;
 
-/// A variable of the model: one value, or an array of them. Attributes that a type definition supplies are
-/// already filled in.
+/// Variable of the model: a scalar or an array. Attributes from its type definition are already filled in.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Variable {
     /// Name, unique in the model.
     pub name: String,
-    /// Handle for get and set calls; unique per kind only, aliases share it.
+    /// Handle for get and set calls. It is unique only per kind. Aliases share it.
     pub value_reference: u32,
     /// Description.
     pub description: Option<String>,
     /// Type of the value.
     pub kind: VariableKind,
-    /// Role towards the outside.
+    /// Role of the variable in the interface of the model.
     pub causality: Causality,
-    /// When it may change.
+    /// Times at which the value may change.
     pub variability: Variability,
-    /// Initialization: as the file says, else the standard's default; `None` for inputs and the independent
-    /// variable.
+    /// Initialization as specified in the file, otherwise the standard's default. `None` for inputs and the
+    /// independent variable.
     pub initial: Option<Initial>,
-    /// May be set several times at one instant (default true).
+    /// The variable may be set several times at one time instant (default true).
     pub can_handle_multiple_set_per_time_instant: bool,
     /// Line in the file, counted from 1.
     pub line: u32,
@@ -32,78 +31,79 @@ pub struct Variable {
     pub declared_type: Option<String>,
     /// Physical quantity.
     pub quantity: Option<String>,
-    /// Unit of the value, min, max, nominal and start.
+    /// Unit of the value and of min, max, nominal and start.
     pub unit: Option<String>,
-    /// Unit for showing it.
+    /// Unit for displaying the value.
     pub display_unit: Option<String>,
-    /// Offsets of display units do not apply (a difference of temperatures).
+    /// Offsets of display units do not apply, for example for a temperature difference.
     pub relative_quantity: bool,
-    /// A state that grows without bound: relative tolerance should not apply (FMI 2.0 `unbounded`).
+    /// The state grows without bound, so a relative tolerance should not apply (FMI 2.0 `unbounded`).
     pub unbounded: bool,
-    /// Smallest value.
+    /// Minimum value.
     pub min: Option<f64>,
-    /// Largest value.
+    /// Maximum value.
     pub max: Option<f64>,
-    /// Typical magnitude, as the file says: may be 0, negative or NaN.
+    /// Typical magnitude as specified in the file. It may be 0, negative or NaN.
     pub nominal: Option<f64>,
     /// Start value.
     pub start: Option<Value>,
-    /// Index of the variable this one is the time derivative of.
+    /// Index of the variable whose time derivative this variable is.
     pub derivative: Option<usize>,
-    /// A state that events may set anew.
+    /// The state may be reinitialized at events.
     pub reinit: bool,
-    /// The model's value with its sign (a Boolean: its truth) reversed: a negated alias of FMI 1.0.
+    /// The value is the model's value with reversed sign, or inverted for a Boolean (negated alias of FMI
+    /// 1.0).
     pub negated: bool,
-    /// Extents of an array, the last one varying fastest; empty for a single value.
+    /// Extents of an array, the last one varying fastest; empty for a scalar.
     pub dimensions: Vec<Dimension>,
-    /// Further names of the variable.
+    /// Alias names of the variable.
     pub aliases: Vec<Alias>,
-    /// Positions of the clocks it belongs to.
+    /// Indices of the clocks to which the variable belongs.
     pub clocks: Vec<usize>,
-    /// Of a clock: when it ticks.
+    /// Timing of a clock.
     pub clock: Option<Box<ClockTiming>>,
-    /// It can be set or read while a co-simulation makes a step (FMI 3.0).
+    /// The variable can be set or read during a co-simulation step (FMI 3.0).
     pub intermediate_update: bool,
-    /// The most bytes that a binary value has (FMI 3.0 `maxSize`).
+    /// Maximum size of a binary value in bytes (FMI 3.0 `maxSize`).
     pub max_size: Option<usize>,
-    /// Its value is an `int` whatever its type: enumerations of FMI 1.0 and 2.0.
+    /// The value is a C `int` regardless of its type (enumerations of FMI 1.0 and 2.0).
     pub(crate) is_narrow: bool,
 }
 
 impl Variable {
-    /// True for a parameter that may change during a simulation. Inputs of a simulation may drive it.
+    /// True for a parameter that may change during a simulation. Simulation inputs may drive it.
     pub fn is_tunable_parameter(&self) -> bool {
         self.causality == Causality::Parameter && self.variability == Variability::Tunable
     }
 
-    /// Smallest and largest value of a variable of an integer type.
+    /// Returns the minimum and maximum value of a variable of an integer type.
     pub(crate) fn integer_range(&self) -> Option<(i128, i128)> {
         let kind = if self.is_narrow { VariableKind::Integer } else { self.kind };
         kind.range()
     }
 }
 
-/// Extent of an array in one direction.
+/// Extent of an array in one dimension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Dimension {
-    /// Always the same.
+    /// Constant extent.
     Fixed(usize),
-    /// The value of a structural parameter, by its position.
+    /// Value of the structural parameter with this index.
     Parameter(usize),
 }
 
-/// A further name of a variable.
+/// Alias name of a variable.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Alias {
-    /// The name; lookups find the variable by it, patterns fit it, and results have a column of it.
+    /// Name. Lookups and patterns accept it, and results contain a column with this name.
     pub name: String,
     /// Description.
     pub description: Option<String>,
-    /// Unit for showing the value under this name.
+    /// Unit for displaying the value under this name.
     pub display_unit: Option<String>,
 }
 
-/// A type that variables refer to by `declaredType`.
+/// Type to which variables refer by `declaredType`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TypeDefinition {
     /// Name.
@@ -116,15 +116,15 @@ pub struct TypeDefinition {
     pub quantity: Option<String>,
     /// Unit.
     pub unit: Option<String>,
-    /// Unit for showing values.
+    /// Unit for displaying values.
     pub display_unit: Option<String>,
     /// Offsets of display units do not apply.
     pub relative_quantity: bool,
-    /// Values grow without bound.
+    /// The values grow without bound.
     pub unbounded: bool,
-    /// Smallest value.
+    /// Minimum value.
     pub min: Option<f64>,
-    /// Largest value.
+    /// Maximum value.
     pub max: Option<f64>,
     /// Typical magnitude.
     pub nominal: Option<f64>,
@@ -132,33 +132,33 @@ pub struct TypeDefinition {
     pub items: Vec<EnumerationItem>,
 }
 
-/// One item of an enumeration.
+/// Item of an enumeration.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct EnumerationItem {
     /// Name.
     pub name: String,
-    /// The integer that stands for it.
+    /// Integer value of the item.
     pub value: i64,
     /// Description.
     pub description: Option<String>,
 }
 
 words! {
-    /// Role of a variable towards the outside.
+    /// Role of a variable in the interface of the model.
     #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
     #[non_exhaustive]
     pub enum Causality {
-        /// Given from outside, constant during a simulation (or tunable between steps).
+        /// Set by the environment; constant during a simulation, or tunable between steps.
         Parameter = "parameter",
-        /// A parameter that other variables' dimensions depend on (FMI 3.0).
+        /// Parameter on which the dimensions of other variables depend (FMI 3.0).
         StructuralParameter = "structuralParameter",
         /// Computed from parameters.
         CalculatedParameter = "calculatedParameter",
-        /// Given from outside.
+        /// Set by the environment.
         Input = "input",
-        /// For use outside.
+        /// Available to the environment.
         Output = "output",
-        /// Internal.
+        /// Internal variable.
         #[default]
         Local = "local",
         /// Time.
@@ -167,15 +167,15 @@ words! {
 }
 
 words! {
-    /// When a variable may change.
+    /// Times at which a variable may change.
     #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
     #[non_exhaustive]
     pub enum Variability {
         /// Never.
         Constant = "constant",
-        /// Not after initialization.
+        /// Not after the initialization.
         Fixed = "fixed",
-        /// At events triggered from outside.
+        /// At events triggered by the environment.
         Tunable = "tunable",
         /// At events.
         Discrete = "discrete",
@@ -186,8 +186,8 @@ words! {
 }
 
 impl Variability {
-    /// Variability where a file does not say: the schema's "continuous" fits Real variables only, and
-    /// parameters do not change.
+    /// Returns the variability if the file does not specify it. The schema's default "continuous" is valid
+    /// only for Real variables, and parameters do not change.
     pub(super) fn default_for(causality: Causality, kind: VariableKind) -> Variability {
         match causality {
             Causality::Parameter | Causality::StructuralParameter | Causality::CalculatedParameter => {
@@ -204,17 +204,17 @@ words! {
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
     #[non_exhaustive]
     pub enum Initial {
-        /// The start value is the value.
+        /// The start value is the initial value.
         Exact = "exact",
-        /// The start value is a guess.
+        /// The start value is an initial guess.
         Approx = "approx",
-        /// Computed; there is no start value.
+        /// The initial value is computed; there is no start value.
         Calculated = "calculated",
     }
 }
 
 impl Initial {
-    /// Default of the standard where a file does not say (FMI 2.0, table in 2.2.7).
+    /// Returns the standard's default if the file does not specify `initial` (FMI 2.0, table in 2.2.7).
     pub(super) fn default_for(causality: Causality, variability: Variability) -> Option<Initial> {
         match (causality, variability) {
             (Causality::Input | Causality::Independent, _) => None,

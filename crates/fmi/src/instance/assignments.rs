@@ -1,12 +1,12 @@
-//! Values on their way into an FMU: names resolved, types and settability checked, sorted into one call per
-//! type.
+//! Values to set in an FMU: resolves names, checks types and settability, and sorts the values into one call
+//! per type.
 
 use super::integer_codec::{self, whole};
 use crate::description::{Causality, Initial, ModelDescription, Value, Variability, Variable, VariableKind};
 use crate::error::{FmiError, Result};
 use std::ffi::CString;
 
-/// Position of the variable of this name.
+/// Returns the index of the variable with this name.
 ///
 /// # Errors
 /// [`FmiError::UnknownVariable`] with the nearest names.
@@ -17,8 +17,8 @@ pub(crate) fn resolve(description: &ModelDescription, name: &str) -> Result<usiz
     })
 }
 
-/// Converts a value to the variable's type: integers to reals, and reals that are whole numbers to integers.
-/// For an array the elements, of which there must be as many as `elements` says.
+/// Converts a value to the variable's type: integers to reals, and reals with integer values to integers. For
+/// an array, `elements` is the required number of elements.
 ///
 /// # Errors
 /// [`FmiError::WrongType`], and [`FmiError::NotFinite`] for NaN and infinities.
@@ -37,7 +37,7 @@ pub(crate) fn convert(variable: &Variable, value: &Value, elements: Option<usize
     }
 }
 
-/// [`convert`] for a single value.
+/// Converts a single value as [`convert`] does.
 pub(crate) fn convert_one(variable: &Variable, value: &Value) -> Result<Value> {
     if let Value::Real(x) = value
         && !x.is_finite()
@@ -65,7 +65,7 @@ pub(crate) fn convert_one(variable: &Variable, value: &Value) -> Result<Value> {
     }
 }
 
-/// The error for a value that does not fit a variable; `given`: the word for its type.
+/// Returns the error for a value that does not fit a variable. `given` describes the type of the value.
 pub(crate) fn wrong_type(variable: &Variable, value: &Value, given: &'static str) -> FmiError {
     let (name, value) = (variable.name.clone(), value.clone());
     FmiError::WrongType { name, kind: variable.kind, value, given }
@@ -76,7 +76,7 @@ fn out_of_range(variable: &Variable, value: &Value) -> FmiError {
     FmiError::OutOfRange { name: variable.name.clone(), kind: variable.kind, value: value.clone(), range }
 }
 
-/// The value with its sign (a Boolean: its truth) reversed.
+/// Returns the value with its sign reversed. A Boolean is inverted.
 pub(crate) fn negate(value: Value) -> Value {
     match value {
         Value::Real(x) => Value::Real(-x),
@@ -87,8 +87,9 @@ pub(crate) fn negate(value: Value) -> Value {
     }
 }
 
-/// Refuses variables that can never be set before a simulation, and says why (FMI 2.0.x, section 2.2.7: table
-/// of causality, variability and initial; section 3.2.2: when what may be set).
+/// Returns an error with the reason for variables that can never be set before a simulation (FMI 2.0.x,
+/// section 2.2.7: table of causality, variability and initial; section 3.2.2: settable variables in each
+/// state).
 pub(crate) fn check_settable_at_start(variable: &Variable) -> Result<()> {
     let reason = if variable.causality == Causality::Independent {
         "it is the independent variable (time)"
@@ -108,7 +109,8 @@ pub(crate) fn check_settable_at_start(variable: &Variable) -> Result<()> {
     Err(not_settable(variable, reason))
 }
 
-/// Refuses what initialization mode does not let be set: all but inputs and variables with `initial = exact`.
+/// Returns an error for variables that cannot be set in initialization mode: all except inputs and variables
+/// with `initial = exact`.
 pub(crate) fn check_settable_in_initialization(variable: &Variable) -> Result<()> {
     check_settable_at_start(variable)?;
     if variable.causality == Causality::StructuralParameter {
@@ -121,8 +123,8 @@ pub(crate) fn check_settable_in_initialization(variable: &Variable) -> Result<()
     }
 }
 
-/// Refuses all but inputs and tunable parameters, which can be set in event mode and between communication
-/// points.
+/// Returns an error for all variables except inputs and tunable parameters, which can be set in event mode
+/// and between communication points.
 pub(crate) fn check_settable_when_discrete(variable: &Variable, reason: &'static str) -> Result<()> {
     match (variable.causality, variable.variability) {
         (Causality::Input, _) | (Causality::Parameter, Variability::Tunable) => Ok(()),
@@ -130,7 +132,7 @@ pub(crate) fn check_settable_when_discrete(variable: &Variable, reason: &'static
     }
 }
 
-/// Refuses what continuous-time mode does not let be set: all but continuous inputs.
+/// Returns an error for variables that cannot be set in continuous-time mode: all except continuous inputs.
 pub(crate) fn check_settable_in_continuous_time(variable: &Variable) -> Result<()> {
     match (variable.causality, variable.variability) {
         (Causality::Input, Variability::Continuous) => Ok(()),
@@ -138,7 +140,7 @@ pub(crate) fn check_settable_in_continuous_time(variable: &Variable) -> Result<(
     }
 }
 
-/// Refuses everything but tunable structural parameters.
+/// Returns an error for all variables except tunable structural parameters.
 pub(crate) fn check_settable_in_reconfiguration(variable: &Variable) -> Result<()> {
     match (variable.causality, variable.variability) {
         (Causality::StructuralParameter, Variability::Tunable) => Ok(()),

@@ -8,10 +8,11 @@ use crate::error::{FmiError, Result};
 use crate::sys::Qualifier;
 
 impl<K> Instance<Initialization, K> {
-    /// Gives a clock with fixed or tunable intervals the interval between its ticks.
+    /// Sets the interval between the ticks of a clock with fixed or tunable intervals.
     ///
     /// # Errors
-    /// There is no such clock, or it cannot be given this interval; the FMU cannot, or refuses.
+    /// There is no such clock, or its interval cannot be set to this value. The FMU does not support clock
+    /// intervals, or returns an error.
     pub fn set_clock_interval(&mut self, name: &str, interval: Interval) -> Result<()> {
         let core = self.core();
         let fmu = core.fmu().clone();
@@ -25,11 +26,12 @@ impl<K> Instance<Initialization, K> {
 }
 
 impl<P: Readable, K> Instance<P, K> {
-    /// Interval before the next tick of a clock as reported by the model, in initialization or event mode;
-    /// `None` while a countdown does not run.
+    /// Returns the interval before the next tick of a clock as reported by the model, in initialization or
+    /// event mode. Returns `None` while a countdown is not running.
     ///
     /// # Errors
-    /// There is no such variable or it is no clock; the FMU cannot tell, or refuses.
+    /// There is no such variable, or it is not a clock. The FMU does not report intervals, or returns an
+    /// error.
     pub fn clock_interval(&mut self, name: &str) -> Result<Option<Interval>> {
         let core = self.core();
         let fmu = core.fmu().clone();
@@ -43,7 +45,7 @@ impl<P: Readable, K> Instance<P, K> {
     }
 }
 
-/// Refuses intervals that the importer cannot give a clock (FMI 3.0.x, section 2.2.8.3).
+/// Returns an error for intervals that the importer cannot set (FMI 3.0.x, section 2.2.8.3).
 pub(crate) fn check_interval(variable: &Variable, interval: Interval) -> Result<()> {
     let name = &variable.name;
     let timing = variable.clock.as_deref().filter(|_| variable.causality == Causality::Input);

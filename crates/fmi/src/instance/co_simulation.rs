@@ -1,4 +1,4 @@
-//! The running mode of co-simulation: communication steps from point to point.
+//! Step mode of co-simulation: communication steps.
 
 use super::core::Core;
 use super::model_exchange::MAX_EVENT_ITERATIONS;
@@ -14,29 +14,30 @@ use std::time::Duration;
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct StepOutcome {
-    /// The model stands at the end of the step.
+    /// True if the model is at the end of the step.
     pub complete: bool,
-    /// The time of the model after the step, if it says so: in FMI 3.0 (`lastSuccessfulTime`) always, else
-    /// where the step is not complete. After a complete step it may differ from the end of the step where the
-    /// model has steps of its own.
+    /// Time of the model after the step, if the model reports it. FMI 3.0 always reports it
+    /// (`lastSuccessfulTime`); earlier versions report it only for incomplete steps. After a complete step it
+    /// may differ from the end of the step if the model has internal steps.
     pub reached: Option<f64>,
-    /// It stands there because it returned early (FMI 3.0): no more of the step is to be made.
+    /// True if the model returned early (FMI 3.0). The rest of the step must not be repeated.
     pub early: bool,
-    /// The model wishes to end the simulation here.
+    /// True if the model requests the end of the simulation.
     pub terminate: bool,
-    /// The model wants its events handled here: see [`Instance::handle_events`](Instance::handle_events).
+    /// True if the model requests event handling at this point: see
+    /// [`Instance::handle_events`](Instance::handle_events).
     pub event: bool,
-    /// The step was cut short by a model that cannot say whether it wishes to end the simulation (FMI 1.0):
-    /// if it makes no further step of whatever length, it does.
+    /// True if the step was incomplete and the model cannot report whether it requests the end of the
+    /// simulation (FMI 1.0). If the model then rejects steps of any length, it has ended.
     pub may_have_ended: bool,
 }
 
-/// Time between two status queries of a step that is computed in the background.
+/// Time between two status queries of a step that is computed asynchronously.
 const POLL: Duration = Duration::from_micros(100);
 
 impl Core {
-    /// One communication step from `time` on. A step that goes on in the background is waited for until
-    /// `keep_waiting` gives an error, and then cancelled.
+    /// Makes one communication step from `time`. Waits for an asynchronous step until `keep_waiting` returns
+    /// an error, and then cancels the step.
     pub(crate) fn do_step(
         &mut self,
         time: f64,
@@ -60,8 +61,8 @@ impl Core {
 }
 
 impl Core {
-    /// Lets the events of this instant happen, in event mode, and goes back to step mode unless the model
-    /// ends the simulation.
+    /// Handles the events at this time in event mode. Returns to step mode unless the model ends the
+    /// simulation.
     pub(crate) fn run_event_mode(
         &mut self,
         time: f64,
@@ -75,16 +76,16 @@ impl Core {
     }
 }
 
-/// The events of a run by hand.
+/// Handles the events of a run that the user controls.
 fn settle(core: &mut Core, time: f64) -> Result<EventOutcome> {
     core.settle_events(time, core.progress.time_tolerance(time), MAX_EVENT_ITERATIONS)
 }
 
 impl Instance<Initialization, CoSimulation> {
-    /// Ends the initialization; the initial events happen.
+    /// Ends the initialization and handles the initial events.
     ///
     /// # Errors
-    /// A clock would tick by itself, which takes an event mode, and there is none; the FMU refuses.
+    /// The model has a clock that ticks without being activated but no event mode; the FMU returns an error.
     pub fn exit_initialization(mut self) -> Result<Instance<StepMode, CoSimulation>> {
         let has_event_mode = self.core().raw.has_event_mode();
         self.core().begin_clocks(has_event_mode)?;
@@ -100,13 +101,15 @@ impl Instance<Initialization, CoSimulation> {
 }
 
 impl Instance<StepMode, CoSimulation> {
-    /// Lets the model compute the step from `time`, where it stands, to `time + step`. Where the model has
-    /// asked for event mode, inputs wait for it, or a clock is due, the events at `time` happen first, and so
-    /// they do where a clock ticks within the step. Those at its end are for
-    /// [`handle_events`](Self::handle_events), or the next step.
+    /// Lets the model compute the step from `time`, its current time, to `time + step`.
+    ///
+    /// Events at `time` are handled first if the model has requested event mode, input values are waiting for
+    /// it, or a clock is due. Clock ticks within the step are handled as well. Events at the end of the step
+    /// are handled by [`handle_events`](Self::handle_events) or the next step.
     ///
     /// # Errors
-    /// The FMU refuses. A step that it computes in part or not at all is no error: see [`StepOutcome`].
+    /// The FMU returns an error. A step that the FMU computes only partly or not at all is not an error: see
+    /// [`StepOutcome`].
     pub fn do_step(&mut self, time: f64, step: f64) -> Result<StepOutcome> {
         let core = self.core();
         let tolerance = core.progress.time_tolerance(time + step);
@@ -134,21 +137,22 @@ impl Instance<StepMode, CoSimulation> {
         }
     }
 
-    /// Lets the model's events at `time`, where it stands, happen; after a step whose outcome asks for it.
+    /// Handles the model's events at `time`, its current time. Call this function after a step whose outcome
+    /// requests it.
     ///
     /// # Errors
-    /// The FMU has no event mode, or refuses.
+    /// The FMU has no event mode, or returns an error.
     pub fn handle_events(&mut self, time: f64) -> Result<EventOutcome> {
         let core = self.core();
         core.call(RawInstance::enter_event_mode)?;
         core.run_event_mode(time, settle)
     }
 
-    /// Sets the first derivatives of real inputs with respect to time, for the next step.
+    /// Sets the first derivatives of real inputs with respect to time for the next step.
     ///
     /// # Errors
-    /// The slices differ in length, a reference is not that of a variable of type Real; the FMU cannot, or
-    /// refuses.
+    /// The slices differ in length, or a reference does not belong to a variable of type Real. The FMU does
+    /// not support input derivatives, or returns an error.
     pub fn set_input_derivatives(&mut self, references: &[u32], values: &[f64]) -> Result<()> {
         self.core().check_reals("set_input_derivatives", references, values.len())?;
         self.core().call(|raw| raw.set_input_derivatives(references, values))
@@ -157,7 +161,7 @@ impl Instance<StepMode, CoSimulation> {
     /// Ends the simulation.
     ///
     /// # Errors
-    /// The FMU refuses.
+    /// The FMU returns an error.
     pub fn terminate(self) -> Result<Instance<Terminated, CoSimulation>> {
         self.step_to(RawInstance::terminate)
     }

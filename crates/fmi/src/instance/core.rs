@@ -1,5 +1,4 @@
-//! The part of an instance that does not change with the phase: values, sizes, and the words for what goes
-//! wrong.
+//! Part of an instance that is independent of the phase: values, sizes and error messages.
 
 use super::assignments::{self, Assignments};
 use super::integer_codec;
@@ -12,20 +11,20 @@ use crate::sys::{Fault, RawInstance, Sizes};
 use std::ffi::CString;
 use std::sync::Arc;
 
-/// An instance in any phase. The component is dropped before the FMU, with which its library goes.
+/// Instance in any phase. The component is dropped before the FMU, which owns the library.
 #[derive(Debug)]
 pub(crate) struct Core {
     pub(crate) raw: RawInstance,
-    /// Of an instance made by hand, whose library is in use by it.
+    /// Library in use by an instance that the user controls; `None` in simulations.
     pub(super) _library: Option<Arc<LoadedLibrary>>,
     pub(super) fmu: Fmu,
     pub(super) structure: Structure,
-    /// Of an instance that is driven by hand.
+    /// Progress of an instance that the user controls.
     pub(super) progress: Progress,
 }
 
 impl Core {
-    /// Of an instance whose structural parameters have their start values.
+    /// Creates the core of an instance whose structural parameters have their start values.
     pub(crate) fn new(raw: RawInstance, fmu: Fmu) -> Self {
         Self { raw, _library: None, fmu, structure: Structure::default(), progress: Progress::default() }
     }
@@ -34,12 +33,13 @@ impl Core {
         &self.fmu
     }
 
-    /// The error behind a fault.
+    /// Converts a fault to an error.
     pub(crate) fn error(&self, fault: Fault) -> FmiError {
         self.error_about(fault, &[], |_| false)
     }
 
-    /// The error behind a fault of a call about `references`, whose kind of variable `is` tells.
+    /// Converts a fault of a call about `references` to an error. `is` selects the kinds of variables that
+    /// the call concerns.
     pub(crate) fn error_about(
         &self,
         fault: Fault,
@@ -69,7 +69,7 @@ impl Core {
         FmiError::Call(failure)
     }
 
-    /// The last lines that were logged, with the names of the variables, and how many others there were.
+    /// Returns the last log lines, with the names of the variables, and the number of discarded lines.
     pub(super) fn log(&self) -> (Vec<LogLine>, u64) {
         let (mut lines, dropped) = self.raw.log();
         for line in &mut lines {
@@ -78,7 +78,7 @@ impl Core {
         (lines, dropped)
     }
 
-    /// Hands what the FMU has logged to the program's logger, outside of any call of the FMU.
+    /// Forwards the FMU's log lines to the program's logger, outside any call of the FMU.
     pub(crate) fn pass_log_on(&self) {
         let level = self.fmu.log_level();
         if !log::log_enabled!(level) {
@@ -94,11 +94,11 @@ impl Core {
         }
     }
 
-    /// Switches logging on, of these categories (of all, if there are none), or off.
+    /// Switches logging on or off. If `categories` is empty, all categories are selected.
     pub(crate) fn set_logging(&mut self, on: bool, categories: &[String]) -> Result<()> {
         let model = self.fmu.description();
         let known = || model.log_categories.iter().map(|category| &category.name);
-        // FMI 1.0 has no list of them.
+        // FMI 1.0 does not declare categories.
         let is_unknown = |name: &&String| model.fmi_version.major > 1 && !known().any(|known| known == *name);
         if let Some(name) = categories.iter().find(is_unknown) {
             let known: Vec<&str> = known().map(String::as_str).collect();
@@ -133,21 +133,22 @@ impl Core {
         Ok(())
     }
 
-    /// Gives structural parameters their values (in configuration mode, before everything else), and makes
-    /// the sizes of the model's vectors those that follow.
+    /// Sets the values of structural parameters, in configuration mode and before all other values. Updates
+    /// the sizes of the model's vectors accordingly.
     pub(crate) fn configure(&mut self, values: &Assignments, structure: &Structure) -> Result<()> {
         if !values.is_empty() {
             self.call(RawInstance::enter_configuration)?;
             let applied = self.apply(values);
             let left = self.call(RawInstance::exit_configuration);
-            // What was wrong with the values matters more; the instance has the structure it had.
+            // The error in the values takes precedence. After an error the instance keeps its previous
+            // structure.
             applied.and(left)?;
         }
         self.restructure(structure);
         Ok(())
     }
 
-    /// Makes the sizes of the model's vectors those that follow from its structural parameters.
+    /// Updates the sizes of the model's vectors for new structural parameters.
     pub(super) fn restructure(&mut self, structure: &Structure) {
         self.structure.clone_from(structure);
         let model = self.fmu.description();
@@ -155,7 +156,7 @@ impl Core {
             .set_sizes(Sizes { states: structure.states(model), indicators: structure.indicators(model) });
     }
 
-    /// Compares the sizes that the description promises with those the FMU says.
+    /// Compares the sizes in the description with the sizes that the FMU reports.
     pub(crate) fn check_sizes(&mut self) -> Result<()> {
         let model = self.fmu.description();
         let promised =
@@ -179,9 +180,9 @@ impl Core {
             .map_err(|fault| self.error_about(fault, references, |kind| kind == VariableKind::Real))
     }
 
-    /// Refuses value references that are not those of variables of type Real, and slices that do not have as
-    /// many elements as these have values: where a reference may stand for an array, only the description
-    /// knows how many.
+    /// Returns an error for value references that do not belong to variables of type Real, or if the number
+    /// of values is wrong. If a reference may belong to an array, only the description contains the number of
+    /// its elements.
     #[inline]
     pub(crate) fn check_reals(&self, call: &'static str, references: &[u32], found: usize) -> Result<()> {
         self.fmu.check_real_references(call, references)?;
@@ -195,7 +196,7 @@ impl Core {
         if expected == found { Ok(()) } else { Err(FmiError::Length { call, expected, found }) }
     }
 
-    /// Number of elements of an array; `None` for a single value.
+    /// Returns the number of elements of an array, or `None` for a scalar.
     pub(crate) fn elements(&self, variable: &Variable) -> Option<usize> {
         let is_array = !variable.dimensions.is_empty();
         is_array.then(|| self.structure.elements(self.fmu.description(), variable))
@@ -245,14 +246,14 @@ impl Core {
         Ok(if variable.negated { assignments::negate(value) } else { value })
     }
 
-    /// Runs a raw call and words its error.
+    /// Makes a raw call and converts its fault to an error.
     pub(crate) fn call<T>(&mut self, call: impl FnOnce(&mut RawInstance) -> Result<T, Fault>) -> Result<T> {
         call(&mut self.raw).map_err(|fault| self.error(fault))
     }
 }
 
-/// Replaces `#r12#` (type letter and value reference) by the name of the variable and `##` by `#`
-/// (FMI 2.0.x, section 2.1.5); anything else stays.
+/// Replaces `#r12#` (type letter and value reference) by the name of the variable, and `##` by `#` (FMI
+/// 2.0.x, section 2.1.5). All other text stays unchanged.
 fn expand_references(text: &str, description: &ModelDescription) -> String {
     let mut out = String::with_capacity(text.len());
     let mut rest = text;
@@ -276,7 +277,7 @@ fn expand_references(text: &str, description: &ModelDescription) -> String {
     out
 }
 
-/// The name behind `r12`.
+/// Returns the variable name for a reference such as `r12`.
 fn referenced<'a>(inner: &str, description: &'a ModelDescription) -> Option<&'a str> {
     let mut chars = inner.chars();
     let letter = chars.next()?;
@@ -293,7 +294,7 @@ fn letter_of(kind: VariableKind) -> char {
         VariableKind::Real => 'r',
         VariableKind::Boolean => 'b',
         VariableKind::String => 's',
-        // Types of FMI 3.0, whose messages have no references, cannot be meant.
+        // Types of FMI 3.0 cannot occur, because FMI 3.0 messages contain no references.
         _ => 'i',
     }
 }

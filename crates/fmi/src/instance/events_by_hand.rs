@@ -1,5 +1,5 @@
-//! Events of an instance that is driven by hand: clocks that tick, inputs that wait for event mode, and the
-//! event iteration, as a simulation has them.
+//! Events of an instance that the user controls: clock ticks, inputs that wait for event mode, and the event
+//! iteration. They are handled as in a simulation.
 
 use super::assignments::Assignments;
 use super::core::Core;
@@ -11,7 +11,8 @@ use crate::sys::{IntervalAnswer, Qualifier, RawInstance};
 use ode::EventOutcome;
 
 impl TimedClock {
-    /// The first ticks, asked for in initialization mode where the description does not say them.
+    /// Returns the first ticks. Reads them from the model in initialization mode if the description does not
+    /// define them.
     pub(crate) fn first(&self, core: &mut Core, start: f64) -> Result<Schedule> {
         match self.timing.kind {
             ClockKind::Changing | ClockKind::Countdown => {
@@ -47,8 +48,8 @@ impl TimedClock {
         core.call(|raw: &mut RawInstance| raw.get_interval(reference, fraction))
     }
 
-    /// Takes the tick that is due within `tolerance` of `t`, if there is one, and plans the next one as far
-    /// as it is known. Returns the exact time of the tick.
+    /// Removes the tick that is due within `tolerance` of `t`, if any, and schedules the next one if it is
+    /// known. Returns the exact time of the tick.
     pub(crate) fn take_due(&self, schedule: &mut Schedule, t: f64, tolerance: f64) -> Option<f64> {
         let time = schedule.next.filter(|next| *next <= t + tolerance)?;
         match self.timing.kind {
@@ -58,8 +59,8 @@ impl TimedClock {
         Some(time)
     }
 
-    /// Asks for the interval, if it may have changed in this visit of event mode, in which the clock has
-    /// ticked at the time `tick` or not at all.
+    /// Reads the interval from the model if it may have changed during this visit of event mode. `tick` is
+    /// the time at which the clock has ticked in this visit, if any.
     pub(crate) fn learn(
         &self,
         core: &mut Core,
@@ -83,7 +84,8 @@ impl TimedClock {
                 *schedule = Schedule::periodic(tick.unwrap_or(t), Interval::Decimal(0.0), answer.interval, 1);
             }
             (ClockKind::Countdown, Qualifier::NotYetKnown) => schedule.next = None,
-            // The standard wants "changed" after a tick; what else can be meant with a clock that has just ticked?
+            // The standard requires "changed" after a tick. "Unchanged" is accepted because a clock that has
+            // just ticked cannot mean anything else.
             (ClockKind::Changing, Qualifier::Unchanged | Qualifier::Changed)
             | (ClockKind::Countdown, Qualifier::Changed) => {
                 self.check(answer.interval, false)?;
@@ -96,11 +98,11 @@ impl TimedClock {
 }
 
 impl Core {
-    /// Before the initialization of an instance by hand ends: learns when its clocks tick. `handles_events`:
-    /// it will have an event mode.
+    /// Determines when the clocks tick, before the initialization of an instance that the user controls ends.
+    /// `handles_events` is true if the instance will have an event mode.
     ///
     /// # Errors
-    /// A clock ticks by itself and there is no event mode for it; an interval that makes no sense.
+    /// A clock ticks without being activated but there is no event mode; an interval is invalid.
     pub(super) fn begin_clocks(&mut self, handles_events: bool) -> Result<()> {
         let start = self.raw.time().unwrap_or(0.0);
         self.progress.start = Some(start);
@@ -126,14 +128,14 @@ impl Core {
         Ok(())
     }
 
-    /// True if a variable is set in event mode only: of a co-simulation that has one all but continuous
-    /// inputs.
+    /// True if a variable is set only in event mode. In a co-simulation with event mode, this applies to all
+    /// variables except continuous inputs.
     pub(super) fn waits_for_events(&self, variable: &Variable) -> bool {
         self.raw.has_event_mode() && variable.variability != Variability::Continuous
     }
 
-    /// True if the model has asked for event mode, a clock is due at `t`, or inputs wait for event mode that
-    /// need no clock to tick.
+    /// True if the model has requested event mode, a clock is due at `t`, or an input waits for event mode
+    /// and needs no clock tick.
     pub(super) fn has_events_at(&self, t: f64, tolerance: f64) -> bool {
         let variables = &self.fmu.description().variables;
         let is_ready =
@@ -143,18 +145,18 @@ impl Core {
             || self.progress.waiting.iter().any(|(index, _)| is_ready(*index))
     }
 
-    /// Before inputs are set in continuous-time mode: remembers the event indicators, which tell then whether
-    /// that is an event.
+    /// Stores the event indicators before inputs are set in continuous-time mode. They later determine if
+    /// setting the inputs caused an event.
     pub(super) fn note_indicators(&mut self) {
         if self.progress.before_inputs.is_none() {
             self.progress.before_inputs = self.indicators().ok();
         }
     }
 
-    /// True if an event indicator has another domain than before inputs were set.
+    /// True if the domain of an event indicator has changed since before the inputs were set.
     ///
     /// # Errors
-    /// The FMU refuses.
+    /// The FMU returns an error.
     pub(super) fn inputs_cross(&mut self) -> Result<bool> {
         let Some(before) = self.progress.before_inputs.take() else { return Ok(false) };
         let now = self.indicators()?;
@@ -169,9 +171,9 @@ impl Core {
         Ok(indicators)
     }
 
-    /// The events of an instant of a run by hand, in event mode: sets the clocks that are due and the inputs
-    /// that wait, updates the discrete states until they settle, and notes what comes next. Times closer than
-    /// `tolerance` are one.
+    /// Handles the events at one time of a run that the user controls, in event mode. Sets due clocks and
+    /// waiting inputs, updates the discrete states until they settle, and stores the next event. Times closer
+    /// than `tolerance` count as equal.
     pub(super) fn settle_events(&mut self, time: f64, tolerance: f64, limit: u32) -> Result<EventOutcome> {
         let mut total = EventOutcome::default();
         self.progress.before_inputs = None;
@@ -195,7 +197,7 @@ impl Core {
             }
             self.progress.schedules = schedules;
             learnt?;
-            // An interval of 0: the next tick of this instant.
+            // With an interval of 0, the next tick is at the same time.
             let tick = self.progress.next_tick();
             if tick.is_none_or(|tick| tick > time + tolerance) {
                 total.next_time = next_instant(total.next_time, tick, tolerance);
@@ -206,8 +208,8 @@ impl Core {
         Err(FmiError::EventIteration { time, limit })
     }
 
-    /// Sets the clocks that tick and what waits for event mode; clocked inputs wait for a tick of a clock of
-    /// theirs. Returns the exact times of the ticks.
+    /// Sets the clocks that tick and the values that wait for event mode. Clocked inputs wait for a tick of
+    /// one of their clocks. Returns the exact times of the ticks.
     fn activate(&mut self, time: f64, tolerance: f64) -> Result<Vec<Option<f64>>> {
         let Progress { clocks, schedules, waiting, .. } = &mut self.progress;
         let ticked: Vec<Option<f64>> = clocks

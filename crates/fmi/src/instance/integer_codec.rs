@@ -1,12 +1,12 @@
-//! Numbers other than 64-bit floating point on their way to and from FMUs: all of them travel in words of 64
-//! bits.
+//! Conversion of values that are not 64-bit floating-point numbers to and from FMUs. All of them are stored
+//! in 64-bit words.
 //!
-//! Integers keep their sign, `UInt64` its bits, Booleans and clocks are 0 and 1, `Float32` travels as the
-//! bits of the equal `f64`.
+//! Integers keep their sign. `UInt64` keeps its bits. Booleans and clocks are 0 and 1. `Float32` is stored as
+//! the bits of the equal `f64`.
 
 use crate::description::{Value, Variable, VariableKind};
 
-/// A word as a number.
+/// Converts a word to a number.
 pub(crate) fn number(kind: VariableKind, word: i64) -> f64 {
     match kind {
         VariableKind::Float32 => f64::from_bits(word as u64),
@@ -15,7 +15,7 @@ pub(crate) fn number(kind: VariableKind, word: i64) -> f64 {
     }
 }
 
-/// A word as a value.
+/// Converts a word to a value.
 pub(crate) fn value(kind: VariableKind, word: i64) -> Value {
     match kind {
         VariableKind::Float32 => Value::Real(f64::from_bits(word as u64)),
@@ -25,7 +25,7 @@ pub(crate) fn value(kind: VariableKind, word: i64) -> Value {
     }
 }
 
-/// The word of a value that has the type of its variable; `None` if it does not fit.
+/// Converts a value of its variable's type to a word. Returns `None` if the value does not fit.
 pub(crate) fn word(kind: VariableKind, value: &Value) -> Option<i64> {
     match (kind, value) {
         (VariableKind::Float32, Value::Real(x)) => Some(single(*x).to_bits() as i64),
@@ -38,7 +38,7 @@ pub(crate) fn word(kind: VariableKind, value: &Value) -> Option<i64> {
     }
 }
 
-/// The word of a number; `None` if it is none of the type.
+/// Converts a number to a word. Returns `None` if the number is not a value of the type.
 pub(crate) fn word_of_number(kind: VariableKind, x: f64) -> Option<i64> {
     match kind {
         VariableKind::Float32 => Some(single(x).to_bits() as i64),
@@ -53,12 +53,12 @@ pub(crate) fn is_of(variable: &Variable, x: f64) -> bool {
     word_of_number(variable.kind, x).is_some() && variable.integer_range().is_none_or(fits)
 }
 
-/// The nearest number of single precision.
+/// Returns the nearest single-precision number.
 fn single(x: f64) -> f64 {
     f64::from(x as f32)
 }
 
-/// A real that is an integer.
+/// Converts a real to an integer. Returns `None` if the real is not an integer.
 pub(crate) fn whole(x: f64) -> Option<i128> {
     let i = x as i128;
     (i as f64 == x).then_some(i)
@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_come_back_as_they_went() {
+    fn values_survive_the_round_trip_through_words() {
         for (kind, given) in [
             (VariableKind::Int8, Value::Integer(-128)),
             (VariableKind::UInt8, Value::Integer(255)),
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_out_of_range_has_no_lane() {
+    fn word_is_none_for_values_out_of_range() {
         assert_eq!(word(VariableKind::Int8, &Value::Integer(128)), None);
         assert_eq!(word(VariableKind::UInt8, &Value::Integer(-1)), None);
         assert_eq!(word(VariableKind::UInt64, &Value::Integer(1 << 64)), None);

@@ -1,4 +1,4 @@
-//! Integration of an instance that is driven by hand, from one time to another.
+//! Integration of an instance that the user controls, from one time to another.
 
 use super::core::Core;
 use super::model_exchange::MAX_EVENT_ITERATIONS;
@@ -10,36 +10,37 @@ use ode::{
     StepAction, Termination,
 };
 
-/// End of an integration by hand.
+/// Result of an integration of an instance that the user controls.
 #[derive(Debug)]
 pub enum Integrated {
-    /// The end was reached.
+    /// The integration reached its end time.
     Reached {
-        /// The instance at the end.
+        /// Instance at the end time.
         instance: Instance<ContinuousTime>,
     },
-    /// The model has ended the simulation.
+    /// The model ended the simulation.
     Ended {
-        /// The instance, whose values can be read.
+        /// Instance whose values can be read.
         instance: Instance<EventMode>,
-        /// Time at which it has.
+        /// Time at which the model ended the simulation.
         time: f64,
     },
 }
 
 impl Instance<ContinuousTime> {
-    /// Integrates the states from `start`, where the instance stands, to `end`, and handles the events on the
-    /// way; inputs stay as they are. Where an event indicator has changed its domain because inputs were set,
-    /// that is an event at `start`.
+    /// Integrates the states from `start`, the current time of the instance, to `end`, and handles all
+    /// events. Inputs stay unchanged. If setting inputs has changed the domain of an event indicator, an
+    /// event is handled at `start`.
     ///
     /// # Errors
-    /// Options that make no sense; the solver fails ([`FmiError::Simulation`]), or the FMU refuses. The
-    /// instance is freed then.
+    /// The options are invalid, the solver fails ([`FmiError::Simulation`]), or the FMU returns an error. The
+    /// instance is then freed.
     pub fn integrate(self, start: f64, end: f64, options: Options) -> Result<Integrated> {
         self.integrate_until(start, end, options, &mut Ignore)
     }
 
-    /// The same; ends with [`FmiError::Cancelled`] when the observer wishes it.
+    /// Integrates as [`integrate`](Self::integrate) does. Returns [`FmiError::Cancelled`] if the observer
+    /// stops the run.
     pub(crate) fn integrate_until(
         mut self,
         start: f64,
@@ -77,14 +78,14 @@ impl Instance<ContinuousTime> {
         }
         let ByHand { is_over, floor, last: (time, states), .. } = system;
         if is_over || report.termination == Termination::StoppedByModel {
-            // The wish to end comes from event mode, or from a completed step.
+            // The model requests the end in event mode or after a completed step.
             if !is_over {
                 self.core().call(RawInstance::enter_event_mode)?;
             }
             self.core().progress.next_event = None;
             return Ok(Integrated::Ended { instance: self.into_phase(), time });
         }
-        // What was looked at last need not be the end.
+        // The model may have been evaluated last at a different point.
         self.set_time(end.max(floor))?;
         if !states.is_empty() {
             self.set_continuous_states(&states)?;
@@ -93,20 +94,20 @@ impl Instance<ContinuousTime> {
     }
 }
 
-/// The instance as the system that the driver integrates.
+/// Adapter through which the driver integrates the instance.
 struct ByHand<'a> {
     core: &'a mut Core,
     n_states: usize,
     n_indicators: usize,
     end: f64,
-    /// Times closer than this are one: in the whole run, whose steps have added up their rounding errors, and
-    /// not in this step alone.
+    /// Difference below which two times count as equal. It refers to the whole run, because rounding errors
+    /// accumulate over its steps.
     tolerance: f64,
-    /// The model has ended the simulation, in event mode.
+    /// True if the model has ended the simulation in event mode.
     is_over: bool,
-    /// Time of the last event, behind which the model is not taken back.
+    /// Time of the last event. The model never returns to an earlier time.
     floor: f64,
-    /// The point last committed.
+    /// Last committed point.
     last: (f64, Vec<f64>),
 }
 
@@ -124,7 +125,7 @@ impl ByHand<'_> {
         if x.is_empty() { Ok(()) } else { self.call(|raw| raw.set_continuous_states(x)) }
     }
 
-    /// The next time event; one that is at the end but for rounding is there.
+    /// Returns the next time event. An event at the end time, apart from rounding, is moved to the end time.
     fn next_event(&self) -> Option<f64> {
         let is_at_end = |next: f64| next > self.end && next - self.end <= self.tolerance;
         self.core.progress.next_event.map(|next| if is_at_end(next) { self.end } else { next })
@@ -158,7 +159,7 @@ impl HybridSystem for ByHand<'_> {
             Err(CallError::Discard) => nominals.fill(1.0),
             outcome => outcome?,
         }
-        // The standard asks for positive ones (FMI 2.0.x, section 2.2.7).
+        // The standard requires positive nominal values (FMI 2.0.x, section 2.2.7).
         for nominal in nominals.iter_mut().filter(|nominal| !(nominal.is_finite() && **nominal > 0.0)) {
             *nominal = if nominal.is_finite() && *nominal < 0.0 { -*nominal } else { 1.0 };
         }

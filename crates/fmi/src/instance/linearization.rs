@@ -1,4 +1,4 @@
-//! Linearisation of a model at the point where an instance stands.
+//! Linearization of a model at the current point of an instance.
 
 use super::core::Core;
 use super::phases::{ContinuousTime, Instance};
@@ -6,26 +6,28 @@ use crate::description::{Causality, ModelDescription, Structure, Variability, Va
 use crate::error::{FmiError, Result};
 use serde::{Deserialize, Serialize};
 
-/// Difference of a central difference quotient over the size of the number: the cube root of the rounding
-/// error balances rounding and truncation (Press et al., Numerical Recipes, 3rd ed., section 5.7).
+/// Relative step of a central difference quotient. The cube root of the rounding error balances rounding and
+/// truncation (Press et al., Numerical Recipes, 3rd ed., section 5.7).
 const DIFFERENCE: f64 = 6.055_454_452_393_343e-6;
 
-/// The linear system `dx/dt = A x + B u`, `y = C x + D u` of deviations from the point; matrices by rows.
+/// Linear system `dx/dt = A x + B u`, `y = C x + D u` of deviations from the point. Matrices are stored by
+/// rows.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Linearization {
-    /// Names of the states, elements of arrays one by one; `der(?)` where the file does not tell.
+    /// Names of the states, with array elements listed separately. A name is `?` if the description does not
+    /// provide it.
     pub states: Vec<String>,
     /// Names of the continuous inputs of type Real.
     pub inputs: Vec<String>,
     /// Names of the continuous outputs of type Real.
     pub outputs: Vec<String>,
-    /// Derivatives by states.
+    /// Derivatives of the state derivatives with respect to the states.
     pub a: Vec<f64>,
-    /// Derivatives by inputs.
+    /// Derivatives of the state derivatives with respect to the inputs.
     pub b: Vec<f64>,
-    /// Outputs by states.
+    /// Derivatives of the outputs with respect to the states.
     pub c: Vec<f64>,
-    /// Outputs by inputs.
+    /// Derivatives of the outputs with respect to the inputs.
     pub d: Vec<f64>,
 }
 
@@ -59,7 +61,7 @@ impl Vector {
     }
 }
 
-/// Adds the names of the elements of a variable, the last index varying fastest.
+/// Appends the names of the elements of a variable. The last index varies fastest.
 fn name_elements(name: &str, extents: &[usize], names: &mut Vec<String>) {
     if extents.is_empty() {
         names.push(name.to_owned());
@@ -77,11 +79,11 @@ fn name_elements(name: &str, extents: &[usize], names: &mut Vec<String>) {
 }
 
 impl Instance<ContinuousTime> {
-    /// Linearises the model where it stands: with its directional derivatives where it offers them and
-    /// `differences` is false, else with central differences. It stands at the same point afterwards.
+    /// Linearizes the model at its current point. Uses directional derivatives if the model supports them and
+    /// `differences` is false, otherwise central differences. The model is at the same point afterwards.
     ///
     /// # Errors
-    /// The FMU refuses, or a matrix would have an element that is not finite.
+    /// The FMU returns an error, or an element of a matrix is not finite.
     pub fn linearize(&mut self, differences: bool) -> Result<Linearization> {
         let fmu = self.fmu().clone();
         let model = fmu.description();
@@ -117,7 +119,7 @@ impl Instance<ContinuousTime> {
             false => self.by_differences(n, &inputs, &outputs)?,
         };
         let (p, m) = (outputs.len(), inputs.len());
-        // Entry (i, j) of what the columns say of the derivatives, then of the outputs.
+        // Selects entries (i, j) of the columns: derivatives first, then outputs.
         let matrix = |rows: std::ops::Range<usize>, of: std::ops::Range<usize>| {
             rows.flat_map(|i| of.clone().map(move |j| (i, j))).map(|(i, j)| columns[j][i]).collect()
         };
@@ -141,7 +143,7 @@ impl Instance<ContinuousTime> {
         }
     }
 
-    /// The columns with respect to states and inputs, by directional derivatives.
+    /// Computes the columns with respect to states and inputs from directional derivatives.
     fn by_directions(
         &mut self,
         states: &Vector,
@@ -165,7 +167,7 @@ impl Instance<ContinuousTime> {
         Ok(columns)
     }
 
-    /// The columns with respect to states and inputs, by central differences.
+    /// Computes the columns with respect to states and inputs from central differences.
     fn by_differences(&mut self, n: usize, inputs: &Vector, outputs: &Vector) -> Result<Vec<Vec<f64>>> {
         let (mut x, mut u) = (vec![0.0; n], vec![0.0; inputs.len()]);
         let mut nominals = vec![1.0; n];
@@ -198,7 +200,7 @@ impl Instance<ContinuousTime> {
         Ok(columns)
     }
 
-    /// Derivatives and outputs at these states and inputs.
+    /// Returns the derivatives and outputs at these states and inputs.
     fn evaluate(&mut self, point: &[f64], n: usize, inputs: &Vector, outputs: &Vector) -> Result<Vec<f64>> {
         let (x, u) = point.split_at(n);
         let mut values = vec![0.0; n + outputs.len()];

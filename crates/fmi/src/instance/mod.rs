@@ -1,5 +1,4 @@
-//! Instances of a model and the phases; each phase is a type, and has the calls that FMI
-//! allows in it.
+//! Instances of a model and their phases. Each phase is a type with the calls that FMI allows in it.
 
 pub(crate) mod assignments;
 mod clocks;

@@ -6,14 +6,17 @@ use crate::error::{FmiError, Result};
 use crate::sys::{EventInfo, RawInstance};
 use ode::EventOutcome;
 
-/// Rounds of an event iteration before it counts as endless.
+/// Maximum number of rounds of an event iteration before it counts as endless.
 pub const MAX_EVENT_ITERATIONS: u32 = 100;
 
 impl Core {
-    /// Updates the discrete states until they settle. What the model says in any of the rounds counts: flags
-    /// of early rounds are not lost. A next event time that is `time` itself is one more round, unless the
-    /// model keeps its own time (co-simulation), which may be before that; one that lies before `time` by
-    /// more than `tolerance` is passed on. `before_round` looks at the model, and may end the iteration.
+    /// Updates the discrete states until they settle.
+    ///
+    /// Flags that the model reports in any round are combined. A next event time equal to `time` causes one
+    /// more round, also if it is earlier by at most `tolerance`. This does not apply to co-simulation with
+    /// event mode, because the model keeps its own time there. A next event time earlier than `time -
+    /// tolerance` is returned unchanged. `before_round` inspects the model before each round, and may end the
+    /// iteration.
     pub(crate) fn iterate_events(
         &mut self,
         time: f64,
@@ -44,12 +47,12 @@ impl Core {
 }
 
 impl<P: Readable> Instance<P> {
-    /// Names of the continuous states, in the order of the state vector; `None` for those that are no
-    /// variables. In FMI 1.0 the FMU is asked (`fmiGetStateValueReferences`), and may answer otherwise after
-    /// an event; in the others the description says it.
+    /// Returns the names of the continuous states, in the order of the state vector. A name is `None` for a
+    /// state that is not a variable. In FMI 1.0 the FMU reports the states (`fmiGetStateValueReferences`),
+    /// and its answer may change after an event. In later versions the description defines them.
     ///
     /// # Errors
-    /// The FMU refuses, or has no such function.
+    /// The FMU returns an error, or has no such function.
     pub fn state_names(&mut self) -> Result<Vec<Option<String>>> {
         let fmu = self.fmu().clone();
         if fmu.description().fmi_version.major > 1 {
@@ -77,50 +80,51 @@ impl<P: Running> Instance<P> {
         /// Reads the continuous states.
         ///
         /// # Errors
-        /// The slice has not the length of the state vector; the FMU refuses.
+        /// The length of the slice differs from the length of the state vector; the FMU returns an error.
         get_continuous_states(states: &mut [f64]) -> ();
         /// Computes the event indicators.
         ///
         /// # Errors
-        /// The slice has not as many elements as there are indicators; the FMU refuses.
+        /// The length of the slice differs from the number of indicators; the FMU returns an error.
         get_event_indicators(indicators: &mut [f64]) -> ();
         /// Computes the derivatives of the states.
         ///
         /// # Errors
-        /// The slice has not the length of the state vector; the FMU refuses.
+        /// The length of the slice differs from the length of the state vector; the FMU returns an error.
         get_derivatives(derivatives: &mut [f64]) -> ();
-        /// Reads the nominal values of the states as the FMU gives them.
+        /// Reads the nominal values of the states as reported by the FMU.
         ///
         /// # Errors
-        /// The slice has not the length of the state vector; the FMU refuses.
+        /// The length of the slice differs from the length of the state vector; the FMU returns an error.
         get_nominals(nominals: &mut [f64]) -> ();
     }
 
     /// Ends the simulation.
     ///
     /// # Errors
-    /// The FMU refuses.
+    /// The FMU returns an error.
     pub fn terminate(self) -> Result<Instance<Terminated>> {
         self.step_to(RawInstance::terminate)
     }
 }
 
 impl Instance<EventMode> {
-    /// Updates the discrete states until they settle, at most `limit` rounds (see [`MAX_EVENT_ITERATIONS`]).
-    /// Clocks whose intervals are known tick when they are due; those that are triggered are set by hand.
+    /// Updates the discrete states until they settle, in at most `limit` rounds (see
+    /// [`MAX_EVENT_ITERATIONS`]). Clocks with known intervals tick when they are due. The caller must set
+    /// triggered clocks.
     ///
     /// # Errors
-    /// [`FmiError::EventIteration`] when they do not settle; the FMU refuses.
+    /// [`FmiError::EventIteration`] if the states do not settle; the FMU returns an error.
     pub fn update_discrete_states(&mut self, limit: u32) -> Result<EventOutcome> {
         let core = self.core();
         let time = core.raw.time().unwrap_or(0.0);
         core.settle_events(time, core.progress.time_tolerance(time), limit)
     }
 
-    /// Goes on in continuous time.
+    /// Enters continuous-time mode.
     ///
     /// # Errors
-    /// The FMU refuses.
+    /// The FMU returns an error.
     pub fn enter_continuous_time(self) -> Result<Instance<ContinuousTime>> {
         self.step_to(RawInstance::enter_continuous_time_mode)
     }
@@ -131,26 +135,27 @@ impl Instance<ContinuousTime> {
         /// Sets the time.
         ///
         /// # Errors
-        /// The FMU refuses.
+        /// The FMU returns an error.
         set_time(time: f64) -> ();
         /// Sets the continuous states.
         ///
         /// # Errors
-        /// The slice has not the length of the state vector; the FMU refuses.
+        /// The length of the slice differs from the length of the state vector; the FMU returns an error.
         set_continuous_states(states: &[f64]) -> ();
-        /// Sets time and states, and computes the derivatives: what an integrator wants, in one go. Inputs
-        /// stay as they are.
+        /// Sets the time and the states, and computes the derivatives. An integrator needs these three calls
+        /// for each evaluation. Inputs stay unchanged.
         ///
         /// # Errors
-        /// A slice has not the length of the state vector; the FMU refuses.
+        /// The length of a slice differs from the length of the state vector; the FMU returns an error.
         right_hand_side(time: f64, states: &[f64], derivatives: &mut [f64]) -> ();
     }
 
-    /// Says that a step has been completed, and that the instance will not be taken back behind it. Returns
-    /// whether the model wants to enter event mode, and whether it wants to end the simulation.
+    /// Reports to the model that a step is complete and that the instance will not return to an earlier time.
+    /// The first flag is true if the model requests event mode, the second if it requests the end of the
+    /// simulation.
     ///
     /// # Errors
-    /// The FMU refuses.
+    /// The FMU returns an error.
     pub fn completed_integrator_step(&mut self) -> Result<(bool, bool)> {
         self.core().progress.before_inputs = None;
         self.core().call(RawInstance::completed_integrator_step)
@@ -159,7 +164,7 @@ impl Instance<ContinuousTime> {
     /// Enters event mode.
     ///
     /// # Errors
-    /// The FMU refuses.
+    /// The FMU returns an error.
     pub fn enter_event_mode(self) -> Result<Instance<EventMode>> {
         self.step_to(RawInstance::enter_event_mode)
     }

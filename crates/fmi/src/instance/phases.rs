@@ -1,4 +1,4 @@
-//! The phases of the life of an instance, as types, and what can be done in each of them.
+//! The phases of an instance as types, and the operations available in each phase.
 
 use super::assignments::{self, Assignments};
 use super::core::Core;
@@ -11,47 +11,49 @@ use crate::sys::{Direction, ElementDependency, Experiment, Fault, RawInstance, S
 use std::marker::PhantomData;
 use std::sync::Arc;
 
-/// A live instance of an FMU in the phase `P`, for model exchange or co-simulation.
+/// Instance of an FMU in the phase `P`, for model exchange or co-simulation.
 ///
-/// An instance can be moved to another thread but not shared ([`Send`], not `Sync`). Changing the phase takes
-/// the instance and returns it in its new phase; when the FMU answers with an error, the instance is freed
-/// (after `fatal` it is abandoned: FMI forbids even freeing it), and the error has the FMU's last log lines.
-/// After another call has returned `error`, all further ones are refused with [`FmiError::AfterError`] but
-/// [`reset`](Instance::reset) and [`restore_state`](Instance::restore_state).
+/// An instance can be moved to another thread but not shared ([`Send`], not `Sync`). A phase change consumes
+/// the instance and returns it in its new phase. If the FMU returns an error, the instance is freed, and the
+/// error contains the FMU's last log lines. After `fatal` the instance is abandoned, because FMI forbids
+/// freeing it.
+///
+/// After any other call has returned `error`, only [`reset`](Instance::reset) and
+/// [`restore_state`](Instance::restore_state) are allowed. All other calls return [`FmiError::AfterError`].
 #[derive(Debug)]
 pub struct Instance<P, K = ModelExchange> {
     core: Box<Core>,
     _phase: PhantomData<(P, K)>,
 }
 
-/// Kind of an instance whose equations are integrated by the importer.
+/// Kind of an instance whose equations the importer integrates.
 #[derive(Debug)]
 pub enum ModelExchange {}
 /// Kind of an instance that integrates itself.
 #[derive(Debug)]
 pub enum CoSimulation {}
 
-/// A phase in the life of an [`Instance`].
+/// Phase of an [`Instance`].
 pub trait Phase: sealed::Sealed {
-    /// Checks that the standard lets this variable be set in this phase.
+    /// Checks that the standard allows this variable to be set in this phase.
     ///
     /// # Errors
     /// [`FmiError::NotSettable`] with the reason.
     fn check_settable(variable: &Variable) -> Result<()>;
 
-    /// True if structural parameters are set without entering another mode.
+    /// True if structural parameters can be set without entering another mode.
     #[doc(hidden)]
     fn is_configuration() -> bool {
         false
     }
 
-    /// True if the experiment has yet to be set up.
+    /// True if the experiment is not set up yet.
     #[doc(hidden)]
     fn is_before_setup() -> bool {
         false
     }
 
-    /// True if the model is being integrated.
+    /// True in continuous-time mode.
     #[doc(hidden)]
     fn is_continuous_time() -> bool {
         false
@@ -64,18 +66,18 @@ pub trait Phase: sealed::Sealed {
     }
 }
 
-/// A phase in which values can be read: all but [`Instantiated`] (FMI 2.0.x, section 3.2.3).
+/// Phase in which values can be read: all but [`Instantiated`] (FMI 2.0.x, section 3.2.3).
 pub trait Readable: Phase {}
 
-/// A mode of model exchange after the initialization.
+/// Mode of model exchange after the initialization.
 pub trait Running: Readable {}
 
 mod sealed {
-    /// Keeps the list of phases complete.
+    /// Prevents further phases outside this module.
     pub trait Sealed {}
 }
 
-/// Declares the phases: their further traits, which variables can be set, what else holds of them.
+/// Declares the phases with their additional traits, settable variables and properties.
 macro_rules! phases {
     ($($(#[$doc:meta])* $phase:ident($($trait:ident),*) |$variable:ident| $check:expr $(, $property:ident)?;)+) => {$(
         $(#[$doc])*
@@ -94,7 +96,7 @@ macro_rules! phases {
     )+};
 }
 phases! {
-    /// Made or reset, not yet initialized: parameters and start values are set here.
+    /// Created or reset, not yet initialized: parameters and start values are set here.
     Instantiated() |v| assignments::check_settable_at_start(v), is_before_setup;
     /// Initialization mode: inputs at the start time are set here.
     Initialization(Readable) |v| assignments::check_settable_in_initialization(v);
@@ -112,23 +114,23 @@ phases! {
     ), is_step_mode;
     /// Reconfiguration mode: tunable structural parameters are set here.
     Reconfiguration(Readable) |v| assignments::check_settable_in_reconfiguration(v), is_configuration;
-    /// Ended: values can be read.
+    /// Terminated: values can be read.
     Terminated(Readable) |v| Err(assignments::not_settable(v, "the simulation has ended"));
 }
 
-/// A saved state of an instance, to be brought back by the same instance. When it is dropped, its memory is
-/// used for the next saved state; the instance frees it at its end.
+/// Saved state of an instance. Only the same instance can restore it. When it is dropped, the next saved
+/// state uses its memory, which is freed with the instance.
 #[derive(Debug)]
 pub struct SavedState {
     slot: SavedSlot,
-    /// Name of the phase it was saved in.
+    /// Name of the phase in which the state was saved.
     phase: &'static str,
-    /// The structural parameters are part of the state, and with them the sizes of the arrays.
+    /// Structural parameters, which determine the array sizes and are part of the state.
     structure: Structure,
     progress: Progress,
 }
 
-/// The last part of the type's name.
+/// Returns the last part of the type's name.
 fn phase_name<P>() -> &'static str {
     let path = std::any::type_name::<P>();
     path.rsplit("::").next().unwrap_or(path)
@@ -139,18 +141,18 @@ impl<P, K> Instance<P, K> {
         &mut self.core
     }
 
-    /// The same instance in another phase; the caller has made the call that leads there.
+    /// Changes the phase of the type. The caller has already made the call that enters the phase.
     pub(crate) fn into_phase<Q>(self) -> Instance<Q, K> {
         Instance { core: self.core, _phase: PhantomData }
     }
 
-    /// Gives up the wrapping.
+    /// Returns the raw instance and the FMU.
     pub(crate) fn into_raw(self) -> (RawInstance, Fmu) {
         let core = *self.core;
         (core.raw, core.fmu)
     }
 
-    /// Makes a call that leads to another phase.
+    /// Makes a call that enters another phase.
     pub(crate) fn step_to<Q>(
         mut self,
         call: impl FnOnce(&mut RawInstance) -> Result<(), Fault>,
@@ -159,49 +161,48 @@ impl<P, K> Instance<P, K> {
         Ok(self.into_phase())
     }
 
-    /// The FMU it is an instance of.
+    /// Returns the FMU of this instance.
     pub fn fmu(&self) -> &Fmu {
         &self.core.fmu
     }
 
-    /// The next time event of the model or tick of one of its clocks, as far as it is known since its last
-    /// events.
+    /// Returns the next known time event of the model or tick of one of its clocks, as of the last events.
     pub fn next_event(&self) -> Option<f64> {
         self.core.progress.next_event
     }
 
-    /// The last lines the FMU logged, oldest first, and the number of others that were not kept: earlier
-    /// ones, and those beyond the rate limit (see [`InstanceOptions`](crate::InstanceOptions)).
+    /// Returns the last lines that the FMU logged, oldest first, and the number of discarded lines. Discarded
+    /// are earlier lines and lines beyond the rate limit (see [`InstanceOptions`](crate::InstanceOptions)).
     pub fn log(&self) -> (Vec<LogLine>, u64) {
         self.core.log()
     }
 
-    /// Switches the FMU's logging on or off, of all categories.
+    /// Switches the FMU's logging on or off for all categories.
     ///
     /// # Errors
-    /// The FMU refuses, or has no such function.
+    /// The FMU returns an error, or has no such function.
     pub fn set_logging(&mut self, on: bool) -> Result<()> {
         self.core.set_logging(on, &[])
     }
 
-    /// Switches the FMU's logging on for these categories, by their names in
-    /// [`ModelDescription::log_categories`](crate::ModelDescription::log_categories); lines of others are
-    /// kept only if their status is not ok. FMI 1.0 knows no categories in advance: the FMU logs all, and any
-    /// name will do.
+    /// Switches the FMU's logging on for these categories, named as in
+    /// [`ModelDescription::log_categories`](crate::ModelDescription::log_categories). Lines of other
+    /// categories are kept only if their status is not ok. FMI 1.0 does not declare categories: the FMU logs
+    /// all of them, and any name is accepted.
     ///
     /// # Errors
-    /// [`FmiError::BadSetting`] for a category that the description does not have; the FMU refuses, or has no
-    /// such function.
+    /// [`FmiError::BadSetting`] for a category that the description does not contain; the FMU returns an
+    /// error, or has no such function.
     pub fn log_categories<S: AsRef<str>>(&mut self, categories: &[S]) -> Result<()> {
         let categories: Vec<String> = categories.iter().map(|name| name.as_ref().to_owned()).collect();
         self.core.set_logging(true, &categories)
     }
 
-    /// Saves the complete state of the instance, with what a later run of it depends on besides: the time
-    /// event and the ticks to come, values that were set and are not in effect yet.
+    /// Saves the complete state of the instance. The saved state includes pending time events and clock
+    /// ticks, and values that were set but are not in effect yet.
     ///
     /// # Errors
-    /// The FMU cannot, or refuses.
+    /// The FMU does not support saved states, or returns an error.
     pub fn save_state(&mut self) -> Result<SavedState> {
         let slot = self.core.call(RawInstance::save_state)?;
         let (structure, progress) = (self.core.structure.clone(), self.core.progress.clone());
@@ -212,14 +213,14 @@ impl<P, K> Instance<P, K> {
         if self.core.raw.owns(&state.slot) { Ok(()) } else { Err(FmiError::ForeignState) }
     }
 
-    /// Brings the instance back to its beginning. Whether the FMU really does so is another matter: see
-    /// [`Simulator`](crate::Simulator), which checks it.
+    /// Returns the instance to its initial state. This function does not check that the FMU really resets its
+    /// state. [`Simulator`](crate::Simulator) compares values after a reset.
     ///
     /// # Errors
-    /// The FMU cannot, or refuses; the instance is freed then.
+    /// The FMU does not support reset, or returns an error; the instance is then freed.
     pub fn reset(self) -> Result<Instance<Instantiated, K>> {
         let mut fresh: Instance<Instantiated, K> = self.step_to(RawInstance::reset)?;
-        // Structural parameters have their start values again.
+        // After a reset, structural parameters have their start values.
         if !fresh.core.structure.is_default() {
             fresh.core.configure(&Assignments::default(), &Structure::default())?;
         }
@@ -233,7 +234,7 @@ impl<P: Readable, K> Instance<P, K> {
     /// Reads a variable.
     ///
     /// # Errors
-    /// There is no such variable, or the FMU refuses.
+    /// There is no such variable, or the FMU returns an error.
     pub fn get(&mut self, name: &str) -> Result<Value> {
         let fmu = self.core.fmu.clone();
         let index = assignments::resolve(fmu.description(), name)?;
@@ -243,10 +244,11 @@ impl<P: Readable, K> Instance<P, K> {
         self.core.value(&fmu.description().variables[index])
     }
 
-    /// Reads real variables by value reference, in one call.
+    /// Reads real variables by value reference in one call.
     ///
     /// # Errors
-    /// The slices differ in length, a reference is not that of a variable of type Real, or the FMU refuses.
+    /// The slices differ in length, a reference does not belong to a variable of type Real, or the FMU
+    /// returns an error.
     pub fn get_reals(&mut self, references: &[u32], values: &mut [f64]) -> Result<()> {
         self.core.check_reals("get_reals", references, values.len())?;
         self.core
@@ -255,12 +257,13 @@ impl<P: Readable, K> Instance<P, K> {
             .map_err(|fault| self.core.error_about(fault, references, |kind| kind == VariableKind::Real))
     }
 
-    /// The derivative of `unknowns` in the direction `seed` of the space of `knowns` (value references of
-    /// reals; an array has as many elements in `seed` or `sensitivity` as it has values).
+    /// Computes the derivative of `unknowns` in the direction `seed` in the space of `knowns`. References are
+    /// value references of variables of type Real. An array occupies as many elements of `seed` or
+    /// `sensitivity` as it has values.
     ///
     /// # Errors
-    /// The slices differ in length, a reference is not that of a variable of type Real; the FMU cannot, or
-    /// refuses.
+    /// The slices differ in length, or a reference does not belong to a variable of type Real. The FMU does
+    /// not support directional derivatives, or returns an error.
     pub fn directional_derivative(
         &mut self,
         unknowns: &[u32],
@@ -273,11 +276,11 @@ impl<P: Readable, K> Instance<P, K> {
         self.core.call(|raw| raw.directional_derivative(Direction { unknowns, knowns, seed }, sensitivity))
     }
 
-    /// The derivative of the sum of `unknowns`, weighted with `seed`, with respect to each of `knowns` (FMI
-    /// 3.0: the product of `seed` with the Jacobian, from the left).
+    /// Computes the derivative of the sum of `unknowns`, weighted with `seed`, with respect to each of
+    /// `knowns` (FMI 3.0). This is the vector-Jacobian product of `seed` and the Jacobian.
     ///
     /// # Errors
-    /// As [`directional_derivative`](Self::directional_derivative).
+    /// As for [`directional_derivative`](Self::directional_derivative).
     pub fn adjoint_derivative(
         &mut self,
         unknowns: &[u32],
@@ -290,11 +293,12 @@ impl<P: Readable, K> Instance<P, K> {
         self.core.call(|raw| raw.adjoint_derivative(Direction { unknowns, knowns, seed }, sensitivity))
     }
 
-    /// Dependencies of a variable with the present structural parameters, element by element (FMI 3.0).
+    /// Returns the dependencies of a variable for the current structural parameters, element by element (FMI
+    /// 3.0).
     ///
     /// # Errors
-    /// There is no such variable; the FMU cannot, refuses, or names a kind of dependency that the standard
-    /// does not know.
+    /// There is no such variable. The FMU does not support dependencies, returns an error, or reports a kind
+    /// of dependency that the standard does not define.
     pub fn variable_dependencies(&mut self, name: &str) -> Result<Vec<ElementDependency>> {
         let index = assignments::resolve(self.core.fmu.description(), name)?;
         let reference = self.core.fmu.description().variables[index].value_reference;
@@ -303,13 +307,16 @@ impl<P: Readable, K> Instance<P, K> {
 }
 
 impl<P: Phase, K> Instance<P, K> {
-    /// Sets a variable. Before the initialization an array may be given as many elements as it will have when
-    /// all structural parameters are set. Between two steps of a co-simulation with an event mode all but
-    /// continuous inputs wait for that mode, which is entered before the next step at the latest.
+    /// Sets a variable.
+    ///
+    /// Before the initialization, an array value may have as many elements as the array will have after all
+    /// structural parameters are set. Between two steps of a co-simulation with event mode, values are
+    /// deferred until event mode, except those of continuous inputs. Event mode is entered before the next
+    /// step at the latest.
     ///
     /// # Errors
     /// There is no such variable, the value has the wrong type or is not finite, the variable cannot be set
-    /// in this phase, or the FMU refuses.
+    /// in this phase, or the FMU returns an error.
     pub fn set(&mut self, name: &str, value: impl Into<Value>) -> Result<()> {
         let fmu = self.core.fmu.clone();
         let index = assignments::resolve(fmu.description(), name)?;
@@ -321,7 +328,7 @@ impl<P: Phase, K> Instance<P, K> {
         if let (true, Some(n), Value::Array(given)) = (P::is_before_setup(), elements, &value)
             && given.len() != n
         {
-            // A structural parameter that is set later may give it this size.
+            // A structural parameter that is set later may change the array to this size.
             let value = assignments::convert(variable, &value, Some(given.len()))?;
             note(&mut self.core.progress.set_before_setup, index, value);
             return Ok(());
@@ -353,11 +360,11 @@ impl<P: Phase, K> Instance<P, K> {
         self.core.configure(&values, &structure)
     }
 
-    /// Brings back a state saved by this instance **in the same phase**.
+    /// Restores a state saved by this instance **in the same phase**.
     ///
     /// # Errors
-    /// [`FmiError::ForeignState`] for a state of another instance, [`FmiError::StateOfAnotherPhase`]; the FMU
-    /// cannot, or refuses.
+    /// [`FmiError::ForeignState`] for a state of another instance; [`FmiError::StateOfAnotherPhase`]; the FMU
+    /// does not support saved states, or returns an error.
     pub fn restore_state(&mut self, state: &SavedState) -> Result<()> {
         self.check_own(state)?;
         let now = phase_name::<P>();
@@ -376,17 +383,17 @@ impl<K> Instance<Instantiated, K> {
         Self { core: Box::new(Core::new(raw, fmu)), _phase: PhantomData }
     }
 
-    /// An instance made by hand.
+    /// Wraps an instance that the user controls.
     pub(crate) fn by_hand(core: Core, library: Arc<LoadedLibrary>) -> Self {
         let mut core = Core { _library: Some(library), ..core };
         core.raw.set_by_hand();
         Self { core: Box::new(core), _phase: PhantomData }
     }
 
-    /// Sets the experiment up and enters initialization mode.
+    /// Sets up the experiment and enters initialization mode.
     ///
     /// # Errors
-    /// The FMU refuses.
+    /// The FMU returns an error.
     pub fn enter_initialization(
         mut self,
         start_time: f64,
@@ -395,7 +402,7 @@ impl<K> Instance<Instantiated, K> {
     ) -> Result<Instance<Initialization, K>> {
         let experiment = Experiment { tolerance: relative_tolerance, start: start_time, stop: stop_time };
         self.core.call(|raw| raw.setup_experiment(&experiment))?;
-        // What the call above has made anew gets the values that were set before it.
+        // The call above may overwrite values, so the values set before it are set again.
         let fmu = self.core.fmu.clone();
         let mut values = Assignments::default();
         for (index, value) in std::mem::take(&mut self.core.progress.set_before_setup) {
@@ -409,10 +416,10 @@ impl<K> Instance<Instantiated, K> {
 }
 
 impl Instance<Initialization> {
-    /// Ends the initialization; the instance is in event mode then, and its initial events are due.
+    /// Ends the initialization. The instance is then in event mode, and its initial events are due.
     ///
     /// # Errors
-    /// The FMU refuses.
+    /// The FMU returns an error.
     pub fn exit_initialization(mut self) -> Result<Instance<EventMode>> {
         self.core.begin_clocks(true)?;
         self.step_to(RawInstance::exit_initialization)

@@ -1,5 +1,5 @@
-//! Reconfiguration: the structural parameters of a running instance, and with them the sizes of its arrays,
-//! are changed (FMI 3.0.x, sections 2.3.1 and 2.3.8).
+//! Reconfiguration: changes the structural parameters of a running instance, which determine its array sizes
+//! (FMI 3.0.x, sections 2.3.1 and 2.3.8).
 
 use super::assignments::check_settable_in_reconfiguration;
 use super::phases::{CoSimulation, EventMode, Instance, ModelExchange, Reconfiguration, StepMode};
@@ -7,7 +7,7 @@ use crate::description::Variable;
 use crate::error::{FmiError, Result};
 use crate::sys::RawInstance;
 
-/// Enters the mode from whichever it may be entered from.
+/// Enters reconfiguration mode from any phase that permits it.
 fn enter<P, K>(mut instance: Instance<P, K>) -> Result<Instance<Reconfiguration, K>> {
     let is_tunable = |v: &Variable| check_settable_in_reconfiguration(v).is_ok();
     if !instance.fmu().description().variables.iter().any(is_tunable) {
@@ -21,21 +21,21 @@ fn enter<P, K>(mut instance: Instance<P, K>) -> Result<Instance<Reconfiguration,
 }
 
 impl Instance<EventMode, ModelExchange> {
-    /// Enters reconfiguration mode, where tunable structural parameters can be set.
+    /// Enters reconfiguration mode, in which tunable structural parameters can be set.
     ///
     /// # Errors
-    /// The model has none, or refuses; the instance is freed then.
+    /// The model has no tunable structural parameters, or returns an error; the instance is then freed.
     pub fn enter_reconfiguration(self) -> Result<Instance<Reconfiguration, ModelExchange>> {
         enter(self)
     }
 }
 
 impl Instance<Reconfiguration, ModelExchange> {
-    /// Goes back to event mode. The vectors of states and indicators have the lengths that follow from the
-    /// structural parameters now.
+    /// Returns to event mode. The lengths of the state and indicator vectors now follow from the structural
+    /// parameters.
     ///
     /// # Errors
-    /// The FMU refuses, or has other sizes than its description promises.
+    /// The FMU returns an error, or its sizes differ from those in the description.
     pub fn exit_reconfiguration(mut self) -> Result<Instance<EventMode, ModelExchange>> {
         self.core().call(RawInstance::exit_configuration)?;
         self.core().check_sizes()?;
@@ -44,20 +44,20 @@ impl Instance<Reconfiguration, ModelExchange> {
 }
 
 impl Instance<StepMode, CoSimulation> {
-    /// Enters reconfiguration mode, where tunable structural parameters can be set.
+    /// Enters reconfiguration mode, in which tunable structural parameters can be set.
     ///
     /// # Errors
-    /// The model has none, or refuses; the instance is freed then.
+    /// The model has no tunable structural parameters, or returns an error; the instance is then freed.
     pub fn enter_reconfiguration(self) -> Result<Instance<Reconfiguration, CoSimulation>> {
         enter(self)
     }
 }
 
 impl Instance<Reconfiguration, CoSimulation> {
-    /// Goes back to step mode; arrays have the sizes that follow from the structural parameters now.
+    /// Returns to step mode. The array sizes now follow from the structural parameters.
     ///
     /// # Errors
-    /// The FMU refuses.
+    /// The FMU returns an error.
     pub fn exit_reconfiguration(self) -> Result<Instance<StepMode, CoSimulation>> {
         self.step_to(RawInstance::exit_configuration)
     }

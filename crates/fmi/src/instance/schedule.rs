@@ -1,27 +1,28 @@
-//! When a clock ticks next: ticks are multiples, never sums, and fractions are exact for as long as they can
-//! be.
+//! Schedule of a clock. Tick times are computed as multiples of the interval, never as sums, and fractions
+//! stay exact as long as possible.
 
 use crate::description::{ClockTiming, Interval, Variable};
 use crate::error::{FmiError, Result};
 use std::sync::Arc;
 
-/// A clock whose ticks the importer schedules.
+/// Clock whose ticks the importer schedules.
 #[derive(Debug, Clone)]
 pub(crate) struct TimedClock {
     pub(crate) reference: u32,
     pub(crate) name: Arc<str>,
     pub(crate) timing: ClockTiming,
-    /// The interval that the importer gives it in initialization mode.
+    /// Interval that the importer sets in initialization mode.
     pub(crate) given: Option<Interval>,
 }
 
 impl TimedClock {
-    /// Of a clock of the model with this timing.
+    /// Creates the schedule data of a clock of the model with this timing.
     pub(crate) fn new(variable: &Variable, timing: ClockTiming, given: Option<Interval>) -> Self {
         Self { reference: variable.value_reference, name: Arc::from(variable.name.as_str()), timing, given }
     }
 
-    /// Refuses an interval or shift that is negative or not finite; an interval of 0 if it is to be positive.
+    /// Returns an error for an interval or shift that is negative or not finite. If `positive` is true, 0 is
+    /// also an error.
     pub(crate) fn check(&self, interval: Interval, positive: bool) -> Result<()> {
         let value = interval.value();
         if value.is_finite() && (value > 0.0 || (value == 0.0 && !positive)) {
@@ -36,8 +37,8 @@ impl TimedClock {
     }
 }
 
-/// The next instant of a time event that the model has announced and of a tick: the earlier one; of two that
-/// are one within `tolerance` that of the model, which must see it.
+/// Returns the earlier of a time event announced by the model and a clock tick. If both are equal within
+/// `tolerance`, returns the announced time, because the model must see exactly that time.
 pub(crate) fn next_instant(announced: Option<f64>, tick: Option<f64>, tolerance: f64) -> Option<f64> {
     match (announced, tick) {
         (Some(announced), Some(tick)) if announced > tick + tolerance => Some(tick),
@@ -45,7 +46,7 @@ pub(crate) fn next_instant(announced: Option<f64>, tick: Option<f64>, tolerance:
     }
 }
 
-/// When a clock ticks next.
+/// Times of the next ticks of a clock.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Schedule {
     origin: f64,
@@ -53,7 +54,7 @@ pub(crate) struct Schedule {
     interval: Interval,
     /// Number of the next tick, counted from 0 at `origin + shift`.
     number: u64,
-    /// The next tick; none while it is not known.
+    /// Time of the next tick; `None` while it is unknown.
     pub(crate) next: Option<f64>,
 }
 
@@ -72,7 +73,7 @@ impl Schedule {
         schedule
     }
 
-    /// One tick only.
+    /// Creates a schedule with a single tick.
     pub(crate) fn once(time: f64) -> Self {
         Self { next: Some(time), ..Self::IDLE }
     }
@@ -80,7 +81,7 @@ impl Schedule {
     fn time_of(&self, number: u64) -> f64 {
         match (self.shift, self.interval) {
             (Interval::Fraction(shift, r), Interval::Fraction(interval, resolution)) if r == resolution => {
-                // Below 2^128 for every number of ticks that a run can have.
+                // The counter stays below 2^128 for every possible number of ticks.
                 let counter = u128::from(shift) + u128::from(number) * u128::from(interval);
                 self.origin + counter as f64 / resolution as f64
             }
@@ -103,13 +104,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ticks_are_multiples_never_sums() {
+    fn schedule_computes_ticks_as_multiples_of_the_interval() {
         let mut schedule = Schedule::periodic(1.0, Interval::Decimal(0.25), Interval::Decimal(0.1), 0);
         for k in 0..1000u32 {
             assert_eq!(schedule.next, Some(1.0 + (0.25 + f64::from(k) * 0.1)));
             schedule.advance();
         }
-        // A third: exact where the fraction is, at every third tick.
+        // The interval 1/3 is exact at every third tick.
         let mut third = Schedule::periodic(0.0, Interval::Fraction(0, 3), Interval::Fraction(1, 3), 0);
         for k in 0..3000u32 {
             assert_eq!(third.next, Some(f64::from(k) / 3.0));

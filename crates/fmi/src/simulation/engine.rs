@@ -1,4 +1,4 @@
-//! Engines that make the steps of a simulation: the driver of integrations, or the FMU itself.
+//! Engines that make the steps of a simulation: the integration driver, or the FMU itself.
 
 use crate::description::{Value, Variable};
 use crate::error::{FmiError, Result};
@@ -12,7 +12,7 @@ use crate::sys::{InterfaceKind, RawInstance, note_start, set_float_mode};
 use ode::{Driver, ErrorKind, Ignore, Observer, Report};
 use std::sync::Arc;
 
-/// A way of running a model, with its instance.
+/// Engine for running a model, with its instance.
 #[derive(Debug)]
 pub(crate) enum Engine {
     Integrated { driver: Box<Driver>, system: Box<System> },
@@ -32,7 +32,7 @@ impl Engine {
         })
     }
 
-    /// The instance and what is written beside it.
+    /// Returns the run state with the instance.
     pub(crate) fn running(&mut self) -> &mut Running {
         match self {
             Engine::Integrated { system, .. } => &mut system.running,
@@ -40,8 +40,8 @@ impl Engine {
         }
     }
 
-    /// Brings a fresh instance to the start, with the start values of the plan or others for the same
-    /// variables.
+    /// Brings a new instance to the start. Uses the plan's start values, or the values in `input` for the
+    /// same variables.
     pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<()> {
         note_start();
         set_float_mode();
@@ -51,7 +51,7 @@ impl Engine {
         }
     }
 
-    /// Lets the initial events happen, for those who only want initial values.
+    /// Handles the initial events if only initial values are needed.
     pub(crate) fn run_initial_events(&mut self) -> Result<()> {
         let plan = Arc::clone(&self.running().plan);
         let mut nobody = Ignore;
@@ -62,7 +62,7 @@ impl Engine {
         }
     }
 
-    /// Value of a variable where the run stands.
+    /// Returns the value of a variable at the current point of the run.
     pub(crate) fn value(&mut self, variable: &Variable) -> Result<Value> {
         match self {
             Engine::Integrated { system, .. } => system.value(variable),
@@ -70,9 +70,9 @@ impl Engine {
         }
     }
 
-    /// The run itself.
+    /// Runs the simulation.
     pub(crate) fn run(&mut self, plan: &SimulationPlan, observer: &mut dyn Observer) -> Result<Report> {
-        // The FMU may have changed it when it was loaded and initialized.
+        // The FMU may have changed the floating-point mode when it was loaded and initialized.
         set_float_mode();
         let outside = SharedObserver::new(&plan.options, observer);
         match self {

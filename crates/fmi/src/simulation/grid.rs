@@ -1,4 +1,4 @@
-//! The span of a simulation and the times of its rows.
+//! Time span of a simulation and the times of its rows.
 
 use super::options::{DEFAULT_INTERVALS, SimulateOptions};
 use crate::description::DefaultExperiment;
@@ -7,11 +7,11 @@ use crate::platform::memory;
 use base::Number;
 use std::ops::Range;
 
-/// More rows than this are taken for a mistake.
+/// Maximum number of rows. A larger number is assumed to be a mistake.
 const MAX_ROWS: usize = 100_000_000;
 
 impl SimulateOptions {
-    /// Resolves span and rows.
+    /// Determines the time span and the rows.
     pub(crate) fn grid(&self, experiment: &DefaultExperiment) -> Result<Grid> {
         let given = [self.times.is_some(), self.output_interval.is_some(), self.ncp.is_some()];
         if given.iter().filter(|is| **is).count() > 1 {
@@ -60,7 +60,7 @@ impl SimulateOptions {
 }
 
 impl SimulateOptions {
-    /// Names those of start and end that the model suggests, for messages.
+    /// Returns a note for messages about a start or end time that the model's default experiment supplies.
     fn suggested(&self, experiment: &DefaultExperiment) -> String {
         let of_model = [
             experiment.start_time.filter(|_| self.start_time.is_none()).map(|t| ("start", t, "start_time")),
@@ -73,28 +73,28 @@ impl SimulateOptions {
     }
 }
 
-/// Span and rows of a simulation.
+/// Time span and rows of a simulation.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Grid {
     pub(crate) start: f64,
     pub(crate) end: f64,
-    /// Times closer than this are one.
+    /// Difference below which two times count as equal.
     pub(crate) time_tolerance: f64,
     pub(crate) times: Vec<f64>,
-    /// Distance of the rows, where they have one.
+    /// Row spacing, if it is constant.
     pub(crate) interval: Option<f64>,
 }
 
 impl Grid {
-    /// The distance of the rows, or its mean.
+    /// Returns the row spacing, or its mean if it is not constant.
     pub(crate) fn mean_interval(&self) -> f64 {
         let n = self.times.len().saturating_sub(1).max(1);
         self.interval.unwrap_or((self.end - self.start) / n as f64)
     }
 }
 
-/// `n` equal intervals: `start + k h`, never a sum, and the end itself; fewer where the rows could not be
-/// told apart.
+/// Returns the ends of `n` equal intervals: `start + k h`, never a sum, and exactly `end`. Rows closer than
+/// the time tolerance are omitted.
 fn uniform(start: f64, end: f64, time_tolerance: f64, n: usize) -> Result<Vec<f64>> {
     if start == end {
         return Ok(vec![start]);
@@ -115,7 +115,7 @@ fn uniform(start: f64, end: f64, time_tolerance: f64, n: usize) -> Result<Vec<f6
     Ok(times)
 }
 
-/// The distance of rows that are given one by one, if it is the same for all and the first is at the start.
+/// Returns the spacing of an explicit list of rows if it is constant and the first row is at the start.
 fn common_interval(times: &[f64], start: f64, time_tolerance: f64) -> Option<f64> {
     let (first, last) = (times.first()?, times.last()?);
     let n = times.len() - 1;
@@ -125,7 +125,7 @@ fn common_interval(times: &[f64], start: f64, time_tolerance: f64) -> Option<f64
     (n > 1 && interval > time_tolerance && times.iter().enumerate().all(is_regular)).then_some(interval)
 }
 
-/// Rows `interval` apart, and one at the end.
+/// Returns rows with spacing `interval`, and a row at the end.
 fn intervals(start: f64, end: f64, time_tolerance: f64, interval: f64) -> Result<Vec<f64>> {
     if !(interval > 0.0 && interval.is_finite()) {
         return Err(BadSetting(format!(
@@ -149,7 +149,8 @@ fn intervals(start: f64, end: f64, time_tolerance: f64, interval: f64) -> Result
         .collect())
 }
 
-/// Checks given times, and makes those one that are within rounding of each other or of the ends of the span.
+/// Checks the requested times. Merges times that are within rounding of each other, or of the ends of the
+/// time span.
 fn snap(times: &[f64], span: Range<f64>, time_tolerance: f64, suggested: &str) -> Result<Vec<f64>> {
     let Range { start, end } = span;
     let mut snapped: Vec<f64> = memory::list_of("the list of times", times.len())?;
@@ -208,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn five_hundred_intervals_by_default() {
+    fn grid_has_500_intervals_by_default() {
         let g = grid(&SimulateOptions::new().final_time(40.0));
         assert_eq!((g.start, g.end, g.times.len()), (0.0, 40.0, 501));
         assert_eq!((g.times[1], g.times[500]), (0.08, 40.0));
@@ -218,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_that_cannot_be_told_apart_are_one() {
+    fn grid_omits_rows_closer_than_the_tolerance() {
         let g = grid(&SimulateOptions::new().start_time(1e9).final_time(1e9 + 1e-5));
         assert_eq!((g.times[0], *g.times.last().unwrap()), (1e9, 1e9 + 1e-5));
         assert!(g.times.windows(2).all(|pair| pair[1] > pair[0]), "{:?}", g.times);
@@ -230,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn intervals_end_at_the_final_time() {
+    fn output_interval_adds_a_row_at_the_final_time() {
         let times = |interval| grid(&SimulateOptions::new().final_time(1.0).output_interval(interval)).times;
         assert_eq!(times(0.5), [0.0, 0.5, 1.0]);
         assert_eq!(times(0.1).len(), 11);
@@ -239,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn the_default_experiment_comes_before_the_last_of_the_times() {
+    fn default_stop_time_takes_precedence_over_the_last_of_times() {
         let experiment = DefaultExperiment { start_time: Some(1.0), stop_time: Some(3.0), ..NONE };
         let options = SimulateOptions::new().times([1.5, 2.0]);
         let g = options.grid(&experiment).unwrap();
@@ -257,14 +258,14 @@ mod tests {
     }
 
     #[test]
-    fn times_within_rounding_are_one() {
+    fn grid_merges_times_within_rounding() {
         let three = 0.1 + 0.2;
         let g = grid(&SimulateOptions::new().times([-1e-17, 0.3, three, 1.0 + 1e-15]).final_time(1.0));
         assert_eq!(g.times, [0.0, 0.3, 0.3, 1.0]);
     }
 
     #[test]
-    fn bad_settings_name_the_numbers() {
+    fn grid_errors_contain_the_invalid_numbers() {
         let end = || SimulateOptions::new().final_time(1.0);
         assert!(problem(&end().ncp(2).output_interval(0.1)).contains("at most one"));
         assert!(problem(&end().ncp(0)).contains("ncp = 0"));
@@ -279,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn the_tolerance_of_the_model_is_taken_if_it_makes_sense() {
+    fn method_options_use_the_tolerance_of_the_model_if_valid() {
         let tolerance = |suggested| {
             let experiment = DefaultExperiment { tolerance: suggested, ..NONE };
             SimulateOptions::new().method_options(&experiment).relative_tolerance

@@ -1,5 +1,4 @@
-//! One input as a table: linear between its rows or held from one to the next, and the instants where it is
-//! not smooth.
+//! One input as a table with linear interpolation or held values, and the times at which it is not smooth.
 
 use crate::description::VariableKind;
 use crate::instance::integer_codec;
@@ -7,7 +6,7 @@ use ode::InputStop;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-/// An input as a table of times and values.
+/// Input as a table of times and values.
 #[derive(Debug, Clone)]
 pub(crate) struct InputTable {
     pub(crate) times: Arc<[f64]>,
@@ -15,7 +14,7 @@ pub(crate) struct InputTable {
 }
 
 impl InputTable {
-    /// The table with all values multiplied.
+    /// Returns the table with all values multiplied by a factor.
     pub(crate) fn times(self, factor: f64) -> Self {
         if factor == 1.0 {
             return self;
@@ -23,15 +22,15 @@ impl InputTable {
         Self { values: self.values.iter().map(|value| factor * value).collect(), ..self }
     }
 
-    /// The table with 0 and 1 exchanged.
+    /// Returns the table with 0 and 1 swapped.
     pub(crate) fn flipped(self) -> Self {
         Self { values: self.values.iter().map(|value| 1.0 - value).collect(), ..self }
     }
 
-    /// Where the piecewise linear function jumps or changes its slope.
+    /// Appends the times at which the piecewise linear function jumps or changes its slope.
     pub(crate) fn linear_stops(&self, time_tolerance: f64, stops: &mut Vec<InputStop>) {
         let (times, values) = (&self.times, &self.values);
-        // Slope and rounding error of the slope left of the present row; before the first row the value is held.
+        // Slope before the current row and its rounding error. The value is held before the first row.
         let mut slope = (0.0, 0.0);
         let mut row = 0;
         while row < times.len() {
@@ -57,18 +56,18 @@ impl InputTable {
         }
     }
 
-    /// Times of the rows that have another value than the row before.
+    /// Returns the times of the rows whose value differs from the previous row.
     pub(crate) fn changes(&self) -> impl Iterator<Item = f64> + '_ {
         let rows = self.values.windows(2).zip(&self.times[1..]);
         rows.filter(|(pair, _)| pair[0] != pair[1]).map(|(_, time)| *time)
     }
 
-    /// Where the held value changes.
+    /// Appends the times at which the held value changes.
     pub(crate) fn held_stops(&self, stops: &mut Vec<InputStop>) {
         stops.extend(self.changes().map(|time| InputStop { time, jump: true }));
     }
 
-    /// Moves rows that are within `time_tolerance` of one of the instants onto it.
+    /// Moves rows that are within `time_tolerance` of one of the instants to that instant.
     pub(crate) fn snap(&mut self, instants: &[f64], time_tolerance: f64) {
         let target = |time: f64| {
             let at = instants.partition_point(|instant| *instant < time - time_tolerance);
@@ -83,7 +82,8 @@ impl InputTable {
         }
     }
 
-    /// Value of the linear interpolant at `t`; `left`: the limit from the left. `cursor` remembers the place.
+    /// Returns the value of the linear interpolant at `t`, or its limit from the left if `left` is true.
+    /// `cursor` caches the row index.
     pub(crate) fn linear(&self, t: f64, left: bool, cursor: &mut usize) -> f64 {
         let (times, values) = (&*self.times, &*self.values);
         let passed = |row: f64| if left { row < t } else { row <= t };
@@ -108,17 +108,17 @@ impl InputTable {
         }
     }
 
-    /// Value held from `t` on.
+    /// Returns the value that is held from `t` onward.
     pub(crate) fn held(&self, t: f64) -> f64 {
         let rows = self.times.partition_point(|row| *row <= t);
         self.values[rows.max(1) - 1]
     }
 }
 
-/// A column that is held from row to row, as what inputs of any type take.
+/// Column that is held between rows, for inputs of any type.
 #[derive(Debug, Clone)]
 pub(crate) struct HeldTable {
-    /// The values, or where these may be more than a double can hold, numbers that stand for them.
+    /// Values. If a double cannot represent the values, these are indices into `words`.
     pub(crate) column: InputTable,
     words: Option<Arc<[i64]>>,
 }
@@ -130,7 +130,7 @@ impl From<InputTable> for HeldTable {
 }
 
 impl HeldTable {
-    /// The column of words, one for each time.
+    /// Creates a column from words, one for each time.
     pub(crate) fn of_words(times: &Arc<[f64]>, words: &[i64]) -> Self {
         let mut numbers: HashMap<i64, f64> = HashMap::new();
         let mut known: Vec<i64> = Vec::new();
@@ -144,7 +144,7 @@ impl HeldTable {
         Self { column, words: Some(known.into()) }
     }
 
-    /// The column of a variable of this kind that has the opposite values.
+    /// Returns the column with opposite values, for a variable of this kind.
     pub(crate) fn negated(self, kind: VariableKind) -> Self {
         let Self { column, words } = self;
         match (words, kind) {
@@ -156,7 +156,7 @@ impl HeldTable {
         }
     }
 
-    /// The word from `t` on, of a variable of this kind.
+    /// Returns the word that is held from `t` onward, for a variable of this kind.
     pub(crate) fn word(&self, kind: VariableKind, t: f64) -> i64 {
         let value = self.column.held(t);
         let word = match &self.words {
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn linear_between_rows_and_held_outside() {
+    fn linear_interpolates_between_rows_and_holds_outside() {
         let c = column(&[1.0, 2.0, 4.0], &[10.0, 20.0, 0.0]);
         let mut cursor = 0;
         for (t, value) in
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn a_time_listed_twice_has_two_limits() {
+    fn linear_returns_both_limits_of_a_time_listed_twice() {
         let c = column(&[0.0, 1.0, 1.0, 2.0], &[0.0, 1.0, 5.0, 5.0]);
         let mut cursor = 0;
         assert_eq!(c.linear(1.0, true, &mut cursor), 1.0);
@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn only_changes_of_slope_are_kinks() {
+    fn linear_stops_reports_only_changes_of_slope() {
         let times: Vec<f64> = (0..100).map(|k| 0.1 * f64::from(k)).collect();
         let ramp: Vec<f64> = times.iter().map(|t| 3.0 - 0.7 * t).collect();
         assert_eq!(stops_of(&column(&times, &ramp)), [(0.0, false), (times[99], false)]);

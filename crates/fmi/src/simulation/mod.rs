@@ -1,5 +1,5 @@
-//! A simulation, from what is asked to the samples: options, the plan that resolves them against the model,
-//! the start of an instance, and the run, by integration or by communication steps.
+//! Simulation, from the options to the samples: the options, the plan that resolves them for a model, the
+//! initialization, and the run by integration or communication steps.
 
 pub(crate) mod clocks;
 mod co_simulation;

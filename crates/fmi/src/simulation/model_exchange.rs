@@ -1,4 +1,4 @@
-//! A model-exchange instance as the hybrid system that the driver integrates, in FMI's order of calls.
+//! Model-exchange instance as the hybrid system that the driver integrates, with FMI's order of calls.
 
 use crate::description::{QuirkKind, Variable};
 use crate::error::{FmiError, Result};
@@ -16,49 +16,49 @@ use ode::{
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 
-/// One worker's system: the instance and everything that is written during a run.
+/// System of one worker: the instance and all data written during a run.
 #[derive(Debug)]
 pub(crate) struct System {
     pub(crate) running: Running,
-    /// The continuous inputs as the FMU has them; none while that is not known. FMUs may allow an input to be
-    /// set only once at an instant (FMI 2.0.x, section 2.2.7, `canHandleMultipleSetPerTimeInstant`).
+    /// Continuous inputs last sent to the FMU; empty while they are unknown. FMUs may allow an input to be
+    /// set only once per time instant (FMI 2.0.x, section 2.2.7, `canHandleMultipleSetPerTimeInstant`).
     sent: Vec<f64>,
-    /// The point last set in the FMU, as far as that is known.
+    /// Point last set in the FMU, if known.
     set_time: Option<f64>,
     set_states: Option<()>,
     states: Vec<f64>,
-    /// The point last committed: what `get` refers to after a run.
+    /// Point last committed. After a run, `get` refers to this point.
     last_time: f64,
     last_states: Vec<f64>,
     initial_states: Vec<InitialState>,
-    /// The derivatives were computed at the point last set.
+    /// True if the derivatives were computed at the point last set.
     is_evaluated: bool,
-    /// Derivatives computed for the sake of other variables.
+    /// Buffer for derivatives that are computed only to update other variables.
     unused: Vec<f64>,
-    /// Answers to the steps that were completed at rows, for the end of the step.
+    /// Combined results of the steps completed at rows, to be returned at the end of the step.
     row_actions: StepAction,
-    /// Time of the last event as the model saw it: a rounding error later than the driver's at most, and
-    /// never gone back behind.
+    /// Time of the last event as seen by the model. It is later than the driver's time by at most a rounding
+    /// error. The model never returns to an earlier time.
     floor: f64,
-    /// There are states and no continuous inputs: time and states are all of a point.
+    /// True if there are states but no continuous inputs, so that time and states define the point.
     is_point_of_states: bool,
 }
 
-/// An initial state of a run.
+/// Initial state of a run.
 #[derive(Debug, Clone, Copy)]
 struct InitialState {
-    /// Position among those of the plan.
+    /// Index among the initial states of the plan.
     index: usize,
-    /// Position in the state vector.
+    /// Index in the state vector.
     position: usize,
     value: f64,
-    /// The value in the state vector: of a negated alias the opposite.
+    /// Value in the state vector, with opposite sign for a negated alias.
     state: f64,
 }
 
 const NOT_THE_STATE: &str = "has another value than the continuous state that it is by the description";
 
-/// Same bits, so that NaN and signed zeros count as what they are.
+/// True if both numbers have the same bits. This distinguishes signed zeros, and NaN equals itself.
 fn same_bits(a: f64, b: f64) -> bool {
     a.to_bits() == b.to_bits()
 }
@@ -83,7 +83,7 @@ impl System {
         }
     }
 
-    /// Brings a fresh instance into event mode at the start time: values, inputs, initialization.
+    /// Brings a new instance into event mode at the start time. Sets values and inputs, and initializes.
     pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<()> {
         let (start, end) = (self.running.plan.start, self.running.plan.end);
         let mut core = self.running.begin(raw, input, Some(end))?;
@@ -100,7 +100,7 @@ impl System {
         Ok(())
     }
 
-    /// Takes over the initial states of a run. One that is no state must have its value already.
+    /// Collects the initial states of a run. A variable that is not a state must already have its value.
     fn take_initial_states(&mut self, core: &mut Core, input: RunInput<'_>) -> Result<()> {
         let (plan, list) = (&self.running.plan, &mut self.initial_states);
         list.clear();
@@ -122,8 +122,8 @@ impl System {
         Ok(())
     }
 
-    /// Sets the initial states in which the model has other values than these, in continuous-time mode. The
-    /// model stands in event mode before and after it. Returns whether there were any.
+    /// Sets the initial states that differ from the model's values, in continuous-time mode. The model is in
+    /// event mode before and afterwards. Returns true if any state differed.
     fn set_initial_states(&mut self, x: &mut [f64]) -> CallResult<bool> {
         let mut differs = false;
         for InitialState { position, state, .. } in &self.initial_states {
@@ -141,7 +141,7 @@ impl System {
         let Self { running: Running { plan, current, .. }, initial_states, .. } = self;
         let required = &plan.values.initial.required;
         let checked = current.core().and_then(|core| {
-            // The state vector may have another order than the description says.
+            // The order of the state vector may differ from the description.
             initial_states.iter().try_for_each(|one| required[one.index].check(core, plan.fmu(), one.value))
         });
         checked.map_err(|error| current.fail(error))?;
@@ -149,27 +149,28 @@ impl System {
         Ok(true)
     }
 
-    /// Value of a variable at the point last committed.
+    /// Returns the value of a variable at the point last committed.
     pub(crate) fn value(&mut self, variable: &Variable) -> Result<crate::Value> {
         self.running.current.trusted()?;
         let (time, states) = (self.last_time, self.last_states.clone());
         match self.set_point(time, &states).and_then(|()| self.prepare_reading()) {
             Err(CallError::Failed(error)) => return Err(unbox(error)),
-            // The point was good when the step was completed; the value there is the best there is.
+            // The point was valid when the step was completed, so its value is still the best available one.
             Ok(()) | Err(CallError::Discard) => {}
         }
         self.running.current.core()?.value(variable)
     }
 
-    /// Makes a raw call; see [`Current::call`](crate::simulation::running::Current::call).
+    /// Makes a raw call. See [`Current::call`](crate::simulation::running::Current::call).
     #[inline]
     fn call<T>(&mut self, body: impl FnOnce(&mut RawInstance) -> Result<T, Fault>) -> CallResult<T> {
         self.running.current.call(body)
     }
 
-    /// Makes the variables those of the point last set, before they are read. Some FMUs compute them with the
-    /// derivatives only. Those of OpenModelica compute what no derivative depends on when a step is
-    /// completed; steps may end anywhere, and rows are in the order of time.
+    /// Updates the variables to the point last set, before they are read. Some FMUs compute them only
+    /// together with the derivatives. FMUs from OpenModelica compute variables that do not affect a
+    /// derivative only when a step is completed. Completing steps at rows is allowed, because steps may end
+    /// at any time and rows are in time order.
     fn prepare_reading(&mut self) -> CallResult<()> {
         if self.running.current.mode != Mode::Continuous || self.unused.is_empty() {
             return Ok(());
@@ -177,7 +178,7 @@ impl System {
         if !self.is_evaluated {
             let Self { running, unused, .. } = self;
             match running.current.call(|raw| raw.get_derivatives(unused)) {
-                // A point without derivatives may have other variables.
+                // A point without valid derivatives may have other valid variables.
                 Ok(()) | Err(CallError::Discard) => self.is_evaluated = true,
                 Err(error) => return Err(error),
             }
@@ -188,13 +189,13 @@ impl System {
         Ok(())
     }
 
-    /// Tells the model that a step is completed; returns what it asks for, or has asked for before.
+    /// Reports a completed step to the model. Returns its requests combined with earlier ones.
     fn complete_step(&mut self, before: StepAction) -> CallResult<StepAction> {
         let (event, terminate) = self.call(RawInstance::completed_integrator_step)?;
         Ok(StepAction { event: event | before.event, terminate: terminate | before.terminate })
     }
 
-    /// Sets time, continuous inputs and states together; what has these very bits already is left out.
+    /// Sets time, continuous inputs and states. Values that are bit-for-bit unchanged are not set again.
     fn set_point(&mut self, t: f64, x: &[f64]) -> CallResult<()> {
         let t = t.max(self.floor);
         if !self.set_time.is_some_and(|set| same_bits(set, t)) {
@@ -218,8 +219,8 @@ impl System {
         Ok(())
     }
 
-    /// Makes a raw call at a point. Where there are no continuous inputs it sets time and states itself,
-    /// unless both have these very bits already.
+    /// Makes a raw call at a point. Without continuous inputs, the call itself sets time and states, unless
+    /// both are bit-for-bit unchanged.
     #[inline(always)]
     fn at_point(
         &mut self,
@@ -260,8 +261,8 @@ impl System {
         Ok(())
     }
 
-    /// Compares the states that are recorded with the variables that they are by the description. Where these
-    /// are others, they are what is recorded: the state vector may have another order.
+    /// Compares the recorded states with the variables that the description assigns to them. If they differ,
+    /// the variables are recorded instead, because the order of the state vector may differ.
     fn compare_states(&mut self, x: &[f64]) -> CallResult<()> {
         if let Some((column, _)) = self.contradicted_state(x)? {
             self.running.buffers.reads_states = true;
@@ -273,7 +274,7 @@ impl System {
         Ok(())
     }
 
-    /// Column and value of a recorded state that is not what the state vector has.
+    /// Returns the column and the value of a recorded state that differs from the state vector.
     fn contradicted_state(&mut self, x: &[f64]) -> CallResult<Option<(usize, f64)>> {
         let Running { plan, buffers, current, .. } = &mut self.running;
         if buffers.reads_states || !plan.outputs().has_states() {
@@ -283,11 +284,11 @@ impl System {
         Ok(buffers.contradiction(plan.outputs(), x))
     }
 
-    /// A run that has come to its end, unless a recorded state is not finite there as the variable that it
-    /// is: the rows are not those of the model then.
+    /// Returns the report of a finished run after comparing the recorded states. If a state variable is not
+    /// finite at the end, the recorded rows are wrong.
     ///
     /// # Errors
-    /// That with [`FmiError::StateNotFinite`]; a call fails.
+    /// [`FmiError::StateNotFinite`] in this case; a call fails.
     pub(crate) fn compared_at_end(&mut self, report: Report) -> Result<Report, Box<SimulationError>> {
         if report.termination == Termination::StoppedByObserver {
             return Ok(report);
@@ -337,7 +338,7 @@ impl System {
         copy(&mut self.last_states, x);
     }
 
-    /// Goes from event mode to continuous time, unless the model has ended the simulation.
+    /// Enters continuous-time mode from event mode, unless the model has ended the simulation.
     fn leave_event_mode(&mut self, outcome: &EventOutcome) -> CallResult<()> {
         if outcome.terminate {
             return Ok(());
@@ -349,7 +350,7 @@ impl System {
         self.running.current.enter(Mode::Event, RawInstance::enter_event_mode)
     }
 
-    /// Lets the jumps of inputs happen that are due at `t`, in event mode.
+    /// Applies the input jumps that are due at `t`, in event mode.
     fn jump(&mut self, t: f64) -> CallResult<()> {
         let Self { running: Running { plan, inputs, current, .. }, sent, .. } = self;
         inputs.pass(&plan.inputs, t);
@@ -382,7 +383,7 @@ impl System {
     }
 }
 
-/// Copies a vector of the same length; a few numbers without a call.
+/// Copies a vector of the same length. Up to four numbers are copied without a function call.
 #[inline]
 fn copy(to: &mut [f64], from: &[f64]) {
     match (to, from) {
@@ -394,12 +395,12 @@ fn copy(to: &mut [f64], from: &[f64]) {
     }
 }
 
-/// Whether the FMU has these very inputs already.
+/// True if the FMU already has bit-for-bit these inputs.
 fn has(sent: &[f64], inputs: &[f64]) -> bool {
     sent.len() == inputs.len() && sent.iter().zip(inputs).all(|(a, b)| same_bits(*a, *b))
 }
 
-/// Sets the continuous inputs, unless the FMU has them already.
+/// Sets the continuous inputs, unless the FMU already has them.
 fn send(plan: &InputPlan, inputs: &InputState, sent: &mut Vec<f64>, core: &mut Core) -> Result<()> {
     if has(sent, &inputs.continuous) {
         return Ok(());
@@ -412,7 +413,7 @@ fn send(plan: &InputPlan, inputs: &InputState, sent: &mut Vec<f64>, core: &mut C
 
 #[inline]
 fn all_finite(values: &[f64]) -> CallResult<()> {
-    // Zero times what is not finite is NaN.
+    // The product of zero and a non-finite number is NaN.
     if values.iter().fold(0.0, |sum, value| sum + 0.0 * value) == 0.0 {
         Ok(())
     } else {
@@ -420,7 +421,7 @@ fn all_finite(values: &[f64]) -> CallResult<()> {
     }
 }
 
-/// The FMU's error inside what the driver passes on.
+/// Extracts the FMU's error from the driver's boxed error.
 pub(crate) fn unbox(error: Box<dyn std::error::Error + Send + Sync>) -> FmiError {
     match error.downcast::<FmiError>().map_err(|error| error.downcast::<Stopped>()) {
         Ok(error) => *error,
@@ -429,7 +430,7 @@ pub(crate) fn unbox(error: Box<dyn std::error::Error + Send + Sync>) -> FmiError
     }
 }
 
-/// The system in a run that may be ended from outside.
+/// System in a run that may be ended from outside.
 pub(crate) struct Integration<'a> {
     pub(crate) system: &'a mut System,
     pub(crate) outside: &'a SharedObserver<'a>,
@@ -450,12 +451,12 @@ impl DerefMut for Integration<'_> {
 }
 
 impl Integration<'_> {
-    /// Lets the initial events happen, for those who only want initial values.
+    /// Handles the initial events if only initial values are needed.
     pub(crate) fn initial_events(&mut self) -> Result<()> {
         let mut states = vec![0.0; self.running.plan.n_states];
         let start = self.running.plan.start;
         match self.start(start, &mut states) {
-            // States that are not finite can be looked at all the same.
+            // States that are not finite can still be read.
             Ok(_) | Err(CallError::Discard) => Ok(()),
             Err(CallError::Failed(error)) => Err(unbox(error)),
         }
@@ -504,8 +505,8 @@ impl HybridSystem for Integration<'_> {
         self.compare_states(x)?;
         self.leave_event_mode(&outcome)?;
         self.commit(t0, x);
-        // The model stands at its start time with its own states and the inputs set in initialization mode; only in
-        // continuous-time mode can they be set anew.
+        // The model is at its start time with its states and the inputs set in initialization mode. They can
+        // be set again only in continuous-time mode.
         self.set_time = outcome.terminate.then_some(t0);
         self.set_states = outcome.terminate.then_some(());
         self.states.copy_from_slice(x);
@@ -539,12 +540,12 @@ impl HybridSystem for Integration<'_> {
         let along = Direction { unknowns: &sides.derivatives, knowns: &sides.states, seed };
         let is_there = current.call(|raw| {
             match raw.directional_derivative(along, derivative) {
-                // Promised, but not in the library.
+                // The function is declared in the description but missing in the library.
                 Err(Fault::Missing(_)) => Ok(false),
                 outcome => outcome.map(|()| true),
             }
         })?;
-        // What it has computed on the way may belong to other points.
+        // Intermediate values of this call may belong to other points.
         self.is_evaluated = false;
         if !is_there {
             return Ok(false);
@@ -561,7 +562,8 @@ impl HybridSystem for Integration<'_> {
         Ok(())
     }
 
-    /// Values that are not finite are passed on: an output that is NaN is for the reader to judge.
+    /// Reads the outputs. Values that are not finite are passed on, because the recipient decides how to
+    /// treat them.
     fn outputs(&mut self, t: f64, x: &[f64], y: &mut [f64]) -> CallResult<()> {
         if self.running.plan.outputs().needs_fmu() || self.running.buffers.reads_states {
             self.set_point(t, x)?;

@@ -11,28 +11,30 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-/// Output intervals where nothing else is said.
+/// Default number of output intervals.
 pub const DEFAULT_INTERVALS: usize = 500;
 
-/// Relative tolerance where neither the options nor the model say one.
+/// Default relative tolerance, used if neither the options nor the model specify one.
 pub const DEFAULT_TOLERANCE: f64 = 1e-6;
 
-/// Treatment of rows between the steps of a co-simulation that cannot stop there: one that takes steps of one
-/// length only, or steps from one multiple of its own step to the next (`fixedInternalStepSize`, FMI 3.0).
+/// Treatment of rows between the steps of a co-simulation that cannot stop at them.
+///
+/// Such a model supports only steps of one length, or only steps between multiples of its internal step
+/// (`fixedInternalStepSize`, FMI 3.0).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BetweenSteps {
-    /// Continuous variables are interpolated linearly between the steps on both sides (where the model tells
-    /// derivatives of its outputs, along the parabola that has that at the later one), others have the value
-    /// of the step before.
+    /// Interpolates continuous variables linearly between the steps on both sides. If the model provides
+    /// output derivatives, a parabola that has the derivative at the later step is used. Other variables have
+    /// the value of the previous step.
     #[default]
     Interpolate,
-    /// The simulation is refused.
+    /// Returns an error instead of simulating.
     #[serde(rename = "error")]
     Refuse,
 }
 
-/// Functions that set an option and give the options back.
+/// Builder functions that set an option and return the options.
 macro_rules! setters {
     ($of:literal, $($part:ident.)? { $($name:ident($type:ty) = |$given:ident| $value:expr;)* }) => {
         setters!(@ $of, [$($part.)?] $($name($type) = |$given| $value;)*);
@@ -50,49 +52,60 @@ macro_rules! setters {
     };
 }
 
-/// How a model is run: what a user sets once for all simulations of it. Serialised under the names that users
+/// Settings that a user chooses once for all simulations of a model. Serialized under the names that users
 /// write.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default)]
 pub struct RunSettings {
-    /// Interface that runs the model; default: model exchange where it offers that, else co-simulation.
+    /// Interface that runs the model. Default: model exchange if the model supports it, otherwise
+    /// co-simulation.
     #[cfg_attr(feature = "schema", schemars(schema_with = "kinds"))]
     pub kind: InterfaceChoice,
     /// Integration method (model exchange).
     #[serde(rename = "solver")]
     #[cfg_attr(feature = "schema", schemars(schema_with = "solvers"))]
     pub method: Method,
-    /// Relative tolerance; default: that of the default experiment, else 1e-6. The model is told of it where
-    /// it is given here or there: a co-simulation has a default of its own.
+    /// Relative tolerance. Default: the tolerance of the default experiment, otherwise 1e-6. The model
+    /// receives a tolerance only if these settings or the default experiment specify one, because a
+    /// co-simulation has its own default.
     pub relative_tolerance: Option<f64>,
-    /// Model exchange: step of the fixed-step methods; default: a 500th of the span. Co-simulation: the
-    /// communication step; default: the larger of that of the default experiment and the distance of the
-    /// rows; of a model that takes steps of one length, that of the default experiment unless it makes more
-    /// than 1e6 steps, else the distance of the rows. A model that takes steps of any length has further
-    /// communication points: the rows, and the times at which an input jumps or changes its slope, or, if it
-    /// is not told derivatives of inputs, at which an input has another value than in the row before.
+    /// Step size.
+    ///
+    /// Model exchange: step of the fixed-step methods; default: 1/500 of the simulated time span.
+    ///
+    /// Co-simulation: communication step size. It defaults to the default experiment's step size or the row
+    /// spacing, whichever is larger. If the model supports only steps of one length, it defaults to the
+    /// default experiment's step size. The row spacing is used instead if that step size would make more than
+    /// 1e6 steps.
+    ///
+    /// If the model supports steps of any length, each row is also a communication point. So is each time at
+    /// which an input jumps or changes its slope. If the model does not receive input derivatives, so is each
+    /// time at which an input differs from its value in the previous row.
     pub step_size: Option<f64>,
-    /// Largest step of the adaptive methods.
+    /// Maximum step of the adaptive methods.
     pub max_step: Option<f64>,
-    /// Points within each step at which event indicators are looked at, for those that cross zero and back
-    /// within one (model exchange); default: see [`ode::Options::interior_samples`].
+    /// Number of points within each step at which the event indicators are evaluated (model exchange). They
+    /// detect indicators that cross zero twice within one step. Default: see
+    /// [`ode::Options::interior_samples`].
     pub interior_samples: Option<u32>,
-    /// Passes derivatives of inputs, those of the line to the inputs at the end of the next step, to
-    /// co-simulations that extrapolate inputs (`canInterpolateInputs`, FMI 1.0 and 2.0). Default: yes. Inputs
-    /// held over each step, as with `Some(false)` and in most other tools, are less accurate, by an error of
-    /// the order of the step.
+    /// Passes input derivatives to co-simulations that extrapolate inputs (`canInterpolateInputs`, FMI 1.0
+    /// and 2.0). Default: yes.
+    ///
+    /// Each derivative is the slope of the line to the input value at the end of the next step. `Some(false)`
+    /// holds inputs constant over each step, as most other tools do. This is less accurate, with an error of
+    /// the order of the step size.
     pub input_derivatives: Option<bool>,
-    /// Response to state events that follow each other so closely that time hardly advances (model exchange);
-    /// default: an error.
+    /// Response to state events that follow each other so closely that time hardly advances (model exchange).
+    /// Default: an error.
     #[cfg_attr(feature = "schema", schemars(schema_with = "policies"))]
     pub chattering: ChatteringPolicy,
-    /// Limit of wall-clock time of one simulation, in s where users write it.
+    /// Limit on the wall-clock time of one simulation. Users write it in seconds.
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", extend("exclusiveMinimum" = 0)))]
     pub timeout: Option<Duration>,
 }
 
-/// JSON schema of a choice between names.
+/// JSON schema of a choice from a list of names.
 #[cfg(feature = "schema")]
 macro_rules! names {
     ($($function:ident = $names:expr;)*) => {$(
@@ -109,7 +122,7 @@ names! {
     policies = ChatteringPolicy::NAMES;
 }
 
-/// Options of a simulation; the default leaves everything to the model.
+/// Options of a simulation. With the default options, the model determines all settings.
 ///
 /// ```
 /// use fmi::SimulateOptions;
@@ -117,57 +130,62 @@ names! {
 /// ```
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct SimulateOptions {
-    /// Start time; default: that of the default experiment, else 0.
+    /// Start time. Default: the start time of the default experiment, otherwise 0.
     pub start_time: Option<f64>,
-    /// Final time; default: that of the default experiment, else the last of `times`, else an error.
+    /// Final time. Default: the stop time of the default experiment, otherwise the last entry of `times`,
+    /// otherwise an error.
     pub final_time: Option<f64>,
-    /// The times of the rows, ascending. A time listed twice gives the limit from the left, then that from
-    /// the right. Co-simulations without event mode have the former only: rows are read before the inputs of
-    /// the next communication step are set, so that what follows an input directly, and the input itself, are
-    /// those of the step before. At most one of `times`, `output_interval` and `ncp`; without any there are
-    /// 500 intervals.
+    /// Times of the rows, ascending. Specify at most one of `times`, `output_interval` and `ncp`. Without any
+    /// of them there are 500 intervals.
+    ///
+    /// A time listed twice gives two rows: the limit from the left, then the limit from the right.
+    /// Co-simulations without event mode return only the limit from the left. Their rows are read before the
+    /// inputs of the next communication step are set. Inputs, and variables that depend on them directly,
+    /// therefore have the values of the previous step.
     pub times: Option<Vec<f64>>,
-    /// Distance of the rows; the last row is at the final time.
+    /// Row spacing. The last row is at the final time.
     pub output_interval: Option<f64>,
     /// Number of intervals between the rows.
     pub ncp: Option<usize>,
-    /// Values for parameters and variables with a start value, set before the initialization. Of several for
-    /// one variable the last counts.
+    /// Values of parameters and variables with a start value, set before the initialization. If a variable
+    /// occurs several times, the last value is used.
     pub start_values: Vec<(String, Value)>,
-    /// Names among `start_values` and `parameters` of variables that have their values when the simulation
-    /// starts, also where the initialization computes others (`initial="approx"` or `"calculated"`). In model
-    /// exchange continuous states are set after the initialization, with the function that sets continuous
-    /// states, and an event iteration follows. Elsewhere a simulation that starts with another value fails
-    /// with [`FmiError::StateNotTaken`](crate::FmiError::StateNotTaken).
+    /// Names among `start_values` and `parameters` whose variables must have their values when the simulation
+    /// starts. This holds even if the initialization computes other values (`initial="approx"` or
+    /// `"calculated"`).
+    ///
+    /// In model exchange, continuous states are set after the initialization by the function that sets
+    /// continuous states. An event iteration follows. In all other cases a simulation that starts with a
+    /// different value fails with [`FmiError::StateNotTaken`](crate::FmiError::StateNotTaken).
     pub initial_states: Vec<String>,
-    /// Intervals between the ticks of clocks (FMI 3.0): for input clocks whose intervals are fixed or
-    /// tunable.
+    /// Intervals between the ticks of input clocks with fixed or tunable intervals (FMI 3.0).
     pub clock_intervals: Vec<(String, Interval)>,
-    /// Real variables whose values are given anew at each run.
+    /// Real variables whose values are passed to each run.
     pub parameters: Vec<String>,
-    /// Variables to record: names; elements of arrays (`name[2,1]`, counted from 1); patterns, in which `*`
-    /// stands for any characters and `?` for one; `all` for everything that is a number. Default: the
-    /// variables of causality output and the states, or where there are neither, all variables that change.
-    /// Time is always there.
+    /// Variables to record. Entries are names, elements of arrays (`name[2,1]`, counted from 1), patterns, or
+    /// `all`. In a pattern, `*` matches any characters and `?` matches one. `all` selects all numeric
+    /// variables. Default: outputs and states, or all variables that change if there are neither. Time is
+    /// always recorded.
     pub outputs: Option<Vec<String>>,
     /// Time-varying inputs.
     pub inputs: Option<Inputs>,
-    /// How the model is run.
+    /// Settings for running the model.
     pub run: RunSettings,
-    /// Takes each step of a fixed-step method in two halves, also one that an input or an event has cut
-    /// (model exchange): for comparison with a run that does not.
+    /// Divides each step of a fixed-step method into two halves, including steps shortened by an input or an
+    /// event (model exchange). Comparing the result with a normal run estimates the error.
     pub halve_steps: bool,
-    /// Rows between the steps of a co-simulation that cannot stop there; default: interpolated.
+    /// Treatment of rows between the steps of a co-simulation that cannot stop at them. Default:
+    /// interpolation.
     pub between_steps: BetweenSteps,
-    /// Add rows for both sides of every event.
+    /// Adds rows for both sides of every event.
     pub record_events: bool,
-    /// Set from outside to end the run.
+    /// Flag that another thread sets to end the run.
     #[serde(skip)]
     pub cancel: Option<Arc<AtomicBool>>,
 }
 
 impl SimulateOptions {
-    /// Options that leave everything to the model.
+    /// Returns the default options.
     pub fn new() -> Self {
         Self::default()
     }
@@ -233,15 +251,15 @@ impl SimulateOptions {
         self
     }
 
-    /// True if a function drives an input.
+    /// True if an input is driven by a function.
     pub fn has_input_functions(&self) -> bool {
         self.inputs.as_ref().is_some_and(Inputs::has_functions)
     }
 
-    /// True if a plan for one can be used for the other: all options are equal, including the flag that
-    /// cancels.
+    /// True if a plan made for one set of options can be used for the other. All options must be equal,
+    /// including the cancellation flag.
     pub(crate) fn is_same(&self, other: &Self) -> bool {
-        // One pattern for all fields, so that none can be forgotten.
+        // One pattern lists all fields, so the compiler reports a missing one.
         macro_rules! same {
             (but $inputs:ident, $cancel:ident; $($field:ident),+) => {{
                 let Self { $inputs, $cancel, $($field),+ } = self;
@@ -257,13 +275,13 @@ impl SimulateOptions {
             parameters, outputs, run, halve_steps, between_steps, record_events)
     }
 
-    /// The tolerance that was asked for, else that of the default experiment.
+    /// Returns the requested tolerance, otherwise the tolerance of the default experiment.
     pub(crate) fn stated_tolerance(&self, experiment: &DefaultExperiment) -> Option<f64> {
         let suggested = experiment.tolerance.filter(|tolerance| (1e-14..1.0).contains(tolerance));
         self.run.relative_tolerance.or(suggested)
     }
 
-    /// The options of the integration method.
+    /// Returns the options of the integration method.
     pub(crate) fn method_options(&self, experiment: &DefaultExperiment) -> ode::Options {
         let run = &self.run;
         ode::Options {
@@ -283,7 +301,7 @@ impl SimulateOptions {
 }
 
 impl SimulateOptions {
-    /// Settings that have no effect with this interface, with the reason; one sentence each.
+    /// Returns one sentence with the reason for each setting that has no effect with this interface.
     pub fn without_effect(&self, kind: InterfaceKind) -> Vec<String> {
         let (method, integrates) = (self.run.method, kind == InterfaceKind::ModelExchange);
         let mut found = Vec::new();
@@ -320,7 +338,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_ignored_is_said() {
+    fn without_effect_reports_each_ignored_setting() {
         let both = |method| SimulateOptions::new().method(method).step_size(0.1).max_step(0.2);
         for (method, kind, expected) in [
             (

@@ -1,5 +1,5 @@
-//! State of a run, for both interfaces: an instance, in its current mode, the buffers written during the run,
-//! and its start.
+//! State of a run, for both interfaces: the instance with its current mode, the buffers and the
+//! initialization.
 
 use crate::error::{FmiError, Result};
 use crate::instance::Core;
@@ -12,10 +12,10 @@ use crate::sys::{Experiment, Fault, InterfaceKind, RawInstance};
 use ode::{CallError, CallResult};
 use std::sync::Arc;
 
-/// Where the instance of a run is in its life.
+/// Mode of the instance of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum Mode {
-    /// Model exchange: initialized, or ended by the model.
+    /// Model exchange: initialized, or terminated by the model.
     #[default]
     Event,
     /// Model exchange, between two events.
@@ -24,32 +24,32 @@ pub(crate) enum Mode {
     Step,
 }
 
-/// The instance of a run, and whether it can still be used.
+/// Instance of a run, with a flag that records whether it is still usable.
 #[derive(Debug, Default)]
 pub(crate) struct Current {
-    /// `None`: none was made yet, or it broke.
+    /// `None` if no instance was created yet or the instance failed.
     pub(crate) core: Option<Box<Core>>,
     pub(crate) mode: Mode,
-    /// An FMU call failed: the instance is not used again.
+    /// True after an FMU call failed. The instance is then not used again.
     pub(crate) broken: bool,
-    /// The call that returned `Discard` last.
+    /// Last call that returned `Discard`.
     pub(crate) discarded: Option<&'static str>,
 }
 
 impl Current {
-    /// The running instance.
+    /// Returns the running instance.
     ///
     /// # Errors
-    /// There is none.
+    /// There is no running instance.
     #[inline]
     pub(crate) fn core(&mut self) -> Result<&mut Core> {
         self.core.as_deref_mut().ok_or_else(no_instance)
     }
 
-    /// The running instance, to be asked for its values.
+    /// Returns the running instance for reading values.
     ///
     /// # Errors
-    /// There is none, or it broke.
+    /// There is no instance, or it failed.
     pub(crate) fn trusted(&mut self) -> Result<&mut Core> {
         if self.broken {
             return Err(no_instance());
@@ -57,15 +57,16 @@ impl Current {
         self.core()
     }
 
-    /// The instance, if it is in event mode (model exchange).
+    /// Returns the instance if it is in event mode (model exchange).
     ///
     /// # Errors
-    /// It is not.
+    /// The instance is not in event mode.
     pub(crate) fn in_event_mode(&mut self) -> Result<&mut Core> {
         if self.mode == Mode::Event { self.core() } else { Err(no_instance()) }
     }
 
-    /// Makes a raw call; `Discard` costs nothing, everything worse ends the use of the instance.
+    /// Makes a raw call. `Discard` has no consequences for the instance; after any other failure it is not
+    /// used again.
     #[inline]
     pub(crate) fn call<T>(
         &mut self,
@@ -78,7 +79,7 @@ impl Current {
         }
     }
 
-    /// The error of a call that went wrong.
+    /// Returns the error of a failed call.
     #[cold]
     fn faulty(&mut self, fault: Fault) -> CallError {
         let error = match (fault, self.core()) {
@@ -92,7 +93,7 @@ impl Current {
         self.fail(error)
     }
 
-    /// Makes the call that leads to another mode, unless the instance is in it.
+    /// Makes the call that enters another mode, unless the instance is already in that mode.
     pub(crate) fn enter(
         &mut self,
         mode: Mode,
@@ -106,21 +107,20 @@ impl Current {
         Ok(())
     }
 
-    /// The call that has refused the last point, with its time and what the FMU logged about it.
+    /// Returns the call that rejected the last point, with its time and the FMU's log lines about it.
     pub(crate) fn refusal(&mut self) -> Option<String> {
         let call = self.discarded?;
         self.core().ok().map(|core| core.error(Fault::Discard(call)).to_string())
     }
 
-    /// Ends the run of the instance, if there is one that can be used for another run.
+    /// Terminates the instance and returns it, if there is one that can be used for another run.
     pub(crate) fn retire(self) -> Option<RawInstance> {
         let mut core = self.core.filter(|_| !self.broken)?;
-        // Some FMUs free what a run has allocated only when they are told that it is over.
+        // Some FMUs free the memory of a run only when `terminate` is called.
         core.call(RawInstance::terminate).ok().map(|()| core.raw)
     }
 
-    /// Notes that the instance is not to be used again: a call failed, or an event iteration was ended from
-    /// outside.
+    /// Marks the instance as unusable after a failed call or an interrupted event iteration.
     pub(crate) fn fail(&mut self, error: FmiError) -> CallError {
         self.broken = true;
         match error {
@@ -130,16 +130,16 @@ impl Current {
     }
 }
 
-/// State of a run, kept for the next one.
+/// State of a run. It is kept for the next run.
 #[derive(Debug)]
 pub(crate) struct Running {
     pub(crate) plan: Arc<SimulationPlan>,
     pub(crate) current: Current,
     pub(crate) inputs: InputState,
-    /// The outputs as they were read last.
+    /// Outputs as last read.
     pub(crate) buffers: OutputBuffers,
     pub(crate) clocks: ClockState,
-    /// Values of parameters on their way.
+    /// Buffer for parameter values with their signs applied.
     pub(super) signed: Vec<f64>,
 }
 
@@ -155,36 +155,36 @@ impl Running {
         }
     }
 
-    /// Goes on with a plan that fits.
+    /// Continues with another plan that fits.
     pub(crate) fn set_plan(&mut self, plan: Arc<SimulationPlan>) {
         self.inputs = InputState::new(&plan.inputs);
         self.plan = plan;
     }
 
-    /// Ends the run of the instance, if there is one that can be used for another run, and gives it up.
+    /// Terminates the instance, removes it from this state, and returns it if it can be used for another run.
     pub(crate) fn retire(&mut self) -> Option<RawInstance> {
         std::mem::take(&mut self.current).retire()
     }
 
-    /// Reads the outputs where the model stands.
+    /// Reads the outputs at the current point of the model.
     pub(crate) fn read_outputs(&mut self) -> CallResult<()> {
         let Self { plan, current, buffers, .. } = self;
         current.call(|raw| buffers.read(plan.outputs(), raw))
     }
 
-    /// Hands what the FMU has logged in a run to the program's logger.
+    /// Forwards the FMU's log lines of a run to the program's logger.
     pub(crate) fn pass_log_on(&self) {
         if let Some(core) = &self.current.core {
             core.pass_log_on();
         }
     }
 
-    /// Seconds since the start in input functions of the user.
+    /// Returns the seconds since the start spent in the user's input functions.
     pub(crate) fn seconds_in_input_functions(&self) -> f64 {
         self.inputs.seconds_in_functions()
     }
 
-    /// The ticks of all clocks in the last run.
+    /// Returns the ticks of all clocks in the last run.
     pub(crate) fn take_ticks(&mut self) -> Vec<Tick> {
         std::mem::take(&mut self.clocks.ticks)
     }
@@ -196,12 +196,13 @@ pub(crate) fn no_instance() -> FmiError {
 }
 
 impl Running {
-    /// Initializes a fresh instance at the start time, with all that can be set before and in initialization
-    /// mode: the values of the plan or others for the same variables. `stop`: the FMU is told that no step
-    /// leads beyond it.
+    /// Initializes a new instance at the start time. Sets all values that can be set before and in
+    /// initialization mode: the plan's values, or those in `input` for the same variables. `stop` is passed
+    /// to the FMU as the stop time, which no step exceeds.
     ///
     /// # Errors
-    /// The FMU refuses; an input function is not finite at the start time. There is no instance then.
+    /// The FMU returns an error, or an input function is not finite at the start time. There is no instance
+    /// afterwards.
     pub(super) fn begin(
         &mut self,
         raw: RawInstance,
@@ -213,7 +214,7 @@ impl Running {
         let Self { plan, inputs, clocks, signed, .. } = self;
         let mut core = Box::new(Core::new(raw, plan.fmu().clone()));
         let experiment = Experiment { tolerance: plan.tolerance, start: plan.start, stop };
-        // First, because some models make their data in this call.
+        // This call comes first because some models create their data in it.
         core.call(|raw| raw.setup_experiment(&experiment))?;
         inputs.begin(&plan.inputs, plan.start);
         if !inputs.continuous_at(&plan.inputs, plan.start) {
@@ -231,12 +232,13 @@ impl Running {
             plan.inputs.continuous.set(core, &inputs.continuous)
         };
         if plan.communication.as_ref().is_some_and(|communication| communication.extrapolates) {
-            // Co-simulations of Dymola extrapolate an input that changes in initialization mode, against the direction of the
-            // change.
+            // Co-simulations made by Dymola extrapolate an input that changes in initialization mode, in the
+            // wrong direction. Setting the inputs earlier avoids the change.
             is_refused = set_inputs(&mut core, signed).is_err();
         }
         if is_refused && core.call(RawInstance::reset).is_ok() {
-            // Models that take values of inputs in initialization mode only, as FMI 2.0 has it for those without `initial`.
+            // Some models accept input values only in initialization mode, as FMI 2.0 specifies for inputs
+            // without `initial`.
             core.call(|raw| raw.setup_experiment(&experiment))?;
             set_up(&mut core, signed)?;
         }
@@ -250,7 +252,8 @@ impl Running {
     }
 }
 
-/// Clocks tick in event mode: refuses a run with clocks on an instance that would not be made with one.
+/// Returns an error if the plan has clocks and the instance has no event mode, because clocks tick in event
+/// mode.
 fn check_clocks(plan: &SimulationPlan, core: &mut Core) -> Result<()> {
     if plan.kind == InterfaceKind::ModelExchange || core.raw.has_event_mode() || plan.clocks.is_empty() {
         return Ok(());

@@ -1,28 +1,28 @@
-//! External reasons to end a run: the observer, the flag that cancels, the limit of wall-clock time.
+//! External reasons to end a run: the observer, the cancellation flag and the wall-clock time limit.
 
 use ode::{EndConditions, EventRecord, Observer, Options, Sample, StepView, Stopped};
 use std::cell::RefCell;
 use std::fmt;
 use std::ops::ControlFlow;
 
-/// The observer of a run, shared by whatever makes its steps and the model's event iterations, with the flag
-/// and the limit of time.
+/// Observer of a run with the cancellation flag and the time limit. The engine that makes the steps and the
+/// model's event iterations share it.
 pub(crate) struct SharedObserver<'a> {
     observer: RefCell<&'a mut dyn Observer>,
     watch: EndConditions<'a>,
 }
 
 impl<'a> SharedObserver<'a> {
-    /// For a run with these options that begins now.
+    /// Creates the observer of a run with these options that starts now.
     pub(crate) fn new(options: &'a Options, observer: &'a mut dyn Observer) -> Self {
         Self { observer: RefCell::new(observer), watch: EndConditions::new(options) }
     }
 
-    /// Looked at between two calls of the model, of which none takes long: before each step, each round of an
-    /// event iteration, each row inside of a step, and while a step is pending.
+    /// Checks the end conditions. It is called before each step, each round of an event iteration and each
+    /// row inside a step, and while a step is pending. No call of the model between two checks takes long.
     ///
     /// # Errors
-    /// The run is to end, and why.
+    /// Returns the reason if the run must end.
     pub(crate) fn check(&self) -> Result<(), Stopped> {
         if self.observer.borrow_mut().poll().is_break() {
             return Err(Stopped::ByObserver);

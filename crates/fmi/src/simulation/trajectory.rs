@@ -1,4 +1,4 @@
-//! A recorded simulation: columns of numbers and of other values, events, what it cost.
+//! Recorded simulation: columns of numbers and of other values, events and statistics.
 
 use crate::description::{Value, VariableKind};
 use crate::error::{FmiError, Result};
@@ -13,10 +13,10 @@ use serde::{Deserialize, Serialize};
 use std::ops::{ControlFlow, Index, Range};
 use std::sync::Arc;
 
-/// So many columns are named in a sentence.
+/// Maximum number of columns listed in a message.
 const MOST_NAMED: usize = 6;
 
-/// A recorded simulation. All columns have as many rows as `time`.
+/// Recorded simulation. All columns have the same number of rows as `time`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Trajectory {
@@ -24,30 +24,30 @@ pub struct Trajectory {
     pub time: Vec<f64>,
     /// Names of the columns.
     pub names: Vec<String>,
-    /// The columns. Integers and Booleans are numbers here (64-bit integers the nearest ones: see
-    /// [`values`](Self::values)).
+    /// Numeric columns. Integers and Booleans are converted to numbers. A 64-bit integer becomes the nearest
+    /// representable number; see [`values`](Self::values) for the exact value.
     pub columns: Vec<Vec<f64>>,
-    /// The columns of what is more than a number: texts, binary variables, and once more, exactly, 64-bit
-    /// integers.
+    /// Columns of values that a 64-bit float cannot represent: strings, binary variables, and the exact
+    /// values of 64-bit integers.
     pub values: Vec<ValueColumn>,
-    /// The variables in the order in which they were asked for, and which columns are theirs.
+    /// Variables in the requested order, with the ranges of their columns.
     pub recorded: Vec<Recorded>,
-    /// Of each row: value before or after the events at its time.
+    /// Side of each row: value before or after the events at its time.
     #[serde(with = "sides")]
     pub sides: Vec<Side>,
-    /// The events.
+    /// Events.
     pub events: Vec<EventRecord>,
-    /// The ticks of clocks, in the order of their times.
+    /// Ticks of clocks, ordered by time.
     pub ticks: Vec<Tick>,
-    /// Statistics of the cost; for the seconds, see [`Simulator::run`](crate::Simulator::run).
+    /// Run statistics. For the meaning of the seconds, see [`Simulator::run`](crate::Simulator::run).
     pub stats: Stats,
-    /// Reason for its end.
+    /// Reason for the end of the simulation.
     pub termination: Termination,
-    /// Time at which it ended.
+    /// Time at which the simulation ended.
     pub end_time: f64,
 }
 
-/// Sides as bytes: there is one for each row.
+/// Serializes sides as one byte per row.
 mod sides {
     use ode::Side;
     use serde::de::{Error, Visitor};
@@ -78,12 +78,12 @@ mod sides {
     }
 }
 
-/// A column of values that are not all numbers: one for each row, all of one type. A text or a binary value
-/// is kept once, in however many rows it stands.
+/// Column of values of one type that are not all numbers, one value per row. A string or binary value is
+/// stored once, even if it occurs in many rows.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct ValueColumn {
-    /// Name of the variable or of the element of an array.
+    /// Name of the variable or array element.
     pub name: String,
     values: Arc<[Value]>,
     places: Vec<usize>,
@@ -91,10 +91,10 @@ pub struct ValueColumn {
 
 impl ValueColumn {
     getters! {
-        /// Of each row the place of its value in [`distinct`](Self::distinct).
+        /// Index into [`distinct`](Self::distinct) for each row.
         pub places(self) -> &[usize] = &self.places;
-        /// Values to which the [`places`](Self::places) refer: for texts and binary values those of all
-        /// columns of the simulation, each once.
+        /// Values to which the [`places`](Self::places) refer. For strings and binary values, they include
+        /// the values of all columns of the simulation, each once.
         pub distinct(self) -> &[Value] = &self.values;
         /// Number of rows.
         pub len(self) -> usize = self.places.len();
@@ -102,7 +102,7 @@ impl ValueColumn {
         pub is_empty(self) -> bool = self.places.is_empty();
     }
 
-    /// The column of numbers that are places in a table of values, or of the halves of integers.
+    /// Creates a column from numbers that are indices into a table of values, or from the halves of integers.
     fn new(name: &str, kind: VariableKind, columns: &[Vec<f64>], table: &Arc<[Value]>) -> Self {
         let (values, places) = match columns {
             [high, low] => (integers(kind, high, low), (0..high.len()).collect()),
@@ -113,7 +113,7 @@ impl ValueColumn {
         Self { name: name.to_owned(), values, places }
     }
 
-    /// The values, row by row.
+    /// Returns the values in row order.
     pub fn iter(&self) -> impl ExactSizeIterator<Item = &Value> {
         self.places.iter().map(|place| &self.values[*place])
     }
@@ -145,12 +145,12 @@ impl Trajectory {
         pub len(self) -> usize = self.time.len();
         /// True if there are no rows.
         pub is_empty(self) -> bool = self.time.is_empty();
-        /// Times of the rows, in the order of the rows.
+        /// Times of the rows, in row order.
         pub times(self) -> &[f64] = &self.time;
     }
 
-    /// True if all columns have their rows, and all variables their columns. One that another process has
-    /// sent may be none that a simulation can have.
+    /// True if all columns have the right number of rows and all variables have their columns. A trajectory
+    /// received from another process may be inconsistent.
     pub fn is_consistent(&self) -> bool {
         let rows = self.time.len();
         let has = |range: &Range<usize>, n: usize| range.start <= range.end && range.end <= n;
@@ -167,10 +167,10 @@ impl Trajectory {
             })
     }
 
-    /// The column of this name; `time` is one.
+    /// Returns the column with this name. `time` is also a name.
     ///
     /// # Errors
-    /// [`FmiError::NotInResult`] lists the names there are.
+    /// [`FmiError::NotInResult`] lists the available names.
     pub fn get(&self, name: &str) -> Result<&[f64]> {
         if let Some(i) = self.names.iter().position(|n| n == name) {
             return Ok(&self.columns[i]);
@@ -181,10 +181,10 @@ impl Trajectory {
         Err(not_in_result(name, std::iter::once("time").chain(self.names.iter().map(String::as_str))))
     }
 
-    /// The values in the rows of a text, a binary variable or a 64-bit integer.
+    /// Returns the values of a string, a binary variable or a 64-bit integer, one per row.
     ///
     /// # Errors
-    /// [`FmiError::NotInResult`] lists the names there are.
+    /// [`FmiError::NotInResult`] lists the available names.
     pub fn values_of(&self, name: &str) -> Result<&ValueColumn> {
         match self.values.iter().find(|column| column.name == name) {
             Some(column) => Ok(column),
@@ -192,7 +192,8 @@ impl Trajectory {
         }
     }
 
-    /// Which columns are not finite in some row, and since when, in a sentence; `None`: all are finite.
+    /// Returns a sentence that lists the columns with non-finite values and the time of the first such value.
+    /// Returns `None` if all values are finite.
     pub fn not_finite(&self) -> Option<String> {
         let first = |(name, column): (&String, &Vec<f64>)| {
             let row = column.iter().position(|value| !value.is_finite())?;
@@ -213,10 +214,10 @@ impl Trajectory {
         (n > 0).then(|| format!("{n} of {n_columns} results {are} not finite: {}", found.join(", ")))
     }
 
-    /// The last value of the column of this name; `None` if there are no rows.
+    /// Returns the last value of the column with this name, or `None` if there are no rows.
     ///
     /// # Errors
-    /// [`FmiError::NotInResult`] lists the names there are.
+    /// [`FmiError::NotInResult`] lists the available names.
     pub fn final_value(&self, name: &str) -> Result<Option<f64>> {
         Ok(self.get(name)?.last().copied())
     }
@@ -236,13 +237,15 @@ pub(crate) struct Recorder<'a> {
     columns: Vec<Vec<f64>>,
     sides: Vec<Side>,
     events: Vec<EventRecord>,
-    /// Asked before every step, every round of an event iteration and every row inside of a step.
+    /// Called before every step, every round of an event iteration and every row inside a step.
     poll: &'a mut dyn FnMut() -> ControlFlow<()>,
 }
 
 impl<'a> Recorder<'a> {
+    /// Creates a recorder for the plan's rows.
+    ///
     /// # Errors
-    /// [`FmiError::Memory`]: there are too many rows and columns.
+    /// [`FmiError::Memory`]: the rows and columns need too much memory.
     pub(crate) fn new(plan: &SimulationPlan, poll: &'a mut dyn FnMut() -> ControlFlow<()>) -> Result<Self> {
         let (rows, columns) = (plan.times().len(), plan.outputs().len() + 1);
         let cells = (rows as u64).saturating_mul(columns as u64);
@@ -256,8 +259,7 @@ impl<'a> Recorder<'a> {
         })
     }
 
-    /// Puts the trajectory together; the table has the values that numbers in columns without names stand
-    /// for.
+    /// Assembles the trajectory. `table` contains the values to which the numbers in unnamed columns refer.
     pub(crate) fn finish(
         mut self,
         plan: &SimulationPlan,

@@ -1,5 +1,5 @@
-//! Values that are given anew again and again, by variable or by element of an array: FMI sets arrays as a
-//! whole, so that what is not given keeps its start value.
+//! Values that are set repeatedly, per variable or array element. FMI sets only complete arrays, so the
+//! remaining elements keep their start values.
 
 use crate::description::{ModelDescription, Structure, Value, VariableKind};
 use crate::error::{FmiError, Result};
@@ -9,7 +9,7 @@ use crate::simulation::outputs::element_of;
 use crate::sys::{Fault, RawInstance};
 use std::collections::HashMap;
 
-/// A variable, or one element of it (counted from 0, the last index varying fastest).
+/// Variable, or one of its elements (counted from 0, the last index varying fastest).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct VariableElement {
     pub(crate) variable: usize,
@@ -17,7 +17,7 @@ pub(crate) struct VariableElement {
 }
 
 impl VariableElement {
-    /// Resolves a name: a variable, or an element `name[2,1]`, counted from 1.
+    /// Resolves a name of a variable or of an element such as `name[2,1]`, counted from 1.
     ///
     /// # Errors
     /// [`FmiError::UnknownVariable`] with the nearest names.
@@ -33,7 +33,7 @@ impl VariableElement {
         Ok(Self { variable: resolve(description, name)?, element })
     }
 
-    /// True if the two have a value in common: aliases have the same reference.
+    /// True if both refer to a common value. Aliases have the same reference.
     pub(crate) fn overlaps(self, other: VariableElement, description: &ModelDescription) -> bool {
         let reference = |place: VariableElement| {
             let variable = &description.variables[place.variable];
@@ -44,26 +44,26 @@ impl VariableElement {
     }
 }
 
-/// The start values of a simulation: those given, else those of the model.
+/// Start values of a simulation: the requested values, otherwise the model's.
 #[derive(Clone, Copy)]
 pub(crate) struct Starts<'a> {
     pub(crate) description: &'a ModelDescription,
     pub(crate) structure: &'a Structure,
-    /// Positions and values, each position once.
+    /// Variable indices and values, each index once.
     pub(crate) given: &'a [(usize, Value)],
 }
 
 impl<'a> Starts<'a> {
-    /// The start value of a variable, if it has one.
+    /// Returns the start value of a variable, if it has one.
     pub(crate) fn of(&self, variable: usize) -> Option<&'a Value> {
         let given = self.given.iter().find(|(index, _)| *index == variable).map(|(_, value)| value);
         given.or(self.description.variables[variable].start.as_ref())
     }
 
-    /// The start values of all elements of an array.
+    /// Returns the start values of all elements of an array.
     ///
     /// # Errors
-    /// There are none, or not as many as the array has elements.
+    /// There are no start values, or their number differs from the number of elements.
     pub(crate) fn elements(&self, variable: usize) -> Result<Vec<Value>> {
         let array = &self.description.variables[variable];
         let n = self.structure.elements(self.description, array);
@@ -88,13 +88,13 @@ impl<'a> Starts<'a> {
         }
     }
 
-    /// The array with one element replaced.
+    /// Returns the array with one element replaced.
     ///
     /// # Errors
-    /// As [`elements`](Self::elements).
+    /// As for [`elements`](Self::elements).
     pub(crate) fn with_element(&self, variable: usize, element: usize, value: Value) -> Result<Value> {
         let mut values = self.elements(variable)?;
-        // Elements are counted by the same extents.
+        // The index is in range, because it was computed from the same extents.
         if let Some(place) = values.get_mut(element) {
             *place = value;
         }
@@ -102,7 +102,7 @@ impl<'a> Starts<'a> {
     }
 }
 
-/// The element of an array; other values, and arrays without this element, as they are.
+/// Returns the element of an array. Other values, and arrays without this element, are returned unchanged.
 pub(crate) fn element_value(value: Value, element: Option<usize>) -> Value {
     match (value, element) {
         (Value::Array(mut values), Some(element)) if element < values.len() => values.swap_remove(element),
@@ -110,8 +110,8 @@ pub(crate) fn element_value(value: Value, element: Option<usize>) -> Value {
     }
 }
 
-/// Variables of one type for one call, and all their values: what a run writes before it sets them, and start
-/// values.
+/// Variables of one type for one call, with all their values. `start` contains the start values, which a run
+/// copies and modifies before it sets them.
 #[derive(Debug, Clone)]
 pub(crate) struct Slots<T> {
     pub(crate) references: Vec<u32>,
@@ -126,10 +126,11 @@ impl<T> Default for Slots<T> {
 }
 
 impl<T> Slots<T> {
-    /// Where the value of a variable or an element goes; `whole`: all start values of the variable.
+    /// Returns the index of the value of a variable or element. `whole` returns all start values of the
+    /// variable.
     ///
     /// # Errors
-    /// Those of `whole`.
+    /// Errors of `whole`.
     pub(crate) fn place(
         &mut self,
         reference: u32,
@@ -150,7 +151,8 @@ impl<T> Slots<T> {
     }
 }
 
-/// Floating-point variables, those of type `Real` before those of type `Float32`: set with one call per type.
+/// Floating-point variables, set with one call per type. Variables of type `Real` precede variables of type
+/// `Float32`.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct FloatSlots {
     slots: Slots<f64>,
@@ -159,16 +161,17 @@ pub(crate) struct FloatSlots {
 }
 
 impl FloatSlots {
-    /// Places for so many values, of no variables.
+    /// Creates `n` values without variables.
     #[cfg(test)]
     pub(crate) fn of_zeros(n: usize) -> Self {
         Self { slots: Slots { start: vec![0.0; n], ..Slots::default() }, reals: (0, n) }
     }
 
-    /// As [`Slots::place`]. All of type `Real` are placed before the others.
+    /// Returns an index as [`Slots::place`] does. All variables of type `Real` must be placed before the
+    /// others.
     ///
     /// # Errors
-    /// Those of [`Starts::reals`].
+    /// Errors of `Starts::reals`.
     pub(crate) fn place(&mut self, starts: &Starts<'_>, place: VariableElement) -> Result<usize> {
         let variable = &starts.description.variables[place.variable];
         let found = self.slots.place(variable.value_reference, place.element, || starts.reals(place))?;
@@ -182,23 +185,23 @@ impl FloatSlots {
         self.slots.references.is_empty()
     }
 
-    /// Values to start from.
+    /// Returns the start values.
     pub(crate) fn start(&self) -> &[f64] {
         &self.slots.start
     }
 
-    /// References and number of values of the variables of type `Real`.
+    /// Returns the references and the number of values of the variables of type `Real`.
     pub(crate) fn reals(&self) -> (&[u32], usize) {
         (&self.slots.references[..self.reals.0], self.reals.1)
     }
 
-    /// The variables, each by its type and reference.
+    /// Returns the variables with their types and references.
     pub(crate) fn references(&self) -> impl Iterator<Item = (VariableKind, u32)> + '_ {
         let kind = |i| if i < self.reals.0 { VariableKind::Real } else { VariableKind::Float32 };
         self.slots.references.iter().enumerate().map(move |(i, reference)| (kind(i), *reference))
     }
 
-    /// Sets them.
+    /// Sets the variables.
     pub(crate) fn send(&self, raw: &mut RawInstance, values: &[f64]) -> Result<(), Fault> {
         let (references, single_references) = self.slots.references.split_at(self.reals.0);
         let (values, singles) = values.split_at(self.reals.1);
@@ -211,27 +214,27 @@ impl FloatSlots {
         Ok(())
     }
 
-    /// Sets them; an error names them.
+    /// Sets the variables. An error contains their names.
     ///
     /// # Errors
-    /// The FMU refuses.
+    /// The FMU returns an error.
     pub(crate) fn set(&self, core: &mut Core, values: &[f64]) -> Result<()> {
         let sent = self.send(&mut core.raw, values);
         sent.map_err(|fault| core.error_about(fault, &self.slots.references, VariableKind::is_float))
     }
 }
 
-/// The values that variables start with.
+/// Start values of variables.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct StartValues {
-    /// Set before the initialization.
+    /// Values set before the initialization.
     pub(crate) early: Assignments,
-    /// Of inputs. The standard allows them before the initialization and in it; models are known that refuse
-    /// them before.
+    /// Values of inputs. The standard allows setting them before and during the initialization. Some models
+    /// reject them before it.
     pub(crate) inputs: Assignments,
 }
 
-/// Input of one run: start values, those of the plan or others for the same variables, and the values of its
+/// Input of one run: the plan's start values, or other values for the same variables, and the values of the
 /// parameters.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct RunInput<'a> {

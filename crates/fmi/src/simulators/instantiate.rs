@@ -1,4 +1,4 @@
-//! Instances of an FMU, made in its loaded library.
+//! Instances of an FMU, created in its loaded library.
 
 use crate::cancel_request::CancelRequest;
 use crate::description::QuirkKind;
@@ -19,45 +19,45 @@ const NO_EVENT_MODE: &str = "the description promises an event mode in co-simula
 const SO_OFTEN: &str =
     "a loaded library can be instantiated only so often: simulations go on in newly loaded copies of it";
 
-/// Options with which an instance is made.
+/// Options for creating an instance.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct InstanceOptions {
-    /// Name of the instance; default: the name of the model, in the worker processes of a program that run at
-    /// the same time with `_2`, `_3` and so on.
+    /// Name of the instance. Default: the name of the model. Worker processes that run at the same time
+    /// append `_2`, `_3` and so on.
     pub name: Option<String>,
-    /// Ask the FMU to log. FMUs log what they think important without being asked, too.
+    /// Requests logging from the FMU. FMUs also log important messages without a request.
     pub logging: bool,
-    /// Of which categories, by their names; none: of all (see [`Instance::log_categories`]).
+    /// Names of the log categories to request; empty for all categories (see [`Instance::log_categories`]).
     pub log_categories: Vec<String>,
-    /// Filter for the lines of the log (see [`Instance::log`]); an FMU that goes on logging is held to four
-    /// lines for each point of time, step and event iteration, besides its errors, and the rest is counted.
+    /// Filter for the log lines (see [`Instance::log`]). An FMU that logs continuously is limited to four
+    /// lines per time point, step and event iteration, plus its errors. The remaining lines are only counted.
     pub log_filter: LogFilter,
-    /// Let the FMU show windows.
+    /// Allows the FMU to show windows.
     pub visible: bool,
 }
 
 impl Fmu {
-    /// Makes a model-exchange instance. **This loads the library and runs its code.**
+    /// Creates a model-exchange instance. **This loads the library and runs its code.**
     ///
     /// # Errors
-    /// The FMU cannot be run here (see [`FmiError`]), or it refuses to be instantiated.
+    /// The FMU cannot be run on this machine (see [`FmiError`]), or its instantiation fails.
     pub fn instantiate(&self) -> Result<Instance<Instantiated>, FmiError> {
         self.instantiate_with(&InstanceOptions::default())
     }
 
-    /// Makes a model-exchange instance with a name, with logging.
+    /// Creates a model-exchange instance with a name and logging options.
     ///
     /// # Errors
-    /// As [`instantiate`](Self::instantiate).
+    /// As for [`instantiate`](Self::instantiate).
     pub fn instantiate_with(&self, options: &InstanceOptions) -> Result<Instance<Instantiated>, FmiError> {
         let (core, library) = self.instantiate_by_hand(InterfaceKind::ModelExchange, options)?;
         Ok(Instance::by_hand(core, library))
     }
 
-    /// Makes a co-simulation instance. **This loads the library and runs its code.**
+    /// Creates a co-simulation instance. **This loads the library and runs its code.**
     ///
     /// # Errors
-    /// As [`instantiate`](Self::instantiate).
+    /// As for [`instantiate`](Self::instantiate).
     pub fn instantiate_co_simulation(
         &self,
         options: &InstanceOptions,
@@ -66,7 +66,7 @@ impl Fmu {
         Ok(Instance::by_hand(core, library))
     }
 
-    /// Makes an instance of either kind, and says in which loaded library.
+    /// Creates an instance of either kind, and returns it with its loaded library.
     pub(crate) fn instantiate_by_hand(
         &self,
         kind: InterfaceKind,
@@ -77,7 +77,7 @@ impl Fmu {
         Ok((Core::new(raw, self.clone()), library))
     }
 
-    /// Makes an instance for simulations that set these variables.
+    /// Creates an instance for simulations that set these variables.
     pub(crate) fn instantiate_for_runs(
         &self,
         library: &mut Arc<LoadedLibrary>,
@@ -94,8 +94,8 @@ impl Fmu {
         self.instantiate_in(library, kind, Some(settings), &options)
     }
 
-    /// Makes an instance of either kind. Some models can be instantiated only so often in one loaded library:
-    /// then another is loaded.
+    /// Creates an instance of either kind. If a model can be instantiated only a limited number of times per
+    /// loaded library, another copy is loaded.
     fn instantiate_in(
         &self,
         library: &mut Arc<LoadedLibrary>,
@@ -112,7 +112,7 @@ impl Fmu {
         let Ok(other) = self.library(kind, settings, &CancelRequest::default(), &mut || true) else {
             return Err(refused);
         };
-        // Where that fails, too, it is not because the library was used.
+        // If instantiation fails here as well, the use of the library was not the cause.
         let made = self.instantiate_once(&other.functions(kind)?, kind, options).map_err(|_| refused)?;
         *library = other;
         self.note_quirk(QuirkKind::Promise, SO_OFTEN);
@@ -130,11 +130,12 @@ impl Fmu {
         let text = |what: &str, text: &str| {
             CString::new(text).map_err(|_| FmiError::BadSetting(format!("the {what} holds a NUL character")))
         };
-        // Unique among the processes that run at the same time: models name files by it.
+        // The name is unique among the processes that run at the same time, because some models derive file
+        // names from it.
         let default = || format!("{}{}", description.model_name, instance_suffix());
         let name = text("name of the instance", &options.name.clone().unwrap_or_else(default))?;
         let guid = text("guid", &description.guid)?;
-        // A cleaner of the folder for temporary files may have been there since the library was loaded.
+        // Temporary files may have been deleted since the library was loaded.
         let resources = self.running_root()?.join("resources");
         let mut request = Request {
             name: &name,
@@ -152,7 +153,7 @@ impl Fmu {
             Err(FmiError::Call(refusal)) if request.event_mode => FmiError::Call(refusal),
             outcome => return self.with_log_categories(outcome?, options),
         };
-        // Some models promise an event mode that they do not have.
+        // Some models declare an event mode that they do not support.
         request.event_mode = false;
         let raw = RawInstance::new(library, &request, sizes).map_err(|_| refusal)?;
         self.reset_knowledge(kind).no_event_mode = true;

@@ -1,5 +1,5 @@
-//! A plan that is run many times in this process: one thread, one instance, brought back to its start between
-//! runs.
+//! Simulators: a plan that is run many times in this process by one thread with one instance, which returns
+//! to its start between runs.
 
 mod instantiate;
 mod reset;

@@ -1,4 +1,4 @@
-//! New instances for runs, and the last run's instance reset.
+//! New instances for runs, and reset of the last run's instance.
 
 use super::simulator::Simulator;
 use crate::error::FmiError;
@@ -8,16 +8,17 @@ use crate::simulation::running::no_instance;
 use crate::sys::{InterfaceKind, RawInstance, is_worker};
 
 impl Simulator {
-    /// True if an instance is reset after its run, to be used in the next one.
+    /// True if an instance is reset after its run and used in the next run.
     fn resets(&self) -> bool {
         let fmu = self.plan.fmu();
-        // FMI 1.0 has a reset function for co-simulation only.
+        // FMI 1.0 has a reset function only for co-simulation.
         let has_reset =
             fmu.description().fmi_version.major >= 2 || self.plan.kind == InterfaceKind::CoSimulation;
         has_reset && !self.reset_fails && (self.is_resetting || (is_worker() && fmu.reuse() == Reuse::Reset))
     }
 
-    /// A new instance, or the last run's after a reset; and whether it was used before.
+    /// Returns a new instance, or the last run's instance after a reset. The flag is true if the instance was
+    /// used before.
     pub(super) fn fresh_instance(&mut self) -> Result<(RawInstance, bool), FmiError> {
         self.retire();
         match self.was_reset.take().filter(|_| self.resets()) {
@@ -26,7 +27,7 @@ impl Simulator {
         }
     }
 
-    /// Ends the last run's instance, and resets it if it is to be used again.
+    /// Terminates the last run's instance, and resets it if it is to be used again.
     pub(super) fn retire(&mut self) {
         let Some(used) = self.engine.running().retire() else { return };
         if !self.resets() {
@@ -45,9 +46,9 @@ impl Simulator {
         }
     }
 
-    /// A new instance, after the last one.
+    /// Creates a new instance after freeing the last one.
     pub(super) fn new_instance(&mut self) -> Result<RawInstance, FmiError> {
-        // One at a time: the FMU may not allow two.
+        // Only one instance exists at a time, because the FMU may not support two.
         self.was_reset = None;
         drop(self.engine.running().retire());
         let library = self.library.as_mut().ok_or_else(no_instance)?;

@@ -1,4 +1,4 @@
-//! A run of a simulator: its turn in the library, the start of its instance, the run itself.
+//! One run of a simulator: waiting for the library, starting the instance, and the run itself.
 
 use super::simulator::Simulator;
 use crate::cancel_request::CancelRequest;
@@ -11,12 +11,12 @@ use std::sync::Arc;
 use std::time::Instant;
 
 impl Simulator {
-    /// True if a call of its library has returned `Fatal`.
+    /// True if a call of the library has returned `Fatal`.
     pub(super) fn is_fatal(&self) -> bool {
         self.library.as_ref().is_some_and(|library| library.is_fatal())
     }
 
-    /// Gets the library, if there is none yet or it has answered `Fatal`.
+    /// Loads the library, if it is not loaded yet or has returned `Fatal`.
     fn ensure_library(&mut self, wait: &mut dyn FnMut() -> bool) -> Result<(), FmiError> {
         if self.library.is_some() && !self.is_fatal() {
             return Ok(());
@@ -32,10 +32,11 @@ impl Simulator {
         Ok(())
     }
 
-    /// Waits until nobody else is inside of the library; loads it, if it is not yet.
+    /// Waits until no other thread is inside the library. Loads the library if necessary.
     ///
     /// # Errors
-    /// The library cannot be loaded; `observer`, the plan or the time limit has ended the simulation.
+    /// The library cannot be loaded, or `observer`, the plan's flag or the time limit has ended the
+    /// simulation.
     fn enter(&mut self, observer: &mut dyn Observer) -> Result<Inside, FmiError> {
         let cancel = CancelRequest::from(self.plan.options.cancel.clone());
         let mut goes_on = || !cancel.is_asked() && observer.poll().is_continue();
@@ -57,7 +58,7 @@ impl Simulator {
         }
     }
 
-    /// The error of a simulation that was ended before it began.
+    /// Returns the error of a simulation that ended before it started.
     pub(super) fn ended(&self, kind: ErrorKind) -> FmiError {
         FmiError::Simulation(Box::new(SimulationError {
             kind,
@@ -72,7 +73,7 @@ impl Simulator {
         }))
     }
 
-    /// A run with parameters that are checked.
+    /// Runs the simulation with checked parameters.
     pub(super) fn run_checked(
         &mut self,
         parameters: &[f64],
@@ -90,18 +91,19 @@ impl Simulator {
             self.plan.fmu().note_quirk(QuirkKind::Promise, refusal);
         }
         if is_worker() && !self.keeps_end {
-            // What the end of a run does to the process is part of the answer.
+            // In a worker process, the effect of `retire` on the process is part of the result.
             self.retire();
         }
         let Some(stats) = stats_of(&mut outcome) else { return outcome };
         stats.seconds += Seconds::new(starting);
-        // All of the start is the model's doing, and all calls of the run are, but input functions of the user are not.
+        // The start counts as time in the model. So do all calls of the run except the user's input
+        // functions.
         let in_calls = starting + stats.seconds_in_model.get();
         stats.seconds_in_model = Seconds::new(in_calls.min(stats.seconds.get() - input_functions).max(0.0));
         outcome
     }
 
-    /// Brings the FMU to its start, with parameters that are checked.
+    /// Brings the FMU to its start with checked parameters.
     pub(super) fn initialize_checked(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
         let _inside = self.enter(&mut Ignore)?;
         self.start(parameters)?;
@@ -115,17 +117,17 @@ impl Simulator {
         let core = self.engine.running().current.core()?;
         plan.values.initial.compare_guesses(core, plan.fmu(), parameters);
         match plan.kind {
-            // They are set when the run begins.
+            // Model exchange sets the initial states when the run begins.
             InterfaceKind::ModelExchange => Ok(()),
             InterfaceKind::CoSimulation => plan.values.initial.check_required(core, plan.fmu(), parameters),
         }
     }
 
-    /// Initializes a new instance, or one that was brought back and has the values it was given.
+    /// Initializes a new instance, or a reset instance if it has the specified values.
     fn start_instance(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
         self.began = Instant::now();
         let (instance, is_used) = match self.fresh_instance() {
-            // The last run's instance could not be ended or reset, which is nothing of this run's.
+            // A failure to terminate or reset the last run's instance does not affect this run.
             Err(_) if self.is_fatal() => {
                 self.ensure_library(&mut || true)?;
                 self.fresh_instance()?
@@ -133,14 +135,14 @@ impl Simulator {
             outcome => outcome?,
         };
         self.engine.initialize(instance, self.plan.values.input(parameters))?;
-        // A model that does not answer cannot be asked.
+        // If the values cannot be read, a new instance is trusted and a reset one is not.
         if self.has_values(parameters).unwrap_or(!is_used) {
             return Ok(());
         }
         if !is_used {
             return self.check_taken(parameters);
         }
-        // A reset instance without its values is replaced by a new one.
+        // A reset instance that lost its values is replaced by a new one.
         self.start_new(parameters)?;
         match self.has_values(parameters) {
             Ok(true) => Ok(()),
@@ -148,8 +150,8 @@ impl Simulator {
         }
     }
 
-    /// Refuses a model that does not take the value of a parameter, on a new instance that does not have all
-    /// values that it was given; what another variable determines is a quirk.
+    /// Checks a new instance that does not have all its specified values. Returns an error if the value of a
+    /// parameter was ignored. A value that another variable determines is recorded as a quirk.
     fn check_taken(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
         let plan = Arc::clone(&self.plan);
         let core = self.engine.running().current.core()?;
@@ -179,7 +181,7 @@ impl Simulator {
     }
 }
 
-/// Statistics of a run that had begun.
+/// Returns the statistics of a run that had started.
 fn stats_of(outcome: &mut Result<Report, FmiError>) -> Option<&mut Stats> {
     match outcome {
         Ok(report) => Some(&mut report.stats),
@@ -193,7 +195,8 @@ impl Drop for Simulator {
         let Some(library) = self.library.take() else { return };
         let (was_reset, current) =
             (self.was_reset.take(), std::mem::take(&mut self.engine.running().current));
-        // Without waiting: who drops a simulator may hold locks that the one who is inside waits for.
+        // This does not wait, because the dropping thread may hold locks that the thread inside the library
+        // needs.
         Arc::clone(library.lock()).when_free(move || {
             drop((was_reset, current.retire()));
             drop(library);

@@ -1,4 +1,4 @@
-//! A simulator that many threads use in turns.
+//! A simulator that threads use in turn.
 
 use super::simulator::Simulator;
 use crate::error::FmiError;
@@ -6,8 +6,8 @@ use crate::simulation::plan::SimulationPlan;
 use base::RunContext;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// A simulator of one plan for any number of threads, which use it one at a time; so they use all pools of
-/// one [`Fmu`](crate::Fmu) and its clones.
+/// Simulator of one plan for any number of threads, one at a time. Threads also take turns across all pools
+/// of one [`Fmu`](crate::Fmu) and its clones.
 #[derive(Debug)]
 pub struct SharedSimulator {
     plan: Arc<SimulationPlan>,
@@ -15,21 +15,21 @@ pub struct SharedSimulator {
 }
 
 impl SharedSimulator {
-    /// A pool for this plan. Nothing is loaded or run yet.
+    /// Creates a pool for this plan. It does not load or run the model.
     pub fn new(plan: Arc<SimulationPlan>) -> Self {
         Self { plan, simulator: Mutex::default() }
     }
 
-    /// The plan.
+    /// Returns the plan.
     pub fn plan(&self) -> &Arc<SimulationPlan> {
         &self.plan
     }
 
-    /// Uses the simulator when nobody else does; the context is looked at every 20 ms until then. The wait
-    /// counts in no time limit.
+    /// Runs `work` with the simulator when no other thread uses it. Checks `context` every 20 ms while it
+    /// waits. The wait does not count towards any time limit.
     ///
     /// # Errors
-    /// Those of `work` and of [`Simulator::new`]; [`FmiError::Cancelled`].
+    /// Errors of `work` and of [`Simulator::new`]; [`FmiError::Cancelled`].
     pub fn with_simulator<T>(
         &self,
         context: &RunContext<'_>,
@@ -38,7 +38,8 @@ impl SharedSimulator {
         let turn = self.plan.fmu().turns().enter_while(&mut || !context.is_over());
         let _turn = turn.ok_or(FmiError::Cancelled)?;
         let lock = || self.simulator.lock().unwrap_or_else(PoisonError::into_inner);
-        // Taken out: one that panics is not used again, and a thread may come here again within its work.
+        // The simulator is taken out so that it is not used again after a panic. `work` may also call this
+        // function again.
         let known = lock().take();
         let mut simulator = match known {
             Some(simulator) => simulator,

@@ -1,4 +1,4 @@
-//! A plan, a live instance, a driver and buffers, for any number of runs.
+//! A plan with an instance, a driver and buffers, for any number of runs.
 
 use crate::description::Value;
 use crate::error::FmiError;
@@ -15,13 +15,14 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Runs one plan over and over, each time from the start of the model: the same parameters give the same
-/// bits, whatever was run before. One thread at a time uses it ([`Send`], not `Sync`); when warm, a run
-/// allocates nothing.
+/// Runs one plan any number of times, each time from the start of the model.
 ///
-/// All simulators and instances of an [`Fmu`](crate::Fmu) and its clones are in one loaded library, which
-/// nobody else has; one thread at a time is inside of it. A run waits until others are over, and its observer
-/// is polled meanwhile.
+/// The same parameters give bit-for-bit identical results, independent of previous runs. One thread at a time
+/// can use a simulator ([`Send`], not `Sync`). After the first run, further runs do not allocate memory.
+///
+/// All simulators and instances of an [`Fmu`](crate::Fmu) and its clones share one loaded library, and
+/// nothing else uses it. One thread at a time is inside the library. A run waits until other runs have
+/// finished, and polls its observer meanwhile.
 ///
 /// Each run has a new instance, unless the simulator is [`resetting`](Self::resetting) or in a worker process
 /// (see [`Reuse`](crate::Reuse)). Parameters and start values are set again for every run and read back.
@@ -34,26 +35,26 @@ use std::time::Instant;
 pub struct Simulator {
     pub(super) plan: Arc<SimulationPlan>,
     pub(super) engine: Engine,
-    /// The last run's instance after a reset.
+    /// Instance of the last run after a reset.
     pub(super) was_reset: Option<RawInstance>,
     pub(super) is_resetting: bool,
     pub(super) reset_fails: bool,
-    /// The values at the end of a run are asked for after it.
+    /// True if values are read after a run, so the instance must stay at the end of the run.
     pub(super) keeps_end: bool,
     pub(super) buffers: ReadBackBuffers,
-    /// When the start of the present run began.
+    /// Time at which the start of the current run began.
     pub(super) began: Instant,
-    /// In which its instances are, from the first run on.
+    /// Library of the instances, loaded by the first run.
     pub(super) library: Option<Arc<LoadedLibrary>>,
-    /// Calls come from one thread at a time.
+    /// Prevents `Sync`, because calls must come from one thread at a time.
     _not_sync: PhantomData<Cell<()>>,
 }
 
 impl Simulator {
-    /// Makes a simulator. Nothing is loaded or run yet.
+    /// Creates a simulator. It does not load or run the model.
     ///
     /// # Errors
-    /// Options of the method that cannot be used.
+    /// The method options are invalid.
     pub fn new(plan: Arc<SimulationPlan>) -> Result<Self, FmiError> {
         Ok(Self {
             engine: Engine::new(&plan)?,
@@ -69,32 +70,33 @@ impl Simulator {
         })
     }
 
-    /// Resets the instance after each run by the FMU's reset function, instead of making a new one. Use it if
-    /// making an instance takes long and the model's reset restores everything: nothing is compared here.
+    /// Resets the instance after each run with the FMU's reset function, instead of creating a new one. Use
+    /// this if creating an instance takes long and the model's reset restores the complete state. This
+    /// function does not check the reset.
     #[must_use]
     pub fn resetting(mut self) -> Self {
         self.is_resetting = true;
         self
     }
 
-    /// The same, with the instance left at the end of each run, so that values can be read there. In a worker
-    /// process it is brought back to its start otherwise, as part of the run.
+    /// Leaves the instance at the end of each run, so that values can be read there. Without this setting, a
+    /// worker process returns the instance to its start as part of the run.
     #[must_use]
     pub(crate) fn keeping_end(mut self) -> Self {
         self.keeps_end = true;
         self
     }
 
-    /// The plan.
+    /// Returns the plan.
     pub fn plan(&self) -> &Arc<SimulationPlan> {
         &self.plan
     }
 
-    /// Goes on with another plan. One that [`SimulationPlan::with_rows`] made of the present one takes over
-    /// the instance and what is known of resetting it.
+    /// Continues with another plan. A plan made from the current one by [`SimulationPlan::with_rows`] keeps
+    /// the instance and the knowledge about its reset.
     ///
     /// # Errors
-    /// As [`new`](Self::new).
+    /// As for [`new`](Self::new).
     pub fn set_plan(&mut self, plan: Arc<SimulationPlan>) -> Result<(), FmiError> {
         if self.plan.fits(&plan) {
             self.use_plan(&plan);
@@ -104,26 +106,30 @@ impl Simulator {
         Ok(())
     }
 
-    /// Goes on with a plan that fits.
+    /// Continues with another plan that fits.
     pub(super) fn use_plan(&mut self, plan: &Arc<SimulationPlan>) {
         self.plan = Arc::clone(plan);
         self.engine.running().set_plan(Arc::clone(plan));
     }
 
-    /// Simulates once, with these values for the plan's parameters, and hands the samples to `observer`.
+    /// Simulates once with these values of the plan's parameters, and passes the samples to `observer`.
     ///
-    /// Where another thread is in a simulation of the same [`Fmu`](crate::Fmu), waits for it to end;
-    /// `observer` is polled meanwhile, and no longer than the time limit of the simulation.
+    /// If another thread is running a simulation of the same [`Fmu`](crate::Fmu), this function waits for it
+    /// to end. It polls `observer` meanwhile, and waits no longer than the time limit of the simulation.
     ///
-    /// The seconds of the report count from resetting the model, and those of a test of the ways of that are
-    /// among them; loading and waiting do not count. Those inside the model are in calls of the FMU (of calls
-    /// that take less than 1 us only some are timed) and do not include input functions
-    /// ([`Inputs::function`](crate::Inputs::function)).
+    /// The run time in the report starts with the reset of the model and includes any test of the reset
+    /// method. Loading and waiting do not count. The time inside the model covers calls of the FMU, without
+    /// input functions ([`Inputs::function`](crate::Inputs::function)). Only some of the calls that take less
+    /// than 1 us are timed.
     ///
     /// # Errors
-    /// A value is not finite, or there are not as many as parameters; the FMU cannot be loaded or
-    /// instantiated; the FMU or the integration fails. The simulator can be used again after an error: a
-    /// broken instance is replaced, after `Fatal` in a newly loaded copy of the library.
+    /// Returns an error in these cases:
+    /// - A value is not finite, or the number of values differs from the number of parameters.
+    /// - The FMU cannot be loaded or instantiated.
+    /// - The FMU or the integration fails.
+    ///
+    /// The simulator can be used again after an error. A broken instance is replaced. After `Fatal`, a new
+    /// copy of the library is loaded.
     pub fn run(&mut self, parameters: &[f64], observer: &mut dyn Observer) -> Result<Report, FmiError> {
         self.plan.values.check_parameters(parameters)?;
         self.run_checked(parameters, observer)
@@ -132,16 +138,16 @@ impl Simulator {
     /// Simulates once and records all samples.
     ///
     /// # Errors
-    /// As [`run`](Self::run).
+    /// As for [`run`](Self::run).
     pub fn trajectory(&mut self, parameters: &[f64]) -> Result<Trajectory, FmiError> {
         self.trajectory_with(parameters, &mut || ControlFlow::Continue(()))
     }
 
-    /// As [`trajectory`](Self::trajectory); `poll` is asked before every step, and `Break` ends the
-    /// simulation there.
+    /// Simulates and records as [`trajectory`](Self::trajectory) does. Calls `poll` before every step;
+    /// `Break` ends the simulation there.
     ///
     /// # Errors
-    /// As [`run`](Self::run).
+    /// As for [`run`](Self::run).
     pub fn trajectory_with(
         &mut self,
         parameters: &[f64],
@@ -158,11 +164,11 @@ impl Simulator {
         })
     }
 
-    /// Value of a variable, or of an element of an array (`name[2,1]`), where the last run ended (after a
-    /// step inside of which it was stopped: at the end of the step before).
+    /// Returns the value of a variable or an array element (`name[2,1]`) at the end of the last run. If the
+    /// run was stopped inside a step, the value is from the end of the previous step.
     ///
     /// # Errors
-    /// There is no such variable, nothing was run yet, the run failed, or the FMU refuses.
+    /// There is no such variable, no run has taken place, the run failed, or the FMU returns an error.
     pub fn value(&mut self, name: &str) -> Result<Value, FmiError> {
         let plan = Arc::clone(&self.plan);
         let description = plan.fmu().description();
@@ -171,18 +177,18 @@ impl Simulator {
         Ok(element_value(value, place.element))
     }
 
-    /// As [`value`](Self::value), as a number: integers and Booleans too.
+    /// Returns a value as [`value`](Self::value) does, converted to a number. Integers and Booleans are also
+    /// converted.
     ///
     /// # Errors
-    /// As [`value`](Self::value); the variable is a text.
+    /// As for [`value`](Self::value); also if the variable is not a single number.
     pub fn get(&mut self, name: &str) -> Result<f64, FmiError> {
         self.value(name)?
             .as_number()
             .ok_or_else(|| FmiError::NotAnOutput { name: name.to_owned(), reason: "it is no single number" })
     }
 
-    /// Brings the FMU to its start without simulating: afterwards [`value`](Self::value) gives initial
-    /// values.
+    /// Initializes the FMU without simulating. Afterwards [`value`](Self::value) returns initial values.
     pub(crate) fn initialize_only(&mut self, parameters: &[f64]) -> Result<(), FmiError> {
         self.plan.values.check_parameters(parameters)?;
         self.initialize_checked(parameters)

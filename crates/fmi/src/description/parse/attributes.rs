@@ -1,4 +1,4 @@
-//! Attributes as typed values: what cannot be understood becomes a quirk and counts as absent.
+//! Attributes as typed values. An invalid value is reported as a quirk and treated as missing.
 
 use super::xml::Element;
 use crate::description::limits::Reading;
@@ -7,7 +7,7 @@ use crate::error::{FmiError, Result};
 use crate::value::{Value, VariableKind};
 use std::borrow::Cow;
 
-/// The attributes of one element.
+/// Attributes of one element.
 pub(super) struct Attributes<'e> {
     file: &'static str,
     element: &'e str,
@@ -27,25 +27,26 @@ impl<'e> Attributes<'e> {
         })
     }
 
-    /// The value as it stands.
+    /// Returns the unmodified value.
     pub(super) fn get(&self, name: &str) -> Option<&str> {
         self.pairs.iter().find(|(key, _)| *key == name).map(|(_, value)| value.as_ref())
     }
 
-    /// The value as an owned text.
+    /// Returns the value as an owned string.
     pub(super) fn text(&self, name: &str) -> Option<String> {
         self.get(name).filter(|text| self.reading.take_text(text)).map(str::to_owned)
     }
 
-    /// Reserves memory for a list of as many items as an attribute has words. If there is too little, returns
-    /// false, and reading ends with the next element.
+    /// Reserves memory for a list with one item per word of an attribute. If the memory is insufficient,
+    /// returns false, and reading ends with the next element.
     fn may_list<T>(&self, name: &str) -> bool {
-        // Items are collected in lists that double.
+        // Items are collected in lists that double their capacity.
         let words = self.get(name).map_or(0, |text| text.split_ascii_whitespace().count());
         self.reading.take(words.saturating_mul(2 * size_of::<T>()))
     }
 
-    /// The value as an owned text; a quirk and empty where it is missing.
+    /// Returns the value as an owned string. A missing value is reported as a quirk and replaced by an empty
+    /// string.
     pub(super) fn expected(&self, name: &str) -> String {
         self.text(name).unwrap_or_else(|| {
             self.quirk(QuirkKind::Missing, || format!("<{}> has no {name}", self.element));
@@ -53,12 +54,12 @@ impl<'e> Attributes<'e> {
         })
     }
 
-    /// The value without which the element means nothing.
+    /// Returns a mandatory value. Without it the element cannot be used.
     pub(super) fn required(&self, name: &str) -> Result<&str> {
         self.get(name).ok_or_else(|| self.error(format!("no {name}")))
     }
 
-    /// As [`required`](Self::required), as an owned text.
+    /// Returns a mandatory value as an owned string.
     pub(super) fn required_text(&self, name: &str) -> Result<String> {
         self.required(name)?;
         Ok(self.text(name).unwrap_or_default())
@@ -72,12 +73,12 @@ impl<'e> Attributes<'e> {
         }
     }
 
-    /// Notes a departure from the standard.
+    /// Records a deviation from the standard.
     pub(super) fn quirk(&self, kind: QuirkKind, message: impl FnOnce() -> String) {
         self.reading.quirk(kind, self.line, message);
     }
 
-    /// The value as `parse` understands it.
+    /// Returns the value converted by `parse`.
     fn parsed<T>(&self, name: &str, what: &str, parse: impl FnOnce(&str) -> Option<T>) -> Option<T> {
         let value = self.get(name)?;
         let parsed = parse(value.trim());
@@ -108,7 +109,7 @@ impl<'e> Attributes<'e> {
         })
     }
 
-    /// The start value of a variable of this kind; several words are the elements of an array.
+    /// Returns the start value of a variable of this kind. Several words are the elements of an array.
     pub(super) fn start(&self, kind: VariableKind, is_array: bool) -> Option<Value> {
         let one = |text: &str| match kind {
             VariableKind::Boolean | VariableKind::Clock => parse_boolean(text).map(Value::Boolean),
@@ -118,7 +119,7 @@ impl<'e> Attributes<'e> {
             kind => parse_wide_integer(text, kind).map(Value::Integer),
         };
         if !is_array {
-            // White space belongs to a text.
+            // White space is part of a string.
             return match kind {
                 VariableKind::String => self.text("start").map(Value::String),
                 _ => self.parsed("start", "a value of its type", one),
@@ -136,7 +137,7 @@ impl<'e> Attributes<'e> {
         self.parsed(name, "a count", |text| text.parse().ok())
     }
 
-    /// The length of an array.
+    /// Returns the length of an array.
     pub(super) fn length(&self, name: &str) -> Result<Option<usize>> {
         let limit = self.reading.limits.elements;
         match self.count(name).map(|count| count as usize) {
@@ -151,21 +152,21 @@ impl<'e> Attributes<'e> {
         self.parsed(name, "true or false", parse_boolean)
     }
 
-    /// A capability or property: false where it is not mentioned.
+    /// Returns a capability or property; false if the attribute is missing.
     pub(super) fn flag(&self, name: &str) -> bool {
         self.boolean(name).unwrap_or(false)
     }
 
-    /// One of a few words.
+    /// Returns the meaning of one of these words.
     pub(super) fn choice<T: Copy>(&self, name: &str, words: &[(&str, T)]) -> Option<T> {
         self.parsed(name, "a word the standard knows", |text| {
             words.iter().find(|(word, _)| *word == text).map(|(_, meaning)| *meaning)
         })
     }
 
-    /// A list of counts separated by white space.
+    /// Returns a list of counts separated by white space.
     pub(super) fn counts(&self, name: &str) -> Option<Vec<u32>> {
-        // As counts, and as the positions they mean.
+        // Memory for the counts and for the indices derived from them.
         if !self.may_list::<(u32, usize)>(name) {
             return None;
         }
@@ -174,7 +175,7 @@ impl<'e> Attributes<'e> {
         })
     }
 
-    /// A list of words, each one of a few.
+    /// Returns the meanings of a list of words, each one of these words.
     pub(super) fn choices<T: Copy>(&self, name: &str, words: &[(&str, T)]) -> Option<Vec<T>> {
         if !self.may_list::<T>(name) {
             return None;
@@ -185,19 +186,19 @@ impl<'e> Attributes<'e> {
         })
     }
 
-    /// The value reference of a variable.
+    /// Returns the value reference of a variable.
     pub(super) fn value_reference(&self) -> Result<u32> {
         let text = self.required("valueReference")?.trim();
         text.parse().map_err(|_| self.error(format!("valueReference=\"{}\" is not one", shortened(text))))
     }
 }
 
-/// A number as XML Schema writes it, whatever the user's language: "1e3", "-.5", "INF", "NaN".
+/// Parses a number in XML Schema format, independent of the locale: "1e3", "-.5", "INF", "NaN".
 pub(super) fn parse_real(text: &str) -> Option<f64> {
     text.parse().ok()
 }
 
-/// An integer, also as "3.0": some tools write all numbers alike.
+/// Parses an integer. Also accepts "3.0", because some tools write all numbers in this format.
 pub(super) fn parse_integer(text: &str) -> Option<i32> {
     text.parse().ok().or_else(|| {
         let value: f64 = text.parse().ok()?;
@@ -206,7 +207,7 @@ pub(super) fn parse_integer(text: &str) -> Option<i32> {
     })
 }
 
-/// An integer within the range of its type, also as "3.0".
+/// Parses an integer within the range of its type. Also accepts "3.0".
 pub(super) fn parse_wide_integer(text: &str, kind: VariableKind) -> Option<i128> {
     let (least, most) = kind.range()?;
     let value = text.parse().ok().or_else(|| {
@@ -217,7 +218,7 @@ pub(super) fn parse_wide_integer(text: &str, kind: VariableKind) -> Option<i128>
     (least..=most).contains(&value).then_some(value)
 }
 
-/// Bytes written as pairs of hexadecimal digits.
+/// Parses bytes written as pairs of hexadecimal digits.
 pub(super) fn parse_hexadecimal(text: &str) -> Option<Vec<u8>> {
     let digits: Vec<u8> = text.bytes().filter(|b| !b.is_ascii_whitespace()).collect();
     let digit = |b: u8| char::from(b).to_digit(16).map(|d| d as u8);
@@ -235,7 +236,7 @@ pub(super) fn parse_boolean(text: &str) -> Option<bool> {
     }
 }
 
-/// Long values are cut in messages.
+/// Truncates a long value for messages.
 pub(super) fn shortened(text: &str) -> String {
     match text.char_indices().nth(60) {
         Some((end, _)) => format!("{}...", &text[..end]),
@@ -248,7 +249,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_are_read_as_xml_schema_writes_them() {
+    fn parse_real_accepts_xml_schema_numbers() {
         for (text, value) in [
             ("1e3", 1000.0),
             ("-.5", -0.5),
@@ -265,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn integers_and_booleans_are_read_as_tools_write_them() {
+    fn parse_integer_and_boolean_accept_common_variants() {
         for (text, value) in [
             ("3", Some(3)),
             ("-3", Some(-3)),
@@ -283,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn long_values_are_cut_between_characters() {
+    fn shortened_truncates_at_character_boundaries() {
         assert_eq!(shortened("abc"), "abc");
         assert_eq!(shortened(&"\u{e4}".repeat(100)), format!("{}...", "\u{e4}".repeat(60)));
     }

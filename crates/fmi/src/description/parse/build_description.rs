@@ -1,5 +1,5 @@
-//! `sources/buildDescription.xml`: what to compile for which interface (FMI 3.0, also used by some FMI 2.0
-//! FMUs).
+//! `sources/buildDescription.xml`: the files to compile for each interface (FMI 3.0, also used by some FMI
+//! 2.0 FMUs).
 
 use super::attributes::Attributes;
 use super::encoding;
@@ -17,14 +17,14 @@ pub(crate) const BUILD_DESCRIPTION: &str = "buildDescription.xml";
 pub(crate) struct BuildSet {
     /// Files, relative to `sources/`.
     pub(crate) files: Vec<String>,
-    /// Folders with headers, relative to `sources/`.
+    /// Header folders, relative to `sources/`.
     pub(crate) include_folders: Vec<String>,
-    /// Names to define, with their values.
+    /// Macros to define, with their values.
     pub(crate) definitions: Vec<(String, Option<String>)>,
 }
 
-/// The first build configuration for a model identifier: its C source sets as one. Compiler options are left
-/// out: they are written for one compiler, and not every option is harmless.
+/// Returns the first build configuration for a model identifier, with its C source sets merged. Compiler
+/// options are ignored, because they are specific to one compiler and some are unsafe.
 pub(crate) fn build_sets(bytes: &[u8], model_identifier: &str) -> Result<Option<BuildSet>> {
     check_size(bytes, BUILD_DESCRIPTION, &DescriptionLimits::default())?;
     let text = encoding::decode(bytes.into(), &mut Quirks::default());
@@ -89,7 +89,7 @@ mod tests {
 </fmiBuildDescription>"#;
 
     #[test]
-    fn the_sets_of_one_model_are_joined() {
+    fn build_sets_merges_the_sets_of_one_model() {
         let set = build_sets(EXAMPLE.as_bytes(), "m").unwrap().unwrap();
         assert_eq!(set.files, ["a.c", "sub/b.c"]);
         assert_eq!(set.include_folders, ["headers"]);
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn odd_definitions_are_refused_in_the_name_of_the_file() {
+    fn build_sets_rejects_invalid_macro_names_with_file_and_line() {
         let text = EXAMPLE.replace("name=\"B\"", "name=\"B;rm\"");
         let message = build_sets(text.as_bytes(), "m").unwrap_err().to_string();
         assert!(message.starts_with("buildDescription.xml, line 8: <PreprocessorDefinition>"), "{message}");

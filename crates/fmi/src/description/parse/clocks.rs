@@ -1,5 +1,4 @@
-//! Parses the elements `<Clock>` and `<ClockType>`: the ticks of clocks (FMI 3.0.x, sections 2.2.8.3 and
-//! 2.4.4).
+//! Parses the elements `<Clock>` and `<ClockType>`: timing of clocks (FMI 3.0.x, sections 2.2.8.3 and 2.4.4).
 
 use super::attributes::Attributes;
 use crate::description::clock::{ClockKind, ClockTiming, Interval};
@@ -8,7 +7,7 @@ use crate::description::limits::Reading;
 use crate::description::model::QuirkKind;
 use std::collections::HashMap;
 
-/// The attributes as they are written.
+/// Attributes as in the file.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ClockAttributes {
     line: u32,
@@ -20,7 +19,7 @@ pub(super) struct ClockAttributes {
     shift: Span,
 }
 
-/// A span of time, as a number and as the counter of a fraction.
+/// Time span, as a number and as the counter of a fraction.
 #[derive(Debug, Clone, Copy)]
 struct Span {
     decimal: Option<f64>,
@@ -32,7 +31,7 @@ impl Span {
         self.decimal.is_some() || self.counter.is_some()
     }
 
-    /// A fraction, where there is one, is more exact than the number beside it.
+    /// Returns the interval. A fraction takes precedence over a number because it is more exact.
     fn resolved(self, resolution: Option<u64>) -> Option<Interval> {
         let fraction = self.counter.zip(resolution).map(|(counter, of)| Interval::Fraction(counter, of));
         fraction.or(self.decimal.map(Interval::Decimal))
@@ -47,7 +46,8 @@ impl ClockAttributes {
         Self {
             line: attributes.line,
             kind: match attributes.get("intervalVariability") {
-                // A word of drafts of the standard; the interval is asked for, as where `fixed` has none.
+                // Word from drafts of the standard. The importer reads the interval from the model, as it
+                // does for `fixed` without an interval.
                 Some("calculated") => Some(ClockKind::Fixed),
                 _ => attributes.choice("intervalVariability", ClockKind::WORDS),
             },
@@ -59,7 +59,7 @@ impl ClockAttributes {
         }
     }
 
-    /// Takes over what the type says and the variable does not.
+    /// Fills in attributes that the variable does not specify from its type.
     fn inherit(&mut self, of_type: &Self) {
         self.kind = self.kind.or(of_type.kind);
         self.can_be_deactivated = self.can_be_deactivated.or(of_type.can_be_deactivated);
@@ -93,16 +93,16 @@ impl ClockAttributes {
     }
 }
 
-/// The clocks of a description and their types, wherever these stand.
+/// Clocks of a description and their types, in any order.
 #[derive(Debug, Default)]
 pub(super) struct Clocks {
     pub(super) types: HashMap<String, ClockAttributes>,
-    /// By the position of the variable.
+    /// Clock attributes with the variable index.
     pub(super) variables: Vec<(usize, ClockAttributes)>,
 }
 
 impl Clocks {
-    /// Tells the variables when they tick.
+    /// Sets the timing of the clock variables.
     pub(super) fn finish(self, draft: &mut Draft) {
         for (position, mut attributes) in self.variables {
             let Some(variable) = draft.model.variables.get_mut(position) else { continue };

@@ -1,15 +1,15 @@
-//! From bytes to text: by byte order mark, by the declared encoding, and where that does not fit, with
-//! replacement characters rather than not at all.
+//! Conversion of bytes to text. The encoding follows from the byte order mark or the declaration. Invalid
+//! bytes become replacement characters.
 
 use crate::description::model::QuirkKind;
 use crate::description::quirks::Quirks;
 use encoding_rs::{Encoding, UTF_8, UTF_16BE, UTF_16LE};
 use std::borrow::Cow;
 
-/// Bytes in which the XML declaration is looked for.
+/// Number of bytes in which the XML declaration is searched.
 const DECLARATION_BYTES: usize = 256;
 
-/// Decodes a document; what need not be changed is not copied.
+/// Decodes a document. Text that needs no change is not copied.
 pub(super) fn decode<'b>(bytes: Cow<'b, [u8]>, quirks: &mut Quirks) -> Cow<'b, str> {
     let (encoding, start) = Encoding::for_bom(&bytes).unwrap_or_else(|| (without_mark(&bytes, quirks), 0));
     let bytes = match bytes {
@@ -23,14 +23,14 @@ pub(super) fn decode<'b>(bytes: Cow<'b, [u8]>, quirks: &mut Quirks) -> Cow<'b, s
         Cow::Borrowed(bytes) => decode_body(encoding, &bytes[start..], quirks),
         Cow::Owned(bytes) => {
             let mut text = decode_body(encoding, &bytes[start..], quirks).into_owned();
-            // Buffers are made for the worst case.
+            // Decoding buffers have the size of the worst case.
             text.shrink_to_fit();
             Cow::Owned(text)
         }
     }
 }
 
-/// The encoding of a document: by its mark, or as it is declared.
+/// Returns the encoding of a document, from its byte order mark or its declaration.
 pub(in crate::description) fn encoding_of(bytes: &[u8]) -> &'static Encoding {
     let by_mark = Encoding::for_bom(bytes).map(|(encoding, _)| encoding);
     by_mark.unwrap_or_else(|| without_mark(bytes, &mut Quirks::default()))
@@ -50,7 +50,7 @@ fn decode_body<'b>(encoding: &'static Encoding, body: &'b [u8], quirks: &mut Qui
     text
 }
 
-/// The encoding of a document without byte order mark.
+/// Returns the encoding of a document without byte order mark.
 fn without_mark(bytes: &[u8], quirks: &mut Quirks) -> &'static Encoding {
     match bytes {
         [b'<', 0, ..] => return UTF_16LE,
@@ -59,7 +59,7 @@ fn without_mark(bytes: &[u8], quirks: &mut Quirks) -> &'static Encoding {
     }
     let Some(label) = declared(bytes) else { return UTF_8 };
     match Encoding::for_label(label) {
-        // The declaration was legible byte by byte, so the document cannot be in a two-byte encoding.
+        // The declaration was readable byte by byte, so the document cannot be in a two-byte encoding.
         Some(encoding) if encoding != UTF_16LE && encoding != UTF_16BE => encoding,
         _ => {
             quirks.add(QuirkKind::Encoding, 1, || {
@@ -70,7 +70,7 @@ fn without_mark(bytes: &[u8], quirks: &mut Quirks) -> &'static Encoding {
     }
 }
 
-/// The label in `encoding="..."` of the XML declaration.
+/// Returns the label in `encoding="..."` of the XML declaration.
 fn declared(bytes: &[u8]) -> Option<&[u8]> {
     let start = &bytes[..bytes.len().min(DECLARATION_BYTES)];
     let start = start.trim_ascii_start().strip_prefix(b"<?xml")?;
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn the_declaration_or_the_mark_decides() {
+    fn decode_uses_the_byte_order_mark_or_the_declaration() {
         let latin = b"<?xml version=\"1.0\" encoding=\"ISO-8859-1\"?><a b=\"\xb0C\"/>";
         assert!(decoded(latin).0.ends_with("\u{b0}C\"/>"));
         let single = b"<?xml version='1.0' encoding = 'windows-1252' ?><a b='\x80'/>";
@@ -116,20 +116,20 @@ mod tests {
     }
 
     #[test]
-    fn utf8_is_not_copied() {
+    fn decode_borrows_valid_utf8() {
         let mut quirks = Quirks::default();
         assert!(matches!(decode("<\u{e4}/>".as_bytes().into(), &mut quirks), Cow::Borrowed(_)));
     }
 
     #[test]
-    fn bad_bytes_are_replaced_and_reported_with_their_line() {
+    fn decode_replaces_invalid_bytes_and_reports_their_line() {
         let (text, quirks) = decoded(b"<a>\n\n\xff</a>");
         assert_eq!(text, "<a>\n\n\u{fffd}</a>");
         assert_eq!(quirks, ["line 3: bytes that are not UTF-8; replaced by U+FFFD"]);
     }
 
     #[test]
-    fn impossible_declarations_are_reported() {
+    fn decode_reports_impossible_declarations() {
         for label in ["klingon", "UTF-16"] {
             let text = format!("<?xml version=\"1.0\" encoding=\"{label}\"?><a/>");
             let (decoded, quirks) = decoded(text.as_bytes());

@@ -1,5 +1,5 @@
-//! Model descriptions of FMI 1.0, as far as the types of ours go: header, units, variables, experiment. Which
-//! variables are states stands in no file of FMI 1.0, so the model structure stays empty.
+//! Model descriptions of FMI 1.0: header, units, variables and experiment. The model structure stays empty,
+//! because FMI 1.0 files do not specify the state variables.
 
 use super::attributes::Attributes;
 use super::shared;
@@ -36,7 +36,7 @@ pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) ->
     Ok(())
 }
 
-/// `<CoSimulation_StandAlone>` or `<CoSimulation_Tool>` with the `<Capabilities>` inside.
+/// Parses `<CoSimulation_StandAlone>` or `<CoSimulation_Tool>` with the nested `<Capabilities>`.
 fn implementation(xml: &mut Xml<'_>, parent: &Element<'_>) -> Result<Capabilities> {
     let mut capabilities = Capabilities::default();
     while let Some(element) = xml.child(parent.level)? {
@@ -49,7 +49,7 @@ fn implementation(xml: &mut Xml<'_>, parent: &Element<'_>) -> Result<Capabilitie
     Ok(capabilities)
 }
 
-/// `<BaseUnit unit="rad/s"><DisplayUnitDefinition displayUnit="rpm" gain="9.55"/></BaseUnit>`
+/// Parses `<BaseUnit unit="rad/s"><DisplayUnitDefinition displayUnit="rpm" gain="9.55"/></BaseUnit>`.
 fn units(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<()> {
     while let Some(element) = xml.named(parent.level, &["BaseUnit"])? {
         let name = Attributes::of(&element)?.required("unit")?.to_owned();
@@ -93,7 +93,8 @@ fn variables(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Resu
     Ok(())
 }
 
-/// FMI 1.0 calls parameters a variability and knows no `initial` (specification 1.0, chapter 3.1).
+/// Sets causality, variability and initial. In FMI 1.0 "parameter" is a variability, and there is no
+/// `initial` (specification 1.0, chapter 3.1).
 fn roles(attributes: &Attributes<'_>, variable: &mut Variable, fixed: bool) {
     let causalities = [
         ("input", Causality::Input),
@@ -122,7 +123,7 @@ fn roles(attributes: &Attributes<'_>, variable: &mut Variable, fixed: bool) {
         (_, Some(_)) => Some(Initial::Approx),
         (_, None) => Some(Initial::Calculated),
     };
-    // The start value is that of the alias, as the file gives it; what the model holds has the other sign.
+    // The start value in the file belongs to the alias. The model's value has the opposite sign.
     variable.negated =
         attributes.get("alias") == Some("negatedAlias") && variable.kind != VariableKind::String;
 }

@@ -47,7 +47,7 @@ fn variables(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Resu
             let (variable, flags) = variable(xml, &element, draft)?;
             draft.add_variable(variable, flags);
         } else {
-            // Positions in the list are what the model structure refers to: this one has none.
+            // The model structure refers to indices in this list. Unknown elements do not count.
             let line = element.line;
             draft.reading.quirk(QuirkKind::Element, line, || {
                 format!("<{}> among the variables; ignored", element.name())

@@ -1,5 +1,6 @@
 //! Model descriptions of FMI 3.0 (specification 3.0.1, chapters 2.4, 3.3 and 4.3): all types of variables,
-//! arrays, aliases, clocks as variables. Scheduled execution has no type of ours: it is named and left out.
+//! arrays, aliases, clocks as variables. Scheduled execution is reported as unsupported and otherwise
+//! ignored.
 
 use super::attributes::Attributes;
 use super::clocks::{ClockAttributes, Clocks};
@@ -13,17 +14,17 @@ use crate::error::Result;
 use crate::value::{Value, VariableKind};
 use std::collections::HashMap;
 
-/// Positions of variables by value reference, which FMI 3.0 uses where FMI 2.0 has positions; `None` for
-/// variables left out.
+/// Indices of variables by value reference, which FMI 3.0 uses instead of the positions in FMI 2.0. `None`
+/// for ignored variables.
 type Positions = HashMap<u32, Option<usize>>;
 
-/// References to variables that may be declared further down: the clocks of a variable, as a list, and the
-/// value references of its dimensions.
+/// References to variables that may be declared later in the file: states of derivatives, value references of
+/// dimensions, and lists of clocks.
 #[derive(Default)]
 struct Later {
-    /// Position and value reference of the state.
+    /// Variable index and value reference of the state.
     derivatives: Vec<(usize, u32)>,
-    /// Position, number of the dimension, value reference.
+    /// Variable index, index of the dimension, value reference.
     dimensions: Vec<(usize, usize, u32)>,
     clocks: Vec<(usize, Vec<u32>)>,
 }
@@ -68,7 +69,7 @@ fn interface(element: &Element<'_>) -> Result<Interface> {
     })
 }
 
-/// Our type for an element like `<Float64>` or `<Float64Type>`.
+/// Returns the kind of variable for an element such as `<Float64>` or `<Float64Type>`.
 fn kind(element: &str) -> Option<VariableKind> {
     Some(match element.strip_suffix("Type").unwrap_or(element) {
         "Float64" => VariableKind::Real,
@@ -140,7 +141,7 @@ fn variables(
         let flags = shared::value_attributes(&attributes, &mut variable);
         variable.intermediate_update = attributes.flag("intermediateUpdate");
         if kind == VariableKind::Clock {
-            // And its timing.
+            // Memory for the timing of the clock.
             draft.reading.take(size_of::<ClockTiming>() + 16);
             let clock = ClockAttributes::of(&attributes);
             draft.reading.push(&mut clocks.variables, (position, clock));
@@ -162,7 +163,7 @@ fn variables(
         if let Some(clocks) = attributes.counts("clocks") {
             draft.reading.push(&mut later.clocks, (position, clocks));
         }
-        // Two places of a table that doubles.
+        // Memory for two entries of a table that doubles its capacity.
         draft.reading.take(2 * size_of::<(u32, Option<usize>, u8)>());
         positions.entry(variable.value_reference).or_insert(Some(position));
         draft.add_variable(variable, flags);
@@ -182,8 +183,8 @@ fn variables(
     Ok(positions)
 }
 
-/// The start value of a text or binary variable that stands where those of other types do, as in FMI 2.0,
-/// instead of in elements `<Start>`.
+/// Returns the start value of a string or binary variable from an attribute, as in FMI 2.0, instead of from
+/// `<Start>` elements.
 fn start_attribute(attributes: &Attributes<'_>, variable: &Variable) -> Option<Value> {
     let start = match variable.kind {
         VariableKind::Binary => Value::Binary(attributes.hexadecimal("start")?),
@@ -195,7 +196,7 @@ fn start_attribute(attributes: &Attributes<'_>, variable: &Variable) -> Option<V
     Some(if variable.dimensions.is_empty() { start } else { Value::Array(vec![start]) })
 }
 
-/// One value, or those of an array.
+/// Returns a scalar value, or the values of an array.
 fn start_of_texts(mut values: Vec<Value>, is_array: bool) -> Option<Value> {
     match (values.is_empty(), is_array) {
         (true, _) => None,
@@ -204,7 +205,8 @@ fn start_of_texts(mut values: Vec<Value>, is_array: bool) -> Option<Value> {
     }
 }
 
-/// `<Dimension>`, `<Alias>`, and `<Start value="..."/>` of texts and binary variables, which is returned.
+/// Parses `<Dimension>`, `<Alias>` and `<Start value="..."/>`. Returns the start values of string and binary
+/// variables.
 fn variable_children(
     xml: &mut Xml<'_>,
     element: &Element<'_>,
@@ -232,7 +234,7 @@ fn variable_children(
             }
             "Alias" => {
                 let name = attributes.required("name")?.to_owned();
-                // Here, and twice in a table that doubles.
+                // Memory for this name, and for two entries in a table that doubles its capacity.
                 draft.reading.take(2 * (name.len() + 24) + 2 * size_of::<(String, usize, u8)>());
                 let alias = Alias {
                     name,
@@ -272,7 +274,8 @@ fn structure(
         let position = |reference: &u32| positions.get(reference).copied().unwrap_or(Some(NOWHERE));
         let Some(index) = position(&attributes.value_reference()?) else { continue };
         let references = attributes.counts("dependencies");
-        // One that is left out makes the list incomplete, and what depends on an unknown set depends on all.
+        // An ignored variable makes the list incomplete. With an incomplete list, the unknown counts as
+        // dependent on all variables.
         let dependencies: Option<Vec<usize>> =
             references.and_then(|list| list.iter().map(position).collect());
         let kinds = attributes.choices("dependenciesKind", DependencyKind::WORDS);

@@ -1,5 +1,5 @@
-//! From the bytes of `modelDescription.xml` to types of ours: one file per version of the standard, what they
-//! have in common in `shared.rs`.
+//! Parser of `modelDescription.xml`, with one file per version of the standard. Common elements are in
+//! `shared.rs`.
 
 mod attributes;
 mod build_description;
@@ -58,7 +58,7 @@ pub(super) fn parse(
     Ok(draft)
 }
 
-/// The version by its leading numbers: "2.0", "3.0.1", "3.0-beta.2".
+/// Returns the version from its leading numbers, for example "2.0", "3.0.1" or "3.0-beta.2".
 fn version(root: &Attributes<'_>) -> Result<FmiVersion> {
     let text = root.required("fmiVersion")?;
     let mut numbers = text.trim().split(|c: char| !c.is_ascii_digit()).map(str::parse);

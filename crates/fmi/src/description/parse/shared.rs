@@ -1,5 +1,5 @@
-//! Parsers of the elements that the versions of the standard have in common: header, units, log categories,
-//! experiment, words.
+//! Parsers of elements that are common to several versions of the standard: header, units, log categories,
+//! experiment, attributes of variables.
 
 use super::attributes::Attributes;
 use super::xml::{Element, Xml};
@@ -12,7 +12,7 @@ use crate::description::variable::{
 use crate::error::Result;
 use crate::value::VariableKind;
 
-/// Attributes of the root element except those only one version has.
+/// Reads the attributes of the root element that all versions have.
 pub(super) fn header(root: &Attributes<'_>, token: &str, draft: &mut Draft) -> Result<()> {
     let model = &mut draft.model;
     model.model_name = root.expected("modelName");
@@ -29,7 +29,7 @@ pub(super) fn header(root: &Attributes<'_>, token: &str, draft: &mut Draft) -> R
     Ok(())
 }
 
-/// The model identifier of an interface. It becomes part of paths, so it must be the name of a file.
+/// Returns the model identifier of an interface. It is used in paths, so it must be a valid file name.
 pub(super) fn model_identifier(attributes: &Attributes<'_>) -> Result<String> {
     let name = attributes.required("modelIdentifier")?;
     let refuse = |why: &str| {
@@ -48,7 +48,8 @@ pub(super) fn model_identifier(attributes: &Attributes<'_>) -> Result<String> {
     Ok(name.to_owned())
 }
 
-/// Capabilities common to both interfaces and to FMI 2.0 and 3.0, whose names differ in a suffix.
+/// Returns the capabilities of both interfaces and of all versions. The attribute names of FMI 2.0 and 3.0
+/// differ slightly.
 pub(super) fn capabilities(attributes: &Attributes<'_>) -> Capabilities {
     let flag = |names: &[&str]| names.iter().any(|name| attributes.flag(name));
     Capabilities {
@@ -77,7 +78,7 @@ pub(super) fn capabilities(attributes: &Attributes<'_>) -> Capabilities {
     }
 }
 
-/// `<UnitDefinitions>` of FMI 2.0 and 3.0.
+/// Parses `<UnitDefinitions>` of FMI 2.0 and 3.0.
 pub(super) fn units(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<()> {
     while let Some(element) = xml.named(parent.level, &["Unit"])? {
         let name = Attributes::of(&element)?.required("name")?.to_owned();
@@ -125,7 +126,7 @@ fn display_unit(attributes: &Attributes<'_>) -> Result<DisplayUnit> {
     })
 }
 
-/// `<LogCategories>` of FMI 2.0 and 3.0.
+/// Parses `<LogCategories>` of FMI 2.0 and 3.0.
 pub(super) fn log_categories(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<()> {
     while let Some(element) = xml.named(parent.level, &["Category"])? {
         let attributes = Attributes::of(&element)?;
@@ -136,7 +137,7 @@ pub(super) fn log_categories(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mu
     Ok(())
 }
 
-/// `<DefaultExperiment>` of all versions.
+/// Parses `<DefaultExperiment>` of all versions.
 pub(super) fn default_experiment(element: &Element<'_>, draft: &mut Draft) -> Result<()> {
     let attributes = Attributes::of(element)?;
     let experiment = &mut draft.model.default_experiment;
@@ -147,7 +148,7 @@ pub(super) fn default_experiment(element: &Element<'_>, draft: &mut Draft) -> Re
     Ok(())
 }
 
-/// The items of an enumeration: name, value and description of each `<Item>`.
+/// Returns the items of an enumeration: name, value and description of each `<Item>`.
 pub(super) fn items(
     xml: &mut Xml<'_>,
     parent: &Element<'_>,
@@ -167,7 +168,7 @@ pub(super) fn items(
     Ok(items)
 }
 
-/// A type with the attributes that say what values it has; without items.
+/// Returns a type definition with the attributes that describe its values, without enumeration items.
 pub(super) fn type_definition(
     name: String,
     description: Option<String>,
@@ -190,8 +191,8 @@ pub(super) fn type_definition(
     }
 }
 
-/// The type of variables behind an element of FMI 1.0 or 2.0: `<Real>`; `<RealType>` in the type definitions
-/// of FMI 1.0.
+/// Returns the kind of variable for an element of FMI 1.0 or 2.0, for example `<Real>`, or `<RealType>` in
+/// the type definitions of FMI 1.0.
 pub(super) fn scalar_kind(element: &str) -> Option<VariableKind> {
     match element.strip_suffix("Type").unwrap_or(element) {
         "Real" => Some(VariableKind::Real),
@@ -203,7 +204,7 @@ pub(super) fn scalar_kind(element: &str) -> Option<VariableKind> {
     }
 }
 
-/// `<TypeDefinitions>` of FMI 1.0 (elements `<Type>`) and 2.0 (`<SimpleType>`).
+/// Parses `<TypeDefinitions>` of FMI 1.0 (elements `<Type>`) and 2.0 (`<SimpleType>`).
 pub(super) fn scalar_types(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Result<()> {
     while let Some(element) = xml.named(parent.level, &["Type", "SimpleType"])? {
         let outer = Attributes::of(&element)?;
@@ -228,7 +229,7 @@ pub(super) fn scalar_types(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut 
     Ok(())
 }
 
-/// A variable with its name and reference, everything else at the defaults.
+/// Returns a variable with its name and reference. All other fields have their defaults.
 pub(super) fn plain_variable(attributes: &Attributes<'_>, kind: VariableKind) -> Result<Variable> {
     Ok(Variable {
         name: attributes.required_text("name")?,
@@ -241,7 +242,7 @@ pub(super) fn plain_variable(attributes: &Attributes<'_>, kind: VariableKind) ->
     })
 }
 
-/// The attributes of a value, which the versions share.
+/// Reads the attributes of a value that all versions have.
 pub(super) fn value_attributes(attributes: &Attributes<'_>, variable: &mut Variable) -> Flags {
     variable.declared_type = attributes.text("declaredType");
     variable.quantity = attributes.text("quantity");
@@ -258,11 +259,13 @@ pub(super) fn value_attributes(attributes: &Attributes<'_>, variable: &mut Varia
     Flags { relative_quantity: relative_quantity.is_some(), unbounded: unbounded.is_some() }
 }
 
-/// Causality, variability and initial as given, else as the standard fills them in; how often it may be set.
+/// Reads causality, variability and initial, or uses the standard's defaults. Also reads if the variable may
+/// be set several times at one instant.
 pub(super) fn roles(attributes: &Attributes<'_>, variable: &mut Variable) {
     variable.causality = attributes.choice("causality", Causality::WORDS).unwrap_or(Causality::Local);
     variable.variability = match attributes.choice("variability", Variability::WORDS) {
-        // The schema's default fits Real variables; everything else cannot be continuous.
+        // The schema's default is valid for floating-point variables. All other variables cannot be
+        // continuous.
         Some(Variability::Continuous) if !variable.kind.is_float() => {
             attributes.quirk(QuirkKind::Combination, || {
                 format!("{} \"{}\" is continuous; taken as discrete", variable.kind, variable.name)
@@ -279,7 +282,7 @@ pub(super) fn roles(attributes: &Attributes<'_>, variable: &mut Variable) {
         attributes.boolean("canHandleMultipleSetPerTimeInstant").unwrap_or(true);
 }
 
-/// Turns a position counted from 1 into one counted from 0.
+/// Converts a position counted from 1 to an index counted from 0.
 pub(super) fn position(one_based: u32) -> usize {
     (one_based as usize).checked_sub(1).unwrap_or(NOWHERE)
 }

@@ -1,5 +1,5 @@
-//! `terminalsAndIcons/terminalsAndIcons.xml`: variables that are connected together (FMI 3.0.x, section
-//! 2.4.9; also used by some FMI 2.0 FMUs).
+//! `terminalsAndIcons/terminalsAndIcons.xml`: groups of variables that are connected together (FMI 3.0.x,
+//! section 2.4.9; also used by some FMI 2.0 FMUs).
 
 use super::attributes::Attributes;
 use super::encoding;
@@ -11,10 +11,10 @@ use crate::description::terminals::{StreamMember, Terminal, TerminalIcon, Termin
 use crate::error::Result;
 use std::rc::Rc;
 
-/// Name of the file, in the folder `terminalsAndIcons/`.
+/// Name of the file in the folder `terminalsAndIcons/`.
 pub(crate) const TERMINALS: &str = "terminalsAndIcons.xml";
 
-/// The terminals of a document.
+/// Returns the terminals of a document.
 pub(crate) fn terminals(bytes: &[u8], limits: &DescriptionLimits) -> Result<Vec<Terminal>> {
     check_size(bytes, TERMINALS, limits)?;
     let text = encoding::decode(bytes.into(), &mut Quirks::default());
@@ -30,7 +30,7 @@ pub(crate) fn terminals(bytes: &[u8], limits: &DescriptionLimits) -> Result<Vec<
     Ok(found)
 }
 
-/// A terminal, with those inside of it.
+/// Parses a terminal with its nested terminals.
 fn terminal(xml: &mut Xml<'_>, element: &Element<'_>) -> Result<Terminal> {
     let attributes = Attributes::of(element)?;
     let mut terminal = Terminal {
@@ -90,7 +90,7 @@ mod tests {
 </fmiTerminalsAndIcons>"##;
 
     #[test]
-    fn terminals_have_members_and_others_inside() {
+    fn terminals_returns_members_and_nested_terminals() {
         let found = terminals(EXAMPLE.as_bytes(), &DescriptionLimits::default()).unwrap();
         let [bus] = &found[..] else { panic!("{found:?}") };
         assert_eq!((bus.name.as_str(), bus.matching_rule.as_str()), ("bus", "bus"));
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_list_of_terminals_is_refused_with_its_line() {
+    fn terminals_rejects_invalid_documents_with_their_line() {
         let refused =
             |text: &str| terminals(text.as_bytes(), &DescriptionLimits::default()).unwrap_err().to_string();
         assert!(refused("<a/>").contains("<a> is the outermost element"));

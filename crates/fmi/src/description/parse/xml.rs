@@ -1,4 +1,5 @@
-//! Reading of XML element by element: no document types, bounded depth and attributes, lines in all errors.
+//! XML reader that returns one element at a time. It rejects document type definitions, limits depth and
+//! attributes, and reports lines in all errors.
 
 use crate::description::limits::Reading;
 use crate::error::{FmiError, Result};
@@ -8,37 +9,37 @@ use quick_xml::events::{BytesStart, Event};
 use std::borrow::Cow;
 use std::rc::Rc;
 
-/// Depth of elements. Model descriptions need 5, annotations of tools some more.
+/// Maximum depth of elements. Model descriptions need 5 levels; annotations of tools need some more.
 const DEEPEST: usize = 128;
-/// Attributes of one element. The standard knows elements with 20.
+/// Maximum number of attributes of an element. The standard defines elements with 20.
 const MOST_ATTRIBUTES: usize = 64;
-/// After so many events it is looked whether reading is to end.
+/// Number of events between two checks of the cancellation flag.
 const EVENTS_BETWEEN_LOOKS: u32 = 32;
 
-/// A document being walked from its first byte to its last.
+/// Document that is read sequentially from start to end.
 pub(super) struct Xml<'a> {
     reader: Reader<&'a [u8]>,
     /// Name of the file, for messages.
     file: &'static str,
     text: &'a str,
     reading: Rc<Reading>,
-    /// Number of elements open.
+    /// Number of open elements.
     depth: usize,
     /// Number of events read.
     n_events: u32,
-    /// Position in bytes up to which lines are counted, and the number of the line there.
+    /// Byte position up to which lines are counted, and the line number there.
     counted: usize,
     line: u32,
 }
 
-/// The start of an element.
+/// Start of an element.
 pub(super) struct Element<'a> {
     start: BytesStart<'a>,
     pub(super) file: &'static str,
     pub(super) reading: Rc<Reading>,
-    /// Line in which it starts.
+    /// Line in which the element starts.
     pub(super) line: u32,
-    /// Its depth; the root has 1.
+    /// Depth of the element; the root has depth 1.
     pub(super) level: usize,
 }
 
@@ -47,14 +48,14 @@ impl<'a> Xml<'a> {
         let mut reader = Reader::from_str(text);
         reader.config_mut().expand_empty_elements = true;
         let mut xml = Xml { reader, file, text, reading, depth: 0, n_events: 0, counted: 0, line: 1 };
-        // Not allowed in XML, and a trap for everything that goes to C later.
+        // NUL is not allowed in XML, and would truncate strings that are later passed to C.
         match text.find('\0') {
             Some(at) => Err(xml.error_at(at as u64, "a NUL character")),
             None => Ok(xml),
         }
     }
 
-    /// The root element.
+    /// Returns the root element.
     pub(super) fn root(&mut self) -> Result<Element<'a>> {
         match self.child(0)? {
             Some(root) => Ok(root),
@@ -62,7 +63,7 @@ impl<'a> Xml<'a> {
         }
     }
 
-    /// The root element, which must have this name.
+    /// Returns the root element, which must have this name.
     pub(super) fn root_named(&mut self, name: &str) -> Result<Element<'a>> {
         let root = self.root()?;
         if root.name() == name {
@@ -71,8 +72,8 @@ impl<'a> Xml<'a> {
         Err(self.error(format!("<{}> is the outermost element, not <{name}>", root.name())))
     }
 
-    /// The next child of the element at `level`, or `None` at its end. Whatever is left of the child returned
-    /// last is skipped.
+    /// Returns the next child of the element at `level`, or `None` at its end. Skips the remaining content of
+    /// the previously returned child.
     pub(super) fn child(&mut self, level: usize) -> Result<Option<Element<'a>>> {
         if let Some(complaint) = self.reading.complaint() {
             return Err(self.error(complaint));
@@ -127,7 +128,7 @@ impl<'a> Xml<'a> {
         }
     }
 
-    /// The next child of the element at `level` that has one of these names.
+    /// Returns the next child of the element at `level` that has one of these names.
     pub(super) fn named(&mut self, level: usize, names: &[&str]) -> Result<Option<Element<'a>>> {
         loop {
             match self.child(level)? {
@@ -137,7 +138,7 @@ impl<'a> Xml<'a> {
         }
     }
 
-    /// Line of a byte at or behind the last one asked for.
+    /// Returns the line of a byte position. Positions must not decrease from call to call.
     fn line_at(&mut self, position: u64) -> u32 {
         let position = (position as usize).min(self.text.len());
         if position > self.counted {
@@ -152,7 +153,7 @@ impl<'a> Xml<'a> {
         FmiError::Description { file: self.file, line: self.line_at(position), message: message.into() }
     }
 
-    /// An error at the place reached.
+    /// Returns an error at the current position.
     pub(super) fn error(&mut self, message: impl Into<String>) -> FmiError {
         let position = self.reader.buffer_position();
         self.error_at(position, message)
@@ -160,12 +161,12 @@ impl<'a> Xml<'a> {
 }
 
 impl Element<'_> {
-    /// Name without namespace prefix.
+    /// Returns the name without namespace prefix.
     pub(super) fn name(&self) -> &str {
         self.start.local_name().into_inner()
     }
 
-    /// Names and values of the attributes, in the order of the file.
+    /// Returns the names and values of the attributes, in file order.
     pub(super) fn attributes(&self) -> Result<Vec<(&str, Cow<'_, str>)>> {
         let error = |message: String| FmiError::Description {
             file: self.file,
@@ -173,7 +174,7 @@ impl Element<'_> {
             message: format!("<{}>: {message}", self.name()),
         };
         let mut pairs: Vec<(&str, Cow<'_, str>)> = Vec::with_capacity(8);
-        // The library's own check for duplicates does not bound the number of attributes.
+        // The library's check for duplicates does not limit the number of attributes.
         for attribute in self.start.attributes().with_checks(false) {
             let attribute = attribute.map_err(|reason| error(reason.to_string()))?;
             let key = attribute.key.into_inner();
@@ -213,13 +214,13 @@ mod tests {
     }
 
     #[test]
-    fn children_come_with_their_lines_and_grandchildren_are_skipped() {
+    fn child_returns_lines_and_skips_grandchildren() {
         let text = "<?xml version=\"1.0\"?>\n<!-- c -->\n<n:a>\n<b x='1'\n y='2'/>\n<c><d><e/></d>text &amp;</c>\n</n:a>\n";
         assert_eq!(walk(text).unwrap(), ["a:3", "b:4:2", "c:6:0"]);
     }
 
     #[test]
-    fn entities_are_refused_wherever_they_come_from() {
+    fn xml_rejects_entities() {
         let bomb = "<?xml version=\"1.0\"?>\n<!DOCTYPE a [<!ENTITY b \"bb\"><!ENTITY c \"&b;&b;\">]>\n<a b=\"&c;\"/>";
         assert_eq!(
             refusal(bomb),
@@ -229,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn depth_and_attributes_are_bounded() {
+    fn xml_limits_depth_and_number_of_attributes() {
         let deep = format!("{}{}", "<a>\n".repeat(1000), "</a>".repeat(1000));
         assert_eq!(
             refusal(&deep),
@@ -240,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn damaged_documents_are_refused_with_their_lines() {
+    fn xml_rejects_damaged_documents_with_their_lines() {
         for (text, line, part) in [
             ("", 1, "no element"),
             ("just text", 1, "no element"),
@@ -260,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn values_are_unescaped_and_white_space_is_normalised() {
+    fn attributes_unescape_values_and_normalize_white_space() {
         let mut xml =
             Xml::new("<a b=\"&lt;&#228;&#x62;\n&quot;\"/>", MODEL_DESCRIPTION, Rc::default()).unwrap();
         let root = xml.root().unwrap();

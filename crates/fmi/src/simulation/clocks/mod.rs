@@ -1,4 +1,4 @@
-//! Clocks (FMI 3.0) in simulations: `state` has them while it runs.
+//! Clocks (FMI 3.0) in simulations. `state` contains their state during a run.
 
 mod plan;
 mod state;

@@ -1,4 +1,5 @@
-//! The clocks of a simulation, resolved and checked: who ticks when, and what is set when they tick.
+//! Resolved and checked clocks of a simulation: the source of their ticks, and the variables that are set at
+//! a tick.
 
 use crate::description::{Causality, ClockKind, Interval, ModelDescription, Variable, VariableKind};
 use crate::error::{FmiError, Result};
@@ -8,15 +9,15 @@ use crate::simulation::input_table::{HeldTable, InputTable};
 use std::collections::HashMap;
 use std::sync::Arc;
 
-/// A clock whose ticks the importer schedules.
+/// Clock whose ticks the importer schedules.
 #[derive(Debug)]
 pub(super) struct Timed {
     pub(super) clock: TimedClock,
-    /// 0 where its ticks are left out.
+    /// Table whose value is 0 while ticks are omitted.
     pub(super) enabled: Option<InputTable>,
 }
 
-/// A clock that the inputs trigger.
+/// Clock that the inputs trigger.
 #[derive(Debug)]
 pub(super) struct Triggered {
     pub(super) reference: u32,
@@ -24,7 +25,7 @@ pub(super) struct Triggered {
     pub(super) times: Arc<[f64]>,
 }
 
-/// An input that may be set only when one of its clocks ticks.
+/// Input that may be set only when one of its clocks ticks.
 #[derive(Debug, Clone)]
 pub(crate) struct Clocked {
     variable: usize,
@@ -40,7 +41,7 @@ impl Clocked {
         Self { variable: position, kind, reference, column }
     }
 
-    /// Sets the value that is held from `t` on.
+    /// Sets the value that is held from `t` onward.
     pub(super) fn set(&self, core: &mut Core, t: f64) -> Result<()> {
         let references = [self.reference];
         match self.kind {
@@ -53,32 +54,32 @@ impl Clocked {
 /// Ticks and values of clocks and clocked variables, from the inputs.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct ClockInputs {
-    /// Position of the clock and its ticks.
+    /// Index of the clock and its ticks.
     pub(crate) ticks: Vec<(usize, Arc<[f64]>)>,
-    /// Position of the clock and where it is enabled.
+    /// Index of the clock and the table that enables it.
     pub(crate) enabled: Vec<(usize, InputTable)>,
     pub(crate) clocked: Vec<Clocked>,
 }
 
-/// The clocks of a simulation.
+/// Clocks of a simulation.
 #[derive(Debug, Default)]
 pub(crate) struct ClockPlan {
     pub(super) timed: Vec<Timed>,
     pub(super) triggered: Vec<Triggered>,
-    /// Triggered by the model.
+    /// Clocks that the model triggers.
     pub(super) watched: Vec<(u32, Arc<str>)>,
     pub(super) watched_references: Vec<u32>,
-    /// With the value references of their clocks.
+    /// Clocked inputs with the value references of their clocks.
     pub(super) clocked: Vec<(Clocked, Vec<u32>)>,
-    /// Times closer than this are one.
+    /// Difference below which two times count as equal.
     pub(super) time_tolerance: f64,
 }
 
 impl ClockPlan {
-    /// The clocks of a model that is driven by these inputs and whose clocks are given these intervals.
+    /// Resolves the clocks of a model with these inputs and clock intervals.
     ///
     /// # Errors
-    /// An interval that the clock cannot be given.
+    /// An interval cannot be set for its clock.
     pub(crate) fn new(
         description: &ModelDescription,
         inputs: &ClockInputs,
@@ -125,10 +126,10 @@ impl ClockPlan {
         Ok(plan)
     }
 
-    /// No clocks, for a model that would have to handle them without an event mode.
+    /// Returns an empty plan for a co-simulation without event mode.
     ///
     /// # Errors
-    /// It has clocks that tick by themselves, or something is to be done with its clocks.
+    /// The model has clocks that tick without being triggered, or the options or inputs refer to its clocks.
     pub(crate) fn without_event_mode(
         description: &ModelDescription,
         inputs: &ClockInputs,

@@ -1,9 +1,9 @@
-//! Clocks of model exchange and co-simulation: who ticks when, and what happens at a tick.
+//! Clocks of model exchange and co-simulation: their ticks and the actions at a tick.
 //!
-//! The importer activates input clocks, all that are due at an instant in one visit of event mode, together
-//! with every other event of that instant. Ticks of periodic clocks are `start + shift + k * interval`, never
-//! sums; fractions are multiplied out before they are divided. The rules are those of FMI 3.0.x, sections
-//! 2.2.8.3 and 2.3.5.
+//! The importer activates input clocks. All clocks that are due at one time are activated in one visit of
+//! event mode, together with all other events at that time. Ticks of periodic clocks are `start + shift + k *
+//! interval`, never sums. Fractions are multiplied before they are divided. The rules are defined in FMI
+//! 3.0.x, sections 2.2.8.3 and 2.3.5.
 
 use super::plan::{ClockPlan, Timed};
 use crate::description::VariableKind;
@@ -15,32 +15,33 @@ use ode::EventOutcome;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// A tick of a clock.
+/// Tick of a clock.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Tick {
-    /// When: exactly by the interval of the clock, where other events within rounding are handled with it.
+    /// Exact time of the tick according to the clock's interval. Other events within rounding are handled
+    /// together with it.
     pub time: f64,
     /// Name of the clock.
     pub clock: Arc<str>,
 }
 
-/// Where a run stands in its clocks.
+/// Clock state of a run.
 #[derive(Debug, Default)]
 pub(crate) struct ClockState {
     schedules: Vec<Schedule>,
-    /// Ticks of the triggered clocks that have happened.
+    /// Number of past ticks of each triggered clock.
     passed: Vec<usize>,
-    /// Of the timed clocks those that tick in the present round, and the exact times.
+    /// Timed clocks that tick in the current round, with the exact times.
     ticked: Vec<(usize, f64)>,
-    /// References of the clocks that the importer activates in it.
+    /// References of the clocks that the importer activates in the current round.
     active: Vec<u32>,
     words: Vec<i64>,
     pub(crate) ticks: Vec<Tick>,
 }
 
 impl ClockState {
-    /// Names of the clock that ticks next, for messages.
+    /// Returns the name of the clock that ticks next, for messages.
     pub(crate) fn name_of_next<'a>(&self, plan: &'a ClockPlan) -> Option<&'a str> {
         let next = self.next(plan)?;
         let timed = plan.timed.iter().zip(&self.schedules);
@@ -53,13 +54,13 @@ impl ClockState {
         timed.chain(triggered).next()
     }
 
-    /// Before the initialization ends: learns the intervals that only the model knows, and sets clocked
-    /// inputs, which may be set once more here without a tick.
+    /// Prepares the clocks before the initialization ends. Reads the intervals that only the model defines,
+    /// and sets clocked inputs, which may be set here without a tick.
     pub(crate) fn begin(&mut self, plan: &ClockPlan, core: &mut Core, start: f64) -> Result<()> {
         self.ticks.clear();
         self.schedules.clear();
         self.passed.clear();
-        // Ticks before the start are none of this run.
+        // Ticks before the start do not belong to this run.
         self.passed.extend(
             plan.triggered
                 .iter()
@@ -75,7 +76,7 @@ impl ClockState {
         Ok(())
     }
 
-    /// The first tick known.
+    /// Returns the first known tick.
     pub(crate) fn next(&self, plan: &ClockPlan) -> Option<f64> {
         let timed = self.schedules.iter().filter_map(|schedule| schedule.next);
         let triggered = plan
@@ -86,8 +87,7 @@ impl ClockState {
         timed.chain(triggered).min_by(f64::total_cmp)
     }
 
-    /// Notes and lists the clocks that are due, with the exact times of their ticks, and plans their next
-    /// ones.
+    /// Lists the clocks that are due with the exact times of their ticks, and schedules their next ticks.
     fn take_due(&mut self, plan: &ClockPlan, t: f64) {
         self.ticked.clear();
         self.active.clear();
@@ -111,9 +111,9 @@ impl ClockState {
         }
     }
 
-    /// The events of an instant, in event mode: activates the clocks that are due, updates the discrete
-    /// states until they settle, and notes what ticks follow. `next_time` of the outcome is the next event
-    /// that the model announced or the next tick. Each round may be ended from `outside`.
+    /// Handles the events at one time, in event mode. Activates the due clocks, updates the discrete states
+    /// until they settle, and schedules the next ticks. In the result, `next_time` is the next event
+    /// announced by the model or the next tick. `outside` may end each round.
     pub(crate) fn iterate_events(
         &mut self,
         plan: &ClockPlan,
@@ -141,7 +141,7 @@ impl ClockState {
                 break;
             }
             self.learn(plan, core, t)?;
-            // An interval of 0: the next tick of this instant.
+            // With an interval of 0, the next tick is at the same time.
             if self.next(plan).is_none_or(|next| next > t + plan.time_tolerance) {
                 break;
             }
@@ -160,7 +160,7 @@ impl ClockState {
         Ok(total)
     }
 
-    /// Sets the clocks that tick, and the inputs that belong to them.
+    /// Sets the clocks that tick and their inputs.
     fn activate(&mut self, plan: &ClockPlan, core: &mut Core, t: f64) -> Result<()> {
         if self.active.is_empty() {
             return Ok(());
@@ -177,7 +177,7 @@ impl ClockState {
         Ok(())
     }
 
-    /// Notes the clocks that the model has activated.
+    /// Records the clocks that the model has activated.
     fn watch(&mut self, plan: &ClockPlan, core: &mut Core, t: f64) -> Result<()> {
         if plan.watched.is_empty() {
             return Ok(());
@@ -194,7 +194,7 @@ impl ClockState {
         Ok(())
     }
 
-    /// Asks for the intervals that may have changed in this visit.
+    /// Reads the intervals that may have changed in this visit.
     fn learn(&mut self, plan: &ClockPlan, core: &mut Core, t: f64) -> Result<()> {
         for (i, timed) in plan.timed.iter().enumerate() {
             let tick = self.ticked.iter().find(|(clock, _)| *clock == i).map(|(_, time)| *time);

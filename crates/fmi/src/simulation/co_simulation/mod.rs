@@ -1,10 +1,12 @@
-//! Co-simulation: the loop over the communication points (see [`Communication`]), which delivers the same
-//! samples as the integration of a model.
+//! Co-simulation: the loop over the communication points (see [`Communication`]). It delivers the same kind
+//! of samples as the integration of a model.
 //!
-//! At each point the row is read first; the inputs of the next step are set just before the step. So rows are
-//! limits from the left, and those at the start are read after the initialization with the inputs of that
-//! time. Limits from the right exist in event mode only (FMI 3.0): at a point with events or jumps of inputs
-//! the row is read behind them, and a time listed twice has both.
+//! At each point the row is read first. The inputs of the next step are set immediately before the step. Rows
+//! are therefore limits from the left. Rows at the start are read after the initialization with the inputs of
+//! that time.
+//!
+//! Limits from the right exist only in event mode (FMI 3.0). At a point with events or input jumps, the row
+//! is read after them. A time listed twice has both limits.
 
 mod run;
 mod samples;
@@ -24,8 +26,8 @@ impl CoSimulationState {
     /// Runs from the start to the end.
     ///
     /// # Errors
-    /// [`FmiError::Simulation`] says why, where and with which numbers; samples delivered before it stay
-    /// valid.
+    /// [`FmiError::Simulation`] contains the reason, the time and the statistics. Samples delivered before
+    /// the error stay valid.
     pub(crate) fn run(&mut self, max_steps: Option<u64>, outside: &SharedObserver<'_>) -> Result<Report> {
         let began = Instant::now();
         let plan = Arc::clone(&self.running.plan);

@@ -1,4 +1,4 @@
-//! The loop over communication points: from one to the next, with inputs and events between two steps.
+//! Loop over communication points, with inputs and events between two steps.
 
 use super::state::{Call, CoSimulationState};
 use crate::description::QuirkKind;
@@ -12,19 +12,19 @@ use crate::sys::{Fault, RawInstance};
 use base::Number;
 use ode::{ErrorKind, EventCause, EventOutcome, EventRecord, Observer, Stats, Stopped, Termination};
 
-/// Steps of which nothing was computed, in a row, before a run gives up.
+/// Maximum number of consecutive steps without progress.
 const MAX_DISCARDS: u32 = 12;
 
-/// Events at one instant before a run gives up.
+/// Maximum number of events at one time.
 const MAX_EVENTS_HERE: u32 = 100;
 
-/// Part of a step by which a model may miss its end: steps of its own that are added up.
+/// Part of a step by which a model may miss the step's end because its internal steps are summed up.
 const INTERNAL_TIME_TOLERANCE: f64 = 1e-6;
 
-/// Lengths of steps that are remembered.
+/// Number of step lengths that are remembered.
 const LENGTHS: usize = 4;
 
-/// Why the loop is left.
+/// Reason for leaving the loop.
 pub(super) enum Exit {
     Normal(Termination),
     Error(ErrorKind),
@@ -51,7 +51,7 @@ impl From<Stopped> for Exit {
 
 pub(super) type Step<T> = Result<T, Exit>;
 
-/// One run: everything that changes between the start and the end.
+/// State that changes during one run.
 pub(super) struct Run<'a, 'o> {
     pub(super) stepping: &'a mut CoSimulationState,
     pub(super) plan: &'a SimulationPlan,
@@ -59,46 +59,46 @@ pub(super) struct Run<'a, 'o> {
     pub(super) max_steps: Option<u64>,
     pub(super) outside: &'a SharedObserver<'o>,
     pub(super) t: f64,
-    /// Where the regular points count from: the start, or where a model that takes steps of one length only
+    /// Origin of the regular points: the start, or the time at which a model with steps of one length
     /// returned early.
     pub(super) origin: f64,
-    /// Regular points passed, and whether the run stands on the last of them.
+    /// Number of regular points passed. `on_grid` is true if the run is at the last of them.
     pub(super) passed: u64,
     pub(super) on_grid: bool,
     pub(super) next_row: usize,
-    /// Lengths of steps that were made, the last first.
+    /// Lengths of previous steps, the last one first.
     pub(super) lengths: [f64; LENGTHS],
-    /// Longest step after one was refused.
+    /// Maximum length of the next step after a rejected step.
     pub(super) longest: f64,
-    /// The time event that the model announced.
+    /// Time event that the model announced.
     pub(super) next_event: Option<f64>,
     pub(super) discards: u32,
-    /// The model is told values of inputs, but no derivatives: it holds them over a step.
+    /// True if the model receives input values but no derivatives, so it holds them over a step.
     pub(super) holds_inputs: bool,
-    /// The model has been found to stand elsewhere than at the end of a step.
+    /// True if the model was found at a time other than the end of a step.
     pub(super) is_elsewhere: bool,
     pub(super) tried: f64,
     pub(super) stats: Stats,
 }
 
-/// On which side of a step.
+/// Side of a step.
 #[derive(Clone, Copy)]
 pub(super) enum StepSide {
     Before,
     After,
 }
 
-/// The next communication point.
+/// Next communication point.
 #[derive(Debug, Clone, Copy)]
 struct Target {
     time: f64,
     step: f64,
-    /// It is the next regular point.
+    /// True if the point is the next regular point.
     regular: bool,
 }
 
 impl Run<'_, '_> {
-    /// Makes a call into the model, and times it.
+    /// Makes a call into the model and measures its time.
     pub(super) fn timed<T>(&mut self, call: Call, make: impl FnOnce(&mut Self) -> T) -> T {
         let timing = match call {
             Call::Events => self.stepping.stopwatch.start_timed(call as usize),
@@ -121,13 +121,13 @@ impl Run<'_, '_> {
         self.reached_end()
     }
 
-    /// One communication step with everything that belongs to it.
+    /// Makes one communication step with its inputs, samples and events.
     pub(super) fn advance(&mut self) -> Step<()> {
         self.check_limits()?;
         let target = self.target();
         self.tried = target.step;
         self.check_ticks(&target)?;
-        // Only a model that cannot stop at a row makes it necessary to look on both sides of it.
+        // Outputs on both sides of a row are needed only if the model cannot stop at the row.
         let row_inside = self.row_before(target.time).is_some();
         if row_inside {
             self.read(StepSide::Before)?;
@@ -165,14 +165,14 @@ impl Run<'_, '_> {
         self.reached_end()
     }
 
-    /// A step of which only a part was computed, or nothing.
+    /// Handles a step that was computed only partly or not at all.
     fn cut_short(&mut self, target: &Target, outcome: &StepOutcome, row_inside: bool) -> Step<()> {
         let StepOutcome { reached, early, terminate, event, may_have_ended, .. } = *outcome;
         let time_tolerance = self.plan.time_tolerance;
         let can_retry = self.communication.variable;
         let reached = reached.map_or(self.t, |reached| reached.clamp(self.t, target.time));
         if reached > self.t + time_tolerance && (can_retry || early || terminate || may_have_ended) {
-            // The model stands there and goes on from there.
+            // The model has reached this time and continues from it.
             self.discards = 0;
             let regular = target.regular && reached >= target.time - time_tolerance;
             self.arrive(reached, regular, row_inside, outcome)?;
@@ -193,7 +193,8 @@ impl Run<'_, '_> {
             return Ok(());
         }
         if event {
-            // An event right here: the step begins once more behind it, but not for ever.
+            // The event is at the current time, so the step is repeated after it. The number of repetitions
+            // is limited.
             self.discards += 1;
             if self.discards > MAX_EVENTS_HERE {
                 let events = self.discards.into();
@@ -218,7 +219,8 @@ impl Run<'_, '_> {
         Ok(())
     }
 
-    /// The step is good: samples inside of it, then those at its end, before and after the inputs change.
+    /// Handles an accepted step: samples inside it, then samples at its end before and after the inputs
+    /// change.
     fn arrive(&mut self, time: f64, regular: bool, row_inside: bool, outcome: &StepOutcome) -> Step<()> {
         self.stats.accepted_steps += 1;
         if row_inside {
@@ -231,10 +233,11 @@ impl Run<'_, '_> {
         self.arrive_at(time, outcome)
     }
 
-    /// The model stands at a communication point: samples and events. Inputs change here in event mode only,
-    /// where there is one; else they are set when the row has been read, just before the next step (FMI
-    /// 2.0.5, section 4.2.4: outputs that are read after inputs were set, with no step between, may be
-    /// anything). A model that wishes to end here has no more events.
+    /// Delivers samples and handles events at a communication point.
+    ///
+    /// With event mode, inputs change here. Otherwise they are set after the row is read, immediately before
+    /// the next step. FMI 2.0.5, section 4.2.4, leaves outputs undefined if they are read after inputs were
+    /// set and before a step. A model that ends the simulation here has no further events.
     fn arrive_at(&mut self, time: f64, outcome: &StepOutcome) -> Step<()> {
         self.t = time;
         self.sample_left()?;
@@ -247,8 +250,8 @@ impl Run<'_, '_> {
         Ok(())
     }
 
-    /// Notes whether a step to the stop time was refused. Returns true if the next run treats the stop time
-    /// in another way, so that this one is repeated.
+    /// Records if a step to the stop time was refused. Returns true if the next run handles the stop time
+    /// differently, so this run is repeated.
     fn note_last_step(&mut self, target: &Target, is_refused: bool) -> bool {
         let CoSimulationState { stop, is_stop_told, .. } = *self.stepping;
         if target.time < stop - self.plan.time_tolerance {
@@ -269,8 +272,8 @@ impl Run<'_, '_> {
         known != now
     }
 
-    /// Notes the first time at which a model stands elsewhere than at the end of a step that it calls
-    /// complete: it has the values of another time there.
+    /// Records the first step that the model reports as complete although its time is not the end of the
+    /// step. Its values then belong to another time.
     fn check_internal_time(&mut self, target: &Target, outcome: &StepOutcome) {
         let Some(reached) = outcome.reached.filter(|_| !self.is_elsewhere) else { return };
         let tolerance = self.plan.time_tolerance.max(INTERNAL_TIME_TOLERANCE * target.step);
@@ -294,7 +297,7 @@ impl Run<'_, '_> {
         Ok(())
     }
 
-    /// As the driver of integrations does before each step.
+    /// Checks the limits as the integration driver does before each step.
     fn check_limits(&mut self) -> Step<()> {
         self.outside.check()?;
         if let Some(most) = self.max_steps
@@ -328,13 +331,14 @@ impl Run<'_, '_> {
                 time = stop;
             }
         }
-        // Of two instants within rounding the later one, or the model's time event would not be due.
+        // For two times within rounding, the later one is used. Otherwise the model's time event would not be
+        // due.
         if let Some(event) = event.filter(|event| *event <= plan.end) {
             time = if event - time <= time_tolerance { time.max(event) } else { time };
         }
         let regular = grid.is_some_and(|(next, _)| (next - time).abs() <= time_tolerance);
         let step = match grid {
-            // From one regular point to the next, unless rounding would lead beyond the end.
+            // Uses the constant step between regular points, unless rounding would exceed the end.
             Some((_, step))
                 if regular
                     && self.on_grid
@@ -348,8 +352,8 @@ impl Run<'_, '_> {
         Target { time, step, regular }
     }
 
-    /// Where to stop for the sake of `time`: there, or where the model steps from one multiple of its own
-    /// step to the next, at the multiples around it.
+    /// Returns the stop for reaching `time`. If the model has an internal step size, the stop is a multiple
+    /// of that size before or after `time`.
     fn stop_before(&self, time: f64) -> f64 {
         let Some((below, above)) =
             self.communication.steps_around(self.plan.start, time, self.plan.time_tolerance)
@@ -359,13 +363,14 @@ impl Run<'_, '_> {
         if below > self.t + self.plan.time_tolerance { below } else { above }
     }
 
-    /// True if a step of this length to `time` leads to the event that the model has announced for that
-    /// time, to the last bit: before it the model has no event.
+    /// True if a step of this length to `time` reaches the event that the model announced for that time, to
+    /// the last bit. The model has no event before that time.
     fn reaches(&self, event: Option<f64>, time: f64, length: f64) -> bool {
         event.is_none_or(|event| time < event || self.t + length >= event)
     }
 
-    /// The length of a step to `time`: one that was used before, where it is the same but for rounding.
+    /// Returns the length of a step to `time`. A previous length is used again if it differs only by
+    /// rounding.
     fn length(&mut self, time: f64, event: Option<f64>) -> f64 {
         let (mut length, most) = (time - self.t, self.plan.end.max(time));
         if !self.reaches(event, time, length) {
@@ -384,8 +389,8 @@ impl Run<'_, '_> {
         length
     }
 
-    /// Refuses to step over a tick: a model that takes steps of one length only may not be able to stop
-    /// there.
+    /// Returns an error if the step would pass a tick. A model with steps of one length may not be able to
+    /// stop at the tick.
     fn check_ticks(&self, target: &Target) -> Step<()> {
         let (clocks, time_tolerance) = (&self.stepping.running.clocks, self.plan.time_tolerance);
         match clocks.next(&self.plan.clocks) {
@@ -402,7 +407,7 @@ impl Run<'_, '_> {
         }
     }
 
-    /// The next requested time, if it lies between here and `limit`.
+    /// Returns the next requested time if it is between the current time and `limit`.
     pub(super) fn row_before(&self, limit: f64) -> Option<f64> {
         let row = self.plan.times.get(self.next_row).copied();
         row.filter(|row| *row > self.t + self.plan.time_tolerance && *row < limit - self.plan.time_tolerance)
@@ -419,12 +424,12 @@ impl Run<'_, '_> {
         for (slope, end) in slopes.iter_mut().zip(&state.continuous) {
             *slope = (end - *slope) / target.step;
         }
-        // The versions with this call have no other floating-point type.
+        // FMI versions with this call have no other floating-point type.
         let (references, n) = inputs.continuous.reals();
         Ok(current.core()?.call(|raw| raw.set_input_derivatives(references, &slopes[..n]))?)
     }
 
-    /// The events of this point, in event mode: those of the model, and the jumps of inputs. Returns whether
+    /// Handles the events at this point in event mode: events of the model, and input jumps. Returns true if
     /// the model ends the simulation.
     fn handle_events(&mut self, event: bool) -> Step<bool> {
         let jumped = self.stepping.running.inputs.pass(&self.plan.inputs, self.t);
@@ -461,8 +466,8 @@ impl Run<'_, '_> {
         Ok(self.stepping.run_event_mode(self.t, self.outside)?)
     }
 
-    /// The inputs of the next step, and their derivatives; tunable parameters if one has changed. With an
-    /// event mode only the continuous inputs: the others were set there.
+    /// Sets the inputs of the next step and their derivatives, and tunable parameters that have changed. With
+    /// event mode, sets only the continuous inputs, because the others were set in event mode.
     fn set_inputs(&mut self, target: &Target) -> Step<()> {
         let event_mode = self.stepping.running.current.core()?.raw.has_event_mode();
         let jumped = !event_mode && self.stepping.running.inputs.pass(&self.plan.inputs, self.t);
@@ -483,7 +488,7 @@ impl Run<'_, '_> {
         Ok(())
     }
 
-    /// Computes the continuous inputs at this point.
+    /// Computes the continuous inputs at the current point.
     fn compute_continuous(&mut self) -> Step<()> {
         let inputs = &mut self.stepping.running.inputs;
         match inputs.continuous_at(&self.plan.inputs, self.t) {

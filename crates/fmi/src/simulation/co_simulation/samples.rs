@@ -1,5 +1,5 @@
-//! The samples of a co-simulation: at communication points as the model gives them, between two of them
-//! interpolated.
+//! Samples of a co-simulation: outputs of the model at communication points, interpolated values between two
+//! points.
 
 use super::run::{Exit, Run, Step, StepSide};
 use super::state::{Call, CoSimulationState};
@@ -9,7 +9,7 @@ use ode::{Observer, Sample, Side, Termination};
 use std::ops::ControlFlow;
 
 impl Run<'_, '_> {
-    /// Reads the outputs where the model stands.
+    /// Reads the outputs at the current time of the model.
     pub(super) fn read(&mut self, place: StepSide) -> Step<()> {
         self.timed(Call::Outputs, |run| run.read_into(place))
     }
@@ -28,7 +28,7 @@ impl Run<'_, '_> {
         Ok(())
     }
 
-    /// True if the next requested time is listed once more.
+    /// True if the next requested time is listed twice.
     fn twice(&self) -> bool {
         let times = &self.plan.times;
         times.get(self.next_row + 1).is_some_and(|next| *next == times[self.next_row])
@@ -38,7 +38,7 @@ impl Run<'_, '_> {
         self.plan.times.get(self.next_row).is_some_and(|row| *row <= self.t + self.plan.time_tolerance)
     }
 
-    /// Reads the derivatives of outputs at the end of a step, if the FMU offers them.
+    /// Reads the derivatives of outputs at the end of a step, if the FMU supports them.
     pub(super) fn read_slopes(&mut self) -> Step<()> {
         let references = &self.plan.outputs().smooth.1;
         let CoSimulationState { running, ends, .. } = &mut *self.stepping;
@@ -50,7 +50,7 @@ impl Run<'_, '_> {
         ends.resize(references.len(), 0.0);
         match core.raw.get_output_derivatives(references, ends) {
             Ok(()) => {}
-            // Offered, but not there: then without them.
+            // The call is declared but not available, so no derivatives are used.
             Err(Fault::Missing(_) | Fault::Discard(_)) => ends.clear(),
             Err(fault) => return Err(core.error(fault).into()),
         }
@@ -60,9 +60,9 @@ impl Run<'_, '_> {
         Ok(())
     }
 
-    /// Samples between here and `end`: held where the variable is not continuous, else linear, or where the
-    /// derivative at the end is known the parabola that has it (that at the start may be another one, if the
-    /// inputs jump there).
+    /// Delivers samples between the current time and `end`. Discrete variables are held, continuous ones are
+    /// interpolated linearly. If the derivative at the end is known, a parabola with this derivative is used.
+    /// The derivative at the start is not used, because it may change if the inputs jump there.
     pub(super) fn sample_inside(&mut self, end: f64) -> Step<()> {
         while let Some(time) = self.row_before(end) {
             self.outside.check()?;
@@ -94,7 +94,7 @@ impl Run<'_, '_> {
         Ok(())
     }
 
-    /// The limit from the left, where it is wanted.
+    /// Delivers the limit from the left if it is requested.
     pub(super) fn sample_left(&mut self) -> Step<()> {
         if self.is_here() && self.twice() {
             self.read(StepSide::After)?;
@@ -103,7 +103,7 @@ impl Run<'_, '_> {
         Ok(())
     }
 
-    /// All samples still due at this point.
+    /// Delivers all remaining samples at this point.
     pub(super) fn sample_here(&mut self) -> Step<()> {
         if !self.is_here() {
             return Ok(());
@@ -122,7 +122,7 @@ impl Run<'_, '_> {
         flow
     }
 
-    /// Hands the next row to the observer.
+    /// Passes the next row to the observer.
     fn deliver(&mut self, outputs: &[f64]) -> Step<()> {
         let index = self.next_row;
         let side = if self.twice() { Side::Left } else { Side::Right };

@@ -1,5 +1,4 @@
-//! State of a co-simulation that is kept from run to run (the instance and its buffers), and its
-//! initialization.
+//! State of a co-simulation that is kept between runs (the instance and its buffers), and its initialization.
 
 use crate::description::Variable;
 use crate::error::Result;
@@ -12,19 +11,19 @@ use crate::sys::RawInstance;
 use ode::{EventOutcome, Stopwatch};
 use std::sync::Arc;
 
-/// One worker's co-simulation: the instance and everything that is written during a run.
+/// Co-simulation of one worker: the instance and all data written during a run.
 #[derive(Debug)]
 pub(crate) struct CoSimulationState {
     pub(crate) running: Running,
-    /// Rows of outputs at the beginning and the end of a step, and one in between.
+    /// Rows of outputs at the start and the end of a step, and one row between them.
     pub(super) before: Vec<f64>,
     pub(super) after: Vec<f64>,
     pub(super) between: Vec<f64>,
     pub(super) slopes: Vec<f64>,
-    /// Derivatives of outputs at the end of a step, where there are some.
+    /// Derivatives of outputs at the end of a step, if available.
     pub(super) ends: Vec<f64>,
     pub(super) stopwatch: Stopwatch<{ Call::KINDS }>,
-    /// The stop time, and whether the model was told it.
+    /// Stop time. `is_stop_told` is true if it was passed to the model.
     pub(super) stop: f64,
     pub(super) is_stop_told: bool,
 }
@@ -45,7 +44,7 @@ impl CoSimulationState {
         }
     }
 
-    /// Brings a fresh instance to the start time: values, inputs, initialization.
+    /// Brings a new instance to the start time. Sets values and inputs, and initializes.
     pub(crate) fn initialize(&mut self, raw: RawInstance, input: RunInput<'_>) -> Result<()> {
         let plan = &self.running.plan;
         let stop = |c: &Communication| c.stop_time(plan.start, plan.end, plan.time_tolerance);
@@ -57,21 +56,21 @@ impl CoSimulationState {
         Ok(())
     }
 
-    /// Notes that the model failed.
+    /// Records that the model failed.
     pub(super) fn note_failure(&self) {
         let plan = &self.running.plan;
         let mut knowledge = plan.fmu().reset_knowledge(plan.kind);
         knowledge.stop_time = knowledge.stop_time.after_failure(self.is_stop_told);
     }
 
-    /// Lets the initial events happen, where there is an event mode.
+    /// Handles the initial events if there is an event mode.
     pub(crate) fn run_initial_events(&mut self, outside: &SharedObserver<'_>) -> Result<EventOutcome> {
         let start = self.running.plan.start;
         let has_event_mode = self.running.current.core()?.raw.has_event_mode();
         if has_event_mode { self.run_event_mode(start, outside) } else { Ok(EventOutcome::default()) }
     }
 
-    /// The events of an instant, in event mode, and back to step mode.
+    /// Handles the events at one time in event mode, and returns to step mode.
     pub(super) fn run_event_mode(&mut self, time: f64, outside: &SharedObserver<'_>) -> Result<EventOutcome> {
         let Running { plan, current, clocks, buffers, .. } = &mut self.running;
         let events = |core: &mut Core, time| {
@@ -79,27 +78,27 @@ impl CoSimulationState {
             clocks.iterate_events(&plan.clocks, core, time, recorded, outside)
         };
         let outcome = current.core()?.run_event_mode(time, events);
-        // Between two rounds, or after an error, the model is nowhere.
+        // Between two rounds, or after an error, the state of the model is undefined.
         current.broken |= outcome.is_err();
         outcome
     }
 
-    /// Value of a variable at the last communication point.
+    /// Returns the value of a variable at the last communication point.
     pub(crate) fn value(&mut self, variable: &Variable) -> Result<crate::Value> {
         self.running.current.trusted()?.value(variable)
     }
 }
 
-/// The calls into the model, by kinds for the stopwatch.
+/// Kinds of calls into the model, for the stopwatch.
 #[derive(Clone, Copy)]
 pub(super) enum Call {
-    /// A communication step.
+    /// Communication step.
     Step,
     /// Outputs and their derivatives.
     Outputs,
-    /// Inputs, and what they are computed from.
+    /// Inputs and their computation.
     Inputs,
-    /// A visit of event mode: timed each.
+    /// Visit of event mode; every visit is timed.
     Events,
 }
 

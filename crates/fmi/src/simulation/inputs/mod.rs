@@ -1,4 +1,4 @@
-//! Time-varying inputs: tables, functions and texts, resolved to calls, and where a run stands in them.
+//! Time-varying inputs: tables, functions and strings, resolved to calls, and the input state of a run.
 
 mod plan;
 mod state;

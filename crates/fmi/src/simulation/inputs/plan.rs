@@ -1,5 +1,5 @@
-//! Time-varying inputs and tunable parameters: tables and functions; linear between rows for continuous
-//! floating-point inputs, held for everything else.
+//! Time-varying inputs and tunable parameters from tables and functions. Continuous floating-point inputs are
+//! linear between rows. All other inputs are held.
 
 use super::texts::TextInput;
 use crate::description::{Causality, ClockKind, Value, Variability, Variable, VariableKind};
@@ -15,15 +15,16 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::sync::Arc;
 
-/// Sources that drive the inputs of a model, and its tunable parameters.
+/// Sources that drive the inputs and tunable parameters of a model.
 ///
-/// Continuous inputs of floating-point type are linear between the rows of their table, all other inputs
-/// (texts, too: [`values`](Self::values)) keep the value of a row until the next; outside of the table the
-/// first and the last row hold. A time listed twice is a jump: the first of the two rows is the limit from
-/// the left. Jumps and changes of held values are events; changes of slope are hit by steps.
+/// Continuous inputs of floating-point type are linear between the rows of their table. All other inputs,
+/// including strings ([`values`](Self::values)), keep the value of a row until the next row. Outside the
+/// table, the first and the last row are held. A time listed twice is a jump: the first of the two rows is
+/// the limit from the left. Jumps and changes of held values are events. At changes of slope, a step ends but
+/// no event occurs.
 ///
-/// Tunable parameters are held. They have their first value from before the initialization on, and change at
-/// events in model exchange and at communication points in co-simulation.
+/// Tunable parameters are held. Their first value applies before and during the initialization. They change
+/// at events in model exchange and at communication points in co-simulation.
 ///
 /// ```
 /// use fmi::Inputs;
@@ -36,7 +37,7 @@ pub struct Inputs {
     sources: Vec<Source>,
 }
 
-/// A variable, and what drives it.
+/// Variable with its source.
 #[derive(Clone, Serialize, Deserialize)]
 struct Source {
     name: String,
@@ -51,7 +52,7 @@ enum SourceValues {
 }
 
 impl SourceValues {
-    /// Functions are the same only if they are one.
+    /// True if both sources are equal. Functions are equal only if they are the same object.
     fn is_same(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Numbers(times, values), Self::Numbers(t, v)) => times == t && values == v,
@@ -61,7 +62,7 @@ impl SourceValues {
         }
     }
 
-    /// True if they are rows of numbers that are the same but for their sign.
+    /// True if both are rows of numbers that differ only in sign.
     fn is_negative_of(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Numbers(times, values), Self::Numbers(t, v)) => {
@@ -84,18 +85,18 @@ impl fmt::Debug for Source {
 }
 
 impl Inputs {
-    /// True if a function drives an input.
+    /// True if an input is driven by a function.
     pub fn has_functions(&self) -> bool {
         self.sources.iter().any(|source| matches!(source.values, SourceValues::Function(_)))
     }
 
-    /// No inputs.
+    /// Creates an empty set of inputs.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Adds a table: times in ascending order and, for each variable, as many values. Integers and Booleans
-    /// are given as numbers. What is wrong with a table is said when a simulation is planned.
+    /// Adds a table: times in ascending order, and the same number of values for each variable. Integers and
+    /// Booleans are passed as numbers. Errors in a table are reported when a simulation is planned.
     #[must_use]
     pub fn table<N, C>(mut self, times: impl Into<Arc<[f64]>>, columns: C) -> Self
     where
@@ -114,7 +115,7 @@ impl Inputs {
         self
     }
 
-    /// Adds one variable with times of its own.
+    /// Adds one variable with separate times.
     #[must_use]
     pub fn series(
         self,
@@ -125,8 +126,8 @@ impl Inputs {
         self.source(name, SourceValues::Numbers(times.into(), values.into()))
     }
 
-    /// Adds a variable of any type with times of its own, for what a double cannot hold: texts, bytes,
-    /// integers of 64 bits.
+    /// Adds a variable of any type with separate times. Use this for values that a double cannot represent:
+    /// strings, bytes, 64-bit integers.
     #[must_use]
     pub fn values(
         self,
@@ -138,8 +139,8 @@ impl Inputs {
         self.source(name, SourceValues::Any(times.into(), values))
     }
 
-    /// Adds a continuous real input that is a function of time. It should be smooth; where it returns NaN or
-    /// an infinity, the model counts as not defined. It may be called from any thread.
+    /// Adds a continuous real input that is a function of time. The function should be smooth. If it returns
+    /// NaN or an infinity, the model counts as undefined at that time. It may be called from any thread.
     #[must_use]
     pub fn function(
         self,
@@ -149,13 +150,13 @@ impl Inputs {
         self.function_of(name, InputFunction::new(function))
     }
 
-    /// The same with a function that several simulations share.
+    /// Adds an input as [`function`](Self::function) does, with a function that several simulations share.
     #[must_use]
     pub fn function_of(self, name: impl Into<String>, function: InputFunction) -> Self {
         self.source(name, SourceValues::Function(function))
     }
 
-    /// True if the sources are the same.
+    /// True if the sources are equal.
     pub(crate) fn is_same(&self, other: &Self) -> bool {
         self.sources.len() == other.sources.len()
             && self
@@ -165,13 +166,13 @@ impl Inputs {
                 .all(|(source, other)| source.name == other.name && source.values.is_same(&other.values))
     }
 
-    /// The names, in the order given.
+    /// Returns the names in the order in which they were added.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.sources.iter().map(|source| source.name.as_str())
     }
 }
 
-/// A held column and where its value goes.
+/// Held column and the target of its value.
 #[derive(Debug, Clone)]
 pub(super) struct Held {
     pub(super) column: HeldTable,
@@ -179,7 +180,7 @@ pub(super) struct Held {
     pub(super) target: Target,
 }
 
-/// Variables that are held from row to row.
+/// Variables whose values are held between rows.
 #[derive(Debug, Clone, Default)]
 pub(super) struct HeldSlots {
     pub(super) reals: Slots<f64>,
@@ -188,7 +189,7 @@ pub(super) struct HeldSlots {
 }
 
 impl HeldSlots {
-    /// The place of a variable of numbers, or of an element of one.
+    /// Returns the target for a numeric variable or an element of one.
     fn place(&mut self, starts: &Starts<'_>, place: VariableElement) -> Result<Target> {
         let variable = &starts.description.variables[place.variable];
         let (kind, reference) = (variable.kind, variable.value_reference);
@@ -206,7 +207,7 @@ impl HeldSlots {
         Ok(Target::Packed(group, slots.place(reference, place.element, || starts.words(place))?))
     }
 
-    /// The variables, each by its type and reference.
+    /// Returns the variables with their types and references.
     fn references(&self) -> impl Iterator<Item = (VariableKind, u32)> + '_ {
         let of = |kind: VariableKind| move |reference: &u32| (kind, *reference);
         let packed = self.packed.iter().flat_map(move |(kind, slots)| slots.references.iter().map(of(*kind)));
@@ -218,34 +219,34 @@ impl HeldSlots {
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Target {
     Real(usize),
-    /// Group and place in it.
+    /// Index of the group and index of the value in it.
     Packed(usize, usize),
     Text(usize),
 }
 
-/// The inputs of one simulation, resolved and checked.
+/// Resolved and checked inputs of one simulation.
 #[derive(Clone, Default)]
 pub(crate) struct InputPlan {
-    /// Columns of continuous inputs, and where their values go.
+    /// Columns of continuous inputs, with the indices of their values.
     pub(super) linear: Vec<(InputTable, usize)>,
-    /// Functions with the sign of their values, and where these go.
+    /// Functions with the sign and the index of their values.
     pub(super) functions: Vec<(InputFunction, f64, usize)>,
     pub(crate) continuous: FloatSlots,
     pub(super) held: Vec<Held>,
     pub(super) held_inputs: HeldSlots,
     /// Tunable parameters.
     pub(super) parameters: HeldSlots,
-    /// Instants of jumps, ascending.
+    /// Times of jumps, ascending.
     pub(super) jumps: Vec<f64>,
-    /// Jumps and kinks, ascending.
+    /// Jumps and changes of slope, ascending.
     pub(super) stops: Vec<InputStop>,
-    /// Times of rows at which a continuous input has another value than in the row before, ascending; in
-    /// co-simulation.
+    /// Times of rows at which a continuous input differs from the previous row, ascending. Empty unless the
+    /// inputs are sampled.
     pub(super) rows: Vec<f64>,
     pub(super) is_sampled: bool,
-    /// Times closer than this are one.
+    /// Difference below which two times count as equal.
     pub(super) time_tolerance: f64,
-    /// Variables that are driven.
+    /// Variables that the inputs drive.
     pub(crate) driven: Vec<VariableElement>,
     /// Data for clocks and clocked inputs.
     pub(crate) clocks: ClockInputs,
@@ -262,11 +263,11 @@ impl fmt::Debug for InputPlan {
 }
 
 impl InputPlan {
-    /// Resolves and checks the inputs; `time_tolerance` is the distance within which times are equal.
-    /// `is_sampled`: the model sees values of inputs at communication points only.
+    /// Resolves and checks the inputs. Times closer than `time_tolerance` count as equal. `is_sampled` is
+    /// true if the model receives input values only at communication points.
     ///
     /// # Errors
-    /// Unknown names, variables that cannot be driven, tables whose rows cannot be used.
+    /// A name is unknown, a variable cannot be driven, or the rows of a table are invalid.
     pub(crate) fn new(
         starts: &Starts<'_>,
         inputs: &Inputs,
@@ -276,7 +277,7 @@ impl InputPlan {
         let description = starts.description;
         let mut plan = Self { time_tolerance, is_sampled, ..Self::default() };
         let mut stops = Vec::new();
-        // Those of type Real come first, as `FloatSlots` wants it.
+        // Variables of type Real come first, as `FloatSlots` requires.
         let place_of =
             |source: &Source| VariableElement::of_name(description, starts.structure, &source.name);
         let mut sources: Vec<(VariableElement, &Source)> =
@@ -300,7 +301,7 @@ impl InputPlan {
                     true => first.values.is_same(source),
                     false => is_linear(variable) && first.values.is_negative_of(source),
                 };
-                // A recording may hold a variable under all its names.
+                // A recording may contain a variable under all its names.
                 if is_equal && first.name != *name && driven.element == place.element {
                     continue;
                 }
@@ -370,7 +371,7 @@ impl InputPlan {
         Ok(plan)
     }
 
-    /// A column of numbers for a variable or an element of one.
+    /// Adds a column of numbers for a variable or an element.
     fn add_numbers(
         &mut self,
         starts: &Starts<'_>,
@@ -397,7 +398,7 @@ impl InputPlan {
         self.add_held(starts, place, column.into(), stops)
     }
 
-    /// A held column for a variable that is no clock, or an element of one.
+    /// Adds a held column for a variable that is not a clock, or for an element.
     fn add_held(
         &mut self,
         starts: &Starts<'_>,
@@ -419,7 +420,7 @@ impl InputPlan {
         self.hold(starts, place, column)
     }
 
-    /// The held variables that this one belongs to.
+    /// Returns the group of held variables to which this variable belongs.
     fn held_slots(&mut self, variable: &Variable) -> &mut HeldSlots {
         if variable.is_tunable_parameter() { &mut self.parameters } else { &mut self.held_inputs }
     }
@@ -432,8 +433,8 @@ impl InputPlan {
         Ok(())
     }
 
-    /// A clock: the rows of a triggered one that hold 1 are its ticks; one that can be deactivated leaves its
-    /// ticks out where it holds 0.
+    /// Adds a clock. A triggered clock ticks at the rows with value 1. A clock that can be deactivated omits
+    /// its ticks while its value is 0.
     fn clock(
         &mut self,
         variable: &Variable,
@@ -463,7 +464,8 @@ impl InputPlan {
         }
     }
 
-    /// Merges stops of all columns that are one instant, and moves the rows there onto it.
+    /// Merges stops of all columns that are within the time tolerance, and moves the corresponding rows to
+    /// the merged time.
     pub(super) fn take_stops(&mut self, mut stops: Vec<InputStop>) {
         self.rows.sort_by(f64::total_cmp);
         self.rows.dedup();
@@ -488,19 +490,19 @@ impl InputPlan {
         }
     }
 
-    /// The variables that are driven, each by its type and reference.
+    /// Returns the driven variables with their types and references.
     pub(crate) fn references(&self) -> impl Iterator<Item = (VariableKind, u32)> + '_ {
         let held = self.held_inputs.references().chain(self.parameters.references());
         self.continuous.references().chain(held)
     }
 
-    /// Those that are set before the initialization, too.
+    /// Returns the driven variables that are also set before the initialization.
     pub(crate) fn early_references(&self) -> impl Iterator<Item = (VariableKind, u32)> + '_ {
         self.parameters.references()
     }
 
-    /// Number of the times between these at which the inputs jump or change their slope, or if they are held
-    /// between communication points, have another value.
+    /// Returns the number of times between `start` and `end` at which the inputs jump or change their slope.
+    /// If `are_held` is true, changes of value at rows count as well.
     pub(crate) fn n_points_within(&self, start: f64, end: f64, are_held: bool) -> usize {
         let is_within = |time: f64| time > start + self.time_tolerance && time <= end - self.time_tolerance;
         let stops = self.stops.iter().filter(|stop| is_within(stop.time)).count();
@@ -508,13 +510,13 @@ impl InputPlan {
         if are_held { stops.max(rows) } else { stops }
     }
 
-    /// The first stop after `t`.
+    /// Returns the first stop after `t`.
     pub(crate) fn next_stop(&self, t: f64) -> Option<InputStop> {
         let next = self.stops.partition_point(|stop| stop.time <= t + self.time_tolerance);
         self.stops.get(next).copied()
     }
 
-    /// The first row after `t` with another value of a continuous input.
+    /// Returns the first row after `t` at which a continuous input changes its value.
     pub(crate) fn next_row(&self, t: f64) -> Option<f64> {
         let next = self.rows.partition_point(|row| *row <= t + self.time_tolerance);
         self.rows.get(next).copied()
@@ -522,7 +524,8 @@ impl InputPlan {
 }
 
 impl Starts<'_> {
-    /// All start values of a variable of type Real; 0 for a single value, which is written before it is set.
+    /// Returns all start values of a variable of type Real. The value of a scalar is 0, because it is written
+    /// before it is set.
     pub(crate) fn reals(&self, place: VariableElement) -> Result<Vec<f64>> {
         if place.element.is_none() {
             return Ok(vec![0.0]);
@@ -531,7 +534,8 @@ impl Starts<'_> {
         Ok(values.into_iter().map(|value| if let Value::Real(x) = value { x } else { 0.0 }).collect())
     }
 
-    /// The same of a variable of any other type of numbers.
+    /// Returns the start values of a variable of any other numeric type, as words. The value of a scalar is
+    /// 0.
     fn words(&self, place: VariableElement) -> Result<Vec<i64>> {
         if place.element.is_none() {
             return Ok(vec![0]);
@@ -542,7 +546,7 @@ impl Starts<'_> {
     }
 }
 
-/// True if an input is interpolated linearly from row to row.
+/// True if an input is interpolated linearly between rows.
 fn is_linear(variable: &Variable) -> bool {
     variable.kind.is_float() && variable.variability == Variability::Continuous
 }
@@ -551,7 +555,7 @@ fn bad(variable: &Variable, problem: String) -> FmiError {
     FmiError::BadInput { name: variable.name.clone(), problem }
 }
 
-/// Refuses what cannot be held, and values that are none of the type.
+/// Returns an error for a variable that cannot be held, or for values outside its type.
 fn check_held(variable: &Variable, column: InputTable) -> Result<InputTable> {
     let kind = variable.kind;
     if !kind.is_number() {

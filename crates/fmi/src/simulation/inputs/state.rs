@@ -1,33 +1,33 @@
-//! Where a run stands in its inputs: which jumps have happened, and the values for the next calls.
+//! Input state of a run: the jumps that have occurred, and the values for the next calls.
 
 use super::plan::{HeldSlots, InputPlan, Target};
 use crate::error::{FmiError, Result};
 use crate::instance::Core;
 use ode::Stopwatch;
 
-/// Where a run stands in its inputs, and the values for the next calls.
+/// Input state of a run: the jumps that have occurred, and the values for the next calls.
 #[derive(Debug, Default)]
 pub(crate) struct InputState {
-    /// Jumps that have happened.
+    /// Number of jumps that have occurred.
     passed: usize,
     cursors: Vec<usize>,
     pub(crate) continuous: Vec<f64>,
     held_inputs: HeldValues,
     parameters: HeldValues,
-    /// Seconds in functions of the user since the start: a sum over all calls, each of which adds what is
-    /// known of it when it ends, so that also differences of it mean the time between.
+    /// Time in the user's functions since the start, in seconds. It is a sum over all calls. Each call adds
+    /// its known time when it ends, so differences of this value are also meaningful.
     in_functions: f64,
-    /// All functions at one instant are one call: one of them may do the work for the others.
+    /// All function calls at one time count as one call, because one function may do the work for the others.
     stopwatch: Stopwatch<1>,
 }
 
-/// The values of variables that are held from row to row.
+/// Values of variables that are held between rows.
 #[derive(Debug, Default)]
 struct HeldValues {
     reals: Vec<f64>,
-    /// Lanes, by the groups of the plan.
+    /// Words, by the groups of the plan.
     packed: Vec<Vec<i64>>,
-    /// The number of the value that each text has.
+    /// Index of the current value of each string input.
     texts: Vec<usize>,
 }
 
@@ -54,7 +54,7 @@ impl HeldValues {
 }
 
 impl InputState {
-    /// Buffers of the right sizes.
+    /// Creates buffers of the required sizes.
     pub(crate) fn new(plan: &InputPlan) -> Self {
         Self {
             passed: 0,
@@ -67,13 +67,13 @@ impl InputState {
         }
     }
 
-    /// Seconds that the functions of the user took since the start; an estimate where they are fast, see
-    /// [`Stopwatch`](ode::Stopwatch).
+    /// Returns the time in the user's functions since the start, in seconds. It is an estimate if the
+    /// functions are fast; see [`Stopwatch`](ode::Stopwatch).
     pub(crate) fn seconds_in_functions(&self) -> f64 {
         self.in_functions
     }
 
-    /// Goes to the start of a run: jumps up to `t` have happened.
+    /// Resets the state to the start of a run: jumps up to `t` have occurred.
     pub(crate) fn begin(&mut self, plan: &InputPlan, t: f64) {
         self.in_functions = 0.0;
         self.stopwatch.reset();
@@ -82,7 +82,7 @@ impl InputState {
         self.pass(plan, t);
     }
 
-    /// Lets the jumps up to `t` happen and takes over the held values; whether there were any.
+    /// Applies the jumps up to `t` and updates the held values. Returns true if a jump occurred.
     pub(crate) fn pass(&mut self, plan: &InputPlan, t: f64) -> bool {
         let before = self.passed;
         let happened = plan.jumps.partition_point(|jump| *jump <= t + plan.time_tolerance);
@@ -107,8 +107,8 @@ impl InputState {
         self.passed > before
     }
 
-    /// Computes the continuous inputs at `t`; `false` if one is not finite. The piece between two jumps is
-    /// used until the jump has happened ([`pass`](Self::pass)), also for times a little beyond it.
+    /// Computes the continuous inputs at `t`. Returns false if one is not finite. The piece before a jump is
+    /// used until the jump has occurred ([`pass`](Self::pass)), even for times slightly after it.
     pub(crate) fn continuous_at(&mut self, plan: &InputPlan, t: f64) -> bool {
         let next = plan.jumps.get(self.passed).copied().unwrap_or(f64::INFINITY);
         let last = self.passed.checked_sub(1).map_or(f64::NEG_INFINITY, |i| plan.jumps[i]);
@@ -133,12 +133,12 @@ impl InputState {
         self.held_inputs.set(core, &plan.held_inputs)
     }
 
-    /// Sets the tunable parameters: before the initialization, and when there was a jump.
+    /// Sets the tunable parameters, before the initialization and after each jump.
     pub(crate) fn set_parameters(&self, core: &mut Core, plan: &InputPlan) -> Result<()> {
         self.parameters.set(core, &plan.parameters)
     }
 
-    /// Error for a value that [`continuous_at`](Self::continuous_at) has refused.
+    /// Returns the error for a value that [`continuous_at`](Self::continuous_at) has rejected.
     pub(crate) fn bad_function_value(&self, t: f64) -> FmiError {
         let bad = self.continuous.iter().find(|value| !value.is_finite());
         let value = bad.copied().unwrap_or(f64::NAN);
@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn the_piece_before_a_jump_holds_until_the_jump_has_happened() {
+    fn continuous_at_uses_the_piece_before_a_jump_until_it_has_passed() {
         let plan = plan_of(
             vec![column(&[0.0, 1.0, 1.0, 2.0], &[0.0, 1.0, 5.0, 5.0])],
             vec![column(&[0.0, 1.0, 1.5], &[7.0, 8.0, 9.0])],
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn jumps_within_rounding_are_one_instant() {
+    fn take_stops_merges_jumps_within_rounding() {
         let near = 0.1 + 0.2; // 0.30000000000000004
         let plan = plan_of(
             vec![column(&[0.0, 0.3, 0.3, 1.0], &[0.0, 1.0, 5.0, 5.0])],
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn time_in_functions_is_that_of_all_of_them_since_the_start() {
+    fn seconds_in_functions_sums_all_calls_since_the_start() {
         let mut plan = plan_of(vec![column(&[0.0, 1.0], &[0.0, 1.0])], vec![]);
         let mut state = InputState::new(&plan);
         state.continuous_at(&plan, 0.5);
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_at_the_start_has_happened() {
+    fn begin_passes_a_jump_at_the_start() {
         let plan = plan_of(vec![column(&[0.0, 0.0, 1.0], &[1.0, 2.0, 2.0])], vec![]);
         let mut state = InputState::new(&plan);
         state.begin(&plan, 0.0);

@@ -1,5 +1,5 @@
-//! Inputs that are texts or bytes: each value they take has a number, and the numbers are held from row to
-//! row like those of any other input.
+//! Inputs that are strings or bytes. Each distinct value has an index, and the indices are held between rows
+//! like the values of any other input.
 
 use crate::description::{Value, Variable, VariableKind};
 use crate::error::{FmiError, Result};
@@ -7,7 +7,7 @@ use crate::instance::{Core, assignments::wrong_type};
 use std::collections::HashMap;
 use std::ffi::CString;
 
-/// An input and the values that it takes.
+/// Input with its distinct values.
 #[derive(Debug, Clone)]
 pub(crate) struct TextInput {
     reference: u32,
@@ -21,10 +21,11 @@ enum Values {
 }
 
 impl TextInput {
-    /// The values in these rows, and the number of each row's.
+    /// Returns the input with its distinct values, and the index of the value in each row.
     ///
     /// # Errors
-    /// [`FmiError::WrongType`] where the variable or a value is of another type; a text has a NUL in it.
+    /// [`FmiError::WrongType`] if the variable or a value has another type; a string contains a NUL
+    /// character.
     pub(crate) fn new(variable: &Variable, rows: &[Value]) -> Result<(Self, Vec<f64>)> {
         let bad = |problem: String| FmiError::BadInput { name: variable.name.clone(), problem };
         let wrong = |value: &Value| wrong_type(variable, value, value.kind_name());
@@ -57,7 +58,7 @@ impl TextInput {
         Ok((Self { reference: variable.value_reference, values }, numbers))
     }
 
-    /// Type and reference of the variable.
+    /// Returns the type and the reference of the variable.
     pub(crate) fn reference(&self) -> (VariableKind, u32) {
         let kind = match self.values {
             Values::Texts(_) => VariableKind::String,
@@ -66,7 +67,7 @@ impl TextInput {
         (kind, self.reference)
     }
 
-    /// Sets the value of this number.
+    /// Sets the value with this index.
     pub(crate) fn set(&self, core: &mut Core, number: usize) -> Result<()> {
         let one = number..number + 1;
         match &self.values {

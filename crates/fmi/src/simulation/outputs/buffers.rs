@@ -1,4 +1,4 @@
-//! Recording of outputs: outputs sorted into one call per type, and the buffers they are read into.
+//! Recording of outputs: outputs sorted into one call per type, and buffers for the values read.
 
 use super::texts::{self, ValueTable};
 use crate::description::{Causality, ModelDescription, Structure, Variability, Variable, VariableKind};
@@ -9,55 +9,55 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::ops::Range;
 
-/// Where an output comes from.
+/// Source of an output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum OutputSource {
     Time,
-    /// A state or an alias of one: copied, without a call. Its places in the state vector and among the
-    /// values of type `Real`, behind those that are read for every row.
+    /// State or alias of a state, copied without a call. The indices refer to the state vector and to the
+    /// values of type `Real`. In the latter, states follow the values that are read for every row.
     State(usize, usize),
-    /// Place among the values of type `Real`.
+    /// Index among the values of type `Real`.
     Real(usize),
-    /// Place among the words of all other numbers.
+    /// Index among the words of all other numbers.
     Packed(usize, VariableKind),
-    /// The upper or lower half of such a word.
+    /// Upper (`true`) or lower half of a word.
     Half(usize, VariableKind, bool),
-    /// Place among the texts.
+    /// Index among the strings.
     Text(usize),
-    /// Place among the binary values.
+    /// Index among the binary values.
     Bytes(usize),
-    /// 1 if a clock ticked at this instant, else 0: index among the clocks recorded.
+    /// 1 if a clock ticked at this time, otherwise 0. Index among the recorded clocks.
     Tick(usize),
 }
 
-/// A variable that a simulation records, and where it stands in the result. An array has a column for each
-/// element, the last index varying fastest.
+/// Variable that a simulation records, and its columns in the result. An array has a column for each element,
+/// the last index varying fastest.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Recorded {
-    /// Name under which it was asked for.
+    /// Name under which the variable was requested.
     pub name: String,
     /// Type.
     pub kind: VariableKind,
-    /// Extents of an array; empty for a single value or an element.
+    /// Extents of an array; empty for a scalar or an element.
     pub extents: Vec<usize>,
-    /// Its columns among the numbers; none for texts and binary variables.
+    /// Its numeric columns; empty for strings and binary variables.
     pub columns: Range<usize>,
-    /// Its columns among the values: texts, binary variables and 64-bit integers, which not all numbers can
-    /// hold.
+    /// Its columns among the values: strings, binary variables and 64-bit integers. A double cannot represent
+    /// all 64-bit integers.
     pub values: Range<usize>,
 }
 
-/// A column of results.
+/// Column of the results.
 #[derive(Debug, Clone, Copy)]
 struct OutputColumn {
     source: OutputSource,
     negated: bool,
-    /// True if it may be interpolated.
+    /// True if the column may be interpolated.
     is_continuous: bool,
 }
 
-/// Variables of one kind, for one call: references, and the words that their values take.
+/// Variables of one kind for one call: references, and the number of words of their values.
 #[derive(Debug)]
 struct Group {
     kind: VariableKind,
@@ -65,43 +65,43 @@ struct Group {
     n_values: usize,
 }
 
-/// The outputs by type, each type for one call.
+/// Outputs by type, each type for one call.
 #[derive(Debug, Default)]
 pub(crate) struct OutputPlan {
     columns: Vec<OutputColumn>,
     reals: Vec<u32>,
     n_reals: usize,
-    /// The states as variables, and how many values they have.
+    /// References of the states as variables, and the number of their values.
     states: (Vec<u32>, usize),
     groups: Vec<Group>,
-    /// Of the array variables already there: first place of their values.
+    /// Index of the first value of each array variable that was already added.
     arrays: HashMap<(VariableKind, u32), usize>,
     texts: (Vec<u32>, usize),
     binaries: (Vec<u32>, usize),
-    /// The most bytes that each of these values has.
+    /// Maximum size of each binary value in bytes.
     most_bytes: Vec<Option<usize>>,
     /// Value references of the clocks recorded.
     pub(crate) clocks: Vec<u32>,
-    /// Columns without names, which stand behind the others: see `texts.rs`.
+    /// Columns without names, which follow the others: see `texts.rs`.
     unnamed: Vec<OutputColumn>,
-    /// Name and kind of what the columns without names make.
+    /// Names and kinds of the values that the unnamed columns represent.
     pub(crate) values: Vec<(String, VariableKind)>,
     pub(crate) recorded: Vec<Recorded>,
-    /// Columns of single continuous outputs of type Real that are read as they are, and their references:
-    /// those that may have derivatives.
+    /// Columns of scalar continuous outputs of type Real that are read unchanged, and their references. These
+    /// outputs may have derivatives.
     pub(crate) smooth: (Vec<usize>, Vec<u32>),
 }
 
-/// Context in which outputs are resolved.
+/// Context for resolving outputs.
 pub(crate) struct OutputContext<'a> {
     pub(crate) model: &'a ModelDescription,
     pub(crate) structure: &'a Structure,
-    /// First place in the state vector of the state variables, by value reference.
+    /// First index in the state vector of each state variable, by value reference.
     pub(crate) states: &'a HashMap<u32, usize>,
 }
 
 impl OutputPlan {
-    /// Number of columns, with and without names.
+    /// Returns the number of columns, with and without names.
     pub(crate) fn len(&self) -> usize {
         self.columns.len()
     }
@@ -117,12 +117,12 @@ impl OutputPlan {
         !(nothing && self.texts.0.is_empty() && self.binaries.0.is_empty())
     }
 
-    /// True if a column is time itself.
+    /// True if a column contains the time.
     pub(crate) fn is_time(&self, column: usize) -> bool {
         self.columns[column].source == OutputSource::Time
     }
 
-    /// True if a column holds the ticks of a clock, which are only at events.
+    /// True if a column contains the ticks of a clock, which occur only at events.
     pub(crate) fn is_tick(&self, column: usize) -> bool {
         matches!(self.columns[column].source, OutputSource::Tick(_))
     }
@@ -132,8 +132,8 @@ impl OutputPlan {
         self.columns[column].is_continuous
     }
 
-    /// Adds a variable: one column, or one for each element of an array (only `element`, if given). Returns
-    /// the names of the columns of numbers.
+    /// Adds a variable: one column, or one for each element of an array. If `element` is specified, adds only
+    /// that element. Returns the names of the numeric columns.
     pub(crate) fn add(
         &mut self,
         context: &OutputContext<'_>,
@@ -201,7 +201,7 @@ impl OutputPlan {
         names
     }
 
-    /// First place of the values of a variable; words are counted group by group, see
+    /// Returns the index of the first value of a variable. Words are counted per group; see
     /// [`finish`](Self::finish).
     fn place(&mut self, variable: &Variable, n: usize, is_state: bool) -> usize {
         let (kind, reference) = (variable.kind, variable.value_reference);
@@ -240,8 +240,8 @@ impl OutputPlan {
         first
     }
 
-    /// Puts the states behind the other values of type `Real`, the words of all kinds into one row, and the
-    /// columns without names behind the others, when everything has been added.
+    /// Completes the plan after everything has been added. Places the states after the other values of type
+    /// `Real`, the words of all kinds in one row, and the unnamed columns after the others.
     pub(crate) fn finish(&mut self) {
         self.columns.append(&mut self.unnamed);
         for column in &mut self.columns {
@@ -264,7 +264,7 @@ impl OutputPlan {
     }
 }
 
-/// `[2]`, `[1,3]`: counted from 1, the last index varying fastest.
+/// Returns a subscript such as `[2]` or `[1,3]`, counted from 1, the last index varying fastest.
 fn subscript(element: usize, extents: &[usize]) -> String {
     let mut indices = Vec::with_capacity(extents.len());
     let mut rest = element;
@@ -276,7 +276,8 @@ fn subscript(element: usize, extents: &[usize]) -> String {
     format!("[{}]", indices.join(","))
 }
 
-/// Splits `name[1,3]` into the name and the place of the element; `None` if that is not what it is.
+/// Splits `name[1,3]` into the name and the index of the element. Returns `None` if the name does not have
+/// this form.
 pub(crate) fn element_of(name: &str, extents: impl Fn(&str) -> Option<Vec<usize>>) -> Option<(&str, usize)> {
     let inner = name.strip_suffix(']')?;
     let at = inner.rfind('[')?;
@@ -303,11 +304,11 @@ pub(crate) struct OutputBuffers {
     words: Vec<i64>,
     texts: Vec<f64>,
     binaries: Vec<f64>,
-    /// The states are read as the variables that they are.
+    /// True if the states are read as variables instead of from the state vector.
     pub(crate) reads_states: bool,
-    /// When the clocks recorded ticked last.
+    /// Times of the last ticks of the recorded clocks.
     pub(crate) ticked: Vec<f64>,
-    /// The texts and binary values of the run.
+    /// Strings and binary values of the run.
     pub(crate) table: ValueTable,
 }
 
@@ -325,14 +326,14 @@ impl OutputBuffers {
         }
     }
 
-    /// Forgets the run before.
+    /// Clears the data of the previous run.
     pub(crate) fn begin(&mut self) {
         self.reads_states = false;
         self.table.clear();
         self.ticked.fill(f64::NAN);
     }
 
-    /// Reads what comes from calls, one call per type.
+    /// Reads the values that require calls, one call per type.
     pub(crate) fn read(&mut self, plan: &OutputPlan, raw: &mut RawInstance) -> Result<(), Fault> {
         if plan.n_reals > 0 {
             raw.get_real(&plan.reals, &mut self.reals[..plan.n_reals])?;
@@ -364,13 +365,13 @@ impl OutputBuffers {
         Ok(())
     }
 
-    /// Reads the states that are recorded, as variables.
+    /// Reads the recorded states as variables.
     pub(crate) fn read_states(&mut self, plan: &OutputPlan, raw: &mut RawInstance) -> Result<(), Fault> {
         raw.get_real(&plan.states.0, &mut self.reals[plan.n_reals..])
     }
 
-    /// A column of a state whose variable has another value than the state vector has: one that is not finite
-    /// where there is one.
+    /// Returns the column of a state whose variable differs from the state vector, and the value of the
+    /// variable. A value that is not finite takes precedence.
     pub(crate) fn contradiction(&self, plan: &OutputPlan, x: &[f64]) -> Option<(usize, f64)> {
         let differs = |(k, column): (usize, &OutputColumn)| match column.source {
             OutputSource::State(i, place) => {
@@ -382,7 +383,7 @@ impl OutputBuffers {
         plan.columns.iter().enumerate().filter_map(differs).min_by_key(|(_, found)| found.is_finite())
     }
 
-    /// Puts the row together; times closer than `time_tolerance` are one.
+    /// Assembles the row. Times closer than `time_tolerance` count as equal.
     pub(crate) fn row(&self, plan: &OutputPlan, t: f64, time_tolerance: f64, x: &[f64], y: &mut [f64]) {
         for (column, value) in plan.columns.iter().zip(y.iter_mut()) {
             *value = match column.source {
@@ -411,7 +412,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn elements_have_names_and_names_find_elements() {
+    fn subscript_and_element_of_convert_element_names() {
         assert_eq!(subscript(0, &[3]), "[1]");
         assert_eq!(subscript(4, &[2, 3]), "[2,2]");
         let extents = |name: &str| (name == "m").then(|| vec![2, 3]);

@@ -1,5 +1,4 @@
-//! Outputs of a simulation: the variables recorded, the buffers they are read into, and the tables of texts
-//! beside them.
+//! Outputs of a simulation: the recorded variables, the buffers for their values, and the tables of strings.
 
 mod buffers;
 mod selection;

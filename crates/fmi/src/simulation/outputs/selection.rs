@@ -1,4 +1,4 @@
-//! Selection of the variables that a simulation records: names, elements of arrays, patterns, everything.
+//! Selection of the variables that a simulation records: names, array elements, patterns, or everything.
 
 use super::buffers::{OutputContext, OutputPlan, element_of};
 use crate::description::{Causality, ModelDescription, Structure, Variability, Variable};
@@ -6,24 +6,25 @@ use crate::error::{FmiError, Result};
 use crate::instance::assignments::resolve;
 use std::collections::HashSet;
 
-/// Where a model declares neither outputs nor states, everything that changes is recorded, if it is not more
-/// than this.
+/// Maximum number of variables recorded by default. All variables that change are recorded if a model
+/// declares neither outputs nor states.
 const MOST_UNASKED: usize = 10_000;
 
-/// The name that stands for all variables, where none has it.
+/// Name that selects all variables, unless a variable has this name.
 const ALL: &str = "all";
 
-/// The columns of a result and where their values come from.
+/// Columns of a result and the sources of their values.
 #[derive(Debug, Default)]
 pub(crate) struct Selection {
     pub(crate) plan: OutputPlan,
     pub(crate) names: Vec<String>,
-    /// Of each column: position of its variable.
+    /// Index of the variable of each column.
     pub(crate) variables: Vec<usize>,
 }
 
 impl Selection {
-    /// The outputs and the states; where a model declares neither, whatever changes. `states`: positions.
+    /// Selects the outputs and the states. If a model declares neither, selects all variables that change.
+    /// `states` contains indices of variables.
     pub(crate) fn default_of(context: &OutputContext<'_>, states: &[usize]) -> Self {
         let variables = &context.model.variables;
         let positions = |wanted: &dyn Fn(&Variable) -> bool| -> Vec<usize> {
@@ -56,16 +57,16 @@ impl Selection {
         selection
     }
 
-    /// Columns of the variables given by these names, elements (`name[2,1]`, counted from 1) and patterns
-    /// (`*`: any characters, `?`: one); `all`: every variable. A variable found again by a pattern is not
+    /// Selects the columns for names, elements (`name[2,1]`, counted from 1) and patterns (`*`: any
+    /// characters, `?`: one). `all` selects every variable. A variable that a pattern matches again is not
     /// recorded twice.
     ///
     /// # Errors
-    /// A name is unknown; a pattern fits nothing.
+    /// A name is unknown, or a pattern matches nothing.
     pub(crate) fn of_names<'a>(context: &OutputContext<'a>, names: &'a [String]) -> Result<Self> {
         let (model, structure) = (context.model, context.structure);
         let mut selection = Self::default();
-        // Those recorded as a whole.
+        // Variables that are recorded completely.
         let mut known: HashSet<&str> = HashSet::new();
         for name in names {
             if let Some(position) = model.variable_index(name) {
@@ -84,7 +85,7 @@ impl Selection {
                     return Err(FmiError::BadSetting(problem));
                 }
             } else if name != "time" {
-                // Time is always there; models may or may not have a variable for it.
+                // Time is always recorded, and a model may have no variable for it.
                 resolve(model, name)?;
             }
         }
@@ -92,8 +93,8 @@ impl Selection {
         Ok(selection)
     }
 
-    /// Adds the variables that fit a pattern by one of their names, under that name, and are not there yet;
-    /// how many fit.
+    /// Adds the variables with a name that matches a pattern, under that name, unless already present.
+    /// Returns the number of matches.
     fn add_matching<'a>(
         &mut self,
         context: &OutputContext<'a>,
@@ -120,8 +121,8 @@ impl Selection {
     }
 }
 
-/// The positions of the state variables in the order of the state vector; `None` where the description does
-/// not say which variable a derivative belongs to. An array stands there once for each element.
+/// Returns the indices of the state variables in the order of the state vector. An index is `None` if the
+/// description does not specify the state of a derivative. An array occurs once for each element.
 pub(crate) fn states(description: &ModelDescription, structure: &Structure) -> Vec<Option<usize>> {
     let mut states = Vec::new();
     for unknown in &description.structure.derivatives {
@@ -132,12 +133,11 @@ pub(crate) fn states(description: &ModelDescription, structure: &Structure) -> V
     states
 }
 
-/// True if `name` matches a pattern in which `*` stands for any characters and `?` for one. The part after
-/// the last `*` passed is tried at one position after the other, which takes no more than the product of the
-/// lengths.
+/// True if `name` matches a pattern in which `*` matches any characters and `?` one. The part after the last
+/// `*` is tried at each position, so the run time is at most the product of the lengths.
 fn fits(pattern: &str, name: &str) -> bool {
     let (mut p, mut n) = (pattern.chars(), name.chars());
-    // The rest of the pattern behind the last star, and of the name where that was tried last.
+    // Remaining pattern after the last star, and remaining name at its last attempt.
     let mut star: Option<(std::str::Chars<'_>, std::str::Chars<'_>)> = None;
     loop {
         let (mut p_next, mut n_next) = (p.clone(), n.clone());
@@ -166,7 +166,7 @@ mod tests {
     use super::fits;
 
     #[test]
-    fn patterns_fit_whole_names() {
+    fn fits_matches_whole_names() {
         for (pattern, name) in [
             ("*", ""),
             ("*", "arm.phi"),
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn many_stars_take_no_time() {
+    fn fits_is_fast_for_many_stars() {
         let pattern = "*a".repeat(2000) + "b";
         assert!(!fits(&pattern, &"a".repeat(4000)));
     }

@@ -1,10 +1,10 @@
-//! Outputs that are no 64-bit floating-point numbers: texts, bytes and 64-bit integers travel through rows of
+//! Outputs that are not 64-bit floating-point numbers: strings, bytes and 64-bit integers, stored in rows of
 //! numbers.
 //!
-//! A row of samples holds numbers only, and it alone knows at which instants samples are taken. So a text or
-//! a binary value is one number in it, its place in a table of all values seen in the run, and a 64-bit
-//! integer is two numbers, its halves. The columns stand behind those with names, and are put together again
-//! when a trajectory is made.
+//! A row of samples contains only numbers, and only rows have sample times. A string or binary value is
+//! therefore stored as one number, its index in a table of all values of the run. A 64-bit integer is stored
+//! as two numbers, its halves. These columns follow the named columns. They are converted back when a
+//! trajectory is created.
 
 use crate::description::{Value, VariableKind};
 use crate::instance::integer_codec;
@@ -12,29 +12,29 @@ use std::collections::HashMap;
 use std::hash::{BuildHasher, Hash};
 use std::sync::Arc;
 
-/// All texts and binary values of a run, each once.
+/// All strings and binary values of a run, each once.
 #[derive(Debug, Default)]
 pub(crate) struct ValueTable {
-    /// Places of the values by their hashes.
+    /// Indices of the values, by hash.
     places: HashMap<u64, Vec<usize>>,
     values: Vec<Value>,
 }
 
 impl ValueTable {
-    /// Forgets everything.
+    /// Clears the table.
     pub(crate) fn clear(&mut self) {
         self.places.clear();
         self.values.clear();
     }
 
-    /// The number that stands for a text, which most often is that of the row before, `last`; nothing is
-    /// allocated for one that was there before.
+    /// Returns the number for a string. `last` is the number in the previous row, which is usually the same.
+    /// A known string causes no allocation.
     pub(crate) fn text(&mut self, text: &str, last: f64) -> f64 {
         let is = |value: &Value| matches!(value, Value::String(known) if known == text);
         self.place(text, last, is, || Value::String(text.to_owned()))
     }
 
-    /// The number that stands for bytes; as for texts.
+    /// Returns the number for bytes, as [`text`](Self::text) does for strings.
     pub(crate) fn bytes(&mut self, bytes: &[u8], last: f64) -> f64 {
         let is = |value: &Value| matches!(value, Value::Binary(known) if known == bytes);
         self.place(bytes, last, is, || Value::Binary(bytes.to_vec()))
@@ -57,27 +57,28 @@ impl ValueTable {
             values.push(make());
             values.len() - 1
         });
-        // Fewer values than 2^53 fit into any memory.
+        // The conversion is exact, because no memory can hold 2^53 values.
         place as f64
     }
 
-    /// The values, for [`places`].
+    /// Returns the values to which the indices of [`places`] refer.
     pub(crate) fn into_values(self) -> Arc<[Value]> {
         self.values.into()
     }
 }
 
-/// The places in the table that the numbers of a column stand for.
+/// Converts the numbers of a column to indices into the table.
 pub(crate) fn places(numbers: &[f64]) -> Vec<usize> {
     numbers.iter().map(|number| *number as usize).collect()
 }
 
-/// The 64-bit integers of this kind whose halves stand in two columns.
+/// Returns the 64-bit integers of this kind from two columns with their halves.
 pub(crate) fn integers(kind: VariableKind, high: &[f64], low: &[f64]) -> Arc<[Value]> {
     high.iter().zip(low).map(|(high, low)| integer_codec::value(kind, join(*high, *low))).collect()
 }
 
-/// Numbers that a value of this kind takes in a row beside (or in place of) the one with a name.
+/// Returns the number of unnamed columns for a value of this kind. Strings and binary values have no named
+/// column.
 pub(crate) fn width(kind: VariableKind) -> usize {
     match kind {
         VariableKind::String | VariableKind::Binary => 1,
@@ -86,12 +87,12 @@ pub(crate) fn width(kind: VariableKind) -> usize {
     }
 }
 
-/// The upper or lower half of a word, exactly.
+/// Returns the upper or lower half of a word, exactly.
 pub(crate) fn half(word: i64, upper: bool) -> f64 {
     if upper { (word >> 32) as f64 } else { f64::from(word as u32) }
 }
 
-/// The word of two halves.
+/// Combines two halves to a word.
 fn join(high: f64, low: f64) -> i64 {
     ((high as i64) << 32) | (low as i64)
 }
@@ -101,14 +102,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn halves_are_exact() {
+    fn halves_join_to_the_same_word() {
         for word in [0, 1, -1, i64::MIN, i64::MAX, (1 << 53) + 1, -(1 << 53) - 1, 0xffff_ffff, 1 << 32] {
             assert_eq!(join(half(word, true), half(word, false)), word);
         }
     }
 
     #[test]
-    fn a_value_has_one_place() {
+    fn table_stores_each_value_once() {
         let mut table = ValueTable::default();
         let mut last = 0.0;
         let mut text = |table: &mut ValueTable, text| {

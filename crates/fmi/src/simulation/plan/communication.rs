@@ -1,12 +1,15 @@
-//! The communication points of a co-simulation.
+//! Communication points of a co-simulation.
 //!
-//! Regular points are `start + k * step`, never sums, and the step is passed as the same constant each time:
-//! a difference of times, wrong in its last digit, makes some FMUs slow and changes the results of others.
-//! Where the FMU takes steps of any length, requested times and the instants of inputs are communication
-//! points too; where it does not, samples between two points are interpolated, and the last step may reach
-//! beyond the final time. Where it steps from one multiple of a step of its own to the next
-//! (`fixedInternalStepSize`, FMI 3.0) and so keeps its values in between, communication points are such
-//! multiples only: for what lies between two of them both.
+//! Regular points are `start + k * step`, never sums. Each step passes the same constant step size. A
+//! difference of times can be wrong in its last digit, which slows some FMUs down and changes the results of
+//! others.
+//!
+//! If the FMU accepts steps of any length, requested times and input changes are also communication points.
+//! Otherwise samples between two points are interpolated, and the last step may end after the final time.
+//!
+//! Some FMUs advance only between multiples of an internal step size (`fixedInternalStepSize`, FMI 3.0) and
+//! keep their values in between. All communication points are then such multiples. A requested time between
+//! two multiples adds both of them.
 
 use crate::description::{Capabilities, DefaultExperiment};
 use crate::error::{FmiError, Result};
@@ -14,26 +17,26 @@ use crate::simulation::grid::Grid;
 use crate::simulation::options::{BetweenSteps, SimulateOptions};
 use base::Number;
 
-/// More steps than this are taken for a mistake.
+/// Maximum number of steps. A larger number is assumed to be a mistake.
 const MAX_STEPS: f64 = 1e9;
 
-/// A run of more steps than this is named before it begins.
+/// Number of steps above which a run causes a warning before it starts.
 pub(super) const MANY_STEPS: f64 = 1e6;
 
-/// The communication points of a simulation.
+/// Communication points of a simulation.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Communication {
-    /// Distance of the regular points; `None`: only requested times and inputs make points.
+    /// Distance of the regular points; `None` if only requested times and inputs determine points.
     pub(crate) step: Option<f64>,
-    /// True if there may be other points.
+    /// True if points at other times are possible.
     pub(crate) variable: bool,
-    /// The model's own step: all points but those of events are multiples of it.
+    /// Internal step size of the model. All points except event times are multiples of it.
     internal: Option<f64>,
-    /// The FMU extrapolates inputs.
+    /// True if the FMU extrapolates inputs.
     pub(crate) extrapolates: bool,
-    /// It does so from their derivatives, and is told them.
+    /// True if input derivatives are passed to the FMU for the extrapolation.
     pub(crate) input_derivatives: bool,
-    /// The FMU tells the derivatives of outputs at the end of a step.
+    /// True if the FMU provides output derivatives at the end of a step.
     pub(crate) output_derivatives: bool,
 }
 
@@ -58,20 +61,21 @@ impl Communication {
         }
         let variable = capabilities.can_handle_variable_communication_step_size;
         let stated = experiment.step_size.filter(makes_sense);
-        // A model that takes steps of one length may refuse any other than the one it states, and its rows between
-        // steps are interpolated. The stated step stays unless it makes too many steps.
+        // A model with steps of one length may reject any step size except its declared one. Rows between
+        // steps are interpolated. The declared step size is kept unless it makes too many steps.
         let stays = |stated: f64| !variable && span / stated <= MANY_STEPS;
         let stated =
             stated.map(|stated| if stays(stated) { stated } else { stated.max(grid.mean_interval()) });
         let step = options.run.step_size.or(stated).or(grid.interval.filter(makes_sense));
-        // 500 steps where nobody says anything, as many as there are rows by default.
+        // The default is 500 steps, equal to the default number of rows.
         let step = if variable { step } else { step.or(Some(span / 500.0).filter(makes_sense)) };
         let internal = capabilities.fixed_internal_step_size;
         let is_multiple = |step: f64, internal: f64| {
             let multiple = (step / internal).round();
             multiple >= 1.0 && (step - multiple * internal).abs() <= 1e-9 * step
         };
-        // Where nobody asks for a step, one that the model can make; of one length only, one that loses nothing between.
+        // Without a requested step size, a step that the model supports is chosen. If only one length is
+        // possible, the internal step size avoids skipping values.
         let step = match (internal, options.run.step_size, step) {
             (Some(internal), None, Some(step)) if is_multiple(step, internal) => {
                 Some((step / internal).round() * internal)
@@ -105,29 +109,29 @@ impl Communication {
         })
     }
 
-    /// The stop time that the model is told: the final time, or the end of the last step where that leads
-    /// beyond the final time.
+    /// Returns the stop time that is passed to the model: the final time, or the end of the last step if that
+    /// is later.
     pub(crate) fn stop_time(&self, start: f64, end: f64, time_tolerance: f64) -> f64 {
         let last = self.fixed_step().and_then(|step| around(step, start, end, time_tolerance));
         last.map_or(end, |(_, above)| above)
     }
 
-    /// The multiples of the model's own step next to `time`, before and after it; none where it is one, or
-    /// the model has no such step.
+    /// Returns the multiples of the model's internal step before and after `time`. Returns `None` if `time`
+    /// is a multiple or the model has no internal step.
     pub(crate) fn steps_around(&self, start: f64, time: f64, time_tolerance: f64) -> Option<(f64, f64)> {
         around(self.internal?, start, time, time_tolerance)
     }
 
-    /// The steps between which the model cannot stop: its own, or the communication step if that is the only
-    /// one.
+    /// Returns the step size between whose multiples the model cannot stop: the internal step, or the
+    /// communication step if its length is fixed.
     fn fixed_step(&self) -> Option<f64> {
         if self.variable { self.internal } else { self.step }
     }
 
-    /// Message about rows between the steps of the model.
+    /// Returns a message if rows are between the steps of the model.
     ///
     /// # Errors
-    /// They are to be refused: the first one, with its neighbours.
+    /// Such rows are to be refused. The message contains the first of them and its neighboring steps.
     pub(crate) fn check_rows(&self, grid: &Grid, between: BetweenSteps) -> Result<Option<String>> {
         let Some(step) = self.fixed_step() else { return Ok(None) };
         let beside =
@@ -149,7 +153,7 @@ impl Communication {
         }
     }
 
-    /// Message about inputs that make more communication points than the step that was asked for.
+    /// Returns a message if the inputs add more communication points than the requested step size.
     pub(crate) fn check_inputs(&self, grid: &Grid, asked: Option<f64>, points: usize) -> Option<String> {
         let step = asked.filter(|_| self.variable && self.internal.is_none())?;
         let regular = ((grid.end - grid.start) / step).ceil();
@@ -163,8 +167,7 @@ impl Communication {
     }
 }
 
-/// The multiples of `step` from `start` on that are next to `time`, before and after it; none where it is
-/// one.
+/// Returns the multiples of `step` from `start` before and after `time`, or `None` if `time` is a multiple.
 fn around(step: f64, start: f64, time: f64, time_tolerance: f64) -> Option<(f64, f64)> {
     let steps = (time - start) / step;
     let point = |steps: f64| start + steps * step;
@@ -194,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn the_step_is_that_of_the_options_the_experiment_the_rows() {
+    fn step_comes_from_options_then_experiment_then_rows() {
         let step = |step, suggested| communication(step, suggested, false).unwrap().step;
         assert_eq!(step(Some(0.3), Some(0.2)), Some(0.3));
         assert_eq!(step(None, Some(0.2)), Some(0.2));
@@ -225,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn without_regular_rows_only_fixed_steps_need_a_length() {
+    fn step_defaults_to_a_500th_for_fixed_steps_without_regular_rows() {
         let times = SimulateOptions::new().times([0.0, 1.0, 4.0]);
         let grid = times.grid(&DefaultExperiment::default()).unwrap();
         let step = |variable| {
@@ -237,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn steps_that_lead_nowhere_are_refused() {
+    fn new_rejects_invalid_step_sizes() {
         for step in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e-12] {
             let problem = communication(Some(step), None, true).unwrap_err().to_string();
             assert!(problem.contains("step_size"), "{problem}");

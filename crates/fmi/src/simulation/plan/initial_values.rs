@@ -1,5 +1,5 @@
-//! Values that variables have when a simulation starts, whatever the initialization makes of their start
-//! values: initial states, and the start values of states that the initialization may change.
+//! Values that variables must have when a simulation starts, even if the initialization computes others.
+//! These are initial states, and start values of states that the initialization may change.
 
 use crate::description::{Initial, ModelDescription, Value, VariableKind};
 use crate::error::{FmiError, Result};
@@ -10,39 +10,42 @@ use crate::value::is_same_number;
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// A value that a variable is to have at the start.
+/// Required value of a variable at the start.
 #[derive(Debug)]
 pub(crate) struct InitialValue {
     pub(crate) place: VariableElement,
     given: GivenNumber,
-    /// Position in the state vector (model exchange).
+    /// Index in the state vector (model exchange).
     state: Option<usize>,
 }
 
 #[derive(Debug, Clone, Copy)]
 enum GivenNumber {
     Constant(f64),
-    /// A parameter of the run, and its sign relative to the variable.
+    /// Parameter of the run, and its sign relative to the variable.
     Parameter(usize, f64),
 }
 
-/// The values that variables are to have at the start.
+/// Required values of variables at the start.
 #[derive(Debug, Default)]
 pub(crate) struct InitialValues {
-    /// Initial states: set after the initialization in model exchange; a simulation without one is refused.
+    /// Initial states. Model exchange sets them after the initialization. A simulation without one of them is
+    /// refused.
     pub(crate) required: Vec<InitialValue>,
-    /// Start values of states that are guesses by the description: one without effect is a quirk.
+    /// Start values of states that are guesses according to the description. A guess without effect is a
+    /// quirk.
     guesses: Vec<InitialValue>,
-    /// The guesses have been compared.
+    /// True if the guesses have been compared.
     are_guesses_compared: AtomicBool,
 }
 
 impl InitialValues {
-    /// The values of the variables `required`, by name, and of states whose start values are guesses.
-    /// `parameters`: of the run.
+    /// Creates the values of the named variables `required`, and of states whose start values are guesses.
+    /// `parameters` are the parameters of the run.
     ///
     /// # Errors
-    /// A name is unknown, has no value among the start values and parameters, or is no floating-point number.
+    /// A name is unknown, has no value among the start values and parameters, or is not a floating-point
+    /// number.
     pub(super) fn new(
         starts: &Starts<'_>,
         required: &[String],
@@ -80,14 +83,14 @@ impl InitialValues {
         Ok(values)
     }
 
-    /// Compares an initialized instance with the start values that are guesses, in the first run.
+    /// Compares the start values that are guesses with an initialized instance, in the first run only.
     pub(crate) fn compare_guesses(&self, core: &mut Core, fmu: &Fmu, parameters: &[f64]) {
         if self.guesses.is_empty() || self.are_guesses_compared.swap(true, Ordering::Relaxed) {
             return;
         }
         for guess in &self.guesses {
             let given = guess.value(parameters);
-            // A model that does not answer cannot be asked.
+            // Errors are ignored, because the values cannot be read from such a model.
             if let Ok(Some(found)) = guess.differs(core, given) {
                 let name = &fmu.description().variables[guess.place.variable].name;
                 fmu.note_ineffective_start_value(name, given, found);
@@ -95,14 +98,14 @@ impl InitialValues {
         }
     }
 
-    /// Refuses an initialized instance that does not have the values required.
+    /// Returns an error if an initialized instance does not have the required values.
     pub(crate) fn check_required(&self, core: &mut Core, fmu: &Fmu, parameters: &[f64]) -> Result<()> {
         self.required.iter().try_for_each(|required| required.check(core, fmu, required.value(parameters)))
     }
 }
 
 impl InitialValue {
-    /// The value of the variable.
+    /// Returns the value of the variable.
     pub(crate) fn value(&self, parameters: &[f64]) -> f64 {
         match self.given {
             GivenNumber::Constant(value) => value,
@@ -110,14 +113,14 @@ impl InitialValue {
         }
     }
 
-    /// Position in the state vector; `references`: its variables, of an FMU whose description does not say
-    /// which they are (FMI 1.0).
+    /// Returns the index in the state vector. `references` lists the state variables of an FMU whose
+    /// description does not define them (FMI 1.0).
     pub(crate) fn position(&self, fmu: &Fmu, references: &[u32]) -> Option<usize> {
         let own = fmu.description().variables[self.place.variable].value_reference;
         self.state.or_else(|| references.iter().position(|reference| *reference == own))
     }
 
-    /// The value that the variable has, if it is another one than that given.
+    /// Returns the value of the variable if it differs from `given`.
     fn differs(&self, core: &mut Core, given: f64) -> Result<Option<f64>> {
         let fmu = core.fmu().clone();
         let value = core.value(&fmu.description().variables[self.place.variable])?;
@@ -125,7 +128,7 @@ impl InitialValue {
         Ok((!is_same_number(given, found)).then_some(found))
     }
 
-    /// Refuses a variable with another value than `given`.
+    /// Returns an error if the variable has a value other than `given`.
     pub(crate) fn check(&self, core: &mut Core, fmu: &Fmu, given: f64) -> Result<()> {
         match self.differs(core, given)? {
             None => Ok(()),
@@ -137,7 +140,7 @@ impl InitialValue {
     }
 }
 
-/// The value given to a variable or an element: of a parameter of the run, else the start value.
+/// Returns the value of a variable or element: the parameter of the run, otherwise the start value.
 fn given_number(
     starts: &Starts<'_>,
     parameters: &[VariableElement],
@@ -145,14 +148,14 @@ fn given_number(
 ) -> Result<Option<GivenNumber>> {
     let description = starts.description;
     let is_it = |parameter: &VariableElement| parameter.overlaps(place, description);
-    // An alias may have the other sign.
+    // An alias may have the opposite sign.
     let sign = |i: usize| if description.variables[i].negated { -1.0 } else { 1.0 };
     let relative = |i: usize| sign(i) * sign(place.variable);
     if let Some(i) = parameters.iter().position(is_it) {
         return Ok(Some(GivenNumber::Parameter(i, relative(parameters[i].variable))));
     }
     let reference = |i: usize| (description.variables[i].kind, description.variables[i].value_reference);
-    // Of several aliases the model gets the last value.
+    // If several aliases have values, the model receives the last one.
     let given = starts.given.iter().rfind(|(index, _)| reference(*index) == reference(place.variable));
     let Some((index, value)) = given else { return Ok(None) };
     match element_value(value.clone(), place.element) {
@@ -164,12 +167,13 @@ fn given_number(
     }
 }
 
-/// Positions of the states in the state vector, by their references; of arrays that of the first element.
+/// Indices of the states in the state vector, by value reference. For an array, the index of its first
+/// element.
 #[derive(Debug, Default)]
 pub(super) struct StatePositions(HashMap<u32, usize>);
 
 impl StatePositions {
-    /// `states`: the variables of the state vector, by their positions in the description.
+    /// Creates the indices. `states` contains the state variables by their index in the description.
     pub(super) fn new(description: &ModelDescription, states: &[Option<usize>]) -> Self {
         let mut positions = HashMap::new();
         for (i, state) in states.iter().enumerate() {
@@ -180,7 +184,7 @@ impl StatePositions {
         Self(positions)
     }
 
-    /// Position of a variable, or an element of one.
+    /// Returns the index of a variable or of one of its elements.
     pub(super) fn of(&self, description: &ModelDescription, place: VariableElement) -> Option<usize> {
         let variable = &description.variables[place.variable];
         let first = self.0.get(&variable.value_reference).filter(|_| variable.kind == VariableKind::Real)?;

@@ -1,20 +1,20 @@
-//! Structure of the Jacobian from the model description: directional derivatives, and the states that each
-//! derivative depends on.
+//! Structure of the Jacobian from the model description: directional derivatives, and the states on which
+//! each derivative depends.
 
 use crate::description::{Capabilities, Causality, ModelDescription, Structure, Variability};
 use ode::JacobianPattern;
 use std::collections::HashMap;
 
-/// Data with which the Jacobian of the right-hand side is computed from the FMU.
+/// Data for computing the Jacobian of the right-hand side with the FMU.
 #[derive(Debug, Default)]
 pub(crate) struct JacobianPlan {
-    /// Places that may differ from zero, where the description says so and they are not all.
+    /// Entries that may be nonzero, if the description declares them and the Jacobian is not full.
     pub(crate) pattern: Option<JacobianPattern>,
-    /// Value references of derivatives and states, where the FMU offers directional derivatives.
+    /// Value references of derivatives and states, if the FMU supports directional derivatives.
     pub(crate) directional: Option<Directional>,
 }
 
-/// The two sides of a directional derivative.
+/// Unknowns and knowns of a directional derivative.
 #[derive(Debug)]
 pub(crate) struct Directional {
     pub(crate) derivatives: Vec<u32>,
@@ -34,8 +34,9 @@ impl JacobianPlan {
     }
 }
 
-/// Value references of the derivatives and their states, in the order of the state vector; none where a state
-/// is not named or has not the size of its derivative: then differences serve.
+/// Returns the value references of the derivatives and their states, in the order of the state vector.
+/// Returns `None` if a state is not declared or its size differs from its derivative; differences are then
+/// used.
 fn directional(model: &ModelDescription, structure: &Structure) -> Option<Directional> {
     let (mut derivatives, mut states, mut n) = (Vec::new(), Vec::new(), 0);
     for unknown in &model.structure.derivatives {
@@ -52,10 +53,10 @@ fn directional(model: &ModelDescription, structure: &Structure) -> Option<Direct
     (structure.states(model) == n).then_some(Directional { derivatives, states })
 }
 
-/// The declared dependencies between derivatives and states. Whatever is not understood counts as a
-/// dependency on all states; a pattern without gaps is none.
+/// Returns the declared dependencies between derivatives and states. An unclear dependency counts as a
+/// dependency on all states. Returns `None` for a full pattern.
 fn pattern(model: &ModelDescription, structure: &Structure) -> Option<JacobianPattern> {
-    // Where in the state vector the elements of a state stand; aliases share the value reference of their variable.
+    // Ranges of the states in the state vector. Aliases share the value reference of their variable.
     let mut places = HashMap::new();
     let mut rows = Vec::new();
     let mut n = 0;
@@ -85,7 +86,7 @@ fn pattern(model: &ModelDescription, structure: &Structure) -> Option<JacobianPa
     JacobianPattern::new(n, entries).filter(|pattern| pattern.n_entries() < n * n)
 }
 
-/// True if a variable does not change with the states.
+/// True if the variable does not depend on the states.
 fn is_known(causality: Causality, variability: Variability) -> bool {
     use Causality::{CalculatedParameter, Independent, Input, Parameter, StructuralParameter};
     matches!(causality, Input | Independent | Parameter | StructuralParameter | CalculatedParameter)
@@ -96,7 +97,7 @@ fn is_known(causality: Causality, variability: Variability) -> bool {
 mod tests {
     use super::*;
 
-    /// Three states; the dependencies of their derivatives as attributes.
+    /// Creates a plan with three states. The arguments are the dependency attributes of their derivatives.
     fn plan(dependencies: [&str; 3]) -> JacobianPlan {
         let unknowns: String = dependencies
             .iter()
@@ -132,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn declared_dependencies_are_the_pattern() {
+    fn pattern_contains_declared_dependencies() {
         let found = plan(["dependencies=\"1 7\"", "dependencies=\"1 8\"", "dependencies=\"\""]);
         assert_eq!(found.pattern, pattern_of(&[(0, 0), (1, 0), (1, 1)]));
         let directional = found.directional.unwrap();
@@ -140,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_declared_or_not_understood_is_full() {
+    fn pattern_is_full_for_undeclared_or_unclear_dependencies() {
         assert_eq!(plan(["dependencies=\"1\"", "", "dependencies=\"3\""]).pattern, None);
         // An algebraic variable may depend on any state.
         let found = plan(["dependencies=\"1\"", "dependencies=\"9\"", "dependencies=\"3\""]);

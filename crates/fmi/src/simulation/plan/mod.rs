@@ -1,5 +1,4 @@
-//! A simulation resolved against its model, once: names have become value references, everything has been
-//! checked.
+//! Simulation resolved and checked for its model. Names have been replaced by value references.
 
 mod communication;
 mod initial_values;
@@ -32,13 +31,14 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// A simulation of one model with everything resolved and checked. It does not change and can be shared by
-/// workers; each makes a [`Simulator`](crate::Simulator) of it.
+/// Simulation of one model with all settings resolved and checked. A plan is immutable, so workers can share
+/// it. Each worker creates a [`Simulator`](crate::Simulator) from it.
 #[derive(Debug)]
 pub struct SimulationPlan {
     pub(crate) fmu: Fmu,
     pub(crate) options: ode::Options,
-    /// Tolerance passed to the model: the one requested, else that of its default experiment.
+    /// Tolerance passed to the model: the requested tolerance, otherwise the tolerance of its default
+    /// experiment.
     pub(crate) tolerance: Option<f64>,
     pub(crate) start: f64,
     pub(crate) end: f64,
@@ -48,38 +48,42 @@ pub struct SimulationPlan {
     pub(crate) inputs: InputPlan,
     pub(crate) clocks: ClockPlan,
     outputs: Selection,
-    /// Everything that a run sets, sorted.
+    /// All variables that a run sets, sorted.
     pub(crate) settings: Arc<[Setting]>,
     pub(crate) n_states: usize,
     pub(crate) n_indicators: usize,
-    /// Nominals of the states as the description says them.
+    /// Nominal values of the states from the description.
     pub(crate) nominals: Vec<f64>,
-    /// For each state, true if the description calls it unbounded.
+    /// For each state, true if the description declares it unbounded.
     pub(crate) unbounded: Vec<bool>,
     pub(crate) completed_step_not_needed: bool,
-    /// A step is completed before a row is read.
+    /// True if a step is completed before each row is read.
     pub(crate) completes_rows: bool,
     pub(crate) kind: InterfaceKind,
     /// Data for the Jacobian; empty for co-simulation.
     pub(crate) jacobian: JacobianPlan,
-    /// The steps of co-simulation.
+    /// Communication points of a co-simulation.
     pub(crate) communication: Option<Communication>,
-    /// One for all plans that differ in rows and inputs only.
+    /// Shared by all plans that differ only in rows and inputs.
     family: Arc<()>,
     warned_of_nominals: AtomicBool,
 }
 
 impl SimulationPlan {
-    /// Resolves and checks a simulation of `fmu`. No code of the FMU is run.
+    /// Resolves and checks a simulation of `fmu` without running code of the FMU.
     ///
     /// # Errors
-    /// The FMU cannot be simulated by this version; a name is unknown (with the nearest names); a value has
-    /// the wrong type or is not finite; a variable cannot be set; times or other options make no sense.
+    /// Returns an error in these cases:
+    /// - This version cannot simulate the FMU.
+    /// - A name is unknown. The error lists the nearest names.
+    /// - A value has the wrong type or is not finite.
+    /// - A variable cannot be set.
+    /// - Times or other options are invalid.
     pub fn new(fmu: &Fmu, options: &SimulateOptions) -> Result<Self> {
         let kind = fmu.choose(options.run.kind)?;
         let interface = fmu.check_interface(kind)?;
         let description = fmu.description();
-        // What cannot run at all is said before what is missing.
+        // A missing binary is reported before a missing final time.
         let grid = options.grid(&description.default_experiment).map_err(|error| {
             match fmu.binary(interface, &CancelRequest::default()) {
                 Err(no_binary @ FmiError::NoBinary { .. }) => no_binary,
@@ -185,11 +189,11 @@ impl SimulationPlan {
         Ok(plan)
     }
 
-    /// The same simulation with other rows, and inputs of the same names with others. How it is integrated
-    /// stays, communication points too, and a simulator of this plan can go on with it.
+    /// Returns a plan with other rows, and with other inputs of the same names. The integration settings and
+    /// communication points stay unchanged. A simulator of this plan can continue with the new one.
     ///
     /// # Errors
-    /// As [`new`](Self::new).
+    /// As for [`new`](Self::new).
     pub fn with_rows(&self, options: &SimulateOptions) -> Result<Self> {
         Ok(Self {
             options: self.options.clone(),
@@ -200,8 +204,8 @@ impl SimulationPlan {
         })
     }
 
-    /// True if a simulator of another plan can continue with this one: it sets the same variables in the same
-    /// way, and records the same.
+    /// True if a simulator of this plan can continue with the other one. Both plans must set the same
+    /// variables in the same way and record the same outputs.
     pub(crate) fn fits(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.family, &other.family)
             && self.settings == other.settings
@@ -216,11 +220,11 @@ impl SimulationPlan {
         names: Option<&[String]>,
         states: &[Option<usize>],
     ) -> Result<()> {
-        // A model that integrates itself does not show its states otherwise than as variables.
+        // A co-simulation exposes its states only as variables.
         let mut places: HashMap<u32, usize> = HashMap::new();
         if self.kind == InterfaceKind::ModelExchange {
             for (i, state) in states.iter().enumerate() {
-                // The first place of an array is that of its first element.
+                // The index of an array is the index of its first element.
                 if let Some(state) = state {
                     places.entry(description.variables[*state].value_reference).or_insert(i);
                 }
@@ -238,7 +242,7 @@ impl SimulationPlan {
         Ok(())
     }
 
-    /// Name in the model of a value that was not finite: the state that it is, or is the derivative of.
+    /// Returns the name of the state to which a non-finite state or derivative belongs.
     pub(crate) fn name_of(&self, value: &ode::NotFinite) -> Option<String> {
         let description = self.fmu.description();
         match value.what {
@@ -253,9 +257,9 @@ impl SimulationPlan {
     getters! {
         /// Sizes of arrays.
         pub(crate) structure(self) -> &Structure = &self.values.structure;
-        /// The model.
+        /// Model that is simulated.
         pub fmu(self) -> &Fmu = &self.fmu;
-        /// The times of the rows.
+        /// Times of the rows.
         pub times(self) -> &[f64] = &self.times;
         /// Start time.
         pub start_time(self) -> f64 = self.start;
@@ -267,33 +271,34 @@ impl SimulationPlan {
         pub n_states(self) -> usize = self.n_states;
         /// Interface that runs the model.
         pub kind(self) -> InterfaceKind = self.kind;
-        /// Names of the outputs that are numbers, in the order of [`Sample::outputs`](ode::Sample). Behind
-        /// them a sample has numbers that stand for texts and the like; a [`Trajectory`](crate::Trajectory)
-        /// has their values.
+        /// Names of the numeric outputs, in the order of [`Sample::outputs`](ode::Sample). In a sample they
+        /// are followed by numbers that represent strings and other values. A
+        /// [`Trajectory`](crate::Trajectory) contains these values.
         pub output_names(self) -> &[String] = &self.outputs.names;
-        /// Positions in the description of the variables of the outputs that are numbers; all elements of an
-        /// array have the same.
+        /// Indices in the description of the variables of the numeric outputs. All elements of an array have
+        /// the same index.
         pub output_variables(self) -> &[usize] = &self.outputs.variables;
-        /// Where the outputs come from.
+        /// Sources of the outputs.
         pub(crate) outputs(self) -> &OutputPlan = &self.outputs.plan;
-        /// The variables recorded, in the order in which they were asked for.
+        /// Recorded variables in the requested order.
         pub recorded(self) -> &[Recorded] = &self.outputs.plan.recorded;
     }
 
-    /// The communication step of a co-simulation: where only the rows make points, their mean distance;
-    /// `None`: it is integrated.
+    /// Returns the communication step size of a co-simulation, or the mean row spacing if only the rows
+    /// determine points. Returns `None` for model exchange.
     pub fn communication_step(&self) -> Option<f64> {
         let rows = self.times.len().saturating_sub(1).max(1) as f64;
         self.communication.as_ref().map(|c| c.step.unwrap_or((self.end - self.start) / rows))
     }
 
-    /// The distance of the regular communication points of a co-simulation; `None`: only rows and inputs make
-    /// points, or it is integrated.
+    /// Returns the distance of the regular communication points of a co-simulation. Returns `None` if only
+    /// rows and inputs determine points, or for model exchange.
     pub fn regular_communication_step(&self) -> Option<f64> {
         self.communication.as_ref()?.step
     }
 
-    /// A warning if a run makes more than 1e6 steps of one length, or a co-simulation has more than 1e6 rows.
+    /// Returns a warning if a run makes more than 1e6 steps of one length, or a co-simulation has more than
+    /// 1e6 rows.
     pub fn many_steps(&self) -> Option<String> {
         let fixed = || self.options.step_size.filter(|_| self.options.method.is_fixed_step());
         let step = self.communication_step().or_else(fixed)?;
@@ -310,10 +315,11 @@ impl SimulationPlan {
         })
     }
 
-    /// Refuses outputs that are not single numbers, so that there is one column for each name.
+    /// Returns an error for outputs that are not single numbers. Without them, each name has exactly one
+    /// column.
     ///
     /// # Errors
-    /// [`FmiError::NotAnOutput`] names the first one.
+    /// [`FmiError::NotAnOutput`] contains the name of the first such output.
     pub fn require_single_numbers(&self) -> Result<()> {
         let reason = |recorded: &Recorded| match () {
             () if !recorded.kind.is_number() => Some("it is text or binary, and numbers are needed"),
@@ -329,14 +335,14 @@ impl SimulationPlan {
     }
 
     getters! {
-        /// Names of the parameters, in the order in which a run takes their values.
+        /// Names of the parameters, in the order in which a run expects their values.
         pub parameter_names(self) -> &[String] = &self.values.parameter_names;
-        /// The values the parameters have where none are given, in the same order.
+        /// Default values of the parameters, in the same order.
         pub parameter_starts(self) -> &[f64] = &self.values.parameter_starts;
     }
 
-    /// Nominals that are zero, NaN or infinite become 1, negative ones lose their sign; the first one is
-    /// listed among the quirks of the FMU.
+    /// Replaces nominal values that are zero, NaN or infinite by 1, and negative ones by their absolute
+    /// value. The first replacement is listed in the quirks of the FMU.
     pub(crate) fn correct_nominals(&self, nominals: &mut [f64]) {
         for (i, nominal) in nominals.iter_mut().enumerate() {
             let corrected = if nominal.is_finite() && *nominal != 0.0 { nominal.abs() } else { 1.0 };

@@ -1,5 +1,5 @@
-//! Check that a reused instance has the values it was given: some models, when a saved state is restored,
-//! restore the parameters that were in it, at once or later.
+//! Check that a reused instance has its specified values. When a saved state is restored, some models also
+//! restore its parameters, immediately or later.
 
 use crate::description::{Causality, Initial, ModelDescription, Variable, VariableKind};
 use crate::error::Result;
@@ -10,26 +10,25 @@ use crate::value::is_same_number;
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Where the value given to a variable is found.
+/// Location of the value specified for a variable.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum GivenValue {
-    /// Among the start values of its type.
+    /// Index among the start values of its type.
     Start(usize),
-    /// Among the parameters of the run.
+    /// Index among the parameters of the run.
     Parameter(usize),
 }
 
-/// The variables whose values must be those given, also after the initialization: parameters, and what starts
-/// exactly at its start value. Single variables only.
+/// Variables that must keep their specified values after the initialization: parameters, and variables with
+/// `initial = exact`. Only scalars are checked.
 #[derive(Debug, Default)]
 pub(crate) struct ReadBack {
     groups: Vec<Group>,
-    /// The model gives some of them other values by itself, also in a new instance: nothing follows from
-    /// that.
+    /// True if the model overrides some of the values even in a new instance. The check is then disabled.
     overridden: AtomicBool,
 }
 
-/// Variables of one kind, and where the values given are found.
+/// Variables of one kind, and the locations of their specified values.
 #[derive(Debug)]
 struct Group {
     kind: VariableKind,
@@ -37,14 +36,14 @@ struct Group {
     given: Vec<GivenValue>,
 }
 
-/// A variable that does not have the value that it was given.
+/// Variable that does not have its specified value.
 pub(crate) struct Lost<'d> {
     pub(crate) variable: &'d Variable,
     pub(crate) given: f64,
     pub(crate) found: f64,
 }
 
-/// Buffers for what is read.
+/// Buffers for values read from the model.
 #[derive(Debug, Default)]
 pub(crate) struct ReadBackBuffers {
     reals: Vec<f64>,
@@ -52,7 +51,7 @@ pub(crate) struct ReadBackBuffers {
 }
 
 impl Group {
-    /// Reads the variables: floating-point numbers as they are, others as words.
+    /// Reads the variables: floating-point numbers directly, all others as words.
     fn read(&self, core: &mut Core, buffers: &mut ReadBackBuffers) -> Result<()> {
         let (n, ReadBackBuffers { reals, words }) = (self.references.len(), buffers);
         reals.clear();
@@ -69,7 +68,7 @@ impl Group {
         Ok(())
     }
 
-    /// The value given to a floating-point variable.
+    /// Returns the value specified for a floating-point variable.
     fn number(
         &self,
         given: GivenValue,
@@ -84,13 +83,13 @@ impl Group {
         }
     }
 
-    /// The start value of this place among those of a kind that travels as words.
+    /// Returns the start value at this index among the values of a kind stored as words.
     fn word(&self, place: usize, start_values: &Assignments) -> i64 {
         let group = start_values.packed.iter().find(|(known, ..)| *known == self.kind);
         group.map_or(0, |(_, _, words)| words[place])
     }
 
-    /// Of several values given to one variable the last counts.
+    /// Removes duplicates. If a variable has several values, the last one is used.
     fn finish(&mut self) {
         let last: HashMap<u32, GivenValue> =
             self.references.iter().copied().zip(self.given.iter().copied()).collect();
@@ -101,7 +100,7 @@ impl Group {
 }
 
 impl ReadBack {
-    /// Notes the start value of a variable, which has just been added to those of the plan.
+    /// Records the start value of a variable, which has just been appended to the plan's start values.
     pub(crate) fn add_start(&mut self, variable: &Variable, values: &Assignments) {
         let keeps = variable.causality == Causality::Parameter
             || (variable.initial == Some(Initial::Exact) && variable.causality != Causality::Input);
@@ -118,7 +117,7 @@ impl ReadBack {
         self.push(variable, GivenValue::Start(n_values - 1));
     }
 
-    /// Notes a parameter of the runs, by its place among them. They are set after the start values.
+    /// Records a parameter of the runs by its index. Parameters are set after the start values.
     pub(crate) fn add_parameter(&mut self, variable: &Variable, place: usize) {
         if variable.causality == Causality::Parameter || variable.initial == Some(Initial::Exact) {
             self.push(variable, GivenValue::Parameter(place));
@@ -136,14 +135,14 @@ impl ReadBack {
         }
     }
 
-    /// All are noted.
+    /// Completes the list after all values are recorded.
     pub(crate) fn finish(&mut self) {
         self.groups.iter_mut().for_each(Group::finish);
         self.groups.sort_by_key(|group| group.kind);
     }
 
-    /// True if an initialized instance has the values given; `parameter` returns those of the parameters as
-    /// the FMU was given them. An error is one of the FMU's.
+    /// True if an initialized instance has its specified values. `parameter` returns the parameter values as
+    /// set in the FMU. Errors come from the FMU.
     pub(crate) fn agrees(
         &self,
         core: &mut Core,
@@ -156,7 +155,7 @@ impl ReadBack {
         }
         for group in &self.groups {
             group.read(core, buffers)?;
-            // Not by bits: a model may lose the sign of a zero.
+            // The values are not compared by bits, because a model may lose the sign of a zero.
             let mut numbers = group.given.iter().zip(&buffers.reals);
             let is_number = |(given, found): (&GivenValue, &f64)| {
                 group.number(*given, start_values, &parameter) == *found
@@ -173,9 +172,9 @@ impl ReadBack {
         Ok(true)
     }
 
-    /// The first of the floating-point variables that a new instance did not give its value: of the
-    /// parameters, else of the others. What differs in its last digits was stored with fewer of them. An
-    /// error is one of the FMU's.
+    /// Returns the first floating-point variable that does not have its value in a new instance. Parameters
+    /// take precedence over other variables. A difference in the last digits is ignored, because the model
+    /// may store fewer digits. Errors come from the FMU.
     pub(crate) fn first_lost<'d>(
         &self,
         core: &mut Core,
@@ -204,7 +203,7 @@ impl ReadBack {
         Ok(first)
     }
 
-    /// A new instance does not have the values given either.
+    /// Records that a new instance does not have its specified values either.
     pub(crate) fn set_overridden(&self) {
         self.overridden.store(true, Ordering::Relaxed);
     }

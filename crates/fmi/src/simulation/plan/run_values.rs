@@ -13,67 +13,67 @@ use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::sync::Arc;
 
-/// A value that each run is given.
+/// Parameter that each run sets.
 #[derive(Debug, Clone, Copy)]
 struct RunParameter {
     place: VariableElement,
-    /// Where it goes among the values set.
+    /// Index among the values set.
     slot: usize,
-    /// -1 for negated aliases.
+    /// Sign: -1 for negated aliases.
     sign: f64,
     set: SetAt,
 }
 
-/// When a parameter of a run is set.
+/// Time at which a parameter of a run is set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum SetAt {
     /// Before the initialization.
     Early,
-    /// In initialization mode, too: an input.
+    /// Input: before the initialization and again in initialization mode.
     Initialization,
-    /// After the initialization only: an initial state that the model calculates.
+    /// Initial state that the model calculates: only after the initialization.
     Start,
 }
 
-/// The values of a run, resolved and checked.
+/// Resolved and checked values of a run.
 #[derive(Debug, Default)]
 pub(crate) struct RunValues {
     pub(crate) start: StartValues,
-    /// Structural parameters, and the sizes that follow from them.
+    /// Values of structural parameters, which determine `structure`.
     structural: Assignments,
     pub(super) structure: Structure,
     parameters: Vec<RunParameter>,
-    /// The variables that the parameters are, or are elements of.
+    /// Variables to which the parameters belong.
     parameter_slots: FloatSlots,
-    /// The same of the parameters that are inputs.
+    /// Variables to which the parameters that are inputs belong.
     input_slots: FloatSlots,
     pub(super) parameter_names: Vec<String>,
     /// Default values of the parameters.
     pub(super) parameter_starts: Vec<f64>,
     /// Values that are read back from a reused instance.
     pub(crate) read_back: ReadBack,
-    /// Values that variables have when the simulation starts.
+    /// Required values of variables at the start of the simulation.
     pub(crate) initial: InitialValues,
 }
 
-/// Initial states, and which of them are set after the initialization.
+/// Initial states, and the information if they are set after the initialization.
 pub(super) struct InitialStates<'a> {
     pub(super) names: &'a [String],
-    /// Of the state vector; empty in co-simulation.
+    /// Indices in the state vector; empty in co-simulation.
     pub(super) positions: StatePositions,
-    /// The interface is model exchange.
+    /// True for model exchange.
     pub(super) are_set: bool,
 }
 
 impl InitialStates<'_> {
-    /// Refuses a variable that can be set neither before the initialization nor after it.
+    /// Returns an error for a variable that can be set neither before nor after the initialization.
     fn check_settable(
         &self,
         description: &ModelDescription,
         place: VariableElement,
         name: &str,
     ) -> Result<()> {
-        // Descriptions of FMI 1.0 do not say which variables are states.
+        // Descriptions of FMI 1.0 do not specify the state variables.
         let may_be_state =
             || self.positions.of(description, place).is_some() || description.fmi_version.major == 1;
         match self.are_set && self.has(name) && may_be_state() {
@@ -88,10 +88,11 @@ impl InitialStates<'_> {
 }
 
 impl RunValues {
-    /// The values given, and parameters of these names; what is driven is no parameter.
+    /// Resolves the start values and the parameters with these names. A driven variable cannot be a
+    /// parameter.
     ///
     /// # Errors
-    /// A parameter is unknown, given twice, driven or cannot be set; a value does not fit its variable.
+    /// A parameter is unknown, specified twice, driven or cannot be set; a value does not fit its variable.
     pub(super) fn new(
         starts: &Starts<'_>,
         parameters: &[String],
@@ -107,7 +108,8 @@ impl RunValues {
             let variable = &description.variables[*index];
             let place = VariableElement { variable: *index, element: None };
             let is_driven = || driven.iter().any(|one| one.overlaps(place, description));
-            // An initial state that the model calculates, or a parameter that has another value from the start.
+            // Skips initial states that the model calculates, and tunable parameters that an input drives
+            // from the start.
             if check_settable_at_start(variable).is_err() || variable.is_tunable_parameter() && is_driven() {
                 continue;
             }
@@ -176,7 +178,7 @@ impl RunValues {
             self.parameters.push(RunParameter { place, slot: 0, sign, set });
             self.parameter_names.push(name.clone());
         }
-        // Those of type Real come first, as `FloatSlots` wants it.
+        // Variables of type Real come first, as `FloatSlots` requires.
         for of_reals in [true, false] {
             for parameter in &mut self.parameters {
                 let kind = starts.description.variables[parameter.place.variable].kind;
@@ -195,7 +197,7 @@ impl RunValues {
         Ok(())
     }
 
-    /// Default value of a parameter.
+    /// Returns the default value of a parameter.
     fn start_of(&self, starts: &Starts<'_>, parameter: &RunParameter) -> f64 {
         match (parameter.place.element, starts.of(parameter.place.variable)) {
             (Some(_), _) if parameter.set == SetAt::Early => self.parameter_slots.start()[parameter.slot],
@@ -208,7 +210,7 @@ impl RunValues {
         }
     }
 
-    /// Everything that a run sets, also its inputs, sorted.
+    /// Returns all variables that a run sets, including its inputs, sorted.
     pub(super) fn settings(&self, inputs: &InputPlan) -> Arc<[Setting]> {
         let mut settings: Vec<Setting> = Vec::new();
         for values in [&self.structural, &self.start.early, &self.start.inputs] {
@@ -224,13 +226,13 @@ impl RunValues {
         settings.into()
     }
 
-    /// The start values of the plan, and these parameters.
+    /// Combines the plan's start values with these parameters.
     pub(crate) fn input<'a>(&'a self, parameters: &'a [f64]) -> RunInput<'a> {
         RunInput { start: &self.start, parameters }
     }
 
-    /// Gives a fresh instance its structure, start values (those of the plan or others for the same
-    /// variables) and parameters; `buffer` is used on the way.
+    /// Sets the structure, start values and parameters of a new instance. The start values are the plan's, or
+    /// other values for the same variables. `buffer` is scratch memory.
     pub(crate) fn set_up(&self, core: &mut Core, input: RunInput<'_>, buffer: &mut Vec<f64>) -> Result<()> {
         if !self.structure.is_default() {
             core.configure(&self.structural, &self.structure)?;
@@ -239,7 +241,7 @@ impl RunValues {
         self.set_parameters(core, &self.parameter_slots, SetAt::Early, input.parameters, buffer)
     }
 
-    /// Gives the inputs that do not vary their values, in initialization mode; `buffer` is used on the way.
+    /// Sets the inputs that do not vary, in initialization mode. `buffer` is scratch memory.
     pub(crate) fn set_up_inputs(
         &self,
         core: &mut Core,
@@ -250,7 +252,7 @@ impl RunValues {
         self.set_parameters(core, &self.input_slots, SetAt::Initialization, input.parameters, buffer)
     }
 
-    /// Sets the parameters of a run that are inputs, or the others.
+    /// Sets the parameters of a run that are set at the time `set`.
     fn set_parameters(
         &self,
         core: &mut Core,
@@ -269,8 +271,8 @@ impl RunValues {
         slots.set(core, buffer)
     }
 
-    /// True if an initialized instance has the values that [`set_up`](Self::set_up) gave it. An error is one
-    /// of the FMU's.
+    /// True if an initialized instance has the values that [`set_up`](Self::set_up) has set. Errors come from
+    /// the FMU.
     pub(crate) fn has_values(
         &self,
         core: &mut Core,
@@ -280,7 +282,7 @@ impl RunValues {
         self.read_back.agrees(core, &self.start.early, |i| parameters[i] * self.parameters[i].sign, buffers)
     }
 
-    /// The first of the variables that an initialized instance did not give the value it was given; see
+    /// Returns the first variable of an initialized instance that does not have its specified value. See
     /// [`ReadBack::first_lost`].
     pub(crate) fn first_lost<'d>(
         &self,
@@ -292,7 +294,7 @@ impl RunValues {
         self.read_back.first_lost(core, description, &self.start.early, given)
     }
 
-    /// Checks the values of the parameters for one run.
+    /// Checks the parameter values of one run.
     pub(crate) fn check_parameters(&self, values: &[f64]) -> Result<()> {
         let expected = self.parameters.len();
         if values.len() != expected {
@@ -305,8 +307,8 @@ impl RunValues {
     }
 }
 
-/// Positions and values of what is given by name, each position once (the last value counts), and the
-/// structure that they make.
+/// Returns variable indices and values of the named start values, each index once, and the resulting
+/// structure. The last value of a variable is used.
 pub(super) fn resolve_start_values(
     description: &ModelDescription,
     values: &[(String, Value)],
@@ -315,7 +317,7 @@ pub(super) fn resolve_start_values(
     let mut resolved: Vec<(usize, Value)> = Vec::with_capacity(values.len());
     let mut places: HashMap<usize, usize> = HashMap::with_capacity(values.len());
     let mut structure = Structure::default();
-    // Sizes first: they tell the elements of arrays apart.
+    // Sizes come first, because the names of array elements depend on them.
     for (name, value) in values {
         if let Some(index) = description.variable_index(name) {
             let variable = &description.variables[index];
@@ -334,7 +336,7 @@ pub(super) fn resolve_start_values(
             match element {
                 Some(element) => Starts { description, structure: &structure, given: &resolved }
                     .with_element(index, element, value.clone())?,
-                // Whole arrays are looked at when all is known.
+                // Complete arrays are checked after all sizes are known.
                 None if !variable.dimensions.is_empty() => value.clone(),
                 None => assignments::convert(variable, value, None)?,
             };
