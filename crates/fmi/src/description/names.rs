@@ -15,8 +15,8 @@ pub(super) struct NameIndex {
 }
 
 impl NameIndex {
-    /// Indexes the variables. If several variables have the same name, the first is used, and `duplicate` is
-    /// called for each of the others (index of the duplicate, index of the first).
+    /// Indexes the variables. If several variables have the same name, the first is used. For each of the
+    /// others, `duplicate` is called with its index and the index of the first.
     pub(super) fn build(variables: &[Variable], mut duplicate: impl FnMut(usize, usize)) -> Self {
         let n_slots = (2 * variables.len() + 1).next_power_of_two();
         let mut index = NameIndex { slots: vec![0; n_slots], hasher: RandomState::new() };
@@ -54,8 +54,8 @@ impl NameIndex {
 }
 
 /// Returns the indices of variables by alias. A variable name takes precedence over an alias, and an earlier
-/// alias over a later one. `duplicate` is called for each ignored alias (index, alias, index of the first
-/// variable).
+/// alias over a later one. For each ignored alias, `duplicate` is called with its index, the alias and the
+/// index of the first variable.
 pub(super) fn aliases(
     variables: &[Variable],
     names: &NameIndex,

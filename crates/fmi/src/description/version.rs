@@ -28,9 +28,8 @@ impl FmiVersion {
         ["alpha", "beta", "rc", "draft", "dev"].iter().any(|word| text.contains(word))
     }
 
-    /// True if the standard has a table of the allowed combinations of causality, variability and initial,
-    /// and of the matching start values (FMI 2.0.x, section 2.2.7). Descriptions are checked against this
-    /// table.
+    /// True if the standard has a table of allowed combinations of causality, variability, initial and start
+    /// value (FMI 2.0.x, section 2.2.7). Descriptions are checked against this table.
     pub(super) fn has_table_of_combinations(&self) -> bool {
         self.major == 2
     }

@@ -87,8 +87,8 @@ pub(crate) fn negate(value: Value) -> Value {
     }
 }
 
-/// Returns an error with the reason for variables that can never be set before a simulation (FMI 2.0.x,
-/// section 2.2.7: table of causality, variability and initial; section 3.2.2: settable variables in each
+/// Returns an error with the reason for variables that can never be set before a simulation. See FMI 2.0.x,
+/// section 2.2.7 (table of causality, variability and initial) and section 3.2.2 (settable variables in each
 /// state).
 pub(crate) fn check_settable_at_start(variable: &Variable) -> Result<()> {
     let reason = if variable.causality == Causality::Independent {
@@ -123,8 +123,8 @@ pub(crate) fn check_settable_in_initialization(variable: &Variable) -> Result<()
     }
 }
 
-/// Returns an error for all variables except inputs and tunable parameters, which can be set in event mode
-/// and between communication points.
+/// Returns an error for all variables except inputs and tunable parameters. Only these can be set in event
+/// mode and between communication points.
 pub(crate) fn check_settable_when_discrete(variable: &Variable, reason: &'static str) -> Result<()> {
     match (variable.causality, variable.variability) {
         (Causality::Input, _) | (Causality::Parameter, Variability::Tunable) => Ok(()),

@@ -103,9 +103,9 @@ impl Instance<Initialization, CoSimulation> {
 impl Instance<StepMode, CoSimulation> {
     /// Lets the model compute the step from `time`, its current time, to `time + step`.
     ///
-    /// Events at `time` are handled first if the model has requested event mode, input values are waiting for
-    /// it, or a clock is due. Clock ticks within the step are handled as well. Events at the end of the step
-    /// are handled by [`handle_events`](Self::handle_events) or the next step.
+    /// Events at `time` are handled first if the model has requested event mode, inputs wait for it, or a
+    /// clock is due. Clock ticks within the step are handled as well. Events at the end of the step are
+    /// handled by [`handle_events`](Self::handle_events) or the next step.
     ///
     /// # Errors
     /// The FMU returns an error. A step that the FMU computes only partly or not at all is not an error: see

@@ -180,8 +180,8 @@ impl Core {
             .map_err(|fault| self.error_about(fault, references, |kind| kind == VariableKind::Real))
     }
 
-    /// Returns an error for value references that do not belong to variables of type Real, or if the number
-    /// of values is wrong. If a reference may belong to an array, only the description contains the number of
+    /// Returns an error if a value reference does not belong to a variable of type Real, or if the number of
+    /// values is wrong. If a reference may belong to an array, only the description contains the number of
     /// its elements.
     #[inline]
     pub(crate) fn check_reals(&self, call: &'static str, references: &[u32], found: usize) -> Result<()> {

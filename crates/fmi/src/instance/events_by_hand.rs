@@ -134,8 +134,8 @@ impl Core {
         self.raw.has_event_mode() && variable.variability != Variability::Continuous
     }
 
-    /// True if the model has requested event mode, a clock is due at `t`, or an input waits for event mode
-    /// and needs no clock tick.
+    /// True if events must be handled at `t`: the model has requested event mode, a clock is due, or an input
+    /// without clock waits for event mode.
     pub(super) fn has_events_at(&self, t: f64, tolerance: f64) -> bool {
         let variables = &self.fmu.description().variables;
         let is_ready =

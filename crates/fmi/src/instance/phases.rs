@@ -247,7 +247,7 @@ impl<P: Readable, K> Instance<P, K> {
     /// Reads real variables by value reference in one call.
     ///
     /// # Errors
-    /// The slices differ in length, a reference does not belong to a variable of type Real, or the FMU
+    /// The slices differ in length, or a reference does not belong to a variable of type Real. The FMU
     /// returns an error.
     pub fn get_reals(&mut self, references: &[u32], values: &mut [f64]) -> Result<()> {
         self.core.check_reals("get_reals", references, values.len())?;
@@ -309,14 +309,13 @@ impl<P: Readable, K> Instance<P, K> {
 impl<P: Phase, K> Instance<P, K> {
     /// Sets a variable.
     ///
-    /// Before the initialization, an array value may have as many elements as the array will have after all
-    /// structural parameters are set. Between two steps of a co-simulation with event mode, values are
-    /// deferred until event mode, except those of continuous inputs. Event mode is entered before the next
-    /// step at the latest.
+    /// Before the initialization, an array value may have the size that follows from structural parameters to
+    /// be set later. Between two steps of a co-simulation with event mode, values are deferred until event
+    /// mode, except those of continuous inputs. Event mode is entered before the next step at the latest.
     ///
     /// # Errors
-    /// There is no such variable, the value has the wrong type or is not finite, the variable cannot be set
-    /// in this phase, or the FMU returns an error.
+    /// There is no such variable, or it cannot be set in this phase. The value has the wrong type or is not
+    /// finite. The FMU returns an error.
     pub fn set(&mut self, name: &str, value: impl Into<Value>) -> Result<()> {
         let fmu = self.core.fmu.clone();
         let index = assignments::resolve(fmu.description(), name)?;

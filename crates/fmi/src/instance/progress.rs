@@ -47,8 +47,8 @@ impl Progress {
         self.schedules.iter().filter_map(|schedule| schedule.next).min_by(f64::total_cmp)
     }
 
-    /// Returns the model's time for an event at `start`: the last event time if it is later by at most
-    /// `tolerance`, otherwise `start`.
+    /// Returns the model's time for an event at `start`. This is the last event time if it is later by at
+    /// most `tolerance`, otherwise `start`.
     pub(super) fn time_at(&self, start: f64, tolerance: f64) -> f64 {
         self.floor.filter(|floor| *floor > start && floor - start <= tolerance).unwrap_or(start)
     }

@@ -1,5 +1,5 @@
-//! Simulation, from the options to the samples: the options, the plan that resolves them for a model, the
-//! initialization, and the run by integration or communication steps.
+//! Simulation of a model. The modules contain the options, the plan that resolves them, the initialization,
+//! and the run by integration or communication steps.
 
 pub(crate) mod clocks;
 mod co_simulation;

@@ -67,8 +67,8 @@ pub struct RunSettings {
     #[cfg_attr(feature = "schema", schemars(schema_with = "solvers"))]
     pub method: Method,
     /// Relative tolerance. Default: the tolerance of the default experiment, otherwise 1e-6. The model
-    /// receives a tolerance only if these settings or the default experiment specify one, because a
-    /// co-simulation has its own default.
+    /// receives a tolerance only if these settings or the default experiment specify one. Otherwise a
+    /// co-simulation uses its own default.
     pub relative_tolerance: Option<f64>,
     /// Step size.
     ///
@@ -79,9 +79,9 @@ pub struct RunSettings {
     /// default experiment's step size. The row spacing is used instead if that step size would make more than
     /// 1e6 steps.
     ///
-    /// If the model supports steps of any length, each row is also a communication point. So is each time at
-    /// which an input jumps or changes its slope. If the model does not receive input derivatives, so is each
-    /// time at which an input differs from its value in the previous row.
+    /// If the model supports steps of any length, there are further communication points: each row, and each
+    /// time at which an input jumps or changes its slope. If the model does not receive input derivatives,
+    /// each row in which an input changes its value is also a communication point.
     pub step_size: Option<f64>,
     /// Maximum step of the adaptive methods.
     pub max_step: Option<f64>,

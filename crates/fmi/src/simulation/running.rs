@@ -24,7 +24,7 @@ pub(crate) enum Mode {
     Step,
 }
 
-/// Instance of a run, with a flag that records whether it is still usable.
+/// Instance of a run, with a flag that marks it as unusable.
 #[derive(Debug, Default)]
 pub(crate) struct Current {
     /// `None` if no instance was created yet or the instance failed.
@@ -197,8 +197,8 @@ pub(crate) fn no_instance() -> FmiError {
 
 impl Running {
     /// Initializes a new instance at the start time. Sets all values that can be set before and in
-    /// initialization mode: the plan's values, or those in `input` for the same variables. `stop` is passed
-    /// to the FMU as the stop time, which no step exceeds.
+    /// initialization mode. The values are the plan's, or values in `input` for the same variables. `stop` is
+    /// passed to the FMU as the stop time, which no step exceeds.
     ///
     /// # Errors
     /// The FMU returns an error, or an input function is not finite at the start time. There is no instance

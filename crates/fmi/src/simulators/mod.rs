@@ -1,5 +1,5 @@
-//! Simulators: a plan that is run many times in this process by one thread with one instance, which returns
-//! to its start between runs.
+//! Simulators, which run one plan many times in this process. One thread uses one instance, which returns to
+//! its start between runs.
 
 mod instantiate;
 mod reset;

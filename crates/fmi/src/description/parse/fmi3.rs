@@ -18,8 +18,7 @@ use std::collections::HashMap;
 /// for ignored variables.
 type Positions = HashMap<u32, Option<usize>>;
 
-/// References to variables that may be declared later in the file: states of derivatives, value references of
-/// dimensions, and lists of clocks.
+/// References to variables that may be declared later in the file.
 #[derive(Default)]
 struct Later {
     /// Variable index and value reference of the state.
@@ -183,8 +182,8 @@ fn variables(
     Ok(positions)
 }
 
-/// Returns the start value of a string or binary variable from an attribute, as in FMI 2.0, instead of from
-/// `<Start>` elements.
+/// Returns the start value of a string or binary variable from an attribute, as in FMI 2.0. The standard
+/// requires `<Start>` elements.
 fn start_attribute(attributes: &Attributes<'_>, variable: &Variable) -> Option<Value> {
     let start = match variable.kind {
         VariableKind::Binary => Value::Binary(attributes.hexadecimal("start")?),

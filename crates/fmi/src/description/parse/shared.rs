@@ -191,8 +191,8 @@ pub(super) fn type_definition(
     }
 }
 
-/// Returns the kind of variable for an element of FMI 1.0 or 2.0, for example `<Real>`, or `<RealType>` in
-/// the type definitions of FMI 1.0.
+/// Returns the kind of variable for an element of FMI 1.0 or 2.0, for example `<Real>`. Type definitions of
+/// FMI 1.0 use names such as `<RealType>`.
 pub(super) fn scalar_kind(element: &str) -> Option<VariableKind> {
     match element.strip_suffix("Type").unwrap_or(element) {
         "Real" => Some(VariableKind::Real),

@@ -1,8 +1,8 @@
 //! Clocks of model exchange and co-simulation: their ticks and the actions at a tick.
 //!
-//! The importer activates input clocks. All clocks that are due at one time are activated in one visit of
-//! event mode, together with all other events at that time. Ticks of periodic clocks are `start + shift + k *
-//! interval`, never sums. Fractions are multiplied before they are divided. The rules are defined in FMI
+//! The importer activates input clocks. All clocks due at one time are activated in one visit of event mode.
+//! All other events at that time are handled in the same visit. Ticks of periodic clocks are `start + shift +
+//! k * interval`, never sums. Fractions are multiplied before they are divided. The rules are defined in FMI
 //! 3.0.x, sections 2.2.8.3 and 2.3.5.
 
 use super::plan::{ClockPlan, Timed};

@@ -363,8 +363,8 @@ impl Run<'_, '_> {
         if below > self.t + self.plan.time_tolerance { below } else { above }
     }
 
-    /// True if a step of this length to `time` reaches the event that the model announced for that time, to
-    /// the last bit. The model has no event before that time.
+    /// True if a step of this length to `time` reaches the event announced by the model, to the last bit. The
+    /// model has no event before its announced time.
     fn reaches(&self, event: Option<f64>, time: f64, length: f64) -> bool {
         event.is_none_or(|event| time < event || self.t + length >= event)
     }

@@ -240,8 +240,8 @@ impl OutputPlan {
         first
     }
 
-    /// Completes the plan after everything has been added. Places the states after the other values of type
-    /// `Real`, the words of all kinds in one row, and the unnamed columns after the others.
+    /// Completes the plan after everything has been added. States follow the other values of type `Real`. The
+    /// words of all kinds form one row. Unnamed columns follow the others.
     pub(crate) fn finish(&mut self) {
         self.columns.append(&mut self.unnamed);
         for column in &mut self.columns {

@@ -134,7 +134,7 @@ pub(crate) fn states(description: &ModelDescription, structure: &Structure) -> V
 }
 
 /// True if `name` matches a pattern in which `*` matches any characters and `?` one. The part after the last
-/// `*` is tried at each position, so the run time is at most the product of the lengths.
+/// `*` is tried at each position. The run time is at most the product of the lengths.
 fn fits(pattern: &str, name: &str) -> bool {
     let (mut p, mut n) = (pattern.chars(), name.chars());
     // Remaining pattern after the last star, and remaining name at its last attempt.

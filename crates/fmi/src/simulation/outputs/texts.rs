@@ -1,10 +1,10 @@
 //! Outputs that are not 64-bit floating-point numbers: strings, bytes and 64-bit integers, stored in rows of
 //! numbers.
 //!
-//! A row of samples contains only numbers, and only rows have sample times. A string or binary value is
-//! therefore stored as one number, its index in a table of all values of the run. A 64-bit integer is stored
-//! as two numbers, its halves. These columns follow the named columns. They are converted back when a
-//! trajectory is created.
+//! A row of samples contains only numbers, and only rows have sample times. Therefore a string or binary
+//! value is stored as its index in a table of all values of the run. A 64-bit integer is stored as two
+//! numbers, its halves. These columns follow the named columns. They are converted back when a trajectory is
+//! created.
 
 use crate::description::{Value, VariableKind};
 use crate::instance::integer_codec;

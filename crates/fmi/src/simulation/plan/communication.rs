@@ -1,7 +1,7 @@
 //! Communication points of a co-simulation.
 //!
 //! Regular points are `start + k * step`, never sums. Each step passes the same constant step size. A
-//! difference of times can be wrong in its last digit, which slows some FMUs down and changes the results of
+//! difference of times can be wrong in its last digit. This slows some FMUs down and changes the results of
 //! others.
 //!
 //! If the FMU accepts steps of any length, requested times and input changes are also communication points.
@@ -109,8 +109,8 @@ impl Communication {
         })
     }
 
-    /// Returns the stop time that is passed to the model: the final time, or the end of the last step if that
-    /// is later.
+    /// Returns the stop time that is passed to the model. This is the final time or the end of the last step,
+    /// whichever is later.
     pub(crate) fn stop_time(&self, start: f64, end: f64, time_tolerance: f64) -> f64 {
         let last = self.fixed_step().and_then(|step| around(step, start, end, time_tolerance));
         last.map_or(end, |(_, above)| above)
@@ -122,8 +122,8 @@ impl Communication {
         around(self.internal?, start, time, time_tolerance)
     }
 
-    /// Returns the step size between whose multiples the model cannot stop: the internal step, or the
-    /// communication step if its length is fixed.
+    /// Returns the fixed step of a model that can stop only at its multiples: the internal step, or a
+    /// communication step of fixed length.
     fn fixed_step(&self) -> Option<f64> {
         if self.variable { self.internal } else { self.step }
     }
@@ -131,7 +131,7 @@ impl Communication {
     /// Returns a message if rows are between the steps of the model.
     ///
     /// # Errors
-    /// Such rows are to be refused. The message contains the first of them and its neighboring steps.
+    /// Rows between steps are not allowed. The message contains the first such row and the neighboring steps.
     pub(crate) fn check_rows(&self, grid: &Grid, between: BetweenSteps) -> Result<Option<String>> {
         let Some(step) = self.fixed_step() else { return Ok(None) };
         let beside =

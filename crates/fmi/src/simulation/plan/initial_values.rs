@@ -29,8 +29,8 @@ enum GivenNumber {
 /// Required values of variables at the start.
 #[derive(Debug, Default)]
 pub(crate) struct InitialValues {
-    /// Initial states. Model exchange sets them after the initialization. A simulation without one of them is
-    /// refused.
+    /// Initial states. Model exchange sets them after the initialization. A simulation fails if one of them
+    /// does not have its value.
     pub(crate) required: Vec<InitialValue>,
     /// Start values of states that are guesses according to the description. A guess without effect is a
     /// quirk.
