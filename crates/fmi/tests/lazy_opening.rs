@@ -161,7 +161,7 @@ fn what_cannot_be_unpacked_again_is_said() {
 }
 
 #[test]
-fn a_file_that_is_replaced_or_written_over_is_not_mixed_up() {
+fn open_fmu_detects_a_modified_file() {
     let folder = tempfile::tempdir().unwrap();
     let (path, new) = (folder.path().join("m.fmu"), folder.path().join("new.fmu"));
     write_archive(&path, &[]);
@@ -194,7 +194,7 @@ fn a_file_that_is_replaced_or_written_over_is_not_mixed_up() {
 }
 
 #[test]
-fn contents_that_lie_are_found_out_when_they_are_unpacked() {
+fn unpacking_rejects_damaged_entries() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("m.fmu");
     for (name, is_needed) in [("resources/a", true), ("documentation/a", false)] {

@@ -38,7 +38,7 @@ fn only_once(faults: &[&str]) -> Folder {
 
 /// The library ends the process when two threads are in it.
 #[test]
-fn no_two_threads_are_in_one_library() {
+fn library_is_used_by_one_thread_at_a_time() {
     for folder in [evil(&["DIES_WITH_TWO"]), evil_with_sibling(&["DIES_WITH_TWO"], "alone")] {
         let fmu = folder.open();
         let plan = SimulationPlan::new(&fmu, &options().parameters(["k"])).unwrap();
@@ -70,7 +70,7 @@ fn no_two_threads_are_in_one_library() {
 
 /// Of each handle a library of its own, unless the loader gives them one all the same: then their runs take turns.
 #[test]
-fn who_opens_a_file_twice_has_two_models() {
+fn opening_a_file_twice_gives_independent_models() {
     for folder in [
         evil(&["SHARED_GLOBALS"]),
         evil(&["STATIC_PARAMETERS"]),
@@ -100,7 +100,7 @@ fn who_opens_a_file_twice_has_two_models() {
 
 /// Each has a library of its own there.
 #[test]
-fn of_a_model_that_can_be_instantiated_once_there_may_be_many() {
+fn single_instance_models_support_several_simulators() {
     use example_models::ExampleKind::{Fmi1CoSimulation, Fmi2CoSimulation, Fmi2ModelExchange, Fmi3};
     let folder = only_once(&["DIES_WITH_TWO_INSTANCES", "SHARED_GLOBALS"]);
     let fmu = folder.open();
@@ -173,7 +173,7 @@ fn driven(xml: String) -> String {
 
 /// A model is dropped while another thread is in the middle of a simulation.
 #[test]
-fn dropping_waits_for_nobody() {
+fn drop_does_not_wait_for_a_running_simulation() {
     let folder = evil_with(&["ONE_SET", "DIES_WITH_TWO"], driven);
     let fmu = folder.open();
     let mut sessions = [Session::new(fmu.clone()), Session::new(fmu.clone())];
@@ -190,7 +190,7 @@ fn dropping_waits_for_nobody() {
 }
 
 #[test]
-fn waiting_ends_when_the_simulation_is_cancelled_or_its_time_is_up() {
+fn waiting_simulation_ends_when_cancelled_or_timed_out() {
     let folder = evil_with(&["ONE_SET"], driven);
     let fmu = folder.open();
     fmu.prepare(InterfaceChoice::Auto, &fmi::CancelRequest::default()).unwrap();
@@ -221,7 +221,7 @@ fn waiting_ends_when_the_simulation_is_cancelled_or_its_time_is_up() {
 }
 
 #[test]
-fn a_simulator_can_be_dropped_on_another_thread() {
+fn simulator_can_be_dropped_on_another_thread() {
     let folder = evil(&["DIES_WITH_TWO"]);
     let fmu = folder.open();
     let mut simulators: Vec<Simulator> = (0..4).map(|_| simulator(&fmu)).collect();
@@ -236,7 +236,7 @@ fn a_simulator_can_be_dropped_on_another_thread() {
 }
 
 #[test]
-fn after_fatal_nothing_of_the_library_is_called_and_the_next_run_has_another() {
+fn fatal_abandons_the_library_and_the_next_run_loads_another() {
     let folder = evil(&["FATAL_LATE"]);
     let fmu = folder.open();
     let mut other = fmu.instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
@@ -265,7 +265,7 @@ fn after_fatal_nothing_of_the_library_is_called_and_the_next_run_has_another() {
 }
 
 #[test]
-fn a_library_that_can_be_instantiated_so_often_is_followed_by_another() {
+fn library_with_instance_limit_is_replaced() {
     let folder = evil(&["INSTANCES=5", "FAILING_RESET"]);
     let fmu = folder.open();
     let mut simulator = simulator(&fmu);
@@ -278,7 +278,7 @@ fn a_library_that_can_be_instantiated_so_often_is_followed_by_another() {
 }
 
 #[test]
-fn a_library_may_log_at_its_end() {
+fn library_can_log_while_unloading() {
     let folder = evil(&["LOGS_AT_END"]);
     for _ in 0..5 {
         let fmu = folder.open();
@@ -288,7 +288,7 @@ fn a_library_may_log_at_its_end() {
 }
 
 #[test]
-fn a_thread_may_outlive_the_library_it_has_called() {
+fn thread_can_outlive_the_library() {
     let folder = evil(&["THREAD_DATA"]);
     let (sender, receiver) = channel::<()>();
     let (done, ready) = channel::<()>();
@@ -306,7 +306,7 @@ fn a_thread_may_outlive_the_library_it_has_called() {
 }
 
 #[test]
-fn a_library_written_over_is_another_one() {
+fn replaced_library_is_loaded_again() {
     let folder = evil(&[]);
     let library =
         fmi::platform::find_binary(folder.path(), "evil", fmi::platform::FolderNames::SystemAndBits)

@@ -18,13 +18,13 @@ fn end(fmu: &Fmu, k: f64) -> Result<f64, FmiError> {
 }
 
 #[test]
-fn a_library_beside_that_of_the_model_is_found() {
+fn loader_finds_a_library_next_to_the_model_library() {
     let folder = evil_with_sibling(&[], "present");
     assert!((end(&folder.open(), 2.0).unwrap() - (-2f64).exp()).abs() < 1e-7);
 }
 
 #[test]
-fn what_the_loader_says_is_passed_on_word_by_word() {
+fn loader_messages_are_passed_on_verbatim() {
     let folder = evil_with_sibling(&[], "absent");
     let beside = folder
         .path()
@@ -42,7 +42,7 @@ fn what_the_loader_says_is_passed_on_word_by_word() {
 }
 
 #[test]
-fn functions_that_are_never_called_may_be_missing_where_the_loader_is_lazy() {
+fn lazy_loading_tolerates_missing_unused_functions() {
     let folder = evil(&["UNDEFINED_SYMBOL"]);
     // The refusal leaves nothing behind.
     end(&folder.open(), 1.0).unwrap_err();
@@ -52,7 +52,7 @@ fn functions_that_are_never_called_may_be_missing_where_the_loader_is_lazy() {
 
 /// The model calls `atoi("3")`, and has an `atoi` of its own that always answers 7.
 #[test]
-fn symbols_of_the_library_come_first_where_that_is_asked_for() {
+fn deepbind_gives_library_symbols_precedence() {
     if std::env::var_os("ASAN_OPTIONS").is_some() {
         return; // the address sanitizer ends a process that asks for it
     }
@@ -64,7 +64,7 @@ fn symbols_of_the_library_come_first_where_that_is_asked_for() {
 }
 
 #[test]
-fn an_fmu_that_needs_its_tool_runs_and_names_the_tool_where_it_fails() {
+fn fmu_that_needs_its_tool_reports_the_tool_on_failure() {
     let needing = |defines: &[&str]| {
         evil_with(defines, |xml| {
             let xml = xml
@@ -83,7 +83,7 @@ fn an_fmu_that_needs_its_tool_runs_and_names_the_tool_where_it_fails() {
 }
 
 #[test]
-fn an_fmu_of_a_draft_runs_and_names_the_draft_where_it_fails() {
+fn fmu_of_a_draft_version_reports_the_draft_on_failure() {
     let draft = |defines: &[&str]| {
         evil_with(defines, |xml| xml.replace("fmiVersion=\"2.0\"", "fmiVersion=\"2.0-beta.4\""))
     };
@@ -96,7 +96,7 @@ fn an_fmu_of_a_draft_runs_and_names_the_draft_where_it_fails() {
 }
 
 #[test]
-fn messages_reach_the_instance_whatever_environment_the_fmu_passes() {
+fn log_messages_reach_the_instance_with_any_environment() {
     for environment in ["NULL", "(void*)1", "m->functions.componentEnvironment"] {
         let folder = evil(&["NO_START", &format!("LOG_ENVIRONMENT={environment}")]);
         let error = end(&folder.open(), 1.0).unwrap_err().to_string();
@@ -113,7 +113,7 @@ fn library_of(folder: &Folder, name: &str) -> std::path::PathBuf {
 /// The loader of Linux ends the process where it reads beyond the end of a file.
 #[cfg(target_os = "linux")]
 #[test]
-fn a_library_that_was_cut_off_is_refused_with_both_lengths() {
+fn truncated_library_is_rejected_with_its_length() {
     let whole = std::fs::read(library_of(&evil(&[]), "evil")).unwrap();
     for share in [1, 2, 10, 30, 50, 70] {
         let folder = evil(&[]);
@@ -136,7 +136,7 @@ fn a_library_that_was_cut_off_is_refused_with_both_lengths() {
 }
 
 #[test]
-fn what_stands_in_the_place_of_a_library_is_named() {
+fn invalid_library_file_is_an_error_with_its_type() {
     let pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n";
     let other_bits = b"\x7fELF\x01\x01\x01\0\0\0\0\0\0\0\0\0\x03\0\x03\0\x01\0\0\0";
     let cases: [(&[u8], &str); 5] = [
@@ -157,7 +157,7 @@ fn what_stands_in_the_place_of_a_library_is_named() {
 
 /// The description would be that of another version.
 #[test]
-fn a_library_that_is_replaced_before_it_is_loaded_is_refused() {
+fn library_replaced_after_opening_is_rejected() {
     let (folder, other) = (evil(&[]), evil(&["FASTER"]));
     let cache = fmi::FmuCache::new(4);
     let open = || cache.open(folder.path()).unwrap();

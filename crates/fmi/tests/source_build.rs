@@ -147,7 +147,7 @@ fn builds_what_is_there() {
 
 #[test]
 #[cfg(unix)]
-fn links_to_folders_are_refused() {
+fn open_rejects_links_to_folders() {
     let root = tempfile::tempdir().unwrap();
     let fmu = root.path().join("fmu");
     fs::create_dir(&fmu).unwrap();
@@ -387,7 +387,7 @@ fn packs_reproducibly() {
 }
 
 #[test]
-fn folders_that_are_no_fmu_are_not_packed() {
+fn pack_rejects_invalid_folders() {
     let root = tempfile::tempdir().unwrap();
     let out = root.path().join("out.fmu");
     assert!(matches!(pack(root.path(), &out), Err(FmiError::NoModelDescription { .. })));

@@ -12,7 +12,7 @@ use std::sync::Arc;
 use support::evil;
 
 #[test]
-fn where_no_further_copy_can_be_loaded_the_loader_is_quoted() {
+fn loader_message_is_returned_when_static_tls_is_exhausted() {
     let folder = evil(&["LARGE_TLS=400", "FATAL_ABOVE=50"]);
     let options = SimulateOptions::new().parameters(["k"]).ncp(2);
     let plan = SimulationPlan::new(&folder.open(), &options).unwrap();

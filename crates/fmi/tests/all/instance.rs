@@ -24,7 +24,7 @@ fn instances_move_between_threads() {
 }
 
 #[test]
-fn explicit_euler_by_hand() {
+fn instance_supports_explicit_euler_by_hand() {
     let folder = model("dahlquist");
     let fmu = folder.open();
     let mut instance = fmu.instantiate().unwrap();
@@ -53,7 +53,7 @@ fn explicit_euler_by_hand() {
 }
 
 #[test]
-fn values_can_be_set_where_the_standard_lets_them() {
+fn set_accepts_variables_as_the_standard_allows() {
     let folder = model("switched_input");
     let mut instance = folder.open().instantiate().unwrap();
     instance.set("T", 0.25).unwrap();
@@ -77,7 +77,7 @@ fn values_can_be_set_where_the_standard_lets_them() {
 }
 
 #[test]
-fn wrong_lengths_never_reach_the_fmu() {
+fn instance_rejects_slices_of_wrong_length() {
     let folder = model("van_der_pol");
     let instance = folder.open().instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
     let mut instance = instance.exit_initialization().unwrap();
@@ -100,7 +100,7 @@ fn wrong_lengths_never_reach_the_fmu() {
 }
 
 #[test]
-fn states_are_saved_and_restored() {
+fn instance_saves_and_restores_states() {
     let folder = model("dahlquist");
     let fmu = folder.open();
     let running = || {
@@ -137,7 +137,7 @@ fn states_are_saved_and_restored() {
 }
 
 #[test]
-fn a_state_goes_back_to_the_phase_it_was_saved_in() {
+fn restore_state_rejects_states_of_another_phase() {
     let folder = model("dahlquist");
     let instance = folder.open().instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
     let mut instance = instance.exit_initialization().unwrap().enter_continuous_time().unwrap();
@@ -150,7 +150,7 @@ fn a_state_goes_back_to_the_phase_it_was_saved_in() {
 }
 
 #[test]
-fn directional_derivatives_where_offered() {
+fn directional_derivative_matches_the_equation() {
     let folder = model("dahlquist");
     let fmu = folder.open();
     let description = fmu.description();
@@ -170,7 +170,7 @@ fn directional_derivatives_where_offered() {
 }
 
 #[test]
-fn a_session_keeps_values_until_reset() {
+fn session_keeps_values_until_reset() {
     let folder = model("furuta");
     let fmu = folder.open();
     let mut session = Session::new(fmu.clone());
@@ -200,7 +200,7 @@ fn a_session_keeps_values_until_reset() {
 }
 
 #[test]
-fn before_a_simulation_calculated_values_come_from_the_initialization() {
+fn session_returns_initialized_values_before_a_simulation() {
     let folder = evil(&[]);
     let mut session = Session::new(folder.open());
     assert_eq!(session.get("twice_k").unwrap(), Value::Real(2.0));
@@ -212,7 +212,7 @@ fn before_a_simulation_calculated_values_come_from_the_initialization() {
 }
 
 #[test]
-fn an_unchanged_file_is_opened_once() {
+fn cache_opens_an_unchanged_file_once() {
     let path = example_models::example_fmu("dahlquist").unwrap();
     let cache = FmuCache::new(2);
     let first = cache.open(&path).unwrap();
@@ -241,7 +241,7 @@ fn an_unchanged_file_is_opened_once() {
 }
 
 #[test]
-fn all_examples_open_and_run() {
+fn examples_open_and_run() {
     for name in example_models::example_names() {
         let fmu = Fmu::open(example_models::example_fmu(name).unwrap()).unwrap();
         fmu.simulate(&SimulateOptions::new().final_time(0.5)).unwrap();
@@ -250,7 +250,7 @@ fn all_examples_open_and_run() {
 }
 
 #[test]
-fn many_simulations_leave_nothing_behind() {
+fn simulations_leave_nothing_behind_after_many_runs() {
     let folder = model("bouncing_ball");
     let fmu = folder.open();
     let options = SimulateOptions::new().final_time(1.0).ncp(2);
@@ -260,7 +260,7 @@ fn many_simulations_leave_nothing_behind() {
 }
 
 #[test]
-fn an_fmu_without_a_binary_is_compiled_from_its_sources() {
+fn fmu_without_binary_is_compiled_from_sources() {
     let folder = tempfile::tempdir().unwrap();
     let models = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../example-models/models");
     let sources = folder.path().join("sources");
@@ -292,7 +292,7 @@ fn running(fmu: &Fmu) -> fmi::Instance<fmi::ContinuousTime> {
 
 /// h = 1 - g t^2 / 2 up to the impact at t1 = sqrt(2 / g), then with e v1 from there; integrated in two parts.
 #[test]
-fn integration_by_hand_handles_events() {
+fn integrate_handles_events() {
     let folder = model("bouncing_ball");
     let options = || fmi::ode::Options { relative_tolerance: 1e-10, ..fmi::ode::Options::default() };
     let mut instance = running(&folder.open());
@@ -313,7 +313,7 @@ fn integration_by_hand_handles_events() {
 
 /// The model of the stairs ends the simulation at 9 s, by a time event.
 #[test]
-fn integration_by_hand_ends_with_the_model() {
+fn integrate_ends_when_the_model_terminates() {
     let folder = model("stair");
     let fmu = folder.open();
     let instance = fmu.instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
@@ -332,7 +332,7 @@ fn integration_by_hand_ends_with_the_model() {
 
 /// x0' = x1, x1' = mu (1 - x0^2) x1 - x0 at (2, 0) with mu = 1: the second row is (-2 mu x0 x1 - 1, mu (1 - x0^2)).
 #[test]
-fn linearization_of_the_van_der_pol_oscillator() {
+fn linearize_matches_the_van_der_pol_equations() {
     let folder = model("van_der_pol");
     let mut instance = running(&folder.open());
     for differences in [false, true] {

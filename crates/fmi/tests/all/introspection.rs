@@ -21,7 +21,7 @@ fn in_event_mode(fmu: &Fmu) -> Instance<EventMode> {
 }
 
 #[test]
-fn states_have_names_in_all_versions() {
+fn state_names_are_available_in_all_versions() {
     for kind in [Fmi1ModelExchange, Fmi2ModelExchange, Fmi3] {
         let fmu = Fmu::open(example_fmu_as("quad_tank", kind).unwrap()).unwrap();
         let names: Vec<String> = in_event_mode(&fmu).state_names().unwrap().into_iter().flatten().collect();
@@ -31,7 +31,7 @@ fn states_have_names_in_all_versions() {
 }
 
 #[test]
-fn another_version_is_noted_and_other_types_are_refused() {
+fn library_version_mismatch_is_a_quirk_and_type_mismatch_an_error() {
     let fmu = evil(&["VERSION=\"3.0\""]);
     let fmu = fmu.open();
     fmu.simulate(&SimulateOptions::new().ncp(1)).unwrap();
@@ -48,7 +48,7 @@ fn another_version_is_noted_and_other_types_are_refused() {
 }
 
 #[test]
-fn derivatives_of_arrays_along_a_direction_and_from_the_left() {
+fn array_derivatives_support_directional_and_adjoint_calls() {
     let folder = arrays();
     let mut instance = folder.open().instantiate().unwrap();
     instance.set("k", vec![1.0, 2.0, 4.0]).unwrap();
@@ -71,7 +71,7 @@ fn derivatives_of_arrays_along_a_direction_and_from_the_left() {
 }
 
 #[test]
-fn states_in_arrays_have_directional_derivatives_in_simulations() {
+fn simulation_uses_directional_derivatives_of_array_states() {
     let promise =
         |xml: String| xml.replace("<ModelExchange", "<ModelExchange providesDirectionalDerivatives=\"true\"");
     let folder = fixture("arrays", promise);
@@ -88,7 +88,7 @@ fn states_in_arrays_have_directional_derivatives_in_simulations() {
 }
 
 #[test]
-fn dependencies_are_those_of_the_elements() {
+fn variable_dependencies_are_listed_per_element() {
     let folder = arrays();
     let mut instance = folder.open().instantiate().unwrap();
     instance.set("n", 2).unwrap();
@@ -110,7 +110,7 @@ fn dependencies_are_those_of_the_elements() {
 }
 
 #[test]
-fn categories_of_the_log_are_asked_for_by_name() {
+fn log_categories_are_selected_by_name() {
     for kind in [Fmi1ModelExchange, Fmi2ModelExchange, Fmi3] {
         let fmu = Fmu::open(example_fmu_as("bouncing_ball", kind).unwrap()).unwrap();
         let mut instance = in_event_mode(&fmu);
@@ -143,7 +143,7 @@ fn categories_of_the_log_are_asked_for_by_name() {
 }
 
 #[test]
-fn what_is_beside_a_model_is_ignored() {
+fn extra_files_of_an_fmu_are_ignored() {
     // Layered standards and files of tools (FMI 3.0, sections 2.5.1 and 2.5.2), some of them broken.
     let [plain, full] = [(); 2].map(|()| model_as("dahlquist", Fmi3, &[], |xml| xml));
     for (name, text) in [

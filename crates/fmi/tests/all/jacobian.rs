@@ -50,7 +50,7 @@ fn largest_difference(a: &Trajectory, b: &Trajectory) -> f64 {
 }
 
 #[test]
-fn directional_derivatives_are_used_along_the_colours() {
+fn jacobian_uses_one_directional_derivative_per_color() {
     let folder = model("quad_tank");
     for method in [Method::Radau5, Method::Bdf] {
         let found = tanks(&folder.open(), method);
@@ -70,7 +70,7 @@ fn directional_derivatives_are_used_along_the_colours() {
 }
 
 #[test]
-fn a_promise_that_is_not_kept_ends_in_differences() {
+fn jacobian_uses_differences_when_directional_derivatives_are_missing() {
     let promise =
         |text: &str| text.replace("<ModelExchange", "<ModelExchange providesDirectionalDerivative=\"true\"");
     let folder = support::evil_with(&[], |text| promise(&text));

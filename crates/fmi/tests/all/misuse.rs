@@ -48,7 +48,7 @@ fn in_step_mode(fmu: &Fmu) -> Instance<StepMode, fmi::CoSimulation> {
 }
 
 #[test]
-fn vectors_of_the_model_have_its_size() {
+fn instance_rejects_state_and_indicator_vectors_of_wrong_length() {
     for (folder, n, z) in [
         (model("furuta"), 4, 0),
         (model("bouncing_ball"), 2, 1),
@@ -89,7 +89,7 @@ fn vectors_of_the_model_have_its_size() {
 
 /// References with fewer or more values, also where a reference stands for an array of three.
 #[test]
-fn values_are_as_many_as_their_references_stand_for() {
+fn instance_rejects_wrong_number_of_values() {
     let folder = model("van_der_pol");
     let fmu = folder.open();
     let mut instance = in_continuous_time(&fmu);
@@ -120,7 +120,7 @@ fn values_are_as_many_as_their_references_stand_for() {
 }
 
 #[test]
-fn references_are_those_of_variables_of_type_real() {
+fn instance_rejects_references_that_are_not_real() {
     let folder = arrays();
     let fmu = folder.open();
     let mut instance = in_continuous_time(&fmu);
@@ -146,7 +146,7 @@ fn references_are_those_of_variables_of_type_real() {
 }
 
 #[test]
-fn names_are_those_of_the_model() {
+fn unknown_names_are_typed_errors() {
     let folder = model("furuta");
     let fmu = folder.open();
     let mut instance = fmu.instantiate().unwrap();
@@ -187,7 +187,7 @@ fn names_are_those_of_the_model() {
 }
 
 #[test]
-fn parameters_of_a_run_are_as_many_as_in_its_plan_and_finite() {
+fn run_rejects_wrong_number_of_parameters_and_non_finite_values() {
     let folder = model("furuta");
     let options = SimulateOptions::new().final_time(0.1).parameters(["armFriction", "pendulumFriction"]);
     let plan = Arc::new(SimulationPlan::new(&folder.open(), &options).unwrap());
@@ -209,7 +209,7 @@ fn parameters_of_a_run_are_as_many_as_in_its_plan_and_finite() {
 
 /// States of another instance of the same FMU, of another FMU, of the other kind, of one that is gone.
 #[test]
-fn states_belong_to_their_instance() {
+fn restore_state_rejects_foreign_states() {
     let own = model("dahlquist");
     let fmu = own.open();
     let mut instance = in_continuous_time(&fmu);
@@ -251,7 +251,7 @@ fn states_belong_to_their_instance() {
 }
 
 #[test]
-fn the_other_way_of_running_is_refused_by_name() {
+fn unsupported_interface_is_a_typed_error() {
     let folders =
         [Fmi2ModelExchange, Fmi2CoSimulation].map(|kind| model_as("dahlquist", kind, &[], |xml| xml));
     let [exchange, stepping] = [folders[0].open(), folders[1].open()];
@@ -268,7 +268,7 @@ fn the_other_way_of_running_is_refused_by_name() {
 }
 
 #[test]
-fn paths_that_are_not_there_are_named() {
+fn missing_path_appears_in_the_error() {
     let folder = tempfile::tempdir().unwrap();
     let nowhere = folder.path().join("no.fmu");
     let limits = ArchiveLimits::default();

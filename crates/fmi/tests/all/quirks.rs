@@ -38,7 +38,7 @@ fn state(derivatives: &str) -> String {
 /// Each with the classes of the quirks that it has, sorted and each once; none: what looks odd is allowed, or nobody's
 /// business.
 #[test]
-fn descriptions_are_read_and_their_quirks_are_listed() {
+fn parse_lists_quirks_of_tolerated_descriptions() {
     use QuirkKind::{Combination, Duplicate, Range, Start, Structure, Undefined};
     let derivative = real("der(x)", 2, "derivative=\"1\"");
     let list = "<Derivatives><Unknown index=\"2\"/></Derivatives>";
@@ -155,7 +155,7 @@ fn descriptions_are_read_and_their_quirks_are_listed() {
 }
 
 #[test]
-fn what_is_written_is_passed_on_as_it_is() {
+fn parse_preserves_guid_and_names() {
     let text = two(&real("a[1,2].b", 1, ""), "").replace("guid=\"g\"", "guid=\" {8c4e810f} \"");
     let model = ModelDescription::parse(text.as_bytes()).unwrap();
     assert_eq!(model.guid, " {8c4e810f} ");
@@ -182,7 +182,7 @@ fn binaries(folder: &Folder) -> std::path::PathBuf {
 }
 
 #[test]
-fn a_binary_of_another_name_is_taken_if_it_is_alone() {
+fn binary_with_another_name_is_used_when_it_is_the_only_one() {
     let folder = evil(&[]);
     let place =
         binaries(&folder).join(&fmi::platform::binary_folders(fmi::platform::FolderNames::SystemAndBits)[0]);
@@ -197,7 +197,7 @@ fn a_binary_of_another_name_is_taken_if_it_is_alone() {
 }
 
 #[test]
-fn a_library_in_the_folder_of_the_other_standard_is_found() {
+fn library_is_found_in_the_folder_of_another_fmi_version() {
     let folder = evil(&[]);
     let folders = fmi::platform::binary_folders(fmi::platform::FolderNames::SystemAndBits);
     std::fs::rename(binaries(&folder).join(&folders[0]), binaries(&folder).join(&folders[1])).unwrap();
@@ -207,7 +207,7 @@ fn a_library_in_the_folder_of_the_other_standard_is_found() {
 }
 
 #[test]
-fn a_library_for_another_processor_is_named_with_its_machine() {
+fn library_for_another_processor_is_an_error_with_its_machine() {
     let folder = evil(&[]);
     let place = fmi::platform::find_binary(folder.path(), "evil", fmi::platform::FolderNames::SystemAndBits)
         .unwrap()
@@ -224,7 +224,7 @@ fn a_library_for_another_processor_is_named_with_its_machine() {
 }
 
 #[test]
-fn nominals_that_make_no_sense_are_corrected() {
+fn invalid_nominals_are_corrected() {
     let truth = evil(&[]).open().simulate(&SimulateOptions::new()).unwrap();
     for nominal in ["0.0", "-1.0", "NAN", "INFINITY", "-INFINITY"] {
         let folder = evil(&[&format!("NOMINAL={nominal}")]);
@@ -240,7 +240,7 @@ fn nominals_that_make_no_sense_are_corrected() {
 }
 
 #[test]
-fn an_alias_given_twice_is_named_by_both_names() {
+fn inputs_reject_two_aliases_with_different_values() {
     let folder = support::model_as(
         "switched_input",
         example_models::ExampleKind::Fmi2ModelExchange,
@@ -270,7 +270,7 @@ fn an_alias_given_twice_is_named_by_both_names() {
 }
 
 #[test]
-fn resources_are_found_in_odd_places() {
+fn resources_are_found_when_the_path_has_special_characters() {
     // An instance is given its resources as a URI; a folder with blanks and braces is no reason to fail.
     let folder = evil(&[]);
     let odd = tempfile::Builder::new().prefix("a b {c} \u{e4} 100%").tempdir().unwrap();
@@ -287,7 +287,7 @@ fn resources_are_found_in_odd_places() {
 }
 
 #[test]
-fn a_constant_parameter_keeps_its_value() {
+fn constant_parameter_keeps_its_value() {
     let folder = evil_with(&[], |xml| {
         xml.replace(
             "name=\"c\" valueReference=\"4\" variability=\"constant\"",

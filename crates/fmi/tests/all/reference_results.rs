@@ -26,7 +26,7 @@ fn run(fmu: &Fmu, step: f64, times: &[f64]) -> Trajectory {
 }
 
 #[test]
-fn dahlquist() {
+fn dahlquist_matches_the_reference_results() {
     let published = [
         (0.1, 0.9),
         (2.1, 0.109_418_989_131_512_35),
@@ -48,7 +48,7 @@ fn dahlquist() {
 }
 
 #[test]
-fn van_der_pol() {
+fn van_der_pol_matches_the_reference_results() {
     let published = [
         (0.21, 1.965_022_425_686_879_8, -0.315_015_774_013_839_6),
         (0.67, 1.740_426_787_881_690_1, -0.624_349_016_907_163_2),
@@ -70,7 +70,7 @@ fn van_der_pol() {
 }
 
 #[test]
-fn bouncing_ball() {
+fn bouncing_ball_matches_the_reference_results() {
     // Steps of 0.01 without location of events there: what is compared is the flight before the first impact, and rest.
     let published = [(0.21, 0.784_719_549_999_999_6, -2.060_1), (0.44, 0.052_550_200_000_001_05, -4.316_4)];
     let times = [0.21, 0.44, 3.0];
@@ -90,7 +90,7 @@ fn bouncing_ball() {
 }
 
 #[test]
-fn stair() {
+fn stair_matches_the_reference_results() {
     let published = [(4.2, 5.0), (8.8, 9.0), (9.0, 10.0)];
     let times = published.map(|(time, _)| time);
     for fmu in models("stair", "Stair") {

@@ -29,7 +29,7 @@ fn plan(fmu: &Fmu, kind: InterfaceChoice) -> Arc<SimulationPlan> {
 }
 
 #[test]
-fn a_reset_that_fails_is_replaced_by_a_new_instance() {
+fn simulator_creates_a_new_instance_when_reset_fails() {
     for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
         let folder = with_states(&["FAILING_RESET"]);
         let mut simulator = Simulator::new(plan(&folder.open(), kind)).unwrap().resetting();
@@ -43,7 +43,7 @@ fn a_reset_that_fails_is_replaced_by_a_new_instance() {
 
 /// New instances do not have the value given either: nothing is wrong with the restored ones, but a fit of it would be in vain.
 #[test]
-fn a_parameter_that_the_model_overrides_is_an_error() {
+fn parameter_overridden_by_the_model_is_an_error() {
     for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
         let folder = with_states(&["OVERRIDES_K"]);
         let fmu = folder.open();
@@ -62,7 +62,7 @@ fn a_parameter_that_the_model_overrides_is_an_error() {
 
 /// As models of 20-sim do.
 #[test]
-fn values_are_set_after_the_model_made_its_data() {
+fn values_are_set_after_setup_experiment() {
     let truth = |k: f64, x: f64| x * (-k).exp();
     for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
         let folder = with_states(&["BEGINS_IN_SETUP"]);
@@ -90,7 +90,7 @@ fn values_are_set_after_the_model_made_its_data() {
 }
 
 #[test]
-fn a_tolerance_is_told_where_somebody_states_one() {
+fn tolerance_is_passed_to_the_model_when_specified() {
     let folder = with_states(&["TELLS_TOLERANCE"]);
     let told = |options: SimulateOptions| {
         let options = options.final_time(1.0).outputs(["k"]);
@@ -108,7 +108,7 @@ fn a_tolerance_is_told_where_somebody_states_one() {
 }
 
 #[test]
-fn initial_values_prove_nothing_about_reset() {
+fn simulation_is_repeatable_when_reset_is_incomplete() {
     // Reset leaves a parameter a little off, which shows after the first step only.
     let step = "<CoSimulation modelIdentifier=\"evil\" canHandleVariableCommunicationStepSize=\"true\"/>";
     let folder =

@@ -19,14 +19,14 @@ fn kept(target: &str) -> Vec<PathBuf> {
 }
 
 #[test]
-fn kept_archives() {
+fn archive_seeds_keep_the_fuzz_promises() {
     for path in kept("archive") {
         promises::hold_for_archive(&path);
     }
 }
 
 #[test]
-fn kept_descriptions() {
+fn description_seeds_keep_the_fuzz_promises() {
     for path in kept("description") {
         promises::hold_for_document(&fs::read(path).unwrap());
     }
@@ -34,7 +34,7 @@ fn kept_descriptions() {
 
 /// The seeds start the fuzzer inside of all three versions: they must be read, not merely refused.
 #[test]
-fn each_version_has_a_seed_that_is_read() {
+fn description_seeds_parse_for_each_version() {
     for version in 1..=3 {
         let path = Path::new(env!("CARGO_MANIFEST_DIR"))
             .join(format!("../../fuzz/seeds/description/fmi{version}.xml"));

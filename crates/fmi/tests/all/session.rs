@@ -24,7 +24,7 @@ fn fresh(fmu: &Fmu, values: &[(&str, f64)], options: &SimulateOptions) -> Trajec
 }
 
 #[test]
-fn other_values_times_outputs_and_methods_are_those_of_a_new_session() {
+fn session_matches_a_new_session_after_changed_settings() {
     let folder = model("van_der_pol");
     let fmu = folder.open();
     let span = || SimulateOptions::new().final_time(5.0);
@@ -60,7 +60,7 @@ fn other_values_times_outputs_and_methods_are_those_of_a_new_session() {
 }
 
 #[test]
-fn what_cannot_be_set_is_refused_also_when_the_plan_is_there() {
+fn session_rejects_invalid_values_when_a_plan_exists() {
     let folder = model("dahlquist");
     let fmu = folder.open();
     let mut session = Session::new(fmu.clone());
@@ -75,7 +75,7 @@ fn what_cannot_be_set_is_refused_also_when_the_plan_is_there() {
 }
 
 #[test]
-fn other_inputs_count() {
+fn session_uses_changed_inputs() {
     let folder = model("quad_tank");
     let fmu = folder.open();
     let driven = |u: f64| {
@@ -101,7 +101,7 @@ fn other_inputs_count() {
 }
 
 #[test]
-fn a_flag_that_was_raised_cancels_the_next_simulation_only() {
+fn cancel_flag_ends_only_simulations_while_set() {
     let flag = Arc::new(AtomicBool::new(false));
     let options = SimulateOptions::new().final_time(1.0).cancel(Arc::clone(&flag));
     let folder = model("dahlquist");
@@ -116,7 +116,7 @@ fn a_flag_that_was_raised_cancels_the_next_simulation_only() {
 /// The model keeps its parameter in a static variable, and its reset function brings back what that was when the instance was made (as
 /// Simulink's do).
 #[test]
-fn what_was_set_before_is_set_back_in_every_run() {
+fn session_resets_start_values_before_every_run() {
     let folder = evil(&["STATIC_PARAMETERS", "RESET_AS_MADE"]);
     let mut session = Session::new(folder.open());
     let plain = SimulateOptions::new().final_time(1.0);

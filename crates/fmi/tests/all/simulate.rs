@@ -19,7 +19,7 @@ fn close(a: f64, b: f64, tolerance: f64) {
 }
 
 #[test]
-fn dahlquist_decays() {
+fn dahlquist_decays_exponentially() {
     let folder = model("dahlquist");
     let options = SimulateOptions::new().final_time(10.0).relative_tolerance(1e-9).start_value("k", 0.5);
     let result = folder.open().simulate(&options).unwrap();
@@ -31,7 +31,7 @@ fn dahlquist_decays() {
 }
 
 #[test]
-fn results_that_are_not_finite_are_named_with_their_times() {
+fn not_finite_lists_columns_with_times() {
     let options = SimulateOptions::new().final_time(1.0).ncp(4).outputs(["h", "v"]);
     let mut result = model("bouncing_ball").open().simulate(&options).unwrap();
     assert_eq!(result.not_finite(), None);
@@ -46,7 +46,7 @@ fn results_that_are_not_finite_are_named_with_their_times() {
 
 /// x' = -x: its error is measured against its size, or not where the description calls it unbounded.
 #[test]
-fn unbounded_states_are_held_to_their_absolute_tolerance() {
+fn unbounded_states_use_the_absolute_tolerance() {
     let run = |start: &str| {
         let folder = evil_with(&[], |xml| {
             let edited = xml.replacen(r#"<Real start="1"/>"#, start, 1);
@@ -65,7 +65,7 @@ fn unbounded_states_are_held_to_their_absolute_tolerance() {
 }
 
 #[test]
-fn fixed_step_methods_run() {
+fn fixed_step_methods_match_closed_forms() {
     let folder = model("dahlquist");
     let fmu = folder.open();
     let run = |method, step| {
@@ -77,7 +77,7 @@ fn fixed_step_methods_run() {
 }
 
 #[test]
-fn the_ball_bounces_at_the_known_times() {
+fn bouncing_ball_bounces_at_the_exact_times() {
     let folder = model("bouncing_ball");
     let options = SimulateOptions::new().final_time(3.0).relative_tolerance(1e-6).record_events(true);
     let result = folder.open().simulate(&options).unwrap();
@@ -101,7 +101,7 @@ fn the_ball_bounces_at_the_known_times() {
 }
 
 #[test]
-fn the_stair_climbs_at_time_events_and_ends_the_simulation() {
+fn stair_climbs_at_time_events_and_ends_the_simulation() {
     let folder = model("stair");
     let options = SimulateOptions::new().start_time(0.0).final_time(20.0).output_interval(0.5);
     let result = folder.open().simulate(&options).unwrap();
@@ -152,7 +152,7 @@ fn inputs_of_all_types_jump_at_events() {
 }
 
 #[test]
-fn ramps_are_linear_between_rows_and_functions_are_followed() {
+fn inputs_follow_ramps_jumps_and_functions() {
     let folder = model("switched_input");
     let fmu = folder.open();
     let ramp = |t: f64| 2.0 * 0.3 * (t - 0.5 * (1.0 - (-t / 0.5).exp()));
@@ -175,7 +175,7 @@ fn ramps_are_linear_between_rows_and_functions_are_followed() {
 }
 
 #[test]
-fn van_der_pol_reaches_the_reference() {
+fn van_der_pol_reaches_the_reference_values() {
     let folder = model("van_der_pol");
     let fmu = folder.open();
     let states: Vec<String> = fmu
@@ -205,7 +205,7 @@ fn furuta(fmu: &Fmu) -> Arc<SimulationPlan> {
 }
 
 #[test]
-fn a_second_run_has_the_same_bits() {
+fn simulator_repeats_a_run_bit_for_bit() {
     let folder = model("furuta");
     let fmu = folder.open();
     let mut simulator = Simulator::new(furuta(&fmu)).unwrap().resetting();
@@ -222,7 +222,7 @@ fn a_second_run_has_the_same_bits() {
 }
 
 #[test]
-fn workers_get_the_same_bits_side_by_side() {
+fn shared_simulator_is_bit_for_bit_repeatable_across_threads() {
     let folder = model("furuta");
     let pool = SharedSimulator::new(furuta(&folder.open()));
     let run = |values: [f64; 2]| {
@@ -242,7 +242,7 @@ fn workers_get_the_same_bits_side_by_side() {
 }
 
 #[test]
-fn an_observer_ends_a_run_at_any_sample() {
+fn observer_ends_a_run_at_any_sample() {
     struct Stop(usize);
     impl ode::Observer for Stop {
         fn sample(&mut self, sample: &ode::Sample<'_>) -> std::ops::ControlFlow<()> {
@@ -288,7 +288,7 @@ fn furuta_follows_the_reference_values() {
 }
 
 #[test]
-fn bad_requests_are_typed_errors_with_names() {
+fn invalid_options_are_typed_errors_with_names() {
     let folder = model("furuta");
     let fmu = folder.open();
     let plan = |options: SimulateOptions| SimulationPlan::new(&fmu, &options.final_time(1.0));
@@ -317,7 +317,7 @@ fn bad_requests_are_typed_errors_with_names() {
 }
 
 #[test]
-fn bad_tables_name_variable_row_and_number() {
+fn input_errors_contain_variable_row_and_number() {
     let folder = model("switched_input");
     let fmu = folder.open();
     let problem = |inputs: Inputs| {
@@ -355,7 +355,7 @@ fn bad_tables_name_variable_row_and_number() {
 }
 
 #[test]
-fn outputs_are_chosen_by_name_by_pattern_or_all() {
+fn outputs_are_selected_by_name_pattern_or_all() {
     let folder = model("switched_input");
     let fmu = folder.open();
     let names = |options: SimulateOptions| fmu.simulate(&options.final_time(0.1).ncp(1)).unwrap().names;
@@ -380,7 +380,7 @@ fn outputs_are_chosen_by_name_by_pattern_or_all() {
 }
 
 #[test]
-fn a_model_without_outputs_and_states_shows_what_changes() {
+fn model_without_outputs_and_states_records_changing_variables() {
     let folder = model_as("dahlquist", ExampleKind::Fmi1ModelExchange, &[], |xml| {
         xml.replace(r#"causality="output""#, r#"causality="internal""#)
     });
@@ -390,7 +390,7 @@ fn a_model_without_outputs_and_states_shows_what_changes() {
 }
 
 #[test]
-fn a_short_span_at_a_large_time_is_simulated() {
+fn simulation_supports_a_short_span_at_a_large_time() {
     let folder = model("dahlquist");
     for span in [1e-5, 1e-3] {
         let options = SimulateOptions::new().start_time(1e9).final_time(1e9 + span);

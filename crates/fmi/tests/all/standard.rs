@@ -29,7 +29,7 @@ fn slave(faults: &[&str], more: &str) -> support::Folder {
 }
 
 #[test]
-fn step_events_happen_in_all_versions() {
+fn step_events_occur_in_all_versions() {
     use ExampleKind::{Fmi1CoSimulation, Fmi1ModelExchange, Fmi2CoSimulation, Fmi2ModelExchange, Fmi3};
     let kinds = [Fmi1ModelExchange, Fmi2ModelExchange, Fmi3, Fmi1CoSimulation, Fmi2CoSimulation, Fmi3];
     for (which, kind) in kinds.into_iter().enumerate() {
@@ -61,7 +61,7 @@ fn step_events_happen_in_all_versions() {
 }
 
 #[test]
-fn variables_computed_with_the_derivatives_only_are_right() {
+fn outputs_are_current_when_computed_with_the_derivatives() {
     let (stale, plain) = (evil(&["STALE_OUTPUTS"]), evil(&[]));
     let options = SimulateOptions::new().ncp(97).outputs(["y"]).parameters(["k"]).relative_tolerance(1e-9);
     let plan = Arc::new(SimulationPlan::new(&stale.open(), &options).unwrap());
@@ -106,7 +106,7 @@ fn is_right_with_completed_steps(faults: &[&str], outputs: &[&str], right: fn(f6
 }
 
 #[test]
-fn variables_of_openmodelica_computed_with_completed_steps_only_are_right() {
+fn openmodelica_outputs_are_current_when_computed_in_completed_steps() {
     is_right_with_completed_steps(&[], &["y"], |t| (-t).exp());
     // The derivative changes from the first step on, y from 0.5 on only.
     let rests = |t: f64| if t < 0.5 { 1.0 } else { (-t).exp() };
@@ -144,7 +144,7 @@ fn rows_are_read_before_the_inputs_of_the_next_step_are_set() {
 }
 
 #[test]
-fn inputs_of_models_that_extrapolate_have_their_first_values_before_the_initialization() {
+fn extrapolated_inputs_are_set_before_the_initialization() {
     let capability = " canInterpolateInputs=\"true\"";
     for faults in [&["LATCHES", "EXTRAPOLATES"][..], &["LATCHES", "REFUSES_EARLY_INPUTS"]] {
         let folder = slave(faults, capability);
@@ -166,7 +166,7 @@ fn inputs_of_models_that_extrapolate_have_their_first_values_before_the_initiali
 }
 
 #[test]
-fn derivatives_of_inputs_are_told_unless_they_are_not_wanted() {
+fn input_derivatives_are_passed_unless_disabled() {
     let fmu =
         Fmu::open(example_models::example_fmu_as("switched_input", ExampleKind::Fmi2CoSimulation).unwrap())
             .unwrap();
@@ -190,7 +190,7 @@ fn derivatives_of_inputs_are_told_unless_they_are_not_wanted() {
 }
 
 #[test]
-fn steps_of_one_length_have_one_length() {
+fn equal_steps_have_bit_for_bit_equal_length() {
     // The model refuses a step that is the first one but for rounding.
     let folder = slave(&["ONE_LENGTH=9.94"], "");
     let times: Vec<f64> = (0..=200).map(|k| f64::from(k) * 0.05).collect();
@@ -209,7 +209,7 @@ fn steps_of_one_length_have_one_length() {
 }
 
 #[test]
-fn a_discarded_step_was_not_made_and_an_early_return_is_gone_on_from() {
+fn co_simulation_continues_after_discarded_and_early_steps() {
     let options = SimulateOptions::new().ncp(10).step_size(0.1);
     let straight = |folder: &support::Folder| {
         let result = folder.open().simulate(&options).unwrap();
@@ -243,7 +243,7 @@ fn a_discarded_step_was_not_made_and_an_early_return_is_gone_on_from() {
 }
 
 #[test]
-fn models_are_told_whether_they_may_be_taken_back() {
+fn model_is_told_if_the_state_may_be_restored() {
     let folder = evil(&["REPORTS_PRIOR", "STATES"]);
     let instance = folder.open().instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
     let mut instance = instance.exit_initialization().unwrap().enter_continuous_time().unwrap();
@@ -270,7 +270,7 @@ fn models_are_told_whether_they_may_be_taken_back() {
 }
 
 #[test]
-fn enumerations_of_early_versions_are_as_wide_as_an_int() {
+fn enumerations_before_fmi3_are_limited_to_32_bits() {
     let folder = evil_with(&[], |xml| {
         xml.replace("<Integer start=\"3\"/>", "<Enumeration declaredType=\"E\" start=\"3\"/>").replace(
             "<ModelVariables>",
@@ -289,7 +289,7 @@ fn enumerations_of_early_versions_are_as_wide_as_an_int() {
 }
 
 #[test]
-fn why_listed_sources_cannot_be_built_is_said() {
+fn missing_listed_source_is_reported() {
     let folder = evil_with(&[], |xml| {
         let files = "<ModelExchange modelIdentifier=\"evil\"><SourceFiles><File name=\"gone.c\"/></SourceFiles></ModelExchange>";
         xml.replace("<ModelExchange modelIdentifier=\"evil\"/>", files)

@@ -43,7 +43,7 @@ fn without_starts(text: &str, texts: &[&str]) -> String {
 }
 
 #[test]
-fn nothing_but_the_start_values_changes() {
+fn write_with_start_values_changes_only_start_values() {
     let folder = tempfile::tempdir().unwrap();
     for kind in [
         ExampleKind::Fmi1ModelExchange,
@@ -75,7 +75,7 @@ fn nothing_but_the_start_values_changes() {
 }
 
 #[test]
-fn a_folder_becomes_a_file() {
+fn write_with_start_values_packs_a_folder() {
     let fmu = Fmu::open(example_fmu_as("dahlquist", ExampleKind::Fmi2ModelExchange).unwrap()).unwrap();
     let (folder, to) = (fmu.root().unwrap(), tempfile::tempdir().unwrap());
     let copy = copied(&Fmu::open(folder).unwrap(), &[("k", 3.0)], &to.path().join("copy.fmu")).unwrap();
@@ -84,7 +84,7 @@ fn a_folder_becomes_a_file() {
 }
 
 #[test]
-fn what_cannot_start_with_a_value_is_refused() {
+fn write_with_start_values_rejects_invalid_values() {
     let fmu = Fmu::open(example_fmu_as("furuta", ExampleKind::Fmi2ModelExchange).unwrap()).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let refusal =
@@ -101,7 +101,7 @@ fn what_cannot_start_with_a_value_is_refused() {
 
 /// All parameters of the FMUs in a folder, if one is named: `FMUFIT_FMUS=/a/folder cargo test`.
 #[test]
-fn fmus_of_other_tools_keep_their_files() {
+fn write_with_start_values_preserves_files_of_other_tools() {
     let Some(folder) = std::env::var_os("FMUFIT_FMUS") else { return };
     let to = tempfile::tempdir().unwrap();
     for file in std::fs::read_dir(folder).unwrap() {

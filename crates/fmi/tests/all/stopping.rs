@@ -110,7 +110,7 @@ fn ended(fmu: &Fmu, way: Way, options: impl Fn(SimulateOptions) -> SimulateOptio
 }
 
 #[test]
-fn an_endless_event_iteration_ends_from_outside() {
+fn endless_event_iteration_can_be_stopped() {
     let models: [(ExampleKind, InterfaceChoice); 3] = [
         (Fmi2ModelExchange, InterfaceChoice::ModelExchange),
         (Fmi3, InterfaceChoice::ModelExchange),
@@ -129,7 +129,7 @@ fn an_endless_event_iteration_ends_from_outside() {
 }
 
 #[test]
-fn an_endless_iteration_of_clocks_ends_from_outside() {
+fn endless_clock_iteration_can_be_stopped() {
     for time in [0.0, 0.5] {
         for kind in KINDS {
             for way in WAYS {
@@ -153,7 +153,7 @@ impl Observer for Rows {
 }
 
 #[test]
-fn rows_inside_of_a_step_end_with_the_run() {
+fn cancelled_run_delivers_no_further_rows_within_a_step() {
     let only_whole_steps = |xml: String| {
         xml.replace(
             "canHandleVariableCommunicationStepSize=\"true\"",

@@ -31,7 +31,7 @@ fn assert_close(found: &[f64], expected: &[f64], relative: f64) {
 }
 
 #[test]
-fn derivatives_of_the_exhaust_pipe() {
+fn exhaust_pipe_derivatives_match_the_equations() {
     let folder = model("exhaust");
     let start = [
         ("p1", 1.5e5),
@@ -56,7 +56,7 @@ fn derivatives_of_the_exhaust_pipe() {
 
 /// No flow runs backward, and none at all is no division by zero.
 #[test]
-fn an_exhaust_pipe_without_a_pressure_drop_stands_still() {
+fn exhaust_pipe_has_no_flow_without_pressure_drop() {
     let folder = model("exhaust");
     let start = [("p_in", 1e5), ("p1", 1e5), ("p2", 1.01e5), ("p_out", 1.02e5), ("w_turb1", 0.0)];
     let found = at_start(&folder.open(), &start, &["m1", "m2", "m3", "Ta", "T_in"]);
@@ -65,7 +65,7 @@ fn an_exhaust_pipe_without_a_pressure_drop_stands_still() {
 }
 
 #[test]
-fn what_the_exhaust_pipe_refuses() {
+fn exhaust_pipe_rejects_invalid_parameters() {
     let folder = model("exhaust");
     let fmu = folder.open();
     let refused = |name: &str, value: f64| {
@@ -84,7 +84,7 @@ fn what_the_exhaust_pipe_refuses() {
 }
 
 #[test]
-fn derivatives_of_the_tanks() {
+fn tank_derivatives_match_the_equations() {
     let folder = model("quad_tank");
     let names = ["der(qt.x1)", "der(qt.x2)", "der(qt.x3)", "der(qt.x4)"];
     let found = at_start(&folder.open(), &[("u1", 5.0), ("u2", 6.0)], &names);
@@ -96,7 +96,7 @@ fn derivatives_of_the_tanks() {
 }
 
 #[test]
-fn the_tanks_settle_and_empty_as_they_should() {
+fn tanks_settle_and_empty_at_the_exact_levels() {
     let folder = model("quad_tank");
     let fmu = folder.open();
     let options = SimulateOptions {
@@ -127,7 +127,7 @@ fn the_tanks_settle_and_empty_as_they_should() {
 }
 
 #[test]
-fn directional_derivatives_of_the_tanks_are_those_of_the_equations() {
+fn tank_directional_derivatives_match_differences() {
     let folder = model("quad_tank");
     let fmu = folder.open();
     let description = fmu.description();

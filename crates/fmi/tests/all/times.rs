@@ -11,7 +11,7 @@ use std::thread::sleep;
 use std::time::Duration;
 
 #[test]
-fn every_kind_has_times_and_input_functions_are_not_the_model() {
+fn model_time_excludes_input_functions_in_every_kind() {
     for kind in ExampleKind::ALL {
         let fmu = Fmu::open(example_fmu_as("switched_input", kind).unwrap()).unwrap();
         let naps = Arc::new(AtomicU32::new(0));

@@ -33,7 +33,7 @@ fn tunable_parameter_changes_at_the_rows_of_its_table() {
 }
 
 #[test]
-fn tunable_parameter_with_one_row_has_its_value_from_before_the_initialization() {
+fn tunable_parameter_is_set_before_the_initialization() {
     let fmu = model(ExampleKind::Fmi2ModelExchange);
     let driven = fmu.simulate(&options(vec![0.0], vec![1.25])).unwrap();
     let set = SimulateOptions {
@@ -49,7 +49,7 @@ fn tunable_parameter_with_one_row_has_its_value_from_before_the_initialization()
 }
 
 #[test]
-fn parameter_that_is_not_tunable_is_refused() {
+fn inputs_reject_a_parameter_that_is_not_tunable() {
     let inputs = Inputs::new().series("T", vec![0.0, 1.0], vec![0.5, 1.0]);
     let error = model(ExampleKind::Fmi2ModelExchange)
         .simulate(&SimulateOptions::new().final_time(1.0).inputs(inputs))

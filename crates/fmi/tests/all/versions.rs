@@ -37,7 +37,7 @@ fn agree(name: &str, truth: &Trajectory, found: &Trajectory, tolerance: f64) {
 }
 
 #[test]
-fn model_exchange_has_the_same_bits_in_all_versions() {
+fn model_exchange_is_bit_for_bit_identical_in_all_versions() {
     for (name, end) in MODELS {
         // An implicit method takes its Jacobian from directional derivatives, which FMI 1.0 does not have.
         let options = SimulateOptions::new()
@@ -73,7 +73,7 @@ fn co_simulation_agrees_in_all_versions() {
 }
 
 #[test]
-fn a_model_may_end_the_simulation_in_all_versions() {
+fn model_ends_the_simulation_in_all_versions() {
     // The stair ends at 9 s: between two communication points, and at one.
     for (interval, last) in [(0.4, 8.8), (0.5, 9.0)] {
         let options = SimulateOptions::new().final_time(20.0).output_interval(interval);
@@ -148,7 +148,7 @@ fn events_end_steps_of_co_simulation_early() {
 }
 
 #[test]
-fn a_second_run_has_the_same_bits_in_all_versions() {
+fn simulator_repeats_a_run_bit_for_bit_in_all_versions() {
     let options = SimulateOptions::new()
         .final_time(1.0)
         .ncp(10)
@@ -165,7 +165,7 @@ fn a_second_run_has_the_same_bits_in_all_versions() {
 }
 
 #[test]
-fn values_and_errors_of_all_versions() {
+fn values_and_errors_are_consistent_in_all_versions() {
     for (kind, get) in [
         (ExampleKind::Fmi1ModelExchange, "fmiInitialize"),
         (ExampleKind::Fmi1CoSimulation, "fmiInitializeSlave"),
@@ -205,7 +205,7 @@ fn descriptions_of_all_versions_conform() {
 }
 
 #[test]
-fn negated_aliases_have_the_other_sign_everywhere() {
+fn negated_aliases_reverse_the_sign_of_all_values() {
     let folder = support::model_as("switched_input", ExampleKind::Fmi1ModelExchange, &[], |xml| {
         let alias = |name: &str, reference: u32, attributes: &str, kind: &str| {
             format!(
@@ -266,7 +266,7 @@ fn negated_aliases_have_the_other_sign_everywhere() {
 }
 
 #[test]
-fn scheduled_execution_is_described_and_refused() {
+fn scheduled_execution_is_described_but_not_run() {
     let folder = support::model_as("dahlquist", ExampleKind::Fmi3, &[], |xml| {
         let at = xml.find("<ModelExchange").unwrap();
         let end = xml.find("<UnitDefinitions").or(xml.find("<LogCategories")).unwrap();
