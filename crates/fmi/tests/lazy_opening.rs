@@ -1,5 +1,5 @@
-//! Opening reads the description alone; what a library needs is unpacked when it is loaded, and again where it was
-//! removed since; the rest when it is asked for.
+//! Opening reads only the description. The files that a library needs are unpacked when it is loaded, and
+//! again if they were removed since. All other files are unpacked on request.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 mod zip_bytes;
@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use zip_bytes::{Entry, zip};
 
-/// Files of a bundled example as entries of an archive.
+/// Returns the files of a bundled example as entries of an archive.
 fn example_entries() -> Vec<Entry> {
     let fmu = Fmu::open(example_models::example_fmu("dahlquist").unwrap()).unwrap();
     let root = fmu.root().unwrap();
@@ -30,7 +30,7 @@ fn example_entries() -> Vec<Entry> {
     entries
 }
 
-/// The example with a resource, documentation and a library for another platform.
+/// Writes the example with a resource, documentation and a library for another platform.
 fn write_archive(path: &Path, more: &[Entry]) {
     let mut entries = example_entries();
     entries.push(Entry::stored("resources/deep/table.txt", b"1 2 3"));
@@ -50,8 +50,8 @@ fn private_folders(base: &Path) -> Vec<PathBuf> {
     names.filter(|path| path.join("fmu").is_dir()).map(|path| path.join("fmu")).collect()
 }
 
-/// Runs a test again in a process with its own folder for temporary files, where nobody else makes or removes anything.
-/// Whether this is that process.
+/// Runs a test again in a process with a separate folder for temporary files, which no other process changes.
+/// Returns true in that process.
 fn is_alone(test: &str) -> bool {
     const INSIDE: &str = "FMUFIT_TEST_INSIDE";
     if std::env::var_os(INSIDE).is_some() {
@@ -128,7 +128,7 @@ fn what_is_removed_is_unpacked_again() {
         assert_eq!(fs::read_to_string(&table).unwrap(), "1 2 3");
         assert_eq!(simulate(&fmu), expected);
     }
-    // Before the library is loaded, but after something was unpacked.
+    // Before the library is loaded, but after a file was unpacked.
     for clean in &cleaners[1..] {
         let fmu = Fmu::open(&path).unwrap();
         clean(&fmu.root().unwrap());
@@ -151,7 +151,7 @@ fn what_cannot_be_unpacked_again_is_said() {
     for part in ["m.fmu", "were removed from", "unpacking them again failed", "was written over"] {
         assert!(message.contains(part), "{message}");
     }
-    // A folder that is no private one.
+    // A folder that is not a private one.
     let loose = tempfile::tempdir().unwrap();
     fs::write(loose.path().join("modelDescription.xml"), zip_bytes::DESCRIPTION).unwrap();
     let fmu = Fmu::open(loose.path()).unwrap();
@@ -166,18 +166,18 @@ fn open_fmu_detects_a_modified_file() {
     let (path, new) = (folder.path().join("m.fmu"), folder.path().join("new.fmu"));
     write_archive(&path, &[]);
     let first = Fmu::open(&path).unwrap();
-    // Another file takes its name: the opened one is still there.
+    // Another file takes the same name: the opened file still exists.
     write_archive(&new, &[Entry::stored("resources/new.txt", b"4")]);
     fs::rename(&new, &path).unwrap();
     assert!(!first.root().unwrap().join("resources/new.txt").exists());
-    // Its bytes change: what was not unpacked is gone.
+    // Its bytes change: files that were not unpacked are lost.
     let second = Fmu::open(&path).unwrap();
     write_archive(&path, &[Entry::stored("resources/newer.txt", b"5")]);
     for error in [second.instantiate().map(drop).unwrap_err(), second.content_hash().map(drop).unwrap_err()] {
         assert!(error.to_string().contains("written over after it had been opened"), "{error}");
     }
     assert!(Fmu::open(&path).unwrap().root().unwrap().join("resources/newer.txt").exists());
-    // As many bytes, and the time of writing put back.
+    // The size is unchanged, and the modification time is restored.
     let third = Fmu::open(&path).unwrap();
     third.root().unwrap();
     let written = fs::metadata(&path).unwrap().modified().unwrap();
@@ -185,7 +185,7 @@ fn open_fmu_detects_a_modified_file() {
     fs::File::options().write(true).open(&path).unwrap().set_modified(written).unwrap();
     let error = third.content_hash().map(drop).unwrap_err();
     assert!(error.to_string().contains("written over after it had been opened"), "{error}");
-    // Another mode is no other content.
+    // A change of the mode does not change the content.
     let fourth = Fmu::open(&path).unwrap();
     let mut mode = fs::metadata(&path).unwrap().permissions();
     mode.set_readonly(true);
@@ -204,7 +204,7 @@ fn unpacking_rejects_damaged_entries() {
         assert!(message.contains(name) && message.contains("damaged"), "{message}");
         assert_eq!(fmu.instantiate().is_err(), is_needed, "{name}");
     }
-    // The description itself, when it is read.
+    // The description is checked when it is read.
     let damaged = zip_bytes::description().with(|entry| entry.crc32 ^= 1);
     fs::write(&path, zip(&[damaged])).unwrap();
     let archive = fmi::Archive::open(&path).unwrap();

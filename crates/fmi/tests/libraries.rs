@@ -1,4 +1,4 @@
-//! The loaded library of an open FMU: who is inside of it, who has it, and what becomes of it.
+//! Loaded library of an open FMU: access by threads, ownership and unloading.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -25,7 +25,7 @@ fn simulator(fmu: &Fmu) -> Simulator {
     Simulator::new(Arc::new(SimulationPlan::new(fmu, &options().parameters(["k"])).unwrap())).unwrap()
 }
 
-/// y(1) of y' = -k y.
+/// True if the result is y(1) of y' = -k y.
 fn is_of(k: f64, result: &Trajectory) -> bool {
     (result.final_value("y").unwrap().unwrap() - (-k).exp()).abs() < 1e-5
 }
@@ -36,7 +36,7 @@ fn only_once(faults: &[&str]) -> Folder {
     })
 }
 
-/// The library ends the process when two threads are in it.
+/// The library ends the process if two threads are inside it.
 #[test]
 fn library_is_used_by_one_thread_at_a_time() {
     for folder in [evil(&["DIES_WITH_TWO"]), evil_with_sibling(&["DIES_WITH_TWO"], "alone")] {
@@ -58,7 +58,7 @@ fn library_is_used_by_one_thread_at_a_time() {
                         let mut by_hand =
                             fmu.instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
                         by_hand.get("k").unwrap();
-                        // One that nobody else has.
+                        // An FMU that no other thread uses.
                         let opened = folder.open();
                         assert!(is_of(k, &opened.simulate(&options().start_value("k", k)).unwrap()));
                     }
@@ -68,7 +68,7 @@ fn library_is_used_by_one_thread_at_a_time() {
     }
 }
 
-/// Of each handle a library of its own, unless the loader gives them one all the same: then their runs take turns.
+/// Each handle has a separate library. If the loader shares one library between them, their runs take turns.
 #[test]
 fn opening_a_file_twice_gives_independent_models() {
     for folder in [
@@ -98,7 +98,7 @@ fn opening_a_file_twice_gives_independent_models() {
     simulators.iter_mut().for_each(|(k, simulator)| assert_eq!(simulator.get("twice_k").unwrap(), 2.0 * *k));
 }
 
-/// Each has a library of its own there.
+/// Each instance has a separate library.
 #[test]
 fn single_instance_models_support_several_simulators() {
     use example_models::ExampleKind::{Fmi1CoSimulation, Fmi2CoSimulation, Fmi2ModelExchange, Fmi3};
@@ -124,7 +124,7 @@ fn single_instance_models_support_several_simulators() {
         (Fmi3, InterfaceChoice::ModelExchange),
         (Fmi3, InterfaceChoice::CoSimulation),
     ] {
-        // FMI 1.0 has the flag for co-simulation only, in another element.
+        // FMI 1.0 has the flag only for co-simulation, in another element.
         let place =
             if version == Fmi1CoSimulation { "<Capabilities" } else { "modelIdentifier=\"dahlquist\"" };
         let flag = format!("{place} canBeInstantiatedOnlyOncePerProcess=\"true\"");
@@ -145,7 +145,7 @@ fn single_instance_models_support_several_simulators() {
     }
 }
 
-/// A simulation that waits in an input function, and what lets it go on.
+/// Runs `work` while a simulation waits in an input function, and then lets the simulation continue.
 fn with_a_simulation_inside(fmu: &Fmu, work: impl FnOnce()) {
     let (entered, is_inside) = channel();
     let (go_on, may_go_on) = channel::<()>();
@@ -195,7 +195,7 @@ fn waiting_simulation_ends_when_cancelled_or_timed_out() {
     let fmu = folder.open();
     fmu.prepare(InterfaceChoice::Auto, &fmi::CancelRequest::default()).unwrap();
     with_a_simulation_inside(&fmu, || {
-        // What sets the same variables is in the same library.
+        // Simulations that set the same variables share a library.
         let inputs = Inputs::new().table(vec![0.0, 1.0], [("u", vec![0.0, 0.0])]);
         let options = || options().inputs(inputs.clone());
         let kind = |options: SimulateOptions| match fmu.simulate(&options).unwrap_err() {
@@ -245,7 +245,7 @@ fn fatal_abandons_the_library_and_the_next_run_loads_another() {
         assert_eq!(error.call_failure().unwrap().status, Status::Fatal);
         fmu.simulate(&options().final_time(0.25)).unwrap();
     }
-    // Instances made by hand are in another library.
+    // Instances that the test controls use another library.
     assert_eq!(other.get("x").unwrap(), 1.0.into());
     let instance = fmu.instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
     let mut stepping = instance.exit_initialization().unwrap().enter_continuous_time().unwrap();

@@ -1,4 +1,4 @@
-//! How libraries are loaded: what lies beside them, whose symbols come first, what the loader says.
+//! Loading of libraries: libraries next to them, precedence of symbols, and messages of the loader.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -11,7 +11,7 @@ fn open(folder: &Folder, loader: LoaderOptions) -> Fmu {
     Fmu::open_with(folder.path(), &OpenOptions { loader, ..OpenOptions::default() }).unwrap()
 }
 
-/// y(1) of y' = -k y, y(0) = 1.
+/// Returns y(1) of y' = -k y, y(0) = 1.
 fn end(fmu: &Fmu, k: f64) -> Result<f64, FmiError> {
     let options = SimulateOptions::new().start_value("k", k).relative_tolerance(1e-8);
     fmu.simulate(&options).map(|result| result.final_value("y").unwrap().unwrap())
@@ -44,13 +44,13 @@ fn loader_messages_are_passed_on_verbatim() {
 #[test]
 fn lazy_loading_tolerates_missing_unused_functions() {
     let folder = evil(&["UNDEFINED_SYMBOL"]);
-    // The refusal leaves nothing behind.
+    // The failed attempt leaves nothing behind.
     end(&folder.open(), 1.0).unwrap_err();
     let fmu = open(&folder, LoaderOptions { lazy: true, ..LoaderOptions::default() });
     assert!((end(&fmu, 2.0).unwrap() - (-2f64).exp()).abs() < 1e-7);
 }
 
-/// The model calls `atoi("3")`, and has an `atoi` of its own that always answers 7.
+/// The model calls `atoi("3")`, and defines another `atoi` that always returns 7.
 #[test]
 fn deepbind_gives_library_symbols_precedence() {
     if std::env::var_os("ASAN_OPTIONS").is_some() {
@@ -104,13 +104,13 @@ fn log_messages_reach_the_instance_with_any_environment() {
     }
 }
 
-/// The library of an FMU in a folder.
+/// Returns the library of an FMU in a folder.
 fn library_of(folder: &Folder, name: &str) -> std::path::PathBuf {
     let platform = &fmi::platform::binary_folders(fmi::platform::FolderNames::SystemAndBits)[0];
     folder.path().join("binaries").join(platform).join(format!("{name}.{}", fmi::platform::LIBRARY_EXTENSION))
 }
 
-/// The loader of Linux ends the process where it reads beyond the end of a file.
+/// The Linux loader ends the process if it reads beyond the end of a file.
 #[cfg(target_os = "linux")]
 #[test]
 fn truncated_library_is_rejected_with_its_length() {
@@ -126,7 +126,7 @@ fn truncated_library_is_rejected_with_its_length() {
             assert!(message.contains(part), "{share} %: {message}");
         }
     }
-    // A library beside it, which the loader loads with it.
+    // A sibling library, which the loader loads together with the model's library.
     let folder = evil_with_sibling(&[], "short");
     let sibling = library_of(&folder, "libshort");
     let whole = std::fs::read(&sibling).unwrap();
@@ -155,7 +155,7 @@ fn invalid_library_file_is_an_error_with_its_type() {
     }
 }
 
-/// The description would be that of another version.
+/// The description would belong to another version.
 #[test]
 fn library_replaced_after_opening_is_rejected() {
     let (folder, other) = (evil(&[]), evil(&["FASTER"]));

@@ -1,5 +1,5 @@
-//! Source-code FMUs: built with the system's compiler, kept by content, packed reproducibly. Each test that needs a
-//! cache or a compiler of its own runs itself again in a process with that environment.
+//! Source-code FMUs: compiled with the system's compiler, cached by content, packed reproducibly. A test that
+//! needs a separate cache or compiler runs itself again in a process with that environment.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -22,7 +22,7 @@ fn description(files: &str) -> String {
     )
 }
 
-/// A folder with a model of two files.
+/// Returns a folder with a model of two files.
 fn source_folder() -> tempfile::TempDir {
     let root = tempfile::tempdir().unwrap();
     fs::write(root.path().join("modelDescription.xml"), description("<File name=\"model.c\"/>")).unwrap();
@@ -42,8 +42,8 @@ fn build(root: &Path) -> Result<PathBuf, FmiError> {
     build_library(&archive.unpack()?, &model, model.model_exchange.as_ref().unwrap(), archive.content_hash()?)
 }
 
-/// Runs the body of a test in a process of its own, with a cache folder of its own and more variables: starts this
-/// program again for that one test, where the body is run.
+/// Runs the body of a test in a separate process, with a separate cache folder and additional variables.
+/// Starts this program again for this one test, which then runs the body.
 fn in_own_environment(test: &str, variables: &[(&str, &str)], body: fn()) {
     const INSIDE: &str = "FMUFIT_TEST_INSIDE";
     if std::env::var_os(INSIDE).is_some() {
@@ -92,7 +92,7 @@ fn builds_once_per_content() {
     fs::write(root.path().join("sources/model.h"), "#define ANSWER 43\n").unwrap();
     assert_ne!(build(root.path()).unwrap(), library);
     assert_eq!(kept().len(), 2);
-    // Many at once: all succeed, one result is kept, nothing unfinished stays.
+    // Several builds at the same time: all succeed, one result is kept, and no unfinished files remain.
     fs::write(root.path().join("sources/model.h"), "#define ANSWER 44\n").unwrap();
     let paths: Vec<PathBuf> = std::thread::scope(|scope| {
         let threads: Vec<_> = (0..4).map(|_| scope.spawn(|| build(root.path()).unwrap())).collect();
@@ -108,7 +108,7 @@ fn builds_once_per_content() {
     assert_eq!(build(root.path()).unwrap(), paths[0]);
 }
 
-/// A bundled model as an FMU of sources only.
+/// Writes a bundled model as an FMU with sources only.
 fn bundled(root: &Path) {
     let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../example-models/models");
     fs::create_dir(root.join("sources")).unwrap();
@@ -141,7 +141,7 @@ fn builds_what_is_there() {
     fs::write(&source, honest).unwrap();
     let first = run(&open());
     assert_ne!(first, edited);
-    // And again: a library that is used again was not written over.
+    // The second run checks that the cached library was not overwritten.
     assert_eq!(run(&open()), first);
 }
 
@@ -172,7 +172,7 @@ fn without_a_home_no_library_lies_where_everybody_writes() {
     });
 }
 
-/// The way the headers of FMI 2.0 put the model identifier before the names of functions.
+/// The headers of FMI 2.0 prefix function names with the model identifier in this way.
 const PREFIXED: &str = "\
 #define FMI2_FUNCTION_PREFIX tiny_
 #define paste(a, b) a ## b
@@ -196,7 +196,7 @@ fn loses_the_prefix() {
     assert_eq!(fs::read_dir(library.parent().unwrap()).unwrap().count(), 1);
 }
 
-/// An assertion that does not hold would end the process.
+/// An assertion that fails would end the process.
 #[test]
 fn assertions_of_the_sources_are_left_out() {
     in_own_environment("assertions_of_the_sources_are_left_out", &[], leaves_assertions_out);
@@ -244,12 +244,12 @@ fn finds_headers() {
         fs::write(root.path().join("sources/model.c"), source).unwrap();
         let library = build(root.path()).unwrap();
         assert_eq!(fs::read_dir(library.parent().unwrap()).unwrap().count(), 1, "only the library is kept");
-        // One that the FMU brings comes first.
+        // A header that the FMU contains takes precedence.
         fs::write(root.path().join("sources").join(header), "#error its own\n").unwrap();
         let message = build(root.path()).unwrap_err().to_string();
         assert!(message.contains("its own"), "{message}");
     }
-    // The first error is shown, however much follows.
+    // The first error is shown, regardless of the length of the output.
     let root = source_folder();
     let notes: String = (0..100).map(|k| format!("#warning \"note {k}\"\n")).collect();
     fs::write(root.path().join("sources/model.c"), format!("#error first\n{notes}")).unwrap();
@@ -261,7 +261,7 @@ fn finds_headers() {
 #[cfg(unix)]
 fn a_compiler_that_does_not_end_is_ended() {
     use std::os::unix::fs::PermissionsExt;
-    // One that answers who it is, and then starts another program and waits for it.
+    // A compiler that answers `--version`, and otherwise starts another program and waits for it.
     let folder = tempfile::tempdir().unwrap();
     let compiler = folder.path().join("cc.sh");
     let script = "#!/bin/sh\n[ \"$1\" = --version ] && echo slow && exit 0\nsleep 600 &\necho $! > \"$0.started\"\nwait\n";
@@ -283,7 +283,7 @@ fn ends_the_compiler() {
         let ended = Instant::now();
         let child = fs::read_to_string(&started).unwrap();
         let process = PathBuf::from("/proc").join(child.trim()).join("exe");
-        // What it has started is ended, too; whoever adopts it has to notice.
+        // Processes that the compiler started are ended as well. Their parent may need some time to notice.
         let is_gone = (0..200).any(|_| {
             std::thread::sleep(Duration::from_millis(5));
             process.read_link().is_err()
@@ -373,13 +373,13 @@ fn packs_reproducibly() {
     ));
     assert_eq!(found.note, None);
 
-    // Packing into the folder itself does not pack the result of the last time.
+    // Packing into the folder itself does not include the previous result.
     let inside = root.path().join("out.fmu");
     pack(root.path(), &inside).unwrap();
     let before = fs::read(&inside).unwrap();
     assert_eq!(before, fs::read(&one).unwrap());
     pack(root.path(), &inside).unwrap();
-    // The folder goes with the archive.
+    // The unpacked folder is removed with the archive.
     let archive = Archive::open(&inside).unwrap();
     let packed = fs::read_dir(archive.unpack().unwrap()).unwrap();
     let names: Vec<_> = packed.map(|entry| entry.unwrap().file_name()).collect();

@@ -1,5 +1,5 @@
-//! Copies of a library that needs much static thread-local storage, which is set aside once per process: in a process of its
-//! own.
+//! Copies of a library that needs much static thread-local storage. This storage is allocated once per
+//! process, so the test has a separate process.
 
 #![cfg(all(target_os = "linux", target_env = "gnu"))]
 #![allow(clippy::unwrap_used, clippy::panic)]
@@ -17,7 +17,7 @@ fn loader_message_is_returned_when_static_tls_is_exhausted() {
     let options = SimulateOptions::new().parameters(["k"]).ncp(2);
     let plan = SimulationPlan::new(&folder.open(), &options).unwrap();
     let mut simulator = Simulator::new(Arc::new(plan)).unwrap();
-    // Each takes a copy with it.
+    // Each run uses up one copy.
     let mut lost = 0;
     let message = loop {
         match simulator.run(&[100.0], &mut Ignore).unwrap_err() {

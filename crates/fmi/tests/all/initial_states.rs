@@ -1,4 +1,4 @@
-//! States whose start values the initialization replaces, and values that they have all the same.
+//! Initial states whose start values the initialization overrides, and states that must keep their values.
 
 #![allow(clippy::unwrap_used)]
 
@@ -8,7 +8,7 @@ use fmi::description::QuirkKind;
 use fmi::{FmiError, SimulateOptions, SimulationPlan, Simulator};
 use std::sync::Arc;
 
-/// x' = -x; whatever x is given, it is 3 after the initialization.
+/// Model of x' = -x. The initialization sets x to 3, whatever its start value is.
 fn computing(initial: &str, is_co_simulation: bool) -> Folder {
     evil_with(&["COMPUTES_X=3"], |xml| {
         let start = if initial == "calculated" { "" } else { " start=\"1\"" };
@@ -82,7 +82,7 @@ fn start_value_without_effect_is_a_quirk_and_not_settable_if_calculated() {
         let error = folder.open().simulate(&options().start_value("x", 2.0)).unwrap_err();
         assert!(matches!(error, FmiError::NotSettable { .. }), "{error}");
     }
-    // One that has its value is none.
+    // A start value that takes effect is not a quirk.
     let folder = computing("approx", false);
     let fmu = folder.open();
     fmu.simulate(&options().start_value("x", 3.0)).unwrap();

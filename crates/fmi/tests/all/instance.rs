@@ -1,4 +1,4 @@
-//! Instances by hand: phases, values, saved states, directional derivatives.
+//! Instances that the test controls: phases, values, saved states, directional derivatives.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -8,7 +8,7 @@ use fmi::{FmiError, Fmu, FmuCache, MAX_EVENT_ITERATIONS, OpenOptions, Session, S
 use std::time::Duration;
 use support::{evil, model};
 
-/// Send, but not Sync: the latter would let two threads call into one instance.
+/// Instances are `Send` but not `Sync`, which would let two threads call into one instance.
 #[test]
 fn instances_move_between_threads() {
     fn is_send<T: Send>() {}
@@ -95,7 +95,7 @@ fn instance_rejects_slices_of_wrong_length() {
         instance.directional_derivative(&[0], &[1], &[1.0, 2.0], &mut [0.0]),
         Err(FmiError::Length { .. })
     ));
-    // And the instance is as good as before.
+    // The instance is still usable.
     instance.get_derivatives(&mut [0.0; 2]).unwrap();
 }
 
@@ -118,12 +118,12 @@ fn instance_saves_and_restores_states() {
     a.get_continuous_states(&mut x).unwrap();
     assert_eq!(x, [0.25]);
 
-    // Of another instance.
+    // A state of another instance.
     assert!(matches!(b.restore_state(&saved), Err(FmiError::ForeignState)));
     b.set_continuous_states(&[0.125]).unwrap();
     let first = b.save_state().unwrap();
 
-    // Tokens outlive their instance without harm, and the memory of dropped ones is used again.
+    // Saved states may outlive their instance. The memory of dropped states is used again.
     drop(a);
     assert!(matches!(b.restore_state(&saved), Err(FmiError::ForeignState)));
     for k in 0..100 {
@@ -188,7 +188,7 @@ fn session_keeps_values_until_reset() {
     session.set("armFriction", 0.02).unwrap();
     assert_eq!(session.get("armFriction").unwrap(), Value::Real(0.02));
     assert_ne!(session.simulate(&options).unwrap(), first);
-    // Values of one simulation only.
+    // Values of a single simulation.
     let once = options.clone().start_value("armFriction", 0.01);
     assert_eq!(session.simulate(&once).unwrap(), first);
     assert_eq!(session.get("armFriction").unwrap(), Value::Real(0.01));
@@ -219,7 +219,7 @@ fn cache_opens_an_unchanged_file_once() {
     let second = cache.open(&path).unwrap();
     assert!(first.is_same(&second));
 
-    // A changed file is opened anew.
+    // A changed file is opened again.
     let folder = tempfile::tempdir().unwrap();
     let copy = folder.path().join("copy.fmu");
     std::fs::copy(&path, &copy).unwrap();
@@ -229,7 +229,7 @@ fn cache_opens_an_unchanged_file_once() {
     let after = cache.open(&copy).unwrap();
     assert_eq!(after.description().model_name, "Stair");
     assert!(matches!(cache.open(folder.path().join("none.fmu")), Err(FmiError::Io { .. })));
-    // Other options are another FMU, and both are kept.
+    // Other options give a separate FMU. Both are kept.
     let options = OpenOptions { compile_time: Duration::from_secs(1), ..OpenOptions::default() };
     let plain = cache.open(&path).unwrap();
     let other = cache.open_with(&path, &options).unwrap();
@@ -282,7 +282,7 @@ fn fmu_without_binary_is_compiled_from_sources() {
     assert!((result.final_value("x").unwrap().unwrap() - (-1f64).exp()).abs() < 1e-5);
 }
 
-/// An instance in continuous time at 0 s.
+/// Returns an instance in continuous-time mode at 0 s.
 fn running(fmu: &Fmu) -> fmi::Instance<fmi::ContinuousTime> {
     let instance = fmu.instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
     let mut instance = instance.exit_initialization().unwrap();
@@ -290,7 +290,8 @@ fn running(fmu: &Fmu) -> fmi::Instance<fmi::ContinuousTime> {
     instance.enter_continuous_time().unwrap()
 }
 
-/// h = 1 - g t^2 / 2 up to the impact at t1 = sqrt(2 / g), then with e v1 from there; integrated in two parts.
+/// The exact solution is h = 1 - g t^2 / 2 until the impact at t1 = sqrt(2 / g). After it, the speed is e v1.
+/// The integration has two parts.
 #[test]
 fn integrate_handles_events() {
     let folder = model("bouncing_ball");
@@ -311,7 +312,7 @@ fn integrate_handles_events() {
     assert!((x[0] - h).abs() < 1e-8 && (x[1] - v).abs() < 1e-8, "{x:?} for {h}, {v}");
 }
 
-/// The model of the stairs ends the simulation at 9 s, by a time event.
+/// The stair model ends the simulation at 9 s with a time event.
 #[test]
 fn integrate_ends_when_the_model_terminates() {
     let folder = model("stair");
@@ -330,7 +331,8 @@ fn integrate_ends_when_the_model_terminates() {
     }
 }
 
-/// x0' = x1, x1' = mu (1 - x0^2) x1 - x0 at (2, 0) with mu = 1: the second row is (-2 mu x0 x1 - 1, mu (1 - x0^2)).
+/// x0' = x1, x1' = mu (1 - x0^2) x1 - x0 at (2, 0) with mu = 1: the second row is (-2 mu x0 x1 - 1, mu (1 -
+/// x0^2)).
 #[test]
 fn linearize_matches_the_van_der_pol_equations() {
     let folder = model("van_der_pol");

@@ -1,5 +1,5 @@
-//! What an FMU tells about itself when it is run: names of states, its version and types, dependencies, derivatives, categories of
-//! its log; and the terminals that its files list.
+//! Information that an FMU provides at run time: names of states, version and types, dependencies,
+//! derivatives and log categories. Also the terminals listed in its files.
 
 #![allow(clippy::unwrap_used)]
 
@@ -37,7 +37,7 @@ fn library_version_mismatch_is_a_quirk_and_type_mismatch_an_error() {
     fmu.simulate(&SimulateOptions::new().ncp(1)).unwrap();
     let message = &fmu.quirks_seen()[0].message;
     assert_eq!(message, "the description follows FMI 2.0, the library says \"3.0\"");
-    // A later release of the same version is none of another.
+    // A later release of the same version is accepted.
     let fmu = evil(&["VERSION=\"2.0.4\""]);
     let fmu = fmu.open();
     fmu.simulate(&SimulateOptions::new().ncp(1)).unwrap();
@@ -63,7 +63,7 @@ fn array_derivatives_support_directional_and_adjoint_calls() {
         instance.adjoint_derivative(&[3], &[2], &[1.0], &mut out),
         Err(FmiError::Length { expected: 3, found: 1, .. })
     ));
-    // A function of FMI 3.0.
+    // Adjoint derivatives are a function of FMI 3.0.
     let old = model("dahlquist");
     let mut old = in_event_mode(&old.open());
     let error = old.adjoint_derivative(&[], &[], &[], &mut []).unwrap_err();
@@ -94,7 +94,7 @@ fn variable_dependencies_are_listed_per_element() {
     instance.set("n", 2).unwrap();
     let instance = instance.enter_initialization(0.0, None, None).unwrap();
     let mut instance = instance.exit_initialization().unwrap();
-    // What an element does not depend on is left out.
+    // Dependencies without effect are omitted.
     let of = |i| ElementDependency {
         element: Some(i),
         known: 2,
@@ -127,7 +127,7 @@ fn log_categories_are_selected_by_name() {
             assert!(error.contains("\"logAll\"") && error.contains("logEvents, logStatusDiscard"), "{error}");
         }
     }
-    // When an instance is made, and in simulations.
+    // Categories can also be set when an instance is created, and in simulations.
     let path = example_fmu_as("bouncing_ball", Fmi2ModelExchange).unwrap();
     let log_categories = vec!["logStatusError".to_owned()];
     let fmu = Fmu::open(&path).unwrap();

@@ -1,5 +1,5 @@
-//! Implicit methods get their Jacobians from what the FMU offers: directional derivatives along the colours of the
-//! declared dependencies, differences where it has none; a promise that is not kept costs nothing but the differences.
+//! Jacobians of implicit methods: directional derivatives along the colors of the declared dependencies, or
+//! differences without them. If declared directional derivatives are missing, differences are used.
 
 #![allow(clippy::unwrap_used)]
 
@@ -55,7 +55,7 @@ fn jacobian_uses_one_directional_derivative_per_color() {
     for method in [Method::Radau5, Method::Bdf] {
         let found = tanks(&folder.open(), method);
         assert!(found.stats.jacobians > 0);
-        // Two tanks at a time: the upper ones feed one lower tank each.
+        // Two tanks share a color, because each upper tank feeds only one lower tank.
         assert_eq!(found.stats.directional_derivatives, 2 * found.stats.jacobians, "{method:?}");
 
         let dense = tanks(&edited("quad_tank", without("dependencies")).open(), method);

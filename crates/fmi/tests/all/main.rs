@@ -1,5 +1,5 @@
-//! The tests of the importer that may share a process. Programs of their own are those that count allocations, run
-//! themselves again, look at the libraries of the process, or change its threads.
+//! Tests of the importer that can share a process. Tests that count allocations, start themselves again,
+//! inspect the libraries of the process or change its threads are separate programs.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 #[path = "../promises/mod.rs"]

@@ -1,5 +1,5 @@
-//! The public functions called with what does not fit: other lengths, other names, states of others. Every one answers with
-//! a typed error, the FMU is not called, and the instance is as good as before.
+//! Public functions called with invalid arguments: wrong lengths, unknown names, foreign states. Each call
+//! returns a typed error, does not call the FMU, and leaves the instance usable.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -14,7 +14,7 @@ use fmi::{
 use std::sync::Arc;
 use support::{arrays, model, model_as};
 
-/// Lengths that are wrong where `n` is right.
+/// Returns wrong lengths for a vector of length `n`.
 fn wrong(n: usize) -> impl Iterator<Item = usize> {
     [0, n.wrapping_sub(1), n + 1, n + 1000]
         .into_iter()
@@ -87,7 +87,8 @@ fn instance_rejects_state_and_indicator_vectors_of_wrong_length() {
     }
 }
 
-/// References with fewer or more values, also where a reference stands for an array of three.
+/// The number of values differs from the number of references, also for a reference to an array of three
+/// elements.
 #[test]
 fn instance_rejects_wrong_number_of_values() {
     let folder = model("van_der_pol");
@@ -125,7 +126,7 @@ fn instance_rejects_references_that_are_not_real() {
     let fmu = folder.open();
     let mut instance = in_continuous_time(&fmu);
     let mut stepping = in_step_mode(&fmu);
-    // None at all, and those of an integer, a text and a Float32.
+    // An unknown reference, and references to an integer, a string and a Float32.
     for bad in [999, u32::MAX, 15, 22, 10] {
         let mut one = [0.0];
         for outcome in [
@@ -207,7 +208,8 @@ fn run_rejects_wrong_number_of_parameters_and_non_finite_values() {
     simulator.run(&[0.001, 0.001], &mut Ignore).unwrap();
 }
 
-/// States of another instance of the same FMU, of another FMU, of the other kind, of one that is gone.
+/// Foreign states: of another instance of the same FMU, of another FMU, of the other interface, and of an
+/// instance that no longer exists.
 #[test]
 fn restore_state_rejects_foreign_states() {
     let own = model("dahlquist");
@@ -221,7 +223,7 @@ fn restore_state_rejects_foreign_states() {
     let mut stepping = in_step_mode(&slave);
     let new = model_as("dahlquist", Fmi3, &[], |xml| xml);
     let new = new.open();
-    // Both kinds of one FMU.
+    // Both interfaces of one FMU.
     let mut exchanging = in_continuous_time(&new);
     let mut slaving = in_step_mode(&new);
     let gone = in_continuous_time(&fmu).save_state().unwrap();

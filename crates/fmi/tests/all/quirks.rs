@@ -1,4 +1,5 @@
-//! What real FMUs do against the standard is tolerated and listed, and the FMUs run; strict reading refuses each.
+//! Deviations from the standard in real FMUs. They are tolerated and listed as quirks, and the FMUs run.
+//! Strict parsing rejects each of them.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -8,7 +9,7 @@ use fmi::description::{Causality, QuirkKind, VariableKind};
 use fmi::{FmiError, ModelDescription, SimulateOptions, Value};
 use support::{Folder, evil, evil_with};
 
-/// A description of FMI 2.0 with these variables and this structure.
+/// Returns a description of FMI 2.0 with these variables and this structure.
 fn two(variables: &str, structure: &str) -> String {
     format!(
         "<fmiModelDescription fmiVersion=\"2.0\" modelName=\"m\" guid=\"g\"><ModelExchange modelIdentifier=\"m\"/>\
@@ -16,7 +17,7 @@ fn two(variables: &str, structure: &str) -> String {
     )
 }
 
-/// The same of FMI 3.0.
+/// Returns a description of FMI 3.0 with these variables.
 fn three(version: &str, variables: &str) -> String {
     format!(
         "<fmiModelDescription fmiVersion=\"{version}\" modelName=\"m\" instantiationToken=\"g\">\
@@ -35,8 +36,8 @@ fn state(derivatives: &str) -> String {
     format!("{x}{derivatives}")
 }
 
-/// Each with the classes of the quirks that it has, sorted and each once; none: what looks odd is allowed, or nobody's
-/// business.
+/// Each case lists the sorted classes of its quirks, each once. An empty list means that the unusual content
+/// is allowed or ignored.
 #[test]
 fn parse_lists_quirks_of_tolerated_descriptions() {
     use QuirkKind::{Combination, Duplicate, Range, Start, Structure, Undefined};
@@ -144,7 +145,7 @@ fn parse_lists_quirks_of_tolerated_descriptions() {
         if kinds != *expected {
             wrong.push(format!("{what}: {:?}", model.quirks));
         }
-        // Strict reading refuses what is listed, and nothing else.
+        // Strict parsing rejects exactly the listed quirks.
         match model.require_conforming() {
             Ok(()) => assert!(kinds.is_empty(), "{what}"),
             Err(FmiError::NotConforming { count, .. }) => assert_eq!(count, model.quirks.len(), "{what}"),
@@ -160,7 +161,7 @@ fn parse_preserves_guid_and_names() {
     let model = ModelDescription::parse(text.as_bytes()).unwrap();
     assert_eq!(model.guid, " {8c4e810f} ");
     assert_eq!(model.variable("a[1,2].b").unwrap().causality, Causality::Local);
-    // Distinct variables, although they share a reference.
+    // The variables are distinct although they share a reference.
     let text = two(
         &(real("v", 1, "start=\"2\" ")
             + "<ScalarVariable name=\"b\" valueReference=\"1\" variability=\"discrete\"><Boolean/></ScalarVariable>"),
@@ -171,7 +172,7 @@ fn parse_preserves_guid_and_names() {
     assert_eq!(kinds, [VariableKind::Real, VariableKind::Boolean]);
 }
 
-/// y(1) of y' = -y, y(0) = 1.
+/// Returns y(1) of y' = -y, y(0) = 1.
 fn end(folder: &Folder) -> f64 {
     let options = SimulateOptions::new().relative_tolerance(1e-9);
     folder.open().simulate(&options).unwrap().final_value("y").unwrap().unwrap()
@@ -190,7 +191,7 @@ fn binary_with_another_name_is_used_when_it_is_the_only_one() {
         ["evil", "model_2"].map(|name| place.join(format!("{name}.{}", fmi::platform::LIBRARY_EXTENSION)));
     std::fs::rename(&own, &other).unwrap();
     assert!((end(&folder) - (-1f64).exp()).abs() < 1e-8);
-    // Two of them are one too many.
+    // With two such libraries the choice is ambiguous.
     std::fs::copy(&other, own.with_file_name(format!("third.{}", fmi::platform::LIBRARY_EXTENSION))).unwrap();
     let error = folder.open().instantiate().unwrap_err();
     assert!(matches!(error, FmiError::NoBinary { .. }) && error.to_string().contains("third"), "{error}");
@@ -201,7 +202,7 @@ fn library_is_found_in_the_folder_of_another_fmi_version() {
     let folder = evil(&[]);
     let folders = fmi::platform::binary_folders(fmi::platform::FolderNames::SystemAndBits);
     std::fs::rename(binaries(&folder).join(&folders[0]), binaries(&folder).join(&folders[1])).unwrap();
-    // An empty folder of the right name changes nothing.
+    // An empty folder with the right name changes nothing.
     std::fs::create_dir(binaries(&folder).join(&folders[0])).unwrap();
     assert!((end(&folder) - (-1f64).exp()).abs() < 1e-8);
 }
@@ -214,7 +215,7 @@ fn library_for_another_processor_is_an_error_with_its_machine() {
         .path;
     let mut bytes = std::fs::read(&place).unwrap();
     if bytes.starts_with(b"\x7fELF") {
-        // The machine's number (ELF header, e_machine): 21 is 64-bit PowerPC.
+        // The machine number (ELF header, e_machine) 21 is 64-bit PowerPC.
         bytes[18..20].copy_from_slice(&[21, 0]);
         std::fs::write(&place, bytes).unwrap();
         let error = folder.open().instantiate().unwrap_err();
@@ -232,7 +233,7 @@ fn invalid_nominals_are_corrected() {
         for _ in 0..3 {
             assert_eq!(fmu.simulate(&SimulateOptions::new()).unwrap(), truth, "{nominal}");
         }
-        // Once, by name.
+        // The quirk is reported once, with the name of the state.
         let messages: Vec<String> = fmu.quirks_seen().into_iter().map(|quirk| quirk.message).collect();
         assert_eq!(messages.len(), 1, "{messages:?}");
         assert!(messages[0].starts_with("the nominal value of x is "), "{messages:?}");
@@ -256,7 +257,7 @@ fn inputs_reject_two_aliases_with_different_values() {
     let inputs = fmi::Inputs::new().function("u", |t| t).function("also", |t| t);
     let error = folder.open().simulate(&SimulateOptions::new().inputs(inputs)).unwrap_err().to_string();
     assert!(error.contains("input also: it is the same variable as u, which is given too"), "{error}");
-    // With the same rows under both names it is driven once.
+    // If both names have the same rows, the input is driven once.
     let run = |inputs: fmi::Inputs| {
         let options = SimulateOptions::new().final_time(2.0).outputs(["x"]).inputs(inputs);
         folder.open().simulate(&options).map(|trajectory| trajectory.columns[0].clone())
@@ -271,7 +272,8 @@ fn inputs_reject_two_aliases_with_different_values() {
 
 #[test]
 fn resources_are_found_when_the_path_has_special_characters() {
-    // An instance is given its resources as a URI; a folder with blanks and braces is no reason to fail.
+    // An instance receives its resources as a URI. A folder name with blanks and braces must not cause a
+    // failure.
     let folder = evil(&[]);
     let odd = tempfile::Builder::new().prefix("a b {c} \u{e4} 100%").tempdir().unwrap();
     let copy = odd.path().join("model");

@@ -1,14 +1,14 @@
-//! The Reference-FMUs of the Modelica Association as oracles: values that they publish (`<model>_out.csv` of tag v0.0.41,
-//! github.com/modelica/Reference-FMUs, 2-Clause BSD License, Copyright Modelica Association Project "FMI"), computed with
-//! Euler's method. The bundled models have the same equations; the FMUs themselves are run where the folder
-//! `FMUFIT_REFERENCE_FMUS` holds them.
+//! The Reference-FMUs of the Modelica Association as oracles. The values are published in `<model>_out.csv`
+//! of tag v0.0.41, github.com/modelica/Reference-FMUs (2-Clause BSD License, Copyright Modelica Association
+//! Project "FMI"), and computed with Euler's method. The bundled models have the same equations. The
+//! reference FMUs are also run if the folder `FMUFIT_REFERENCE_FMUS` contains them.
 #![allow(clippy::unwrap_used)]
 
 use fmi::ode::Method;
 use fmi::{Fmu, SimulateOptions, Trajectory};
 use std::path::PathBuf;
 
-/// A bundled model, and the reference FMU of this name where it has been built.
+/// Returns a bundled model, and the reference FMU with this name if it exists.
 fn models(ours: &str, theirs: &str) -> Vec<Fmu> {
     let folder = std::env::var_os("FMUFIT_REFERENCE_FMUS").map(PathBuf::from);
     let built = folder.map(|folder| folder.join(format!("{theirs}.fmu"))).filter(|path| path.is_file());
@@ -16,7 +16,7 @@ fn models(ours: &str, theirs: &str) -> Vec<Fmu> {
     paths.map(|path| Fmu::open(path).unwrap()).collect()
 }
 
-/// With Euler's method and steps of `step`, up to the last of these times.
+/// Runs with Euler's method and steps of `step` to the last of these times.
 fn run(fmu: &Fmu, step: f64, times: &[f64]) -> Trajectory {
     let options = SimulateOptions::new()
         .kind(fmi::InterfaceChoice::ModelExchange)
@@ -71,7 +71,8 @@ fn van_der_pol_matches_the_reference_results() {
 
 #[test]
 fn bouncing_ball_matches_the_reference_results() {
-    // Steps of 0.01 without location of events there: what is compared is the flight before the first impact, and rest.
+    // The reference uses steps of 0.01 without event location, so only the flight before the first impact and
+    // the state at rest are compared.
     let published = [(0.21, 0.784_719_549_999_999_6, -2.060_1), (0.44, 0.052_550_200_000_001_05, -4.316_4)];
     let times = [0.21, 0.44, 3.0];
     for fmu in models("bouncing_ball", "BouncingBall") {

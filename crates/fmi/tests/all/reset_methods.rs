@@ -8,7 +8,7 @@ use fmi::{Fmu, InterfaceChoice, Session, SimulateOptions, SimulationPlan, Simula
 use std::sync::Arc;
 use support::{Folder, evil_with};
 
-/// An evil model that says it can save and restore states, of both kinds.
+/// Evil model that declares saved states for both interfaces.
 fn with_states(faults: &[&str]) -> Folder {
     let faults: Vec<&str> = faults.iter().copied().chain(["STATES"]).collect();
     evil_with(&faults, |xml| {
@@ -41,7 +41,8 @@ fn simulator_creates_a_new_instance_when_reset_fails() {
     }
 }
 
-/// New instances do not have the value given either: nothing is wrong with the restored ones, but a fit of it would be in vain.
+/// New instances do not have the specified value either. The instances are not at fault, but fitting this
+/// parameter would be useless.
 #[test]
 fn parameter_overridden_by_the_model_is_an_error() {
     for kind in [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation] {
@@ -55,12 +56,12 @@ fn parameter_overridden_by_the_model_is_an_error() {
             );
             assert!(message.contains(&expected), "{message}");
         }
-        // That one is right.
+        // The value that the model sets is accepted.
         simulator.trajectory(&[1.5]).unwrap();
     }
 }
 
-/// As models of 20-sim do.
+/// Models of 20-sim create their data in `setupExperiment`.
 #[test]
 fn values_are_set_after_setup_experiment() {
     let truth = |k: f64, x: f64| x * (-k).exp();
@@ -109,7 +110,7 @@ fn tolerance_is_passed_to_the_model_when_specified() {
 
 #[test]
 fn simulation_is_repeatable_when_reset_is_incomplete() {
-    // Reset leaves a parameter a little off, which shows after the first step only.
+    // Reset leaves a parameter slightly wrong, which becomes visible only after the first step.
     let step = "<CoSimulation modelIdentifier=\"evil\" canHandleVariableCommunicationStepSize=\"true\"/>";
     let folder =
         evil_with(&["LYING_RESET"], |xml| xml.replace("<ModelExchange modelIdentifier=\"evil\"/>", step));

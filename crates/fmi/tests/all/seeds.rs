@@ -1,4 +1,4 @@
-//! The kept inputs of the fuzz targets, among them all that ever made one fail, keep their promises.
+//! The stored inputs of the fuzz targets, including all that caused a failure, keep the promises.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
@@ -32,7 +32,7 @@ fn description_seeds_keep_the_fuzz_promises() {
     }
 }
 
-/// The seeds start the fuzzer inside of all three versions: they must be read, not merely refused.
+/// The seeds start the fuzzer in the parsers of all three versions, so they must be parsed successfully.
 #[test]
 fn description_seeds_parse_for_each_version() {
     for version in 1..=3 {

@@ -1,4 +1,5 @@
-//! A session gives what a new one gives, whatever was simulated before it, and whichever plan it could use again.
+//! A session returns the same results as a new session, whatever was simulated before and whichever plan it
+//! reuses.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -14,7 +15,7 @@ fn bits(trajectory: &Trajectory) -> Vec<Vec<u64>> {
     columns.map(|column| column.iter().map(|value| value.to_bits()).collect()).collect()
 }
 
-/// What a new session simulates with these values set.
+/// Simulates in a new session with these values set.
 fn fresh(fmu: &Fmu, values: &[(&str, f64)], options: &SimulateOptions) -> Trajectory {
     let mut session = Session::new(fmu.clone());
     for (name, value) in values {
@@ -29,7 +30,7 @@ fn session_matches_a_new_session_after_changed_settings() {
     let fmu = folder.open();
     let span = || SimulateOptions::new().final_time(5.0);
     let mut session = Session::new(fmu.clone());
-    // In this order: the plan of the one before serves some of them.
+    // The order matters: some cases reuse the plan of the previous one.
     let cases: [(&[(&str, f64)], SimulateOptions); 9] = [
         (&[("mu", 1.0)], span()),
         (&[("mu", 2.0)], span()),
@@ -51,7 +52,7 @@ fn session_matches_a_new_session_after_changed_settings() {
             assert_eq!(session.get(name).is_ok_and(|found| found.as_number() == Some(*value)), *name == "mu");
         }
     }
-    // Values of one simulation only are gone in the next, also those on top of others.
+    // Values of a single simulation do not affect the next one, even if they override others.
     let once = session.simulate(&span().start_value("mu", 4.0)).unwrap();
     assert_eq!(bits(&once), bits(&fresh(&fmu, &[("mu", 4.0), ("x0", 1.0)], &span())));
     let again = session.simulate(&span()).unwrap();
@@ -86,7 +87,7 @@ fn session_uses_changed_inputs() {
     for u in [1.0, 1.0, 2.0, 1.0] {
         assert_eq!(bits(&session.simulate(&driven(u)).unwrap()), bits(&fresh(&fmu, &[], &driven(u))), "{u}");
     }
-    // A function may be another one at every call.
+    // A function may change at every call.
     let with = |rate: f64| {
         let inputs = Inputs::new().function("u1", move |t| 1.0 + rate * t).function("u2", |_| 2.0);
         SimulateOptions::new().final_time(10.0).inputs(inputs)
@@ -113,8 +114,8 @@ fn cancel_flag_ends_only_simulations_while_set() {
     assert_eq!(bits(&session.simulate(&options).unwrap()), bits(&first));
 }
 
-/// The model keeps its parameter in a static variable, and its reset function brings back what that was when the instance was made (as
-/// Simulink's do).
+/// The model keeps its parameter in a static variable. Its reset function restores the value at
+/// instantiation, as in models of Simulink.
 #[test]
 fn session_resets_start_values_before_every_run() {
     let folder = evil(&["STATIC_PARAMETERS", "RESET_AS_MADE"]);

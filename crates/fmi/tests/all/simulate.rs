@@ -1,4 +1,5 @@
-//! Simulations of the bundled models against closed forms, and the contract that the same parameters give the same bits.
+//! Simulations of the bundled models against closed forms. The same parameters must give bit-for-bit
+//! identical results.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -44,7 +45,7 @@ fn not_finite_lists_columns_with_times() {
     assert_eq!(result.not_finite().as_deref(), Some(two));
 }
 
-/// x' = -x: its error is measured against its size, or not where the description calls it unbounded.
+/// x' = -x: the error is relative to the size of x, unless the description declares x unbounded.
 #[test]
 fn unbounded_states_use_the_absolute_tolerance() {
     let run = |start: &str| {
@@ -344,7 +345,7 @@ fn input_errors_contain_variable_row_and_number() {
         let problem = problem(inputs);
         assert!(problem.contains(text), "{problem}");
     }
-    // A function that is not defined everywhere ends the run where it stops being so.
+    // A function that becomes undefined ends the run at that time.
     let inputs = new().function("u", |t| if t < 0.5 { 1.0 } else { f64::NAN });
     let error = fmu.simulate(&SimulateOptions::new().final_time(1.0).inputs(inputs)).unwrap_err();
     let FmiError::Simulation(error) = error else { panic!("{error}") };
@@ -360,10 +361,10 @@ fn outputs_are_selected_by_name_pattern_or_all() {
     let fmu = folder.open();
     let names = |options: SimulateOptions| fmu.simulate(&options.final_time(0.1).ncp(1)).unwrap().names;
     let chosen = |outputs: &[&str]| names(SimulateOptions::new().outputs(outputs.iter().copied()));
-    // Outputs in the order of the file, then the state.
+    // Outputs in file order, followed by the state.
     assert_eq!(names(SimulateOptions::new()), ["y", "target", "limit", "x"]);
     assert_eq!(chosen(&["x", "time"]), ["x", "time"]);
-    // What a pattern finds again stands there once.
+    // A variable that a pattern matches again is recorded once.
     assert_eq!(chosen(&["limit", "?", "*i*t"]), ["limit", "x", "y", "u", "K", "T"]);
     let all = chosen(&["all"]);
     assert!(

@@ -1,4 +1,4 @@
-//! What the standard says about steps, events and values, with models that make use of it.
+//! Requirements of the standard for steps, events and values, tested with models that depend on them.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -33,7 +33,7 @@ fn step_events_occur_in_all_versions() {
     use ExampleKind::{Fmi1CoSimulation, Fmi1ModelExchange, Fmi2CoSimulation, Fmi2ModelExchange, Fmi3};
     let kinds = [Fmi1ModelExchange, Fmi2ModelExchange, Fmi3, Fmi1CoSimulation, Fmi2CoSimulation, Fmi3];
     for (which, kind) in kinds.into_iter().enumerate() {
-        // x' = 1, and x is 1 less after every completed step beyond 1.5.
+        // x' = 1, and x decreases by 1 after every completed step beyond 1.5.
         let folder = faulty(kind, &[]);
         let run = if which < 3 { fmi::InterfaceChoice::Auto } else { fmi::InterfaceChoice::CoSimulation };
         let options = SimulateOptions::new()
@@ -51,7 +51,7 @@ fn step_events_occur_in_all_versions() {
         for (time, x) in result.time.iter().zip(x) {
             let turns = time - x;
             assert!((turns - turns.round()).abs() < 1e-9, "{kind:?} {run:?}: {x} at {time}");
-            // A co-simulation without event mode takes internal steps of 1 ms.
+            // A co-simulation without event mode makes internal steps of 1 ms.
             assert!(*x < 1.5 + 0.126, "{kind:?} {run:?}: {x} at {time}");
         }
         assert!((x[60] - 1.0).abs() < 1e-9 || (x[60] - 1.5).abs() < 0.51, "{kind:?}: {}", x[60]);
@@ -70,18 +70,18 @@ fn outputs_are_current_when_computed_with_the_derivatives() {
     for (t, y) in first.time.iter().zip(first.get("y").unwrap()) {
         assert!((y - (-t).exp()).abs() < 1e-8, "{y} at {t}");
     }
-    // The values afterwards too, and whatever ran before.
+    // The values after a run are also current, whatever ran before.
     assert!((simulator.get("y").unwrap() - (-1f64).exp()).abs() < 1e-8);
     simulator.run(&[0.0], &mut Ignore).unwrap();
     simulator.run(&[3.0], &mut Ignore).unwrap();
     assert_eq!(bits(&simulator.trajectory(&[1.0]).unwrap()), bits(&first));
     assert_eq!(bits(&Simulator::new(plan).unwrap().trajectory(&[1.0]).unwrap()), bits(&first));
-    // A model that computes them when they are read has the same values, bit for bit.
+    // A model that computes its outputs when they are read gives bit-for-bit the same values.
     let plan = Arc::new(SimulationPlan::new(&plain.open(), &options).unwrap());
     assert_eq!(bits(&Simulator::new(plan).unwrap().trajectory(&[1.0]).unwrap()), bits(&first));
 }
 
-/// A model with these faults, made by OpenModelica as its description says.
+/// Model with these faults whose description names OpenModelica as its tool.
 fn openmodelica(faults: &[&str]) -> support::Folder {
     evil_with(faults, |xml| {
         xml.replace(
@@ -91,7 +91,8 @@ fn openmodelica(faults: &[&str]) -> support::Folder {
     })
 }
 
-/// A model computes y when a step is completed; `right`: y by time. The same again has the same bits.
+/// Checks a model that computes y when a step is completed. `right` is y as a function of time. A second run
+/// is bit-for-bit identical.
 fn is_right_with_completed_steps(faults: &[&str], outputs: &[&str], right: fn(f64) -> f64) {
     let late = openmodelica(&[faults, &["OUTPUTS_OF_STEPS"]].concat());
     let options = SimulateOptions::new().ncp(97).outputs(outputs.iter().copied()).relative_tolerance(1e-9);
@@ -108,12 +109,12 @@ fn is_right_with_completed_steps(faults: &[&str], outputs: &[&str], right: fn(f6
 #[test]
 fn openmodelica_outputs_are_current_when_computed_in_completed_steps() {
     is_right_with_completed_steps(&[], &["y"], |t| (-t).exp());
-    // The derivative changes from the first step on, y from 0.5 on only.
+    // The derivative changes from the first step on, y only from 0.5 on.
     let rests = |t: f64| if t < 0.5 { 1.0 } else { (-t).exp() };
     is_right_with_completed_steps(&["RESTS_AT_FIRST"], &["der(x)", "y"], rests);
-    // Late only after an event.
+    // The model is late only after an event.
     is_right_with_completed_steps(&["LATE_FROM=0.4"], &["y"], |t| (-t).exp());
-    // One that computes them when they are read has the same values, bit for bit.
+    // A model that computes its outputs when they are read gives bit-for-bit the same values.
     let options = SimulateOptions::new().ncp(97).outputs(["y"]);
     let run = |folder: &support::Folder| bits(&folder.open().simulate(&options).unwrap());
     assert_eq!(run(&openmodelica(&["OUTPUTS_OF_STEPS"])), run(&evil(&[])));
@@ -121,7 +122,8 @@ fn openmodelica_outputs_are_current_when_computed_in_completed_steps() {
 
 #[test]
 fn rows_are_read_before_the_inputs_of_the_next_step_are_set() {
-    // x' = u with u held over each step; nothing is integrated if anything is read between setting u and the step.
+    // x' = u with u held over each step. Nothing is integrated if a value is read between setting u and the
+    // step.
     let folder = slave(&["LATCHES"], "");
     let u = |t: f64| if t < 0.5 - 1e-9 { 1.0 + t } else { 4.0 };
     let inputs = Inputs::new().table(vec![0.0, 0.5, 0.5, 1.0], [("u", vec![1.0, 1.5, 4.0, 4.0])]);
@@ -173,7 +175,7 @@ fn input_derivatives_are_passed_unless_disabled() {
     let inputs = Inputs::new().function("u", |t| 0.3 * t);
     let options = SimulateOptions::new().final_time(2.0).ncp(8).outputs(["y"]).inputs(inputs);
     let last = |options: SimulateOptions| fmu.simulate(&options).unwrap().final_value("y").unwrap().unwrap();
-    // y' = (2 u - y) / 0.5, u a ramp, or held over steps of 0.25.
+    // y' = (2 u - y) / 0.5; u is a ramp, or held over steps of 0.25.
     let ramp = 2.0 * 0.3 * (2.0 - 0.5 * (1.0 - (-2f64 / 0.5).exp()));
     let held = (0..8).fold(0.0, |y, k| {
         let target = 2.0 * 0.3 * 0.25 * f64::from(k);
@@ -191,7 +193,7 @@ fn input_derivatives_are_passed_unless_disabled() {
 
 #[test]
 fn equal_steps_have_bit_for_bit_equal_length() {
-    // The model refuses a step that is the first one but for rounding.
+    // The model rejects a step whose length differs from the first one only by rounding.
     let folder = slave(&["ONE_LENGTH=9.94"], "");
     let times: Vec<f64> = (0..=200).map(|k| f64::from(k) * 0.05).collect();
     assert!(times.windows(2).any(|pair| pair[1] - pair[0] != 0.05));
@@ -201,7 +203,7 @@ fn equal_steps_have_bit_for_bit_equal_length() {
         let options = SimulateOptions::new().final_time(10.0).times(times);
         folder.open().simulate(&options).unwrap();
     }
-    // Far from 0 the differences are all wrong, and the constant is not one of them.
+    // Far from 0, all differences of times differ from the constant.
     let times: Vec<f64> = (0..=200).map(|k| 1000.0 + f64::from(k) * 0.05).collect();
     let options = SimulateOptions::new().start_time(1000.0).final_time(1010.0).times(times);
     let folder = slave(&["ONE_LENGTH=1009.94"], "");
@@ -222,7 +224,7 @@ fn co_simulation_continues_after_discarded_and_early_steps() {
     let fixed = |xml: String| xml.replace("canHandleVariableCommunicationStepSize=\"true\"", "");
     assert!(straight(&fixture_with("early", &["DISCARDS"], |xml| xml)).rejected_steps >= 10);
     assert_eq!(straight(&fixture_with("early", &["RETURNS_EARLY"], |xml| xml)).rejected_steps, 0);
-    // One that makes no other steps goes on with the same from where it stands.
+    // A model that supports only steps of one length continues with that length from its current time.
     assert_eq!(straight(&fixture_with("early", &["RETURNS_EARLY"], fixed)).rejected_steps, 0);
     let message = |faults: &[&str], edit: fn(String) -> String| {
         fixture_with("early", faults, edit).open().simulate(&options).unwrap_err().to_string()
@@ -233,7 +235,7 @@ fn co_simulation_continues_after_discarded_and_early_steps() {
         let error = message(&["STANDS_STILL"], edit);
         assert!(error.contains("fmi3DoStep returned early at t = 0.6"), "{error}");
     }
-    // By hand.
+    // An instance that the test controls.
     let folder = fixture_with("early", &["RETURNS_EARLY"], |xml| xml);
     let instance = folder.open().instantiate_co_simulation(&InstanceOptions::default()).unwrap();
     let instance = instance.enter_initialization(0.0, None, None).unwrap();

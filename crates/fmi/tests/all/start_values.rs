@@ -1,4 +1,4 @@
-//! A copy of an FMU with other start values: nothing else changes, whatever the version.
+//! A copy of an FMU with other start values. All other content stays unchanged in every version.
 #![allow(clippy::unwrap_used)]
 
 use example_models::{ExampleKind, example_fmu_as};
@@ -8,7 +8,8 @@ use std::io::Read;
 use std::path::Path;
 use zip::ZipArchive;
 
-/// Name, method, time, attributes, checksum and packed bytes of all entries but the description; and the description.
+/// Name, properties (method, time, mode), checksum and packed bytes of all entries except the description,
+/// and the description.
 type Entries = (Vec<(String, String, u32, Vec<u8>)>, String);
 
 fn entries(path: &Path) -> Entries {
@@ -37,7 +38,7 @@ fn copied(fmu: &Fmu, values: &[(&str, f64)], to: &Path) -> Result<Fmu, FmiError>
     Fmu::open(to)
 }
 
-/// The start attributes of a document taken out.
+/// Removes the start attributes with these values from a document.
 fn without_starts(text: &str, texts: &[&str]) -> String {
     texts.iter().fold(text.to_owned(), |text, start| text.replacen(&format!("start=\"{start}\""), "start", 1))
 }
@@ -99,7 +100,7 @@ fn write_with_start_values_rejects_invalid_values() {
     ));
 }
 
-/// All parameters of the FMUs in a folder, if one is named: `FMUFIT_FMUS=/a/folder cargo test`.
+/// Uses all parameters of the FMUs in a folder, if it is specified: `FMUFIT_FMUS=/a/folder cargo test`.
 #[test]
 fn write_with_start_values_preserves_files_of_other_tools() {
     let Some(folder) = std::env::var_os("FMUFIT_FMUS") else { return };

@@ -1,5 +1,5 @@
-//! A run can be ended from outside wherever the model is called again and again: in the rounds of an event iteration, and at the rows
-//! inside of a step.
+//! A run can be stopped from outside wherever the model is called repeatedly: in the rounds of an event
+//! iteration, and at the rows inside a step.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -16,12 +16,13 @@ use support::{faulty, fixture_with, model_as};
 
 const KINDS: [InterfaceChoice; 2] = [InterfaceChoice::ModelExchange, InterfaceChoice::CoSimulation];
 
-/// Values of k for which the event iteration of `tests/evil/model.c` never ends: from the start on, and from t = 0.25 on.
+/// Values of k for which the event iteration of `tests/evil/model.c` never ends, with the time from which it
+/// is endless: t = 0 and t = 0.25.
 const ENDLESS: [(f64, f64); 2] = [(18.0, 0.0), (23.0, 0.25)];
 
 const LIMIT: Duration = Duration::from_millis(400);
 
-/// In which way a run is ended.
+/// Way in which a run is stopped.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Way {
     Observer,
@@ -31,7 +32,7 @@ enum Way {
 
 const WAYS: [Way; 3] = [Way::Observer, Way::Flag, Way::Limit];
 
-/// Ends a run at the poll of this number, counted from the sample before; counts what comes after.
+/// Stops a run at poll number `at`, counted from the previous sample. Counts later polls.
 struct Ends {
     way: Way,
     at: u32,
@@ -82,7 +83,7 @@ impl Observer for Ends {
     }
 }
 
-/// Runs until an iteration of events is ended in each way, and says when that was.
+/// Runs until an event iteration is stopped in this way, and returns the time of the stop.
 fn ended(fmu: &Fmu, way: Way, options: impl Fn(SimulateOptions) -> SimulateOptions, values: &[f64]) -> f64 {
     let mut ends = Ends::new(way, 30);
     let plan = SimulationPlan::new(fmu, &options(ends.options())).unwrap();
@@ -102,7 +103,7 @@ fn ended(fmu: &Fmu, way: Way, options: impl Fn(SimulateOptions) -> SimulateOptio
         }
         (ended, _) => panic!("{way:?}: {ended:?}"),
     };
-    // The instance that was left inside of its events is not used again.
+    // An instance that was stopped inside its events is not used again.
     if way == Way::Observer && !values.is_empty() {
         simulator.run(&[1.0], &mut Ignore).unwrap();
     }
@@ -119,7 +120,7 @@ fn endless_event_iteration_can_be_stopped() {
     for (version, kind) in models {
         for (k, time) in ENDLESS {
             for way in WAYS {
-                // A library of its own: no run before is compared.
+                // A separate library for each run.
                 let folder = faulty(version, &[]);
                 let found = ended(&folder.open(), way, |options| options.kind(kind).parameters(["k"]), &[k]);
                 assert!((found - time).abs() < 1e-12, "{version:?} {kind:?} {k} {way:?}: {found}");
@@ -141,7 +142,7 @@ fn endless_clock_iteration_can_be_stopped() {
     }
 }
 
-/// Raises a flag at a sample, and counts all.
+/// Sets a flag at the tenth sample, and counts all samples.
 struct Rows(Arc<AtomicBool>, usize);
 
 impl Observer for Rows {

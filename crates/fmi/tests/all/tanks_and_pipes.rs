@@ -12,7 +12,7 @@ fn real(value: Value) -> f64 {
     value
 }
 
-/// Values of `names` at the start of a simulation that starts with these.
+/// Returns the values of `names` at the start of a simulation with these start values.
 fn at_start(fmu: &Fmu, start: &[(&str, f64)], names: &[&str]) -> Vec<f64> {
     let mut instance = fmu.instantiate().unwrap();
     for (name, value) in start {
@@ -54,7 +54,7 @@ fn exhaust_pipe_derivatives_match_the_equations() {
     assert_close(&derivatives, &expected, 5e-8);
 }
 
-/// No flow runs backward, and none at all is no division by zero.
+/// No flow is reversed, and zero flow causes no division by zero.
 #[test]
 fn exhaust_pipe_has_no_flow_without_pressure_drop() {
     let folder = model("exhaust");
@@ -90,7 +90,7 @@ fn tank_derivatives_match_the_equations() {
     let found = at_start(&folder.open(), &[("u1", 5.0), ("u2", 6.0)], &names);
     let expected = [-8.7505179956e-04, -4.9714664121e-04, 5.9873286206e-04, -1.1280950193e-04];
     assert_close(&found, &expected, 1e-9);
-    // Below zero there is nothing to flow out.
+    // There is no outflow below zero.
     let found = at_start(&folder.open(), &[("qt.x1", -1e-9), ("qt.x3", -1e-9)], &names);
     assert_eq!((found[0], found[2]), (0.0, 0.0));
 }
@@ -159,7 +159,7 @@ fn tank_directional_derivatives_match_differences() {
             assert!((found[k] - difference).abs() < 1e-6 * largest, "{} by {name}", rates[k]);
         }
     }
-    // In continuous-time mode too, and finite in an empty tank.
+    // The derivatives are also right in continuous-time mode, and finite in an empty tank.
     let mut instance = instance.exit_initialization().unwrap();
     instance.update_discrete_states(MAX_EVENT_ITERATIONS).unwrap();
     let mut instance = instance.enter_continuous_time().unwrap();

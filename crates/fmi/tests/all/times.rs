@@ -1,4 +1,4 @@
-//! How long simulations take, and how much of that is inside of the FMU. Bounds from below only, by sleeping.
+//! Run times of simulations, and the part inside the FMU. Sleeping gives lower bounds only.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -25,14 +25,14 @@ fn model_time_excludes_input_functions_in_every_kind() {
         let options = SimulateOptions::new().final_time(1.0).ncp(20).inputs(inputs).outputs(["y"]);
         let plan = Arc::new(SimulationPlan::new(&fmu, &options).unwrap());
         let mut simulator = Simulator::new(plan).unwrap();
-        // The first run has a new instance, the second may be preceded by trial runs, the third only resets.
+        // The first run has a new instance. Test runs may precede the second. The third only resets.
         for _ in 0..3 {
             let before = naps.load(Ordering::Relaxed);
             let stats = simulator.run(&[], &mut Ignore).unwrap().stats;
             let made = naps.load(Ordering::Relaxed) - before;
             let (seconds, in_model) = (stats.seconds.get(), stats.seconds_in_model.get());
             assert!(made >= 20 && in_model > 0.0 && in_model <= seconds, "{kind:?}: {stats:?}");
-            // Of the trial runs nothing counts: what is left are the evaluations of this run.
+            // Test runs do not count; only the evaluations of this run remain.
             assert!(
                 seconds - in_model > 0.99 * 20.0 * nap.as_secs_f64(),
                 "{kind:?}: {in_model} of {seconds}"

@@ -1,4 +1,4 @@
-//! Tunable parameters that inputs drive: held from row to row, changed at events or communication points.
+//! Tunable parameters driven by inputs: held between rows, changed at events or communication points.
 
 #![allow(clippy::unwrap_used)]
 
@@ -9,7 +9,7 @@ fn model(kind: ExampleKind) -> Fmu {
     Fmu::open(example_fmu_as("switched_input", kind).unwrap()).unwrap()
 }
 
-/// x' = (K u - x) / 0.5 from x = 0.
+/// Returns options for x' = (K u - x) / 0.5 from x = 0.
 fn options(times: Vec<f64>, gains: Vec<f64>) -> SimulateOptions {
     let inputs = Inputs::new().series("K", times, gains).series("u", [0.0], [1.0]);
     SimulateOptions::new()
@@ -42,7 +42,7 @@ fn tunable_parameter_is_set_before_the_initialization() {
     };
     let set = fmu.simulate(&set.start_value("K", 1.25)).unwrap();
     assert_eq!(driven.columns, set.columns);
-    // The value set before has no effect.
+    // The value set before the simulation has no effect.
     let mut session = Session::new(fmu);
     session.set("K", 7.0).unwrap();
     assert_eq!(session.simulate(&options(vec![0.0], vec![1.25])).unwrap().columns, set.columns);

@@ -1,4 +1,4 @@
-//! One model in every version of the standard: the same results.
+//! Each model gives the same results in every version of the standard.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -21,7 +21,7 @@ fn truth(name: &str, options: &SimulateOptions) -> Trajectory {
     open(name, ExampleKind::Fmi2ModelExchange).simulate(options).unwrap()
 }
 
-/// Names, times and events are the same, values within a tolerance.
+/// Checks that names, times and events are equal, and that values agree within a tolerance.
 fn agree(name: &str, truth: &Trajectory, found: &Trajectory, tolerance: f64) {
     assert_eq!((&found.names, &found.time), (&truth.names, &truth.time), "{name}");
     assert_eq!((found.termination, found.end_time), (truth.termination, truth.end_time), "{name}");
@@ -39,7 +39,7 @@ fn agree(name: &str, truth: &Trajectory, found: &Trajectory, tolerance: f64) {
 #[test]
 fn model_exchange_is_bit_for_bit_identical_in_all_versions() {
     for (name, end) in MODELS {
-        // An implicit method takes its Jacobian from directional derivatives, which FMI 1.0 does not have.
+        // An implicit method uses directional derivatives for its Jacobian, which FMI 1.0 does not have.
         let options = SimulateOptions::new()
             .final_time(end)
             .ncp(97)
@@ -47,7 +47,7 @@ fn model_exchange_is_bit_for_bit_identical_in_all_versions() {
             .relative_tolerance(1e-8)
             .record_events(true);
         let truth = truth(name, &options);
-        // Which variables are states is not known in FMI 1.0.
+        // In FMI 1.0 the state variables are unknown.
         let options = options.outputs(truth.names.clone());
         for kind in [ExampleKind::Fmi1ModelExchange, ExampleKind::Fmi3] {
             let found = open(name, kind).simulate(&options).unwrap();
@@ -109,7 +109,7 @@ fn inputs_of_all_types_reach_the_model_in_all_versions() {
         .inputs(inputs)
         .outputs(["x", "target", "gear", "limit", "enabled", "u"]);
     let truth = truth("switched_input", &options);
-    // Without event mode there are limits from the left only.
+    // Without event mode there are only limits from the left.
     let mut left = truth.clone();
     for row in (1..left.time.len()).filter(|row| truth.time[*row] == truth.time[row - 1]) {
         left.columns.iter_mut().for_each(|column| column[row] = column[row - 1]);
@@ -120,7 +120,7 @@ fn inputs_of_all_types_reach_the_model_in_all_versions() {
         let truth = if has_events { &truth } else { &left };
         agree(&format!("{kind:?}"), truth, &fmu.simulate(&options).unwrap(), 1e-6);
     }
-    // FMI 3.0 knows no input derivatives: held over steps of 1 ms they are good enough for this.
+    // FMI 3.0 has no input derivatives. Inputs held over steps of 1 ms are accurate enough here.
     let fmu = open("switched_input", ExampleKind::Fmi3);
     let options = options.kind(InterfaceChoice::CoSimulation).step_size(1e-3);
     let result = fmu.simulate(&options).unwrap();
@@ -254,7 +254,7 @@ fn negated_aliases_reverse_the_sign_of_all_values() {
     for (a, b) in plain.columns[3].iter().zip(&negated.columns[3]) {
         assert_eq!(*a, 1.0 - *b);
     }
-    // As parameter of a run, and when it is read.
+    // As a parameter of a run, and when it is read.
     let options = SimulateOptions::new().final_time(0.1).parameters(["-T"]);
     let plan = Arc::new(SimulationPlan::new(&fmu, &options).unwrap());
     let mut simulator = fmi::Simulator::new(plan).unwrap();

@@ -1,5 +1,5 @@
-//! What every opened archive and every accepted description promises, whatever the bytes were: for property tests,
-//! the replay of kept inputs, and the fuzz targets.
+//! Properties that every opened archive and every accepted description must have, whatever the bytes are.
+//! Property tests, the replay of stored inputs and the fuzz targets check them.
 #![allow(clippy::unwrap_used, clippy::expect_used, unreachable_pub, dead_code)]
 
 use fmi::description::QuirkKind;
@@ -7,7 +7,7 @@ use fmi::{Archive, ArchiveLimits, CancelRequest, FmiError, ModelDescription};
 use std::fs;
 use std::path::Path;
 
-/// Small enough that an honest reading of any input needs little memory and time.
+/// Limits under which reading any input needs little memory and time.
 pub const SMALL: ArchiveLimits = ArchiveLimits {
     entries: 200,
     folders: 100,
@@ -17,8 +17,9 @@ pub const SMALL: ArchiveLimits = ArchiveLimits {
     ratio_free_bytes: 1 << 20,
 };
 
-/// Opens the archive at `path` under [`SMALL`] limits and unpacks it: an error that says something, or a folder within the
-/// limits with a model description in it and nothing but files and folders, gone with the archive.
+/// Opens the archive at `path` under [`SMALL`] limits and unpacks it. The result is an informative error, or
+/// a folder within the limits. The folder contains a model description and only files and folders, and is
+/// removed with the archive.
 pub fn hold_for_archive(path: &Path) {
     match Archive::open_with(path, &SMALL, &CancelRequest::default()) {
         Err(error) => assert_says_something(&error),
@@ -49,7 +50,7 @@ pub fn hold_for_document(bytes: &[u8]) {
     }
 }
 
-/// All indices are in range, all variables are found by name, and every quirk says something.
+/// Checks that all indices are in range, all variables are found by name, and all quirks have a message.
 pub fn hold_for_description(model: &ModelDescription) {
     let n = model.variables.len();
     let structure = &model.structure;
@@ -76,7 +77,7 @@ fn assert_says_something(error: &FmiError) {
     assert!(error.to_string().len() > 10, "{error}");
 }
 
-/// Bytes of all files below a folder that holds nothing but files and folders.
+/// Returns the size in bytes of all files below a folder that contains only files and folders.
 fn size_below(folder: &Path) -> u64 {
     let sizes = fs::read_dir(folder).unwrap().map(|entry| {
         let path = entry.unwrap().path();

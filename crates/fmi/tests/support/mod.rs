@@ -1,4 +1,5 @@
-//! FMUs for the tests: the bundled models, and small C sources with one fault each, compiled into temporary folders.
+//! FMUs for the tests: the bundled models, and small C sources with one fault each. They are compiled into
+//! temporary folders.
 #![allow(dead_code, clippy::unwrap_used)]
 
 use example_models::ExampleKind;
@@ -6,7 +7,7 @@ use fmi::Fmu;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// The bundled models and how long to simulate them (not beyond an end of their own).
+/// Bundled models with the final time of their simulations. No model ends itself before that time.
 pub(crate) const MODELS: [(&str, f64); 8] = [
     ("dahlquist", 5.0),
     ("van_der_pol", 5.0),
@@ -18,12 +19,12 @@ pub(crate) const MODELS: [(&str, f64); 8] = [
     ("exhaust", 5.0),
 ];
 
-/// Where the sources are.
+/// Returns the folder of this crate.
 fn here() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Where the bundled models are.
+/// Returns the folder of the bundled models.
 pub(crate) fn models() -> PathBuf {
     here().join("../example-models/models")
 }
@@ -33,7 +34,7 @@ fn compile(root: &Path, identifier: &str, sources: &[PathBuf], defines: &[&str])
     compile_with(root, identifier, sources, defines, &[]);
 }
 
-/// The same with further arguments.
+/// Compiles `sources` into the library of an unpacked FMU, with further arguments.
 fn compile_with(root: &Path, identifier: &str, sources: &[PathBuf], defines: &[&str], arguments: &[String]) {
     let folder = root
         .join("binaries")
@@ -54,7 +55,7 @@ fn compile_with(root: &Path, identifier: &str, sources: &[PathBuf], defines: &[&
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// A folder that holds an FMU, and goes when the value goes.
+/// Folder with an FMU. It is removed when the value is dropped.
 pub(crate) struct Folder {
     folder: tempfile::TempDir,
 }
@@ -69,7 +70,7 @@ impl Folder {
     }
 }
 
-/// One of the bundled models.
+/// Returns a bundled model.
 pub(crate) fn model(name: &str) -> Folder {
     let folder = tempfile::tempdir().unwrap();
     let model = models().join(name);
@@ -78,7 +79,7 @@ pub(crate) fn model(name: &str) -> Folder {
     Folder { folder }
 }
 
-/// One of the bundled models in another version, compiled with these macros and an edited description.
+/// Returns a bundled model in another version, compiled with these macros and an edited description.
 pub(crate) fn model_as(
     name: &str,
     kind: ExampleKind,
@@ -99,17 +100,17 @@ pub(crate) fn model_as(
     Folder { folder }
 }
 
-/// The FMI 3.0 model with arrays and all types (`tests/arrays`).
+/// Returns the FMI 3.0 model with arrays and all types (`tests/arrays`).
 pub(crate) fn arrays() -> Folder {
     fixture("arrays", |xml| xml)
 }
 
-/// An FMI 3.0 model of its own in `tests/<name>`, with an edited description.
+/// Returns the FMI 3.0 model in `tests/<name>` with an edited description.
 pub(crate) fn fixture(name: &str, edit: impl FnOnce(String) -> String) -> Folder {
     fixture_with(name, &[], edit)
 }
 
-/// The same, compiled with these macros.
+/// Returns the FMI 3.0 model in `tests/<name>`, compiled with these macros and an edited description.
 pub(crate) fn fixture_with(name: &str, defines: &[&str], edit: impl FnOnce(String) -> String) -> Folder {
     let folder = tempfile::tempdir().unwrap();
     let source = here().join("tests").join(name);
@@ -119,12 +120,12 @@ pub(crate) fn fixture_with(name: &str, defines: &[&str], edit: impl FnOnce(Strin
     Folder { folder }
 }
 
-/// The evil model (`tests/evil/evil.c`) with these faults.
+/// Returns the evil model (`tests/evil/evil.c`) with these faults.
 pub(crate) fn evil(faults: &[&str]) -> Folder {
     evil_with(faults, |xml| xml)
 }
 
-/// The evil model with another description.
+/// Returns the evil model with these faults and an edited description.
 pub(crate) fn evil_with(faults: &[&str], edit: impl FnOnce(String) -> String) -> Folder {
     let folder = tempfile::tempdir().unwrap();
     let xml = std::fs::read_to_string(here().join("tests/evil/modelDescription.xml")).unwrap();
@@ -133,8 +134,8 @@ pub(crate) fn evil_with(faults: &[&str], edit: impl FnOnce(String) -> String) ->
     Folder { folder }
 }
 
-/// The evil model with these faults and its parameter in a second library, which lies beside its own. The loader knows
-/// libraries by their names: of two with one name in a process it takes the first.
+/// Returns the evil model with these faults and its parameter in a second library in the same folder. The
+/// loader identifies libraries by name. If two libraries in a process have the same name, it uses the first.
 pub(crate) fn evil_with_sibling(faults: &[&str], name: &str) -> Folder {
     let folder = evil(faults);
     let faults: Vec<&str> = faults.iter().copied().chain(["SIBLING_GLOBALS"]).collect();
@@ -148,14 +149,14 @@ pub(crate) fn evil_with_sibling(faults: &[&str], name: &str) -> Folder {
     folder
 }
 
-/// The equation with faults (`tests/evil/model.c`) with one of the bundled front ends.
+/// Returns the equation with faults (`tests/evil/model.c`) with one of the bundled front ends.
 pub(crate) fn faulty(kind: ExampleKind, defines: &[&str]) -> Folder {
     let folder = tempfile::tempdir().unwrap();
     let packed = Fmu::open(example_models::example_fmu_as("dahlquist", kind).unwrap()).unwrap();
     let xml = std::fs::read_to_string(packed.root().unwrap().join("modelDescription.xml")).unwrap();
     let xml = match kind {
         ExampleKind::Fmi3 => {
-            // An indicator is a variable there.
+            // In FMI 3.0 an event indicator is a variable.
             let variable = "<Float64 name=\"z\" valueReference=\"4\"/>\n  </ModelVariables>";
             let indicator = "<EventIndicator valueReference=\"4\"/>\n  </ModelStructure>";
             xml.replacen("</ModelVariables>", variable, 1).replacen("</ModelStructure>", indicator, 1)

@@ -1,16 +1,16 @@
-//! Zip archives written byte by byte, so that they can be as wrong as no library would write them.
+//! Zip archives written byte by byte, so that they can contain errors that no library would write.
 #![allow(clippy::unwrap_used, dead_code, unreachable_pub)]
 
 use std::io::Write;
 
-/// One entry, every field of which can be made to lie.
+/// Entry of an archive. Every field can be set to a wrong value.
 #[derive(Clone)]
 pub struct Entry {
     /// Name in the directory.
     pub name: Vec<u8>,
     /// Name in the local header.
     pub local_name: Vec<u8>,
-    /// What stands in the archive.
+    /// Packed data of the entry.
     pub packed: Vec<u8>,
     pub method: u16,
     pub flags: u16,
@@ -48,7 +48,7 @@ impl Entry {
         Entry::packed(name, encoder.finish().unwrap(), data.len() as u64, crc32fast::hash(data))
     }
 
-    /// An entry whose deflate stream is given.
+    /// Returns an entry with this deflate stream.
     pub fn packed(name: &str, packed: Vec<u8>, size: u64, crc32: u32) -> Entry {
         let small = u32::try_from(size).unwrap_or(u32::MAX);
         Entry {
@@ -112,7 +112,7 @@ impl Entry {
     }
 }
 
-/// An archive of these entries.
+/// Returns an archive with these entries.
 pub fn zip(entries: &[Entry]) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut offsets = Vec::new();
@@ -136,12 +136,12 @@ pub fn zip(entries: &[Entry]) -> Vec<u8> {
     bytes
 }
 
-/// A small valid model description.
+/// Small valid model description.
 pub const DESCRIPTION: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="m" guid="{1}"><ModelExchange modelIdentifier="m"/></fmiModelDescription>
 "#;
 
-/// The entry every FMU has.
+/// Returns the entry that every FMU has.
 pub fn description() -> Entry {
     Entry::deflated("modelDescription.xml", DESCRIPTION.as_bytes())
 }
