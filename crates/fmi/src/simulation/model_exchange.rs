@@ -288,7 +288,7 @@ impl System {
     /// finite at the end, the recorded rows are wrong.
     ///
     /// # Errors
-    /// [`FmiError::StateNotFinite`] in this case; a call fails.
+    /// [`FmiError::StateNotFinite`] if a recorded state variable is not finite; errors of a failed call.
     pub(crate) fn compared_at_end(&mut self, report: Report) -> Result<Report, Box<SimulationError>> {
         if report.termination == Termination::StoppedByObserver {
             return Ok(report);

@@ -163,16 +163,16 @@ pub struct SimulateOptions {
     /// Real variables whose values are passed to each run.
     pub parameters: Vec<String>,
     /// Variables to record. Entries are names, elements of arrays (`name[2,1]`, counted from 1), patterns, or
-    /// `all`. In a pattern, `*` matches any characters and `?` matches one. `all` selects all numeric
-    /// variables. Default: outputs and states, or all variables that change if there are neither. Time is
-    /// always recorded.
+    /// `all`. In a pattern, `*` matches any characters and `?` matches one. `all` selects all variables.
+    /// Default: outputs and states, or all variables that change if there are neither. Time is always
+    /// recorded.
     pub outputs: Option<Vec<String>>,
     /// Time-varying inputs.
     pub inputs: Option<Inputs>,
     /// Settings for running the model.
     pub run: RunSettings,
     /// Divides each step of a fixed-step method into two halves, including steps shortened by an input or an
-    /// event (model exchange). Comparing the result with a normal run estimates the error.
+    /// event (model exchange). Use it for comparison with a run without halved steps.
     pub halve_steps: bool,
     /// Treatment of rows between the steps of a co-simulation that cannot stop at them. Default:
     /// interpolation.

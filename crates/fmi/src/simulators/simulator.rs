@@ -18,11 +18,11 @@ use std::time::Instant;
 /// Runs one plan any number of times, each time from the start of the model.
 ///
 /// The same parameters give bit-for-bit identical results, independent of previous runs. One thread at a time
-/// can use a simulator ([`Send`], not `Sync`). After the first run, further runs do not allocate memory.
+/// can use a simulator ([`Send`], not `Sync`). After warm-up, a run does not allocate memory.
 ///
-/// All simulators and instances of an [`Fmu`](crate::Fmu) and its clones share one loaded library, and
-/// nothing else uses it. One thread at a time is inside the library. A run waits until other runs have
-/// finished, and polls its observer meanwhile.
+/// The loaded libraries of an [`Fmu`](crate::Fmu) and its clones are private copies of its file. Simulators
+/// that set the same variables share a copy. One thread at a time runs code of these copies. A run waits
+/// until other runs have finished, and polls its observer meanwhile.
 ///
 /// Each run has a new instance, unless the simulator is [`resetting`](Self::resetting) or in a worker process
 /// (see [`Reuse`](crate::Reuse)). Parameters and start values are set again for every run and read back.

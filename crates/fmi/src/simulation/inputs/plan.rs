@@ -20,8 +20,8 @@ use std::sync::Arc;
 /// Continuous inputs of floating-point type are linear between the rows of their table. All other inputs,
 /// including strings ([`values`](Self::values)), keep the value of a row until the next row. Outside the
 /// table, the first and the last row are held. A time listed twice is a jump: the first of the two rows is
-/// the limit from the left. Jumps and changes of held values are events. At changes of slope, a step ends but
-/// no event occurs.
+/// the limit from the left. Jumps and changes of held values are events. At a change of slope, a step ends
+/// without an event.
 ///
 /// Tunable parameters are held. Their first value applies before and during the initialization. They change
 /// at events in model exchange and at communication points in co-simulation.

@@ -57,8 +57,8 @@ impl Selection {
         selection
     }
 
-    /// Selects the columns for names, elements (`name[2,1]`, counted from 1) and patterns (`*`: any
-    /// characters, `?`: one). `all` selects every variable. A variable that a pattern matches again is not
+    /// Selects the columns for names, elements (`name[2,1]`, counted from 1) and patterns (`*` matches any
+    /// characters, `?` one). `all` selects every variable. A variable that a pattern matches again is not
     /// recorded twice.
     ///
     /// # Errors

@@ -8,8 +8,8 @@
 //! Otherwise samples between two points are interpolated, and the last step may end after the final time.
 //!
 //! Some FMUs advance only between multiples of an internal step size (`fixedInternalStepSize`, FMI 3.0) and
-//! keep their values in between. All communication points are then such multiples. A requested time between
-//! two multiples adds both of them.
+//! keep their values in between. All communication points except event times are then such multiples. A
+//! requested time between two multiples adds both of them.
 
 use crate::description::{Capabilities, DefaultExperiment};
 use crate::error::{FmiError, Result};

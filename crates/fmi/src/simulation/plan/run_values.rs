@@ -29,7 +29,7 @@ struct RunParameter {
 enum SetAt {
     /// Before the initialization.
     Early,
-    /// Input: before the initialization and again in initialization mode.
+    /// Input: in initialization mode, and also before it if the model extrapolates inputs.
     Initialization,
     /// Initial state that the model calculates: only after the initialization.
     Start,
@@ -56,7 +56,7 @@ pub(crate) struct RunValues {
     pub(crate) initial: InitialValues,
 }
 
-/// Initial states, and the information if they are set after the initialization.
+/// Initial states. `are_set` is true if they are set after the initialization.
 pub(super) struct InitialStates<'a> {
     pub(super) names: &'a [String],
     /// Indices in the state vector; empty in co-simulation.
