@@ -180,7 +180,7 @@ impl Core {
             .map_err(|fault| self.error_about(fault, references, |kind| kind == VariableKind::Real))
     }
 
-    /// Returns an error if a value reference does not belong to a variable of type Real, or if the number of
+    /// Returns an error if a value reference does not belong to a variable of type Real or the number of
     /// values is wrong. If a reference may belong to an array, only the description contains the number of
     /// its elements.
     #[inline]

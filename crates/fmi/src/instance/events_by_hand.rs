@@ -134,8 +134,8 @@ impl Core {
         self.raw.has_event_mode() && variable.variability != Variability::Continuous
     }
 
-    /// True if events must be handled at `t`: the model has requested event mode, a clock is due, or an input
-    /// without clock waits for event mode.
+    /// True if events must be handled at `t`. Either the model has requested event mode, a clock is due, or
+    /// an input without clock waits.
     pub(super) fn has_events_at(&self, t: f64, tolerance: f64) -> bool {
         let variables = &self.fmu.description().variables;
         let is_ready =
@@ -145,8 +145,8 @@ impl Core {
             || self.progress.waiting.iter().any(|(index, _)| is_ready(*index))
     }
 
-    /// Stores the event indicators before inputs are set in continuous-time mode. They later determine if
-    /// setting the inputs caused an event.
+    /// Stores the event indicators before inputs are set in continuous-time mode. They later determine
+    /// whether setting the inputs caused an event.
     pub(super) fn note_indicators(&mut self) {
         if self.progress.before_inputs.is_none() {
             self.progress.before_inputs = self.indicators().ok();

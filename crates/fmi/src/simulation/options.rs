@@ -79,9 +79,9 @@ pub struct RunSettings {
     /// default experiment's step size. The row spacing is used instead if that step size would make more than
     /// 1e6 steps.
     ///
-    /// If the model supports steps of any length, there are further communication points: each row, and each
-    /// time at which an input jumps or changes its slope. If the model does not receive input derivatives,
-    /// each row in which an input changes its value is also a communication point.
+    /// If the model supports steps of any length, rows are also communication points. So are the times at
+    /// which an input jumps or changes its slope. If the model does not receive input derivatives, so are the
+    /// times at which an input changes its value.
     pub step_size: Option<f64>,
     /// Maximum step of the adaptive methods.
     pub max_step: Option<f64>,

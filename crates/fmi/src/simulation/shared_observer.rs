@@ -18,8 +18,9 @@ impl<'a> SharedObserver<'a> {
         Self { observer: RefCell::new(observer), watch: EndConditions::new(options) }
     }
 
-    /// Checks the end conditions: before each step, each round of an event iteration and each row inside a
-    /// step, and while a step is pending. No call of the model between two checks takes long.
+    /// Checks the end conditions. Callers check before each step, each round of an event iteration and each
+    /// row inside a step. They also check while a step is pending. No call of the model between two checks
+    /// takes long.
     ///
     /// # Errors
     /// Returns the reason if the run must end.

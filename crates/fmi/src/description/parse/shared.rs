@@ -259,8 +259,8 @@ pub(super) fn value_attributes(attributes: &Attributes<'_>, variable: &mut Varia
     Flags { relative_quantity: relative_quantity.is_some(), unbounded: unbounded.is_some() }
 }
 
-/// Reads causality, variability and initial, or uses the standard's defaults. Also reads if the variable may
-/// be set several times at one instant.
+/// Reads causality, variability and initial, or uses the standard's defaults. Also reads whether the variable
+/// may be set several times at one instant.
 pub(super) fn roles(attributes: &Attributes<'_>, variable: &mut Variable) {
     variable.causality = attributes.choice("causality", Causality::WORDS).unwrap_or(Causality::Local);
     variable.variability = match attributes.choice("variability", Variability::WORDS) {

@@ -250,8 +250,8 @@ impl Run<'_, '_> {
         Ok(())
     }
 
-    /// Records if a step to the stop time was refused. Returns true if the next run handles the stop time
-    /// differently, so this run is repeated.
+    /// Records whether a step to the stop time was refused. Returns true if the next run handles the stop
+    /// time differently, so this run is repeated.
     fn note_last_step(&mut self, target: &Target, is_refused: bool) -> bool {
         let CoSimulationState { stop, is_stop_told, .. } = *self.stepping;
         if target.time < stop - self.plan.time_tolerance {

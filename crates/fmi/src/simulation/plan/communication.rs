@@ -122,7 +122,7 @@ impl Communication {
         around(self.internal?, start, time, time_tolerance)
     }
 
-    /// Returns the fixed step of a model that can stop only at its multiples: the internal step, or a
+    /// Returns the step of a model that can stop only at its multiples. This is the internal step or a
     /// communication step of fixed length.
     fn fixed_step(&self) -> Option<f64> {
         if self.variable { self.internal } else { self.step }
