@@ -1,4 +1,5 @@
-//! Methods by name or number, for callers that choose at run time, and the choice of one for a problem.
+//! Methods by name or number, for callers that choose one at run time, and the automatic choice for a
+//! problem.
 
 use super::barrier::Barrier;
 use super::boxed::BoxedMethod;
@@ -47,7 +48,7 @@ use std::str::FromStr;
 pub enum AnyMethod {
     /// `nelder-mead`, number 1.
     NelderMead(NelderMead),
-    /// `barrier`, number 2: for problems with at least one bound.
+    /// `barrier`, number 2. Requires at least one bound.
     Barrier(Barrier),
     /// `de` or `differential-evolution` (L-SHADE), and `de-classic` (rand/1/bin), which is number 3.
     DifferentialEvolution(DifferentialEvolution),
@@ -59,28 +60,28 @@ pub enum AnyMethod {
     CmaEs(CmaEs),
     /// `multistart`.
     Multistart(Multistart),
-    /// `auto`: no method in particular.
+    /// `auto`: the run chooses the method.
     Auto(Auto),
     /// `quadratic-model`, for smooth costs.
     QuadraticModel(QuadraticModel),
-    /// `pattern-search`, for costs with kinks; not for smooth ones.
+    /// `pattern-search`, for costs with kinks. Inefficient for smooth costs.
     PatternSearch(PatternSearch),
 }
 
 /// A method of the list.
 struct Listed {
     name: &'static str,
-    /// Its number in `fmin`.
+    /// Number of the method in `fmin`.
     number: Option<usize>,
-    /// Its other names.
+    /// Alternative names.
     also: &'static [&'static str],
-    /// Methods of other tools that solve the same problems otherwise: named in the error where they are asked
-    /// for.
+    /// Methods of other tools that solve the same problems in another way. An error for such a name suggests
+    /// this method.
     similar: &'static [&'static str],
     options: fn() -> AnyMethod,
 }
 
-/// The methods: a new one is added here.
+/// The list of methods. Add new methods here.
 const LIST: [Listed; 10] = [
     Listed {
         name: "nelder-mead",
@@ -182,12 +183,12 @@ const LIST: [Listed; 10] = [
     },
 ];
 
-/// Up to so many parameters `auto` takes quadratic models. With more they take about a millisecond per
-/// evaluation and solve what is smooth (`benches/overhead.rs -- solved`); beside Nelder-Mead they were not
-/// measured there.
+/// Maximum number of parameters for which `auto` chooses quadratic models. With more parameters, the models
+/// take about a millisecond per evaluation and solve smooth problems (`benches/overhead.rs -- solved`). They
+/// were not compared with Nelder-Mead at those sizes.
 const MOST_FOR_MODELS: usize = 60;
 
-/// The same call on whichever method it is.
+/// Makes one call on whichever method `$any` contains.
 macro_rules! each {
     ($any:expr, $options:ident => $call:expr) => {
         match $any {
@@ -206,7 +207,7 @@ macro_rules! each {
 }
 
 impl AnyMethod {
-    /// True if the method looks for the best of several minima.
+    /// True if the method searches for the best of several minima.
     pub fn is_global(&self) -> bool {
         match self {
             Self::DifferentialEvolution(_) | Self::Genetic(_) | Self::CmaEs(_) | Self::Multistart(_) => true,
@@ -215,7 +216,7 @@ impl AnyMethod {
         }
     }
 
-    /// All names.
+    /// Names of all methods, without `auto`.
     pub const NAMES: [&'static str; LIST.len()] = {
         let mut names = [""; LIST.len()];
         let mut k = 0;
@@ -226,7 +227,7 @@ impl AnyMethod {
         names
     };
 
-    /// The name that it is chosen by.
+    /// Returns the name by which the method is chosen.
     pub fn name(&self) -> &'static str {
         match self {
             Self::NelderMead(_) => "nelder-mead",
@@ -242,19 +243,19 @@ impl AnyMethod {
         }
     }
 
-    /// The names of the methods that can be asked for, `auto` not among them.
+    /// Returns the names of all methods, without `auto`.
     pub fn names() -> impl ExactSizeIterator<Item = &'static str> {
         LIST.iter().map(|method| method.name)
     }
 
-    /// All methods, with all names that they are asked for by.
+    /// Returns all methods, each with all names by which it can be chosen.
     #[cfg(feature = "schema")]
     pub(crate) fn listed() -> impl Iterator<Item = (Vec<&'static str>, Self)> {
         LIST.iter()
             .map(|method| (method.also.iter().chain([&method.name]).copied().collect(), (method.options)()))
     }
 
-    /// The JSON schema of each option.
+    /// Returns the JSON schema of each option.
     #[cfg(feature = "schema")]
     pub(crate) fn option_schemas(
         &self,
@@ -264,17 +265,17 @@ impl AnyMethod {
         each!(self, options => super::schema::option_schemas(options, &names, generator))
     }
 
-    /// The method that `fmin` of Gedda et al. (2012) has under this number: 1 Nelder-Mead, 2 sequential
-    /// barrier, 3 differential evolution as the paper writes it, 4 genetic algorithm.
+    /// Returns the method with this number in `fmin` of Gedda et al. (2012): 1 Nelder-Mead, 2 sequential
+    /// barrier, 3 differential evolution as defined in the paper, 4 genetic algorithm.
     ///
     /// # Errors
-    /// Another number.
+    /// Returns an error for any other number.
     pub fn by_number(number: usize) -> Result<Self, Error> {
         listed(&number.to_string(), |method| method.number == Some(number))
     }
 }
 
-/// The method of the list for which this holds.
+/// Returns the first method of the list that satisfies the predicate, or the error for an unknown method.
 fn listed(asked: &str, is_it: impl Fn(&Listed) -> bool) -> Result<AnyMethod, Error> {
     if let Some(method) = LIST.iter().find(|method| is_it(method)) {
         return Ok((method.options)());
@@ -288,8 +289,8 @@ fn listed(asked: &str, is_it: impl Fn(&Listed) -> bool) -> Result<AnyMethod, Err
     Err(Error::UnknownMethod { name: asked.to_owned(), hint, known: known.join(", ") })
 }
 
-/// The method that somebody means who writes this: the one that solves the same problems, or the one whose
-/// name differs by few letters.
+/// Returns the method most likely meant by an unknown name. This is the method that solves the same problems
+/// as the named one, or a method whose name differs by a few letters.
 fn meant(asked: &str) -> Option<&'static str> {
     let asked = folded(asked);
     if let Some(method) = LIST.iter().find(|m| m.similar.iter().any(|name| folded(name) == asked)) {
@@ -304,7 +305,7 @@ fn meant(asked: &str) -> Option<&'static str> {
 }
 
 impl Default for AnyMethod {
-    /// Nelder-Mead.
+    /// Returns Nelder-Mead.
     fn default() -> Self {
         Self::NelderMead(NelderMead::default())
     }
@@ -313,8 +314,8 @@ impl Default for AnyMethod {
 impl FromStr for AnyMethod {
     type Err = Error;
 
-    /// The method of a name: the short one, the full one, or that of SciPy, in any case and with any sign
-    /// between words.
+    /// Parses the name of a method: short, full, or as in SciPy. Case and separators between words are
+    /// ignored.
     fn from_str(name: &str) -> Result<Self, Error> {
         let asked = folded(name);
         if asked == "auto" {
@@ -347,23 +348,23 @@ from_options!(
     Auto
 );
 
-/// No method in particular: the run chooses one ([`AnyMethod::chosen_for`]), and its report says which and
-/// why.
+/// Leaves the choice of the method to the run ([`AnyMethod::chosen_for`]). The report records the chosen
+/// method and the reason.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default)]
 #[non_exhaustive]
 pub struct Auto {
-    /// Goal of the search: the minimum next to the start (default), or the best in the box.
+    /// Goal of the search: the minimum nearest to the start (default), or the best minimum in the box.
     pub search: Search,
-    /// Options for the method that will be chosen, by name; those of Nelder-Mead alone choose Nelder-Mead,
-    /// and so does a batch plan that it alone has.
+    /// Options for the chosen method, by name. Options that only Nelder-Mead supports select Nelder-Mead. A
+    /// batch plan that only Nelder-Mead supports does the same.
     #[cfg_attr(feature = "schema", schemars(with = "std::collections::BTreeMap<String, serde_json::Value>"))]
     pub options: Record,
 }
 
 impl AnyMethod {
-    /// No method in particular: the run chooses one for such a search.
+    /// Returns options that leave the choice of the method for this search to the run.
     ///
     /// ```
     /// use dfo::{AnyMethod, Search, minimize, residuals};
@@ -377,19 +378,21 @@ impl AnyMethod {
         Self::Auto(Auto { search, ..Auto::default() })
     }
 
-    /// The method for a problem of this class:
+    /// Returns the method for a problem of this class, with the reason:
     ///
-    /// - with residuals [`LeastSquares`], which needs a tenth of the evaluations of methods that see the cost
-    ///   alone;
-    /// - with costs of at most 60 parameters [`QuadraticModel`], which hands over to [`NelderMead`] where its
-    ///   model shows noise or kinks ([`QuadraticModel::hand_over`](field@QuadraticModel::hand_over)): with
-    ///   smooth costs it takes half of the evaluations of Nelder-Mead or less, with others as many
-    ///   (`benches/choice.rs`);
-    /// - [`Multistart`] where the best minimum of a box is asked for;
-    /// - [`DifferentialEvolution`] with integer parameters, [`Genetic`] with categorical ones.
+    /// - Problems with residuals use [`LeastSquares`]. It needs a tenth of the evaluations of methods that
+    ///   use only the cost.
+    /// - Costs of at most 60 parameters use [`QuadraticModel`], which hands over to [`NelderMead`] if its
+    ///   model shows noise or kinks ([`QuadraticModel::hand_over`](field@QuadraticModel::hand_over)). It
+    ///   needs at most half of the evaluations of Nelder-Mead for smooth costs, and as many for others
+    ///   (`benches/choice.rs`).
+    /// - Searches for the best minimum in a box use [`Multistart`].
+    /// - Problems with integer parameters use [`DifferentialEvolution`], and problems with categorical
+    ///   parameters use [`Genetic`].
     ///
     /// # Errors
-    /// A global search asked for without two finite bounds for every free parameter: the first without.
+    /// Returns an error if a global search is requested and a free parameter lacks a finite bound. The error
+    /// reports the first such parameter.
     pub fn chosen_for(class: &ProblemClass<'_>) -> Result<(Self, &'static str), Error> {
         let chosen = |method: AnyMethod, reason: &'static str| Ok((method, reason));
         if class.kinds.contains(&ParameterKind::Categorical) {
@@ -427,7 +430,8 @@ impl AnyMethod {
         }
     }
 
-    /// The method that a setup alone chooses, which does not say whether there are residuals.
+    /// Returns the method chosen from the setup alone. The setup does not record whether the objective has
+    /// residuals.
     fn of_setup(auto: &Auto, setup: &Setup) -> Result<Self, Error> {
         let space = &setup.space;
         let mut kinds = vec![ParameterKind::Continuous; space.n()];
@@ -441,22 +445,22 @@ impl AnyMethod {
 }
 
 impl AnyMethod {
-    /// The names of the options of this method.
+    /// Returns the names of the options of this method.
     pub fn option_names(&self) -> Result<BTreeSet<String>, Error> {
         let mut names = BTreeSet::new();
         collect(&Value::of(self)?, &mut names);
-        // Only L-SHADE plans with it.
+        // Only L-SHADE uses the budget for planning.
         if self.name() == "de-classic" {
             names.remove("budget");
         }
         Ok(names)
     }
 
-    /// The options of this method by name, as [`with_options`](Self::with_options) takes them; where the
-    /// choice is open, those that were given.
+    /// Returns the options of this method by name, in the form that [`with_options`](Self::with_options)
+    /// accepts. For `auto`, returns only the options that were set.
     ///
     /// # Errors
-    /// They cannot be serialised.
+    /// Returns an error if the options cannot be serialised.
     pub fn option_record(&self) -> Result<Record, Error> {
         if let Self::Auto(auto) = self {
             return Ok(auto.options.clone());
@@ -467,13 +471,13 @@ impl AnyMethod {
         Ok(options)
     }
 
-    /// The same method with these options, and as it is in all others.
+    /// Returns this method with the given options. All other options are unchanged.
     ///
     /// # Errors
-    /// An option that the method does not have, or a value that it cannot have.
+    /// Returns an error if the method does not support an option, or if a value is invalid for its option.
     pub fn with_options(self, options: &Record) -> Result<Self, Error> {
         if let Self::Auto(Auto { search, .. }) = self {
-            // None leaves an option to the method.
+            // `None` leaves the option at the default of the chosen method.
             let given = options.iter().filter(|(_, value)| **value != Value::Nothing);
             let options = given.map(|(option, value)| (option.clone(), value.clone())).collect();
             return Ok(Self::Auto(Auto { search, options }));
@@ -498,12 +502,12 @@ impl AnyMethod {
         Ok(method)
     }
 
-    /// True if the method has this option, and the option can have this value.
+    /// True if the method supports this option with this value.
     fn takes(&self, option: &str, value: &Value) -> bool {
         self.clone().with_options(&Record::from([(option.to_owned(), value.clone())])).is_ok()
     }
 
-    /// The names of the options that there are, of any method or of every run.
+    /// Returns the names of all options, of any method and of every run.
     pub fn all_option_names() -> Result<BTreeSet<String>, Error> {
         let mut names: BTreeSet<String> = COMMON.into_iter().map(str::to_owned).collect();
         for method in &LIST {
@@ -514,8 +518,8 @@ impl AnyMethod {
 }
 
 impl Auto {
-    /// The method for a problem, with the options that were given, and the reason. Options of Nelder-Mead
-    /// alone choose Nelder-Mead, where it can search.
+    /// Returns the method for a problem with the options that were set, and the reason. Options that only
+    /// Nelder-Mead supports select Nelder-Mead, if it can solve the problem.
     fn choose(&self, class: &ProblemClass<'_>) -> Result<(AnyMethod, String), Error> {
         let simplex = AnyMethod::from(NelderMead::default());
         let can_take_simplex =
@@ -531,7 +535,7 @@ impl Auto {
             _ => None,
         };
         if plan.as_ref().is_some_and(|(_, word)| word.eq_ignore_ascii_case("auto")) {
-            // The plan of the method that is chosen.
+            // Uses the plan of the chosen method.
             options.remove("batch");
         } else if can_take_simplex
             && let Some((_, word)) = plan.filter(|(plan, _)| simplex.takes("batch", plan))

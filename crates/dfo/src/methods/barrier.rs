@@ -1,13 +1,13 @@
-//! Sequential barrier: Nelder-Mead on the cost plus a barrier that keeps it off the bounds, with less and
-//! less of it.
+//! Sequential barrier method: Nelder-Mead on the cost plus a barrier term that decreases from stage to stage.
 //!
-//! Stage `k` minimises `f(x) + mu_k B(x)` from the result of the stage before, with `B(x) = sum s_i / (x_i -
-//! lower_i) + s_i / (upper_i - x_i)` over the bounds that there are (Carroll, Oper. Res. 9, 1961); `s_i` is
-//! the size of the parameter, and parameters on a logarithmic scale count by their logarithm. `B` is
-//! positive, so a partial sum of the cost plus the barrier may be compared with a cutoff. Each stage has a
-//! tenth of the barrier of the one before, a smaller first simplex and tighter tolerances. It ends when the
-//! tests of Nelder-Mead pass at the user's tolerances, the stage has moved the point by at most `x_tol`, and
-//! `mu B` is at most `f_tol` of the cost (of the first cost, if that is larger).
+//! Stage `k` minimises `f(x) + mu_k B(x)` from the result of the previous stage, with `B(x) = sum s_i / (x_i
+//! - lower_i) + s_i / (upper_i - x_i)` over the finite bounds (Carroll, Oper. Res. 9, 1961). `s_i` is the
+//! size of the parameter. Parameters on a logarithmic scale enter `B` with their logarithm. `B` is positive,
+//! so a partial sum of the cost plus the barrier can be compared with a cutoff. By default, each stage uses a
+//! tenth of the previous barrier parameter. It also uses a smaller first simplex and tighter tolerances. The
+//! method ends if three conditions hold: the tests of Nelder-Mead pass at the user's tolerances, the stage
+//! has moved the point by at most `x_tol`, and `mu B` is at most `f_tol` of the cost (of the first cost, if
+//! that is larger).
 
 use crate::error::Error;
 use crate::method_interface::interface::{
@@ -24,15 +24,16 @@ use crate::problem::space::Space;
 use crate::values::choices::ToleranceMeasure;
 use serde::{Deserialize, Serialize};
 
-/// Least distance from a bound, in units of the width of the box (else of the size of the parameter).
+/// Minimum distance from a bound, in units of the width of the box. Without a box, in units of the parameter
+/// size.
 const MARGIN: f64 = 1e-10;
-/// Largest term of `B`, however near to the bound, and largest barrier parameter: their product is a number.
+/// Maximum term of `B`, and maximum barrier parameter. These limits keep their product finite.
 const MAX_TERM: f64 = 1e100;
 const MAX_MU: f64 = 1e200;
-/// Stages after which there is no barrier left in any number of 53 bits.
+/// Maximum number of stages. After 40 stages, the barrier is below the resolution of 53-bit numbers.
 const MAX_STAGES: usize = 40;
 
-/// Options of the sequential barrier method. Needs a start strictly inside of the bounds, and at least one
+/// Options of the sequential barrier method. Requires a start strictly inside the bounds, and at least one
 /// bound.
 ///
 /// ```
@@ -49,10 +50,10 @@ const MAX_STAGES: usize = 40;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct Barrier {
-    /// The first barrier parameter, positive and at most 1e200; default: a tenth of the cost at the start is
-    /// barrier.
+    /// First barrier parameter, positive and at most 1e200. By default, the barrier is a tenth of the cost at
+    /// the start.
     pub mu: Option<f64>,
-    /// Factor of the barrier parameter from stage to stage; default 0.1.
+    /// Factor by which the barrier parameter is multiplied after each stage; default 0.1.
     pub factor: f64,
     /// Batch plan of Nelder-Mead.
     pub batch: Lookahead,
@@ -74,7 +75,7 @@ impl Barrier {
         self
     }
 
-    /// Sets what the barrier parameter is multiplied with from stage to stage.
+    /// Sets the factor by which the barrier parameter is multiplied after each stage.
     #[must_use]
     pub fn factor(mut self, factor: f64) -> Self {
         self.factor = factor;
@@ -95,7 +96,7 @@ impl Barrier {
         self
     }
 
-    /// The method of the stages.
+    /// Returns the method used in the stages.
     fn inner(&self) -> NelderMead {
         NelderMead::default().batch(self.batch).coefficients(self.coefficients)
     }
@@ -162,7 +163,8 @@ impl MethodOptions for Barrier {
     }
 }
 
-/// The problem of a stage: bounds a little inside of the user's, tolerances that tighten from stage to stage.
+/// Returns the setup of a stage. Its bounds are slightly inside the user's bounds. Its tolerances tighten
+/// from stage to stage.
 fn inner_setup(setup: &Setup, start: &[f64], stage: usize) -> Setup {
     let space = &setup.space;
     let (mut lower, mut upper) = (space.bounds().lower().to_vec(), space.bounds().upper().to_vec());
@@ -177,7 +179,7 @@ fn inner_setup(setup: &Setup, start: &[f64], stage: usize) -> Setup {
                 MARGIN * bound.abs().max(space.size(k))
             }
         };
-        // A start that is nearer to the bound than the margin may be kept half that near.
+        // A start that is nearer to the bound than the margin may approach it to half that distance.
         let (low, high) = space.limits_of(k);
         if low.is_finite() {
             lower[i] = (lower[i] + step(lower[i])).min(0.5 * lower[i] + 0.5 * start[i]);
@@ -195,22 +197,22 @@ fn inner_setup(setup: &Setup, start: &[f64], stage: usize) -> Setup {
         ToleranceMeasure::Absolute => setup.tolerances,
     };
     let inner = Bounds::new(&lower, &upper).and_then(|b| Space::new(start, b, &transforms, &sizes));
-    // The bounds contain the start by construction; should rounding say otherwise, the user's own do.
+    // The bounds contain the start by construction. If rounding violates this, use the user's bounds.
     let space = inner.unwrap_or_else(|_| space.clone());
     Setup { tolerances, ..Setup { space, ..setup.clone() } }
 }
 
-/// A running sequential barrier search; made by [`Barrier`].
+/// A running sequential barrier search, created by [`Barrier`].
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct BarrierState {
     setup: Setup,
     options: Barrier,
-    /// Barrier parameter of the present stage; `None` until the first cost is known.
+    /// Barrier parameter of the current stage; `None` until the first cost is known.
     mu: Option<f64>,
     inner: NelderMeadState,
-    /// The last batch requested, with the cutoffs of the inner method.
+    /// The last requested batch, with the cutoffs of the inner method.
     asked: Batch,
-    /// The cutoffs that the objective was told.
+    /// The cutoffs passed to the objective.
     cutoffs: Vec<f64>,
     #[serde(skip)]
     translated: Answers,
@@ -219,7 +221,7 @@ pub struct BarrierState {
     schedule: Vec<BarrierStage>,
     stage_start: Vec<f64>,
     n_stage: usize,
-    /// Batches, points and iterations of the stages before.
+    /// Number of batches, points and iterations of the previous stages.
     n_batches: u64,
     n_points: u64,
     n_iterations: usize,
@@ -231,7 +233,7 @@ impl BarrierState {
     fn is_sound(&self, setup: &Setup) -> bool {
         let space = &setup.space;
         let is_point = |x: &[f64]| x.len() == space.n() && x.iter().all(|v| v.is_finite());
-        // The problem of the stage can be made of sound parts only.
+        // The setup of a stage can be built only from valid fields.
         self.setup.space == space.without_far_bounds()
             && self.setup.tolerances.check().is_ok()
             && self.mu.is_none_or(|mu| mu >= 0.0 && mu.is_finite())
@@ -250,7 +252,7 @@ impl BarrierState {
             }
     }
 
-    /// `B(x)`; positive, finite inside of the bounds.
+    /// Returns `B(x)`, which is positive, and finite inside the bounds.
     fn barrier(&mut self, x: &[f64]) -> f64 {
         let space = &self.setup.space;
         space.to_working(x, &mut self.working);
@@ -268,23 +270,24 @@ impl BarrierState {
         sum
     }
 
-    /// From cutoffs of the cost with its barrier, of the points from `first` on, to cutoffs of the cost.
+    /// Converts cutoffs of the cost plus the barrier to cutoffs of the cost, for the points from `first` on.
     fn translate_cutoffs(&mut self, batch: &mut Batch, first: usize) {
         let mu = self.mu.unwrap_or(0.0);
-        // A cost below the best so far is wanted, even where its barrier makes it of no use to the search.
+        // A cost below the best so far must be known, even if its barrier makes the point useless to the
+        // search.
         let best = self.best.cost().unwrap_or(f64::NEG_INFINITY);
         for k in first..batch.len() {
             let cutoff = batch.cutoff(k);
             if cutoff < f64::INFINITY {
                 let barrier = mu * self.barrier(batch.point(k));
-                // Widened by what rounding may take away: giving up must imply that the sum is not accepted.
+                // The slack covers rounding: a stopped evaluation must imply that the search rejects the sum.
                 let slack = 4.0 * f64::EPSILON * (cutoff.abs() + barrier);
                 batch.set_cutoff(k, (cutoff - barrier + slack).max(best));
             }
         }
     }
 
-    /// The first barrier parameter, from the first cost that is known.
+    /// Sets the first barrier parameter from the first known cost.
     fn settle_mu(&mut self, outcomes: &[Outcome]) {
         let known = outcomes.iter().position(|o| o.value().is_some());
         let Some((k, cost)) = known.and_then(|k| outcomes[k].value().map(|v| (k, v))) else { return };
@@ -299,7 +302,7 @@ impl BarrierState {
         }
     }
 
-    /// `inner`: why the stage ended.
+    /// Ends a stage. `inner` is the reason why the inner method ended.
     fn end_stage(&mut self, inner: Termination) -> Result<(), Error> {
         let Some((x, value)) = self.inner.best().map(|(x, v)| (x.to_vec(), v)) else { return Ok(()) };
         let mu = self.mu.unwrap_or(0.0);
@@ -327,7 +330,7 @@ impl BarrierState {
         let settled = stage > 1 && moved <= x_tol && mu * barrier <= limit;
         self.ended = match inner {
             Termination::OneFiniteVertex => Some(inner),
-            // After so many stages no barrier is left in numbers of 53 bits.
+            // After `MAX_STAGES` stages, the barrier is below the resolution of 53-bit numbers.
             _ if (tight && settled) || stage >= MAX_STAGES => Some(inner),
             _ => None,
         };
@@ -370,7 +373,7 @@ impl Method for BarrierState {
 
     fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
         let first = batch.len();
-        // What follows a stage is not foreseen.
+        // Points of the next stage are not predicted.
         if self.ended.is_none() {
             self.inner.speculate(wanted, known, batch);
             self.translate_cutoffs(batch, first);
@@ -392,7 +395,7 @@ impl Method for BarrierState {
         self.translated.clear();
         for (k, outcome) in outcomes.iter().enumerate() {
             let translated = match outcome.value() {
-                // The cost of the point is a number, so that with its barrier is one.
+                // The cost is finite, so the cost plus the barrier must stay finite.
                 Some(v) => Outcome::Value((v + mu * self.barrier(points.point(k))).min(f64::MAX)),
                 None => outcome.clone(),
             };
@@ -404,13 +407,14 @@ impl Method for BarrierState {
         for (k, outcome) in outcomes.iter().enumerate() {
             self.n_stage += usize::from(outcome.is_known());
             let Some(v) = outcome.value() else { continue };
-            // Above the cutoff it might have been given up; with or without cutoffs the best must be the same.
+            // An evaluation above its cutoff might have been stopped. The best point must not depend on
+            // cutoffs.
             if self.cutoffs.get(k).is_some_and(|c| v > *c) {
                 continue;
             }
             self.best.offer(self.asked.point(k), v);
         }
-        // Nothing is asked any more until the next ask.
+        // No points are pending until the next `ask`.
         self.asked.start(self.setup.space.n(), 0, 0);
         match self.inner.status() {
             Status::Running | Status::NoStart => Ok(()),
@@ -426,7 +430,7 @@ impl Method for BarrierState {
         match (&self.ended, self.inner.status()) {
             (Some(termination), _) => Status::Ended(termination.clone()),
             (None, Status::NoStart) if self.schedule.is_empty() => Status::NoStart,
-            // Later stages start where there was a cost before.
+            // Later stages start from a point with a known cost.
             (None, Status::NoStart) => Status::Ended(Termination::AllFailed),
             (None, _) => Status::Running,
         }
@@ -434,7 +438,7 @@ impl Method for BarrierState {
 
     fn details(&self) -> MethodDetails<'_> {
         let inner = self.inner.details();
-        // The inner method of the last stage was counted when it ended.
+        // The inner iterations of the last stage are added only when a stage ends.
         let is_counted = self.ended.is_some() && self.schedule.is_empty();
         let operation = match inner.operation {
             None if !self.schedule.is_empty() => Some(Operation::Initial),

@@ -1,4 +1,4 @@
-//! A running method behind one type, for callers that choose it at run time.
+//! A running method as a single type, for callers that choose the method at run time.
 
 use crate::error::Error;
 use crate::method_interface::interface::{AnswersSoFar, Batch, Method, MethodDetails, Status};
@@ -7,7 +7,7 @@ use crate::outcome::answer::Answers;
 use base::RunContext;
 use std::fmt;
 
-/// A running method of a kind that only the run knows.
+/// A running method whose type is known only at run time.
 pub struct BoxedMethod(Box<dyn Method + Send>);
 
 impl BoxedMethod {

@@ -1,10 +1,10 @@
-//! Searches with CMA-ES for a lower cost near points that fail, after the tests of another method have
-//! passed.
+//! Searches with CMA-ES for a lower cost near failed points, after the tests of another method have passed.
 //!
-//! Near such points only few directions reduce the cost. Polls, simplices and axes may miss them. CMA-ES
-//! ranks failed points last and turns its distribution along the border that they make: of 170 random
-//! problems whose minimum lies on such a border (planes, corners and spheres, 2 to 5 parameters) it ended at
-//! the minimum in all, pattern search in 114, Nelder-Mead in 159.
+//! Near failed points, only a few directions reduce the cost. Polls, simplices and axis-parallel steps may
+//! miss them. CMA-ES ranks failed points last and aligns its distribution with the border of the failing
+//! region. A test set of 170 random problems has the minimum on such a border (planes, corners and spheres, 2
+//! to 5 parameters). CMA-ES ended at the minimum in all of them, pattern search in 114 and Nelder-Mead in
+//! 159.
 
 use super::cma_es::{CmaEs, CmaRules};
 use super::shared::generations::Generations;
@@ -16,23 +16,23 @@ use crate::outcome::termination::Termination;
 use crate::problem::space::Space;
 use serde::{Deserialize, Serialize};
 
-/// Number of failed points that are remembered.
+/// Number of failed points that are stored.
 const MOST_FAILED: usize = 64;
-/// Distance up to which a failed point is near, in sizes of the parameters.
+/// Distance up to which a failed point is near, in units of the parameter sizes.
 const NEAR: f64 = 0.1;
-/// The first standard deviation of a search, in units of the sizes. With 0.01 and 0.2 the evaluations are the
-/// same within 2 %; with 0.2 two of 360 searches claim success beside the minimum.
+/// First standard deviation of a search, in units of the parameter sizes. With 0.01 and 0.2, the number of
+/// evaluations differs by less than 2 %. With 0.2, two of 360 searches report success away from the minimum.
 const SIGMA: f64 = 0.05;
-/// Gain above which another search follows, in units of the least gain that counts: 0.1 % of the cost at the
-/// default tolerance.
+/// Gain above which another search follows, in units of the smallest significant gain. At the default
+/// tolerance, this is 0.1 % of the cost.
 const MUCH: f64 = 1e3;
-/// Number of searches in a row that may each gain as much.
+/// Maximum number of consecutive searches that may gain more than this.
 const MOST_SEARCHES: u64 = 5;
 
 /// The last points that failed, in the user's units.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(crate) struct FailedPoints {
-    /// One after the other; once there are [`MOST_FAILED`], the next one takes the place of the oldest.
+    /// Concatenated points. After [`MOST_FAILED`] points, each new point replaces the oldest one.
     values: Vec<f64>,
     next: usize,
 }
@@ -52,7 +52,7 @@ impl FailedPoints {
         }
     }
 
-    /// True if a point lies beside one that failed.
+    /// True if a point is near a failed point.
     pub(crate) fn are_near(&self, x: &[f64], space: &Space) -> bool {
         let space = space.without_sine();
         let (mut here, mut there) = (vec![0.0; space.n_free()], vec![0.0; space.n_free()]);
@@ -71,21 +71,21 @@ impl FailedPoints {
     }
 }
 
-/// Searches from the best point, one after the other, until one finds no cost that is much lower.
+/// Repeated searches from the best point, until a search does not find a much lower cost.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct FailureCheck {
-    /// Where the search under way began, its cost, and the least gain that counts.
+    /// Start of the current search, its cost, and the smallest significant gain.
     start: (Vec<f64>, f64),
     least: f64,
     search: Generations<CmaRules>,
     n_searches: u64,
-    /// Batches, points and iterations before the search under way.
+    /// Number of batches, points and iterations before the current search.
     n_batches: u64,
     n_points: u64,
     n_iterations: usize,
 }
 
-/// The problem of a search from this point.
+/// Returns the setup of a search from the point `x`.
 fn setup_at(setup: &Setup, x: &[f64], n_searches: u64) -> Setup {
     let seed = Some(setup.seed.unwrap_or(0).wrapping_add(n_searches));
     let space = setup.space.without_sine().starting_at(x);
@@ -97,7 +97,8 @@ fn begin(setup: &Setup, x: &[f64], n_searches: u64) -> Result<Generations<CmaRul
 }
 
 impl FailureCheck {
-    /// From a point and its cost, after so many batches and points; a gain up to `least` is none.
+    /// Starts from a point and its cost, after the given number of batches and points. Gains up to `least`
+    /// are ignored.
     pub(crate) fn new(
         setup: &Setup,
         (x, cost): (&[f64], f64),
@@ -128,7 +129,7 @@ impl FailureCheck {
         batch.renumber(self.n_batches + batch.index(), self.n_points);
     }
 
-    /// Takes the outcomes of the last batch. Returns how the check has ended, if it has.
+    /// Processes the outcomes of the last batch. Returns the reason for termination if the check has ended.
     pub(crate) fn tell(&mut self, answers: &Answers, setup: &Setup) -> Result<Option<Termination>, Error> {
         self.search.tell(answers)?;
         let ended = match self.search.status() {
@@ -153,13 +154,13 @@ impl FailureCheck {
         Ok(None)
     }
 
-    /// The best point and its cost.
+    /// Returns the best point and its cost.
     pub(crate) fn best(&self) -> (&[f64], f64) {
         let (x, cost) = &self.start;
         self.search.best().filter(|found| found.1 < *cost).unwrap_or((x, *cost))
     }
 
-    /// The details of the method before, updated by the check.
+    /// Returns the details of the preceding method, updated by the check.
     pub(crate) fn details<'a>(&self, before: MethodDetails<'a>) -> MethodDetails<'a> {
         let own = self.search.details();
         let gains = self.n_searches > 0 || self.best().1 < self.start.1;

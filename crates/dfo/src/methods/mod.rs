@@ -1,4 +1,4 @@
-//! The methods, and the choice of one of them at run time.
+//! Optimization methods, and their selection at run time.
 
 mod any_method;
 mod barrier;

@@ -1,10 +1,10 @@
-//! Options of methods by their names, and where they stand in the serialised defaults of a method.
+//! Options of methods by name, and their location in the serialised defaults of a method.
 
 use crate::values::nearest::nearest;
 use crate::values::record::{Record, RecordError, Value};
 use std::collections::BTreeSet;
 
-/// The options that every method has, by the names that users know.
+/// Options that every method supports, by their user-visible names.
 pub(crate) const COMMON: [&str; 13] = [
     "cache",
     "checkpoint_interval",
@@ -21,13 +21,14 @@ pub(crate) const COMMON: [&str; 13] = [
     "x_tol",
 ];
 
-/// Whether a value has options of its own: a variant with fields, as an object with its name as the only key.
+/// True if a value is a variant with fields. Such a variant is serialised as an object whose only key is its
+/// name.
 fn is_variant(value: &Value) -> bool {
     matches!(value, Value::Record(fields) if fields.values().all(|value| matches!(value, Value::Record(_))))
 }
 
-/// Adds the names of the options of a serialised method: those of a variant (the scheme of differential
-/// evolution) are options like the others.
+/// Adds the names of the options of a serialised method. The fields of a variant (for example, the scheme of
+/// differential evolution) count as options.
 pub(super) fn collect(form: &Value, names: &mut BTreeSet<String>) {
     let Value::Record(variants) = form else { return };
     for fields in variants.values() {
@@ -41,7 +42,7 @@ pub(super) fn collect(form: &Value, names: &mut BTreeSet<String>) {
     }
 }
 
-/// Takes the options of these names out of a serialised method; an empty list says nothing.
+/// Copies the options in `names` from a serialised method to `options`. Empty lists are skipped.
 pub(super) fn values(form: &Value, names: &BTreeSet<String>, options: &mut Record) {
     let Value::Record(variants) = form else { return };
     for fields in variants.values() {
@@ -56,7 +57,7 @@ pub(super) fn values(form: &Value, names: &BTreeSet<String>, options: &mut Recor
     }
 }
 
-/// Where an option stands in a serialised method.
+/// Returns the location of an option in a serialised method.
 pub(super) fn place<'f>(form: &'f mut Value, option: &str) -> Option<&'f mut Value> {
     let Value::Record(variants) = form else { return None };
     variants.values_mut().find_map(|fields| match fields {
@@ -68,7 +69,7 @@ pub(super) fn place<'f>(form: &'f mut Value, option: &str) -> Option<&'f mut Val
     })
 }
 
-/// The serialised form of an option whose variant its shape tells.
+/// Returns the serialised form of a value. For some options, the form of the value determines the variant.
 pub(super) fn tagged(option: &str, value: Value) -> Value {
     let variant = |name: &str, value| Value::Record(Record::from([(name.to_owned(), value)]));
     match (option, value) {
@@ -89,13 +90,13 @@ pub(super) fn tagged(option: &str, value: Value) -> Value {
         ("weight", value @ (Value::Count(_) | Value::Number(_))) => variant("fixed", value),
         ("weight", Value::List(values)) if values.len() == 2 => variant("dither", Value::List(values)),
         ("resolution", Value::List(steps)) if steps.is_empty() => Value::Other("an empty list".to_owned()),
-        // A number that is not finite is none of an option.
+        // Options must be finite numbers.
         (_, Value::Number(number)) if !number.is_finite() => Value::Other(number.to_string()),
         (_, value) => value,
     }
 }
 
-/// The shapes of an option that [`tagged`] takes beside the serialised one, as a JSON schema.
+/// Returns the JSON schema of the additional value forms that [`tagged`] accepts for an option.
 #[cfg(feature = "schema")]
 pub(super) fn shape(option: &str) -> Option<serde_json::Value> {
     let numbers = |n: usize| serde_json::json!({ "type": "array", "items": { "type": "number" }, "minItems": n, "maxItems": n });
@@ -114,7 +115,7 @@ pub(super) fn shape(option: &str) -> Option<serde_json::Value> {
     })
 }
 
-/// What an option of several shapes must be.
+/// Returns a description of the valid values of an option that accepts several forms.
 pub(super) fn described(option: &str) -> Option<&'static str> {
     Some(match option {
         "coefficients" => "'auto', 'standard', 'adaptive', or (reflection, expansion, contraction, shrink)",
@@ -126,7 +127,7 @@ pub(super) fn described(option: &str) -> Option<&'static str> {
     })
 }
 
-/// The error for an option that there is not, with the one that is most like it.
+/// Returns the error for an unknown option, with the most similar known option as a hint.
 pub(super) fn unknown(method: &'static str, option: &str, known: &BTreeSet<String>) -> RecordError {
     let all = known.iter().map(String::as_str).chain(COMMON);
     let hint = nearest(option, all).map_or(";".to_owned(), |name| format!("; did you mean '{name}'?"));

@@ -1,11 +1,11 @@
-//! JSON schemas of the options of methods, by the names and in the shapes in which users write them.
+//! JSON schemas of the options of methods, with the names and value forms that users write.
 
 use crate::methods::option_names::shape;
 use schemars::{JsonSchema, SchemaGenerator};
 use serde_json::{Map, Value as Json, json};
 use std::collections::BTreeSet;
 
-/// The schema of each option of these names.
+/// Returns the schema of each option in `names`.
 pub(super) fn option_schemas<T: JsonSchema>(
     _: &T,
     names: &BTreeSet<String>,
@@ -16,7 +16,7 @@ pub(super) fn option_schemas<T: JsonSchema>(
     options
 }
 
-/// Adds the options in a schema: those of a variant are options like the others.
+/// Adds the options found in a schema. The fields of a variant count as options.
 fn collect(
     schema: &Json,
     generator: &SchemaGenerator,

@@ -1,22 +1,21 @@
-//! A map of the whole line into the bounds of a coordinate, so that a distribution without bounds can be
-//! drawn from.
+//! Map of the real line into the bounds of a coordinate, which makes an unbounded distribution usable.
 //!
-//! It is the identity but near the bounds: within a margin it is a parabola whose vertex lies at the bound,
-//! and beyond that all is mirrored (the boundary transformation of Hansen's C implementation, c-cmaes). A
-//! cost that goes down towards the bound has a smooth minimum there, and a valley inside is not bent, as it
-//! would be by a sine over the whole box.
+//! The map is the identity except near the bounds. Within a margin, it is a parabola whose vertex is at the
+//! bound. Farther outside, points are mirrored (the boundary transformation of Hansen's C implementation,
+//! c-cmaes). A cost that decreases towards the bound has a smooth minimum there. A valley inside is not bent,
+//! unlike with a sine over the whole box.
 
 use super::options::CmaBounds;
 use crate::problem::space::{Space, fold};
 
-/// The margin as a fraction of the size of the parameter or of the width of the box, whichever is smaller.
-/// Tuned on turned ellipsoids and Rosenbrock's function with 5 and 10 parameters, half of them at a bound in
-/// the minimum (`benches/dfo/cma_es.py` has these problems with 2, 3 and 8): c-cmaes has 1/20, which bends
-/// valleys inside and is no better where the cost goes down towards the bound; smaller ones come to what a
-/// mirror is, two to three times slower there, and faster where it is level.
+/// Margin as a fraction of the parameter size or of the width of the box, whichever is smaller. Tuned on
+/// rotated ellipsoids and Rosenbrock's function with 5 and 10 parameters, half of them at a bound at the
+/// minimum (`benches/dfo/cma_es.py` contains these problems with 2, 3 and 8). c-cmaes uses 1/20, which bends
+/// valleys inside and is no better if the cost decreases towards the bound. Smaller margins approach a
+/// mirror, which is two to three times slower there, and faster if the cost is level.
 const MARGIN: f64 = 0.005;
 
-/// The bounds of a coordinate, and the margin in which the map is a parabola; 0: none, so that the bound is a
+/// Bounds of a coordinate, and the margin in which the map is a parabola. With margin 0, the bound is a
 /// mirror.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Boundary {
@@ -35,8 +34,8 @@ impl Boundary {
         Self { lower, upper, margin }
     }
 
-    /// The coordinate that a number stands for. `fallback`, another such number, stands in for what is not
-    /// finite.
+    /// Returns the coordinate for a number. If the number is not finite, `fallback`, another number on the
+    /// same line, replaces it.
     pub(super) fn bend(self, v: f64, fallback: f64) -> f64 {
         let Self { lower, upper, margin } = self;
         let fallback = if fallback.is_finite() { fallback } else { 0.0 };
@@ -52,7 +51,7 @@ impl Boundary {
         u.clamp(lower, upper)
     }
 
-    /// The number next to the coordinate that stands for it.
+    /// Returns the nearest number that maps to the coordinate.
     pub(super) fn unbend(self, u: f64) -> f64 {
         let Self { lower, upper, margin } = self;
         let root = |distance: f64| 2.0 * margin.sqrt() * distance.max(0.0).sqrt() - margin;
@@ -72,7 +71,7 @@ mod tests {
     use crate::problem::space::Bounds;
 
     #[test]
-    fn the_map_is_smooth_and_stays_inside() {
+    fn boundary_map_is_smooth_and_stays_inside_the_bounds() {
         const INF: f64 = f64::INFINITY;
         let bounds = Bounds::new(&[-1.0, 2.0, -INF, -INF], &[3.0, INF, 0.0, INF]).unwrap();
         let space = Space::new(&[0.0, 5.0, -2.0, 7.0], bounds, &[], &[]).unwrap();

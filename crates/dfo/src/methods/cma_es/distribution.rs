@@ -1,4 +1,4 @@
-//! The normal distribution that points are drawn from, and how it follows the ranked steps of a generation.
+//! The normal distribution from which points are drawn, and its update from the ranked steps of a generation.
 
 use super::weights::{Weights, effective};
 use crate::method_interface::rng::Stream;
@@ -7,30 +7,32 @@ use crate::values::encoding::numbers;
 use nalgebra::{DMatrix, SymmetricEigen};
 use serde::{Deserialize, Serialize};
 
-/// A larger condition number of the covariance matrix has no accurate decomposition (Hansen 2009:
+/// Maximum condition number of the covariance matrix with an accurate decomposition (Hansen 2009:
 /// ConditionCov).
 const LARGEST_CONDITION: f64 = 1e14;
 
-/// Beyond this and its inverse the largest variance goes over into the step size.
+/// If the largest variance leaves the range from 1 / `LARGEST_VARIANCE` to this value, it is moved into the
+/// step size.
 const LARGEST_VARIANCE: f64 = 1e8;
 
-/// Sweeps for each eigenvalue: a few are enough.
+/// Maximum number of sweeps per eigenvalue. A few are enough.
 const MOST_SWEEPS: usize = 1000;
 
-/// Share of the step of the mean that is made where individuals were drawn from earlier distributions: those
-/// that follow have not seen it. Of 0.4 to 1 the one that is good for any lag up to one and a half
-/// populations, on the functions of `benches/lag.rs`.
+/// Fraction of the step of the mean that is made if individuals were drawn from earlier distributions.
+/// Pending individuals have not seen this step. Of the values 0.4 to 1, it works for any lag up to one and a
+/// half populations, on the functions of `benches/lag.rs`.
 const SHARE_OF_EARLIER: f64 = 0.55;
 
-/// From so many parameters on the step size follows from two individuals, not from its path, which needs too
-/// many generations to shorten a first step that is too long.
+/// Number of parameters from which the step size follows from two individuals instead of the path. The path
+/// needs too many generations to shorten a first step that is too long.
 pub(super) const TWO_POINTS_FROM: usize = 100;
 
-/// Share of the present generation in the lead that the step size follows: Hansen, Atamna and Auger (2014).
+/// Weight of the current generation in the average lead that determines the step size: Hansen, Atamna and
+/// Auger (2014).
 const C_LEAD: f64 = 0.3;
 
-/// Longest step from elsewhere of so many coordinates in units of the distribution, for an individual
-/// (`times` 1) and for the mean (2): table 1 of Hansen (2011).
+/// Returns the maximum length of an injected step of `n` coordinates, in units of the distribution. `times`
+/// is 1 for an individual and 2 for the mean: table 1 of Hansen (2011).
 fn longest(n: usize, times: f64) -> f64 {
     let n = n as f64;
     (times * n).sqrt() + 2.0 * n / (n + 2.0)
@@ -42,30 +44,30 @@ pub(super) struct Distribution {
     /// In working coordinates.
     pub(super) mean: Vec<f64>,
     pub(super) sigma: f64,
-    /// Row by row, as `axes`; what stands above the diagonal means nothing.
+    /// Row-major, like `axes`. The entries above the diagonal are unused.
     #[serde(with = "numbers")]
     covariance: Vec<f64>,
-    /// The eigenvectors of the covariance matrix as columns, as of the last decomposition.
+    /// Eigenvectors of the covariance matrix as columns, from the last decomposition.
     #[serde(with = "numbers")]
     axes: Vec<f64>,
-    /// The roots of the eigenvalues.
+    /// Square roots of the eigenvalues.
     deviations: Vec<f64>,
     path_sigma: Vec<f64>,
     path_c: Vec<f64>,
-    /// The last step of the mean, which the two individuals of the step size lie along; none where the path
-    /// changes it.
+    /// Last step of the mean, along which the two individuals of the step size are placed. Empty if the path
+    /// determines the step size.
     #[serde(default, with = "numbers", skip_serializing_if = "Vec::is_empty")]
     line: Vec<f64>,
-    /// By how much the one ahead of the mean was better than the one behind, of late: from -1 to 1.
+    /// Recent lead of the individual ahead of the mean over the individual on the other side, from -1 to 1.
     #[serde(default)]
     lead: f64,
-    /// The weighted mean of the better steps of a generation.
+    /// Weighted mean of the better steps of a generation.
     #[serde(skip)]
     shift: Vec<f64>,
-    /// The same along the axes.
+    /// Weighted mean along the axes.
     #[serde(skip)]
     along: Vec<f64>,
-    /// Updates since the beginning, and since the last decomposition.
+    /// Number of updates since the start, and since the last decomposition.
     n_updates: u64,
     n_since: u64,
 }
@@ -91,8 +93,8 @@ impl Distribution {
         }
     }
 
-    /// Draws a step `y` of `N(0, C)`, equation 39; returns the squared length of `C^(-1/2) y`. `normals` is
-    /// overwritten.
+    /// Draws a step `y` of `N(0, C)`, equation 39. Returns the squared length of `C^(-1/2) y`. Overwrites
+    /// `normals`.
     pub(super) fn draw(&self, stream: &mut Stream, normals: &mut [f64], step: &mut [f64]) -> f64 {
         normals.iter_mut().for_each(|z| *z = stream.normal(0.0, 1.0));
         let squared = normals.iter().map(|z| z * z).sum();
@@ -103,13 +105,13 @@ impl Distribution {
         squared
     }
 
-    /// True if there is a last step of the mean to draw the individuals of the step size along.
+    /// True if a last step of the mean is stored, along which the individuals of the step size can be drawn.
     pub(super) fn has_line(&self) -> bool {
         !self.line.is_empty()
     }
 
-    /// Makes the step of a squared length (of `C^(-1/2) y`) that lies ahead of the mean, along its last step,
-    /// or behind it. `along` is overwritten.
+    /// Sets a step along the last step of the mean, or opposite to it, with the given squared length of
+    /// `C^(-1/2) y`. Overwrites `along`.
     pub(super) fn draw_on_line(&self, ahead: bool, squared: f64, step: &mut [f64], along: &mut [f64]) {
         let factor = (squared / self.squared(&self.line, along)).sqrt();
         if factor.is_finite() {
@@ -118,8 +120,8 @@ impl Distribution {
         }
     }
 
-    /// Shortens a step that was not drawn from this distribution if it is too long for it; returns the
-    /// squared length of `C^(-1/2) y`. `along` is overwritten.
+    /// Shortens a step that was drawn from another distribution if it is too long for this one. Returns the
+    /// squared length of `C^(-1/2) y`. Overwrites `along`.
     pub(super) fn inject(&self, step: &mut [f64], along: &mut [f64]) -> f64 {
         let squared = self.squared(step, along);
         let most = longest(self.mean.len(), 1.0).powi(2);
@@ -128,7 +130,7 @@ impl Distribution {
         squared * factor
     }
 
-    /// The squared length of `C^(-1/2) y`; `along` becomes the step along the axes.
+    /// Returns the squared length of `C^(-1/2) y`. Sets `along` to the step along the axes.
     fn squared(&self, step: &[f64], along: &mut [f64]) -> f64 {
         along.fill(0.0);
         for (row, y) in self.axes.chunks_exact(self.mean.len().max(1)).zip(step) {
@@ -137,16 +139,16 @@ impl Distribution {
         along.iter().zip(&self.deviations).map(|(a, d)| (a / d).powi(2)).sum()
     }
 
-    /// Standard deviation along coordinate `k`, in units of its size.
+    /// Returns the standard deviation along coordinate `k`, in units of its size.
     pub(super) fn deviation(&self, k: usize) -> f64 {
         self.sigma * self.covariance[k * (self.mean.len() + 1)].sqrt()
     }
 
-    /// Moves towards the better steps, given best first with the squared lengths that [`draw`](Self::draw) or
-    /// [`inject`](Self::inject) returned; `size` is that of a coordinate, `is_own`: whether all were drawn
-    /// from this distribution. Steps of failed individuals are not among them. `lead`: by how many of the
-    /// ranks the individual ahead of the mean was better than the one behind, where the step size follows
-    /// from it.
+    /// Updates the distribution from the better steps of a generation. `ranked` contains the steps of
+    /// individuals that did not fail, best first, with the squared lengths returned by [`draw`](Self::draw)
+    /// or [`inject`](Self::inject). `size` returns the size of a coordinate. `is_own` is true if all steps
+    /// were drawn from this distribution. `lead` is the difference in rank between the individuals on both
+    /// sides of the mean, if it determines the step size.
     pub(super) fn update<'a, I>(
         &mut self,
         weights: &Weights,
@@ -212,7 +214,7 @@ impl Distribution {
         let missing = if moves { 0.0 } else { c_1 * c_c * (2.0 - c_c) };
         let in_use = |rank: usize, w: f64| match rank {
             _ if rank < n_parents => w / sum,
-            // Ranks that would be parents, were there no failures.
+            // Without failures, these ranks would be parents.
             _ => w.min(0.0),
         };
         let of_all: f64 =
@@ -220,10 +222,10 @@ impl Distribution {
         let kept = 1.0 + missing - c_1 - c_mu * of_all;
         let scaled = |(rank, ((y, squared), w)): (usize, ((&'a [f64], f64), &f64))| {
             let w = in_use(rank, *w);
-            // Long bad steps must not turn the matrix indefinite.
+            // Long bad steps must not make the matrix indefinite.
             (y, c_mu * if w >= 0.0 || squared <= 0.0 { w } else { w * n as f64 / squared })
         };
-        // Row by row, so that the matrix is gone through once; of a symmetric matrix the lower half is all that is read.
+        // One pass over the matrix, row by row. Only the lower half of a symmetric matrix is read.
         for (i, row) in self.covariance.chunks_exact_mut(n.max(1)).enumerate() {
             let row = &mut row[..=i];
             row.iter_mut().zip(&self.path_c).for_each(|(c, p)| *c = kept * *c + c_1 * (self.path_c[i] * p));
@@ -235,14 +237,14 @@ impl Distribution {
         self.shift = shift;
     }
 
-    /// Goes back to a point with half the step size: nothing was learnt.
+    /// Returns to a point with half the step size, after a generation without any cost.
     pub(super) fn retreat(&mut self, to: &[f64]) {
         self.mean.copy_from_slice(to);
         self.sigma *= 0.5;
     }
 
-    /// Decomposes the covariance matrix if it is time to. False: the distribution has no extent that numbers
-    /// could resolve.
+    /// Decomposes the covariance matrix if it is due. Returns false if floating-point numbers cannot resolve
+    /// the extent of the distribution.
     pub(super) fn refresh(&mut self, weights: &Weights) -> bool {
         if self.n_since >= weights.interval {
             self.n_since = 0;
@@ -260,7 +262,7 @@ impl Distribution {
         }
         let widest = (0..n).map(|k| self.covariance[k * (n + 1)]).fold(0.0, f64::max);
         if !(1.0 / LARGEST_VARIANCE..=LARGEST_VARIANCE).contains(&widest) && widest > 0.0 {
-            // The same distribution with numbers in the middle of their range.
+            // Rescale the distribution so that its numbers are in the middle of their range.
             let unit = widest.sqrt();
             self.sigma *= unit;
             self.path_c.iter_mut().for_each(|p| *p /= unit);
@@ -274,7 +276,7 @@ impl Distribution {
         if !(high > 0.0 && eigen.eigenvectors.iter().all(|v| v.is_finite())) {
             return false;
         }
-        // A multiple of the identity brings the condition number down.
+        // Adding a multiple of the identity reduces the condition number.
         let lift = (high / LARGEST_CONDITION - low).max(0.0);
         (0..n).for_each(|k| self.covariance[k * (n + 1)] += lift);
         for (d, value) in self.deviations.iter_mut().zip(&eigen.eigenvalues) {
@@ -299,10 +301,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn steps_from_elsewhere_are_no_longer_than_those_of_the_distribution() {
+    fn inject_limits_the_length_of_steps() {
         let mut d = Distribution::new(vec![0.0; 2], 1.0);
         d.deviations = vec![10.0, 0.5];
-        // sqrt(2) + 1 along an axis, by Hansen's table.
+        // The limit is sqrt(2) + 1 along an axis, from Hansen's table.
         for (mut step, squared, kept) in [
             ([3.0, -0.5], 1.09, [3.0, -0.5]),
             ([0.0, 5.0], 3.0 + 2.0 * 2f64.sqrt(), [0.0, 0.5 * (1.0 + 2f64.sqrt())]),
@@ -314,10 +316,10 @@ mod tests {
     }
 
     #[test]
-    fn many_parameters_have_axes() {
+    fn decompose_returns_accurate_axes_for_many_parameters() {
         let n = 760;
         let mut d = Distribution::new(vec![0.0; n], 1.0);
-        // With eigenvalues from 1 to 2, but one that is larger.
+        // The eigenvalues are between 1 and 2, except for one larger value.
         for (k, c) in d.covariance.iter_mut().enumerate() {
             *c += f64::from(k / n == k % n) * (k % n) as f64 / n as f64 + 0.01;
         }
@@ -326,7 +328,7 @@ mod tests {
         let trace: f64 = d.deviations.iter().map(|d| d * d).sum();
         assert!((trace / (1.51 * n as f64 - 0.5) - 1.0).abs() < 1e-10, "{trace}");
         assert!((1.0..1.01).contains(&least) && (3.0..3.1).contains(&most), "{least} {most}");
-        // The matrix is made of its axes.
+        // The axes reproduce the matrix.
         let of = |i: usize, j: usize| -> f64 {
             (0..n).map(|k| d.axes[i * n + k] * d.axes[j * n + k] * d.deviations[k].powi(2)).sum()
         };

@@ -1,37 +1,39 @@
 //! CMA-ES: a normal distribution whose mean, step size and covariance matrix follow the best points of each
-//! generation (Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772, 2016; equation numbers are
-//! those of the tutorial), with negative weights for the worst (Jastrebski and Arnold, CEC 2006) and restarts
-//! with other populations (IPOP: Auger and Hansen, CEC 2005; BIPOP: Hansen, GECCO workshop 2009).
+//! generation (Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772, 2016). Equation numbers
+//! refer to the tutorial. The worst points have negative weights (Jastrebski and Arnold, CEC 2006). Restarts
+//! use other population sizes (IPOP: Auger and Hansen, CEC 2005; BIPOP: Hansen, GECCO workshop 2009).
 //!
-//! A generation is one batch. Each individual is drawn from a stream of its own, so the number of workers
-//! changes nothing.
+//! Each generation is one batch. Each individual is drawn from a separate random stream, so the result does
+//! not depend on the number of workers.
 //!
-//! **Lag.** With a lag `L` an individual is drawn from the distribution after all generations that are known
-//! `L` answers before it, so that `L` individuals of later generations can be evaluated while a generation
-//! waits for its slowest. When its generation is learnt from, the step of such an individual is the one from
-//! the mean as it is by then, and its length is bounded, as is that of the step of the mean (Hansen,
-//! "Injecting external solutions into CMA-ES", INRIA RR-7748, 2011). The rule counts answers, not workers.
-//! With a lag the population is larger by default, for many short steps in the wrong place do not converge.
+//! **Lag.** With a lag `L`, an individual is drawn from the distribution after all generations known `L`
+//! answers before it. Thus `L` individuals of later generations can be evaluated while a generation waits for
+//! its slowest individual. When the distribution is updated, the step of such an individual is measured from
+//! the current mean. The length of this step is bounded, as is the step of the mean (Hansen, "Injecting
+//! external solutions into CMA-ES", INRIA RR-7748, 2011). The rule counts answers, not workers. With a lag,
+//! the default population is larger, because many short steps in the wrong place do not converge.
 //!
-//! The distribution is over the working coordinates in units of their sizes, so that
-//! parameters of any magnitude are alike.
+//! The distribution is defined over the working coordinates in units of their sizes, so parameters of any
+//! magnitude are treated alike.
 //!
-//! **Step size.** From a hundred parameters on, without a lag, it follows from two individuals ahead of the
-//! mean and behind it, along its last step (two-point adaptation: Hansen, Atamna and Auger, PPSN 2014), else
-//! from the length of the path of the mean. With the default first step, spheres of 100, 200, 300 parameters
-//! took 7264, 13 493, 19 647 evaluations with the first and 12 719, 24 510, more than 30 000 with the second.
+//! **Step size.** From a hundred parameters on, without a lag, the step size follows from two additional
+//! individuals. They lie on both sides of the mean, along its last step (two-point adaptation: Hansen, Atamna
+//! and Auger, PPSN 2014). Otherwise the step size follows from the length of the path of the mean. With the
+//! default first step, spheres of 100, 200 and 300 parameters took 7264, 13 493 and 19 647 evaluations with
+//! two-point adaptation. With the path length, they took 12 719, 24 510 and more than 30 000.
 //!
-//! **Bounds.** No point outside is evaluated, and none is drawn twice: the distribution has no bounds, and a
-//! map that is the identity but near the bounds ([`CmaBounds`]) brings what is drawn inside.
+//! **Bounds.** Points outside the bounds are never evaluated, and no point is redrawn. The distribution is
+//! unbounded, and a map ([`CmaBounds`]) moves drawn points inside. The map is the identity except near the
+//! bounds.
 //!
-//! **Failures.** A failed individual ranks last and enters neither the mean nor the covariance matrix, the
-//! negative weights included; the positive weights of those that are left sum to 1. After a generation
-//! without any cost the mean goes back to the best point of the run, with half the step size.
+//! **Failures.** A failed individual ranks last. It is not used to update the mean or the covariance matrix,
+//! not even with a negative weight. The positive weights of the remaining individuals sum to 1. After a
+//! generation without any cost, the mean returns to the best point of the run, with half the step size.
 //!
-//! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, is moved
-//! alone first (`shared/size_search.rs`).
+//! **Unknown sizes.** If a parameter starts at zero and has neither a nominal size nor a box, it is first
+//! varied alone (`shared/size_search.rs`).
 //!
-//! **Cutoffs**: none, for every rank counts.
+//! **Cutoffs**: none, because every rank counts.
 
 mod boundary;
 mod distribution;
@@ -51,10 +53,10 @@ use crate::problem::memory;
 use crate::problem::option_texts;
 pub(crate) use state::CmaRules;
 
-/// A running CMA-ES; made by [`CmaEs`].
+/// A running CMA-ES search, created by [`CmaEs`].
 pub type CmaEsState = WithSizes<CmaEs>;
 
-/// The problem without bounds that stand for "none".
+/// Returns the setup without bounds that mean "unbounded".
 fn prepared(setup: &Setup) -> Setup {
     Setup { space: setup.space.without_far_bounds(), ..setup.clone() }
 }
@@ -82,7 +84,8 @@ impl MethodOptions for CmaEs {
         setup.space.require_continuous("cma-es")?;
         let n = setup.space.n_free();
         let members = self.members(n)?;
-        // Population, candidates and batch on two scales, the steps; the matrix, its axes, and what decomposing it needs.
+        // Population, candidates and batch on two scales, the steps, the matrix, its axes, and the
+        // decomposition workspace.
         memory::check("a covariance matrix of so many parameters", &[4, n, n])?;
         let rows = 4 * members + self.lag;
         memory::check("a population of so many members and parameters", &[rows, setup.space.n() + n])?;
@@ -98,7 +101,7 @@ impl MethodOptions for CmaEs {
     }
 
     fn describe(&self) -> Vec<(String, String)> {
-        // Without a lag the run is that of files that have no such option.
+        // Without a lag, the option is omitted, so that runs match files from versions without this option.
         option_texts::fields(self).into_iter().filter(|(name, _)| self.lag > 0 || name != "lag").collect()
     }
 

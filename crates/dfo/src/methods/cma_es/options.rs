@@ -4,31 +4,30 @@ use crate::error::Error;
 use crate::methods::shared::population::MAX_MEMBERS;
 use serde::{Deserialize, Serialize};
 
-/// Restart policy: the search may begin anew, from another mean with another population, when it has come to
-/// an end.
+/// Restart policy. After the search has ended, it may restart from another mean with another population size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Restarts {
-    /// The run ends when its tests pass, as with every other method.
+    /// No restarts: the run ends when its tests pass, as with every other method.
     #[default]
     None,
-    /// With twice the population each time (Auger and Hansen, CEC 2005).
+    /// Restarts with twice the population each time (Auger and Hansen, CEC 2005).
     Ipop,
-    /// With twice the population, or with a small one and a small step size, whichever kind has had fewer
-    /// evaluations (Hansen, GECCO workshop 2009).
+    /// Restarts with twice the population, or with a small population and a small step size. The kind that
+    /// has used fewer evaluations is next (Hansen, GECCO workshop 2009).
     Bipop,
 }
 
-/// Treatment of points that are drawn outside of the bounds.
+/// Treatment of points drawn outside the bounds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum CmaBounds {
-    /// Mirrored, with a parabola within a margin at the bound, so that a cost that goes down towards it has a
-    /// smooth minimum there (c-cmaes, boundary transformation).
+    /// Mirrored, with a parabola within a margin at the bound. A cost that decreases towards the bound then
+    /// has a smooth minimum there (c-cmaes, boundary transformation).
     #[default]
     Smooth,
     /// Mirrored.
@@ -37,11 +36,11 @@ pub enum CmaBounds {
 
 /// Options of CMA-ES.
 ///
-/// It starts from the start point, which is the first individual; without one, from the middle of the box. Of
-/// the points of an earlier run it takes the best. With restarts it goes on until a limit ends the run (at
-/// the latest when the population has been doubled nine times), from points drawn in the box; along a
-/// parameter without a box they are drawn around the start point, with the size of the parameter as standard
-/// deviation.
+/// The search starts from the start point, which is the first individual. Without a start point, it starts
+/// from the middle of the box. From the points of an earlier run, it uses the best. With restarts, the search
+/// continues until a limit ends the run, at the latest when the population has been doubled nine times.
+/// Restarts begin at points drawn in the box. Along a parameter without a box, they are drawn around the
+/// start point, with the size of the parameter as standard deviation.
 ///
 /// ```
 /// use dfo::{CmaEs, minimize};
@@ -55,24 +54,24 @@ pub enum CmaBounds {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct CmaEs {
-    /// Individuals of a generation, at least 2; default `4 + floor(3 ln n)` for `n` free parameters
-    /// (tutorial, table 1), at least three quarters of the lag.
+    /// Number of individuals per generation, at least 2. Default `4 + floor(3 ln n)` for `n` free parameters
+    /// (tutorial, table 1), and at least three quarters of the lag.
     pub population: Option<usize>,
-    /// The first standard deviation along each parameter, in units of its size: the nominal value where one
-    /// was given, else the width of the box, else |x0|, else 1. One unit for all, so that it is a pure number
-    /// and the unit of `x_tol`. Default 0.3, as the tutorial (section B.2) advises for the width of a box,
-    /// and as Nelder-Mead takes it for its first simplex.
+    /// First standard deviation along each parameter, in units of its size; default 0.3. The size is the
+    /// nominal value if given, otherwise the width of the box, otherwise |x0|, otherwise 1. The common unit
+    /// makes `sigma` dimensionless, and `x_tol` has the same unit. The tutorial (section B.2) recommends 0.3
+    /// of the width of a box. Nelder-Mead uses the same value for its first simplex.
     pub sigma: f64,
-    /// Restarts of the search when it has come to an end; default [`Restarts::None`]: where a simulation
-    /// takes minutes, a run that has converged must end, and other minima are searched for on request only.
+    /// Restarts after the search has ended; default [`Restarts::None`]. If a simulation takes minutes, a
+    /// converged run must end. Searches for other minima run only on request.
     pub restarts: Restarts,
     /// Treatment of bounds; default [`CmaBounds::Smooth`].
     pub bounds_handling: CmaBounds,
-    /// Number of individuals that are drawn ahead of selection at any time, at most one and a half
-    /// populations: farther ahead the search does not converge. Default 0: a generation is drawn when the one
-    /// before it is known whole, which takes the fewest evaluations and is best for one worker. With four
-    /// times the workers these are busy where one evaluation in ten takes ten times as long
-    /// (benches/scaling.md).
+    /// Number of individuals drawn ahead of selection at any time; default 0. At most one and a half
+    /// populations, because the search does not converge with a larger lag. With lag 0, a generation is drawn
+    /// after the previous one is completely known. This needs the fewest evaluations and is best for one
+    /// worker. With four times the workers, a lag keeps them busy even if one evaluation in ten takes ten
+    /// times as long (benches/scaling.md).
     pub lag: usize,
 }
 
@@ -89,7 +88,7 @@ impl Default for CmaEs {
 }
 
 impl CmaEs {
-    /// Sets the number of individuals.
+    /// Sets the number of individuals per generation.
     #[must_use]
     pub fn population(mut self, individuals: usize) -> Self {
         self.population = Some(individuals);
@@ -103,28 +102,28 @@ impl CmaEs {
         self
     }
 
-    /// Sets whether the search begins anew when it has come to an end.
+    /// Sets the restart policy.
     #[must_use]
     pub fn restarts(mut self, restarts: Restarts) -> Self {
         self.restarts = restarts;
         self
     }
 
-    /// Sets how bounds are kept to.
+    /// Sets the treatment of points outside the bounds.
     #[must_use]
     pub fn bounds_handling(mut self, handling: CmaBounds) -> Self {
         self.bounds_handling = handling;
         self
     }
 
-    /// Sets the number of individuals that are drawn ahead of selection.
+    /// Sets the number of individuals drawn ahead of selection.
     #[must_use]
     pub fn lag(mut self, individuals: usize) -> Self {
         self.lag = individuals;
         self
     }
 
-    /// Individuals for `n` free parameters, once everything is checked.
+    /// Returns the number of individuals for `n` free parameters after checking the options.
     pub(super) fn members(&self, n: usize) -> Result<usize, Error> {
         if !(self.sigma > 0.0 && self.sigma.is_finite()) {
             return Err(Error::Option { name: "sigma", value: self.sigma, range: "positive and finite" });

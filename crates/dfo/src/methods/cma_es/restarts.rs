@@ -1,4 +1,4 @@
-//! With which population and step size the search begins anew, and where.
+//! Population, step size and start point of restarts.
 
 use super::options::{CmaEs, Restarts};
 use crate::method_interface::rng::Stream;
@@ -6,10 +6,10 @@ use crate::methods::shared::population::MAX_MEMBERS;
 use crate::problem::space::Space;
 use serde::{Deserialize, Serialize};
 
-/// The population is doubled at most so often (Auger and Hansen 2005, Hansen 2009).
+/// Maximum number of times that the population is doubled (Auger and Hansen 2005, Hansen 2009).
 const MOST_DOUBLED: u32 = 9;
 
-/// The runs made so far, and the one under way.
+/// The previous runs and the current run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Schedule {
     kind: Restarts,
@@ -17,10 +17,10 @@ pub(super) struct Schedule {
     members: usize,
     sigma: f64,
     n_doubled: u32,
-    /// True if the run under way is one with a small population.
+    /// True if the current run uses a small population.
     is_small: bool,
-    /// Evaluations of the runs with large and with small populations, and of the last one with a large
-    /// population.
+    /// Number of evaluations of the runs with large and with small populations, and of the last run with a
+    /// large population.
     n_large: usize,
     n_small: usize,
     n_last_large: usize,
@@ -42,17 +42,17 @@ impl Schedule {
         }
     }
 
-    /// True if a run of so many generations must end before the next: `100 + 50 (n + 3)^2 / sqrt(population)`
-    /// (Hansen 2009, MaxIter), and half of the evaluations of the last run with a large population for one
-    /// with a small population.
+    /// True if a run must end after `n_generations`. The limit is `100 + 50 (n + 3)^2 / sqrt(population)`
+    /// generations (Hansen 2009, MaxIter). A run with a small population also ends after half of the
+    /// evaluations of the last run with a large population.
     pub(super) fn is_over(&self, n: usize, members: usize, n_generations: usize) -> bool {
         let most = 100.0 + 50.0 * (n as f64 + 3.0).powi(2) / (members as f64).sqrt();
         let spent = self.is_small && n_generations * members >= self.n_last_large / 2;
         self.kind != Restarts::None && (spent || n_generations as f64 > most)
     }
 
-    /// Population and step size of the next run, if there is to be one. `n_evaluations`: of the run that has
-    /// ended.
+    /// Returns the population and step size of the next run, if there is one. `n_evaluations` is the number
+    /// of evaluations of the ended run.
     pub(super) fn next(&mut self, n_evaluations: usize, stream: &mut Stream) -> Option<(usize, f64)> {
         if self.kind == Restarts::None {
             return None;
@@ -76,14 +76,15 @@ impl Schedule {
         (self.n_doubled <= MOST_DOUBLED && members <= MAX_MEMBERS).then_some((members, self.sigma))
     }
 
-    /// Number of the run under way; the first is 0.
+    /// Returns the index of the current run; the first is 0.
     pub(super) fn n_runs(&self) -> usize {
         self.n_runs
     }
 }
 
-/// A point to begin anew from, in working coordinates: uniform in the box; along a parameter without a box
-/// normally distributed around the start point, with the size of the parameter as standard deviation.
+/// Draws the start point of a restart, in working coordinates. The point is uniform in the box. Along a
+/// parameter without a box, it is normally distributed around the start point, with the size of the parameter
+/// as standard deviation.
 pub(super) fn draw_start(space: &Space, stream: &mut Stream, u: &mut [f64]) {
     space.to_working(space.x0(), u);
     for (k, u) in u.iter_mut().enumerate() {

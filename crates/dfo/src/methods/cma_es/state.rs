@@ -1,4 +1,4 @@
-//! The running search: how a generation is drawn and what is learnt from it.
+//! The running search: sampling of a generation, and the update of the distribution.
 
 use super::boundary::Boundary;
 use super::distribution::{Distribution, TWO_POINTS_FROM};
@@ -15,67 +15,68 @@ use crate::problem::space::Space;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// So many generations in a row without any cost end a run.
+/// Number of consecutive generations without any cost after which a run ends.
 const MOST_BARREN: usize = 50;
 
-/// Generations that the stagnation test looks back on at most (Hansen 2009).
+/// Maximum number of generations used by the stagnation test (Hansen 2009).
 const MOST_RECENT: usize = 20_000;
 
-/// State of CMA-ES besides its population, which is the last generation.
+/// State of CMA-ES except its population, which is the last generation.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct CmaRules {
     handling: CmaBounds,
     weights: Weights,
     distribution: Distribution,
-    /// The steps of the individuals, one after the other, and their squared lengths in units of the
-    /// distribution.
+    /// Concatenated steps of the individuals, and their squared lengths in units of the distribution.
     steps: Vec<f64>,
     squared: Vec<f64>,
     normals: Vec<f64>,
     point: Vec<f64>,
-    /// Individuals to draw ahead of selection at most, and those that are drawn, in what the distribution is
-    /// over, one after the other.
+    /// Maximum number of individuals drawn ahead of selection. `ahead` contains the drawn ones, concatenated,
+    /// in the coordinates of the distribution.
     #[serde(default)]
     lag: usize,
     #[serde(default)]
     ahead: VecDeque<f64>,
-    /// So many individuals of the last generation were drawn from earlier distributions.
+    /// Number of individuals of the last generation that were drawn from earlier distributions.
     #[serde(default)]
     n_earlier: usize,
     /// The best point since the last restart, in working coordinates.
     best: Vec<f64>,
     best_cost: f64,
-    /// Generations since the last restart, those of them since the best point changed, and the last ones
-    /// without a cost.
+    /// Number of generations since the last restart, number of these since the best point changed, and number
+    /// of the last ones without a cost.
     n_generations: usize,
     idle: usize,
     barren: usize,
-    /// The best and the median cost of each generation since the best point changed, the last ones.
+    /// Best and median cost of each generation since the best point changed, limited to the last ones.
     #[serde(default)]
     recent: VecDeque<[f64; 2]>,
-    /// True if the distribution has no extent any more that floating-point numbers could resolve.
+    /// True if floating-point numbers can no longer resolve the extent of the distribution.
     degenerate: bool,
     schedule: Schedule,
 }
 
-/// Individuals that are drawn ahead of selection in generations of so many members. Twice the members are too
-/// many: ellipsoid and Rosenbrock's function with 20 parameters were not solved (`benches/lag.rs` has both).
+/// Returns the maximum number of individuals drawn ahead of selection for this population size. With twice
+/// the population, the ellipsoid and Rosenbrock's function with 20 parameters were not solved (both are in
+/// `benches/lag.rs`).
 fn most_ahead(lag: usize, members: usize) -> usize {
     lag.min(members + members / 2)
 }
 
-/// From working coordinates to what the distribution is over.
+/// Converts working coordinates to the coordinates of the distribution.
 fn unbend(point: &mut [f64], space: &Space, handling: CmaBounds) {
     for (k, u) in point.iter_mut().enumerate() {
         *u = Boundary::new(space, k, handling).unbend(*u);
     }
 }
 
-/// With fewer individuals the two of the step size would leave too few for other directions.
+/// Minimum population for two-point adaptation. In a smaller population, its two individuals leave too few
+/// for other directions.
 const LEAST_FOR_TWO_POINTS: usize = 4;
 
-/// By how many of the ranks of a generation its first individual is better than its second; equal costs have
-/// one rank.
+/// Returns the number of ranks by which the first individual is better than the second, as a fraction of the
+/// generation. Equal costs have equal rank.
 fn lead(generation: &RankedPoints) -> f64 {
     let rank = |slot: usize| {
         let own = generation.cost(slot).value().unwrap_or(f64::INFINITY);
@@ -114,7 +115,7 @@ impl CmaRules {
         };
         let mut population = RankedPoints::new(space, members);
         rules.draw(seed, 0, members, space, &mut population);
-        // The start itself is an individual of the first generation, with a step of nothing.
+        // The start point is an individual of the first generation, with a zero step.
         if setup.start_given || n == 0 {
             population.place_exactly(0, space.x0(), space);
             rules.steps[..n].fill(0.0);
@@ -124,8 +125,8 @@ impl CmaRules {
         Generations::new(rules, Populations { setup, seed, population, candidates })
     }
 
-    /// Makes a generation of the individuals that were drawn ahead and of new ones, then draws those ahead of
-    /// the next selection, each from a stream of its own.
+    /// Builds a generation from the individuals drawn ahead and from new ones. Then draws the individuals
+    /// ahead of the next selection. Each individual uses a separate random stream.
     fn draw(&mut self, seed: u64, generation: u64, members: usize, space: &Space, into: &mut RankedPoints) {
         let n = space.n_free();
         self.steps.resize(members * n, 0.0);
@@ -166,12 +167,12 @@ impl CmaRules {
         }
     }
 
-    /// Individuals that are drawn ahead of selection.
+    /// Returns the number of individuals drawn ahead of selection.
     fn n_ahead(&self, n: usize) -> usize {
         self.ahead.len() / n.max(1)
     }
 
-    /// Takes in a generation that is ranked.
+    /// Updates the distribution from a ranked generation.
     fn learn(&mut self, generation: &RankedPoints, space: &Space) {
         let n = space.n_free();
         self.n_generations += 1;
@@ -202,7 +203,7 @@ impl CmaRules {
         let lead = (self.lag == 0 && n >= TWO_POINTS_FROM && generation.len() >= LEAST_FOR_TWO_POINTS)
             .then(|| lead(generation));
         self.distribution.update(&self.weights, ranked, self.n_earlier == 0, lead, |k| space.size(k));
-        // Wider than the box along every parameter it would be as good as uniform.
+        // If it were wider than the box along every parameter, the distribution would be almost uniform.
         let excess = |k: usize| match space.width(k) {
             Some(width) => self.distribution.deviation(k) * space.size(k) / (0.5 * width),
             None => 0.0,
@@ -213,18 +214,18 @@ impl CmaRules {
         }
     }
 
-    /// True if a run is stuck: with equal costs after the generations of the test for equal function values
-    /// of Hansen (2009), else of its stagnation test, where their best and median costs do not fall either.
-    /// Those do long before a point is better than a start near the minimum, where the first step is far too
-    /// long.
+    /// True if a run is stuck. If all costs are equal, uses the limit of the test for equal function values
+    /// (Hansen 2009). Otherwise, uses its stagnation test, which requires that neither the best nor the
+    /// median costs decrease. If the start is near the minimum and the first step is far too long, these
+    /// costs decrease long before a point is better than the start.
     fn is_stuck(&self, n: usize, members: usize, is_flat: bool) -> bool {
         let rate = (30 * n).div_ceil(members);
         let most = (120 + rate + self.n_generations / 5).min(MOST_RECENT - 1);
         if is_flat { self.idle > 10 + rate } else { self.recent.len() > most && !self.falls(most) }
     }
 
-    /// True if the median of the last three tenths of so many generations is below that of the first, of
-    /// their best or of their median costs.
+    /// True if the best or the median costs decrease over the given number of generations. Compares the
+    /// median of the last three tenths with the median of the first three tenths.
     fn falls(&self, generations: usize) -> bool {
         let (first, share) = (self.recent.len() - generations, generations * 3 / 10);
         let median = |first: usize, which: usize| {
@@ -249,12 +250,12 @@ impl GenerationRules for CmaRules {
         self.draw(*seed, generation, members, &setup.space, candidates);
     }
 
-    /// Every rank counts.
+    /// Returns infinity, because every rank counts.
     fn cutoff(&self, _: &Populations, _: usize) -> f64 {
         f64::INFINITY
     }
 
-    /// The candidates are the next generation, whatever the costs.
+    /// Replaces the population by the candidates, for any costs.
     fn select(&mut self, pool: &mut Populations) {
         let Populations { setup, population, candidates, .. } = pool;
         candidates.rank();
@@ -272,7 +273,7 @@ impl GenerationRules for CmaRules {
         if self.lag == 0 { Lookahead::None } else { Lookahead::Measured }
     }
 
-    /// What is drawn ahead.
+    /// Offers the individuals drawn ahead.
     fn look_ahead(
         &mut self,
         pool: &Populations,

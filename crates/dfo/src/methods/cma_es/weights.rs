@@ -1,11 +1,11 @@
-//! Weights and rates of the update, from the numbers of parameters and individuals (tutorial, table 1).
+//! Weights and learning rates for the given numbers of parameters and individuals (tutorial, table 1).
 
 use serde::{Deserialize, Serialize};
 
-/// Weights of the ranks and rates of change.
+/// Weights of the ranks, and learning rates.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Weights {
-    /// One per rank; the first `n_parents` are positive and sum to 1, the others are not.
+    /// One weight per rank. The first `n_parents` are positive and sum to 1; the others are not positive.
     pub(super) of_rank: Vec<f64>,
     pub(super) n_parents: usize,
     pub(super) c_sigma: f64,
@@ -15,15 +15,15 @@ pub(super) struct Weights {
     pub(super) c_mu: f64,
     /// Expected length of a vector of `n` standard normal numbers.
     pub(super) chi: f64,
-    /// Generations after which the covariance matrix is decomposed again.
+    /// Number of generations between decompositions of the covariance matrix.
     pub(super) interval: u64,
 }
 
-/// Changes of the covariance matrix by less than this share wait for its decomposition, for at most `n / 2`
-/// generations: so an evaluation takes O(n^2) operations.
+/// Relative change of the covariance matrix below which its decomposition is delayed, for at most `n / 2`
+/// generations. Therefore an evaluation takes O(n^2) operations.
 const UNSEEN: f64 = 0.02;
 
-/// Variance effective selection mass, equation 8.
+/// Returns the variance effective selection mass, equation 8.
 pub(super) fn effective(weights: &[f64]) -> f64 {
     let (sum, squares) = weights.iter().fold((0.0, 0.0), |(s, q), w| (s + w, q + w * w));
     if squares > 0.0 { sum * sum / squares } else { 0.0 }
@@ -44,7 +44,8 @@ impl Weights {
         let c_c = (4.0 + mu_eff / d) / (d + 4.0 + 2.0 * mu_eff / d);
         let c_1 = 2.0 / ((d + 1.3).powi(2) + mu_eff);
         let c_mu = (2.0 * (0.25 + mu_eff + 1.0 / mu_eff - 2.0) / ((d + 2.0).powi(2) + mu_eff)).min(1.0 - c_1);
-        // Section B.2 has the first, which for many parameters is a few generations; pycma waits for five times as long.
+        // Section B.2 uses only the first term, a few generations for many parameters. pycma waits five times
+        // as long.
         let tutorial = 1.0 / (10.0 * d * (c_1 + c_mu));
         let interval = tutorial.max((0.5 * d).min(UNSEEN / (c_1 + c_mu))).max(1.0) as u64;
         // Equations 50 to 53.
@@ -82,7 +83,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn weights_are_those_of_the_tutorial() {
+    fn weights_match_the_tutorial() {
         for (n, members) in [(1, 4), (2, 6), (5, 8), (10, 10), (10, 100), (40, 15), (3, 2), (2, 5)] {
             let weights = Weights::new(n, members);
             let (positive, negative) = weights.of_rank.split_at(weights.n_parents);

@@ -1,25 +1,25 @@
-//! Adaptation of L-SHADE: memories of the factors that succeeded, the archive of replaced targets, the
-//! shrinking plan.
+//! Adaptation of L-SHADE: memories of successful factors, the archive of replaced targets, and the shrinking
+//! of the population.
 
 use super::options::Adaptive;
 use crate::method_interface::rng::Stream;
 use crate::methods::shared::ranked_points::RankedPoints;
 use serde::{Deserialize, Serialize};
 
-/// Numbers in the archive for which there is room from the beginning.
+/// Maximum number of values for which the archive reserves memory at the start.
 const MOST_RESERVED: usize = 1 << 20;
 
-/// Memories, archive and the factors of the present generation.
+/// Memories, archive and the factors of the current generation.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Adaptation {
     pub(super) options: Adaptive,
     first_population: usize,
     budget: usize,
     memory_f: Vec<f64>,
-    /// `None`: every success of the entry had no crossover at all; from then on there is none.
+    /// `None` if every success of the entry had zero crossover probability. Such an entry stays `None`.
     memory_cr: Vec<Option<f64>>,
     next: usize,
-    /// Working coordinates of replaced targets, one after the other.
+    /// Concatenated working coordinates of replaced targets.
     archive: Vec<f64>,
     n: usize,
     successes: Vec<Success>,
@@ -36,7 +36,7 @@ struct Success {
 impl Adaptation {
     pub(super) fn new(options: Adaptive, first_population: usize, budget: usize, n: usize) -> Self {
         let capacity = (options.archive * first_population as f64) as usize + first_population + 1;
-        // A wish for a huge archive costs its memory when it fills, not before.
+        // The memory of a huge archive is allocated when it fills.
         let capacity = capacity.saturating_mul(n).min(MOST_RESERVED);
         Self {
             options,
@@ -51,7 +51,8 @@ impl Adaptation {
         }
     }
 
-    /// Draws `F` and `CR` of an individual: Cauchy and normal around a memory entry, width 0.1.
+    /// Draws `F` and `CR` of an individual from a Cauchy and a normal distribution around a memory entry,
+    /// width 0.1.
     pub(super) fn factors(&self, stream: &mut Stream) -> (f64, f64) {
         let entry = stream.below(self.memory_f.len());
         let cr = match self.memory_cr[entry] {
@@ -66,7 +67,7 @@ impl Adaptation {
         }
     }
 
-    /// Makes the donor of a target: current-to-pbest/1 with archive.
+    /// Creates the donor of a target: current-to-pbest/1 with archive.
     pub(super) fn donor(
         &self,
         stream: &mut Stream,
@@ -77,7 +78,7 @@ impl Adaptation {
     ) {
         let len = population.len();
         let elite = ((self.options.p_best * len as f64).round() as usize).max(2);
-        // Only what has a cost can be among the best.
+        // Only members with a cost can be among the best.
         let elite = elite.min(population.n_finite()).max(1);
         let best = population.order()[stream.below(elite)];
         let r1 = loop {
@@ -106,18 +107,18 @@ impl Adaptation {
         self.archive.len().checked_div(self.n).unwrap_or(0)
     }
 
-    /// A trial was strictly better than its target, which had a cost.
+    /// Records a trial that was strictly better than a target with a known cost.
     pub(super) fn succeeded(&mut self, f: f64, cr: f64, gain: f64, target: &[f64]) {
         self.archive.extend_from_slice(target);
         self.successes.push(Success { f, cr, gain });
     }
 
-    /// Learns from the successes of a generation: means weighted by gain, of Lehmer's kind.
+    /// Updates the memories with the gain-weighted Lehmer means of the successes of a generation.
     pub(super) fn learn(&mut self) {
         if self.successes.is_empty() {
             return;
         }
-        // Relative to the largest gain, so that the sum cannot overflow.
+        // Weights are relative to the largest gain, so that the sum cannot overflow.
         let largest = self.successes.iter().fold(0.0f64, |m, s| m.max(s.gain));
         let weight = |s: &Success| if largest.is_finite() { s.gain / largest } else { 1.0 };
         let lehmer = |value: fn(&Success) -> f64| {
@@ -137,14 +138,15 @@ impl Adaptation {
         self.successes.clear();
     }
 
-    /// Members after so many evaluations: from the first number down to the last, linearly.
+    /// Returns the population size after `n_evaluations`. It decreases linearly from the first to the final
+    /// size.
     pub(super) fn population_after(&self, n_evaluations: usize) -> usize {
         let (first, last) = (self.first_population as f64, self.options.final_population as f64);
         let done = (n_evaluations as f64 / self.budget.max(1) as f64).min(1.0);
         (first + (last - first) * done).round() as usize
     }
 
-    /// Drops members of the archive at random until it fits to so many members.
+    /// Removes random members of the archive until its size fits the population size.
     pub(super) fn trim_archive(&mut self, members: usize, stream: &mut Stream) {
         let capacity = (self.options.archive * members as f64).round() as usize;
         while self.n_archived() > capacity {
@@ -154,9 +156,9 @@ impl Adaptation {
         }
     }
 
-    /// True if it fits to so many parameters and members.
+    /// True if the state is consistent with the numbers of parameters and members.
     pub(super) fn is_sound(&self, n: usize, members: usize) -> bool {
-        // Without parameters there is one member.
+        // Without free parameters, the population has one member.
         let is_whole = n == 0 || self.options.final_population <= members;
         let is_factor = |f: &f64| *f > 0.0 && *f <= 1.0;
         is_whole
@@ -197,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn a_memory_without_crossover_stays_without() {
+    fn crossover_memory_stays_none_after_zero_crossover() {
         let mut a = adaptation();
         for round in 0..2 {
             a.next = 0;
@@ -211,13 +213,13 @@ mod tests {
     }
 
     #[test]
-    fn the_population_shrinks_linearly() {
+    fn population_shrinks_linearly() {
         let a = adaptation();
         assert_eq!([0, 500, 1000, 5000].map(|e| a.population_after(e)), [36, 20, 4, 4]);
     }
 
     #[test]
-    fn the_archive_is_bounded() {
+    fn archive_size_is_bounded() {
         let mut a = adaptation();
         (0..100).for_each(|k| a.succeeded(0.5, 0.5, 1.0, &[f64::from(k)]));
         a.trim_archive(10, &mut Stream::new(1, Purpose::Generation, 0, 0));
@@ -227,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn infinite_gains_do_no_harm() {
+    fn memories_stay_finite_when_gain_is_infinite() {
         let mut a = adaptation();
         a.succeeded(0.4, 0.2, f64::INFINITY, &[0.0]);
         a.succeeded(0.8, 0.6, 1.0, &[1.0]);

@@ -1,25 +1,29 @@
-//! Differential evolution: the form of Storn and Price (J. Global Optim. 11, 1997) with its usual variants,
-//! and L-SHADE (Tanabe and Fukunaga, CEC 2014), which sets its own factors and shrinks its population.
+//! Differential evolution, in two forms. The first is the method of Storn and Price (J. Global Optim. 11,
+//! 1997) with its usual variants. The second is L-SHADE (Tanabe and Fukunaga, CEC 2014), which adapts its
+//! factors and shrinks its population.
 //!
-//! **Lag.** A generation is one batch, whose answers are selected from in order. With a lag `L` the next
-//! trial is made after each: trial `k` from the population after selection from all trials before `k - L`. So
-//! it is certain, and can be evaluated, while trials before it are still under way, and a long evaluation
-//! does not hold up the others. The rule counts answers, not workers: their number changes nothing. What
-//! L-SHADE learns from a generation is used from its end on. Trials of the first generation are made from the
-//! first population after half of it is known. With lag 0 a generation is made when the one before it is
-//! known whole, as in the papers: that takes fewer evaluations, and is best for one worker.
+//! **Lag.** A generation is one batch, and selection processes its answers in order. With a lag `L`, the next
+//! trial is created after each answer. Trial `k` uses the population after selection from all trials before
+//! `k - L`. Therefore it can be evaluated while earlier trials are still running, and a long evaluation does
+//! not block the others. The rule counts answers, so the number of workers does not change the result.
+//! L-SHADE uses the adaptation from a generation only after the end of that generation. Trials of the first
+//! generation are created after half of the first population is known. With lag 0, a generation is created
+//! when the previous one is completely known, as in the papers. This needs fewer evaluations and is best for
+//! one worker.
 //!
-//! **Selection.** A trial takes the place of its target when its cost is not above the target's; a failed or
-//! given-up trial never does. Where another trial has replaced the target since, one that beats the target
-//! alone takes the place of the worst member if it is better. An evaluation may stop above the target's cost
-//! (the cutoff); a failed target sets none.
+//! **Selection.** A trial replaces its target if its cost is not above the target's cost. Failed and stopped
+//! trials never replace a target. If another trial has replaced the target in the meantime, a trial may beat
+//! only the original target. Such a trial replaces the worst member if it is better than that member. An
+//! evaluation may stop above the target's cost (the cutoff). A failed target sets no cutoff.
 //!
 //! **L-SHADE.** Trials are `x_i + F (x_pbest - x_i) + F (x_r1 - x_r2)` with `x_pbest` among the best `p N`,
-//! and `x_r2` from population and archive. `F` and `CR` are drawn around memories of what succeeded, weighted
-//! by how much the cost fell; a success over a failed target says nothing about how much, so it enters no
-//! memory, and a failed target enters no archive. The population shrinks linearly with the evaluations made,
-//! so the budget matters: that of the run, or [`DifferentialEvolution::budget`]. Members beyond the last slot
-//! that is left move to the slots of those that go; a trial competes with whoever stands in its slot then.
+//! and `x_r2` from the population and the archive. `F` and `CR` are drawn around memories of successful
+//! values, weighted by the decrease of the cost. A success over a failed target has no known decrease, so it
+//! is not stored in the memories. Failed targets are not stored in the archive. The population shrinks
+//! linearly with the number of evaluations, so the result depends on the budget. The budget is the limit of
+//! the run, or [`DifferentialEvolution::budget`]. When the population shrinks, members beyond the last
+//! remaining slot move to the slots of removed members. A pending trial then competes with the current member
+//! of its slot.
 
 mod adaptation;
 mod operators;

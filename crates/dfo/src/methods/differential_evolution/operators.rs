@@ -1,4 +1,4 @@
-//! Mutation, crossover and repair, one function each, from given indices and draws.
+//! Mutation, crossover and repair, as separate functions of given indices and random draws.
 
 use super::options::{Crossover, Repair, Strategy};
 use crate::method_interface::rng::Stream;
@@ -6,7 +6,7 @@ use crate::methods::shared::ranked_points::RankedPoints;
 use crate::problem::space::Space;
 use crate::problem::space::fold;
 
-/// `count` different numbers from `0..n`, none of them `target`.
+/// Fills `out` with different numbers from `0..n`, none of them `target`.
 pub(super) fn different(stream: &mut Stream, n: usize, target: usize, out: &mut [usize]) {
     for k in 0..out.len() {
         loop {
@@ -19,7 +19,7 @@ pub(super) fn different(stream: &mut Stream, n: usize, target: usize, out: &mut 
     }
 }
 
-/// The donor vector of a target.
+/// Computes the donor vector of a target.
 pub(super) fn donor(
     strategy: Strategy,
     population: &RankedPoints,
@@ -42,7 +42,7 @@ pub(super) fn donor(
     }
 }
 
-/// Turns the donor into the trial: coordinates that crossover leaves out come from the target again.
+/// Converts the donor to the trial. Coordinates not selected by crossover are copied from the target.
 pub(super) fn cross(
     crossover: Crossover,
     stream: &mut Stream,
@@ -55,7 +55,7 @@ pub(super) fn cross(
     match crossover {
         Crossover::Binomial => {
             for k in 0..n {
-                // Drawn for every coordinate, so that the draws of one do not depend on another.
+                // Draw for every coordinate, so that draws do not depend on other coordinates.
                 let from_donor = stream.chance(probability);
                 if !from_donor && k != first {
                     trial[k] = target[k];
@@ -75,7 +75,7 @@ pub(super) fn cross(
     }
 }
 
-/// Brings a trial into the box.
+/// Moves a trial into the box.
 pub(super) fn repair(repair: Repair, stream: &mut Stream, space: &Space, target: &[f64], trial: &mut [f64]) {
     for (k, u) in trial.iter_mut().enumerate() {
         let (lower, upper) = space.working_bounds(k);
@@ -84,7 +84,7 @@ pub(super) fn repair(repair: Repair, stream: &mut Stream, space: &Space, target:
         }
         let bound = if *u < lower { lower } else { upper };
         *u = match repair {
-            // What overflowed has no side; it stays where it was.
+            // A coordinate that is not finite keeps the value of the target.
             _ if !u.is_finite() => target[k],
             Repair::Midpoint => (0.5 * bound + 0.5 * target[k]).clamp(lower, upper),
             Repair::Mirror => fold(*u, lower, upper, target[k]),
@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn donors_follow_their_formulas() {
+    fn donor_matches_the_formula_of_each_strategy() {
         for (strategy, r, expected) in [
             // x_1 + 0.5 (x_5 - x_3)
             (Strategy::Rand1, &[1, 5, 3][..], [2.0, 4.0]),
@@ -144,7 +144,7 @@ mod tests {
         assert!(counts[2] == 0 && [0, 1, 3, 4, 5].iter().all(|i| (1107..=1293).contains(&counts[*i])));
     }
 
-    /// Mean number of coordinates from the donor, out of 8.
+    /// Returns the mean number of coordinates taken from the donor, out of 8.
     fn taken(crossover: Crossover, probability: f64) -> f64 {
         let mut total = 0.0;
         for i in 0..4000 {
@@ -154,7 +154,7 @@ mod tests {
             let from_donor: f64 = trial.iter().sum();
             assert!(from_donor >= 1.0);
             if crossover == Crossover::Exponential {
-                // One run: at most one place where a target coordinate follows a donor coordinate.
+                // One contiguous run: a target coordinate follows a donor coordinate at most once.
                 let ends = (0..8).filter(|&k| trial[k] == 1.0 && trial[(k + 1) % 8] == 0.0).count();
                 assert!(ends <= 1, "{trial:?}");
             }
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn crossover_takes_its_share_of_the_donor() {
+    fn crossover_takes_expected_share_of_the_donor() {
         // Binomial: 1 + 7 P; exponential: (1 - P^8) / (1 - P). Three standard deviations of the mean.
         assert!((taken(Crossover::Binomial, 0.3) - 3.1).abs() < 3.0 * (7.0 * 0.21f64 / 4000.0).sqrt());
         assert!((taken(Crossover::Exponential, 0.5) - 1.992).abs() < 0.07);

@@ -22,7 +22,7 @@ pub enum Strategy {
 }
 
 impl Strategy {
-    /// Number of members drawn besides the target.
+    /// Returns the number of members drawn in addition to the target.
     pub(super) fn n_drawn(self) -> usize {
         match self {
             Self::Best1 | Self::CurrentToBest1 => 2,
@@ -32,16 +32,18 @@ impl Strategy {
     }
 }
 
-/// Crossover of target and donor into the trial vector. At least one coordinate always comes from the donor.
+/// Crossover of target and donor to form the trial vector. At least one coordinate always comes from the
+/// donor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Crossover {
-    /// Each coordinate from the donor with the crossover probability.
+    /// Takes each coordinate from the donor with the crossover probability.
     #[default]
     Binomial,
-    /// A run of coordinates (around the end) from the donor; it goes on with the crossover probability.
+    /// Takes a contiguous run of coordinates from the donor, wrapping at the end. The run continues with the
+    /// crossover probability.
     Exponential,
 }
 
@@ -51,41 +53,41 @@ pub enum Crossover {
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum DifferentialWeight {
-    /// The same always.
+    /// A constant weight.
     Fixed(f64),
     /// Drawn uniformly from a range once per generation.
     Dither(f64, f64),
 }
 
-/// Repair of coordinates outside of the box.
+/// Repair of coordinates outside the box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Repair {
-    /// Into the middle between the target and the bound that was crossed.
+    /// Moved to the midpoint between the target and the violated bound.
     #[default]
     Midpoint,
     /// Mirrored at the bound.
     Mirror,
-    /// Set onto the bound.
+    /// Moved to the bound.
     Clamp,
-    /// Drawn anew from the whole range.
+    /// Redrawn from the whole range.
     Resample,
 }
 
-/// Options of L-SHADE. The defaults are those of its authors, but for a memory of five.
+/// Options of L-SHADE. The defaults are the authors' values, except for a memory of five.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct Adaptive {
     /// Fraction of the population that counts as best; default 0.11.
     pub p_best: f64,
-    /// Entries of the memories of `F` and `CR`; default 5.
+    /// Number of entries in the memories of `F` and `CR`; default 5.
     pub memory: usize,
     /// Size of the archive, in units of the population; default 2.6.
     pub archive: f64,
-    /// Members at the end of the budget; default 4.
+    /// Number of members at the end of the budget; default 4.
     pub final_population: usize,
 }
 
@@ -101,15 +103,15 @@ impl Default for Adaptive {
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Scheme {
-    /// With constants.
+    /// With constant weight and probability.
     Classic {
         /// Strategy for donors.
         strategy: Strategy,
         /// Crossover of target and donor.
         crossover: Crossover,
-        /// The differential weight, from 0 to 2.
+        /// Differential weight, from 0 to 2.
         weight: DifferentialWeight,
-        /// The crossover probability, from 0 to 1.
+        /// Crossover probability, from 0 to 1.
         probability: f64,
     },
     /// L-SHADE: factors from memories, an archive, and a population that shrinks over the budget.
@@ -118,7 +120,7 @@ pub enum Scheme {
 
 /// Options of differential evolution. The default is L-SHADE; [`classic`](Self::classic) is rand/1/bin.
 ///
-/// Every free parameter needs two finite bounds. Parameters may be integers.
+/// Every free parameter requires two finite bounds. Parameters may be integers.
 ///
 /// ```
 /// use dfo::{DifferentialEvolution, minimize};
@@ -141,21 +143,25 @@ pub enum Scheme {
 pub struct DifferentialEvolution {
     /// Scheme for trial vectors; default L-SHADE.
     pub scheme: Scheme,
-    /// Members of the (first) population, at least 20 by default: for L-SHADE `18 n (b / 10 000)^0.3`, at
-    /// most 18 n, where `b n` evaluations are planned, else 10 n.
+    /// Number of members of the first population, by default at least 20. The default for L-SHADE is `18 n (b
+    /// / 10 000)^0.3`, at most 18 n, where `b n` is the planned number of evaluations. The default for the
+    /// classic scheme is 10 n.
     pub population: Option<usize>,
-    /// Sampling of the first population; default Latin hypercube, for [`classic`](Self::classic) uniform.
+    /// Sampling method of the first population; default Latin hypercube, for [`classic`](Self::classic)
+    /// uniform.
     pub sampling: Sampling,
-    /// Repair of coordinates outside of the box; default [`Repair::Midpoint`].
+    /// Repair of coordinates outside the box; default [`Repair::Midpoint`].
     pub repair: Repair,
-    /// True if the start point, if one was given, is a member of the first population; default true, for
+    /// True to include a given start point in the first population. Default true, for
     /// [`classic`](Self::classic) false.
     pub include_start: bool,
-    /// Evaluations over which L-SHADE shrinks its population; default the limit of the run, without one `2000
-    /// (n + 1)`. A plan, not a limit: after it the run goes on with the last members.
+    /// Number of evaluations over which L-SHADE shrinks its population. Default: the limit of the run, or
+    /// `2000 (n + 1)` if the run has no limit. The budget is a plan, not a limit. After the budget, the run
+    /// continues with the last members.
     pub budget: Option<usize>,
-    /// Number of trials that are made ahead of selection at any time; default 15 n, at most 75, for L-SHADE,
-    /// 0 for [`classic`](Self::classic): a generation is made when the one before it is known whole.
+    /// Number of trials created ahead of selection at any time. Default 15 n, at most 75, for L-SHADE, and 0
+    /// for [`classic`](Self::classic). With lag 0, a generation is created when the previous one is
+    /// completely known.
     pub lag: Option<usize>,
 }
 
@@ -174,9 +180,9 @@ impl Default for DifferentialEvolution {
 }
 
 impl DifferentialEvolution {
-    /// The method as Gedda et al. (2012, section 4.2.1) write it: rand/1/bin with constant weight and
-    /// probability, the first population uniform in the box. Weight 0.8 and probability 0.9 (Storn and Price
-    /// 1997).
+    /// Returns the method as defined by Gedda et al. (2012, section 4.2.1): rand/1/bin with constant weight
+    /// and probability. The first population is uniform in the box. The weight is 0.8 and the probability 0.9
+    /// (Storn and Price 1997).
     pub fn classic() -> Self {
         Self {
             scheme: Scheme::Classic {
@@ -191,7 +197,7 @@ impl DifferentialEvolution {
         }
     }
 
-    /// Classic with this strategy, crossover, weight and probability.
+    /// Sets the classic scheme with this strategy, crossover, weight and probability.
     #[must_use]
     pub fn with(
         mut self,
@@ -204,49 +210,49 @@ impl DifferentialEvolution {
         self
     }
 
-    /// Sets the number of members.
+    /// Sets the number of members of the first population.
     #[must_use]
     pub fn population(mut self, members: usize) -> Self {
         self.population = Some(members);
         self
     }
 
-    /// Sets how the first population is spread.
+    /// Sets the sampling method of the first population.
     #[must_use]
     pub fn sampling(mut self, sampling: Sampling) -> Self {
         self.sampling = sampling;
         self
     }
 
-    /// Sets how coordinates outside of the box are brought back.
+    /// Sets the repair of coordinates outside the box.
     #[must_use]
     pub fn repair(mut self, repair: Repair) -> Self {
         self.repair = repair;
         self
     }
 
-    /// Sets whether a start point that was given joins the first population.
+    /// Sets whether a given start point is included in the first population.
     #[must_use]
     pub fn include_start(mut self, include: bool) -> Self {
         self.include_start = include;
         self
     }
 
-    /// Sets the evaluations over which L-SHADE shrinks its population.
+    /// Sets the number of evaluations over which L-SHADE shrinks its population.
     #[must_use]
     pub fn budget(mut self, evaluations: usize) -> Self {
         self.budget = Some(evaluations);
         self
     }
 
-    /// Sets the number of trials that are made ahead of selection.
+    /// Sets the number of trials created ahead of selection.
     #[must_use]
     pub fn lag(mut self, trials: usize) -> Self {
         self.lag = Some(trials);
         self
     }
 
-    /// Trials that are made ahead of selection for `n` free parameters.
+    /// Returns the number of trials created ahead of selection for `n` free parameters.
     pub(super) fn lag_of(&self, n: usize) -> usize {
         self.lag.unwrap_or(match self.scheme {
             Scheme::Classic { .. } => 0,
@@ -254,7 +260,8 @@ impl DifferentialEvolution {
         })
     }
 
-    /// Members of the first population for `n` free parameters and so many planned evaluations.
+    /// Returns the number of members of the first population for `n` free parameters and the planned number
+    /// of evaluations.
     pub(super) fn population_of(&self, n: usize, budget: usize) -> usize {
         let default = match self.scheme {
             Scheme::Classic { .. } => 10 * n,
@@ -266,7 +273,7 @@ impl DifferentialEvolution {
         self.population.unwrap_or(default.max(20))
     }
 
-    /// Name of the method with these options.
+    /// Returns the name of the method with these options.
     pub fn name(&self) -> &'static str {
         match self.scheme {
             Scheme::Classic { .. } => "de-classic",
@@ -303,18 +310,19 @@ impl DifferentialEvolution {
     }
 }
 
-/// Most trials that are made ahead of selection by default: with 75, 16 workers are 80 to 90 % busy where one
-/// evaluation in ten takes ten times as long (tests/all/flow.rs).
+/// Maximum default number of trials created ahead of selection. With 75, 16 workers are 80 to 90 % busy if
+/// one evaluation in ten takes ten times as long (tests/all/flow.rs).
 const MOST_LAG: usize = 75;
 
-/// Share of its authors' evaluations per parameter, to this power, times their 18 n: the first population of
-/// L-SHADE. Of 0, 0.3 and 0.4 on twelve functions in the manner of BBOB with 300 n to 3000 n evaluations, 0.4
-/// reaches more targets and loses Gallagher's peaks.
+/// Exponent of the first population of L-SHADE. The base is the planned evaluations per parameter, relative
+/// to the authors' 10 000. The power is multiplied by the authors' 18 n. The values 0, 0.3 and 0.4 were
+/// compared on twelve functions similar to BBOB, with 300 n to 3000 n evaluations. The exponent 0.4 reaches
+/// more targets but fails on Gallagher's peaks.
 const POPULATION_POWER: f64 = 0.3;
 
-/// Evaluations that L-SHADE plans with where they are not limited, for `n` free parameters. Its authors have
-/// 10 000 n (Tanabe and Fukunaga, CEC 2014), on functions that cost nothing; with a fifth of that it finds
-/// the minima of the shifted Rastrigin, Rosenbrock and ellipsoid functions with 5 and 10 parameters.
+/// Returns the number of evaluations that L-SHADE plans for `n` free parameters if the run has no limit. The
+/// authors use 10 000 n (Tanabe and Fukunaga, CEC 2014), for functions that cost nothing. A fifth of that is
+/// enough for the shifted Rastrigin, Rosenbrock and ellipsoid functions with 5 and 10 parameters.
 pub(super) fn planned(n: usize) -> usize {
     2000usize.saturating_mul(n + 1)
 }

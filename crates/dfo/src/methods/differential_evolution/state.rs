@@ -1,4 +1,4 @@
-//! Breeding and selection of differential evolution: trial vectors against their targets.
+//! Creation and selection of trials in differential evolution.
 
 use super::adaptation::Adaptation;
 use super::operators::{cross, different, donor, repair};
@@ -15,60 +15,60 @@ use crate::values::choices::ParameterKind;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// A running differential evolution; made by [`DifferentialEvolution`].
+/// A running differential evolution, created by [`DifferentialEvolution`].
 pub type DifferentialEvolutionState = Generations<DifferentialRules>;
 
-/// State of differential evolution besides its population.
+/// State of differential evolution except its population.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct DifferentialRules {
     options: DifferentialEvolution,
-    /// How each candidate was made.
+    /// Origin of each candidate.
     made: Vec<Made>,
     adaptation: Option<Adaptation>,
-    /// Trials that are made ahead of selection.
+    /// Number of trials created ahead of selection.
     lag: usize,
     trial: Vec<f64>,
-    /// Members evaluated in complete generations.
+    /// Number of members evaluated in complete generations.
     n_evaluated: usize,
-    /// Trials that are not candidates yet, in their order: working coordinates one after the other, the rest.
+    /// Ordered trials that are not yet candidates: concatenated working coordinates, and origins.
     ahead: VecDeque<f64>,
     ahead_made: VecDeque<Made>,
-    /// The generation that trials are made for, its members, those made, and the members of all generations
-    /// before it.
+    /// Generation of the next trials, its members, the number of trials created for it, and the members of
+    /// all previous generations.
     generation: u64,
     members: usize,
     n_made: usize,
     n_before: usize,
-    /// The trials that follow from the answers so far to a generation that is under way.
+    /// The trials that follow from the answers so far to the pending generation.
     #[serde(skip)]
     foreseen: Option<Box<Foreseen>>,
 }
 
-/// How a trial was made.
+/// Origin of a trial.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 struct Made {
-    /// The slot of its target.
+    /// Slot of the target.
     slot: usize,
     weight: f64,
     probability: f64,
-    /// The cost of the target then.
+    /// Cost of the target when the trial was created.
     cost: Cost,
 }
 
 impl Made {
-    /// The cost of the target: what is above it is not selected, for a slot is only taken by what is not
-    /// worse.
+    /// Returns the cost of the target. A trial above this cost is not selected, because it must not be worse
+    /// than the member it replaces.
     fn cutoff(&self) -> f64 {
         self.cost.value().unwrap_or(f64::INFINITY)
     }
 
-    /// True if these may be `F` and `CR` of a trial: what comes from a file may not.
+    /// True if `F` and `CR` are in their valid ranges. Values loaded from a file may be invalid.
     fn is_sound(&self) -> bool {
         (0.0..=1.0).contains(&self.weight) && (0.0..=1.0).contains(&self.probability)
     }
 }
 
-/// The state after the first so many answers to a generation.
+/// State after the first `n_taken` answers to a generation.
 #[derive(Debug, Clone)]
 struct Foreseen {
     rules: DifferentialRules,
@@ -109,7 +109,7 @@ impl DifferentialRules {
         Ok(Generations::new(rules, pool))
     }
 
-    /// Whether it was made with these options.
+    /// True if these rules were created with `options`.
     pub(super) fn is_of(&self, options: &DifferentialEvolution) -> bool {
         let adaptive = match options.scheme {
             Scheme::Adaptive(adaptive) => Some(adaptive),
@@ -118,7 +118,7 @@ impl DifferentialRules {
         self.options == *options && self.adaptation.as_ref().map(|adaptation| adaptation.options) == adaptive
     }
 
-    /// Makes the next trial from the population as it stands, from draws of its own.
+    /// Creates the next trial from the current population, with a separate random stream.
     fn make(&mut self, setup: &Setup, seed: u64, population: &RankedPoints) {
         if self.n_made >= self.members.min(population.len()) {
             self.n_before += self.members;
@@ -157,12 +157,12 @@ impl DifferentialRules {
         self.ahead_made.push_back(made);
     }
 
-    /// Members of a generation that follows so many evaluations.
+    /// Returns the population size of a generation that follows `n_evaluated` evaluations.
     fn members_after(&self, n_evaluated: usize) -> usize {
         self.adaptation.as_ref().map_or(self.members, |a| a.population_after(n_evaluated))
     }
 
-    /// Makes trials until `n` are not selected from, `n_left` of which are candidates.
+    /// Creates trials until `n` trials await selection. `n_left` of them are already candidates.
     fn make_up_to(&mut self, n: usize, n_left: usize, problem: (&Setup, u64), population: &RankedPoints) {
         let (setup, seed) = problem;
         while self.ahead_made.len() + n_left < n && setup.space.n_free() > 0 {
@@ -170,9 +170,9 @@ impl DifferentialRules {
         }
     }
 
-    /// Takes a candidate into the population, and makes the trials that follow. It takes its slot if it is
-    /// not worse than the member there; if it beats its target but not the member that has replaced the
-    /// target since the candidate was made, it competes with the worst member.
+    /// Selects from a candidate, and creates the trials that follow. The candidate replaces the member in its
+    /// slot if it is not worse. Another member may have replaced the target since the candidate was created.
+    /// If the candidate beats its target but not this member, it competes with the worst member.
     fn take(
         &mut self,
         slot: usize,
@@ -201,7 +201,7 @@ impl DifferentialRules {
         self.make_up_to(self.lag, members - 1 - slot, problem, population);
     }
 
-    /// Enters the cost of a member of the first population, and makes the trials that follow.
+    /// Records the cost of a member of the first population, and creates the trials that follow.
     fn enter(&mut self, slot: usize, cost: Cost, problem: (&Setup, u64), population: &mut RankedPoints) {
         population.set_cost(slot, cost);
         population.rank_again(slot);
@@ -216,7 +216,7 @@ impl GenerationRules for DifferentialRules {
         self.options.name()
     }
 
-    /// The trials that are made, and those that are still to be made.
+    /// Moves trials to the candidates, and creates the missing ones.
     fn make_candidates(&mut self, generation: u64, pool: &mut Populations) {
         let Populations { setup, seed, population, candidates } = pool;
         if let Some(adaptation) = &mut self.adaptation {
@@ -249,7 +249,8 @@ impl GenerationRules for DifferentialRules {
         for slot in 0..candidates.len() {
             self.take(slot, candidates.cost(slot), (setup, *seed), (population, candidates));
         }
-        // Where nothing is made in between, the ranks are needed only now: each of them takes time that grows with the members.
+        // With lag 0, rank once here, because each update of the ranks takes time proportional to the
+        // population size.
         population.rank();
         if let Some(adaptation) = &mut self.adaptation {
             adaptation.learn();
@@ -313,7 +314,8 @@ impl GenerationRules for DifferentialRules {
         pool.population.is_collapsed(&pool.setup.space).then_some(Termination::Collapsed)
     }
 
-    /// Members that stand for one whole number differ in what they are made from, and so do their trials.
+    /// True if all parameters are discrete. Members that round to one point still differ in working
+    /// coordinates, and so do their trials.
     fn tries_neighbours(&self, space: &Space) -> bool {
         space.n_free() > 0 && (0..space.n_free()).all(|k| space.kind(k) != ParameterKind::Continuous)
     }
@@ -344,7 +346,7 @@ impl GenerationRules for DifferentialRules {
     }
 }
 
-/// A population whose members have no costs yet.
+/// Returns a copy of the population in which no member has a cost.
 fn without_costs(population: &RankedPoints) -> RankedPoints {
     let mut unknown = population.clone();
     (0..unknown.len()).for_each(|slot| unknown.set_cost(slot, Cost::Pending));

@@ -1,27 +1,27 @@
-//! Bit strings and the numbers that they stand for.
+//! Encoding of numbers as bit strings.
 
 use crate::error::Error;
 use crate::problem::space::Space;
 use crate::values::choices::ParameterKind;
 use serde::{Deserialize, Serialize};
 
-/// Bits of a continuous parameter whose resolution was not given.
+/// Number of bits of a continuous parameter without a given resolution.
 const DEFAULT_BITS: u32 = 16;
-/// Largest number of bits of a parameter: floating-point numbers have 53.
+/// Maximum number of bits of a parameter; floating-point numbers have 53.
 const MAX_BITS: u32 = 52;
 
-/// The field of one free parameter.
+/// Bit field of a free parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct Field {
     bits: u32,
     lower: f64,
     upper: f64,
-    /// Number of values of a discrete parameter, the first of which is `first`.
+    /// Number of values of a discrete parameter. `first` is the smallest value.
     values: Option<u64>,
     first: f64,
 }
 
-/// Representation of points as bits, most significant first.
+/// Representation of points as bits, most significant bit first.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Coding {
     fields: Vec<Field>,
@@ -44,7 +44,7 @@ impl Coding {
                 }
             };
             let bits = match (values, resolution.get(index)) {
-                // Twice as many codes as needed, or more, so that the shares of the values differ little.
+                // At least eight codes per value, so that the values have similar shares.
                 (Some(1), _) => 0,
                 (Some(values), _) if values.is_power_of_two() => values.ilog2(),
                 (Some(values), _) => values.ilog2() + 4,
@@ -62,12 +62,12 @@ impl Coding {
         Ok(Self { fields, gray })
     }
 
-    /// Length of a string.
+    /// Returns the length of a string in bits.
     pub(super) fn length(&self) -> usize {
         self.fields.iter().map(|f| f.bits as usize).sum()
     }
 
-    /// The working coordinates that a string stands for.
+    /// Decodes a string to working coordinates.
     pub(super) fn decode(&self, space: &Space, mut bits: &[bool], u: &mut [f64]) {
         for (k, field) in self.fields.iter().enumerate() {
             let (own, rest) = bits.split_at(field.bits as usize);
@@ -96,7 +96,7 @@ impl Coding {
         }
     }
 
-    /// The string nearest to a point given in working coordinates and in the user's units.
+    /// Encodes a point, given in working coordinates and in the user's units, as the nearest string.
     pub(super) fn encode(&self, space: &Space, u: &[f64], x: &[f64], out: &mut [bool]) {
         let mut at = 0;
         for (k, field) in self.fields.iter().enumerate() {
@@ -104,7 +104,7 @@ impl Coding {
             let code = match field.values {
                 Some(values) => {
                     let value = (x[space.free()[k]] - field.first).max(0.0) as u64;
-                    // The first code of the value: the least c with c * values / codes >= value.
+                    // First code of the value: the smallest c with c * values / codes >= value.
                     ((u128::from(value) * u128::from(codes)).div_ceil(u128::from(values))) as u64
                 }
                 None => {
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn fields_are_as_long_as_their_resolution_asks() {
+    fn coding_chooses_number_of_bits_from_resolution() {
         let coding = Coding::new(&space(), &[0.5, 1.0, 1.0, 0.1], true).unwrap();
         // 4 / 0.5 + 1 = 9 values: 4 bits; 7 values: 2 + 4 bits; 4 values: 2 bits; ln(1e6) / 0.1 + 1 = 139.2: 8 bits.
         assert_eq!(coding.fields.iter().map(|f| f.bits).collect::<Vec<_>>(), [4, 6, 2, 8]);
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_encoded_comes_back() {
+    fn coding_round_trips_points() {
         let space = space();
         for gray in [true, false] {
             let coding = Coding::new(&space, &[1e-9, 1.0, 1.0, 1e-9], gray).unwrap();
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn every_discrete_value_has_its_codes() {
+    fn decode_assigns_similar_numbers_of_codes_to_discrete_values() {
         let space = space();
         let coding = Coding::new(&space, &[], false).unwrap();
         let mut counts = [0; 7];

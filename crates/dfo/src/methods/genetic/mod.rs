@@ -1,13 +1,15 @@
 //! A genetic algorithm on bit strings (Gedda et al. 2012, section 4.2.2; Goldberg 1989).
 //!
-//! Each free parameter has a field of bits, in Gray code unless told otherwise, so that neighbouring values
+//! Each free parameter is encoded in a field of bits. The default is Gray code, in which neighbouring values
 //! differ in one bit. A generation selects pairs, crosses them at one position, flips bits, and evaluates the
-//! children as one batch; the best of the old generation stay, unchanged and not evaluated again.
+//! children as one batch. The best members of the old generation survive unchanged and are not evaluated
+//! again.
 //!
-//! **Fitness** for any cost: `f_max - f_i` over the members that have one, plus a thousandth of `f_max -
-//! f_min` so that the worst may be chosen too; failed members are never chosen; equal costs are equally fit.
+//! **Fitness** for any cost: the difference between the 70 % quantile of the costs and the cost, plus a
+//! thousandth of the largest difference so that the worst member can also be selected. Failed members are
+//! never selected. Members with equal costs have equal fitness.
 //!
-//! No cutoffs: the fitness of every member counts.
+//! **Cutoffs**: none, because the fitness of every member counts.
 
 mod coding;
 mod operators;
@@ -60,7 +62,7 @@ impl MethodOptions for Genetic {
         (Some(5000usize.saturating_mul(n + 1)), None)
     }
 
-    /// Children that are like a parent are common.
+    /// Caches many points, because children are often identical to a parent.
     fn default_cache(&self) -> usize {
         10_000
     }

@@ -1,25 +1,27 @@
-//! Selection, crossover and mutation, one function each.
+//! Selection, crossover and mutation, as separate functions.
 
 use crate::method_interface::rng::Stream;
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
 
-/// The share of the fitness of the best that members without any fitness of their own keep.
+/// Minimum fitness of members with a cost, as a fraction of the best fitness.
 const FLOOR: f64 = 1e-3;
 
-/// Running sums of the fitness of all members; the last is the total. Fitness is how far a cost lies below
-/// the 70 % quantile of the costs. Measured from the worst, a few mutants far off make all others equally
-/// fit, and the population never converges: of a sphere in ten parameters on [-5, 5] 0.26 is left after 10
-/// 000 evaluations (median of 10 seeds), with quantiles of 80, 70, 60 and 50 % 5e-3, 5e-4, 3e-5 and 3e-6. The
-/// lower the quantile, the sooner diversity is lost: Rosenbrock's function in two parameters is left at 7e-4,
-/// 2e-5, 1e-4, 9e-3 and 9e-3.
+/// Sets `out` to the cumulative sums of the fitness of all members; the last sum is the total. Fitness is the
+/// difference between the 70 % quantile of the costs and the cost.
+///
+/// If fitness is measured from the worst member, a few distant mutants make all others equally fit, and the
+/// population never converges. For a sphere in ten parameters on [-5, 5], the remaining cost is then 0.26
+/// after 10 000 evaluations (median of 10 seeds). With quantiles of 80, 70, 60 and 50 %, it is 5e-3, 5e-4,
+/// 3e-5 and 3e-6. A lower quantile loses diversity sooner. For Rosenbrock's function in two parameters, the
+/// remaining costs are 7e-4, 2e-5, 1e-4, 9e-3 and 9e-3.
 pub(super) fn fitness_sums(population: &RankedPoints, out: &mut Vec<f64>) {
     let cost = |rank: usize| population.cost(population.order()[rank]).value().unwrap_or(0.0);
     let (low, high) = match population.n_finite() {
         0 => (0.0, 0.0),
         n => (cost(0), cost((n - 1) * 7 / 10)),
     };
-    // Halved, so that the range of the largest numbers does not overflow.
+    // Halved, so that the difference of the largest numbers does not overflow.
     let range = 0.5 * high - 0.5 * low;
     out.clear();
     let mut sum = 0.0;
@@ -34,20 +36,20 @@ pub(super) fn fitness_sums(population: &RankedPoints, out: &mut Vec<f64>) {
     }
 }
 
-/// A member, with a probability proportional to its fitness.
+/// Draws a member with a probability proportional to its fitness.
 pub(super) fn spin(stream: &mut Stream, sums: &[f64]) -> usize {
     let total = sums.last().copied().unwrap_or(0.0);
     let at = stream.uniform() * total;
     sums.partition_point(|s| *s <= at).min(sums.len().saturating_sub(1))
 }
 
-/// The best of `size` members drawn at random; by rank, so ties go to the older slot.
+/// Returns the best of `size` members drawn at random. Ties go to the lower slot.
 pub(super) fn tournament(stream: &mut Stream, population: &RankedPoints, size: usize) -> usize {
     let rank = (0..size).map(|_| stream.below(population.len())).min().unwrap_or(0);
     population.order()[rank]
 }
 
-/// Swaps everything from a random position on, which is never the first.
+/// Swaps all bits from a random position on. The first bit is never swapped.
 pub(super) fn cross(stream: &mut Stream, a: &mut [bool], b: &mut [bool]) {
     if a.len() > 1 {
         let position = 1 + stream.below(a.len() - 1);
@@ -55,8 +57,8 @@ pub(super) fn cross(stream: &mut Stream, a: &mut [bool], b: &mut [bool]) {
     }
 }
 
-/// Flips each bit with a probability: by drawing how many bits stay between two that flip, which has the same
-/// distribution as a draw for each and is many times faster at small rates.
+/// Flips each bit with a given probability. The number of unchanged bits between flips is drawn. This has the
+/// same distribution as one draw per bit and is many times faster at small rates.
 pub(super) fn mutate(stream: &mut Stream, rate: f64, bits: &mut [bool]) {
     if rate >= 1.0 {
         return bits.iter_mut().for_each(|bit| *bit = !*bit);
@@ -112,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_costs_are_equally_fit_and_huge_ones_do_not_overflow() {
+    fn fitness_is_equal_for_equal_costs_and_finite_for_huge_costs() {
         use Cost::{Failed, Value};
         let mut sums = Vec::new();
         fitness_sums(&population(&[Value(2.0), Failed, Value(2.0)]), &mut sums);
@@ -122,12 +124,12 @@ mod tests {
     }
 
     #[test]
-    fn tournaments_prefer_the_better() {
+    fn tournament_prefers_lower_costs() {
         use Cost::{Failed, Value};
         let p = population(&[Value(3.0), Failed, Value(1.0), Value(2.0)]);
         let (mut counts, mut s) = ([0i32; 4], stream());
         (0..16_000).for_each(|_| counts[tournament(&mut s, &p, 2)] += 1);
-        // Of 16 ordered pairs 7, 5, 3, 1 are won by ranks 0, 1, 2, 3.
+        // Ranks 0, 1, 2 and 3 win 7, 5, 3 and 1 of the 16 ordered pairs.
         for (slot, expected) in [(2, 7000), (3, 5000), (0, 3000), (1, 1000)] {
             assert!((counts[slot] - expected).abs() < 190, "{counts:?}");
         }
@@ -149,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn bits_flip_at_their_rate() {
+    fn mutate_flips_bits_at_the_given_rate() {
         let mut bits = vec![false; 50_000];
         mutate(&mut stream(), 0.02, &mut bits);
         let flipped = bits.iter().filter(|b| **b).count() as f64;
@@ -158,7 +160,7 @@ mod tests {
         assert_eq!(bits.iter().filter(|b| **b).count() as f64, flipped);
         mutate(&mut stream(), 1.0, &mut bits);
         assert_eq!(bits.iter().filter(|b| !**b).count() as f64, flipped);
-        // Every place is as likely as any other.
+        // Every position is equally likely.
         let mut places = [0.0; 5];
         for i in 0..20_000 {
             let mut few = [false; 5];

@@ -11,24 +11,24 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Selection {
-    /// With probabilities proportional to fitness: how far the cost lies below the 70 % quantile of the
-    /// population.
+    /// With probabilities proportional to fitness, the difference between the 70 % quantile of the
+    /// population's costs and the cost.
     #[default]
     FitnessProportional,
-    /// The best of so many members drawn at random (with repetition).
+    /// The best of this number of members, drawn at random with repetition.
     Tournament(usize),
 }
 
 /// Options of the genetic algorithm.
 ///
-/// Every free parameter needs two finite bounds; parameters may be integers or choices. The tolerance tests
-/// measure the best points of all generations, each once, as many as an eighth of the population, at least
-/// n + 1 and at most 100: copies of one point take a population over long before the minimum is found, and
-/// mutation always leaves some members far from the best. With integers or choices they measure the best
-/// eighth of the population. Neighbouring codes are 1.5e-5 of the width of the box apart unless `resolution`
-/// says otherwise: smaller distances cannot be seen, so a relative `x_tol` below that never passes, and such
-/// a run ends as stalled. To 1e-6 of a quadratic it takes about 1200 evaluations per parameter up to ten
-/// parameters, more beyond.
+/// Every free parameter requires two finite bounds. Parameters may be integers or categorical. The tolerance
+/// tests measure the best distinct points of all generations: an eighth of the population, at least n + 1 and
+/// at most 100. Copies of one point fill a population long before the minimum is found, and mutation keeps
+/// some members far from the best. With integer or categorical parameters, the tests measure the best eighth
+/// of the population. Unless `resolution` is set, neighbouring codes are 1.5e-5 of the width of the box
+/// apart. Smaller distances cannot be resolved, so a smaller relative `x_tol` never passes and the run ends
+/// as stalled. For up to ten parameters, the method needs about 1200 evaluations per parameter to reach 1e-6
+/// of a quadratic. With more parameters, it needs more.
 ///
 /// ```
 /// use dfo::{Genetic, ParameterKind, minimize};
@@ -48,27 +48,28 @@ pub enum Selection {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct Genetic {
-    /// Members; default 10 n, but at least 50.
+    /// Number of members; default 10 n, at least 50.
     pub population: Option<usize>,
-    /// Selection of parents; default by fitness.
+    /// Selection of parents; default proportional to fitness.
     pub selection: Selection,
     /// Probability that a pair is crossed; default 0.7.
     pub crossover_rate: f64,
-    /// Probability that a bit flips; default one bit per child on average, but at most 0.1.
+    /// Probability that a bit is flipped; default one bit per child on average, at most 0.1.
     pub mutation_rate: Option<f64>,
-    /// The best members that stay as they are; default 1.
+    /// Number of best members that survive unchanged; default 1.
     pub elite: usize,
-    /// True if numbers are in Gray code; default true.
+    /// True to encode numbers in Gray code; default true.
     pub gray: bool,
-    /// Steps wanted per parameter (user's order; of `ln x` on a logarithmic scale): bits are taken until
-    /// neighbouring values are no farther apart. Empty (the default): 16 bits each. Discrete parameters have
-    /// as many bits as their values need.
+    /// Requested step size per parameter, in the user's order and in `ln x` on a logarithmic scale. The
+    /// number of bits is chosen so that the distance between neighbouring values does not exceed the step
+    /// size. If empty (the default), each parameter has 16 bits. Discrete parameters have as many bits as
+    /// their values require.
     pub resolution: Vec<f64>,
-    /// Sampling of the first population; default uniform.
+    /// Sampling method of the first population; default uniform.
     pub sampling: Sampling,
-    /// True if the start point, if one was given, is a member of the first population, exactly; default true.
+    /// True to include a given start point, exactly, in the first population; default true.
     pub include_start: bool,
-    /// Generations without a better point after which the run ends; default 100.
+    /// Number of generations without a better point after which the run ends; default 100.
     pub stall: Option<usize>,
 }
 
@@ -97,7 +98,7 @@ impl Genetic {
         self
     }
 
-    /// Sets how parents are chosen.
+    /// Sets the selection of parents.
     #[must_use]
     pub fn selection(mut self, selection: Selection) -> Self {
         self.selection = selection;
@@ -111,49 +112,50 @@ impl Genetic {
         self
     }
 
-    /// Sets the probability that a bit flips.
+    /// Sets the probability that a bit is flipped.
     #[must_use]
     pub fn mutation_rate(mut self, rate: f64) -> Self {
         self.mutation_rate = Some(rate);
         self
     }
 
-    /// Sets how many of the best stay.
+    /// Sets the number of best members that survive unchanged.
     #[must_use]
     pub fn elite(mut self, members: usize) -> Self {
         self.elite = members;
         self
     }
 
-    /// Sets whether numbers are in Gray code.
+    /// Sets whether numbers are encoded in Gray code.
     #[must_use]
     pub fn gray(mut self, gray: bool) -> Self {
         self.gray = gray;
         self
     }
 
-    /// Sets the steps wanted, one per parameter.
+    /// Sets the requested step size, one per parameter.
     #[must_use]
     pub fn resolution(mut self, steps: &[f64]) -> Self {
         self.resolution = steps.to_vec();
         self
     }
 
-    /// Sets how the first population is spread.
+    /// Sets the sampling method of the first population.
     #[must_use]
     pub fn sampling(mut self, sampling: Sampling) -> Self {
         self.sampling = sampling;
         self
     }
 
-    /// Sets whether a start point that was given joins the first population.
+    /// Sets whether a given start point is included in the first population.
     #[must_use]
     pub fn include_start(mut self, include: bool) -> Self {
         self.include_start = include;
         self
     }
 
-    /// Sets after how many generations without a better point the run ends; `None` for never.
+    /// Sets the number of generations without a better point after which the run ends; `None` disables this
+    /// limit.
     #[must_use]
     pub fn stall(mut self, generations: Option<usize>) -> Self {
         self.stall = generations;

@@ -1,4 +1,4 @@
-//! Breeding and selection of the genetic algorithm: pairs of bit strings, and an elite that stays.
+//! Creation and selection of children in the genetic algorithm: pairs of bit strings, and a surviving elite.
 
 use super::coding::Coding;
 use super::operators::{cross, fitness_sums, mutate, spin, tournament};
@@ -13,42 +13,42 @@ use crate::outcome::termination::Termination;
 use crate::values::choices::ParameterKind;
 use serde::{Deserialize, Serialize};
 
-/// Number of the best points that are compared: an eighth of the population, at least as many as a simplex
-/// has, at most 100.
+/// Returns the number of best points that the tests compare: an eighth of the population, at least n + 1 and
+/// at most 100.
 fn n_seen(members: usize, n: usize) -> usize {
     members.div_ceil(8).max(n + 1).min(100)
 }
 
-/// The rate at which bits of a string of this length change.
+/// Returns the mutation rate for strings of this length.
 fn mutation_rate(options: &Genetic, length: usize) -> f64 {
     options.mutation_rate.unwrap_or((1.0 / length.max(1) as f64).min(0.1))
 }
 
-/// A running genetic algorithm; made by [`Genetic`].
+/// A running genetic algorithm, created by [`Genetic`].
 pub type GeneticState = Generations<GeneticRules>;
 
-/// State of the genetic algorithm besides its population. The elite is not among the candidates.
+/// State of the genetic algorithm except its population. The elite is not part of the candidates.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct GeneticRules {
     options: Genetic,
     coding: Coding,
     mutation_rate: f64,
-    /// The strings of all members, one after the other.
+    /// Concatenated strings of all members.
     bits: Vec<bool>,
     child_bits: Vec<bool>,
-    /// The second child of a last pair that needs only one.
+    /// Unused second child of the last pair, if the number of children is odd.
     spare: Vec<bool>,
     sums: Vec<f64>,
     decoded: Vec<f64>,
-    /// The best points of all generations, each once; as many as [`n_seen`] says.
+    /// Best distinct points of all generations; [`n_seen`] returns their number.
     best_seen: RankedPoints,
-    /// Generations since the best point changed, and its cost then.
+    /// Number of generations since the best point changed, and its cost at that time.
     idle: usize,
     idle_since: f64,
 }
 
 impl GeneticRules {
-    /// True if it was made with these options.
+    /// True if these rules were created with `options`.
     pub(super) fn is_of(&self, options: &Genetic) -> bool {
         self.options == *options && self.mutation_rate == mutation_rate(options, self.coding.length())
     }
@@ -69,7 +69,7 @@ impl GeneticRules {
         for slot in 0..members {
             let own = &mut bits[slot * length..(slot + 1) * length];
             coding.encode(&setup.space, population.u(slot), population.x(slot), own);
-            // A sampled point moves to what its string stands for; one that was given is evaluated as it was given.
+            // A sampled point moves to the point encoded by its string. A given point is evaluated unchanged.
             if slot >= n_exact {
                 coding.decode(&setup.space, own, &mut decoded);
                 population.place(slot, &decoded, &setup.space);
@@ -98,7 +98,7 @@ impl GenerationRules for GeneticRules {
         "ga"
     }
 
-    /// Each pair is made from draws of its own.
+    /// Creates the children. Each pair uses a separate random stream.
     fn make_candidates(&mut self, generation: u64, pool: &mut Populations) {
         let Populations { setup, seed, population, candidates } = pool;
         let length = self.coding.length();
@@ -128,12 +128,12 @@ impl GenerationRules for GeneticRules {
         }
     }
 
-    /// Selection by fitness needs every cost.
+    /// Returns infinity, because selection by fitness needs every cost.
     fn cutoff(&self, _: &Populations, _: usize) -> f64 {
         f64::INFINITY
     }
 
-    /// Children take the places of all but the elite.
+    /// Replaces all members except the elite by the children.
     fn select(&mut self, pool: &mut Populations) {
         let Populations { population, candidates, .. } = pool;
         for child in 0..candidates.len() {
@@ -143,7 +143,7 @@ impl GenerationRules for GeneticRules {
         let replaced = population.len() - candidates.len();
         let slots: &[usize] = &population.order()[replaced..];
         self.sums.clear();
-        // The ranks change below, so the slots are noted first (in a buffer that is free now).
+        // The ranks change below, so store the slots first (in a buffer that is currently unused).
         self.sums.extend(slots.iter().map(|s| *s as f64));
         for (child, slot) in self.sums.iter().map(|s| *s as usize).enumerate() {
             population.copy_from(slot, candidates, child);
@@ -166,18 +166,18 @@ impl GenerationRules for GeneticRules {
         if self.options.stall.is_some_and(|limit| self.idle >= limit) {
             return Some(Termination::Stalled);
         }
-        // Without an elite everything may be lost; the best point seen is kept elsewhere.
+        // Without an elite, all costs may be lost. The best point seen is stored separately.
         (pool.population.n_finite() == 0).then_some(Termination::AllFailed)
     }
 
-    /// Mutation keeps some members away from the best however long the search goes on.
+    /// Returns the best eighth, because mutation always keeps some members away from the best.
     fn extent(&self) -> TestedSet {
         TestedSet::BestEighth
     }
 
-    /// The population itself says little: copies of one point take it over long before the minimum is found,
-    /// and later most children differ from their parents in a bit that matters. Of whole numbers there may be
-    /// too few to compare.
+    /// Tests the best points seen. The population itself is a poor measure of convergence. Copies of one
+    /// point fill it long before the minimum is found, and later most children differ from their parents in a
+    /// significant bit. Discrete parameters may have too few distinct points to compare.
     fn judge_best_seen(&self, setup: &Setup, f_0: f64) -> Option<ToleranceTests> {
         let space = &setup.space;
         let continuous = (0..space.n_free()).all(|k| space.kind(k) == ParameterKind::Continuous);

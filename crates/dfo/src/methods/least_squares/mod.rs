@@ -1,13 +1,16 @@
 //! Gauss-Newton in a trust region on linear interpolation models of the residuals (Zhang, Conn and Scheinberg
-//! 2010; Cartis, Fiala, Marteau and Roberts, ACM TOMS 45, 2019): n + 1 points, each evaluated once, make a
-//! model of every residual; its sum of squares is smallest at the next trial point, within a radius that
-//! grows and shrinks with the success of the predictions (`trust_region.rs`). The new point changes the model
-//! by a matrix of rank one, which costs O(mn + n^2) (`interpolation.rs`, `triangle.rs`). With rounds of
-//! several points the others are trial points at other radii, and neighbours of the first one, so that its
-//! Jacobian is known in the same round. Where a point next to the best one shows noise, the models are
-//! regressions on all points around, one new point at a time (`averaging.rs`). Steps keep to the side of a
-//! plane between points that failed and the others; where that leads nowhere, Nelder-Mead takes over from a
-//! good point that lies away from them.
+//! 2010; Cartis, Fiala, Marteau and Roberts, ACM TOMS 45, 2019).
+//!
+//! The models interpolate every residual at n + 1 points, each evaluated once. The next trial point minimises
+//! the sum of squares of the models within a radius. The radius grows and shrinks with the success of the
+//! predictions (`trust_region.rs`). A new point changes the model by a matrix of rank one, which costs O(mn +
+//! n^2) (`interpolation.rs`, `triangle.rs`).
+//!
+//! With rounds of several points, the others are trial points at other radii and neighbours of the first one.
+//! The Jacobian at the first trial point is then known in the same round. If a point next to the best one
+//! shows noise, the models are regressions on all nearby points, with one new point at a time
+//! (`averaging.rs`). Steps stay on one side of a plane that separates failed points from the others. If this
+//! makes no progress, Nelder-Mead continues from a good point away from the failed points.
 
 mod averaging;
 mod interpolation;
@@ -59,7 +62,7 @@ impl MethodOptions for LeastSquares {
     }
 }
 
-/// The same problem without bounds that stand for none.
+/// Returns the setup without bounds that mean "unbounded".
 fn near(setup: &Setup) -> Setup {
     Setup { space: setup.space.without_far_bounds(), ..setup.clone() }
 }

@@ -4,21 +4,21 @@ use crate::error::Error;
 use crate::method_interface::interface::name_or_number;
 use serde::{Deserialize, Deserializer, Serialize};
 
-/// Number of points that least squares evaluates at once after the first n + 1. Each plan takes a path of its
-/// own, the same for any number of workers.
+/// Number of points that least squares evaluates at once after the first n + 1. Each plan follows a different
+/// path, which does not depend on the number of workers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum StepPlan {
-    /// One point: the fewest evaluations.
+    /// One point at a time: the fewest evaluations.
     #[default]
     Serial,
-    /// n + 4 points: the model's best points within four radii, and the n neighbours of the first of them for
-    /// its Jacobian. The fewest rounds, for as many workers or more; with fewer it takes longer than one
-    /// point at a time.
+    /// n + 4 points: the best points of the model within four radii, and n neighbours of the first point for
+    /// its Jacobian. This plan needs the fewest rounds if there are at least n + 4 workers. With fewer
+    /// workers, it takes longer than one point at a time.
     Rounds,
-    /// So many points: first trial points, then neighbours.
+    /// This number of points: first trial points, then neighbours.
     #[serde(untagged)]
     Points(usize),
 }
@@ -32,7 +32,7 @@ impl<'de> Deserialize<'de> for StepPlan {
 }
 
 impl StepPlan {
-    /// Number of points for `n` parameters.
+    /// Returns the number of points for `n` parameters.
     pub(super) fn width(self, n: usize) -> usize {
         match self {
             Self::Serial => 1,
@@ -45,9 +45,9 @@ impl StepPlan {
 /// Options of the Gauss-Newton method on interpolation models, for objectives with residuals (see
 /// [`residuals`](crate::residuals)).
 ///
-/// The x test measures the resolution of the model, or the step to the model's minimum where that is longer;
-/// or that step with the error that the model may have, where that is less. The f test measures the decrease
-/// that the model predicts.
+/// The x test measures the resolution of the model, or the step to the minimum of the model if that step is
+/// longer. If smaller, it uses that step together with the possible error of the model instead. The f test
+/// measures the decrease predicted by the model.
 ///
 /// ```
 /// use dfo::{LeastSquares, minimize, residuals};
@@ -61,9 +61,9 @@ impl StepPlan {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct LeastSquares {
-    /// The first radius, in units of the sizes of the parameters; default 0.1.
+    /// First radius, in units of the parameter sizes; default 0.1.
     pub radius: f64,
-    /// Points evaluated at once after the first n + 1; default [`StepPlan::Serial`].
+    /// Number of points evaluated at once after the first n + 1; default [`StepPlan::Serial`].
     pub batch: StepPlan,
 }
 
@@ -81,7 +81,7 @@ impl LeastSquares {
         self
     }
 
-    /// Sets the number of points that are evaluated at once.
+    /// Sets the number of points evaluated at once.
     #[must_use]
     pub fn batch(mut self, points: usize) -> Self {
         self.batch = StepPlan::Points(points);

@@ -1,27 +1,27 @@
-//! Cost of a point that a method keeps, as far as it is known, and the comparison of two of them.
+//! Cost of a stored point, if known, and the comparison of costs.
 
 use crate::outcome::answer::Outcome;
 use serde::{Deserialize, Serialize};
 
-/// The cost of a vertex or of a member of a population. The order of the variants is the order of rank.
+/// Cost of a vertex or of a member of a population. The variants are ordered by rank.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum Cost {
     /// A finite cost.
     Value(f64),
-    /// The objective failed there.
+    /// The objective failed at this point.
     Failed,
-    /// Not evaluated yet.
+    /// The point has not been evaluated.
     Pending,
 }
 
 impl Cost {
-    /// The cost by an outcome that is known. What was given up above the cost that it had to reach has none,
-    /// like what failed.
+    /// Returns the cost of a known outcome. An evaluation stopped above its cutoff has no cost and counts as
+    /// failed.
     pub(crate) fn of(outcome: &Outcome) -> Self {
         outcome.value().map_or(Self::Failed, Self::Value)
     }
 
-    /// The rule of rank, a total order because values are finite: is `self` strictly better?
+    /// True if `self` ranks strictly better. The order is total because values are finite.
     pub(crate) fn better_than(self, other: Self) -> bool {
         match (self, other) {
             (Self::Value(a), Self::Value(b)) => a < b,

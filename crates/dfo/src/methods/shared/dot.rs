@@ -1,6 +1,6 @@
 //! Products of long vectors.
 
-/// A sum of products in eight parts, which processors add at once.
+/// Returns the dot product as eight partial sums, which processors can add in parallel.
 pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
     let (eights, others) = (a.chunks_exact(8), b.chunks_exact(8));
     let rest = eights.remainder().iter().zip(others.remainder()).map(|(a, b)| a * b).sum::<f64>();

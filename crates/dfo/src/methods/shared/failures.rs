@@ -1,14 +1,14 @@
-//! Where the objective fails: a plane between the points that failed and those that did not.
+//! Planes that separate failed points from points with a cost.
 
-/// Steps of the search for a plane, and the gap to the widest one at which it ends.
+/// Maximum number of steps of the search for a plane, and the relative gap to the optimum at which it ends.
 const MOST_STEPS: usize = 300;
 const GAP: f64 = 1e-2;
-/// Where in the gap the plane lies: nearer to the points with a cost, so that steps along it stay off the
-/// failed ones.
+/// Position of the plane within the gap. The plane is nearer to the points with a cost, so that steps along
+/// it avoid the failed points.
 const SHARE: f64 = 0.25;
 
-/// `normal's <= limit` for the displacements `s` that lie on the side of the points with a cost; the normal
-/// has length 1.
+/// Half-space `normal's <= limit` of displacements `s` that contains the points with a cost. The normal has
+/// length 1.
 pub(crate) struct Plane {
     pub(crate) normal: Vec<f64>,
     pub(crate) limit: f64,
@@ -18,21 +18,21 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// The point that lies farthest along a direction, and how far.
+/// Returns the farthest point along a direction, and its distance.
 fn farthest<'a>(points: &'a [Vec<f64>], direction: &[f64]) -> (&'a [f64], f64) {
     let along = points.iter().map(|p| (&p[..], dot(p, direction)));
     along.fold((&[][..], f64::NEG_INFINITY), |far, other| if other.1 > far.1 { other } else { far })
 }
 
-/// The plane between two sets of points, in the widest gap between them; of the failed ones those that come
-/// first are kept where not all can be parted from the others. The origin must be among the `good` points.
+/// Returns the plane in the widest gap between two sets of points. If not all failed points can be separated
+/// from the others, the first ones are kept. The origin must be among the `good` points.
 ///
-/// The gap is that between the nearest points of the two convex hulls, approached by the steps of Gilbert
-/// (SIAM J. Control 4, 1966).
+/// The gap is the distance between the nearest points of the two convex hulls, approached by the steps of
+/// Gilbert (SIAM J. Control 4, 1966).
 pub(crate) fn plane(good: &[Vec<f64>], failed: &[Vec<f64>]) -> Option<Plane> {
     let mut failed = failed;
     while let Some(first) = failed.first() {
-        // From the origin to the first failed point, to begin with.
+        // Start with the vector from the origin to the first failed point.
         let mut w = first.clone();
         for _ in 0..MOST_STEPS {
             let (near, _) = farthest(failed, &w.iter().map(|w| -w).collect::<Vec<_>>());
@@ -62,7 +62,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_plane_parts_the_points() {
+    fn plane_separates_good_and_failed_points() {
         let good = [vec![0.0, 0.0], vec![-1.0, 1.0], vec![0.5, -0.5], vec![-2.0, 0.3]];
         let failed = [vec![0.4, 0.4], vec![2.0, -1.2], vec![-0.5, 1.3]];
         let Plane { normal, limit } = plane(&good, &failed).unwrap();
@@ -70,7 +70,7 @@ mod tests {
         assert!(
             good.iter().all(|p| dot(p, &normal) < limit) && failed.iter().all(|p| dot(p, &normal) > limit)
         );
-        // One that lies among the others is left out; where all do there is none.
+        // A failed point inside the hull of the others is ignored. If all are inside, there is no plane.
         let inside = [vec![0.4, 0.4], vec![-0.5, 0.5]];
         assert!(dot(&plane(&good, &inside).unwrap().normal, &[1.0, 1.0]) > 0.0);
         assert!(plane(&good, &inside[1..]).is_none());

@@ -1,5 +1,5 @@
-//! Common part of the methods with generations: a first population, candidates that are bred and tried,
-//! selection, and the end of the run.
+//! Common part of the methods with generations: the first population, creation and evaluation of candidates,
+//! selection, and termination.
 
 use crate::error::Error;
 use crate::method_interface::interface::{
@@ -17,31 +17,31 @@ use crate::problem::space::Space;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-/// Rules in which such methods differ.
+/// Rules specific to a method with generations.
 pub trait GenerationRules: Serialize + DeserializeOwned {
     /// Name of the method.
     fn name(&self) -> &'static str;
 
-    /// Makes the candidates of a generation (counted from 1).
+    /// Creates the candidates of a generation, counted from 1.
     fn make_candidates(&mut self, generation: u64, pool: &mut Populations);
 
-    /// The cost above which a candidate makes no difference; infinite if there is none.
+    /// Returns the cost above which a candidate makes no difference, or infinity.
     fn cutoff(&self, pool: &Populations, candidate: usize) -> f64;
 
-    /// Takes candidates, all of them tried, into the population.
+    /// Selects the next population from the evaluated candidates.
     fn select(&mut self, pool: &mut Populations);
 
-    /// The first population is known.
+    /// Called when the first population is known.
     fn started(&mut self, pool: &mut Populations);
 
-    /// How far to evaluate ahead of need.
+    /// Returns how many points are evaluated ahead of need.
     fn lookahead(&self) -> Lookahead {
         Lookahead::None
     }
 
-    /// Gives the candidates of later generations that are certain by now, in their order and with their
-    /// cutoffs, to `found`, until it returns false. `cost` is that of a member of the first population, while
-    /// this `is_first`, or of a candidate, as far as it has come.
+    /// Passes the candidates of later generations that are already certain to `found`, in order and with
+    /// their cutoffs, until `found` returns false. `cost` returns the available cost of a member of the first
+    /// population if `is_first`, otherwise of a candidate.
     fn look_ahead(
         &mut self,
         pool: &Populations,
@@ -52,37 +52,38 @@ pub trait GenerationRules: Serialize + DeserializeOwned {
         let _ = (pool, is_first, cost, found);
     }
 
-    /// Why the run is over after a generation whose tests did not pass, if it is. `best`: the smallest cost
-    /// so far.
+    /// Returns the reason for termination after a generation whose tests did not pass, if the run has ended.
+    /// `best` is the smallest cost so far.
     fn ended(&mut self, pool: &Populations, best: f64) -> Option<Termination>;
 
-    /// Part of the population that the tolerance tests measure.
+    /// Returns the part of the population that the tolerance tests measure.
     fn extent(&self) -> TestedSet {
         TestedSet::Population
     }
 
-    /// The tolerance tests over the best points of all generations, where the population says nothing about
-    /// convergence.
+    /// Applies the tolerance tests to the best points of all generations, if the population is a poor measure
+    /// of convergence.
     fn judge_best_seen(&self, setup: &Setup, f_0: f64) -> Option<ToleranceTests> {
         let _ = (setup, f_0);
         None
     }
 
-    /// True if the search goes on where all members are one point of whole numbers: until nothing new comes
-    /// for long.
+    /// True if the search continues although all members are one point of integers. It then continues until
+    /// it stalls.
     fn tries_neighbours(&self, space: &Space) -> bool {
         let _ = space;
         false
     }
 
-    /// Begins anew, with another population perhaps, if the search is to go on although it has come to an
-    /// end.
+    /// Restarts after the end of a search, possibly with another population. Returns true if the search
+    /// continues.
     fn restart(&mut self, pool: &Populations) -> bool {
         let _ = pool;
         false
     }
 
-    /// True if this fits to a problem and to its pool: what comes from a file may not.
+    /// True if the rules are consistent with the problem and the pool. State loaded from a file may be
+    /// inconsistent.
     fn is_sound(&self, pool: &Populations) -> bool;
 }
 
@@ -99,9 +100,9 @@ pub struct Populations {
 enum Phase {
     /// The first population is being evaluated.
     Starting,
-    /// Candidates of this generation are to be made.
+    /// Candidates of this generation must be created.
     Proposing,
-    /// They are being evaluated.
+    /// The candidates are being evaluated.
     Evaluating,
     NoStart,
     Ended(Termination),
@@ -137,12 +138,13 @@ impl<B: GenerationRules> Generations<B> {
         }
     }
 
-    /// Continues from a state that was saved for this problem.
+    /// Restores a state saved for this problem.
     pub(crate) fn restore(setup: &Setup, state: &[u8]) -> Result<Self, Error> {
         restored(state, |s: &Self| s.is_sound(setup))
     }
 
-    /// True if this fits to a problem and to itself: what comes from a file may not.
+    /// True if the state is consistent with itself and with the problem. State loaded from a file may be
+    /// inconsistent.
     pub(crate) fn is_sound(&self, setup: &Setup) -> bool {
         let (Populations { setup: own, population, candidates, .. }, space) = (&self.pool, &setup.space);
         own.space == *space
@@ -152,12 +154,12 @@ impl<B: GenerationRules> Generations<B> {
             && self.rules.is_sound(&self.pool)
     }
 
-    /// Batches and points told so far.
+    /// Returns the numbers of answered batches and points.
     pub(crate) fn counts(&self) -> (u64, u64) {
         self.rounds.counts()
     }
 
-    /// State of the method besides its population.
+    /// Returns the state of the method except its population.
     pub(crate) fn rules(&self) -> &B {
         &self.rules
     }
@@ -190,7 +192,7 @@ impl<B: GenerationRules> Generations<B> {
             _ if tests.passed && !self.rules.tries_neighbours(&self.pool.setup.space) => {
                 Some(Termination::Converged)
             }
-            // No neighbour can be tried any more.
+            // No untried neighbour is left.
             Some(Termination::Collapsed) if tests.passed => Some(Termination::Converged),
             other => other,
         };
@@ -303,8 +305,8 @@ impl<B: GenerationRules> Method for Generations<B> {
 }
 
 impl Populations {
-    /// The first population, sampled; what is known and the start point stand first. Returns how many those
-    /// are.
+    /// Samples the first population. Known points and the start point occupy the first slots. Also returns
+    /// the number of these points.
     pub(crate) fn new(
         setup: Setup,
         seed: u64,

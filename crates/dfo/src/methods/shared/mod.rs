@@ -1,5 +1,5 @@
-//! Parts that several methods share: the rank of a cost, populations, generations, planes beside points that
-//! failed, products of long vectors.
+//! Parts shared by several methods: costs and ranks, populations, generations, planes that separate failed
+//! points, products of long vectors.
 
 pub(crate) mod cost;
 pub(crate) mod dot;

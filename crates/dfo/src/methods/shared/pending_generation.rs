@@ -1,4 +1,4 @@
-//! Asking and telling whole generations: which candidates still wait for an answer, what was best.
+//! Requests and answers of whole generations: the pending candidates, and the best point.
 
 use crate::error::Error;
 use crate::method_interface::interface::Batch;
@@ -7,12 +7,12 @@ use crate::methods::shared::ranked_points::RankedPoints;
 use crate::outcome::answer::{Answers, Best};
 use serde::{Deserialize, Serialize};
 
-/// The bookkeeping of a method whose batches are the candidates that have no cost yet.
+/// State of a method whose batches are the candidates without a cost.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(crate) struct PendingGeneration {
     n_batches: u64,
     n_points: u64,
-    /// The candidate behind each point of the last batch.
+    /// Candidate of each point of the last batch.
     roles: Vec<usize>,
     waiting: bool,
     best: Best,
@@ -23,14 +23,14 @@ impl PendingGeneration {
         Self { roles: Vec::with_capacity(candidates), ..Self::default() }
     }
 
-    /// A batch without points: the method has ended.
+    /// Starts a batch without points, after the method has ended.
     pub(crate) fn ask_nothing(&mut self, batch: &mut Batch, n_user: usize) {
         batch.start(n_user, self.n_batches, self.n_points);
         self.roles.clear();
         self.waiting = false;
     }
 
-    /// Asks for all candidates without a cost.
+    /// Requests all candidates without a cost.
     pub(crate) fn ask(
         &mut self,
         batch: &mut Batch,
@@ -48,7 +48,7 @@ impl PendingGeneration {
         self.waiting = !self.roles.is_empty();
     }
 
-    /// Takes outcomes; says whether all candidates have a cost now.
+    /// Records outcomes. Returns true if all candidates have a cost now.
     pub(crate) fn tell(&mut self, answers: &Answers, candidates: &mut RankedPoints) -> Result<bool, Error> {
         let (asked, outcomes) = (self.roles.len(), answers.outcomes());
         if !self.waiting {
@@ -62,7 +62,7 @@ impl PendingGeneration {
         self.n_points += asked as u64;
         for (k, outcome) in outcomes.iter().enumerate().filter(|(_, o)| o.is_known()) {
             let slot = self.roles[k];
-            // What was given up above the target's cost is no candidate, like what failed.
+            // A candidate stopped above the target's cost is treated like a failed one.
             candidates.set_cost(slot, Cost::of(outcome));
             let Some(value) = outcome.value() else { continue };
             self.best.offer(candidates.x(slot), value);
@@ -70,12 +70,12 @@ impl PendingGeneration {
         Ok(!candidates.is_pending())
     }
 
-    /// The place of a candidate in the last batch.
+    /// Returns the position of a candidate in the last batch.
     pub(crate) fn place_of(&self, slot: usize) -> Option<usize> {
         self.roles.binary_search(&slot).ok()
     }
 
-    /// Batches and points told so far.
+    /// Returns the numbers of answered batches and points.
     pub(crate) fn counts(&self) -> (u64, u64) {
         (self.n_batches, self.n_points)
     }
@@ -84,7 +84,7 @@ impl PendingGeneration {
         self.best.get()
     }
 
-    /// True if this fits to these candidates: what comes from a file may not.
+    /// True if the state is consistent. State loaded from a file may be inconsistent.
     pub(crate) fn is_sound(&self, n_user: usize) -> bool {
         self.best.is_sound(n_user)
     }

@@ -1,5 +1,5 @@
-//! Ranked points as the population of an evolutionary method: how members are placed, ranked, judged and
-//! replaced.
+//! Ranked points as the population of an evolutionary method: placement, ranking, tests and replacement of
+//! members.
 
 use crate::method_interface::interface::Setup;
 use crate::method_interface::tolerances::{TestedSet, ToleranceTests, Tolerances, typical};
@@ -10,26 +10,26 @@ use crate::values::choices::ParameterKind;
 use crate::values::choices::ToleranceMeasure;
 use std::cmp::Ordering;
 
-/// More members than this are a mistake, not a wish.
+/// Maximum number of members. Larger values are assumed to be mistakes.
 pub(crate) const MAX_MEMBERS: usize = 1_000_000;
 
 impl RankedPoints {
-    /// Places a member; its cost is unknown then.
+    /// Places a member with an unknown cost.
     pub(crate) fn place(&mut self, slot: usize, u: &[f64], space: &Space) {
         self.u_mut(slot).copy_from_slice(u);
         space.to_user(u, self.x_mut(slot));
         self.set_cost(slot, Cost::Pending);
     }
 
-    /// Places a member exactly at a point of the user's, whatever the working coordinates make of it.
+    /// Places a member exactly at a point in the user's units, without rounding by the working coordinates.
     pub(crate) fn place_exactly(&mut self, slot: usize, x: &[f64], space: &Space) {
         space.to_working(x, self.u_mut(slot));
         self.x_mut(slot).copy_from_slice(x);
         self.set_cost(slot, Cost::Pending);
     }
 
-    /// Puts what is known in the place of the first sampled members: the start point, if wanted and given,
-    /// then the best points of an earlier run, at most half of the members. Returns how many.
+    /// Replaces the first sampled members by known points: the start point, if requested and given, then the
+    /// best points of an earlier run, up to half of the members. Returns the number of replaced members.
     pub(crate) fn seed_with(&mut self, setup: &Setup, include_start: bool) -> usize {
         let space = &setup.space;
         let mut next = 0;
@@ -46,19 +46,19 @@ impl RankedPoints {
         next
     }
 
-    /// Takes over a member, cost and all.
+    /// Copies a member with its cost from other points.
     pub(crate) fn copy_from(&mut self, slot: usize, other: &Self, from: usize) {
         self.set(slot, other.u(from), other.x(from));
         self.set_cost(slot, other.cost(from));
     }
 
-    /// Ranks all members anew; members of the same cost rank by slot.
+    /// Ranks all members. Members with equal costs rank by slot.
     pub(crate) fn rank(&mut self) {
         let costs = &self.costs;
         self.order.sort_unstable_by(|&a, &b| in_rank(costs, a, b));
     }
 
-    /// The same where only this member has changed since the last ranking.
+    /// Updates the ranks if only this member has changed since the last ranking.
     pub(crate) fn rank_again(&mut self, slot: usize) {
         self.order.retain(|other| *other != slot);
         let costs = &self.costs;
@@ -66,8 +66,9 @@ impl RankedPoints {
         self.order.insert(rank, slot);
     }
 
-    /// Keeps the `len` best members. Those in the first `len` slots stay there; those beyond take the slots
-    /// of members that go, in the order of the slots. Needs up-to-date ranks, and leaves them.
+    /// Keeps the `len` best members. Members in the first `len` slots keep their slots. The other kept
+    /// members move to the slots of removed members, in the order of the slots. Requires up-to-date ranks,
+    /// and updates them.
     pub(crate) fn keep_best(&mut self, len: usize) {
         if self.order.len() <= len {
             return;
@@ -86,7 +87,7 @@ impl RankedPoints {
         self.rank();
     }
 
-    /// Changes the number of members without looking at them; new ones are not placed.
+    /// Changes the number of members without ranking. New members are not placed.
     pub(crate) fn resize(&mut self, len: usize) {
         self.u.resize(len * self.n, 0.0);
         self.x.resize(len * self.n_user, 0.0);
@@ -96,7 +97,8 @@ impl RankedPoints {
         self.order.extend(0..len);
     }
 
-    /// Takes a member of another population in place of the worst, if it is better and at a point of its own.
+    /// Replaces the worst member by a member of another population, if the new member is better and at a new
+    /// point.
     pub(crate) fn take_better(&mut self, from: &Self, member: usize) {
         let worst = self.worst();
         let is_new = || (0..self.len()).all(|slot| self.x(slot) != from.x(member));
@@ -106,8 +108,8 @@ impl RankedPoints {
         }
     }
 
-    /// The tolerance tests over so much of the population, the best first: largest distance of a member from
-    /// the best, largest minus smallest cost.
+    /// Applies the tolerance tests to a part of the population, best first. The tests use the largest
+    /// distance of a member from the best, and the largest minus the smallest cost.
     pub(crate) fn judge(
         &self,
         extent: TestedSet,
@@ -116,7 +118,7 @@ impl RankedPoints {
         f_0: f64,
     ) -> ToleranceTests {
         let counted = match extent {
-            // One member alone has nothing to be compared with.
+            // A single member has no other member to compare with.
             TestedSet::BestEighth => &self.order[..self.len().div_ceil(8).max(2).min(self.len())],
             _ => &self.order[..],
         };
@@ -129,7 +131,7 @@ impl RankedPoints {
                     ToleranceMeasure::Relative if space.kind(k) == ParameterKind::Continuous => {
                         (self.u(slot)[k] - self.u(best)[k]).abs() / space.size(k)
                     }
-                    // What members that stand for one whole number differ by means nothing.
+                    // Differences between working coordinates that round to one integer are irrelevant.
                     ToleranceMeasure::Relative => (self.x(slot)[i] - self.x(best)[i]).abs() / space.size(k),
                 });
             }
@@ -138,13 +140,13 @@ impl RankedPoints {
         ToleranceTests { extent, ..tolerances.judge(size, self.f_spread(counted), f_best, f_0) }
     }
 
-    /// Typical size of the costs.
+    /// Returns the typical size of the costs.
     pub(crate) fn typical_cost(&self) -> f64 {
         typical(&self.values)
     }
 }
 
-/// How two slots compare by rank.
+/// Compares two slots by rank.
 fn in_rank(costs: &[Cost], a: usize, b: usize) -> Ordering {
     if costs[a].better_than(costs[b]) {
         Ordering::Less
@@ -172,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn the_worst_leave_and_the_rest_keep_their_slots() {
+    fn keep_best_drops_the_worst_and_keeps_slots() {
         use Cost::{Failed, Value};
         let (space, mut p) = population(&[Value(3.0), Failed, Value(1.0), Value(2.0), Failed]);
         assert_eq!((p.order(), p.n_finite()), (&[2, 3, 0, 1, 4][..], 3));
@@ -193,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn a_failed_member_keeps_the_f_test_from_passing() {
+    fn f_test_does_not_pass_when_a_member_has_failed() {
         use Cost::{Failed, Value};
         let tolerances = Tolerances::default();
         let (space, p) = population(&[Value(1.0), Failed]);

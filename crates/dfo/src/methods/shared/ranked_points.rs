@@ -1,5 +1,5 @@
-//! Points in slots, with costs and ranks: the vertices of a simplex, the members of a population. What only
-//! one of the two needs stands with it (`nelder_mead/simplex.rs`, `population.rs`).
+//! Points in slots, with costs and ranks: the vertices of a simplex, or the members of a population. Code
+//! specific to one of them is in `nelder_mead/simplex.rs` or `population.rs`.
 
 use crate::method_interface::interface::SimplexView;
 use crate::methods::shared::cost::Cost;
@@ -14,14 +14,14 @@ pub(crate) struct RankedPoints {
     pub(in crate::methods) u: Vec<f64>,
     pub(in crate::methods) x: Vec<f64>,
     pub(in crate::methods) costs: Vec<Cost>,
-    /// The costs as a view lends them.
+    /// Costs in the form that views borrow.
     pub(in crate::methods) values: Vec<Option<f64>>,
-    /// Slots, best first, as of the last ranking.
+    /// Slots, best first, from the last ranking.
     pub(in crate::methods) order: Vec<usize>,
 }
 
 impl RankedPoints {
-    /// So many points, none of them placed: all stand at the start.
+    /// Creates `len` points without costs, all at the start point.
     pub(crate) fn new(space: &Space, len: usize) -> Self {
         let (n, n_user) = (space.n_free(), space.n());
         Self {
@@ -40,7 +40,7 @@ impl RankedPoints {
         self.costs.len()
     }
 
-    /// Working coordinates of a slot.
+    /// Returns the working coordinates of a slot.
     #[inline]
     pub(crate) fn u(&self, slot: usize) -> &[f64] {
         &self.u[slot * self.n..(slot + 1) * self.n]
@@ -51,7 +51,7 @@ impl RankedPoints {
         &mut self.u[slot * self.n..(slot + 1) * self.n]
     }
 
-    /// The point of a slot in the user's units.
+    /// Returns the point of a slot in the user's units.
     #[inline]
     pub(crate) fn x(&self, slot: usize) -> &[f64] {
         &self.x[slot * self.n_user..(slot + 1) * self.n_user]
@@ -73,26 +73,26 @@ impl RankedPoints {
         self.values[slot] = cost.value();
     }
 
-    /// Places a point, given on both scales; its cost is unknown then.
+    /// Places a point, given on both scales, with an unknown cost.
     pub(crate) fn set(&mut self, slot: usize, u: &[f64], x: &[f64]) {
         self.u_mut(slot).copy_from_slice(u);
         self.x_mut(slot).copy_from_slice(x);
         self.set_cost(slot, Cost::Pending);
     }
 
-    /// Slots, best first.
+    /// Returns the slots, best first.
     #[inline]
     pub(crate) fn order(&self) -> &[usize] {
         &self.order
     }
 
-    /// Slot of rank 0.
+    /// Returns the slot of rank 0.
     #[inline]
     pub(crate) fn best(&self) -> usize {
         self.order[0]
     }
 
-    /// Slot of the last rank.
+    /// Returns the slot of the last rank.
     #[inline]
     pub(crate) fn worst(&self) -> usize {
         self.order[self.order.len() - 1]
@@ -102,19 +102,19 @@ impl RankedPoints {
         self.costs.contains(&Cost::Pending)
     }
 
-    /// Number of points with a finite cost.
+    /// Returns the number of points with a finite cost.
     pub(crate) fn n_finite(&self) -> usize {
         self.values.iter().flatten().count()
     }
 
-    /// True if all points are the best one up to rounding.
+    /// True if all points equal the best point up to rounding.
     pub(crate) fn is_collapsed(&self, space: &Space) -> bool {
         let best = self.u(self.best());
         (0..self.len()).all(|slot| space.is_same(self.u(slot), best))
     }
 
-    /// Largest minus smallest cost of these slots, the best first and the worst last; `None` while one of
-    /// them has none.
+    /// Returns the largest minus the smallest cost of these slots, which are sorted best first. Returns
+    /// `None` if the first or the last slot has no cost.
     pub(crate) fn f_spread(&self, slots: &[usize]) -> Option<f64> {
         match (self.costs[*slots.first()?], self.costs[*slots.last()?]) {
             (Cost::Value(best), Cost::Value(worst)) => Some(worst - best),
@@ -126,8 +126,8 @@ impl RankedPoints {
         SimplexView { n: self.n_user, x: &self.x, costs: &self.values, order: &self.order }
     }
 
-    /// True if all lists have the lengths that belong together, and all points lie in the box: what comes
-    /// from a file may not.
+    /// True if all lengths are consistent and all points are in the box. State loaded from a file may be
+    /// inconsistent.
     pub(crate) fn is_sound(&self, space: &Space) -> bool {
         let len = self.costs.len();
         let mut slots = self.order.clone();

@@ -1,37 +1,38 @@
-//! Sizes of parameters of which nothing is known: they start at zero or next to it, without a nominal value
-//! and without a box.
+//! Search for the sizes of parameters that start at or near zero, without a nominal value and without a box.
 //!
-//! Zero does not say how large a parameter is, and a simplex whose sides are wrong by many magnitudes ends at
-//! wrong points. So each such parameter is moved alone, by steps that grow or shrink tenfold, to where the
-//! cost is least along it; where no step lowers the cost, to where it changes by no more than its own size.
-//! What such a search has found is looked at once more from the point where the tests pass: a parameter that
-//! did not matter at the start may matter there.
+//! A start at zero contains no information on the magnitude of a parameter. A simplex whose edges are wrong
+//! by many orders of magnitude ends at wrong points. Therefore each such parameter is varied alone, with
+//! steps that grow or shrink by factors of ten. The search ends where the cost is smallest along the
+//! parameter. If no step lowers the cost, it ends where the cost changes by at most its own value. The result
+//! is checked again from the point where the tests pass, because a parameter without effect at the start may
+//! have an effect there.
 
 use crate::method_interface::interface::Batch;
 use crate::problem::space::Space;
 use serde::{Deserialize, Serialize};
 
-/// Ratio of two steps that follow one another.
+/// Ratio of two consecutive steps.
 const RATIO: f64 = 10.0;
-/// Number of steps larger or smaller than the first that are tried: parameters in SI units lie between a
-/// capacitance of 1e-12 F and a modulus of elasticity of 1e11 Pa.
+/// Maximum number of larger or smaller steps. Parameters in SI units range from a capacitance of 1e-12 F to a
+/// modulus of elasticity of 1e11 Pa.
 const LARGEST: i32 = 12;
-/// Number of smaller ones where the simplex has shrunk to a point, and has seen small steps itself.
+/// Exponent of the smallest step after the simplex has shrunk to a point. The simplex itself has already
+/// tested small steps.
 const SMALLEST_BESIDE: i32 = -2;
-/// A change of the cost below this share of it counts as none: simulations at usual tolerances change it by
-/// as much.
+/// Relative change of the cost that counts as no change. Simulations at usual tolerances have errors of this
+/// size.
 const NO_CHANGE: f64 = 1e-6;
 
-/// Effect of a step on the cost, compared with the least seen along the parameter.
+/// Effect of a step on the cost, compared with the lowest cost along the parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 enum Change {
     Lower,
     None,
-    /// Or there is no cost.
+    /// The cost increases, or there is no cost.
     Higher,
 }
 
-/// A step that was looked at, and its cost.
+/// An evaluated step and its cost.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 struct Step {
     exponent: i32,
@@ -39,33 +40,33 @@ struct Step {
     cost: f64,
 }
 
-/// The search along one parameter.
+/// Search along one parameter.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 struct Line {
     k: usize,
-    /// The first step; the others are this one times powers of [`RATIO`].
+    /// First step. The other steps are this step times powers of [`RATIO`].
     unit: f64,
     smallest: i32,
     exponent: i32,
     side: f64,
-    /// Effect of the step of the same length to the other side, once that is known.
+    /// Effect of the step of equal length in the opposite direction, once known.
     opposite: Option<Change>,
-    /// 1 while steps grow, -1 while they shrink, 0 before either.
+    /// 1 if steps grow, -1 if they shrink, 0 before the first decision.
     trend: i32,
     best: Option<Step>,
-    /// The largest step that raises the cost by no more than its own size.
+    /// Largest step that raises the cost by at most the absolute value of the cost at the base.
     moderate: Option<Step>,
     /// True if any step has changed the cost.
     has_effect: bool,
     is_over: bool,
 }
 
-/// The search along all parameters of unknown size at once, each from the same point.
+/// Simultaneous search along all parameters of unknown size, each from the same base point.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct SizeSearch {
     base: Vec<f64>,
     f_base: f64,
-    /// Largest change of the cost that counts as none.
+    /// Largest change of the cost that counts as no change.
     threshold: f64,
     lines: Vec<Line>,
     best: Option<(Vec<f64>, f64)>,
@@ -76,20 +77,19 @@ pub(crate) struct SizeSearch {
 pub(crate) struct SizeFound {
     pub(crate) k: usize,
     pub(crate) size: f64,
-    /// The parameter's value there and the cost, if that step has one.
+    /// Value of the parameter at the step, and the cost, if the step has a cost.
     pub(crate) vertex: Option<(f64, f64)>,
 }
 
 impl SizeSearch {
-    /// From the start point, with steps of every magnitude.
+    /// Starts at the start point, with steps of every magnitude.
     pub(crate) fn from_start(space: &Space, x0: &[f64], f_0: f64) -> Self {
         Self::new(space, (x0, f_0), NO_CHANGE * f_0.abs(), -LARGEST)
     }
 
-    /// From the best vertex of a simplex that has become small: with steps of the sizes and smaller, and
-    /// larger ones where these change nothing. `threshold` is the spread of costs at which the tests pass. A
-    /// parameter that an earlier search found to matter, and that has come to a value of about its size,
-    /// needs no further look.
+    /// Starts at the best vertex of a small simplex, with steps of the parameter sizes and smaller. Larger
+    /// steps follow if these change nothing. `threshold` is the spread of costs at which the tests pass. A
+    /// parameter is skipped if the earlier search found an effect and its value is now close to its size.
     pub(crate) fn beside(space: &Space, best: (&[f64], f64), threshold: f64, earlier: Option<&Self>) -> Self {
         let mut search = Self::new(space, best, threshold, SMALLEST_BESIDE);
         let matters = |k: usize| earlier.is_some_and(|e| e.lines.iter().all(|l| l.k != k || l.has_effect));
@@ -128,7 +128,7 @@ impl SizeSearch {
         self.lines.iter().all(|line| line.is_over)
     }
 
-    /// The best point that was looked at, if it is better than the one that the search started from.
+    /// Returns the best evaluated point, if it is better than the base point.
     pub(crate) fn best(&self) -> Option<(&[f64], f64)> {
         self.best.as_ref().map(|(x, cost)| (&x[..], *cost))
     }
@@ -138,19 +138,20 @@ impl SizeSearch {
         self.lines.iter().any(|line| line.best.is_some())
     }
 
-    /// Parameters whose size is still unknown: no step has changed the cost.
+    /// Returns the parameters whose size is still unknown because no step has changed the cost.
     pub(crate) fn without_effect<'a>(&'a self, space: &'a Space) -> impl Iterator<Item = usize> + 'a {
         let is_inert = |line: &&Line| line.is_over && !line.has_effect && space.size_is_unknown(line.k);
         self.lines.iter().filter(is_inert).map(|line| space.free()[line.k])
     }
 
-    /// Asks for one point on each line that is not at its end; `asked` is given the number of the line.
+    /// Requests one point on each line that has not ended. `asked` receives the index of the line.
     pub(crate) fn ask(&mut self, space: &Space, batch: &mut Batch, mut asked: impl FnMut(usize)) {
         for number in (0..self.lines.len()).filter(|&number| !self.lines[number].is_over) {
             let line = &self.lines[number];
             let i = space.free()[line.k];
             self.x[i] = line.value(self.base[i], line.exponent, line.side);
-            // How much a step raises the cost matters as far as that is the cost itself, and not at all beside a lower one.
+            // A larger cost only needs to be known up to twice the base cost, and not at all if a lower cost
+            // is known.
             let cutoff = match line.best {
                 Some(best) => best.cost + self.threshold,
                 None => (self.f_base + self.threshold).max(self.f_base + self.f_base.abs()),
@@ -161,7 +162,7 @@ impl SizeSearch {
         }
     }
 
-    /// Takes the cost of the point asked for on a line; none if it failed or is above the cutoff.
+    /// Records the cost of the requested point on a line; `None` if it failed or is above the cutoff.
     pub(crate) fn see(&mut self, space: &Space, number: usize, cost: Option<f64>) {
         let line = &mut self.lines[number];
         let change = line.change(cost, self.f_base, self.threshold);
@@ -180,8 +181,8 @@ impl SizeSearch {
         self.skip(number, space);
     }
 
-    /// Passes over steps that lead out of the bounds or are too small to be seen beside the base: they change
-    /// nothing.
+    /// Skips steps that leave the bounds or are too small to change the base value. They count as having no
+    /// effect.
     fn skip(&mut self, number: usize, space: &Space) {
         let line = &mut self.lines[number];
         let i = space.free()[line.k];
@@ -231,8 +232,8 @@ impl Line {
         }
     }
 
-    /// The smallest step that changes the cost, where none lowers it or raises it moderately; the first,
-    /// where all of them do.
+    /// Returns the smallest step that changes the cost if no step lowers it or raises it moderately. Returns
+    /// the first step if all steps change the cost.
     fn last_with_effect(&self) -> i32 {
         match self.trend {
             -1 if self.exponent < self.smallest => 0,
@@ -241,7 +242,7 @@ impl Line {
         }
     }
 
-    /// Takes what a step does, and makes the next one.
+    /// Processes the effect of a step, and chooses the next step.
     fn go_on(&mut self, change: Change, step: Option<Step>) {
         if change != Change::Lower && self.best.is_none() && self.opposite.is_none() {
             self.opposite = Some(change);
@@ -252,7 +253,7 @@ impl Line {
             Change::Lower => Change::Lower,
             _ => change.max(opposite),
         });
-        // Of steps of one cost the smallest says where the cost begins to change.
+        // Of steps with equal costs, the smallest shows where the cost starts to change.
         if change == Change::Lower || (change == Change::None && self.trend < 0 && self.best.is_some()) {
             self.best = step.or(self.best);
         }
@@ -262,7 +263,7 @@ impl Line {
             (0, _) => self.trend = 1,
             (1, Change::Lower) => {}
             (1, Change::None) if !has_best => {}
-            // The first step is the best of those that are larger.
+            // The first step is better than all larger ones.
             (1, _) if self.best.is_some_and(|best| best.exponent == 0) => {
                 self.trend = -1;
                 self.exponent = 0;

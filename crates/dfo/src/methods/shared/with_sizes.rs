@@ -1,5 +1,5 @@
-//! A search that begins with a look for the sizes that nothing tells (`size_search.rs`), for methods that
-//! start from a point.
+//! A search that first determines unknown parameter sizes (`size_search.rs`), for methods that start from a
+//! point.
 
 use super::size_search::{SizeFound, SizeSearch};
 use crate::error::Error;
@@ -12,23 +12,24 @@ use serde::{Deserialize, Serialize};
 
 /// Options of a method that needs the sizes of all parameters.
 pub trait NeedsSizes: Clone + Serialize + DeserializeOwned {
-    /// Its name.
+    /// Name of the method.
     const NAME: &'static str;
 
-    /// The method itself.
+    /// Search with known sizes.
     type Search: Method + Serialize + DeserializeOwned;
 
-    /// Begins where all sizes are known.
+    /// Starts the search with known sizes.
     ///
     /// # Errors
-    /// Those of the method.
+    /// Returns the errors of the method.
     fn search(&self, setup: Setup) -> Result<Self::Search, Error>;
 
-    /// True if a search fits to a problem and to itself: what comes from a file may not.
+    /// True if a search is consistent with itself and with the problem. State loaded from a file may be
+    /// inconsistent.
     fn is_sound(search: &Self::Search, setup: &Setup) -> bool;
 }
 
-/// A running search whose parameters of unknown size were moved alone first, by steps of powers of ten.
+/// A running search that first varies each parameter of unknown size alone, with steps of powers of ten.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(bound = "")]
 pub struct WithSizes<O: NeedsSizes> {
@@ -37,7 +38,7 @@ pub struct WithSizes<O: NeedsSizes> {
     sizes: Option<SizeSearch>,
     /// The search, and the problem that it began with: the point and the sizes that were found.
     search: Option<(Setup, O::Search)>,
-    /// The line of each point of the last batch; none for the start.
+    /// Line of each point of the last batch; `None` for the start point.
     roles: Vec<Option<usize>>,
     waiting: bool,
     n_batches: u64,
@@ -72,7 +73,7 @@ impl<O: NeedsSizes> WithSizes<O> {
         }
     }
 
-    /// Continues from a state that was saved for this problem.
+    /// Restores a state saved for this problem.
     pub(crate) fn restore(options: &O, setup: Setup, state: &[u8]) -> Result<Self, Error> {
         if knows_sizes(&setup) {
             let search = restored(state, |search: &O::Search| O::is_sound(search, &setup))?;
@@ -92,12 +93,12 @@ impl<O: NeedsSizes> WithSizes<O> {
         })
     }
 
-    /// The method itself, where it has begun.
+    /// Returns the search with known sizes, if it has started.
     pub(crate) fn search(&self) -> Option<&O::Search> {
         self.search.as_ref().map(|(_, search)| search)
     }
 
-    /// All that can be known of the sizes is known.
+    /// Starts the search after all sizes that can be determined are known.
     fn begin_search(&mut self) -> Result<(), Error> {
         let mut begun = self.setup.clone();
         if let Some(sizes) = &self.sizes {
@@ -164,7 +165,7 @@ impl<O: NeedsSizes> Method for WithSizes<O> {
                     self.best.offer(space.x0(), cost);
                     self.sizes = Some(SizeSearch::from_start(space, space.x0(), cost));
                 }
-                // Nothing to compare with.
+                // Without a cost at the start, no comparison is possible.
                 (_, _, None) => return self.begin_search(),
             }
         }
