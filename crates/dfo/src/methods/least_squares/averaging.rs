@@ -1,5 +1,5 @@
-//! Steps on regression models of all points around, for residuals with noise: the more points, the less of it
-//! is left in the model.
+//! Steps on regression models of all nearby points, for residuals with noise. With more points, less noise
+//! remains in the model.
 
 use super::model::Regression;
 use super::points::{difference, distance, norm, sum};
@@ -8,29 +8,28 @@ use crate::method_interface::interface::Operation;
 use crate::outcome::termination::Termination;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
-/// The largest radius in units of the first one, and the smallest.
+/// Maximum radius in units of the first one, and minimum radius.
 const WIDEST: f64 = 10.0;
 const SMALLEST: f64 = 1e-15;
-/// The smallest radius to begin with, in units of the first one.
+/// Minimum initial radius, in units of the first one.
 const SMALLEST_SHARE: f64 = 1e-9;
-/// F statistics of the terms of second degree from which on the radius is made smaller, and below which it
-/// may grow.
+/// F statistics of the second-degree terms. Above `BENT`, the radius shrinks; below `STRAIGHT`, it may grow.
 const BENT: f64 = 4.0;
 const STRAIGHT: f64 = 1.5;
 /// Predicted decrease up to which the run may end, in units of the best cost.
 const LITTLE: f64 = 0.05;
-/// Points asked for since noise was found before the run may end: so many times n + 1.
+/// Minimum number of points requested after noise was found before the run may end, in units of n + 1.
 const FEWEST: usize = 5;
-/// Points without a better one, times n + 1, after which the run ends all the same: residuals that jump, as
-/// those of a simulation whose steps are chosen anew do, are no noise about a model, and its predictions
-/// never become small.
+/// Number of points without a better one after which the run always ends, in units of n + 1. Residuals may
+/// jump, for example if a simulation selects its steps again. Jumps are not noise about a model, and the
+/// predictions then never become small.
 const MOST_WITHOUT_GAIN: usize = 50;
-/// Sweeps for each eigenvalue: a few are enough.
+/// Maximum number of sweeps per eigenvalue. A few are enough.
 const MOST_SWEEPS: usize = 100;
 
 impl LeastSquaresState {
-    /// The points around the centre, with their weights, nearest first: those within two radii, and as many
-    /// more as a model needs.
+    /// Returns the points around the centre with their weights, nearest first: all points within two radii,
+    /// and more if a model needs them.
     fn around(&self, averaging: &Averaging) -> Vec<(usize, f64)> {
         let far = |k: usize| distance(&self.points[k].z, &averaging.centre) / (2.0 * averaging.radius);
         let mut near: Vec<(usize, f64)> = (0..self.points.len()).map(|k| (k, far(k))).collect();
@@ -38,12 +37,12 @@ impl LeastSquaresState {
         let inside = near.iter().filter(|(_, far)| *far < 1.0).count();
         near.truncate(inside.max(3 * (self.n() + 1)));
         let reach = near.last().map_or(1.0, |(_, far)| far.max(1.0) * 1.05);
-        // The weights of local regression (Cleveland 1979).
+        // Weights of local regression (Cleveland 1979).
         near.iter_mut().for_each(|(_, far)| *far = (1.0 - (*far / reach).powi(3)).powf(1.5));
         near
     }
 
-    /// Begins with the largest radius within which the points do not contradict a linear model.
+    /// Starts with the largest radius within which the points do not contradict a linear model.
     pub(super) fn begin_averaging(&mut self) {
         let centre = self.points[self.base()].z.clone();
         let mut averaging = Averaging::new(&centre, self.options.radius);
@@ -101,14 +100,14 @@ impl LeastSquaresState {
             averaging.centre = sum(&averaging.centre, &step);
             let best_point = self.best_of(0..self.points.len()).unwrap_or(0);
             let best = self.points[best_point].cost;
-            // The minimum is known as well as the noise lets it, however wide the points lie around it.
+            // The noise limits the accuracy of the minimum, even if the points around it are spread widely.
             let x_size = averaging.radius.min(norm(&step) + regression.uncertainty(&step));
             self.tests = Some(self.judge(x_size, predicted, best));
             let tolerances = &self.setup.tolerances;
             let may_end = tolerances.x_tol > 0.0 || tolerances.f_tol > 0.0;
             let is_straight = regression.is_quadratic || regression.bent.is_some_and(|bent| bent < BENT);
             let most = (3.0 * regression.excess).min(LITTLE * best);
-            // What the radius keeps away counts, too.
+            // Include decreases beyond the radius.
             let wide = averaging.radius.max(self.options.radius);
             let is_known = is_straight && averaging.n_asked >= FEWEST * (n + 1) && predicted <= most;
             let ends = is_known && regression.minimise(wide, &lower, &upper).1 <= most;
@@ -122,8 +121,8 @@ impl LeastSquaresState {
             self.phase = Phase::Ended(Termination::Collapsed);
             return;
         }
-        // The trial point and one that tells more take turns; more at once would be asked for before the first of them has told
-        // anything of the noise.
+        // Alternate between the trial point and a point that improves the model. Several points at once would
+        // be requested before the first one gives information on the noise.
         match trial.filter(|_| averaging.n_asked.is_multiple_of(2)) {
             Some(role) => self.ask_for(averaging.centre.clone(), role),
             None => {
@@ -149,7 +148,7 @@ impl LeastSquaresState {
     }
 }
 
-/// Moments of the distribution of the points around a centre.
+/// Moments of the distribution of points around a centre.
 struct Coverage {
     spread: DMatrix<f64>,
     mean: DVector<f64>,
@@ -167,7 +166,7 @@ impl Coverage {
         self.mean.axpy(weight, &w, 1.0);
     }
 
-    /// The direction along which the points tell least, away from their mean.
+    /// Returns the direction least covered by the points, pointing away from their mean.
     fn least(&self) -> Vec<f64> {
         let n = self.mean.len();
         let eigen = SymmetricEigen::try_new(self.spread.clone(), f64::EPSILON, MOST_SWEEPS * n);

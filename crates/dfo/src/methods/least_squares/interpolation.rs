@@ -1,7 +1,9 @@
-//! Linear interpolation of the residuals on n + 1 points. A new point changes the model by a matrix of rank
-//! one: the Lagrange polynomials and the QR factors of the Jacobian follow it, so that a step costs O(mn +
-//! n^2). The Jacobian itself is never formed where there are at least as many residuals as parameters: its
-//! products are those of the residuals with the gradients of the Lagrange polynomials.
+//! Linear interpolation of the residuals at n + 1 points.
+//!
+//! A new point changes the model by a matrix of rank one. The Lagrange polynomials and the QR factors of the
+//! Jacobian are updated, so a step costs O(mn + n^2). With at least as many residuals as parameters, the
+//! Jacobian itself is never formed. Its products are computed from the residuals and the gradients of the
+//! Lagrange polynomials.
 
 use super::points::{axpy, difference, distance, dot, norm};
 use super::subproblem::{Cancelled, Linear};
@@ -10,57 +12,57 @@ use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-/// Points less far out of the plane of the others, in units of their distance, lie in it.
+/// Relative distance from the plane of the other points below which a point counts as being in the plane.
 const IN_PLANE: f64 = 1e-12;
-/// The least ratio of the diagonal of `R` at which a change of the factors is accurate: the normal equations
-/// square it.
+/// Minimum ratio of the diagonal entries of `R` for which an update of the factors is accurate. The normal
+/// equations square the ratio.
 const LEAST_RATIO: f64 = 1e-7;
-/// Below this ratio, or where so large a share of the change lies in the range of the Jacobian, it is made
-/// accurate by a second solution (the corrected seminormal equations: Björck, Linear Algebra Appl. 88/89,
-/// 1987, 31).
+/// Below this ratio, a second solution makes the update accurate (the corrected seminormal equations: Björck,
+/// Linear Algebra Appl. 88/89, 1987, 31). The second solution is also used if a fraction above `IN_RANGE` of
+/// the change is in the range of the Jacobian.
 const GOOD_RATIO: f64 = 1e-3;
 const IN_RANGE: f64 = 0.99;
-/// The largest error of the gradient by the factors, in units of the residuals and the Jacobian.
+/// Maximum error of the gradient computed from the factors, in units of the residuals and the Jacobian.
 const DRIFT: f64 = 1e-8;
-/// Residuals that are looked at together: those of two vectors fit into a cache.
+/// Number of residuals per block. Blocks of two vectors fit into a cache.
 const AT_ONCE: usize = 1 << 10;
 
-/// The model, as seen from its base point.
+/// Model relative to its base point.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(try_from = "Stored", into = "Stored")]
 pub(super) struct Interpolation {
     pub(super) linear: Linear,
-    /// The place of the base point in the set.
+    /// Index of the base point in the set.
     pub(super) base: usize,
-    /// The gradients of the Lagrange polynomials, one after the other.
+    /// Concatenated gradients of the Lagrange polynomials.
     gradients: Vec<f64>,
 }
 
-/// A point of the set: where it lies, and its residuals.
+/// Position of a point of the set, and its residuals.
 pub(super) type Place<'a> = (&'a [f64], &'a [f64]);
 
-/// A point that comes into the set.
+/// A point that enters the set.
 pub(super) struct NewPoint<'a> {
-    /// The step to it from the base point.
+    /// Step from the base point to the new point.
     pub(super) step: &'a [f64],
-    /// Values of the Lagrange polynomials there.
+    /// Values of the Lagrange polynomials at the new point.
     pub(super) lagrange: &'a [f64],
-    /// Its residuals.
+    /// Residuals of the new point.
     pub(super) residuals: &'a [f64],
-    /// How far these are off the model.
+    /// Differences between the residuals and the model.
     pub(super) misfit: &'a [f64],
 }
 
 impl Interpolation {
-    /// Interpolates; `None` where the points lie in a plane up to rounding. The context is looked at now and
-    /// then where there are many residuals.
+    /// Interpolates the residuals. Returns `None` if the points are in a plane up to rounding. Checks the
+    /// context between blocks if there are many residuals.
     pub(super) fn new(
         points: &[Place<'_>],
         base: usize,
         context: &RunContext<'_>,
     ) -> Result<Option<Self>, Cancelled> {
         let n = points.len() - 1;
-        // Around the start its neighbours make a diagonal matrix.
+        // The neighbours of the start point give a diagonal matrix.
         let along = |(k, (z, _)): (usize, &Place<'_>)| {
             z.iter().zip(points[0].0).enumerate().all(|(j, (z, from))| j + 1 == k || k == 0 || z == from)
         };
@@ -93,7 +95,8 @@ impl Interpolation {
         let (before, after) = gradients.split_at_mut(reference * n);
         let (own, after) = after.split_at_mut(n);
         before.chunks_exact(n).chain(after.chunks_exact(n)).for_each(|g| axpy(-1.0, g, own));
-        // J W' = D: the differences D are turned first, so that only n of their rows are left to solve for.
+        // Solves J W' = D. The differences D are reduced to n rows first, so that only these must be solved
+        // for.
         let (zero, of_base) = (points[reference].1, points[base].1);
         let difference = |i: usize, k: usize| (points[others[k]].1[i] - zero[i]) / lengths[k];
         let turned = Linear::new(of_base.len(), n, |i| of_base[i], difference, context)?;
@@ -118,7 +121,7 @@ impl Interpolation {
         self.linear.factor.ncols()
     }
 
-    /// The gradient of the Lagrange polynomial of a point.
+    /// Returns the gradient of the Lagrange polynomial of a point.
     pub(super) fn gradient(&self, place: usize) -> &[f64] {
         &self.gradients[place * self.n()..(place + 1) * self.n()]
     }
@@ -127,14 +130,14 @@ impl Interpolation {
         self.gradients.chunks_exact(self.n()).map(|g| dot(g, v)).collect()
     }
 
-    /// The values of the Lagrange polynomials at a displacement from the base point.
+    /// Returns the values of the Lagrange polynomials at a displacement from the base point.
     pub(super) fn lagrange(&self, step: &[f64]) -> Vec<f64> {
         let mut values = self.products(step);
         values[self.base] += 1.0;
         values
     }
 
-    /// Another point of the set becomes the base point; `step` leads to it.
+    /// Makes another point of the set the base point; `step` leads to this point.
     pub(super) fn rebase(&mut self, place: usize, step: &[f64]) {
         if place != self.base {
             self.move_by(step);
@@ -142,8 +145,8 @@ impl Interpolation {
         }
     }
 
-    /// Takes a new point into the set in the place of another. `residuals`: of the points of the set. False
-    /// where the factors would not be accurate any more: then the model is to be made again.
+    /// Replaces a point of the set by a new point. `residuals` are the residuals of the points of the set.
+    /// Returns false if the factors would be inaccurate; the model must then be rebuilt.
     pub(super) fn exchange(
         &mut self,
         place: usize,
@@ -155,13 +158,13 @@ impl Interpolation {
         let n = self.n();
         let of_place = lagrange[place];
         let gradient: Vec<f64> = self.gradient(place).iter().map(|g| g / of_place).collect();
-        // The value of the new Lagrange polynomial at the old base point.
+        // Value of the new Lagrange polynomial at the old base point.
         let gamma = if place == self.base { 1.0 / of_place } else { 0.0 };
         let is_base = is_better || place == self.base;
         let of_base = if is_base { new } else { residuals[self.base] };
-        // Along with the change the gradient of the sum of squares: it shows what rounding has done to the factors.
+        // Also compute the gradient of the sum of squares, which shows the effect of rounding on the factors.
         let [of_misfit, mut of_residuals] = products(residuals, of_base, [misfit, of_base]);
-        // In the place of the point that leaves.
+        // The new point replaces the removed point.
         of_residuals[place] = 0.0;
         let of_new: f64 = new.iter().zip(of_base).map(|(new, base)| (new - base) * base).sum();
         let of_new = of_new - dot(lagrange, &of_residuals);
@@ -191,7 +194,7 @@ impl Interpolation {
                 rest = dot(&outside, &outside) - dot(&more, &more);
                 along = dot(&outside, before) - dot(&more, self.linear.reached.as_slice());
             }
-            // With as many residuals as parameters there is nothing outside.
+            // With as many residuals as parameters, the range is the whole space.
             let rho = if misfit.len() > n { rest.max(0.0).sqrt() } else { 0.0 };
             let most = norm(before);
             let tau = if rho > 0.0 { (along / rho).clamp(-most, most) } else { 0.0 };
@@ -212,7 +215,7 @@ impl Interpolation {
             }
         }
         if is_base {
-            // Seen from the old base point so far.
+            // Until here, the model is relative to the old base point.
             self.move_by(step);
             self.base = place;
         }
@@ -221,7 +224,7 @@ impl Interpolation {
         finite && (!is_triangle || self.drift(&slope) <= DRIFT * norm(of_base))
     }
 
-    /// Error of the gradient computed from the factors, in units of the Jacobian.
+    /// Returns the error of the gradient computed from the factors, in units of the Jacobian.
     fn drift(&self, slope: &[f64]) -> f64 {
         let own = times_transposed(&self.linear.factor, self.linear.reached.as_slice());
         distance(&own, slope) / diagonal(&self.linear.factor).1
@@ -236,7 +239,7 @@ impl Interpolation {
         }
     }
 
-    /// The sums of the gradients of the Lagrange polynomials by these weights.
+    /// Returns the weighted sums of the gradients of the Lagrange polynomials.
     fn sums<const K: usize>(&self, weights: [&[f64]; K]) -> [Vec<f64>; K] {
         let mut sums = weights.map(|_| vec![0.0; self.n()]);
         for (k, g) in self.gradients.chunks_exact(self.n()).enumerate() {
@@ -250,12 +253,12 @@ impl Interpolation {
     }
 }
 
-/// Subtracts the sum of residuals, each less those of `base`, by weights.
+/// Subtracts a weighted sum of residuals, each relative to `base`.
 pub(super) fn combine(from: &mut [f64], residuals: &[&[f64]], base: &[f64], weights: &[f64]) {
     let whole: f64 = weights.iter().sum();
     for (block, from) in from.chunks_mut(AT_ONCE).enumerate() {
         let part = block * AT_ONCE..block * AT_ONCE + from.len();
-        // Four at once: the block is read and written once for them.
+        // Four at a time: the block is read and written once for them.
         let (fours, rest) = residuals.as_chunks::<4>();
         let (four_weights, rest_weights) = weights.as_chunks::<4>();
         for (r, w) in fours.iter().zip(four_weights) {
@@ -271,7 +274,7 @@ pub(super) fn combine(from: &mut [f64], residuals: &[&[f64]], base: &[f64], weig
     }
 }
 
-/// The products of the residuals, each less those of `base`, with vectors.
+/// Returns the products of the residuals, each relative to `base`, with the vectors.
 fn products<const K: usize>(residuals: &[&[f64]], base: &[f64], vectors: [&[f64]; K]) -> [Vec<f64>; K] {
     let mut products = vectors.map(|_| vec![0.0; residuals.len()]);
     let mut rest = [0.0; AT_ONCE];
@@ -289,7 +292,7 @@ fn products<const K: usize>(residuals: &[&[f64]], base: &[f64], vectors: [&[f64]
     products
 }
 
-/// The model as it is stored.
+/// Stored form of the model.
 #[derive(Clone, Serialize, Deserialize)]
 struct Stored {
     base: usize,
@@ -343,9 +346,9 @@ mod tests {
         (&model.linear.reached + &model.linear.factor * DVector::from_column_slice(s)).norm_squared()
     }
 
-    /// The model that has followed many new points is that of its points.
+    /// A model updated with many new points equals the interpolation of its points.
     #[test]
-    fn new_points_change_the_model_as_if_it_were_made_again() {
+    fn exchange_matches_a_new_interpolation() {
         for (n, m) in [(1, 1), (2, 7), (4, 4), (6, 3), (13, 40), (20, 12)] {
             let mut places: Vec<Vec<f64>> = vec![vec![0.0; n]; n + 1];
             (0..n).for_each(|k| places[k + 1][k] = 0.1);
@@ -390,7 +393,7 @@ mod tests {
     }
 
     #[test]
-    fn a_model_is_stored_with_its_shape() {
+    fn interpolation_round_trips_and_rejects_inconsistent_state() {
         let (z, r) =
             ([vec![0.0, 0.0], vec![1.0, 0.0], vec![0.0, 1.0]], [[1.0, 2.0, 0.0], [3.0, 1.0, 1.0], [0.0; 3]]);
         let set: Vec<Place<'_>> = z.iter().zip(&r).map(|(z, r)| (&z[..], &r[..])).collect();

@@ -1,11 +1,11 @@
-//! The Jacobian at the best point, from the points that were paid for.
+//! Jacobian at the best point, from the points evaluated during the run.
 //!
-//! It is a regression on the differences from the best point. A point at the distance d is wrong by d^2 for
-//! curvature, and by the noise; its weight is the inverse of their sum. Distances are in units of the larger
-//! of a parameter's size and its value at the best point, so that a start of another magnitude does not
-//! decide. Where the residuals change faster than in proportion to the distance (an exponential that has run
-//! away), d^2 is far below the error of the linear model: such a point counts less by the square of that
-//! ratio.
+//! The Jacobian is a regression on the differences from the best point. The error of a point at distance d is
+//! d^2 from curvature, plus the noise. The weight of the point is the inverse of their sum. Distances are in
+//! units of the parameter size or of the value at the best point, whichever is larger, so that a start of
+//! another magnitude has no effect. Residuals may change faster than in proportion to the distance (for
+//! example, a diverging exponential). Then d^2 is far below the error of the linear model, and the point has
+//! less weight by the square of this ratio.
 
 use super::interpolation::Interpolation;
 use super::points::{BARELY_INDEPENDENT, Selection, difference, distance, norm};
@@ -15,34 +15,34 @@ use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 use std::borrow::Cow;
 
-/// Noise of the residuals relative to their change over the unit of the distances: the least of these that
-/// agrees with the points.
+/// Noise of the residuals relative to their change over the distance unit. The smallest value consistent with
+/// the points is used.
 const NOISE: [f64; 6] = [1e-12, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2];
-/// Curvature over that unit relative to the derivatives, up to which a misfit is no noise.
+/// Maximum curvature over the distance unit, relative to the derivatives, at which a misfit is not noise.
 const BENT: f64 = 10.0;
-/// A change of the residuals of fewer standard errors than this is none.
+/// Minimum significant change of the residuals, in standard errors.
 const TOLD: f64 = 3.0;
-/// Points that lie in a plane up to this part of their distances tell nothing of the direction across it.
+/// Relative distance from a plane below which points do not determine the direction across the plane.
 const IN_PLANE: f64 = 1.5e-8;
-/// From so many parameters on the differences within the set alone make the Jacobian: a regression would take
-/// longer than a factorisation of it.
+/// Number of parameters from which only the differences within the set determine the Jacobian. A regression
+/// would take longer than a factorisation of the Jacobian.
 const MANY: usize = 100;
-/// The nearest points that a regression takes, or twice as many as it needs at least.
+/// Maximum number of nearest points in a regression, but at least twice the required number.
 const MOST_POINTS: usize = 400;
-/// Residuals that are looked at together.
+/// Number of residuals per block.
 const AT_ONCE: usize = 1 << 18;
 
-/// A point besides the best one.
+/// A point other than the best one.
 struct Neighbour<'a> {
-    /// The step to it in units of the distances, and its length.
+    /// Step to the point in distance units, and its length.
     step: Vec<f64>,
     length: f64,
     residuals: Cow<'a, [f64]>,
 }
 
 impl LeastSquaresState {
-    /// The derivatives of the residuals by the coordinates in units of their sizes, one row for each
-    /// residual; `None` where the points span no more than a plane, or the context is over.
+    /// Returns the derivatives of the residuals with respect to the coordinates in units of their sizes, one
+    /// row per residual. Returns `None` if the points are in a plane, or if the context is over.
     pub(super) fn jacobian(&self, best: usize, context: &RunContext<'_>) -> Option<DMatrix<f64>> {
         let m = self.points[best].residuals.len();
         match self.n() {
@@ -52,7 +52,7 @@ impl LeastSquaresState {
         }
     }
 
-    /// The differences within the set times the gradients of the Lagrange polynomials.
+    /// Returns the differences within the set times the gradients of the Lagrange polynomials.
     fn jacobian_of_set(&self, best: usize, context: &RunContext<'_>) -> Option<DMatrix<f64>> {
         let (n, residuals) = (self.n(), &self.points[best].residuals);
         let kept = self.model.as_ref().filter(|_| self.set.len() == n + 1 && self.set.contains(&best));
@@ -86,7 +86,7 @@ impl LeastSquaresState {
         jacobian.iter().all(|j| j.is_finite()).then_some(jacobian)
     }
 
-    /// Units of the distances, in those of the sizes.
+    /// Returns the distance units, in units of the parameter sizes.
     fn units_at(&self, best: usize) -> Vec<f64> {
         let space = &self.setup.space;
         let of = |(k, &index): (usize, &usize)| match space.transform(k) {
@@ -113,8 +113,8 @@ impl LeastSquaresState {
     }
 }
 
-/// The derivatives by regression on differences from a point with these residuals; `None` where the points
-/// span no more than a plane, or where there are many residuals and the context is over.
+/// Returns the derivatives by regression on differences from a point with these residuals. Returns `None` if
+/// the points are in a plane, or if there are many residuals and the context is over.
 fn regression(
     mut others: Vec<Neighbour<'_>>,
     residuals: &[f64],
@@ -134,7 +134,7 @@ fn regression(
     if nearest.len() < n {
         return None;
     }
-    // The largest slope of the nearest points: what changes faster is bent.
+    // Largest slope of the nearest points. Residuals that change faster are curved.
     let slope = nearest.iter().map(|k| changes[*k] / others[*k].length).fold(0.0, f64::max);
     let faster =
         |k: usize| if slope > 0.0 { (changes[k] / (slope * others[k].length)).max(1.0) } else { 1.0 };
@@ -168,7 +168,7 @@ fn regression(
             let rounded = (&q * direction).component_mul(&weights).norm();
             TOLD * spread.max(rounding * rounded)
         };
-        // The rows of the derivatives are combinations of those that were turned.
+        // The rows of the derivatives are linear combinations of the rotated rows.
         let combinations = r.transpose().solve_lower_triangular(&DMatrix::identity(n, n))?;
         let is_none = |k: &usize| take_noise(&mut turned, &combinations.column(*k).normalize(), &noise_along);
         let without_effect: Vec<usize> = (0..n).filter(is_none).collect();
@@ -184,9 +184,9 @@ fn regression(
     found
 }
 
-/// Takes the combination of the rows by a unit vector away if it is less than noise: the residuals do not
-/// tell this direction apart from none at all, and what is left of it would look like information. True if it
-/// was.
+/// Removes the combination of the rows by a unit vector if it is below the noise. The residuals do not
+/// determine this direction, and its remainder would look like information. Returns true if the combination
+/// was removed.
 fn take_noise(
     rows: &mut DMatrix<f64>,
     direction: &DVector<f64>,
@@ -200,7 +200,7 @@ fn take_noise(
     is_noise
 }
 
-/// The same for each of the principal combinations.
+/// Removes each principal combination that is below the noise.
 fn take_noise_of_all(rows: &mut DMatrix<f64>, noise: &impl Fn(&DVector<f64>) -> f64) {
     let n = rows.nrows();
     // The triangle has the left singular vectors of the rows.
@@ -221,7 +221,7 @@ mod tests {
         Neighbour { length: norm(&step), step, residuals: Cow::Owned(residuals) }
     }
 
-    /// Points around (1, 1) on a spiral, and the residuals there with noise that is no function of the
+    /// Returns points around (1, 1) on a spiral, and the residuals with noise that is not a function of the
     /// distance.
     fn spiral(n_points: i32, noise: f64) -> (Vec<Neighbour<'static>>, Vec<f64>) {
         let r = |z: [f64; 2]| -> Vec<f64> {
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn regression_finds_the_derivatives_through_curvature_and_noise() {
+    fn regression_finds_derivatives_despite_curvature_and_noise() {
         let e = 1f64.exp();
         let expected = DMatrix::from_row_slice(3, 2, &[2.0, 2.0, 1.0, -2.0, e, e]);
         for (noise, tolerance) in [(0.0, 1e-5), (1e-7, 2e-3), (1e-3, 0.2)] {
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn points_whose_residuals_have_run_away_change_nothing() {
+    fn regression_ignores_points_with_diverging_residuals() {
         let (mut others, residuals) = spiral(12, 0.0);
         let before = jacobian(others.split_off(0), &residuals).unwrap();
         let (mut others, _) = spiral(12, 0.0);
@@ -263,8 +263,8 @@ mod tests {
     }
 
     #[test]
-    fn columns_are_parallel_when_only_curvature_and_rounding_tell_them_apart() {
-        // Of the sum of two parameters, with rounding of about 1e-12.
+    fn columns_are_parallel_when_they_differ_only_by_curvature_and_rounding() {
+        // Residuals depend only on the sum of two parameters, with rounding of about 1e-12.
         let r = |s: &[f64]| -> Vec<f64> {
             let sum = 1e4 + s[0] + s[1];
             (1..6).map(|i| (f64::from(i) * sum + 0.1 * (s[0] + s[1]).powi(2)) - f64::from(i) * 1e4).collect()
@@ -277,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn points_in_a_plane_make_no_jacobian() {
+    fn jacobian_is_none_when_points_are_in_a_plane() {
         let line = [[0.5, 0.0], [1.0, 0.0], [-1.0, 0.0]].map(|s| neighbour(s.to_vec(), vec![s[0], 1.0]));
         assert_eq!(jacobian(line.into(), &[0.0, 1.0]), None);
         assert_eq!(jacobian(Vec::new(), &[0.0, 1.0]), None);

@@ -4,27 +4,27 @@ use super::points::norm;
 use super::subproblem::{Linear, Subproblem, smallest_singular_value};
 use nalgebra::{DMatrix, DVector};
 
-/// Steps to the minimum of a quadratic model of the residuals.
+/// Maximum number of steps to the minimum of a quadratic model of the residuals.
 const MOST_INNER: usize = 30;
 
-/// Regression around a centre, the points weighted by their distances: linear, with squares, or quadratic, as
-/// the points allow.
+/// Regression around a centre, with points weighted by their distances. Depending on the points, the model is
+/// linear, has additional squares, or is quadratic.
 pub(super) struct Regression {
-    /// Coefficients of 1, the coordinates, their squares, their products; turned so that as few numbers as
-    /// possible are left of the residuals. One column for each.
+    /// Coefficients of 1, the coordinates, their squares and their products. They are rotated to the smallest
+    /// possible number of residuals. One column per term.
     coefficients: DMatrix<f64>,
-    /// The unit of the coordinates.
+    /// Unit of the coordinates.
     length: f64,
-    /// The variance of the residuals about the model that the terms of second degree explain, per term, in
-    /// units of what they leave: near 1 for noise alone (the F statistic). `None`: too few points to tell.
+    /// Variance of the residuals explained by the second-degree terms, per term, relative to the remaining
+    /// variance. Near 1 for pure noise (the F statistic). `None` if there are too few points.
     pub(super) bent: Option<f64>,
-    /// True if all products of coordinates are part of the model.
+    /// True if the model contains all products of coordinates.
     pub(super) is_quadratic: bool,
-    /// Expected increase of the cost at the model's minimum by noise in the coefficients.
+    /// Expected increase of the cost at the minimum of the model due to noise in the coefficients.
     pub(super) excess: f64,
 }
 
-/// 1, the coordinates, their squares, their products.
+/// Returns 1, the coordinates, their squares and their products.
 fn terms(w: &[f64], length: f64) -> impl Iterator<Item = f64> {
     let square = move |i: usize, j: usize| w[i] / length * (w[j] / length);
     std::iter::once(1.0)
@@ -34,8 +34,8 @@ fn terms(w: &[f64], length: f64) -> impl Iterator<Item = f64> {
 }
 
 impl Regression {
-    /// Fits the coefficients; `None` where the points do not determine those of first degree. `points`:
-    /// displacements from the centre, weights, residuals.
+    /// Fits the coefficients. Returns `None` if the points do not determine the first-degree coefficients.
+    /// `points` contains displacements from the centre, weights and residuals.
     pub(super) fn new(points: &[(Vec<f64>, f64, &[f64])]) -> Option<Self> {
         let (w, _, first) = points.first()?;
         let (n, m, len) = (w.len(), first.len(), points.len());
@@ -58,7 +58,7 @@ impl Regression {
         if !(0..=n).all(is_known) {
             return None;
         }
-        // Terms of second degree that the points do not determine are left out.
+        // Drop the second-degree terms if the points do not determine them.
         let n_known = if (n + 1..n_all).all(is_known) { n_all } else { n + 1 };
         let of_known = r.view((0, 0), (n_known, n_known));
         let coefficients =
@@ -69,7 +69,8 @@ impl Regression {
         let per = |from: usize, to: usize| turned.rows(from, to - from).norm_squared() / (to - from) as f64;
         let bent = (n_known > n + 1 && len > n_all).then(|| per(n + 1, n_all) / per(n_all, len));
         let coefficients = if m > n_known { coefficients.qr().r() } else { coefficients };
-        // The residuals at the minimum are off by a share n / m of the noise of n_known coefficients from len points.
+        // At the minimum, a fraction n / m of the noise of n_known coefficients from len points affects the
+        // cost.
         let excess = if len > n_known {
             per(n_known, len) * (n.min(m) as f64 / m as f64) * (n_known as f64 / len as f64)
         } else {
@@ -78,7 +79,7 @@ impl Regression {
         Some(Self { coefficients, length, bent, is_quadratic: n_known == kinds[0], excess })
     }
 
-    /// The turned residuals at a displacement.
+    /// Returns the rotated residuals at a displacement.
     fn residuals(&self, w: &[f64]) -> DVector<f64> {
         let values = DVector::from_iterator(
             self.coefficients.ncols(),
@@ -87,7 +88,7 @@ impl Regression {
         &self.coefficients * values
     }
 
-    /// The model as seen from a displacement.
+    /// Returns the model linearised at a displacement.
     fn linear(&self, w: &[f64]) -> Linear {
         let n = w.len();
         let mut jacobian = self.coefficients.columns(1, n).into_owned();
@@ -109,7 +110,7 @@ impl Regression {
         if smallest > 0.0 { self.excess.sqrt() / smallest } else { f64::INFINITY }
     }
 
-    /// The displacement within a ball and a box at which the model is smallest, and the decrease from the
+    /// Returns the displacement within a ball and a box that minimises the model, and the decrease from the
     /// centre.
     pub(super) fn minimise(&self, radius: f64, lower: &[f64], upper: &[f64]) -> (Vec<f64>, f64) {
         let n = lower.len();
@@ -151,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn a_linear_function_is_its_own_model() {
+    fn regression_reproduces_a_linear_function() {
         let points = [vec![0.1, 0.3], vec![-0.2, 0.1], vec![0.3, -0.2], vec![0.0, 0.0]];
         let values: Vec<Vec<f64>> = points.iter().map(|z| residuals(z)).collect();
         let all: Vec<(Vec<f64>, f64, &[f64])> =

@@ -1,20 +1,20 @@
-//! Points that have been evaluated, with their residuals, and which of them a model is made from.
+//! Evaluated points with their residuals, and the selection of points for a model.
 
 use crate::values::encoding::numbers;
 use serde::{Deserialize, Serialize};
 
-/// Of a point that lies this far out of the plane of those chosen before it, in units of its distance,
-/// something is learned.
+/// Minimum relative distance from the plane of the previously chosen points at which a point adds enough
+/// information.
 const INDEPENDENT: f64 = 0.03;
-/// The same where nothing better is there.
+/// Minimum relative distance from the plane if no better point is available.
 pub(super) const BARELY_INDEPENDENT: f64 = 1e-7;
 
 /// A point with a cost.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Evaluated {
-    /// In units of the sizes of the parameters, from the start.
+    /// Displacement from the start, in units of the parameter sizes.
     pub(super) z: Vec<f64>,
-    /// In the user's units.
+    /// Values in the user's units.
     pub(super) x: Vec<f64>,
     pub(super) cost: f64,
     #[serde(with = "numbers")]
@@ -33,10 +33,10 @@ pub(super) fn norm(v: &[f64]) -> f64 {
     v.iter().map(|v| v * v).sum::<f64>().sqrt()
 }
 
-/// Numbers that are added side by side: sums in order would wait for each other.
+/// Number of partial sums that can be added in parallel.
 const LANES: usize = 8;
 
-/// The sum of the products.
+/// Returns the dot product.
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     let (blocks_a, blocks_b) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
     let rest = blocks_a.remainder().iter().zip(blocks_b.remainder()).map(|(a, b)| a * b).sum::<f64>();
@@ -56,11 +56,11 @@ pub(super) fn distance(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
 }
 
-/// Points chosen one by one, each out of the plane of those before.
+/// Points chosen one by one, each outside the plane of the previous ones.
 pub(super) struct Selection {
-    /// The points, by their indices.
+    /// Indices of the points.
     pub(super) chosen: Vec<usize>,
-    /// An orthonormal basis of the directions to them.
+    /// Orthonormal basis of the directions to the points.
     basis: Vec<Vec<f64>>,
 }
 
@@ -69,10 +69,10 @@ impl Selection {
         Self { chosen: Vec::new(), basis: Vec::new() }
     }
 
-    /// The part of `v` that is orthogonal to all directions so far.
+    /// Returns the part of `v` that is orthogonal to all directions in the basis.
     fn rest(&self, v: &[f64]) -> Vec<f64> {
         let mut rest = v.to_vec();
-        // Twice, against rounding.
+        // Orthogonalise twice to reduce rounding errors.
         for _ in 0..2 {
             for b in &self.basis {
                 let along: f64 = rest.iter().zip(b).map(|(r, b)| r * b).sum();
@@ -82,7 +82,7 @@ impl Selection {
         rest
     }
 
-    /// Adds a direction if enough of it is new.
+    /// Adds a direction if its new part exceeds the threshold.
     pub(super) fn add(&mut self, v: &[f64], threshold: f64) -> bool {
         let (rest, length) = (self.rest(v), norm(v));
         let new = norm(&rest);
@@ -93,7 +93,7 @@ impl Selection {
         added
     }
 
-    /// Of the points but `centre` itself the nearest to it that are independent of each other, up to `most`.
+    /// Selects up to `most` independent points nearest to `centre`, excluding `centre` itself.
     pub(super) fn nearest(points: &[Evaluated], centre: &[f64], most: usize) -> Self {
         let mut near: Vec<(usize, f64)> = points
             .iter()
@@ -118,7 +118,7 @@ impl Selection {
         selection
     }
 
-    /// The directions towards these points.
+    /// Selects these directions.
     pub(super) fn of<'a>(directions: impl Iterator<Item = &'a [f64]>) -> Self {
         let mut selection = Self::new();
         for direction in directions {
@@ -127,11 +127,12 @@ impl Selection {
         selection
     }
 
-    /// Unit vectors that complete the directions: coordinates, as far as they are independent.
+    /// Returns unit vectors that complete the directions. They are coordinate directions if these are
+    /// independent.
     pub(super) fn missing(mut self, n: usize) -> Vec<Vec<f64>> {
         let n_known = self.basis.len();
         while self.basis.len() < n {
-            // The coordinate of which most is missing.
+            // Coordinate with the largest missing part.
             let unit = |k: usize| (0..n).map(|j| if j == k { 1.0 } else { 0.0 }).collect::<Vec<f64>>();
             let most = (0..n).map(|k| (k, norm(&self.rest(&unit(k)))));
             let (k, _) = most.fold((0, -1.0), |best, new| if new.1 > best.1 { new } else { best });

@@ -1,4 +1,4 @@
-//! The simplex search that takes over where points fail around the best one.
+//! The simplex search that continues if points fail around the best one.
 
 use super::points::{Evaluated, distance};
 use super::state::{LeastSquaresState, Phase, simplex_method};
@@ -9,14 +9,13 @@ use crate::methods::nelder_mead::SimplexSearch;
 use crate::outcome::answer::Answers;
 use crate::outcome::termination::Termination;
 
-/// A simplex that ends at a cost larger than the best one by more than this share of it has not found the
-/// way.
+/// Relative excess over the best cost above which the result of a simplex search counts as unsuccessful.
 const WORSE: f64 = 1e-3;
 
 impl LeastSquaresState {
-    /// Points fail around the best one, and a model tells nothing of that: a simplex search, which keeps off
-    /// such places, takes over from the best of the points that lie a first radius away from them. Right
-    /// beside them a simplex collapses.
+    /// Starts a simplex search from the best point that is at least the first radius away from all failed
+    /// points. A model cannot represent failures, but a simplex search avoids them. A simplex that starts
+    /// next to failed points collapses.
     pub(super) fn begin_simplex(&mut self) {
         let is_away = |k: &usize| {
             let near = |failed: &Vec<f64>| distance(failed, &self.points[*k].z) < self.options.radius;
@@ -40,8 +39,8 @@ impl LeastSquaresState {
             };
     }
 
-    /// The simplex search has ended at a worse point than the best one: another one from the start. False
-    /// where this was it.
+    /// Starts another simplex search from the start point if the first one ended at a worse point than the
+    /// best one. Returns false if no other search is started.
     fn begin_again(&mut self) -> bool {
         let Phase::Simplex(simplex) = &self.phase else { return false };
         let x0 = self.setup.space.x0().to_vec();
@@ -57,7 +56,8 @@ impl LeastSquaresState {
         true
     }
 
-    /// Takes the answers to the points of the simplex search: they serve the model of the result, too.
+    /// Processes the answers to the points of the simplex search. These points also contribute to the model
+    /// of the result.
     pub(super) fn tell_simplex(&mut self, answers: &Answers) -> Result<(), Error> {
         let Phase::Simplex(simplex) = &mut self.phase else { return Ok(()) };
         simplex.state.tell(answers)?;
@@ -84,7 +84,7 @@ impl LeastSquaresState {
         Ok(())
     }
 
-    /// Ends, with the tests of the simplex where it was one.
+    /// Ends the run, with the tests of the simplex search if it was active.
     fn end(&mut self, mut termination: Termination) {
         if let Phase::Simplex(simplex) = &self.phase {
             let details = simplex.state.details();
@@ -98,9 +98,9 @@ impl LeastSquaresState {
         self.phase = Phase::Ended(termination);
     }
 
-    /// The tests where a simplex has come to lie on points with one and the same cost: how small it is says
-    /// nothing of the minimum, which is known as well as the extent of the points with the same residuals
-    /// tells (rounded ones, for example).
+    /// Returns the tests for a simplex whose points all have the same cost. The size of such a simplex is
+    /// unrelated to the accuracy of the minimum. The extent of the points with identical residuals (rounded
+    /// ones, for example) determines the accuracy.
     fn of_plateau(&self) -> Option<ToleranceTests> {
         let best = &self.points[self.base()];
         let spread = self.tests?.f_spread?;

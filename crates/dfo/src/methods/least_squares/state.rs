@@ -1,6 +1,6 @@
-//! The state machine: which points are asked for, and what becomes of their residuals. How the next points
-//! are chosen stands in `trust_region.rs`; in `averaging.rs` once noise has been found; in
-//! `simplex_search.rs` where points fail.
+//! State machine of least squares: requested points and the processing of their residuals. The next points
+//! are chosen in `trust_region.rs`, in `averaging.rs` after noise has been found, and in `simplex_search.rs`
+//! if points fail.
 
 use super::interpolation::Interpolation;
 use super::options::LeastSquares;
@@ -20,43 +20,43 @@ use crate::values::choices::ToleranceMeasure;
 use base::RunContext;
 use serde::{Deserialize, Serialize};
 
-/// Number of times that a starting point that failed is tried nearer to the start.
+/// Maximum number of times that a failed neighbour of the start is retried nearer to the start.
 const MOST_RETRIES: u32 = 12;
-/// Number of searches for unknown sizes of parameters.
+/// Maximum number of searches for unknown parameter sizes.
 const MOST_RESIZED: u32 = 8;
-/// Points that are kept: so many times n + 1.
+/// Maximum number of stored points, in units of n + 1.
 const MOST_KEPT: usize = 20;
-/// Fewer where they have more residuals than this in all.
+/// Maximum total number of stored residuals, which further limits the number of points.
 const MOST_NUMBERS: usize = 1 << 27;
-/// From so many parameters on the start is evaluated alone: it tells whether the residuals of the others fit
-/// into memory.
+/// Number of parameters from which the start is evaluated alone, to check whether the residuals of the other
+/// points fit into memory.
 const LARGE: usize = 500;
 
-/// Points that failed are remembered up to this number.
+/// Maximum number of stored failed points.
 const MOST_FAILED: usize = 64;
 
-/// Where the search stands.
+/// Phase of the search.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) enum Phase {
     /// The start and its neighbours are evaluated.
     Starting,
     /// Steps on interpolation models.
     Descending,
-    /// Steps on regression models: there is noise.
+    /// Steps on regression models, because the residuals are noisy.
     Averaging(Averaging),
-    /// A simplex search: points fail around the best one.
+    /// A simplex search, because points fail around the best one.
     Simplex(Box<SimplexSearch>),
     NoStart,
     Ended(Termination),
 }
 
-/// Where the regression stands.
+/// State of the regression.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Averaging {
-    /// Centre and radius of the points that count, in units of the parameters' sizes.
+    /// Centre and radius of the points that count, in units of the parameter sizes.
     pub(super) centre: Vec<f64>,
     pub(super) radius: f64,
-    /// Points asked for since noise was found.
+    /// Number of points requested since noise was found.
     pub(super) n_asked: usize,
 }
 
@@ -70,12 +70,12 @@ impl Averaging {
     }
 }
 
-/// Where a search stood that has gone on by less than the tolerances since then.
+/// Reference state of a search whose changes have been below the tolerances since then.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Stagnation {
     pub(super) z: Vec<f64>,
     pub(super) cost: f64,
-    /// Rounds of trial points since then.
+    /// Number of rounds of trial points since then.
     pub(super) n_rounds: usize,
 }
 
@@ -83,33 +83,33 @@ fn is_length(length: f64) -> bool {
     length > 0.0 && length.is_finite()
 }
 
-/// Why a point is asked for.
+/// Reason for requesting a point.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) enum Role {
-    /// The start itself, or its neighbour along a coordinate.
+    /// The start, or its neighbour along a coordinate.
     Start(Option<usize>),
-    /// The model's best point within a radius, and the decrease that it predicts.
+    /// Best point of the model within a radius, and the predicted decrease.
     Trial { predicted: f64, radius: f64 },
-    /// A point that makes the model better, in the place of this point.
+    /// A point that improves the model and replaces the given point.
     Geometry { instead: usize },
-    /// A point that makes the model better.
+    /// A point that improves the model.
     Near,
-    /// A point next to the best one, which shows whether residuals are noisy or only curved: how far the
-    /// model was off.
+    /// A point next to the best one, which distinguishes noisy from curved residuals. `misfit` is the error
+    /// of the model.
     Probe { misfit: f64 },
 }
 
-/// Result for a point that was requested.
+/// Result for a requested point.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub(super) enum PointStatus {
     Pending,
     Failed,
-    /// The index of the point.
+    /// Index of the point.
     Point(usize),
 }
 
-/// A point that is asked for.
+/// A requested point.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Candidate {
     pub(super) role: Role,
@@ -119,28 +119,28 @@ pub(super) struct Candidate {
     pub(super) known: PointStatus,
 }
 
-/// A running least-squares search; made by [`LeastSquares`].
+/// A running least-squares search, created by [`LeastSquares`].
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct LeastSquaresState {
     pub(super) setup: Setup,
     /// The start in working coordinates.
     origin: Vec<f64>,
     pub(super) options: LeastSquares,
-    /// The points paid for, the oldest first.
+    /// Evaluated points, oldest first.
     pub(super) points: Vec<Evaluated>,
-    /// Of these the n + 1 that the model interpolates; fewer where the others failed.
+    /// Indices of the n + 1 points that the model interpolates, or fewer if points failed.
     pub(super) set: Vec<usize>,
     pub(super) best_seen: Best,
-    /// The trust region, and the resolution that it is not smaller than: both in units of the parameters'
+    /// Trust-region radius, and the resolution, which is its lower limit. Both are in units of the parameter
     /// sizes.
     pub(super) delta: f64,
     pub(super) rho: f64,
     pub(super) phase: Phase,
     pub(super) round: Vec<Candidate>,
-    /// The model on the set; made again where it is missing.
+    /// Model on the set; rebuilt if missing.
     pub(super) model: Option<Interpolation>,
     asked: Vec<usize>,
-    /// The points that the simplex asked for last.
+    /// The last points requested by the simplex search.
     pub(super) simplex_points: Vec<Vec<f64>>,
     waiting: bool,
     pub(super) n_batches: u64,
@@ -148,29 +148,29 @@ pub struct LeastSquaresState {
     pub(super) n_iterations: usize,
     pub(super) operation: Option<Operation>,
     pub(super) tests: Option<ToleranceTests>,
-    /// Number of searches so far for unknown sizes of parameters.
+    /// Number of searches for unknown parameter sizes so far.
     n_resized: u32,
-    /// The cost of the start.
+    /// Cost of the start.
     pub(super) f_0: f64,
-    /// Of the last step that failed: the distance of the residuals from the model, and the size of step and
-    /// set.
+    /// For the last failed step: the distance between the residuals and the model, and the size of the step
+    /// and the set.
     pub(super) failure: Option<(f64, f64)>,
-    /// Points that failed, the last ones.
+    /// The last points that failed.
     pub(super) failed: Vec<Vec<f64>>,
-    /// Trial points, and points for the model, in a row that failed.
+    /// Number of consecutive failed trial points, and of consecutive failed points for the model.
     pub(super) n_failed: usize,
     pub(super) n_geometry_failed: usize,
-    /// Points for the model in a row at one resolution.
+    /// Number of consecutive points for the model at one resolution.
     pub(super) n_geometry: usize,
-    /// Signs of noise in a row.
+    /// Number of consecutive signs of noise.
     pub(super) n_noisy: usize,
-    /// Error of the model at the last step that succeeded: the change of the Jacobian per length.
+    /// Error of the model at the last successful step: the change of the Jacobian per length.
     pub(super) curvature: Option<f64>,
-    /// A point of the set that is to be replaced by one that tells more.
+    /// Point of the set that should be replaced by a more informative point.
     pub(super) improving: Option<usize>,
-    /// The point around which directions that the model lacks were asked for last, and how often.
+    /// Point around which missing directions were last requested, and the number of requests.
     pub(super) completed: (usize, u32),
-    /// Where the search stands still.
+    /// Stagnation of the search.
     #[serde(default)]
     pub(super) halt: Option<Stagnation>,
 }
@@ -267,14 +267,14 @@ impl LeastSquaresState {
             && (self.set.is_empty() == matches!(self.phase, Phase::Starting | Phase::NoStart))
             && match &self.phase {
                 Phase::Averaging(averaging) => averaging.is_sound(n),
-                // It has begun with the sizes that were found on the way.
+                // The simplex search started with the sizes found during the run.
                 Phase::Simplex(simplex) => simplex.is_sound(&simplex_method(), &self.setup),
                 _ => true,
             }
     }
 
-    /// The start itself, or its neighbour along a coordinate: on the side with more space, on the other,
-    /// nearer, and so on.
+    /// Returns the start, or its neighbour along a coordinate. With increasing `retries`, the neighbour is on
+    /// the side with more space, then on the other side, then nearer on both sides.
     fn neighbour(&self, coordinate: Option<usize>, retries: u32) -> Vec<f64> {
         let mut z = vec![0.0; self.n()];
         if let Some(k) = coordinate {
@@ -291,7 +291,7 @@ impl LeastSquaresState {
         z
     }
 
-    /// Adds a point to the round; the box and the rounding of the user's units shift it a little.
+    /// Adds a point to the round. The box and the rounding of the user's units shift the point slightly.
     pub(super) fn ask_for(&mut self, z: Vec<f64>, role: Role) {
         let (z, x) = self.placed(&z);
         self.round.push(Candidate { role, z, x, retries: 0, known: PointStatus::Pending });
@@ -312,12 +312,12 @@ impl LeastSquaresState {
         (u.iter().enumerate().map(|(k, u)| self.scaled(k, *u)).collect(), x)
     }
 
-    /// A working coordinate in units of its size, counted from the start.
+    /// Returns the displacement of a working coordinate from the start, in units of the parameter size.
     pub(super) fn scaled(&self, k: usize, u: f64) -> f64 {
         (u - self.origin[k]) / self.setup.space.size(k)
     }
 
-    /// The unit of `x_tol`, in units of the sizes.
+    /// Returns the unit of `x_tol`, in units of the parameter sizes.
     fn x_unit(&self) -> f64 {
         let space = &self.setup.space;
         match self.setup.tolerances.measure {
@@ -326,18 +326,18 @@ impl LeastSquaresState {
         }
     }
 
-    /// The largest distance that passes the x test, in units of the sizes.
+    /// Returns the largest distance that passes the x test, in units of the parameter sizes.
     pub(super) fn x_limit(&self) -> f64 {
         self.setup.tolerances.x_tol / self.x_unit()
     }
 
-    /// The tolerance tests, for a distance in units of the sizes and a decrease.
+    /// Applies the tolerance tests to a distance in units of the parameter sizes and a decrease.
     pub(super) fn judge(&self, distance: f64, decrease: f64, f: f64) -> ToleranceTests {
         let tests = self.setup.tolerances.judge(distance * self.x_unit(), Some(decrease), f, self.f_0);
         ToleranceTests { extent: TestedSet::Model, ..tests }
     }
 
-    /// Bounds on a step from a point along each coordinate, below and above.
+    /// Returns the lower and upper bounds on a step from a point along each coordinate.
     pub(super) fn space_around(&self, z: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let ends = |(k, z): (usize, &f64)| {
             let (lower, upper) = self.setup.space.working_bounds(k);
@@ -346,18 +346,18 @@ impl LeastSquaresState {
         z.iter().enumerate().map(ends).unzip()
     }
 
-    /// Of some points the one of smallest cost, the oldest of equal ones.
+    /// Returns the point with the smallest cost, the oldest if costs are equal.
     pub(super) fn best_of(&self, points: impl Iterator<Item = usize>) -> Option<usize> {
         points.min_by(|a, b| self.points[*a].cost.total_cmp(&self.points[*b].cost).then(a.cmp(b)))
     }
 
-    /// The base point of the model.
+    /// Returns the base point of the model.
     pub(super) fn base(&self) -> usize {
         self.best_of(self.set.iter().copied()).unwrap_or(0)
     }
 
-    /// Takes what is known of a point that was asked for. A neighbour of the start that failed is tried
-    /// elsewhere.
+    /// Records the answer for a requested point. A failed neighbour of the start is retried at another
+    /// position.
     fn take(&mut self, place: usize, answer: Option<(f64, Vec<f64>)>) {
         let Candidate { role, z, x, retries, .. } = &self.round[place];
         if answer.is_none() {
@@ -384,7 +384,7 @@ impl LeastSquaresState {
         self.round[place].known = known;
     }
 
-    /// Every point of the round is known.
+    /// Processes a round after all its points are known.
     fn conclude(&mut self) {
         let round = std::mem::take(&mut self.round);
         match &self.phase {
@@ -400,9 +400,9 @@ impl LeastSquaresState {
         self.forget();
     }
 
-    /// Sizes that nothing tells are found by steps along the coordinates: in units of its size a parameter
-    /// changes the residuals by about as much as they are. Asks for such steps again; false if there is
-    /// nothing to find.
+    /// Determines unknown parameter sizes from steps along the coordinates. A step of one size changes the
+    /// residuals by about their own magnitude. Requests new steps for all changed sizes. Returns false if no
+    /// size has changed.
     fn resized(&mut self, round: &[Candidate]) -> bool {
         let Some(start) = self.points.first().filter(|_| self.n_resized < MOST_RESIZED) else { return false };
         let mut found = Vec::new();
@@ -418,7 +418,7 @@ impl LeastSquaresState {
             let change = distance(&new.residuals, &start.residuals) / way;
             let factor = (start.cost.sqrt() / change).clamp(1e-6, 1e6);
             let factor = if change == 0.0 { 1e3 } else { factor };
-            // No step is longer than the box is wide.
+            // A step must not exceed the width of the box.
             let (lower, upper) = self.setup.space.working_bounds(*k);
             let before = self.setup.space.size(*k);
             let size = (before * factor).clamp(1e-150, 1e150).min(upper - lower);
@@ -428,7 +428,7 @@ impl LeastSquaresState {
         }
         self.n_resized += 1;
         if !found.is_empty() {
-            // Their places are in other units now.
+            // The coordinates of failed points used the old units.
             self.failed.clear();
         }
         found.iter().for_each(|(k, size)| self.setup.space.set_unit(*k, *size));
@@ -448,7 +448,7 @@ impl LeastSquaresState {
             self.phase = Phase::NoStart;
             return;
         };
-        // The start is the first point asked for; where it failed, another one.
+        // The start is the first requested point. If it failed, another point is used.
         self.f_0 = self.points[0].cost;
         self.operation = Some(Operation::Initial);
         self.phase = if self.n() == 0 { Phase::Ended(Termination::AllFixed) } else { Phase::Descending };
@@ -459,8 +459,8 @@ impl LeastSquaresState {
         }
     }
 
-    /// Forgets the points that lie farthest, where there are too many: a part of them, so that this is not to
-    /// be done again at once.
+    /// Removes the farthest points if there are too many. Removes a sixteenth more than necessary, so that
+    /// this does not happen again immediately.
     pub(super) fn forget(&mut self) {
         let m = self.points.first().map_or(1, |point| point.residuals.len().max(1));
         let most = (MOST_KEPT * (self.n() + 1)).min(MOST_NUMBERS / m).max(2 * (self.n() + 1));
@@ -549,7 +549,7 @@ impl Method for LeastSquaresState {
         if let Some(m) = (0..told).find_map(|k| answers.residuals(k)).map(<[f64]>::len)
             && self.points.is_empty()
         {
-            // Those of the method, and as many that it works on.
+            // The residuals of the method, and a working copy.
             memory::check("the residuals of n + 1 points", &[2 * m, self.n() + 1])?;
         }
         self.waiting = false;
@@ -607,7 +607,7 @@ impl Method for LeastSquaresState {
     }
 }
 
-/// The simplex search that goes on where points fail.
+/// Returns the simplex method used after points have failed.
 pub(super) fn simplex_method() -> NelderMead {
     NelderMead::default().batch(Lookahead::None)
 }

@@ -7,26 +7,27 @@ use base::RunContext;
 use nalgebra::{DMatrix, DVector, SVD};
 use std::borrow::Cow;
 
-/// Newton steps for the multiplier of the ball: from a good bracket it takes three or four.
+/// Maximum number of Newton steps for the multiplier of the ball. From a good bracket, three or four are
+/// enough.
 const MOST_STEPS: usize = 60;
-/// Singular values below this share of the largest are rounding: differences of residuals have lost some
-/// digits.
+/// Singular values below this fraction of the largest are rounding errors, because differences of residuals
+/// have lost some digits.
 const RANK: f64 = 1e-13;
-/// Sweeps for each singular value: a few are enough.
+/// Maximum number of sweeps per singular value. A few are enough.
 const MOST_SWEEPS: usize = 100;
-/// Up to so many parameters the ball's step is exact; else it is the best one in a subspace of so many
-/// dimensions.
+/// Maximum number of parameters for which the step in the ball is exact. With more parameters, the step is
+/// the best one in a subspace of this dimension.
 const SUBSPACE: usize = 12;
-/// Steps to the smallest singular value of a triangle.
+/// Number of inverse iterations for the smallest singular value of a triangle.
 const INVERSE_STEPS: usize = 10;
 
 /// The run was interrupted.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Cancelled;
 
-/// Residuals as a linear function of the displacement `s` from a base point, turned so that only n numbers
-/// are left of them: `|r + J s|^2 = |c + F s|^2 + constant`. With at least as many residuals as parameters
-/// `F` is the triangle of the QR factorisation of `J`, else `J` itself.
+/// Residuals as a linear function of the displacement `s` from a base point, rotated to n values: `|r + J
+/// s|^2 = |c + F s|^2 + constant`. With at least as many residuals as parameters, `F` is the triangle of the
+/// QR factorisation of `J`. Otherwise `F` is `J` itself.
 #[derive(Debug, Clone)]
 pub(super) struct Linear {
     pub(super) factor: DMatrix<f64>,
@@ -38,8 +39,8 @@ impl Linear {
         Self { factor: DMatrix::zeros(0, 0), reached: DVector::zeros(0) }
     }
 
-    /// Turns residuals and their Jacobian, m x n, block of rows by block of rows. The context is looked at
-    /// before each block but the first.
+    /// Rotates residuals and their m x n Jacobian, in blocks of rows. Checks the context before each block
+    /// except the first.
     pub(super) fn new(
         m: usize,
         n: usize,
@@ -71,7 +72,7 @@ impl Linear {
         Ok(Self { factor: triangle.factor, reached: triangle.reached })
     }
 
-    /// The decrease of the sum of squares at a step.
+    /// Returns the decrease of the sum of squares at a step.
     pub(super) fn decrease(&self, step: &[f64]) -> f64 {
         let after = if self.factor.is_square() {
             let mut after = self.reached.clone();
@@ -83,7 +84,7 @@ impl Linear {
         self.reached.norm_squared() - after.norm_squared()
     }
 
-    /// With one more residual.
+    /// Returns the function with one additional residual.
     pub(super) fn with_row(&self, row: &[f64], residual: f64) -> Self {
         let m = self.reached.len();
         let mut factor = self.factor.clone().insert_row(m, 0.0);
@@ -91,7 +92,7 @@ impl Linear {
         Self::turned(self.reached.clone().push(residual), factor)
     }
 
-    /// Turns residuals and a Jacobian that are at hand.
+    /// Rotates residuals and a Jacobian that are already in memory.
     pub(super) fn turned(residuals: DVector<f64>, jacobian: DMatrix<f64>) -> Self {
         let (m, n) = jacobian.shape();
         if m < n {
@@ -102,11 +103,12 @@ impl Linear {
     }
 }
 
-/// A step from the best point: `|s| <= radius` and `lower <= s <= upper`, such that `|r + J s|` is (nearly)
-/// smallest.
+/// A step from the best point with `|s| <= radius` and `lower <= s <= upper` that (nearly) minimises `|r + J
+/// s|`.
 ///
-/// The problem in the ball alone is solved exactly by the singular values of `J` (Moré and Sorensen 1983,
-/// with `J'J` in place of the Hessian). Where the solution leaves the box, the coordinate that reaches its
+/// The problem in the ball alone is solved exactly with the singular values of `J` (Moré and Sorensen 1983,
+/// with `J'J` in place of the Hessian). If the solution leaves the box, the coordinate that reaches its bound
+/// first is fixed there, and the remaining problem is solved again.
 /// bound first is set there, and the rest is solved again.
 pub(super) struct Subproblem<'a> {
     pub(super) linear: &'a Linear,
@@ -116,13 +118,13 @@ pub(super) struct Subproblem<'a> {
 }
 
 impl Subproblem<'_> {
-    /// The step, and the decrease of the sum of squares that the model predicts.
+    /// Returns the step, and the predicted decrease of the sum of squares.
     pub(super) fn solve(&self) -> (Vec<f64>, f64) {
         let Linear { factor, reached } = self.linear;
         let n = factor.ncols();
         let gradient = transposed_product(factor, reached);
         let mut step = vec![0.0; n];
-        // At a bound with the descent leading out.
+        // At a bound, and the descent direction leaves the box.
         let blocked = |k: usize| {
             (self.lower[k] >= 0.0 && gradient[k] > 0.0) || (self.upper[k] <= 0.0 && gradient[k] < 0.0)
         };
@@ -162,23 +164,23 @@ impl Subproblem<'_> {
             (a, rest) = (Cow::Owned(some), Cow::Owned(turned));
         }
         let decrease = self.linear.decrease(&step);
-        // Of numbers near the largest there are nothing may be left.
+        // For values near the largest floating-point number, the decrease may not be finite.
         if decrease.is_finite() { (step, decrease) } else { (vec![0.0; n], 0.0) }
     }
 }
 
-/// Some columns; of a triangle turned into one.
+/// Selects columns. A triangle is rotated to a triangle again.
 fn columns_of(a: &DMatrix<f64>, kept: &[usize], r: &DVector<f64>) -> (DMatrix<f64>, DVector<f64>) {
     if a.is_square() { without(a, kept, r) } else { (a.select_columns(kept), r.clone()) }
 }
 
-/// The step that makes `|r + A s|` smallest, where the triangle `A` tells of all directions.
+/// Returns the step that minimises `|r + A s|`, if `A` is a well-conditioned triangle.
 fn unlimited(a: &DMatrix<f64>, r: &DVector<f64>) -> Option<DVector<f64>> {
     if !a.is_square() {
         return None;
     }
     let (least, most) = diagonal(a);
-    // Near the rounding of its entries a matrix has no inverse.
+    // A matrix near the rounding of its entries is not invertible.
     if least <= 1e-10 * most {
         return None;
     }
@@ -191,9 +193,10 @@ fn transposed_product(a: &DMatrix<f64>, r: &DVector<f64>) -> DVector<f64> {
     if a.is_square() { DVector::from_vec(times_transposed(a, r.as_slice())) } else { a.tr_mul(r) }
 }
 
-/// An orthonormal basis of directions along which the best step within any ball is (nearly) to be found:
-/// powers of `A'A` times the gradient, for small balls, and of its inverse times the step without a ball, for
-/// large ones (an extended Krylov space: Druskin and Knizhnerman, SIAM J. Matrix Anal. Appl. 19, 1998, 755).
+/// Returns an orthonormal basis that (nearly) contains the best step within any ball. For small balls, the
+/// basis contains powers of `A'A` times the gradient. For large balls, it contains powers of its inverse
+/// times the step without a ball (an extended Krylov space: Druskin and Knizhnerman, SIAM J. Matrix Anal.
+/// Appl. 19, 1998, 755).
 fn subspace(a: &DMatrix<f64>, r: &DVector<f64>) -> DMatrix<f64> {
     let n = a.ncols();
     let least = RANK * a.norm();
@@ -232,8 +235,8 @@ fn subspace(a: &DMatrix<f64>, r: &DVector<f64>) -> DMatrix<f64> {
     if basis.is_empty() { DMatrix::zeros(n, 1) } else { DMatrix::from_columns(&basis) }
 }
 
-/// The smallest singular value of a triangle, by inverse iteration (Golub and Van Loan, section 8.2.2) where
-/// it is large; 0 where there is none.
+/// Returns the smallest singular value of a triangle. Large triangles use inverse iteration (Golub and Van
+/// Loan, section 8.2.2). Returns 0 if there is no such value.
 pub(super) fn smallest_singular_value(r: &DMatrix<f64>) -> f64 {
     let n = r.ncols();
     if !r.iter().all(|r| r.is_finite()) {
@@ -257,7 +260,7 @@ pub(super) fn smallest_singular_value(r: &DMatrix<f64>) -> f64 {
     if length.is_finite() { length.sqrt().recip() } else { 0.0 }
 }
 
-/// The shortest of the steps that make `|r + A s|` smallest within `|s| <= radius`.
+/// Returns the shortest step that minimises `|r + A s|` within `|s| <= radius`.
 fn within_ball(a: &DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> {
     if let Some(step) = unlimited(a, r).filter(|step| step.norm() <= radius) {
         return step;
@@ -270,13 +273,13 @@ fn within_ball(a: &DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> 
     &basis * on_the_ball(factor, &reached, radius)
 }
 
-/// The same by singular values.
+/// Returns this step, computed with singular values.
 fn on_the_ball(a: DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> {
     let n = a.ncols();
     if !a.iter().all(|a| a.is_finite()) {
         return DVector::zeros(n);
     }
-    // Numbers near the largest there are may have none.
+    // The decomposition may fail for values near the largest floating-point number.
     let svd = SVD::try_new(a, true, true, f64::EPSILON, MOST_SWEEPS * n);
     let Some(SVD { u: Some(u), v_t: Some(v_t), singular_values: sigma }) = &svd else {
         return DVector::zeros(n);
@@ -294,7 +297,7 @@ fn on_the_ball(a: DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> {
     };
     let mut part = at(0.0);
     if part.norm() > radius {
-        // 1 / |s| is nearly linear in the multiplier; Newton's method from below ends from below.
+        // 1 / |s| is nearly linear in the multiplier. Newton's method started from below stays below.
         let gradient = DVector::from_iterator(sigma.len(), sigma.iter().zip(c.iter()).map(|(s, c)| s * c));
         let (mut low, mut high) = (0.0f64, gradient.norm() / radius);
         let mut multiplier = 0.0;
@@ -326,8 +329,8 @@ fn on_the_ball(a: DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> {
     v_t.tr_mul(&part)
 }
 
-/// The point of a ball and a box where `|g s|` is largest: along `g` or against it, coordinates that reach
-/// their bounds set there. `other`: on the other side.
+/// Returns the point of a ball and a box that maximises `|g s|`. The point is along `g` or opposite to `g`,
+/// with coordinates that exceed their bounds fixed there. `other` selects the opposite side.
 pub(super) fn longest(g: &[f64], radius: f64, lower: &[f64], upper: &[f64], other: bool) -> Vec<f64> {
     let along = |sign: f64| {
         let mut step = vec![0.0; g.len()];

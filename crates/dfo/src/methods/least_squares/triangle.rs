@@ -1,18 +1,18 @@
-//! An upper triangular factor that rows are added to, and that follows a change of rank one (Golub and Van
-//! Loan, Matrix Computations, 4th edition, sections 5.2 and 6.5.1).
+//! An upper triangular factor with row additions and rank-one updates (Golub and Van Loan, Matrix
+//! Computations, 4th edition, sections 5.2 and 6.5.1).
 
 use super::points::{axpy, dot};
 use nalgebra::{DMatrix, DVector};
 
-/// Numbers of rows that are added at once: they fit into a cache.
+/// Number of matrix entries that are added at once. They fit into a cache.
 const AT_ONCE: usize = 1 << 15;
 
-/// Rows that are added at once.
+/// Returns the number of rows that are added at once.
 pub(super) fn rows_at_once(n: usize) -> usize {
     (AT_ONCE / (n + 1)).max(16)
 }
 
-/// A rotation of two numbers that makes the second zero, and the first.
+/// Returns the rotation that makes the second number zero, and the resulting first number.
 fn rotation(a: f64, b: f64) -> ((f64, f64), f64) {
     let length = a.hypot(b);
     if length > 0.0 { ((a / length, b / length), length) } else { ((1.0, 0.0), 0.0) }
@@ -30,21 +30,21 @@ impl Triangle {
         Self { factor: DMatrix::zeros(n, n), reached: DVector::zeros(n) }
     }
 
-    /// Adds rows of `J` and `r`: column by column, those of `J` first; they are overwritten.
+    /// Adds rows of `J` and `r`, given column by column with the columns of `J` first. Overwrites `block`.
     pub(super) fn absorb(&mut self, rows: usize, block: &mut [f64]) {
         let n = self.reached.len();
         for j in 0..n {
             let (head, tail) = block.split_at_mut((j + 1) * rows);
             let column = &head[j * rows..];
             let (pivot, below) = (self.factor[(j, j)], dot(column, column));
-            // Rows that depend on those before leave rounding, which leaves rounding of itself in the next column, down to
-            // numbers that have no reciprocal.
+            // Dependent rows leave rounding errors. The next columns contain rounding errors of these, down
+            // to numbers without a reciprocal.
             if below < f64::MIN_POSITIVE {
                 continue;
             }
             let length = (pivot * pivot + below).sqrt();
             let end = if pivot > 0.0 { -length } else { length };
-            // Householder's vector is the column with this number above it.
+            // The Householder vector is the column with this number above it.
             let first = pivot - end;
             let factor = 2.0 / (first * first + below);
             self.factor[(j, j)] = end;
@@ -57,8 +57,8 @@ impl Triangle {
         }
     }
 
-    /// Becomes the factor of `J + e g'` and `r + gamma e`: `e = Q w + rho q` with a direction `q` outside of
-    /// `Q`, along which `r` has the part `tau`.
+    /// Updates the factor to that of `J + e g'` and `r + gamma e`. The vector is `e = Q w + rho q`, with a
+    /// direction `q` outside the range of `Q`. The component of `r` along `q` is `tau`.
     pub(super) fn change(&mut self, w: &[f64], rho: f64, tau: f64, g: &[f64], gamma: f64) {
         let n = w.len();
         let mut up = vec![(1.0, 0.0); n];
@@ -94,7 +94,7 @@ impl Triangle {
     }
 }
 
-/// The smallest and the largest number on the diagonal, by size.
+/// Returns the smallest and the largest absolute value on the diagonal.
 pub(super) fn diagonal(r: &DMatrix<f64>) -> (f64, f64) {
     (0..r.ncols()).map(|k| r[(k, k)].abs()).fold((f64::INFINITY, 0.0), |(l, m), d| (d.min(l), d.max(m)))
 }
@@ -103,7 +103,7 @@ fn column(r: &DMatrix<f64>, j: usize) -> &[f64] {
     &r.as_slice()[j * r.nrows()..j * r.nrows() + j]
 }
 
-/// Solves `R x = b` in place; a diagonal smaller than `least` counts as that.
+/// Solves `R x = b` in place. Diagonal entries with an absolute value below `least` are replaced by `least`.
 pub(super) fn solve(r: &DMatrix<f64>, x: &mut [f64], least: f64) {
     for j in (0..x.len()).rev() {
         let d = r[(j, j)];
@@ -113,7 +113,7 @@ pub(super) fn solve(r: &DMatrix<f64>, x: &mut [f64], least: f64) {
     }
 }
 
-/// The same for `R' x = b`.
+/// Solves `R' x = b` in place, with the same treatment of the diagonal as [`solve`].
 pub(super) fn solve_transposed(r: &DMatrix<f64>, x: &mut [f64], least: f64) {
     for j in 0..x.len() {
         let d = r[(j, j)];
@@ -122,12 +122,12 @@ pub(super) fn solve_transposed(r: &DMatrix<f64>, x: &mut [f64], least: f64) {
     }
 }
 
-/// `R' x`.
+/// Returns `R' x`.
 pub(super) fn times_transposed(r: &DMatrix<f64>, x: &[f64]) -> Vec<f64> {
     (0..x.len()).map(|j| dot(column(r, j), &x[..j]) + r[(j, j)] * x[j]).collect()
 }
 
-/// `y += R x`.
+/// Computes `y += R x`.
 pub(super) fn add_product(r: &DMatrix<f64>, x: &[f64], y: &mut [f64]) {
     for (j, share) in x.iter().enumerate() {
         axpy(*share, column(r, j), &mut y[..j]);
@@ -135,8 +135,8 @@ pub(super) fn add_product(r: &DMatrix<f64>, x: &[f64], y: &mut [f64]) {
     }
 }
 
-/// A triangular matrix without the columns that are not listed, turned until it is triangular; and what is
-/// reached.
+/// Returns the triangular matrix with only the columns in `kept`, rotated to a triangle again, and the
+/// rotated right-hand side.
 pub(super) fn without(
     a: &DMatrix<f64>,
     kept: &[usize],
@@ -176,7 +176,7 @@ mod tests {
         ((k * 7919 + 13) % 1009) as f64 / 1009.0 - 0.5
     }
 
-    /// `|R s + c|^2` and `|J s + r|^2` differ by a constant.
+    /// Checks that `|R s + c|^2` and `|J s + r|^2` differ by a constant.
     fn compare(triangle: &Triangle, j: &DMatrix<f64>, r: &DVector<f64>) {
         let n = j.ncols();
         let gap = |k: usize| {
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_are_added_and_changes_of_rank_one_followed() {
+    fn triangle_follows_row_additions_and_rank_one_changes() {
         let (m, n) = (23, 5);
         let mut j = DMatrix::from_fn(m, n, |i, k| dice(31 * i + 7 * k));
         let mut r = DVector::from_fn(m, |i, _| dice(5 * i + 3));
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn blocks_of_few_rows_leave_no_rounding_of_rounding() {
+    fn triangle_stays_finite_when_blocks_have_few_rows() {
         let (m, n, rows) = (80, 60, 2);
         for turn in 0..10 {
             let j = DMatrix::from_fn(m, n, |i, k| dice(31 * i + 7 * k * k + 1001 * turn));
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn triangles_are_solved() {
+    fn solve_inverts_triangle_and_transpose() {
         let r = DMatrix::from_row_slice(3, 3, &[2.0, 1.0, -1.0, 0.0, 3.0, 0.5, 0.0, 0.0, 4.0]);
         let x = [1.0, -2.0, 0.5];
         let (mut b, mut t) = (&r * DVector::from_row_slice(&x), r.tr_mul(&DVector::from_row_slice(&x)));

@@ -1,5 +1,5 @@
-//! Steps on interpolation models: the next points from the model, and radius, resolution and set from what
-//! they gave.
+//! Steps on interpolation models: the choice of the next points, and the updates of radius, resolution and
+//! set.
 
 use super::interpolation::{Interpolation, NewPoint, Place, combine};
 use super::points::{Evaluated, Selection, difference, distance, dot, norm, sum};
@@ -12,59 +12,62 @@ use crate::outcome::termination::Termination;
 use base::RunContext;
 use std::borrow::Cow;
 
-/// A radius below this cannot be resolved.
+/// Minimum radius that can be resolved.
 const SMALLEST: f64 = 1e-15;
-/// A sum of squares below this share of the first one is zero (the default `model.rel_tol` of DFO-LS: Cartis,
+/// Relative sum of squares below which it counts as zero (the default `model.rel_tol` of DFO-LS: Cartis,
 /// Fiala, Marteau and Roberts 2019, section 4).
 const ZERO: f64 = 1e-20;
-/// Turns without a point to ask for: the resolution has come to its end long before.
+/// Maximum number of turns without a requested point. The resolution normally reaches its limit long before.
 const MOST_TURNS: usize = 200;
-/// Number of times that a direction that the set lacks is requested around one point.
+/// Maximum number of requests for missing directions around one point.
 const MOST_TRIES: u32 = 8;
 /// Rounds of trial points, so many times n + 1, in which a search that has come below the x test's limit goes
 /// on by less than the tolerances: residuals that change on a finer scale than that keep the f test from
 /// passing.
 const MOST_HALTED: usize = 10;
-/// A radius that failures have made smaller than this is not made smaller any more: a simplex goes on.
+/// Minimum radius after failures. Below this radius, a simplex search continues.
 const STUCK: f64 = 1e-4;
-/// Points that failed keep steps away so far from them, in units of the trust region's radius.
+/// Distance within which failed points affect steps, in units of the trust-region radius.
 const NEAR: f64 = 4.0;
-/// Curvature across the plane to failed points, in units of the largest of the model.
+/// Curvature across the plane to failed points, in units of the largest curvature of the model.
 const AVOIDANCE: f64 = 100.0;
-/// Of two steps that failed the later one is so much shorter at least, points of the set included; the model
-/// of smooth residuals is then nearer to them by the square of that, and what is not nearer by this factor at
-/// least is noise.
+/// Two failed steps indicate noise in the following case. The later step, including the points of the set, is
+/// shorter by at least the factor `NEARER`. The misfit of the model has not decreased below the factor
+/// `SMALLER`. For smooth residuals, the misfit decreases with the square of the length.
 const NEARER: f64 = 0.25;
 const SMALLER: f64 = 0.5;
-/// So often in a row.
+/// Number of consecutive indications that trigger a probe.
 const MOST_NOISY: usize = 2;
-/// A change of the residuals next to a point, in units of the distance from the model, that is noise.
+/// Change of the residuals next to a point, relative to the misfit of the model, that counts as noise.
 const JUMP: f64 = 0.03;
-/// Where the sum of squares has fallen to 1e-20 of the first one on the way to a root of multiplicity p, the
-/// model's step is 10^(-10/p) / p of the way that is behind: for no p more than 1 / (10 e ln 10). A longer
-/// one leads on to a minimum at infinity.
+/// Maximum step of a search that converges to a root, as a fraction of the distance from the start. At a root
+/// of multiplicity p, the step of the model is 10^(-10/p) / p of this distance after the sum of squares has
+/// fallen to 1e-20 of its first value. For any p, this is at most 1 / (10 e ln 10). A longer step leads to a
+/// minimum at infinity.
 const ONWARD: f64 = 0.016;
-/// Where the sum does not fall to zero that is looked at so far from the start, in units of the first radius.
+/// Minimum distance from the start at which a minimum at infinity is considered if the sum of squares does
+/// not fall to zero. In units of the first radius.
 const FAR: f64 = 100.0;
-/// A value so many times larger than the start, or than one, has run away: bounds as far count as none, too
-/// (`problem/space`).
+/// Ratio to the start value, or to one, above which a value counts as diverged. Bounds at this distance count
+/// as absent (`problem/space`).
 const RUN_AWAY: f64 = 1e10;
-/// Radii of the trial points of a round, in units of the trust region's, the most promising first.
+/// Radii of the trial points of a round, in units of the trust-region radius, most promising first.
 const RADII: [f64; 4] = [1.0, 0.3, 3.0, 0.1];
-/// Distance of the neighbours of a round's first trial point from it, in units of the step.
+/// Distance of the neighbours of a round's first trial point from this point, in units of the step.
 const NEIGHBOUR: f64 = 0.1;
 
-/// A point as the tests see it.
+/// Results of the tests at a point.
 struct Judged {
     tests: ToleranceTests,
-    /// Failed points keep the search from a decrease.
+    /// Failed points prevent a decrease.
     is_kept_off: bool,
-    /// The minimum lies at infinity.
+    /// The minimum is at infinity.
     recedes: bool,
 }
 
 impl LeastSquaresState {
-    /// The model around a point of the set. Along directions that no point tells of it is constant.
+    /// Returns the model around a point of the set. The model is constant along directions not covered by the
+    /// points.
     fn interpolation(
         &self,
         base: usize,
@@ -88,9 +91,9 @@ impl LeastSquaresState {
         Interpolation::new(&all, place, context)
     }
 
-    /// The residuals of a point as a loss counts them next to the base: linear there, so that what bends
-    /// within the set is the model alone. Between points whose residuals differ by the scale of the loss, its
-    /// own bends would hide the slope of the cost.
+    /// Returns the residuals of a point, with the loss linearised at the base. Within the set, only the model
+    /// is then curved. Otherwise the curvature of the loss would hide the slope of the cost between points
+    /// whose residuals differ by the scale of the loss.
     pub(super) fn residuals_near(&self, base: usize, point: usize) -> Cow<'_, [f64]> {
         let (loss, own) = (&self.setup.loss, &self.points[point].residuals);
         let n = own.len();
@@ -105,14 +108,14 @@ impl LeastSquaresState {
         self.points[base].residuals.iter().zip(own).enumerate().map(counted).collect()
     }
 
-    /// Makes the set from a point and those nearest to it.
+    /// Sets the set to a point and its nearest independent points.
     pub(super) fn choose_set(&mut self, base: usize) {
         let selection = Selection::nearest(&self.points, &self.points[base].z, self.n());
         self.set = std::iter::once(base).chain(selection.chosen).collect();
         self.model = None;
     }
 
-    /// The same around the best point of the set and of a round.
+    /// Sets the set around the best point of the set and of a round.
     fn choose_set_from(&mut self, round: &[Candidate]) {
         let new = round.iter().filter_map(|candidate| match candidate.known {
             PointStatus::Point(k) => Some(k),
@@ -123,7 +126,7 @@ impl LeastSquaresState {
         }
     }
 
-    /// The point of the set that lies farthest from the base, and its distance.
+    /// Returns the point of the set that is farthest from the base, and its distance.
     fn farthest(&self, base: usize) -> (usize, f64) {
         let far = |k: usize| (k, distance(&self.points[k].z, &self.points[base].z));
         self.set
@@ -132,9 +135,9 @@ impl LeastSquaresState {
             .fold((base, 0.0), |far, other| if other.1 > far.1 { other } else { far })
     }
 
-    /// Fills the round, or ends; where it is cancelled, it has done neither and can be called again.
+    /// Fills the round, or ends. If cancelled, does neither and can be called again.
     pub(super) fn descend(&mut self, context: &RunContext<'_>) -> Result<(), Cancelled> {
-        // Each turn without a point shrinks the resolution, or takes a point out of the set.
+        // Each turn without a point shrinks the resolution or removes a point from the set.
         for turn in 0.. {
             if !self.round.is_empty() || !matches!(self.phase, Phase::Descending) {
                 break;
@@ -156,7 +159,7 @@ impl LeastSquaresState {
             let model = self.model_at(base, context)?;
             let improving = self.improving.take();
             let Some(model) = model else {
-                // In a plane up to rounding: a direction is made anew.
+                // The points are in a plane up to rounding, so replace one direction.
                 let (farthest, _) = self.farthest(base);
                 if farthest == base || self.delta < SMALLEST {
                     self.phase = Phase::Ended(Termination::Collapsed);
@@ -179,11 +182,12 @@ impl LeastSquaresState {
             let Judged { tests, is_kept_off, recedes } =
                 self.judge_step(base, &model.linear, (length, predicted), &lower, &upper);
             self.tests = Some(tests);
-            // What rounding makes of a sum of squares, and what is nothing next to the tolerance: a direction without effect
-            // would be followed for ever.
+            // Decreases due to rounding of the sum of squares, or negligible compared with the tolerance.
+            // Otherwise a direction without effect would be followed forever.
             let rounding = 4.0 * self.points[base].residuals.len() as f64 * f64::EPSILON * f;
             let nothing = rounding.max(1e-7 * tests.f_limit);
-            // Equal residuals at all points are no minimum where others are known: a simplex looks beyond them.
+            // Equal residuals at all points are not a minimum if other residuals are known. A simplex search
+            // continues beyond them.
             let is_plateau = tests.passed && self.is_plateau(base, predicted);
             if tests.passed && recedes {
                 self.phase = Phase::Ended(Termination::Unbounded);
@@ -218,7 +222,7 @@ impl LeastSquaresState {
         Ok(())
     }
 
-    /// Ends where the cost is zero: the points need not make a model any more.
+    /// Ends the run after the cost has become zero. The points do not need to determine a model.
     fn end_at_zero(&mut self, base: usize, context: &RunContext<'_>) -> Result<(), Cancelled> {
         let f = self.points[base].cost;
         self.tests = Some(self.judge(self.rho, f, f));
@@ -228,7 +232,8 @@ impl LeastSquaresState {
         Ok(())
     }
 
-    /// The model that was kept, based at this point, or a new one: with a loss always that.
+    /// Returns the stored model, relative to this point, or a new one. With a loss, always returns a new
+    /// model.
     fn model_at(
         &mut self,
         base: usize,
@@ -243,7 +248,7 @@ impl LeastSquaresState {
         Ok(Some(model))
     }
 
-    /// The tests at a point, whose best step has this length and decreases the cost by so much.
+    /// Applies the tests at a point. `step` contains the length and the predicted decrease of its best step.
     fn judge_step(
         &self,
         base: usize,
@@ -261,7 +266,7 @@ impl LeastSquaresState {
         }
         let (mut is_kept_off, mut recedes) = (false, false);
         if tests.passed && (length >= 0.9 * self.delta || !self.failed.is_empty()) {
-            // What the radius and failed points keep away counts, too.
+            // Include decreases prevented by the radius and by failed points.
             let radius = self.options.radius.max(self.delta);
             tests = self.judge(self.rho, self.best_step(z, linear, radius, lower, upper).1, f);
             recedes = tests.passed && self.recedes(base, linear, FAR);
@@ -274,16 +279,16 @@ impl LeastSquaresState {
         Judged { tests, is_kept_off, recedes }
     }
 
-    /// Shrinks the radius or the resolution where nothing is to be gained, or asks for a point that makes the
-    /// model better. `x_size`: how far the minimum may be.
+    /// Shrinks the radius or the resolution if no decrease is possible, or requests a point that improves the
+    /// model. `x_size` is the maximum distance of the minimum.
     fn shrink_or_improve(&mut self, base: usize, model: &Interpolation, x_size: f64) {
         if x_size < 0.1 * self.rho {
-            // The model is nearer to the residuals than this resolution asks for.
+            // The model is more accurate than this resolution requires.
             self.refine(x_size);
             return;
         }
         self.n_geometry += 1;
-        // Nothing to gain at this resolution, if the model is right.
+        // If the model is correct, no decrease is possible at this resolution.
         self.delta = self.rho.max(0.1 * self.delta);
         if self.delta <= 1.5 * self.rho {
             self.delta = self.rho;
@@ -297,10 +302,10 @@ impl LeastSquaresState {
         }
     }
 
-    /// True if residuals that are the same at several points, and not at all, keep the model from any
-    /// decrease: at least half of those that change anywhere do not within the set (rounded ones jump
-    /// instead, which makes a model of the jumps of the others), or all are the same at a point that is too
-    /// far away for the x test.
+    /// True if residuals that are constant at several points, but not at all points, prevent a decrease. In
+    /// the first case, at least half of the residuals that change anywhere are constant within the set.
+    /// Rounded residuals jump instead, so the model represents only the jumps of the others. In the second
+    /// case, no decrease is predicted and all residuals are the same at a point too far away for the x test.
     fn is_plateau(&self, base: usize, predicted: f64) -> bool {
         let Evaluated { z, residuals, .. } = &self.points[base];
         let is_same = |k: usize, i: usize| self.points[k].residuals[i] == residuals[i];
@@ -315,8 +320,8 @@ impl LeastSquaresState {
                 && self.points.iter().any(|point| point.residuals == *residuals && is_far(point))
     }
 
-    /// True if the search has come so far from the start, in units of the first radius, and the minimum of
-    /// the model lies farther away in the same direction than that of any root would (see [`ONWARD`]).
+    /// True if the search has moved at least `far` first radii from the start, and the minimum of the model
+    /// is farther away in the same direction than for any root (see [`ONWARD`]).
     fn recedes(&self, base: usize, linear: &Linear, far: f64) -> bool {
         let z = &self.points[base].z;
         let (lower, upper) = self.space_around(z);
@@ -326,7 +331,8 @@ impl LeastSquaresState {
         way >= far * self.options.radius && along >= 0.99 * ONWARD * way
     }
 
-    /// Bound on the distance of the minimum from the base, and on the decrease of the cost up to it.
+    /// Returns a bound on the distance of the minimum from the base, and on the decrease of the cost up to
+    /// the minimum.
     fn uncertainty(&self, base: usize, linear: &Linear, length: f64, predicted: f64) -> (f64, f64) {
         let coarse = (self.rho, predicted);
         let Some(curvature) = self.curvature.filter(|_| self.set.len() == self.n() + 1) else {
@@ -334,18 +340,19 @@ impl LeastSquaresState {
         };
         let sigma = smallest_singular_value(&linear.factor);
         let (_, far) = self.farthest(base);
-        // The Jacobian is wrong by the curvature times the size of the set, the gradient by that times the residuals.
+        // The error of the Jacobian is the curvature times the size of the set. The error of the gradient is
+        // this error times the residuals.
         let gradient = curvature * far * self.points[base].cost.sqrt() / sigma;
         let x_size = length + gradient / sigma;
         if x_size < self.rho { (x_size, predicted + gradient * gradient) } else { coarse }
     }
 
-    /// More points for a round around its first trial point: other radii, and neighbours of it.
+    /// Adds points to a round around its first trial point: trial points at other radii, and neighbours.
     fn widen(&mut self, z: &[f64], step: &[f64], linear: &Linear, more: usize) {
         let (lower, upper) = self.space_around(z);
         let (n, length) = (self.n(), norm(step));
         let centre = self.round[0].z.clone();
-        // As many radii as leave a neighbour along each coordinate, if that is possible.
+        // Choose the number of radii such that a neighbour along each coordinate remains, if possible.
         let n_radii = if more >= n { (more - n).min(RADII.len() - 1) } else { more / 3 };
         let unit = if length < 0.99 * self.delta { length } else { self.delta };
         for radius in RADII[1..=n_radii].iter().map(|share| share * unit) {
@@ -365,7 +372,7 @@ impl LeastSquaresState {
         }
     }
 
-    /// A direction at a length, on the side where the box has space for it.
+    /// Returns a step along a direction with the given length, on the side with more space in the box.
     pub(super) fn fitted(&self, z: &[f64], direction: &[f64], length: f64) -> Vec<f64> {
         let (lower, upper) = self.space_around(z);
         let along = |sign: f64| {
@@ -376,14 +383,14 @@ impl LeastSquaresState {
         if norm(&back) > norm(&forth) { back } else { forth }
     }
 
-    /// Asks for points along the directions that the set does not tell of.
+    /// Requests points along the directions not covered by the set.
     fn complete(&mut self, base: usize) {
         let z = self.points[base].z.clone();
         let others = self.set.iter().filter(|k| **k != base).map(|k| difference(&self.points[*k].z, &z));
         let others: Vec<Vec<f64>> = others.collect();
         let tries = if self.completed.0 == base { self.completed.1 } else { 0 };
         for direction in Selection::of(others.iter().map(|v| &v[..])).missing(self.n()) {
-            // The other side in turn, and nearer.
+            // Alternate between both sides, with decreasing distance.
             let sign = if tries % 2 == 0 { 1.0 } else { -1.0 };
             let v = self.fitted(&z, &direction, sign * self.delta * 0.5f64.powi((tries / 2) as i32));
             self.ask_for(sum(&z, &v), Role::Near);
@@ -391,16 +398,16 @@ impl LeastSquaresState {
         self.completed = (base, tries + 1);
     }
 
-    /// True if the cost differs by no more than its rounding over all the resolution, and the model promises
-    /// no more farther away.
+    /// True if the cost differs only by rounding over the whole resolution, and the model predicts no larger
+    /// decrease farther away.
     fn is_flat(&self, z: &[f64], linear: &Linear, rounding: f64, lower: &[f64], upper: &[f64]) -> bool {
         linear.factor.norm_squared() * self.rho * self.rho <= rounding
             && self.best_step(z, linear, self.options.radius.max(self.delta), lower, upper).1 <= rounding
     }
 
-    /// A smaller resolution: a tenth, or the distance at which the minimum may lie where that is less; near
-    /// the x test's limit that is reached without a short last stage (Powell's rule in BOBYQA: report
-    /// DAMTP 2009/NA06, section 6).
+    /// Reduces the resolution to a tenth, or to the maximum distance of the minimum if smaller. Near the
+    /// limit of the x test, the reductions avoid a short last stage (Powell's rule in BOBYQA: report DAMTP
+    /// 2009/NA06, section 6).
     fn refine(&mut self, x_size: f64) {
         self.n_geometry = 0;
         self.delta = 0.5 * self.rho;
@@ -414,7 +421,7 @@ impl LeastSquaresState {
         self.delta = self.delta.max(self.rho);
     }
 
-    /// Replaces a point that lies too far away by one that tells more.
+    /// Requests a more informative point to replace a point that is too far away.
     fn improve(&mut self, base: usize, model: &Interpolation, point: usize, distance: f64) {
         let radius = (0.1 * distance).min(0.5 * self.delta).max(self.rho);
         let z = self.points[base].z.clone();
@@ -544,7 +551,7 @@ impl LeastSquaresState {
             } else if is_far && self.set.len() == self.n() + 1 {
                 self.improving = Some(point);
             } else if self.delta <= self.rho {
-                // The model has got a new point; where that helps nothing for long, the resolution is the cause.
+                // The model has a new point. If new points do not help for long, the resolution is the cause.
                 self.n_geometry += 1;
                 if (length <= self.rho && ratio < 1e-3) || self.n_geometry > 2 * (self.n() + 1) {
                     self.refine(self.rho);
@@ -553,7 +560,7 @@ impl LeastSquaresState {
         }
     }
 
-    /// Notes whether the search, whose best point this is, goes on by more than the tolerances.
+    /// Records whether the search makes more progress than the tolerances. `best` is its best point.
     pub(super) fn look_for_progress(&mut self, best: usize) {
         let Evaluated { z, cost, .. } = &self.points[best];
         let (limit, cost) = (self.judge(0.0, 0.0, *cost).f_limit, *cost);
@@ -565,20 +572,20 @@ impl LeastSquaresState {
         };
     }
 
-    /// The end in noise, or that of parameters that have gone so far that their rounding may be what looks
-    /// like it.
+    /// Returns the termination in noise. If parameters have diverged so far that their rounding may look like
+    /// noise, returns the unbounded termination.
     pub(super) fn end_in_noise(&self, point: usize) -> Termination {
         let space = &self.setup.space;
         let is_far = |i: &usize| self.points[point].x[*i].abs() > RUN_AWAY * space.x0()[*i].abs().max(1.0);
         if space.free().iter().any(is_far) { Termination::Unbounded } else { Termination::Noise }
     }
 
-    /// True if it has not gone on in so many rounds for each parameter and one more.
+    /// True if the search has made no progress in `most` rounds for each parameter and one more.
     pub(super) fn is_halted(&self, most: usize) -> bool {
         self.halt.as_ref().is_some_and(|halt| halt.n_rounds > most * (self.n() + 1))
     }
 
-    /// Asks for a point next to the base, so near that smooth residuals hardly change.
+    /// Requests a point so near to the base that smooth residuals hardly change.
     fn probe(&mut self, misfit: f64, size: f64) {
         let base = self.base();
         let z = self.points[base].z.clone();
@@ -587,7 +594,7 @@ impl LeastSquaresState {
         self.ask_for(sum(&z, &step), Role::Probe { misfit });
     }
 
-    /// Differences between the residuals at a new point and those of the model.
+    /// Returns the differences between the residuals at a new point and the model.
     fn misfit(&self, base: usize, new: usize, lagrange: &[f64]) -> Vec<f64> {
         let base = &self.points[base].residuals;
         let mut rest = difference(&self.points[new].residuals, base);
@@ -599,8 +606,9 @@ impl LeastSquaresState {
         self.set.iter().map(|k| &self.points[*k].residuals[..]).collect()
     }
 
-    /// Takes a new point into the model; false where it is not accurate any more. `values`: the step to it
-    /// from the base point, those of the Lagrange polynomials, and how far it is off the model.
+    /// Updates the model with a new point. Returns false if the model is no longer accurate. The arguments
+    /// are the step from the base point, the values of the Lagrange polynomials, and the misfit at the new
+    /// point.
     fn follow(
         &self,
         model: &mut Interpolation,
@@ -615,8 +623,8 @@ impl LeastSquaresState {
         model.exchange(place, &new, &self.residuals_of_set(), is_better)
     }
 
-    /// The place of the point that a new one takes: one that lies far away, or that the new one tells most
-    /// of.
+    /// Returns the index in the set of the point that a new one replaces: a distant point, or a point whose
+    /// position the new one largely covers.
     fn replaced(&self, base: usize, new: usize, lagrange: &[f64]) -> Option<usize> {
         let better = self.points[new].cost < self.points[base].cost;
         let from = if better { new } else { base };
@@ -629,8 +637,8 @@ impl LeastSquaresState {
         (most.1 > 0.0).then_some(most.0)
     }
 
-    /// The model's best step from `z`, and the decrease that it predicts: on the side of the points with
-    /// residuals, where points around have failed.
+    /// Returns the best step of the model from `z`, and the predicted decrease. If nearby points have failed,
+    /// the step stays on the side of the points with residuals.
     fn best_step(
         &self,
         z: &[f64],
@@ -653,7 +661,7 @@ impl LeastSquaresState {
         else {
             return best;
         };
-        // Steps beyond the plane are made costly: those that remain lead along it.
+        // Steps beyond the plane become costly, so that the remaining steps follow the plane.
         let steep = linear.factor.tr_mul(&linear.reached).norm() / radius;
         let weight = (AVOIDANCE * linear.factor.norm_squared().max(steep)).sqrt();
         let row: Vec<f64> = normal.iter().map(|v| weight * v).collect();

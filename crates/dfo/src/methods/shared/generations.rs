@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 
 /// Rules specific to a method with generations.
 pub trait GenerationRules: Serialize + DeserializeOwned {
-    /// Name of the method.
+    /// Returns the name of the method.
     fn name(&self) -> &'static str;
 
     /// Creates the candidates of a generation, counted from 1.
@@ -118,7 +118,7 @@ pub struct Generations<B> {
     n_iterations: usize,
     tests: Option<ToleranceTests>,
     f_0: f64,
-    /// The tests that passed before the last restart; they hold while no better point is known.
+    /// The tests that passed before the last restart. They remain valid until a better point is found.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     passed: Option<ToleranceTests>,
 }
