@@ -103,8 +103,9 @@ impl Regression {
         Linear::turned(self.residuals(w), jacobian / self.length)
     }
 
-    /// Bound on the distance between the minimum of the cost and that of the model, which is at this
-    /// displacement, where noise hides the rise of the cost along the direction of least curvature.
+    /// Returns a bound on the distance between the minimum of the cost and the minimum of the model, which is
+    /// at `w`. Within this distance, noise hides the increase of the cost along the direction of least
+    /// curvature.
     pub(super) fn uncertainty(&self, w: &[f64]) -> f64 {
         let smallest = smallest_singular_value(&self.linear(w).factor);
         if smallest > 0.0 { self.excess.sqrt() / smallest } else { f64::INFINITY }

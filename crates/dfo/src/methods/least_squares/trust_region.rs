@@ -21,9 +21,9 @@ const ZERO: f64 = 1e-20;
 const MOST_TURNS: usize = 200;
 /// Maximum number of requests for missing directions around one point.
 const MOST_TRIES: u32 = 8;
-/// Rounds of trial points, so many times n + 1, in which a search that has come below the x test's limit goes
-/// on by less than the tolerances: residuals that change on a finer scale than that keep the f test from
-/// passing.
+/// Maximum number of rounds of trial points without progress, in units of n + 1. A round makes no progress if
+/// the changes are below the tolerances. The limit applies after the search has reached the limit of the x
+/// test. Residuals that change on a finer scale prevent the f test from passing.
 const MOST_HALTED: usize = 10;
 /// Minimum radius after failures. Below this radius, a simplex search continues.
 const STUCK: f64 = 1e-4;

@@ -1,32 +1,32 @@
-//! Selection of the points of a sample that start a search, and clustering of the ends of the searches into
+//! Selection of the sample points that start a search, and clustering of the results of the searches into
 //! minima.
 
 use crate::method_interface::interface::Optimum;
 use crate::methods::shared::ranked_points::RankedPoints;
 use crate::problem::space::Space;
 
-/// The share of the sample that is looked at (gamma), and sigma of the critical distance: Rinnooy Kan and
-/// Timmer's.
+/// Fraction of the sample that is considered (gamma), and sigma of the critical distance, from Rinnooy Kan
+/// and Timmer.
 const LOOKED_AT: f64 = 0.2;
 const SIGMA: f64 = 4.0;
 
-/// Ends that differ by less than this share of the box in every parameter are one minimum.
+/// Results that differ by less than this fraction of the box in every parameter are one minimum.
 const SAME: f64 = 5e-3;
 
-/// Number of points of a sample that are considered.
+/// Returns the number of points of a sample that are considered.
 pub(super) fn n_looked_at(sample: usize) -> usize {
     ((LOOKED_AT * sample as f64).ceil() as usize).clamp(1, sample.max(1))
 }
 
-/// The critical distance for so many points in `n` dimensions, in units of the box.
+/// Returns the critical distance for a sample size in `n` dimensions, in units of the box.
 pub(super) fn critical_distance(n: usize, sample: usize) -> f64 {
     let (n, count) = (n.max(1) as f64, sample.max(2) as f64);
-    // By logarithms, for the gamma function overflows.
+    // Use logarithms, because the gamma function overflows.
     let volume = ln_gamma(1.0 + 0.5 * n) + (SIGMA * count.ln() / count).ln();
     (volume / n).exp() / std::f64::consts::PI.sqrt()
 }
 
-/// ln Gamma of a positive multiple of one half.
+/// Returns ln Gamma of a positive multiple of one half.
 fn ln_gamma(x: f64) -> f64 {
     let mut at = if x.fract() == 0.0 { 1.0 } else { 0.5 };
     let mut value = if at == 0.5 { 0.5 * std::f64::consts::PI.ln() } else { 0.0 };
@@ -37,14 +37,14 @@ fn ln_gamma(x: f64) -> f64 {
     value
 }
 
-/// The distance of two points in units of the box.
+/// Returns the distance between two points in units of the box.
 fn distance(space: &Space, u: &[f64], v: &[f64]) -> f64 {
     let share = |(k, (u, v)): (usize, (&f64, &f64))| ((u - v) / space.width(k).unwrap_or(1.0)).powi(2);
     u.iter().zip(v).enumerate().map(share).sum::<f64>().sqrt()
 }
 
-/// The points that start a search: among the best fifth and not yet used, none better within the critical
-/// distance. Needs up-to-date ranks.
+/// Returns the points that start a search. These are the unused points among the best fifth without a better
+/// point within the critical distance. Requires up-to-date ranks.
 pub(super) fn starts(space: &Space, sample: &RankedPoints, used: &[bool]) -> Vec<usize> {
     let critical = critical_distance(space.n_free(), sample.len());
     let looked_at = &sample.order()[..n_looked_at(sample.len())];
@@ -56,11 +56,11 @@ pub(super) fn starts(space: &Space, sample: &RankedPoints, used: &[bool]) -> Vec
     (0..looked_at.len()).filter(|&rank| is_start(rank)).map(|rank| looked_at[rank]).collect()
 }
 
-/// Starts that test whether clusters have one minimum each.
+/// Number of starts that test whether each cluster has one minimum.
 const TESTS: usize = 3;
 
-/// Points that stand for a minimum without a search of their own, from the best to the worst of those looked
-/// at. Needs up-to-date ranks.
+/// Returns points that represent a minimum without a separate search, from the best to the worst considered
+/// point. Requires up-to-date ranks.
 pub(super) fn tests(sample: &RankedPoints, used: &[bool]) -> Vec<usize> {
     let looked_at = sample.order()[..n_looked_at(sample.len())].iter().copied();
     let left: Vec<usize> =
@@ -69,7 +69,7 @@ pub(super) fn tests(sample: &RankedPoints, used: &[bool]) -> Vec<usize> {
     (0..n).map(|k| left[k * (left.len() - 1) / (n - 1).max(1)]).collect()
 }
 
-/// Enters the end of a search into the list of minima, the best first.
+/// Adds the result of a search to the list of minima, best first.
 pub(super) fn enter(space: &Space, minima: &mut Vec<Optimum>, found: Optimum) {
     let (mut u, mut v) = (vec![0.0; space.n_free()], vec![0.0; space.n_free()]);
     space.to_working(&found.x, &mut u);
@@ -87,7 +87,7 @@ pub(super) fn enter(space: &Space, minima: &mut Vec<Optimum>, found: Optimum) {
     minima.sort_by(|a, b| a.cost.total_cmp(&b.cost));
 }
 
-/// True if less than half a minimum is missing after so many trials, see the [module](super).
+/// True if less than half a minimum is missing after the given number of trials, see the [module](super).
 pub(super) fn are_probably_all(minima: usize, trials: usize) -> bool {
     let (w, t) = (minima as f64, trials as f64);
     t > w + 2.0 && w * (t - 1.0) / (t - w - 2.0) < w + 0.5
@@ -98,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_critical_distance_is_that_of_the_formula() {
+    fn critical_distance_matches_the_formula() {
         // n = 2: (sigma ln N / (pi N))^(1/2); n = 3: Gamma(5/2) = 3 sqrt(pi) / 4.
         let expected = (4.0 * 100f64.ln() / (std::f64::consts::PI * 100.0)).sqrt();
         assert!((critical_distance(2, 100) / expected - 1.0).abs() < 1e-12);
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn the_expected_number_of_minima_ends_the_search() {
+    fn minima_are_complete_when_expected_number_is_reached() {
         // One minimum in 8 trials: 7 / 5 < 1.5; in 7: 6 / 4 = 1.5.
         assert!(are_probably_all(1, 8) && !are_probably_all(1, 7) && !are_probably_all(5, 7));
     }

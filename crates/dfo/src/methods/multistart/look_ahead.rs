@@ -1,4 +1,4 @@
-//! The points that the searches may need next, from copies of them that run ahead of the path.
+//! Points that the searches may need next, from copies of the searches that run ahead of the path.
 
 use super::speculative_searches::SpeculativeSearches;
 use super::state::{MultistartState, SIDE_BY_SIDE, Search};
@@ -7,7 +7,8 @@ use crate::outcome::answer::Want;
 use crate::problem::objective::Query;
 
 impl MultistartState {
-    /// Copies of the searches that run and of the next in the queue go as far as the answers reach.
+    /// Advances copies of the running searches and of the next ones in the queue as far as answers are
+    /// available.
     pub(super) fn look_ahead(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
         let want = if self.options.needs_residuals() { Want::Residuals } else { Want::Cost };
         let at = |asked: &Batch, k: usize| {
@@ -32,9 +33,10 @@ impl MultistartState {
             }
             self.ahead.push(ahead);
         }
-        // The first search after an exploration may need the rest of the budget: then no other is certain.
-        // It shares the workers with those that run side by side once it has ended: Nelder-Mead gains nothing past four
-        // of them (benches/scaling.md), and the more of these there are, the fewer of them the budget reaches.
+        // The first search after an exploration may need the rest of the budget, so no other search is
+        // certain. After it has ended, parallel searches will share the workers with it. Nelder-Mead gains
+        // nothing beyond four workers (benches/scaling.md). With more parallel searches, the budget reaches
+        // fewer of them.
         let is_alone = self.needs_the_rest();
         let n_next = if is_alone { self.core.queue.len().min(SIDE_BY_SIDE) } else { 0 };
         let share = (wanted / 2).div_ceil(1 + n_next);
@@ -42,7 +44,7 @@ impl MultistartState {
             batch.all_certain();
             self.guess(share, known, batch);
         }
-        // The next in the queue, unless the budget ends before.
+        // Next searches in the queue, unless the budget ends before.
         let mut budget = self.core.setup.max_evaluations.map_or(usize::MAX, |most| {
             most.saturating_sub(self.core.n_points as usize + self.asked.len() + n_ahead)
         });
@@ -78,8 +80,8 @@ impl MultistartState {
         }
     }
 
-    /// Points that the searches may need that are the least ahead, the same number for each: the path waits
-    /// for these next.
+    /// Adds points that the least advanced searches may need, the same number for each search. The path waits
+    /// for these searches next.
     fn guess(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
         let Self { searches, ahead, .. } = self;
         let is_under_way =
@@ -92,7 +94,7 @@ impl MultistartState {
         last.into_iter().for_each(|ahead| ahead.method.speculate(share, known, batch));
     }
 
-    /// The copy of a search that is under way, as it is, or a new one.
+    /// Returns the stored copy of a running search, or a new copy.
     fn take_ahead(&mut self, j: usize) -> Option<SpeculativeSearches> {
         let Search { start, method, .. } = &self.searches[j];
         if let Some(place) = self.ahead.iter().position(|ahead| ahead.start == *start) {

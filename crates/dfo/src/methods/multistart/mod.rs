@@ -1,32 +1,33 @@
-//! Local searches from several starts in a box: a sample of the box, clustering, and a search from the best
-//! point of each cluster (multi-level single linkage: Rinnooy Kan and Timmer, Math. Program. 39, 1987, 57),
-//! under one budget.
+//! Local searches from several starts in a box. The method samples the box, clusters the sample, and starts a
+//! search from the best point of each cluster, within one budget (multi-level single linkage: Rinnooy Kan and
+//! Timmer, Math. Program. 39, 1987, 57).
 //!
-//! An iteration of the algorithm samples `N` further points. Of all `kN` points so far the best fifth is
-//! looked at, the best first. A point starts a search unless a better one lies within the critical distance
-//! `r_k = pi^(-1/2) (Gamma(1 + n/2) sigma ln(kN) / (kN))^(1/n)`, sigma = 4, in units of the box (their
-//! equation 7): then both are taken for one cluster, and one search is enough. Start points that the user
-//! gave are always searched from, first. Several searches run side by side, and their points are one batch.
-//! Once the first has ended and fewer run than may, the next sample is part of that batch where it is needed
-//! whatever these searches find.
+//! Each iteration of the algorithm adds `N` points to the sample. The best fifth of all `kN` points is
+//! considered, best first. A point starts a search unless a better point is within the critical distance `r_k
+//! = pi^(-1/2) (Gamma(1 + n/2) sigma ln(kN) / (kN))^(1/n)`, sigma = 4, in units of the box (their equation
+//! 7). Points within this distance count as one cluster, for which one search is enough. Start points given
+//! by the user always start a search, before all others. Several searches run in parallel, and their points
+//! form one batch. After the first search has ended, fewer searches than allowed may be running. Then the
+//! batch also contains the next sample, if this sample is needed regardless of the results.
 //!
-//! The search ends when the minima found are probably all there are: with `w` of them in `t` trials the
-//! expected number is `w (t - 1) / (t - w - 2)` (Boender and Rinnooy Kan, Math. Program. 37, 1987, 59), and
-//! less than half a minimum is missing. Every point looked at counts as a trial, for it stands for the search
-//! of its cluster. Before the end searches from three such points test that: where one of them ends in
-//! another minimum, a cluster has several, and only searches count from then on.
+//! The search ends if probably all minima have been found. With `w` minima in `t` trials, the expected number
+//! of minima is `w (t - 1) / (t - w - 2)` (Boender and Rinnooy Kan, Math. Program. 37, 1987, 59). The search
+//! ends if less than half a minimum is missing. Every considered point counts as a trial, because it
+//! represents the search of its cluster. Before the end, searches from three such points test this
+//! assumption. If one of them ends in another minimum, a cluster contains several minima, and only searches
+//! count from then on.
 //!
-//! For costs without residuals, part of the budget goes to differential evolution before (`exploration`):
-//! what it finds is the first start, and its first population is the first sample.
+//! For costs without residuals, a part of the budget is first used for differential evolution
+//! (`exploration`). Its result is the first start, and its first population is the first sample.
 //!
-//! The path goes through the searches in turn, a batch of each at a time. A search whose answers have come
-//! does not wait for the others: a copy of it goes on ahead of the path, and so do the next searches in the
-//! queue where there are workers for them. What they evaluate is what the path comes to, unless the run ends
-//! before; so the number of workers changes nothing.
+//! The path processes the searches in turn, one batch of each at a time. A search whose answers are available
+//! does not wait for the others. A copy of the search continues ahead of the path. If workers are idle, the
+//! next searches in the queue also start. The path later requests the points that these copies evaluate,
+//! unless the run ends before. Therefore the number of workers does not change the result.
 //!
-//! Where the evaluations are limited, sample and searches side by side take at most half of them before the
-//! first local search has ended; the others wait from then on. So a problem with one minimum is solved where
-//! its local search needs less than the other half.
+//! If the number of evaluations is limited, the sample and the parallel searches use at most half of them
+//! before the first local search has ended. The other searches wait after that. A problem with one minimum is
+//! thus solved if its local search needs less than the other half.
 
 mod clusters;
 mod look_ahead;
@@ -80,8 +81,9 @@ impl MethodOptions for Multistart {
         option_texts::fields(self)
     }
 
-    /// The exploration is planned with the budget, and until the first search has ended the others have half
-    /// of it: a run that is continued with another limit would have taken another path.
+    /// Returns true if the exploration or the parallel searches are planned with the budget. Until the first
+    /// search has ended, the others have half of the budget. A run continued with another limit would differ
+    /// from a run with this limit.
     fn plans_with_budget(&self) -> bool {
         let explores = self.exploration.map_or(self.polish != Polish::LeastSquares, |share| share > 0.0);
         explores || self.side_by_side != Some(1)
@@ -91,7 +93,7 @@ impl MethodOptions for Multistart {
         (Some(1000usize.saturating_mul(n + 1)), None)
     }
 
-    /// A search asks for its start once more.
+    /// Caches points, because a search requests its start again.
     fn default_cache(&self) -> usize {
         1000
     }

@@ -1,4 +1,4 @@
-//! Options of a search from several starts.
+//! Options of multistart.
 
 use crate::error::Error;
 use crate::method_interface::interface::{Method, MethodOptions, Setup};
@@ -9,7 +9,7 @@ use crate::methods::least_squares::LeastSquares;
 use crate::methods::nelder_mead::NelderMead;
 use serde::{Deserialize, Serialize};
 
-/// The method of the local searches.
+/// Method of the local searches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
@@ -22,17 +22,17 @@ pub enum Polish {
     LeastSquares,
     /// [`NelderMead`].
     NelderMead,
-    /// [`CmaEs`], from a tenth of the sizes of the parameters.
+    /// [`CmaEs`], with an initial standard deviation of a tenth of the parameter sizes.
     CmaEs,
 }
 
-/// Up to so many free parameters Nelder-Mead polishes, and half of the budget explores; above, CMA-ES
-/// polishes, and three tenths explore. The even BBOB functions of `benches/dfo` have chosen this: of shares
-/// 0.3, 0.5, 0.7 with either method, solved within 1000 n evaluations n = 2: 100 %, n = 5: 89 %, n = 10: 83
-/// %.
+/// Maximum number of free parameters for which Nelder-Mead polishes and half of the budget explores. With
+/// more parameters, CMA-ES polishes and three tenths explore. Tuned on the even-numbered BBOB functions of
+/// `benches/dfo`, with shares 0.3, 0.5 and 0.7 and both methods. Solved within 1000 n evaluations: n = 2: 100
+/// %, n = 5: 89 %, n = 10: 83 %.
 const FEW: usize = 5;
 
-/// Options of the search from several starts.
+/// Options of multistart, a search from several starts.
 ///
 /// ```
 /// use dfo::{Multistart, minimize};
@@ -49,34 +49,33 @@ const FEW: usize = 5;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct Multistart {
-    /// Points of a sample (`N`); default 10 per parameter, at least 20.
+    /// Number of points per sample (`N`); default 10 per parameter, at least 20.
     pub sample: Option<usize>,
-    /// Distribution of the sample over the box; default a Sobol sequence, a Latin hypercube above 40
-    /// parameters.
+    /// Sampling method in the box; default a Sobol sequence, or a Latin hypercube above 40 parameters.
     pub sampling: Option<Sampling>,
-    /// The method of the local searches.
+    /// Method of the local searches.
     pub polish: Polish,
     /// Local searches that run at once, their points in one batch; default 4, and 1 after an exploration
     /// until that search has ended. Part of the path: it does not follow the workers. Until the first of them
     /// has ended, the others have at most half of a limit of evaluations.
     pub side_by_side: Option<usize>,
-    /// Most local searches; default no limit but the budget.
+    /// Maximum number of local searches; by default limited only by the budget.
     pub max_starts: Option<usize>,
-    /// Share of the budget for differential evolution before the local searches, from 0 to below 1; default 0
-    /// with least squares, else 0.5 for up to five free parameters and 0.3 for more. Nothing where there is
-    /// no limit of evaluations.
+    /// Fraction of the budget for differential evolution before the local searches, at least 0 and below 1.
+    /// Default 0 with least squares, otherwise 0.5 for up to five free parameters and 0.3 for more. Zero if
+    /// the number of evaluations is not limited.
     pub exploration: Option<f64>,
 }
 
 impl Multistart {
-    /// Sets the points of a sample.
+    /// Sets the number of points per sample.
     #[must_use]
     pub fn sample(mut self, points: usize) -> Self {
         self.sample = Some(points);
         self
     }
 
-    /// Sets how they are spread over the box.
+    /// Sets the sampling method in the box.
     #[must_use]
     pub fn sampling(mut self, sampling: Sampling) -> Self {
         self.sampling = Some(sampling);
@@ -90,21 +89,21 @@ impl Multistart {
         self
     }
 
-    /// Sets how many local searches run at once.
+    /// Sets the number of local searches that run in parallel.
     #[must_use]
     pub fn side_by_side(mut self, searches: usize) -> Self {
         self.side_by_side = Some(searches);
         self
     }
 
-    /// Sets the most local searches.
+    /// Sets the maximum number of local searches.
     #[must_use]
     pub fn max_starts(mut self, starts: usize) -> Self {
         self.max_starts = Some(starts);
         self
     }
 
-    /// Sets the share of the budget for differential evolution.
+    /// Sets the fraction of the budget for differential evolution.
     #[must_use]
     pub fn exploration(mut self, share: f64) -> Self {
         self.exploration = Some(share);
@@ -123,12 +122,12 @@ impl Multistart {
         }
     }
 
-    /// Points of a sample for so many free parameters.
+    /// Returns the number of points per sample for `n` free parameters.
     pub(super) fn sample_of(&self, n: usize) -> usize {
         if n == 0 { 1 } else { self.sample.unwrap_or(n.saturating_mul(10).max(20)) }
     }
 
-    /// The share of the exploration for so many free parameters.
+    /// Returns the fraction of the budget for the exploration with `n` free parameters.
     pub(super) fn exploration_of(&self, n: usize) -> f64 {
         let default = match self.polish {
             Polish::LeastSquares => 0.0,
@@ -142,7 +141,7 @@ impl Multistart {
         self.sampling.unwrap_or(if n > 40 { Sampling::LatinHypercube } else { Sampling::Sobol })
     }
 
-    /// The local search from the start point of a problem; continued from a state where there is one.
+    /// Returns the local search from the start point of a setup, or restores it from a state.
     pub(super) fn search(
         &self,
         setup: &Setup,
@@ -157,7 +156,7 @@ impl Multistart {
         }
     }
 
-    /// The exploration with so many evaluations; continued from a state where there is one.
+    /// Returns the exploration with the given number of evaluations, or restores it from a state.
     pub(super) fn explore(
         &self,
         setup: &Setup,

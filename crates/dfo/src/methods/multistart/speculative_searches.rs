@@ -1,27 +1,28 @@
-//! Searches that run ahead of the path. The path goes through all searches in turn, a batch of each at a
-//! time; a search whose answers have come need not wait for the others: a copy of it asks for what the path
-//! will come to.
+//! Copies of searches that run ahead of the path.
+//!
+//! The path processes all searches in turn, one batch of each at a time. A search whose answers are available
+//! does not need to wait for the others. Its copy requests the points that the path will need later.
 
 use crate::method_interface::interface::{Batch, Method, Status};
 use crate::outcome::answer::{Answer, Answers};
 use std::collections::VecDeque;
 
-/// Batches that a search may be ahead of the path.
+/// Maximum number of batches by which a copy may be ahead of the path.
 const MOST_BATCHES: usize = 500;
 
-/// A copy of a search that is ahead of it, or of one that is to start.
+/// A copy that is ahead of a running search, or of a search that has not started.
 pub(super) struct SpeculativeSearches {
     pub(super) start: Vec<f64>,
     pub(super) method: Box<dyn Method + Send>,
-    /// What it asks for.
+    /// Points requested by the copy.
     pub(super) asked: Batch,
-    /// What it has been told and its search has not.
+    /// Answers processed by the copy but not yet by the search.
     told: VecDeque<Answers>,
     is_over: bool,
 }
 
 impl SpeculativeSearches {
-    /// A copy of the search from this point.
+    /// Creates a copy of the search from this point.
     pub(super) fn new(start: Vec<f64>, method: Box<dyn Method + Send>) -> Self {
         let mut ahead = Self { start, method, asked: Batch::new(), told: VecDeque::new(), is_over: false };
         ahead.ask();
@@ -41,17 +42,18 @@ impl SpeculativeSearches {
         is_told
     }
 
-    /// Whether it has gone farther than its search.
+    /// True if the copy is ahead of its search.
     pub(super) fn is_ahead(&self) -> bool {
         !self.told.is_empty()
     }
 
-    /// Evaluations that it is ahead of its search.
+    /// Returns the number of evaluations by which the copy is ahead of its search.
     pub(super) fn n_ahead(&self) -> usize {
         self.told.iter().map(Answers::len).sum()
     }
 
-    /// Its search is told this. Whether this is still the way that the search goes.
+    /// Follows the search, which has processed `answers`. Returns true if the copy is still on the path of
+    /// the search.
     pub(super) fn follow(&mut self, answers: &Answers) -> bool {
         match self.told.pop_front() {
             Some(before) => before == *answers,
@@ -59,8 +61,8 @@ impl SpeculativeSearches {
         }
     }
 
-    /// Goes on while all `answers` to what it asks for are there, by its batch, the place in it, and whether
-    /// its search asks the same.
+    /// Advances the copy while all answers to its requests are available. The arguments of `answer` are the
+    /// batch, the index in the batch, and whether the search requests the same batch.
     pub(super) fn advance(&mut self, answer: &dyn Fn(&Batch, usize, bool) -> Option<Answer>) {
         while !self.is_over && self.told.len() < MOST_BATCHES {
             let mut answers = Answers::default();
@@ -77,7 +79,7 @@ impl SpeculativeSearches {
         }
     }
 
-    /// The points that it asks for, with their cutoffs.
+    /// Returns the requested points with their cutoffs.
     pub(super) fn points(&self) -> impl Iterator<Item = (&[f64], f64)> {
         let len = if self.is_over { 0 } else { self.asked.len() };
         (0..len).map(|k| (self.asked.point(k), self.asked.cutoff(k)))

@@ -1,4 +1,4 @@
-//! The state machine: sampling, exploration, and several local searches side by side.
+//! State machine of multistart: sampling, exploration, and several parallel local searches.
 
 use super::clusters;
 use super::options::Multistart;
@@ -22,31 +22,32 @@ use base::RunContext;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Local searches at once. With four, two workers are busy even where one search waits for the next sample.
-/// Eight or sixteen take more of the budget from each other than they gain: of six functions with 20 seeds
-/// and 10 000 evaluations (n = 10, no exploration) four solve 54 of 120, eight and sixteen 40.
+/// Number of parallel local searches. With four, two workers are busy even if one search waits for the next
+/// sample. With eight or sixteen, the searches lose more of the budget to each other than they gain. On six
+/// functions with 20 seeds and 10 000 evaluations (n = 10, no exploration), four solve 54 of 120, eight and
+/// sixteen solve 40.
 pub(super) const SIDE_BY_SIDE: usize = 4;
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 enum Phase {
     /// Points of the sample are being evaluated.
     Sampling,
-    /// Differential evolution is under way.
+    /// Differential evolution is running.
     Exploring,
-    /// Local searches are under way, and perhaps points of the next sample.
+    /// Local searches are running, possibly with points of the next sample.
     Searching,
     NoStart,
     Ended(Termination),
 }
 
-/// All but the methods inside.
+/// State except the inner methods.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Core {
     pub(super) setup: Setup,
     seed: u64,
     phase: Phase,
     sample: RankedPoints,
-    /// The points of the sample that a search has started from.
+    /// True for points of the sample from which a search has started.
     used: Vec<bool>,
     rounds: PendingGeneration,
     /// Points that searches are still to start from.
@@ -55,17 +56,18 @@ pub(super) struct Core {
     n_planned: usize,
     n_explored: usize,
     n_starts: usize,
-    /// Starts that test whether a cluster has one minimum, and whether one of them has ended in another one.
+    /// Number of starts that test whether a cluster has one minimum, and whether one of them has ended in
+    /// another minimum.
     #[serde(default)]
     n_tests_of_clusters: usize,
     #[serde(default)]
     clusters_are_split: bool,
-    /// Points of all but the first local search.
+    /// Number of points outside the first local search.
     #[serde(default)]
     n_elsewhere: usize,
     minima: Vec<Optimum>,
     best: Best,
-    /// The end, the tests and the derivatives of the search that ended at the best minimum.
+    /// Termination, tests and derivatives of the search that ended at the best minimum.
     #[serde(default)]
     end: Option<Termination>,
     tests: Option<ToleranceTests>,
@@ -77,29 +79,29 @@ pub(super) struct Core {
 }
 
 impl Core {
-    /// True if the minima found are probably all there are.
+    /// True if probably all minima have been found.
     fn has_all_minima(&self) -> bool {
         let n_looked_at = clusters::n_looked_at(self.sample.len());
         let n_trials = if self.clusters_are_split { self.n_starts } else { n_looked_at };
         clusters::are_probably_all(self.minima.len(), n_trials)
     }
 
-    /// True if the search that ended at the best minimum has converged: where the cost is zero the x test
-    /// need not pass.
+    /// True if the search that ended at the best minimum has converged. If the cost is zero, the x test does
+    /// not need to pass.
     fn has_converged(&self) -> bool {
         self.end == Some(Termination::Converged) || self.tests.is_some_and(|tests| tests.passed)
     }
 }
 
-/// A local search that is under way.
+/// A running local search.
 pub(super) struct Search {
     pub(super) start: Vec<f64>,
     pub(super) method: Box<dyn Method + Send>,
-    /// Its points in the last batch.
+    /// Points of the search in the last batch.
     pub(super) asked: Batch,
 }
 
-/// The whole as it is stored: the methods inside by their own states.
+/// Stored form, with the inner methods as separate states.
 #[derive(Serialize, Deserialize)]
 struct Stored<C> {
     core: C,
@@ -107,14 +109,14 @@ struct Stored<C> {
     searches: Vec<(Vec<f64>, Vec<u8>)>,
 }
 
-/// A running search from several starts; made by [`Multistart`].
+/// A running search from several starts, created by [`Multistart`].
 pub struct MultistartState {
     pub(super) options: Multistart,
     pub(super) core: Core,
     exploration: Option<Box<dyn Method + Send>>,
     pub(super) searches: Vec<Search>,
     pub(super) ahead: Vec<SpeculativeSearches>,
-    /// What was asked last, all searches together; empty while nothing is.
+    /// The last requested batch of all searches; empty if no points are pending.
     pub(super) asked: Batch,
     told: Answers,
 }
@@ -213,13 +215,13 @@ impl MultistartState {
         Ok(whole)
     }
 
-    /// The points of the next sample; those there are stay.
+    /// Adds the points of the next sample. Existing points stay.
     fn enlarge(&mut self) -> Result<(), Error> {
         let Core { setup, seed, sample, used, .. } = &mut self.core;
         let (space, n) = (&setup.space, setup.space.n_free());
         let (before, more) = (sample.len(), self.options.sample_of(n));
         let sampling = self.options.sampling_of(n);
-        // A sequence goes on where it ended; what is no sequence is drawn anew.
+        // A Sobol sequence continues where it ended. Other samples are drawn with a new seed.
         let (skipped, seed) = match sampling {
             Sampling::Sobol => (before, *seed),
             _ => (0, seed.wrapping_add(before as u64)),
@@ -235,7 +237,7 @@ impl MultistartState {
         Ok(())
     }
 
-    /// The problem of a search from a point, with random numbers of its own.
+    /// Returns the setup of a search from a point, with a separate seed.
     pub(super) fn setup_at(&self, start: &[f64]) -> Setup {
         let Core { setup, seed, .. } = &self.core;
         let space = setup.space.starting_at(start);
@@ -243,14 +245,14 @@ impl MultistartState {
         Setup { space, seed, start_given: true, prior: Vec::new(), ..setup.clone() }
     }
 
-    /// A search from a point; continued from a state where there is one.
+    /// Adds a search from a point, or restores it from a state.
     fn add(&mut self, start: Vec<f64>, state: Option<&[u8]>) -> Result<(), Error> {
         let method = self.options.search(&self.setup_at(&start), state)?;
         self.searches.push(Search { start, method, asked: Batch::new() });
         Ok(())
     }
 
-    /// The sample is known.
+    /// Processes a sample after all its points are known.
     fn sampled(&mut self) -> Result<(), Error> {
         let Core { setup, sample, used, queue, phase, operation, n_starts, .. } = &mut self.core;
         sample.rank();
@@ -280,7 +282,7 @@ impl MultistartState {
         self.next()
     }
 
-    /// Starts searches, or goes on to the next sample, or ends.
+    /// Starts searches, continues with the next sample, or ends.
     fn next(&mut self) -> Result<(), Error> {
         while self.searches.len() < self.at_once() && !self.core.queue.is_empty() {
             let start = self.core.queue.remove(0);
@@ -289,10 +291,11 @@ impl MultistartState {
         }
         let Core { sample, n_starts, .. } = &self.core;
         let most_starts = self.options.max_starts.unwrap_or(usize::MAX);
-        // More minima only make it less probable that these are all.
+        // Finding more minima only makes it less probable that these are all.
         let is_last = self.core.has_all_minima() || *n_starts >= most_starts || sample.len() >= MAX_MEMBERS;
         if !self.searches.is_empty() {
-            // The next sample, so that there are as many searches again before the last of these has ended.
+            // Request the next sample early, so that enough searches are available before the last current
+            // one has ended.
             let has_room = self.first_has_ended() && self.searches.len() < self.at_once();
             if has_room && !is_last && !sample.is_pending() {
                 self.enlarge()?;
@@ -316,8 +319,8 @@ impl MultistartState {
         Ok(())
     }
 
-    /// Queues starts that test the clusters, once: points that stand for a minimum because a better one lies
-    /// near. True if there are any.
+    /// Queues starts that test the clusters, once per run. These are points that represent a minimum because
+    /// a better point is near. Returns true if there are any.
     fn test_clusters(&mut self, most_starts: usize) -> bool {
         let Core { sample, used, queue, n_starts, n_tests_of_clusters, .. } = &mut self.core;
         if *n_tests_of_clusters > 0 {
@@ -335,18 +338,18 @@ impl MultistartState {
         self.core.n_starts > self.searches.len()
     }
 
-    /// Number of searches that run at once: after an exploration the first runs alone, on what is left of the
-    /// budget.
+    /// Returns the number of searches that run in parallel. After an exploration, the first search runs alone
+    /// on the remaining budget.
     fn at_once(&self) -> usize {
         self.options.side_by_side.unwrap_or(if self.needs_the_rest() { 1 } else { SIDE_BY_SIDE })
     }
 
-    /// Whether the first search after an exploration is under way.
+    /// True if the first search after an exploration is running.
     pub(super) fn needs_the_rest(&self) -> bool {
         self.core.n_planned > 0 && !self.first_has_ended()
     }
 
-    /// Takes the answers to the points of the exploration.
+    /// Processes the answers to the points of the exploration.
     fn explored(&mut self, answers: &Answers) -> Result<(), Error> {
         let Some(exploration) = &mut self.exploration else { return Ok(()) };
         exploration.tell(answers)?;
@@ -369,7 +372,7 @@ impl MultistartState {
         }
         match status {
             Status::NoStart => core.phase = Phase::NoStart,
-            // Without its first population there is no sample.
+            // The sample requires the first population.
             Status::Running if core.n_explored < core.n_planned || core.operation.is_none() => {}
             _ => {
                 core.queue.extend(core.best.get().map(|(x, _)| x.to_vec()));
@@ -380,7 +383,7 @@ impl MultistartState {
         Ok(())
     }
 
-    /// Takes the answers to the points of the searches.
+    /// Processes the answers to the points of the searches.
     fn searched(&mut self, answers: &Answers) -> Result<(), Error> {
         let mut first = 0;
         for search in &mut self.searches {
@@ -397,7 +400,7 @@ impl MultistartState {
         }
         self.core.operation = Some(Operation::LocalSearches);
         if self.core.sample.is_pending() {
-            // The points that follow are those of the next sample.
+            // The remaining points belong to the next sample.
             self.told.clear();
             for k in first..answers.len() {
                 self.told.push(answers.outcomes()[k].clone(), answers.residuals(k).unwrap_or_default());
@@ -409,7 +412,7 @@ impl MultistartState {
         self.retire()
     }
 
-    /// Enters the searches that have ended, and goes on to the next.
+    /// Records the ended searches, and continues with the next ones.
     fn retire(&mut self) -> Result<(), Error> {
         let (core, before) = (&mut self.core, self.searches.len());
         let n_minima = core.minima.len();
@@ -437,8 +440,8 @@ impl MultistartState {
         if self.searches.len() < before { self.next() } else { Ok(()) }
     }
 
-    /// Until the first local search has ended, all else has at most half of the budget: where the points of
-    /// the other searches would be more, these wait.
+    /// Delays the other searches if their points exceed half of the budget before the first local search has
+    /// ended.
     fn leave_half_to_the_first(&mut self) {
         let Core { n_elsewhere, setup, .. } = &self.core;
         let Some(budget) = setup.max_evaluations.filter(|_| !self.first_has_ended()) else { return };
@@ -450,7 +453,7 @@ impl MultistartState {
         }
     }
 
-    /// Asks the searches; a method may find out that it has ended when it is asked.
+    /// Requests the points of the searches. A method may detect its end only when it is asked.
     fn ask_searches(&mut self) {
         loop {
             for search in &mut self.searches {
@@ -461,7 +464,7 @@ impl MultistartState {
                 return;
             }
             if self.retire().is_err() {
-                // What could be started once can be started again.
+                // A search that has started once can start again, so this error is not expected.
                 self.core.phase = Phase::Ended(Termination::Stalled);
             }
             if self.core.phase != Phase::Searching {
@@ -577,7 +580,7 @@ impl Method for MultistartState {
             n_iterations: core.n_iterations,
             operation: core.operation,
             tests: core.tests,
-            // Whether the best minimum is among those found is only known at the end of the method's own.
+            // The optimality of the best minimum is only known at the end of the method.
             settled: false,
             plan: "sample, then searches side by side",
             seed: Some(core.seed),

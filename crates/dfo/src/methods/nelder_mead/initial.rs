@@ -1,4 +1,4 @@
-//! The starting simplex: never flat, never outside of the box, wherever in the box the start point lies.
+//! Initial simplex: never flat and never outside the box, for any start point in the box.
 
 use super::options::InitialSimplex;
 use crate::error::Error;
@@ -8,12 +8,12 @@ use crate::methods::shared::size_search::{SizeFound, SizeSearch};
 use crate::problem::space::Space;
 use crate::values::choices::Transform;
 
-/// Side of the simplex as a fraction of the width of the box. With sides from 0.03 to 0.3 of it 124 to 126 of
-/// the 126 runs in boxes that tune (`benches/simplex.rs`) are solved, in 474 to 526 evaluations (median).
+/// Edge of the simplex as a fraction of the width of the box. With fractions from 0.03 to 0.3, 124 to 126 of
+/// the 126 tuning runs in boxes (`benches/simplex.rs`) are solved, in 474 to 526 evaluations (median).
 const BOX_FRACTION: f64 = 0.1;
-/// Side of the simplex without a box, in units of the size of the parameter.
+/// Edge of the simplex without a box, in units of the parameter size.
 const FREE_FRACTION: f64 = 0.3;
-/// Smallest pivot, relative to the largest entry of its edge, that still counts as a direction of its own.
+/// Minimum pivot of an independent direction, relative to the largest entry of its edge.
 const FLAT: f64 = 1e-10;
 
 pub(super) fn simplex(space: &Space, initial: &InitialSimplex) -> Result<RankedPoints, Error> {
@@ -39,17 +39,17 @@ pub(super) fn simplex(space: &Space, initial: &InitialSimplex) -> Result<RankedP
     }
 }
 
-/// True if no coordinate has a bound of any kind.
+/// True if no coordinate has a bound.
 fn is_open(space: &Space) -> bool {
     (0..space.n_free()).all(|k| space.is_open(k))
 }
 
-/// The start point and the other corners of a simplex that is regular, with edges `FREE_FRACTION` long, where
-/// each coordinate is measured in its size (Spendley, Hext and Himsworth, Technometrics 4, 1962). It points
-/// away from zero.
+/// Returns a regular simplex at the start point, with edges of length `FREE_FRACTION` if each coordinate is
+/// measured in its size (Spendley, Hext and Himsworth, Technometrics 4, 1962). The simplex points away from
+/// zero.
 ///
-/// Sizes from |x0| make the path independent of the units of the parameters. Of the fits that tune
-/// (`benches/simplex.rs`) 69 or 70 of 72 are solved for any fraction from 0.1 to 0.5; 0.3 takes the fewest
+/// Sizes from |x0| make the path independent of the units of the parameters. For any fraction from 0.1 to
+/// 0.5, 69 or 70 of the 72 tuning fits (`benches/simplex.rs`) are solved. The fraction 0.3 needs the fewest
 /// evaluations (194, median; the others 195 to 211).
 fn regular(space: &Space) -> RankedPoints {
     let n = space.n_free();
@@ -67,7 +67,7 @@ fn regular(space: &Space) -> RankedPoints {
             let moved = *u + if k + 1 == vertex { own } else { other } * outward(space, k);
             *u = if moved.is_finite() { moved } else { *u };
         }
-        // Next to a start that is huge the own step must still be seen.
+        // At a huge start value, the step must still change the value.
         if u[vertex - 1] == start[vertex - 1] {
             u[vertex - 1] = stepped(
                 start[vertex - 1],
@@ -81,8 +81,8 @@ fn regular(space: &Space) -> RankedPoints {
     simplex
 }
 
-/// The size of coordinate `k`, signed so that a step leads away from zero: that of `-x` is the step of `x`
-/// mirrored.
+/// Returns the size of coordinate `k`, signed such that a step leads away from zero. The step of `-x` is the
+/// mirrored step of `x`.
 fn outward(space: &Space, k: usize) -> f64 {
     let negative = space.transform(k) == Transform::Linear && space.x0()[space.free()[k]] < 0.0;
     if negative { -space.size(k) } else { space.size(k) }
@@ -93,8 +93,8 @@ fn default_steps(space: &Space) -> Vec<f64> {
     (0..space.n_free()).map(step).collect()
 }
 
-/// The point that a search for sizes started from, the steps that it found, and usual ones along the other
-/// axes. The space takes the sizes that were unknown.
+/// Returns a simplex from the base point of a size search, with the steps found by the search and default
+/// steps along the other axes. Sets the unknown sizes of the space.
 pub(super) fn around(space: &mut Space, search: &SizeSearch) -> RankedPoints {
     let found = search.found(space);
     for SizeFound { k, size, .. } in &found {
@@ -120,14 +120,14 @@ pub(super) fn around(space: &mut Space, search: &SizeSearch) -> RankedPoints {
     simplex
 }
 
-/// The start point and one step along each axis, away from a bound that is too near.
+/// Returns the start point and one step along each axis, directed away from a bound that is too near.
 fn from_steps(space: &Space, steps: &[f64]) -> RankedPoints {
     let n = space.n_free();
     let mut simplex = RankedPoints::new(space, n + 1);
     let mut start = vec![0.0; n];
     space.to_working(space.x0(), &mut start);
     let mut u = start.clone();
-    // The start point itself is evaluated exactly as given, whatever exp(ln x) makes of it.
+    // The start point itself is evaluated exactly as given, without the rounding of exp(ln x).
     simplex.set(0, &start, space.x0());
     let mut x = vec![0.0; space.n()];
     for (k, step) in steps.iter().enumerate() {
@@ -139,15 +139,15 @@ fn from_steps(space: &Space, steps: &[f64]) -> RankedPoints {
     simplex
 }
 
-/// `u + step` if that is in the bounds, else `u - step`, else the bound that is farther away; without two
-/// bounds the next that can be seen beside `u`.
+/// Returns `u + step` if it is within the bounds, otherwise `u - step`, otherwise the bound that is farther
+/// away. Without two bounds, returns the nearest value that differs from `u`.
 pub(super) fn stepped(u: f64, step: f64, bounds: (f64, f64)) -> f64 {
     let (lower, upper) = bounds;
     let good = |v: &f64| lower <= *v && *v <= upper && v.is_finite() && *v != u;
     if let Some(found) = [u + step, u - step].into_iter().find(good) {
         return found;
     }
-    // The step is wider than the room, or too small to be seen next to u.
+    // The step exceeds the available space, or is too small to change u.
     if lower.is_finite() && upper.is_finite() {
         return if u - lower > upper - u { lower } else { upper };
     }
@@ -193,7 +193,7 @@ fn from_vertices(space: &Space, vertices: &[Vec<f64>]) -> Result<RankedPoints, E
     Ok(simplex)
 }
 
-/// Number of dimensions spanned by the edges from vertex 0, each measured in the sizes of the parameters:
+/// Returns the number of dimensions spanned by the edges from vertex 0, measured in parameter sizes. Uses
 /// Gaussian elimination with complete pivoting.
 fn rank(space: &Space, simplex: &RankedPoints) -> usize {
     let n = space.n_free();
@@ -215,7 +215,7 @@ fn rank(space: &Space, simplex: &RankedPoints) -> usize {
                 }
             }
         }
-        // Written this way round so that NaN counts as flat.
+        // This form of the comparison counts NaN as flat.
         let large_enough = edges[pivot.0][pivot.1].abs() > FLAT;
         if !large_enough {
             return step;
@@ -245,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn every_corner_of_a_box_is_a_good_start() {
+    fn simplex_is_valid_when_start_is_a_corner_of_the_box() {
         let (lower, upper) = ([0.0, -3.0, 1e-9], [1.0, 5.0, 1e-6]);
         let bounds = Bounds::new(&lower, &upper).unwrap();
         for corner in 0..8 {
@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_box_each_side_follows_its_parameter() {
+    fn simplex_edges_follow_parameter_sizes_without_a_box() {
         for (x0, sizes, nominal) in [
             (vec![3.0, -4e6], vec![3.0, 4e6], vec![]),
             (vec![1e-6, 0.0, 20.0], vec![1e-6, 1.0, 20.0], vec![]),
@@ -280,7 +280,7 @@ mod tests {
                     assert!((distance - 0.3).abs() < 1e-9, "{a:?} {b:?}: {distance}");
                 }
             }
-            // Away from zero.
+            // All vertices are at least as far from zero as the start.
             assert!(vertices.iter().all(|v| v.iter().zip(&x0).all(|(v, x)| v.abs() >= x.abs())));
         }
         let half = Bounds::new(&[f64::NEG_INFINITY, 0.0], &[f64::INFINITY; 2]).unwrap();
@@ -291,14 +291,14 @@ mod tests {
     }
 
     #[test]
-    fn one_sided_bounds_turn_the_step_inward() {
+    fn simplex_points_inward_when_start_is_on_a_one_sided_bound() {
         let bounds = Bounds::new(&[f64::NEG_INFINITY], &[2.0]).unwrap();
         let space = Space::new(&[2.0], bounds, &[], &[]).unwrap();
         assert_eq!(vertices(&space), [vec![2.0], vec![1.4]]);
     }
 
     #[test]
-    fn steps_too_wide_or_too_small_still_make_a_simplex() {
+    fn stepped_returns_another_value_when_step_is_too_wide_or_too_small() {
         assert_eq!(stepped(0.4, 5.0, (0.0, 1.0)), 1.0);
         assert_eq!(stepped(0.6, 5.0, (0.0, 1.0)), 0.0);
         assert!(stepped(1e20, 1.0, (f64::NEG_INFINITY, f64::INFINITY)) > 1e20);
@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn given_vertices_are_checked() {
+    fn simplex_rejects_invalid_vertices() {
         let bounds = Bounds::new(&[0.0, 0.0], &[1.0, 1.0]).unwrap();
         let space = Space::new(&[0.5, 0.5], bounds, &[], &[]).unwrap();
         let build = |v: &[[f64; 2]]| {

@@ -1,5 +1,5 @@
-//! One iteration: which trial point is needed next, what the known ones decide, and what follows from a
-//! finished one.
+//! One iteration: the next required trial point, the decision from the known ones, and the end of the
+//! iteration.
 
 use super::initial;
 use super::restart;
@@ -12,11 +12,11 @@ use crate::methods::shared::cost::Cost;
 use crate::methods::shared::size_search::SizeSearch;
 use crate::outcome::termination::Termination;
 
-/// A simplex of this size cannot become much smaller but on one point.
+/// Size below which a simplex can only become much smaller by collapsing to a point.
 const RESOLVED: f64 = 1e-12;
 
 impl NelderMeadState {
-    /// Where an evaluation may stop without changing a decision.
+    /// Returns the cost at which an evaluation may stop without changing a decision.
     fn cutoff(&self, trial: Trial) -> f64 {
         let worst = self.worst_cost();
         match (trial, self.trials[Trial::Reflection as usize].seen) {
@@ -25,8 +25,8 @@ impl NelderMeadState {
         }
     }
 
-    /// The cost above which no point is accepted, now or in the iterations to come; infinite while the worst
-    /// vertex has failed.
+    /// Returns the cost above which no point is accepted in this or a later iteration. Infinite while the
+    /// worst vertex has failed.
     pub(super) fn worst_cost(&self) -> f64 {
         self.simplex.cost(self.simplex.worst()).value().unwrap_or(f64::INFINITY)
     }
@@ -49,7 +49,7 @@ impl NelderMeadState {
         self.roles.push(Role::Trial(trial));
     }
 
-    /// The cost of a trial point: `Ok(None)` if it is no candidate, `Err` if it is not known yet.
+    /// Returns the cost of a trial point, `Ok(None)` if it was rejected, or `Err` if it is not known yet.
     fn trial_cost(&self, trial: Trial) -> Result<Option<f64>, Trial> {
         match self.trials[trial as usize].seen {
             Seen::Unknown => Err(trial),
@@ -58,8 +58,8 @@ impl NelderMeadState {
         }
     }
 
-    /// The decision of an iteration (Lagarias et al. 1998, section 2, steps 2 to 5): the point to accept, or
-    /// none for a shrink. `Err`: this point is needed.
+    /// Returns the trial point to accept, or `None` for a shrink (Lagarias et al. 1998, section 2, steps 2 to
+    /// 5). `Err` contains the next required trial point.
     fn accepted_trial(&self) -> Result<Option<(Trial, f64)>, Trial> {
         let [best, second_worst, worst] =
             [self.simplex.best(), self.simplex.second_worst(), self.simplex.worst()]
@@ -83,7 +83,7 @@ impl NelderMeadState {
         Ok(inside.map(|c| (Trial::Inside, c)))
     }
 
-    /// Carries out what the trial points decide.
+    /// Applies the decision that follows from the trial points.
     pub(super) fn decide(&mut self) -> Result<Operation, Trial> {
         match self.accepted_trial()? {
             Some((trial, value)) => {
@@ -118,7 +118,8 @@ impl NelderMeadState {
         self.spreads.enter(&tests);
         let collapsed = self.simplex.is_collapsed(space);
         if tests.passed {
-            // All vertices on one point say nothing, unless they came there through simplices that were about as small.
+            // Vertices that all coincide are not evidence of convergence, unless the previous simplex was
+            // about as small.
             let came_there = before.is_some_and(|size| size <= (10.0 * tolerances.x_tol).max(RESOLVED));
             if x_size == 0.0 && !came_there {
                 self.end(Termination::Collapsed);
@@ -160,8 +161,8 @@ impl NelderMeadState {
         }
     }
 
-    /// Nothing lower was found: the end, or the check that this is so where points failed beside the best
-    /// one.
+    /// Ends the search without a lower cost. If points near the best one failed, first starts the check for a
+    /// lower cost between them.
     fn converged(&mut self, f_limit: f64) {
         let best = self.simplex.best();
         let point = (self.simplex.x(best), self.simplex.cost(best).value().unwrap_or(f64::NAN));
@@ -181,7 +182,7 @@ impl NelderMeadState {
         self.ended = Some(termination);
     }
 
-    /// A step in search of sizes, or the start point that they start from, is known.
+    /// Processes a step of a size search, or the start point of the search.
     pub(super) fn size_step_told(&mut self) {
         let space = &mut self.setup.space;
         match (&self.sizes, self.simplex.cost(0)) {
@@ -190,7 +191,7 @@ impl NelderMeadState {
                 self.sizes = Some(SizeSearch::from_start(space, self.simplex.x(0), f_0));
                 self.size_step_told();
             }
-            // Nothing to compare with.
+            // Without a cost at the start, no comparison is possible.
             (None, Cost::Failed) => self.phase = Phase::Starting,
             (Some(search), _) if !search.is_over() => {}
             (Some(search), _) => {
@@ -209,7 +210,7 @@ impl NelderMeadState {
         }
     }
 
-    /// All vertices asked for are known.
+    /// Continues after all requested vertices are known.
     pub(super) fn vertices_known(&mut self) {
         let phase = self.phase;
         self.simplex.sort();
@@ -227,7 +228,7 @@ impl NelderMeadState {
             self.phase = Phase::Done;
             return;
         }
-        // Steps in search of sizes may have come near to the minimum already.
+        // Steps of the size search may already have come near the minimum.
         let start = self.sizes.as_ref().map(|search| search.base().1.abs()).filter(|f| *f > 0.0);
         self.f_0 = self.f_0.max(start.unwrap_or_else(|| self.simplex.smallest_cost()));
         self.operation = Some(Operation::Initial);

@@ -1,45 +1,45 @@
-//! Bounded Nelder-Mead with batches: the n+1 vertices at once, a shrink at once, and the points of this
-//! iteration and the next ones ahead of need.
+//! Bounded Nelder-Mead with batches. The n+1 vertices form one batch, and so do the vertices of a shrink.
+//! Points of this iteration and of the next ones can be evaluated ahead of need.
 //!
-//! The rules are those of Lagarias, Reeds, Wright and Wright (SIAM J. Optim. 9, 1998, section 2), ties
-//! included: a vertex that comes later ranks behind older ones of the same cost. For five and more dimensions
-//! the coefficients are those of Gao and Han (Comput. Optim. Appl. 51, 2012). Bounds: see
+//! The rules are from Lagarias, Reeds, Wright and Wright (SIAM J. Optim. 9, 1998, section 2), including ties:
+//! a newer vertex ranks after older ones of equal cost. In five and more dimensions, the coefficients are
+//! from Gao and Han (Comput. Optim. Appl. 51, 2012). For bounds, see
 //! [`BoundsHandling`](crate::BoundsHandling).
 //!
-//! **Failures.** A failed vertex ranks behind every vertex with a cost; among failed ones the youngest ranks
-//! last. The last vertex is replaced as always, but the centroid is that of the finite ones among the other
-//! vertices (at least the best is finite). The centroid still lies in the plane through the vertices that
-//! stay, so the new simplex has volume whenever the old one had. A failed trial point is treated like one
-//! that is too bad.
+//! **Failures.** A failed vertex ranks after every vertex with a cost. Among failed vertices, the newest
+//! ranks last. The last vertex is replaced as always, but the centroid includes only the finite ones among
+//! the other vertices (at least the best is finite). The centroid is still in the plane through the remaining
+//! vertices, so the new simplex has volume whenever the old one had. A failed trial point is treated like a
+//! point with too high a cost.
 //!
-//! **Plans.** An iteration needs its points one after the other: the reflection, then perhaps one more. A
-//! plan says how many points are evaluated at once ([`Lookahead`]). The others are guessed: half of all
-//! iterations accept the reflection as it is, a quarter contract inside and a quarter try an expansion, so
-//! the most probable next point is the reflection of the next iteration. Every plan takes the same path: the
-//! method is told what it would have been told one point at a time.
+//! **Plans.** An iteration needs its points one after the other: the reflection, then possibly one more. A
+//! plan determines how many points are evaluated at once ([`Lookahead`]). The others are predicted: half of
+//! all iterations accept the reflection unchanged, a quarter contract inside, and a quarter try an expansion.
+//! The most probable next point is thus the reflection of the next iteration. Every plan follows the same
+//! path, because the method receives the same answers as with one point at a time.
 //!
-//! **Restarts.** When the tests pass although the simplex has become flat (as in McKinnon's example, SIAM J.
-//! Optim. 9, 1998), a new one with edges along the axes is built around its best vertex, each edge pointing
-//! to where the costs seen say that it goes down (Kelley, SIAM J. Optim. 10, 1999). The same where the
-//! simplex lies on a kink, on which it may collapse away from any minimum: there the costs of its vertices
-//! differ in proportion to its size, where they are smooth to the square of it. Of 250 piecewise linear
-//! functions of 2 to 6 parameters in rotated axes 97 % are solved then, 53 % without. A simplex that lies on
-//! a bound is left alone.
+//! **Restarts.** The tests may pass although the simplex has become flat (as in McKinnon's example, SIAM J.
+//! Optim. 9, 1998). Then a new simplex with edges along the axes is built around the best vertex. Each edge
+//! points in the direction in which the known costs decrease (Kelley, SIAM J. Optim. 10, 1999). The simplex
+//! is also rebuilt if it is on a kink, where it may collapse away from any minimum. At a kink, the costs of
+//! its vertices differ in proportion to its size; at smooth points, in proportion to the square of its size.
+//! Restarts solve 97 % of 250 piecewise linear functions of 2 to 6 parameters in rotated axes, compared with
+//! 53 % without restarts. A simplex on a bound is not rebuilt.
 //!
-//! Beside points that failed a simplex collapses, too: it is built anew as on a kink. When that gains
-//! nothing, CMA-ES looks for a lower cost between the points that failed (`failure_check.rs`); where it finds
-//! none the search has converged.
+//! A simplex also collapses next to failed points, and is rebuilt as on a kink. If this gains nothing, CMA-ES
+//! searches for a lower cost between the failed points (`failure_check.rs`). If CMA-ES finds none, the search
+//! has converged.
 //!
-//! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, says nothing
-//! about its magnitude. Before the first simplex is built each is moved alone, by steps of powers of ten, to
-//! where the cost is least along it. When the tests pass such steps are made once more from the best vertex;
-//! where one finds a lower cost, a new simplex is built from it.
+//! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, has unknown
+//! magnitude. Before the first simplex is built, each such parameter is varied alone, with steps of powers of
+//! ten, to the lowest cost along it. When the tests pass, these steps are repeated from the best vertex. If
+//! one finds a lower cost, a new simplex is built from it.
 //!
-//! **Cutoffs** (where they change no decision): reflection and inside contraction: the worst cost; expansion
-//! and outside contraction: the cost of the reflection. Ahead of need: the worst cost, for the expansion of
-//! this iteration the best. None while the worst vertex has failed, and none for starting and shrinking
-//! vertices. Steps that look for sizes: twice the cost they start from, or the lowest found along the
-//! parameter.
+//! **Cutoffs** (only if they do not change a decision): the worst cost for the reflection and the inside
+//! contraction, and the cost of the reflection for the expansion and the outside contraction. Points ahead of
+//! need use the worst cost, except the expansion of this iteration, which uses the best cost. There is no
+//! cutoff while the worst vertex has failed, and none for starting and shrinking vertices. Steps that search
+//! for sizes use twice the cost at their start, or the lowest cost found along the parameter.
 
 mod initial;
 mod iteration;
@@ -70,7 +70,7 @@ impl MethodOptions for NelderMead {
         setup.space.require_continuous("nelder-mead")?;
         let numbers = self.coefficients.resolve(setup.space.n_free())?;
         let (n, n_user) = (setup.space.n_free(), setup.space.n());
-        // The vertices on two scales, and those of a batch.
+        // Vertices on two scales, and the vertices of a batch.
         memory::check("a simplex of so many parameters", &[n + 1, n + 2 * n_user])?;
         let mut simplex = initial::simplex(&setup.space.without_far_bounds(), &self.initial)?;
         let setup = self.prepared(setup);

@@ -5,35 +5,36 @@ use crate::method_interface::interface::{Lookahead, Setup};
 use crate::values::choices::BoundsHandling;
 use serde::{Deserialize, Serialize};
 
-/// The coefficients of the simplex operations.
+/// Coefficients of the simplex operations.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Coefficients {
-    /// [`Standard`](Self::Standard) below five free parameters, [`Adaptive`](Self::Adaptive) from there on.
+    /// [`Standard`](Self::Standard) below five free parameters, [`Adaptive`](Self::Adaptive) for five and
+    /// more.
     #[default]
     Auto,
-    /// Reflection 1, expansion 2, contraction 1/2, shrink 1/2: those of Nelder and Mead (Comput. J. 7, 1965),
-    /// and of Table 1 of Gedda et al. (Modelica Conference 2012); Python's `fmin` takes them for any number
-    /// of parameters.
+    /// Reflection 1, expansion 2, contraction 1/2, shrink 1/2, from Nelder and Mead (Comput. J. 7, 1965) and
+    /// Table 1 of Gedda et al. (Modelica Conference 2012). Python's `fmin` uses them for any number of
+    /// parameters.
     Standard,
-    /// 1, 1 + 2/n, 3/4 - 1/(2n), 1 - 1/n: those of Gao and Han (Comput. Optim. Appl. 51, 2012).
+    /// 1, 1 + 2/n, 3/4 - 1/(2n), 1 - 1/n, from Gao and Han (Comput. Optim. Appl. 51, 2012).
     Adaptive,
-    /// The user's.
+    /// User-defined coefficients.
     Custom {
-        /// Positive.
+        /// Reflection coefficient; positive.
         reflection: f64,
-        /// Above 1 and above `reflection`.
+        /// Expansion coefficient; above 1 and above `reflection`.
         expansion: f64,
-        /// Between 0 and 1.
+        /// Contraction coefficient; between 0 and 1.
         contraction: f64,
-        /// Between 0 and 1.
+        /// Shrink coefficient; between 0 and 1.
         shrink: f64,
     },
 }
 
-/// Coefficients as numbers.
+/// Numeric values of the coefficients.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct CoefficientValues {
     pub(super) reflection: f64,
@@ -49,7 +50,7 @@ impl Coefficients {
         match self {
             Self::Standard => Ok(standard),
             Self::Auto if n < 5 => Ok(standard),
-            // With one parameter the formulas would shrink to a point and expand threefold.
+            // With one parameter, the formulas would shrink to a point and expand threefold.
             Self::Adaptive if n < 2 => Ok(standard),
             Self::Auto | Self::Adaptive => Ok(CoefficientValues {
                 reflection: 1.0,
@@ -85,27 +86,28 @@ impl Coefficients {
     }
 }
 
-/// The starting simplex. Its first vertex is always the start point, unless all vertices are given.
+/// Initial simplex. Its first vertex is always the start point, unless all vertices are given.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum InitialSimplex {
-    /// From the sizes of the parameters: the nominal value where one was given, else the width of the box if
-    /// it tells one (see [`typical_size`](crate::typical_size)), else |x0|. Where x0 is zero and nothing else
-    /// is known, the size is looked for first, by steps of powers of ten along the parameter: the one at
-    /// which the cost is least becomes a vertex. That takes some ten evaluations per such parameter at the
-    /// start, and some at the end; nominal values save them. Without any bound: a regular simplex with edges
-    /// of `0.3 * size`, away from zero, so that multiplying a parameter by a constant changes nothing. Else
-    /// one step along each free parameter: a tenth of the width of the box where that tells a size, else
-    /// `0.3 * size` (a logarithmic parameter has the size 1 of its logarithm).
+    /// Determined from the sizes of the parameters. The size is the nominal value if given, otherwise the
+    /// width of the box if it determines a size (see [`typical_size`](crate::typical_size)), otherwise |x0|.
+    /// If x0 is zero and nothing else is known, the size is first determined by steps of powers of ten along
+    /// the parameter. The step with the lowest cost becomes a vertex. This costs about ten evaluations per
+    /// such parameter at the start, and some at the end; nominal values avoid them. Without any bound, the
+    /// simplex is regular with edges of `0.3 * size`, pointing away from zero. Multiplying a parameter by a
+    /// constant then has no effect. With bounds, the simplex has one step along each free parameter. The step
+    /// is a tenth of the width of the box if the width determines a size, otherwise `0.3 * size` (a
+    /// logarithmic parameter has the size 1 of its logarithm).
     #[default]
     Auto,
-    /// These steps, one per parameter in the user's order; a step of a logarithmic parameter is one of `ln
-    /// x`, one of a fixed parameter is ignored.
+    /// These steps, one per parameter in the user's order. A step of a logarithmic parameter is a step of `ln
+    /// x`. Steps of fixed parameters are ignored.
     Steps(Vec<f64>),
-    /// These vertices, one more than there are free parameters, each a whole point in the user's units. The
-    /// start point is then not evaluated unless it is among them.
+    /// These vertices, one more than the number of free parameters. Each vertex is a complete point in the
+    /// user's units. The start point is evaluated only if it is one of the vertices.
     Vertices(Vec<Vec<f64>>),
 }
 
@@ -120,23 +122,24 @@ pub enum InitialSimplex {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct NelderMead {
-    /// Number of points that are evaluated at once; default [`Lookahead::Measured`].
+    /// Number of points evaluated at once; default [`Lookahead::Measured`].
     pub batch: Lookahead,
-    /// Coefficients; default standard below five parameters, adaptive from there on.
+    /// Coefficients; default standard below five parameters, adaptive for five and more.
     pub coefficients: Coefficients,
     /// Treatment of bounds; default [`BoundsHandling::Sine`].
     #[serde(rename = "bounds_handling")]
     pub bounds: BoundsHandling,
-    /// The starting simplex.
+    /// Initial simplex.
     #[serde(rename = "initial_simplex")]
     pub initial: InitialSimplex,
-    /// Number of times that a simplex that is flat, or lies on a kink or beside points that failed, when the
-    /// tests pass is built anew around its best vertex; default 20. A simplex is flat if its vertices
-    /// (nearly) lie in a plane: then it may have stopped where the cost still falls across that plane; the
-    /// new one has the size that it has then (at least 1e-3 of the sizes). At a kink it may have collapsed;
-    /// the new one has 0.05 of the sizes. A sound simplex is not restarted, one that lies on a bound is not
-    /// flat, and after a restart that found nothing better there is none. This is no search for other minima:
-    /// for those start from several points, or use differential evolution.
+    /// Maximum number of restarts; default 20. A restart rebuilds the simplex around its best vertex after
+    /// the tests have passed. The simplex is rebuilt if it is flat, on a kink, or next to failed points. A
+    /// flat simplex has vertices (nearly) in a plane, and may have stopped where the cost still decreases
+    /// across this plane. The new simplex has the size of the flat one (at least 1e-3 of the parameter
+    /// sizes). On a kink, the simplex may have collapsed, and the new one has 0.05 of the parameter sizes. A
+    /// sound simplex is not restarted, and a simplex on a bound does not count as flat. A restart without a
+    /// better result is the last one. Restarts do not search for other minima. To find these, start from
+    /// several points or use differential evolution.
     pub restarts: usize,
 }
 
@@ -153,7 +156,7 @@ impl Default for NelderMead {
 }
 
 impl NelderMead {
-    /// Sets the number of points that are evaluated at once.
+    /// Sets the number of points evaluated at once.
     #[must_use]
     pub fn batch(mut self, points: Lookahead) -> Self {
         self.batch = points;
@@ -167,28 +170,28 @@ impl NelderMead {
         self
     }
 
-    /// Sets how the search is kept in the box.
+    /// Sets the treatment of points outside the bounds.
     #[must_use]
     pub fn bounds_handling(mut self, handling: BoundsHandling) -> Self {
         self.bounds = handling;
         self
     }
 
-    /// Sets how often a flat simplex may be built anew, see [`NelderMead::restarts`](field@Self::restarts).
+    /// Sets the maximum number of restarts, see [`NelderMead::restarts`](field@Self::restarts).
     #[must_use]
     pub fn restarts(mut self, restarts: usize) -> Self {
         self.restarts = restarts;
         self
     }
 
-    /// Starts with these steps from the start point, see [`InitialSimplex::Steps`].
+    /// Sets the steps from the start point to the other vertices, see [`InitialSimplex::Steps`].
     #[must_use]
     pub fn initial_steps(mut self, steps: &[f64]) -> Self {
         self.initial = InitialSimplex::Steps(steps.to_vec());
         self
     }
 
-    /// Starts with these vertices, see [`InitialSimplex::Vertices`].
+    /// Sets the vertices of the initial simplex, see [`InitialSimplex::Vertices`].
     #[must_use]
     pub fn initial_simplex(mut self, vertices: Vec<Vec<f64>>) -> Self {
         self.initial = InitialSimplex::Vertices(vertices);
@@ -197,7 +200,8 @@ impl NelderMead {
 }
 
 impl NelderMead {
-    /// The problem as the search sees it: without bounds that stand for "none", over angles, if so wished.
+    /// Returns the setup without bounds that mean "unbounded". If the bounds are treated by sines, the
+    /// parameters are angles.
     pub(crate) fn prepared(&self, setup: &Setup) -> Setup {
         let mut setup = Setup { space: setup.space.without_far_bounds(), ..setup.clone() };
         if self.bounds == BoundsHandling::Sine {

@@ -1,15 +1,15 @@
-//! Costs ahead of the path, predicted from those behind it: interpolation by cubic radial basis functions
-//! with a linear tail (Powell, in Advances in Numerical Analysis II, Oxford 1992, 105). Its error is that of
-//! leaving one point out (Rippa, Adv. Comput. Math. 11, 1999, 193).
+//! Costs ahead of the path, predicted from known costs. The prediction is an interpolation by cubic radial
+//! basis functions with a linear tail (Powell, in Advances in Numerical Analysis II, Oxford 1992, 105). Its
+//! error is estimated by leaving one point out (Rippa, Adv. Comput. Math. 11, 1999, 193).
 
 use crate::methods::shared::ranked_points::RankedPoints;
 use nalgebra::{DMatrix, DVector};
 
-/// Most rows of the system of equations: more take longer than short evaluations, and above 34 parameters the
-/// points that are left are too few.
+/// Maximum number of rows of the system of equations. Larger systems take longer than short evaluations.
+/// Above 34 parameters, too few points would remain.
 const MOST_ROWS: usize = 72;
 
-/// A cost that is known or predicted: its mean and its standard deviation.
+/// A known or predicted cost, with its mean and standard deviation.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Estimate {
     pub(super) mean: f64,
@@ -25,11 +25,11 @@ impl Estimate {
         self.deviation == 0.0
     }
 
-    /// The probability that this cost is the lower one.
+    /// Returns the probability that this cost is lower than `other`.
     pub(super) fn below(self, other: Self) -> f64 {
         let (difference, deviation) = (other.mean - self.mean, self.deviation.hypot(other.deviation));
         if deviation > 0.0 && difference.is_finite() {
-            // The logistic distribution that is nearest to the normal one.
+            // Logistic distribution nearest to the normal distribution.
             1.0 / (1.0 + (-1.702 * difference / deviation).exp())
         } else {
             f64::from(u8::from(other.mean > self.mean))
@@ -40,14 +40,14 @@ impl Estimate {
 /// The last points of the path, and the interpolation through them.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Prediction {
-    /// Coordinates of the points, one after the other, and their costs; `next` is written next.
+    /// Concatenated coordinates of the points, and their costs. `next` is the index to be written next.
     points: Vec<f64>,
     costs: Vec<f64>,
     next: usize,
-    /// Centre and size of the simplex for which it was made.
+    /// Centre and size of the simplex for which the interpolation was made.
     centre: Vec<f64>,
     size: f64,
-    /// Coefficients of the basis functions, of the constant and of the coordinates; none where there is no
+    /// Coefficients of the basis functions, the constant and the coordinates. `None` without an
     /// interpolation.
     coefficients: Option<DVector<f64>>,
     deviation: f64,
@@ -55,13 +55,13 @@ pub(super) struct Prediction {
 }
 
 impl Prediction {
-    /// Points that it is made from; zero for none.
+    /// Returns the number of points in the interpolation, or zero if there is none.
     fn capacity(n: usize) -> usize {
         let most = MOST_ROWS.saturating_sub(n + 1);
         if n == 0 || most < n + 2 { 0 } else { ((n + 1) * (n + 2) / 2 + n + 1).min(most) }
     }
 
-    /// Takes in a point of the path with its cost; an infinite one where it is only known to be high.
+    /// Adds a point of the path with its cost. An infinite cost means that the cost is only known to be high.
     pub(super) fn enter(&mut self, u: &[f64], cost: f64) {
         let n = u.len();
         let capacity = Self::capacity(n);
@@ -83,7 +83,8 @@ impl Prediction {
         self.is_new = true;
     }
 
-    /// Makes the interpolation for a simplex, if points have come since. Allocates.
+    /// Updates the interpolation for a simplex, if points have been added since the last update. Allocates
+    /// memory.
     pub(super) fn update(&mut self, simplex: &RankedPoints) {
         if !std::mem::take(&mut self.is_new) {
             return;
@@ -107,7 +108,7 @@ impl Prediction {
         let differences = self.points.chunks_exact(n).flat_map(|point| point.iter().zip(&self.centre));
         let scaled: Vec<f64> = differences.map(|(p, c)| (p - c) / self.size).collect();
         let row = |k: usize| &scaled[k * n..(k + 1) * n];
-        // What lies above the simplex by its own range is no more than high.
+        // Limit costs to the worst cost plus the range of the simplex. Larger costs only count as high.
         let high = worst + (worst - best);
         let mut matrix = DMatrix::zeros(m + n + 1, m + n + 1);
         let mut right = DVector::zeros(m + n + 1);
@@ -134,7 +135,7 @@ impl Prediction {
         coefficients.iter().all(|c| c.is_finite()).then_some(coefficients)
     }
 
-    /// The cost at a point; none where nothing is known about it.
+    /// Returns the predicted cost at a point, or `None` without an interpolation.
     pub(super) fn at(&self, u: &[f64]) -> Option<Estimate> {
         let coefficients = self.coefficients.as_ref()?;
         let (n, m) = (u.len(), self.costs.len());
@@ -160,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn costs_between_and_beside_known_ones_are_predicted_within_their_error() {
+    fn prediction_error_is_within_its_estimate() {
         let space = Space::new(&[0.0, 0.0], Bounds::unbounded(2), &[], &[]).unwrap();
         let mut simplex = RankedPoints::new(&space, 3);
         let mut prediction = Prediction::default();
@@ -179,7 +180,8 @@ mod tests {
             let error = (estimate.mean - quadratic(&u)).abs();
             assert!(error < 0.01 && error < 3.0 * estimate.deviation, "{error} {}", estimate.deviation);
         }
-        // Known points keep their costs, and a cost far above the simplex does not bend what is near it.
+        // Known points keep their costs. A cost far above the simplex does not distort the interpolation near
+        // it.
         let known = prediction.at(&[0.0, 0.1]).unwrap().mean;
         assert!((known - quadratic(&[0.0, 0.1])).abs() < 1e-9, "{known}");
         prediction.enter(&[0.4, 0.4], f64::INFINITY);
@@ -188,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn too_few_points_and_equal_costs_predict_nothing() {
+    fn prediction_is_none_when_points_are_too_few_or_costs_are_equal() {
         let space = Space::new(&[0.0], Bounds::unbounded(1), &[], &[]).unwrap();
         let mut simplex = RankedPoints::new(&space, 2);
         let mut prediction = Prediction::default();
@@ -203,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn probabilities_follow_the_error() {
+    fn probability_follows_the_estimated_error() {
         let about = |mean: f64| Estimate { mean, deviation: 1.0 };
         assert_eq!(about(0.0).below(about(0.0)), 0.5);
         // Normal distribution: Phi(1) = 0.841.

@@ -1,4 +1,4 @@
-//! When a simplex says nothing of the cost around it, and the one that takes its place.
+//! Detection of degenerate simplices, and construction of the new simplex for a restart.
 
 use super::initial::stepped;
 use crate::method_interface::tolerances::ToleranceTests;
@@ -6,21 +6,22 @@ use crate::methods::shared::ranked_points::RankedPoints;
 use crate::problem::space::Space;
 use serde::{Deserialize, Serialize};
 
-/// Smallest thickness of a simplex, in units of its largest edge, that still is a body.
+/// Minimum thickness of a simplex that is not flat, in units of its largest edge.
 const FLAT: f64 = 1e-7;
-/// A simplex is on a bound along a coordinate if all vertices are this near, in units of the size.
+/// Distance within which all vertices must be from a bound for the simplex to be on this bound, in units of
+/// the parameter size.
 const TOUCHING: f64 = 1e-6;
-/// Side of the new simplex in units of the sizes, if it is not already larger.
+/// Minimum edge of the new simplex, in units of the parameter sizes.
 const SIDE: f64 = 1e-3;
 
-/// Side of the new simplex where the cost has kinks, in units of the sizes.
+/// Edge of the new simplex if the cost has kinks, in units of the parameter sizes.
 pub(super) const SIDE_AT_KINKS: f64 = 0.05;
-/// The spread of the costs is compared with that of simplices so many times as large.
+/// Size ratios of the larger simplices whose spread of costs is compared.
 const LARGER: [f64; 2] = [1e2, 1e4];
-/// The largest power of the size with which the spread falls at a kink (there it is 1, where the cost is
-/// smooth 2).
+/// Maximum exponent with which the spread decreases with the size at a kink. The exponent is 1 at a kink and
+/// 2 for a smooth cost.
 const FALL: f64 = 1.5;
-/// The least spread that counts, as a share of the cost.
+/// Minimum significant spread, as a fraction of the cost.
 const VISIBLE: f64 = 1e3 * f64::EPSILON;
 
 /// The size of a simplex, and the spread of its costs.
@@ -30,21 +31,21 @@ struct Spread {
     spread: f64,
 }
 
-/// How the costs of the simplex spread while it shrinks: where they fall with its size, not with the square
-/// of it, it is on a kink, along which it may have collapsed away from any minimum.
+/// Spread of the costs while the simplex shrinks. If the spread decreases with the size instead of its
+/// square, the simplex is on a kink. It may have collapsed along the kink away from any minimum.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Spreads {
     since_start: Vec<Spread>,
-    /// True if a point failed since then.
+    /// True if a point has failed since the last start.
     #[serde(default)]
     has_failures: bool,
-    /// True once the cost is known to have kinks.
+    /// True after kinks of the cost have been detected.
     pub(super) has_kinks: bool,
 }
 
 impl Spreads {
-    /// Enters a simplex that is ten times as small as the one before, as long as its spread can be told from
-    /// rounding.
+    /// Records a simplex that is at most a tenth of the size of the previous one, if its spread exceeds
+    /// rounding errors.
     pub(super) fn enter(&mut self, tests: &ToleranceTests) {
         let (size, Some(spread)) = (tests.x_size, tests.f_spread) else { return };
         let is_smaller = self.since_start.last().is_none_or(|last| size <= 0.1 * last.size);
@@ -53,14 +54,14 @@ impl Spreads {
         }
     }
 
-    /// A point failed: next to such points the simplex is bent by them.
+    /// Clears the records after a point has failed, because failed points deform the simplex.
     pub(super) fn forget(&mut self) {
         self.since_start.clear();
         self.has_failures = true;
     }
 
-    /// Looks for kinks in what has been seen since the last start, and forgets it: points that failed are the
-    /// steepest.
+    /// Detects kinks in the records since the last start, and clears the records. Failed points count as
+    /// kinks.
     pub(super) fn judge(&mut self) -> bool {
         let has_failures = std::mem::take(&mut self.has_failures);
         let list = std::mem::take(&mut self.since_start);
@@ -75,7 +76,7 @@ impl Spreads {
     }
 }
 
-/// The coordinates along which the simplex does not lie on a bound.
+/// Returns the coordinates along which the simplex is not on a bound.
 pub(super) fn free_coordinates(simplex: &RankedPoints, space: &Space) -> impl Iterator<Item = usize> {
     (0..space.n_free()).filter(move |&k| {
         let (lower, upper) = space.working_bounds(k);
@@ -86,7 +87,7 @@ pub(super) fn free_coordinates(simplex: &RankedPoints, space: &Space) -> impl It
     })
 }
 
-/// True if the simplex is flat in the coordinates along which it does not lie on a bound.
+/// True if the simplex is flat in the coordinates along which it is not on a bound.
 pub(super) fn is_flat(simplex: &RankedPoints, space: &Space) -> bool {
     let best = simplex.best();
     let free: Vec<usize> = free_coordinates(simplex, space).collect();
@@ -100,7 +101,7 @@ pub(super) fn is_flat(simplex: &RankedPoints, space: &Space) -> bool {
         if step == 0 {
             first = pivot;
         }
-        // Written this way round so that NaN counts as flat.
+        // This form of the comparison counts NaN as flat.
         let thick = pivot > FLAT * first;
         if !thick {
             return true;
@@ -109,7 +110,8 @@ pub(super) fn is_flat(simplex: &RankedPoints, space: &Space) -> bool {
     false
 }
 
-/// One step of Gaussian elimination with complete pivoting; the size of the pivot, `None` if there is none.
+/// Performs one step of Gaussian elimination with complete pivoting. Returns the size of the pivot, or `None`
+/// if there is none.
 fn eliminate(rows: &mut [Vec<f64>], step: usize, columns: usize) -> Option<f64> {
     let mut at = (step, step);
     for row in step..rows.len() {
@@ -135,13 +137,15 @@ fn eliminate(rows: &mut [Vec<f64>], step: usize, columns: usize) -> Option<f64> 
     Some(pivot)
 }
 
-/// Builds a simplex around the best vertex, with one edge along each coordinate, pointing down the costs of
-/// the old one. `extent` is the size of the old simplex in units of the sizes.
+/// Builds a simplex around the best vertex, with one edge along each coordinate, in the direction in which
+/// the costs of the old simplex decrease. `extent` is the size of the old simplex in units of the parameter
+/// sizes.
 pub(super) fn orient(simplex: &mut RankedPoints, space: &Space, extent: f64) {
     let n = space.n_free();
     let best = simplex.best();
     let (centre, f_best) = (simplex.u(best).to_vec(), simplex.cost(best).value().unwrap_or(0.0));
-    // Each edge of the old simplex tells a slope along itself; their sum tells the side that goes up.
+    // Each edge of the old simplex determines a slope along itself. The sum of the slopes determines the
+    // uphill direction.
     let mut slopes = vec![0.0; n];
     for &slot in &simplex.order()[1..] {
         let Some(rise) = simplex.cost(slot).value().map(|f| f - f_best) else { continue };

@@ -1,4 +1,4 @@
-//! Ranked points as a simplex: centroid, replacement, shrink, size. Knows nothing of batches.
+//! Ranked points as a simplex: centroid, replacement, shrink and size. Independent of batches.
 
 use crate::methods::shared::cost::Cost;
 use crate::methods::shared::ranked_points::RankedPoints;
@@ -6,7 +6,7 @@ use crate::problem::space::Space;
 use crate::values::choices::ToleranceMeasure;
 
 impl RankedPoints {
-    /// The same vertices in the working coordinates of another space.
+    /// Recomputes the working coordinates of all vertices for another space.
     pub(super) fn rewrite(&mut self, space: &Space) {
         for slot in 0..self.len() {
             let Self { n, n_user, u, x, .. } = self;
@@ -14,13 +14,12 @@ impl RankedPoints {
         }
     }
 
-    /// Slot of the last rank but one (the best, in one dimension).
+    /// Returns the slot of the last rank but one (the best, in one dimension).
     pub(super) fn second_worst(&self) -> usize {
         self.order[self.n.saturating_sub(1)]
     }
 
-    /// Ranks all vertices anew; equal costs keep their order (insertion sort: stable, and it allocates
-    /// nothing).
+    /// Ranks all vertices. Equal costs keep their order (insertion sort: stable, without allocation).
     pub(super) fn sort(&mut self) {
         for i in 1..self.order.len() {
             let mut k = i;
@@ -31,7 +30,7 @@ impl RankedPoints {
         }
     }
 
-    /// Puts a new vertex in place of the worst, behind all older ones of the same cost.
+    /// Replaces the worst vertex. The new vertex ranks after all older ones of equal cost.
     pub(super) fn replace_worst(&mut self, u: &[f64], x: &[f64], value: f64) {
         let slot = self.worst();
         self.set(slot, u, x);
@@ -43,14 +42,14 @@ impl RankedPoints {
         }
     }
 
-    /// Centroid of all vertices but the worst, failed ones left out. Summed in the order of the slots, so
-    /// that it can be known before the ranks are.
+    /// Computes the centroid of all vertices except the worst and failed ones. The sum follows the order of
+    /// the slots, so the centroid can be computed before the ranks are known.
     pub(super) fn centroid(&self, out: &mut [f64]) {
         let counts = |slot: &usize| *slot != self.worst() && self.costs[*slot].value().is_some();
         Self::centroid_of((0..=self.n).filter(counts).map(|slot| self.u(slot)), out);
     }
 
-    /// Centroid of points, summed in their order.
+    /// Computes the centroid of points, summed in their order.
     pub(super) fn centroid_of<'a>(points: impl Iterator<Item = &'a [f64]>, out: &mut [f64]) {
         out.fill(0.0);
         let mut count = 0.0;
@@ -61,12 +60,12 @@ impl RankedPoints {
         out.iter_mut().for_each(|c| *c /= count);
     }
 
-    /// True if a vertex other than the worst lies exactly here.
+    /// True if a vertex other than the worst is exactly at `u`.
     pub(super) fn has_vertex(&self, u: &[f64]) -> bool {
         self.order[..self.n].iter().any(|&slot| self.u(slot) == u)
     }
 
-    /// Draws all vertices but the best towards it; their costs are unknown then.
+    /// Moves all vertices except the best towards the best. Their costs become unknown.
     pub(super) fn shrink(&mut self, factor: f64, space: &Space) {
         let best = self.best();
         for rank in 1..=self.n {
@@ -76,7 +75,7 @@ impl RankedPoints {
                 let (lower, upper) = space.working_bounds(k);
                 let u = &mut self.u[slot * self.n + k];
                 let drawn = b + factor * (*u - b);
-                // The distance may be beyond all numbers.
+                // The distance may overflow.
                 let drawn = if drawn.is_finite() { drawn } else { (1.0 - factor) * b + factor * *u };
                 *u = drawn.clamp(lower, upper);
             }
@@ -87,7 +86,8 @@ impl RankedPoints {
         }
     }
 
-    /// Largest distance of a vertex from the best along any coordinate, as the x test measures it.
+    /// Returns the largest distance of a vertex from the best along any coordinate, as measured by the x
+    /// test.
     pub(super) fn x_size(&self, space: &Space, measure: ToleranceMeasure) -> f64 {
         let extent = |(k, &i): (usize, &usize)| {
             let pair = |slot: usize| (self.u(slot)[k], self.x(slot)[i]);
@@ -96,7 +96,7 @@ impl RankedPoints {
         space.free().iter().enumerate().map(extent).fold(0.0, f64::max)
     }
 
-    /// The same in units of the sizes of the working coordinates.
+    /// Returns this distance in units of the sizes of the working coordinates.
     pub(super) fn relative_size(&self, space: &Space) -> f64 {
         let best = self.u(self.best());
         let distance = |slot: &usize| {
@@ -105,9 +105,9 @@ impl RankedPoints {
         self.order[1..].iter().map(distance).fold(0.0, f64::max)
     }
 
-    /// The smallest |cost| that is not zero; 0 where there is none. Of the initial vertices it is that of the
-    /// start, or of a better neighbour: a first step that is far too long, with a cost of many magnitudes,
-    /// does not count.
+    /// Returns the smallest nonzero |cost|, or 0 if there is none. For the initial vertices, this is the cost
+    /// at the start or at a better neighbour. A first step that is far too long, with a huge cost, has no
+    /// effect.
     pub(super) fn smallest_cost(&self) -> f64 {
         let sizes = self.values.iter().flatten().map(|cost| cost.abs()).filter(|size| *size > 0.0);
         sizes.min_by(f64::total_cmp).unwrap_or(0.0)
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn failed_vertices_stay_out_of_the_centroid() {
+    fn centroid_ignores_failed_vertices() {
         use Cost::{Failed, Value};
         let mut c = [0.0; 2];
         simplex([Value(1.0), Value(2.0), Value(3.0)]).centroid(&mut c);
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn one_huge_cost_does_not_set_the_magnitude() {
+    fn smallest_cost_ignores_huge_and_zero_costs() {
         use Cost::Value;
         assert_eq!(simplex([Value(1e300), Value(-2.0), Value(0.0)]).smallest_cost(), 2.0);
     }

@@ -1,16 +1,16 @@
-//! The simplex search that takes over where a model is of no use.
+//! The simplex search that continues if a model is not usable.
 
 use super::{NelderMead, NelderMeadState};
 use crate::error::Error;
 use crate::method_interface::interface::{Batch, Method, MethodDetails, MethodOptions, Setup};
 use serde::{Deserialize, Serialize};
 
-/// The simplex search that has taken over.
+/// A simplex search that continues another search.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct SimplexSearch {
-    /// Where it started from.
+    /// Start point of the simplex search.
     pub(crate) start: Vec<f64>,
-    /// Batches and points before it.
+    /// Number of batches and points before the simplex search.
     n_batches: u64,
     n_points: u64,
     pub(crate) state: NelderMeadState,
@@ -41,7 +41,8 @@ impl SimplexSearch {
         batch.renumber(self.n_batches + batch.index(), self.n_points);
     }
 
-    /// Where the simplex stands; what it does not know of itself yet comes from the search before.
+    /// Returns the details of the simplex search. Details that are not known yet come from the preceding
+    /// search.
     pub(crate) fn details(&self, before: MethodDetails<'static>) -> MethodDetails<'_> {
         let own = self.state.details();
         MethodDetails {
@@ -55,7 +56,7 @@ impl SimplexSearch {
     }
 }
 
-/// The same problem from another start.
+/// Returns the setup with another start point.
 fn starting_at(setup: &Setup, x: &[f64]) -> Setup {
     Setup { space: setup.space.starting_at(x), ..setup.clone() }
 }

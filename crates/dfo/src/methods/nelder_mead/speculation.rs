@@ -1,10 +1,10 @@
-//! The points that the path may need after the one it needs now, the most probable first.
+//! Points that the path may need after the current one, most probable first.
 //!
-//! What an iteration does is not known before its costs are, but most simplices that can follow are few and
-//! their points can be computed: an accepted reflection replaces the worst vertex, and the next worst is the
-//! second worst of today. How probable each is follows from the costs that are predicted at its points, or
-//! from counted frequencies where there is no prediction. The guesses are followed best first, over as many
-//! iterations as points are wanted.
+//! The result of an iteration is known only after its costs. However, only a few simplices are likely to
+//! follow, and their points can be computed. For example, an accepted reflection replaces the worst vertex,
+//! and the current second worst vertex becomes the worst. The probability of each simplex follows from the
+//! predicted costs at its points. Without a prediction, it follows from counted frequencies. The guesses are
+//! expanded best first, over as many iterations as the requested number of points requires.
 
 use super::options::CoefficientValues;
 use super::prediction::{Estimate, Prediction};
@@ -15,8 +15,8 @@ use crate::values::choices::BoundsHandling;
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
-/// Frequency of reflections that are accepted as they are, that are followed by an expansion, by an inside
-/// and by an outside contraction, and of expansions that are accepted: counted over the 53 problems of Moré
+/// Frequencies of reflections that are accepted unchanged, followed by an expansion, by an inside contraction
+/// and by an outside contraction, and frequency of accepted expansions. Counted on the 53 problems of Moré
 /// and Wild (SIAM J. Optim. 20, 2009).
 const ACCEPTED: f64 = 0.50;
 const EXPANDING: f64 = 0.23;
@@ -26,15 +26,14 @@ const EXPANDED: f64 = 0.11 / 0.23;
 /// Frequency of contracted points that are not the worst vertex of the new simplex.
 const BETTER_THAN_WORST: f64 = 0.8;
 
-/// Weight of these frequencies beside a prediction, which takes its own error for too small now and then.
+/// Weight of these frequencies relative to a prediction, which sometimes underestimates its error.
 const COUNTED: f64 = 0.1;
 
-/// A point that the path needs with less probability is not worth its evaluation, however many are wanted:
-/// with 1000 workers a quarter of this gains nothing (benches/scaling.md) and takes five times as
-/// long to find.
+/// Minimum probability of a point that is worth evaluating, for any requested number. With 1000 workers, a
+/// quarter of this value gains nothing (benches/scaling.md) and the search takes five times as long.
 const LEAST_PROBABILITY: f64 = 1.0 / 256.0;
 
-/// The simplex and what its trial points are made with.
+/// The simplex and the data required for its trial points.
 pub(super) struct Problem<'a> {
     pub(super) space: &'a Space,
     pub(super) handling: BoundsHandling,
@@ -44,38 +43,37 @@ pub(super) struct Problem<'a> {
     pub(super) known: &'a dyn Fn(&[f64]) -> KnownCost,
 }
 
-/// What is known about a point that the path has not come to.
+/// Knowledge about a point that the path has not reached.
 pub(super) enum KnownCost {
     Nothing,
-    /// It needs no evaluation any more; infinite where its cost is only known to be high.
+    /// The point needs no further evaluation. The cost is infinite if it is only known to be high.
     Cost(f64),
-    /// The same, and its cost is not at hand.
+    /// The point needs no further evaluation, but its cost is not available here.
     Hidden,
 }
 
-/// A simplex that may come to be: that of its parent with one vertex replaced.
+/// A possible future simplex: its parent with one vertex replaced.
 #[derive(Debug, Clone, Copy)]
 struct Node {
     parent: usize,
-    /// The slot of the vertex that is replaced, and the number of the point that takes it; none for the
-    /// present simplex.
+    /// Slot of the replaced vertex, and index of the point that replaces it; `None` for the current simplex.
     replaced: Option<(usize, usize)>,
-    /// Number of the reflection, once it is placed.
+    /// Index of the reflection, after it has been placed.
     reflection: usize,
 }
 
-/// That the path needs a trial point of a simplex.
+/// A guess that the path needs a trial point of a simplex.
 #[derive(Debug, Clone, Copy)]
 struct Guess {
     node: usize,
     trial: Trial,
     probability: f64,
-    /// Guesses before it.
+    /// Number of previous guesses.
     number: usize,
 }
 
 impl Ord for Guess {
-    /// The most probable is the greatest, of equal ones the first.
+    /// Orders by probability. Of equally probable guesses, the first is the greatest.
     fn cmp(&self, other: &Self) -> Ordering {
         self.probability.total_cmp(&other.probability).then(other.number.cmp(&self.number))
     }
@@ -95,24 +93,24 @@ impl PartialEq for Guess {
 
 impl Eq for Guess {}
 
-/// Buffers that are used over and over: looking ahead allocates nothing once they are large enough.
+/// Reused buffers. Looking ahead does not allocate after they are large enough.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Speculation {
     nodes: Vec<Node>,
-    /// The slots of each node by rank, one node after the other.
+    /// Slots of each node by rank, concatenated.
     orders: Vec<usize>,
     guesses: BinaryHeap<Guess>,
     n_guesses: usize,
     points: Vec<TrialPoint>,
-    /// Their costs, where there is something to tell them from.
+    /// Costs of the points, if they can be estimated.
     estimates: Vec<Option<Estimate>>,
     n_points: usize,
     centroid: Vec<f64>,
 }
 
 impl Speculation {
-    /// Finds up to `wanted` points that are not `known`, after `trial`, which the path needs now; `found` is
-    /// given each, and whether it is the expansion of this iteration.
+    /// Finds up to `wanted` points that are not `known`, after `trial`, the point that the path needs now.
+    /// Calls `found` for each point; the flag is true for the expansion of this iteration.
     pub(super) fn look(
         &mut self,
         problem: &Problem<'_>,
@@ -133,7 +131,7 @@ impl Speculation {
         self.nodes.push(Node { parent: 0, replaced: None, reflection });
         self.expand(problem, Guess { node: 0, trial, probability: 1.0, number: 0 }, current);
         let mut n_found = 0;
-        // Guesses whose points are known already cost time, too.
+        // The limit includes guesses with known points, which also take time.
         for _ in 0..4 * wanted {
             if n_found == wanted {
                 return;
@@ -186,7 +184,7 @@ impl Speculation {
         &self.orders[node * (n + 1)..(node + 1) * (n + 1)]
     }
 
-    /// Number of the point that stands in a slot of a node, if it is not the present vertex.
+    /// Returns the index of the point in a slot of a node, if it differs from the current vertex.
     fn replacement(&self, mut node: usize, slot: usize) -> Option<usize> {
         while let Some((replaced, point)) = self.nodes[node].replaced {
             if replaced == slot {
@@ -208,7 +206,7 @@ impl Speculation {
         }
     }
 
-    /// Places the point of a guess as the iteration itself would, bit for bit; its number.
+    /// Places the point of a guess bit-for-bit as the iteration itself would. Returns its index.
     fn place(&mut self, problem: &Problem<'_>, guess: Guess) -> usize {
         let Problem { space, handling, numbers, simplex, .. } = *problem;
         let (n, node) = (space.n_free(), guess.node);
@@ -268,7 +266,8 @@ impl Speculation {
         }
     }
 
-    /// Vertices of a node whose costs are below that of a point; none where that is not predicted.
+    /// Returns the number of vertices of a node with lower costs than a point, or `None` if the cost is not
+    /// predicted.
     fn rank(&self, simplex: &RankedPoints, node: usize, point: usize) -> Option<usize> {
         let cost = self.estimates[point]?.mean;
         let order = self.order(node, simplex.n);
@@ -276,10 +275,10 @@ impl Speculation {
         Some(estimates.filter(|other| other.is_some_and(|other| other.mean <= cost)).count())
     }
 
-    /// Shares of what may follow a trial point. After a reflection: an inside contraction, an expansion, an
-    /// outside contraction, that it is accepted as it is. After an expansion: that it is accepted, that the
-    /// reflection is. After a contraction: that it is accepted and not the worst of the new simplex, or its
-    /// worst.
+    /// Returns the probabilities of the outcomes of a trial point. After a reflection: inside contraction,
+    /// expansion, outside contraction, acceptance unchanged. After an expansion: acceptance, acceptance of
+    /// the reflection. After a contraction: acceptance as a vertex that is not the worst, acceptance as the
+    /// worst vertex.
     fn shares(&self, simplex: &RankedPoints, guess: Guess, point: usize) -> [f64; 4] {
         let counted = match guess.trial {
             Trial::Reflection => [INSIDE, EXPANDING, OUTSIDE, ACCEPTED],
@@ -295,7 +294,7 @@ impl Speculation {
         }
     }
 
-    /// The same by the predicted costs, and whether they are all known.
+    /// Returns these probabilities from the predicted costs, and whether all costs are known.
     fn predicted_shares(
         &self,
         simplex: &RankedPoints,
@@ -334,7 +333,7 @@ impl Speculation {
         Some((shares, is_known))
     }
 
-    /// The simplex in which a point has replaced the worst vertex and has this rank, and its reflection.
+    /// Adds the simplex in which a point with this rank has replaced the worst vertex, and its reflection.
     fn follow(&mut self, n: usize, node: usize, point: usize, rank: usize, probability: f64) {
         let start = self.orders.len();
         self.orders.extend_from_within(node * (n + 1)..(node + 1) * (n + 1));

@@ -1,7 +1,7 @@
-//! The state machine: which points are asked for, and what follows from their outcomes.
+//! State machine of Nelder-Mead: requested points and the processing of their outcomes.
 //!
-//! There is one decision procedure. It runs over the trial points as far as they are known; where it meets an
-//! unknown one, that point is what the next batch asks for.
+//! There is one decision procedure. It uses the known trial points. If it requires an unknown one, this point
+//! is the next batch.
 
 use super::options::CoefficientValues;
 use super::prediction::Prediction;
@@ -34,26 +34,26 @@ pub(super) enum Role {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Phase {
-    /// Sizes of parameters are looked for, from the start point.
+    /// Sizes of parameters are determined, from the start point.
     Sizing,
-    /// The same once the tests have passed, from the best vertex.
+    /// Sizes are checked from the best vertex, after the tests have passed.
     Checking,
-    /// The tests have passed beside points that fail: a lower cost is looked for between them.
+    /// The tests have passed near failed points. CMA-ES searches for a lower cost between them.
     BesideFailures,
-    /// Vertices without a known outcome are asked for: the starting ones.
+    /// Starting vertices without a known outcome are requested.
     Starting,
-    /// The same after a shrink.
+    /// Vertices are requested after a shrink.
     Shrinking,
-    /// The same after a restart.
+    /// Vertices are requested after a restart.
     Restarting,
     /// An iteration needs this trial point next.
     Evaluating(Trial),
     Done,
 }
 
-/// A running Nelder-Mead search; made by [`NelderMead`](super::NelderMead).
+/// A running Nelder-Mead search, created by [`NelderMead`](super::NelderMead).
 ///
-/// Driven by hand it takes the path that [`minimize`](crate::minimize) takes:
+/// A manual loop follows the same path as [`minimize`](crate::minimize):
 ///
 /// ```
 /// use dfo::{Answers, Batch, Bounds, Method, MethodOptions, NelderMead, Outcome, Setup, Space};
@@ -94,7 +94,7 @@ pub struct NelderMeadState {
     pub(super) f_restart: Option<f64>,
     /// Spreads of the costs since the last start.
     pub(super) spreads: Spreads,
-    /// True if there are parameters of unknown size, and the user gave no simplex.
+    /// True if there are parameters of unknown size, and the user has not specified a simplex.
     pub(super) sizing: bool,
     #[serde(default)]
     pub(super) failed: FailedPoints,
@@ -106,7 +106,7 @@ pub struct NelderMeadState {
     pub(super) ended: Option<Termination>,
     pub(super) roles: Vec<Role>,
     pub(super) waiting: bool,
-    /// Points of the last batch of the check.
+    /// Number of points in the last batch of the check.
     #[serde(default)]
     n_asked: usize,
     pub(super) n_batches: u64,
@@ -160,7 +160,7 @@ impl NelderMeadState {
         }
     }
 
-    /// Batches and points told so far.
+    /// Returns the number of answered batches.
     pub(crate) fn n_batches(&self) -> u64 {
         self.n_batches
     }
@@ -169,14 +169,14 @@ impl NelderMeadState {
         self.n_points
     }
 
-    /// Takes the cost of the start point, which need not be evaluated then, and the size of the first costs
-    /// of the search before.
+    /// Sets the cost of the start point, which then needs no evaluation, and the magnitude of the first costs
+    /// of the preceding search.
     pub(crate) fn set_start_cost(&mut self, cost: f64, f_0: f64) {
         self.simplex.set_cost(0, Cost::Value(cost));
         self.f_0 = f_0;
     }
 
-    /// Takes the outcomes of the check beside points that fail.
+    /// Processes the outcomes of the check near failed points.
     fn check_told(&mut self, answers: &Answers) -> Result<(), Error> {
         let Some(check) = &mut self.check else { return Ok(()) };
         let ended = check.tell(answers, &self.setup)?;
@@ -189,12 +189,12 @@ impl NelderMeadState {
         Ok(())
     }
 
-    /// Expects kinks wherever the tests pass.
+    /// Treats every point at which the tests pass as a kink.
     pub(crate) fn expect_kinks(&mut self) {
         self.spreads.has_kinks = true;
     }
 
-    /// True if this state fits to a problem and to itself.
+    /// True if the state is consistent with itself and with the problem.
     pub(crate) fn is_sound(&self, setup: &Setup) -> bool {
         let space = &setup.space;
         space.is_same_space(&self.setup.space)
@@ -208,7 +208,7 @@ impl NelderMeadState {
     }
 }
 
-/// The cost that an outcome stands for; `Err` if it says nothing.
+/// Returns the cost of an outcome, or `Err` if the outcome is unknown.
 fn cost_of(outcome: &Outcome) -> Result<Option<f64>, ()> {
     if outcome.is_known() { Ok(outcome.value()) } else { Err(()) }
 }
@@ -278,7 +278,7 @@ impl Method for NelderMeadState {
             let Ok(cost) = cost_of(outcome) else { continue };
             let seen = cost.map_or(Seen::Rejected, Seen::Cost);
             let is_above = matches!(outcome, Outcome::Above(_));
-            // Costs that are not finite are failures, also if a caller does not mark them.
+            // Costs that are not finite count as failures, even if the caller does not mark them.
             if !is_above && outcome.value().is_none() {
                 self.spreads.forget();
                 let x = match self.roles[k] {
@@ -325,7 +325,7 @@ impl Method for NelderMeadState {
     fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
         let Phase::Evaluating(trial) = self.phase else { return };
         let (cutoff, best) = (self.worst_cost(), self.simplex.cost(self.simplex.best()).value());
-        // A reflection that asks for an expansion beats the best vertex.
+        // A reflection that leads to an expansion is better than the best vertex.
         let best = best.filter(|_| cutoff.is_finite()).unwrap_or(f64::INFINITY);
         let Self { speculation, prediction, simplex, setup, trials, numbers, handling, .. } = self;
         prediction.update(simplex);
@@ -369,7 +369,7 @@ impl Method for NelderMeadState {
     }
 
     fn best(&self) -> Option<(&[f64], f64)> {
-        // While starting vertices are missing they are not ranked yet.
+        // While starting vertices are missing, they are not ranked yet.
         let mut best: Option<(&[f64], f64)> = None;
         for &slot in self.simplex.order() {
             if let Cost::Value(v) = self.simplex.cost(slot)
@@ -378,7 +378,8 @@ impl Method for NelderMeadState {
                 best = Some((self.simplex.x(slot), v));
             }
         }
-        // What was seen and is no vertex counts too: steps in search of sizes, a reflection that waits for its expansion.
+        // Points that are not vertices also count: steps of the size search, and a reflection that waits for
+        // its expansion.
         let seen =
             [self.sizes.as_ref().and_then(SizeSearch::best), self.check.as_ref().map(FailureCheck::best)];
         for seen in seen.into_iter().flatten() {

@@ -1,4 +1,4 @@
-//! The four trial points of an iteration: where they lie, and what is known about them.
+//! The four trial points of an iteration: positions and results.
 
 use super::options::CoefficientValues;
 use crate::method_interface::interface::Operation;
@@ -6,7 +6,7 @@ use crate::problem::space::Space;
 use crate::values::choices::BoundsHandling;
 use serde::{Deserialize, Serialize};
 
-/// The four trial points of an iteration; the number is the position in tables.
+/// The four trial points of an iteration. The value is the index in tables.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Trial {
     Reflection = 0,
@@ -16,7 +16,8 @@ pub(super) enum Trial {
 }
 
 impl Trial {
-    /// Distance from the centroid, in units of that from the worst vertex to it.
+    /// Returns the distance from the centroid, in units of the distance between the worst vertex and the
+    /// centroid.
     pub(super) fn factor(self, numbers: &CoefficientValues) -> f64 {
         match self {
             Self::Reflection => numbers.reflection,
@@ -26,7 +27,7 @@ impl Trial {
         }
     }
 
-    /// Operation of an iteration that accepted it.
+    /// Returns the operation of an iteration that accepted this trial point.
     pub(super) fn operation(self) -> Operation {
         match self {
             Self::Reflection => Operation::Reflection,
@@ -37,12 +38,12 @@ impl Trial {
     }
 }
 
-/// Result at a trial point, as far as it is known.
+/// Result at a trial point.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) enum Seen {
     Unknown,
     Cost(f64),
-    /// Failed, or above a cutoff that no acceptable point is above.
+    /// Failed, or above a cutoff that no acceptable point exceeds.
     Rejected,
 }
 
@@ -63,19 +64,19 @@ impl TrialPoint {
     }
 }
 
-/// Where a trial point is measured from.
+/// Reference points and factor of a trial point.
 pub(super) struct Frame<'a> {
     pub(super) space: &'a Space,
     pub(super) handling: BoundsHandling,
     pub(super) factor: f64,
     pub(super) centroid: &'a [f64],
     pub(super) worst: &'a [f64],
-    /// A point inside, for coordinates that overflow.
+    /// Interior point, for coordinates that overflow.
     pub(super) fallback: &'a [f64],
 }
 
 impl Frame<'_> {
-    /// Places a trial point; `is_vertex` says whether a vertex that stays lies exactly at a point.
+    /// Places a trial point. `is_vertex` returns true if a remaining vertex is exactly at a point.
     pub(super) fn place(&self, point: &mut TrialPoint, is_vertex: impl Fn(&[f64]) -> bool) {
         let Self { space, centroid, .. } = self;
         let raw = |k: usize| centroid[k] + self.factor * (centroid[k] - self.worst[k]);
@@ -84,7 +85,7 @@ impl Frame<'_> {
             if self.handling == BoundsHandling::Mirror && brought_onto(*u, raw(k), centroid[k]) {
                 *u = beside(space, k, raw(k), centroid[k]);
             } else if self.handling == BoundsHandling::Clamp && brought_onto(*u, raw(k), centroid[k]) {
-                // The other vertices lie on the bound: the simplex draws near to it, but does not become flat on it.
+                // The other vertices are on the bound. Approach the bound without becoming flat on it.
                 *u = 0.5 * centroid[k] + 0.5 * self.worst[k];
             }
         }
@@ -97,15 +98,15 @@ impl Frame<'_> {
     }
 }
 
-/// True if the bounds took a coordinate (nearly) back to the centroid: a simplex that accepts the point is
-/// flat ever after. Mirroring does that with starts and steps on a grid of tenths of the box, clamping where
-/// a side of the simplex lies on a bound.
+/// True if the bounds moved a coordinate (nearly) back to the centroid. A simplex that accepts such a point
+/// stays flat. With mirroring, this happens if starts and steps are on a grid of tenths of the box. With
+/// clamping, it happens if a side of the simplex is on a bound.
 fn brought_onto(u: f64, raw: f64, centroid: f64) -> bool {
     u != raw && (u - centroid).abs() <= 1e-3 * (raw - centroid).abs()
 }
 
-/// Where such a coordinate goes instead: onto the bound that was crossed, half as far from the centroid as
-/// the point would have been without bounds; if the centroid lies there itself, into the middle of the box.
+/// Returns the replacement for such a coordinate: the crossed bound, which is half as far from the centroid
+/// as the unbounded point. If the centroid is on this bound, returns the middle of the box.
 fn beside(space: &Space, k: usize, raw: f64, centroid: f64) -> f64 {
     let (lower, upper) = space.working_bounds(k);
     let bound = if raw.is_finite() { raw.clamp(lower, upper) } else { centroid.clamp(lower, upper) };
