@@ -55,9 +55,10 @@ pub struct Multistart {
     pub sampling: Option<Sampling>,
     /// Method of the local searches.
     pub polish: Polish,
-    /// Local searches that run at once, their points in one batch; default 4, and 1 after an exploration
-    /// until that search has ended. Part of the path: it does not follow the workers. Until the first of them
-    /// has ended, the others have at most half of a limit of evaluations.
+    /// Number of local searches that run in parallel, with their points in one batch. Default 4; after an
+    /// exploration, 1 until the first search has ended. The number does not depend on the workers, because it
+    /// changes the path. Until the first search has ended, the others use at most half of the evaluation
+    /// limit.
     pub side_by_side: Option<usize>,
     /// Maximum number of local searches; by default limited only by the budget.
     pub max_starts: Option<usize>,

@@ -50,9 +50,9 @@ pub(super) struct Core {
     /// True for points of the sample from which a search has started.
     used: Vec<bool>,
     rounds: PendingGeneration,
-    /// Points that searches are still to start from.
+    /// Start points of pending searches.
     pub(super) queue: Vec<Vec<f64>>,
-    /// Evaluations of the exploration: planned and made.
+    /// Planned and completed evaluations of the exploration.
     n_planned: usize,
     n_explored: usize,
     n_starts: usize,

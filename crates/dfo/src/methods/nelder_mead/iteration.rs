@@ -145,9 +145,9 @@ impl NelderMeadState {
         }
     }
 
-    /// The side of the simplex that is to be built anew although the tests passed, in units of the sizes: the
-    /// old one lies on a kink, or is flat, not because of a bound; and the last restart, if there was one,
-    /// lowered the cost by more than the f test allows.
+    /// Returns the edge of a new simplex, in units of the parameter sizes, if a restart is required although
+    /// the tests passed. A restart is required if the old simplex is on a kink, or flat for another reason
+    /// than a bound. The last restart, if any, must have lowered the cost by more than the f test allows.
     fn side_of_restart(&mut self, tests: &ToleranceTests) -> Option<f64> {
         let useless = self.f_restart.is_some_and(|f| f - tests.f_best <= tests.f_limit);
         let space = &self.setup.space;

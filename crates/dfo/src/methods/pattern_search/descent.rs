@@ -1,4 +1,4 @@
-//! The search for a way down that no poll has met, before a point counts as a minimum.
+//! Search for a descent direction that no poll has found, before a point counts as a minimum.
 
 use super::discrete_gradients::{DIFFERENCE, Descent, DiscreteGradients, Partial, implied};
 use super::poll::Poll;
@@ -6,11 +6,12 @@ use super::state::{Phase, Polling};
 use crate::method_interface::interface::{AnswersSoFar, Batch, Operation};
 use crate::methods::shared::cost::Cost;
 
-/// The length of the steps is made so much smaller where none of this length leads down.
+/// Factor by which the steps are shortened if none of the current length leads down.
 const SHORTER: f64 = 0.1;
 
 impl Polling {
-    /// Looks for a way down from the best point, with steps as long as the first frame and then shorter ones.
+    /// Starts the search for a descent direction from the best point, with steps as long as the first frame
+    /// and then shorter ones.
     pub(super) fn begin_descent(&mut self, least: f64) {
         let f_begin = self.best_cost();
         self.phase = Phase::Descending;
@@ -29,7 +30,7 @@ impl Polling {
         DiscreteGradients::new(first)
     }
 
-    /// Asks for the end of the next step, or ends where the steps have become as short as the frame.
+    /// Requests the end point of the next step, or ends if the steps have become as short as the frame.
     fn descend_with(&mut self, mut descent: Descent) {
         descent.partial = None;
         loop {
@@ -45,13 +46,13 @@ impl Polling {
         }
     }
 
-    /// The trial point as seen from the best one, in units of the sizes.
+    /// Returns the displacement of the trial point from the best one, in units of the parameter sizes.
     fn displacement(&self) -> Vec<f64> {
         let (space, from) = (&self.setup.space, self.best.u(0));
         self.trial.0.iter().enumerate().map(|(k, u)| (u - from[k]) / space.size(k)).collect()
     }
 
-    /// Shorter steps; false at the end.
+    /// Shortens the steps. Returns false at the end of the search.
     fn shorten(&mut self, descent: &mut Descent) -> bool {
         descent.scale *= SHORTER;
         descent.gradients = self.no_gradients();
@@ -63,7 +64,7 @@ impl Polling {
         false
     }
 
-    /// Takes the cost of the trial point.
+    /// Processes the cost of the trial point.
     pub(super) fn descend(&mut self, cost: Cost) {
         let Some(mut descent) = self.descent.take() else { return };
         if descent.partial.is_some() {
@@ -89,7 +90,7 @@ impl Polling {
                 });
                 self.next_difference(descent, 0);
             }
-            // A failure tells nothing of the cost.
+            // A failure contains no information on the cost.
             None => {
                 if self.shorten(&mut descent) {
                     self.descend_with(descent);
@@ -98,7 +99,7 @@ impl Polling {
         }
     }
 
-    /// The next point of a gradient, along the coordinates from this one on; or the next step.
+    /// Requests the next point of a gradient, along the coordinates from `from` on, or the next step.
     fn next_difference(&mut self, mut descent: Descent, from: usize) {
         let Some(partial) = &mut descent.partial else { return };
         let implied = implied(&partial.step);
@@ -126,7 +127,7 @@ impl Polling {
         }
     }
 
-    /// A point beside this one along a coordinate; false where there is none.
+    /// Places a point next to `u` along a coordinate. Returns false if there is none.
     fn place_beside(
         &self,
         u: &[f64],
@@ -156,7 +157,7 @@ impl Polling {
         self.next_difference(descent, axis + 1);
     }
 
-    /// A step that led down was doubled for as long as that gained.
+    /// Continues the search after a step that led down has been doubled as long as the cost decreased.
     pub(super) fn descend_on(&mut self) {
         self.conclude(Operation::Poll);
         self.phase = Phase::Descending;
@@ -165,7 +166,7 @@ impl Polling {
         }
     }
 
-    /// The points that follow if the step does not lead down.
+    /// Adds the points that follow if the step does not lead down.
     pub(super) fn speculate_on_descent(&self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
         let Some(descent) = &self.descent else { return };
         let mut ahead = self.trial.clone();

@@ -1,46 +1,47 @@
-//! Discrete gradients: whether a point is a minimum, and else a way down, where the cost has kinks (Bagirov,
-//! Karasözen and Sezer, J. Optim. Theory Appl. 137, 2008, 317).
+//! Discrete gradients. They show that a point is a minimum, or give a descent direction, for costs with kinks
+//! (Bagirov, Karasözen and Sezer, J. Optim. Theory Appl. 137, 2008, 317).
 //!
-//! Where several kinks cross, the directions that lead down may fill so narrow a cone that no poll meets it.
-//! But each smooth piece of the cost around a point has a gradient, and against the shortest vector of the
-//! convex hull of all of them every piece falls. A discrete gradient holds the change of the cost along a
-//! step exactly, and that along the axes from the end of the step by differences: where a step against the
-//! shortest vector does not lead down, its discrete gradient shows a piece that was not known, and the vector
-//! becomes shorter. When it is zero the point is a minimum as far as these steps reach.
+//! At an intersection of several kinks, the descent directions may form a cone so narrow that no poll finds
+//! it. However, each smooth piece of the cost around a point has a gradient. Every piece decreases in the
+//! direction opposite to the shortest vector of the convex hull of these gradients. A discrete gradient
+//! contains the exact change of the cost along a step, and finite differences along the axes from the end of
+//! the step. If a step opposite to the shortest vector does not lead down, its discrete gradient adds an
+//! unknown piece, and the vector becomes shorter. If the vector is zero, the point is a minimum within the
+//! reach of these steps.
 
 use crate::methods::shared::dot::dot;
 use serde::{Deserialize, Serialize};
 
-/// The distance of the differences, in units of the step (it has to be small against that: section 2 there).
+/// Distance of the finite differences, in units of the step. It must be small compared with the step (section
+/// 2 of the paper).
 pub(super) const DIFFERENCE: f64 = 0.01;
-/// So many gradients, in units of n + 1, must tell of a way down at one length of the step: with half as many
-/// more ends lie beside the minimum where the residuals of Moré and Wild count by their sizes, with twice as
-/// many smooth ends take a third more evaluations. Chosen from 5, 10 and 20 on functions with kinks, n = 2
-/// to 6.
+/// Maximum number of gradients at one step length, in units of n + 1. Chosen from 5, 10 and 20 on functions
+/// with kinks, n = 2 to 6. With half as many, more runs end away from the minimum if the absolute residuals
+/// of Moré and Wild are summed. With twice as many, smooth problems need a third more evaluations to end.
 const MOST_GRADIENTS: usize = 10;
-/// Exchanges of weights in the search for the shortest vector.
+/// Maximum number of weight exchanges in the search for the shortest vector.
 const MOST_EXCHANGES: usize = 1000;
-/// The square of its length is known to this share when they end.
+/// Relative accuracy of the squared length of the shortest vector at which the exchanges end.
 const ACCURACY: f64 = 1e-6;
 
-/// The discrete gradients around a point, and the direction to look along next.
+/// Discrete gradients around a point, and the next search direction.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct DiscreteGradients {
     gradients: Vec<Vec<f64>>,
     /// Weights of the gradients in the shortest vector of their hull.
     weights: Vec<f64>,
-    /// Of length 1.
+    /// Direction of length 1.
     direction: Vec<f64>,
 }
 
-/// The coordinate whose derivative follows from the change of the cost along a step: that of its largest
-/// component.
+/// Returns the coordinate whose derivative follows from the change of the cost along a step. This is the
+/// coordinate of the largest component of the step.
 pub(super) fn implied(step: &[f64]) -> usize {
     let larger = |most: usize, k: usize| if step[k].abs() > step[most].abs() { k } else { most };
     (0..step.len()).fold(0, larger)
 }
 
-/// What is left of a gradient where the point may not move against it: at a bound.
+/// Returns a gradient without the components whose descent direction is blocked by a bound.
 fn free(gradient: &[f64], at_lower: &[bool], at_upper: &[bool]) -> Vec<f64> {
     let each = gradient.iter().enumerate();
     let inward = each.map(|(k, g)| if at_lower[k] && *g > 0.0 || at_upper[k] && *g < 0.0 { 0.0 } else { *g });
@@ -64,8 +65,9 @@ impl DiscreteGradients {
         &self.direction
     }
 
-    /// Takes a gradient, and turns the direction against the shortest vector of the hull. The length of that,
-    /// the most that the cost may fall per length; `None` where so many gradients have not told of a way.
+    /// Adds a gradient, and sets the direction opposite to the shortest vector of the hull. Returns the
+    /// length of this vector, the maximum decrease of the cost per length. Returns `None` after the maximum
+    /// number of gradients.
     pub(super) fn add(&mut self, gradient: Vec<f64>, bounds: (&[bool], &[bool])) -> Option<f64> {
         if self.gradients.len() >= MOST_GRADIENTS * (gradient.len() + 1)
             || gradient.iter().any(|g| !g.is_finite())
@@ -82,8 +84,8 @@ impl DiscreteGradients {
         Some(length)
     }
 
-    /// The shortest vector of the hull, by exchanges of weight between two gradients (Mitchell, Demyanov and
-    /// Malozemov, SIAM J. Control 12, 1974, 19).
+    /// Returns the shortest vector of the hull, found by exchanges of weight between two gradients (Mitchell,
+    /// Demyanov and Malozemov, SIAM J. Control 12, 1974, 19).
     fn shortest(&mut self, bounds: (&[bool], &[bool])) -> Vec<f64> {
         let Self { gradients, weights, direction } = self;
         let sum = |weights: &[f64]| {
@@ -124,25 +126,25 @@ impl DiscreteGradients {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Descent {
     pub(super) gradients: DiscreteGradients,
-    /// The length of the steps, as a multiple of the first frame.
+    /// Length of the steps, as a multiple of the first frame.
     pub(super) scale: f64,
-    /// What counts as a gain, and the cost at the beginning.
+    /// Smallest significant gain, and the cost at the start of the search.
     pub(super) least: f64,
     pub(super) f_begin: f64,
-    /// The gradient that is being made; `None` while the end of a step is evaluated.
+    /// The incomplete gradient; `None` while the end of a step is evaluated.
     pub(super) partial: Option<Partial>,
 }
 
-/// A gradient of which some derivatives are known.
+/// A gradient with some known derivatives.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Partial {
     pub(super) derivatives: Vec<f64>,
-    /// The coordinate along which the trial point lies.
+    /// Coordinate along which the trial point is displaced.
     pub(super) axis: usize,
-    /// The point that it is compared with.
+    /// Point with which the trial point is compared.
     pub(super) u: Vec<f64>,
     pub(super) cost: f64,
-    /// Change of the cost along the step, and the step in units of the sizes.
+    /// Change of the cost along the step, and the step in units of the parameter sizes.
     pub(super) change: f64,
     pub(super) step: Vec<f64>,
 }
@@ -172,23 +174,23 @@ mod tests {
     }
 
     #[test]
-    fn the_direction_leads_down_on_every_piece() {
-        // Across the kink of |x0 - 1| + 10 |x1 - x0| both of its sides rise along all axes.
+    fn direction_leads_down_on_every_piece() {
+        // At the kink of |x0 - 1| + 10 |x1 - x0|, both sides rise along all axes.
         let (length, direction) = after(&[[-11.0, 10.0], [9.0, -10.0]], FREE);
         assert!((length - 0.5f64.sqrt()).abs() < 1e-6, "{length}");
         assert!(direction.iter().all(|d| (d - 0.5f64.sqrt()).abs() < 1e-6), "{direction:?}");
     }
 
     #[test]
-    fn a_minimum_has_zero_in_its_hull() {
+    fn shortest_vector_is_zero_at_a_minimum() {
         assert!(after(&[[1.0, 0.0], [-1.0, 1.0], [-1.0, -2.0]], FREE).0 < 1e-9);
-        // At a bound the cost may rise inward.
+        // At a bound, the cost may rise inward.
         assert_eq!(after(&[[3.0, 0.0]], (&[true, false], &[false; 2])).0, 0.0);
         assert_eq!(after(&[[-3.0, 0.0]], (&[true, false], &[false; 2])), (3.0, vec![1.0, 0.0]));
     }
 
     #[test]
-    fn what_is_no_number_is_no_gradient() {
+    fn add_rejects_gradient_with_nan() {
         assert!(after(&[[1.0, f64::NAN]], FREE).0.is_nan());
     }
 }

@@ -1,45 +1,47 @@
 //! Pattern search: a mesh adaptive direct search that polls along orthogonal directions (Audet and Dennis,
 //! SIAM J. Optim. 17, 2006; Abramson, Audet, Dennis and Le Digabel, SIAM J. Optim. 20, 2009: OrthoMADS).
 //!
-//! It is for costs with kinks, steps or failures, and few parameters. It is not for smooth costs: its
-//! directions know nothing of the curvature, and where the cost lies in a narrow valley it needs several
-//! times the evaluations of [`QuadraticModel`](crate::QuadraticModel) (of the 53 smooth problems of Moré and
-//! Wild it solves 57 % within 100 (n + 1) evaluations, that one 92 %: `benches/dfo`).
+//! The method is intended for costs with kinks, steps or failures, and few parameters. It is inefficient for
+//! smooth costs, because its directions do not use the curvature. In a narrow valley, it needs several times
+//! the evaluations of [`QuadraticModel`](crate::QuadraticModel). Of the 53 smooth problems of Moré and Wild,
+//! it solves 57 % within 100 (n + 1) evaluations, and quadratic models solve 92 % (`benches/dfo`).
 //!
-//! A poll looks at the `2 n` points of a frame around the best point, along both ways of `n` orthogonal
-//! directions, rounded to a mesh that becomes finer than the frame as that shrinks. The first better point in
-//! the order of the poll is taken, and the step to it is doubled for as long as that gains; three doublings
-//! double the frame. After a poll without a better point the frame has half the size.
+//! A poll evaluates the `2 n` points of a frame around the best point, in both directions along `n`
+//! orthogonal axes. The points are rounded to a mesh that becomes finer than the frame as the frame shrinks.
+//! The first better point in poll order is accepted, and the step to this point is doubled as long as the
+//! cost decreases. Three doublings double the frame. After a poll without a better point, the frame is
+//! halved.
 //!
-//! **Directions.** A Householder reflection turns one of the coordinate axes along the way that the best
-//! point has gone since the frame last shrank, and the polls begin with the directions nearest to that way
-//! (Rosenbrock, Comput. J. 3, 1960, turns his axes for the same reason: steps along a valley). Where it has
-//! not moved, the reflection is that of the next point of Halton's sequence, as in OrthoMADS, so that the
-//! directions become dense on the sphere; with the first frame the axes stay as they are. The search is
+//! **Directions.** A Householder reflection aligns one of the coordinate axes with the displacement of the
+//! best point since the frame last shrank. The polls start with the directions nearest to this displacement
+//! (Rosenbrock, Comput. J. 3, 1960, rotates his axes for the same reason: steps along a valley). If the best
+//! point has not moved, the reflection uses the next point of Halton's sequence, as in OrthoMADS, so that the
+//! directions become dense on the sphere. With the first frame, the axes are not rotated. The search is
 //! deterministic.
 //!
-//! **Kinks.** Where several kinks cross, few directions lead down, and the frame may shrink before one is
-//! met: passed tests alone tell nothing. Then discrete gradients around the best point either show a way
-//! down, or that there is none for steps from the first frame's length to the last one's
-//! (`discrete_gradients.rs`). Only where they show none has the search converged.
+//! **Kinks.** At an intersection of several kinks, only few directions lead down, and the frame may shrink
+//! before one is found. Passed tests alone are therefore no evidence of a minimum. Discrete gradients around
+//! the best point then either find a descent direction, or show that there is none for steps from the length
+//! of the first frame to the last one (`discrete_gradients.rs`). The search has converged only if they find
+//! none.
 //!
-//! **Restarts.** Then it goes on with the first frame and new directions until that gains nothing any more.
+//! **Restarts.** The search then continues with the first frame and new directions until this gains nothing.
 //!
-//! **Bounds.** A point outside is moved onto the bound.
+//! **Bounds.** A point outside the bounds is moved onto the bound.
 //!
-//! **Failures** are points that are no better. Where the start has failed, the first poll must find a cost.
-//! Where points beside the best one have failed, CMA-ES looks for a lower cost between them before the search
+//! **Failures** are points that are not better. If the start has failed, the first poll must find a cost. If
+//! points next to the best one have failed, CMA-ES searches for a lower cost between them before the search
 //! has converged (`failure_check.rs`).
 //!
-//! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, is moved
-//! alone first (`shared/size_search.rs`).
+//! **Unknown sizes.** If a parameter starts at zero and has neither a nominal size nor a box, it is first
+//! varied alone (`shared/size_search.rs`).
 //!
-//! **Plan.** The path takes one point after the other. Ahead of need, the points that follow in the poll are
-//! evaluated, then those of the next poll ([`Lookahead`]). **Cutoff**: the cost of the best point; none for
-//! discrete gradients.
+//! **Plan.** The path processes one point after the other. Ahead of need, the next points of the poll are
+//! evaluated, then the points of the next poll ([`Lookahead`]). **Cutoff**: the cost of the best point; none
+//! for discrete gradients.
 //!
-//! **Tests.** The x test measures the frame of a poll that failed, the f test what the last four frames have
-//! gained.
+//! **Tests.** The x test measures the frame of a poll that failed. The f test measures the decrease over the
+//! last four frames.
 
 mod descent;
 mod discrete_gradients;
@@ -56,10 +58,10 @@ use crate::problem::memory;
 use crate::problem::option_texts;
 use state::Polling;
 
-/// A running pattern search; made by [`PatternSearch`].
+/// A running pattern search, created by [`PatternSearch`].
 pub type PatternSearchState = WithSizes<PatternSearch>;
 
-/// The problem without bounds that stand for "none".
+/// Returns the setup without bounds that mean "unbounded".
 fn prepared(setup: &Setup) -> Setup {
     Setup { space: setup.space.without_far_bounds(), ..setup.clone() }
 }
@@ -103,7 +105,7 @@ impl MethodOptions for PatternSearch {
         option_texts::fields(self)
     }
 
-    /// The points of a mesh come back.
+    /// Caches points, because the points of a mesh recur.
     fn default_cache(&self) -> usize {
         1000
     }

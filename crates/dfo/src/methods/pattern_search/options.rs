@@ -4,9 +4,9 @@ use crate::error::Error;
 use crate::method_interface::interface::Lookahead;
 use serde::{Deserialize, Serialize};
 
-/// Options of pattern search, for costs with kinks, steps or failures and few parameters; for smooth ones
-/// [`QuadraticModel`](crate::QuadraticModel) takes a fraction of the evaluations. It starts from the start
-/// point; without one, from the middle of the box.
+/// Options of pattern search, for costs with kinks, steps or failures and few parameters. For smooth costs,
+/// [`QuadraticModel`](crate::QuadraticModel) needs a fraction of the evaluations. The search starts from the
+/// start point, or from the middle of the box if there is no start point.
 ///
 /// ```
 /// use dfo::{PatternSearch, minimize};
@@ -20,15 +20,16 @@ use serde::{Deserialize, Serialize};
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct PatternSearch {
-    /// Number of points that are evaluated at once; default [`Lookahead::Measured`].
+    /// Number of points evaluated at once; default [`Lookahead::Measured`].
     pub batch: Lookahead,
-    /// The first distance of the poll points from the best point along each parameter, in units of its size:
-    /// the nominal value where one was given, else the width of the box, else |x0|, else 1. Default 0.3.
+    /// First distance of the poll points from the best point along each parameter, in units of its size;
+    /// default 0.3. The size is the nominal value if given, otherwise the width of the box, otherwise |x0|,
+    /// otherwise 1.
     pub frame: f64,
-    /// When the tests have passed and discrete gradients show no way down, the search begins anew with the
-    /// first frame and new directions, until so many such searches in a row have gained nothing (no more than
-    /// the f test allows); default 1. They find what lies behind a step, of which no gradient tells. 0: the
-    /// first search is the only one.
+    /// Number of consecutive restarts without a gain (above the limit of the f test) after which the run
+    /// ends; default 1. The search restarts with the first frame and new directions after the tests have
+    /// passed and discrete gradients show no descent direction. Restarts find lower costs behind a step,
+    /// which gradients cannot show. 0 disables restarts.
     pub restarts: usize,
 }
 
@@ -39,21 +40,21 @@ impl Default for PatternSearch {
 }
 
 impl PatternSearch {
-    /// Sets how many points are evaluated at once.
+    /// Sets the number of points evaluated at once.
     #[must_use]
     pub fn batch(mut self, points: Lookahead) -> Self {
         self.batch = points;
         self
     }
 
-    /// Sets the first size of the frame.
+    /// Sets the size of the first frame.
     #[must_use]
     pub fn frame(mut self, frame: f64) -> Self {
         self.frame = frame;
         self
     }
 
-    /// Sets how many searches in a row must gain nothing.
+    /// Sets the number of consecutive restarts without a gain after which the run ends.
     #[must_use]
     pub fn restarts(mut self, restarts: usize) -> Self {
         self.restarts = restarts;

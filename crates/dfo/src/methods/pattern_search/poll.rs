@@ -1,35 +1,36 @@
-//! The directions of a poll and their order.
+//! Directions of a poll and their order.
 
 use serde::{Deserialize, Serialize};
 
-/// The directions of a poll: the columns of a Householder matrix and their opposites, best guess first.
+/// Directions of a poll: the columns of a Householder matrix and their opposites, most promising first.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Poll {
-    /// The normal of the reflection, of length 1; zero where the axes stay as they are.
+    /// Normal of the reflection, of length 1; zero if the axes are not rotated.
     normal: Vec<f64>,
     /// Axis and sign of each direction.
     order: Vec<(usize, bool)>,
 }
 
 impl Poll {
-    /// Along the axes of the coordinates.
+    /// Returns a poll along the coordinate axes.
     pub(super) fn along_axes(n: usize) -> Self {
         let order = (0..n).flat_map(|k| [(k, true), (k, false)]).collect();
         Self { normal: vec![0.0; n], order }
     }
 
-    /// With the reflection of a point of Halton's sequence (OrthoMADS, section 3.1). `index` from 1.
+    /// Returns a poll with the reflection by a point of Halton's sequence (OrthoMADS, section 3.1). `index`
+    /// starts at 1.
     pub(super) fn of_halton(n: usize, index: u64) -> Self {
         let mut poll = Self::along_axes(n);
         let bases = (2u64..).filter(|p| (2..).take_while(|d| d * d <= *p).all(|d| !p.is_multiple_of(d)));
-        // The first n points lie near a line.
+        // The first n points are near a line.
         poll.normal = bases.take(n).map(|base| 2.0 * radical_inverse(index + n as u64, base) - 1.0).collect();
         poll.normalise();
         poll
     }
 
-    /// With one direction along `way`, and the directions nearest to it first. Along the axes where it has no
-    /// length.
+    /// Returns a poll with one direction along `way`, and the directions nearest to `way` first. If `way` has
+    /// no length, the poll is along the axes.
     pub(super) fn along(way: &[f64]) -> Self {
         let mut poll = Self::along_axes(way.len());
         poll.normal.copy_from_slice(way);
@@ -41,7 +42,7 @@ impl Poll {
         if along == 0.0 {
             return poll;
         }
-        // The reflection takes this axis, away from the way, to the way.
+        // The reflection maps this axis to the direction of `way`, up to the sign.
         poll.normal[axis] += poll.normal[axis].signum();
         poll.normalise();
         let mut step = vec![0.0; way.len()];
@@ -56,12 +57,12 @@ impl Poll {
         poll
     }
 
-    /// Number of directions.
+    /// Returns the number of directions.
     pub(super) fn len(&self) -> usize {
         self.order.len()
     }
 
-    /// Direction `k`, of length 1.
+    /// Sets `out` to direction `k`, of length 1.
     pub(super) fn direction(&self, k: usize, out: &mut [f64]) {
         let (axis, is_positive) = self.order[k];
         let sign = if is_positive { 1.0 } else { -1.0 };
@@ -85,7 +86,8 @@ impl Poll {
     }
 }
 
-/// The digits of a number in a base, mirrored at the point (Halton, Numer. Math. 2, 1960).
+/// Returns the radical inverse: the digits of a number in a base, mirrored at the radix point (Halton, Numer.
+/// Math. 2, 1960).
 fn radical_inverse(mut index: u64, base: u64) -> f64 {
     let (mut value, mut unit) = (0.0, 1.0);
     while index > 0 {
@@ -110,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn directions_are_orthogonal_and_come_with_their_opposites() {
+    fn directions_are_orthogonal_and_include_their_opposites() {
         let ways: [&[f64]; 4] = [&[3.0, -4.0, 0.5], &[0.0, 0.0, -1e-200], &[1e300, 1e300, 1e300], &[0.0; 3]];
         let mut polls: Vec<Poll> = ways.iter().map(|way| Poll::along(way)).collect();
         polls.extend((1..20).map(|index| Poll::of_halton(3, index)));
@@ -126,14 +128,14 @@ mod tests {
     }
 
     #[test]
-    fn the_first_direction_is_the_way() {
+    fn first_direction_is_along_the_way() {
         let all = directions(&Poll::along(&[3.0, -4.0]), 2);
         assert!((all[0][0] - 0.6).abs() < 1e-15 && (all[0][1] + 0.8).abs() < 1e-15, "{all:?}");
         assert!((all[3][0] + 0.6).abs() < 1e-15, "{all:?}");
     }
 
     #[test]
-    fn numbers_of_the_sequence() {
+    fn radical_inverse_matches_known_values() {
         let values: Vec<f64> = (1..6).map(|i| radical_inverse(i, 2)).collect();
         assert_eq!(values, [0.5, 0.25, 0.75, 0.125, 0.625]);
         assert!((radical_inverse(5, 3) - (2.0 / 3.0 + 1.0 / 9.0)).abs() < 1e-15);

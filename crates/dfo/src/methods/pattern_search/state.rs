@@ -1,4 +1,4 @@
-//! The running search: which point the path needs next, and what follows from its cost.
+//! The running search: the next required point, and the processing of its cost.
 
 use super::discrete_gradients::Descent;
 use super::options::PatternSearch;
@@ -16,10 +16,10 @@ use crate::outcome::termination::Termination;
 use crate::values::choices::{BoundsHandling, ToleranceMeasure, Transform};
 use serde::{Deserialize, Serialize};
 
-/// The f test measures what so many frames have gained.
+/// Number of frames whose gain the f test measures.
 const FRAMES: usize = 4;
 
-/// So many doublings of a step double the frame.
+/// Number of doublings of a step that double the frame.
 const DOUBLINGS: u32 = 3;
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -28,20 +28,20 @@ pub(super) enum Phase {
     Starting,
     /// The points of the poll are evaluated.
     Polling,
-    /// A step that has gained is doubled.
+    /// A step that lowered the cost is doubled.
     Extending,
-    /// A way down is looked for that no poll has met.
+    /// The search for a descent direction that no poll has found.
     Descending,
-    /// The tests have passed beside points that fail: a lower cost is looked for between them.
+    /// The tests have passed near failed points. CMA-ES searches for a lower cost between them.
     BesideFailures,
     NoStart,
     Ended(Termination),
 }
 
-/// The frame grows no more from here on: numbers end.
+/// Maximum size of a frame that may still grow, to avoid overflow.
 const LARGEST: f64 = 1e100;
 
-/// A pattern search where all sizes are known.
+/// A pattern search with known sizes.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Polling {
     pub(super) setup: Setup,
@@ -50,37 +50,38 @@ pub struct Polling {
     /// The best point, or the start.
     pub(super) best: RankedPoints,
     pub(super) trial: (Vec<f64>, Vec<f64>),
-    /// Size of the first frame, and of the present one as a multiple of it.
+    /// Size of the first frame, and the current size as a multiple of the first.
     pub(super) first: f64,
     pub(super) scale: f64,
     poll: Poll,
-    /// Place of the trial point in the poll.
+    /// Index of the trial point in the poll.
     place: usize,
-    /// Frames that have shrunk.
+    /// Number of times that the frame has shrunk.
     pub(super) n_refined: u64,
     /// The best point when the frame last shrank, in working coordinates.
     reference: Vec<f64>,
-    /// The last step, in units of the sizes, and how often it has been doubled.
+    /// The last step, in units of the parameter sizes, and the number of its doublings.
     pub(super) step: Vec<f64>,
     pub(super) n_doubled: u32,
     /// The best cost when each of the last frames shrank.
     gains: Vec<f64>,
-    /// So many restarts in a row must gain nothing; how many have, and the best cost when the search last
-    /// began.
+    /// Number of consecutive restarts that must gain nothing, number of such restarts so far, and the best
+    /// cost at the last start of the search.
     restarts: usize,
     n_idle: usize,
     f_begin: f64,
-    /// The tests that had passed where no way down was found; they hold while no better point is known.
+    /// The tests that had passed when no descent direction was found. They remain valid until a better point
+    /// is found.
     passed: Option<ToleranceTests>,
-    /// The search for a way down.
+    /// The search for a descent direction.
     #[serde(default)]
     pub(super) descent: Option<Descent>,
-    /// Points that failed in the search for a way down.
+    /// Points that failed in the search for a descent direction.
     #[serde(default)]
     failed: FailedPoints,
     #[serde(default)]
     check: Option<FailureCheck>,
-    /// Points of the last batch.
+    /// Number of points in the last batch.
     #[serde(default)]
     n_asked: usize,
     waiting: bool,
@@ -128,10 +129,10 @@ impl Polling {
         }
     }
 
-    /// True if this state fits to a problem and to itself.
+    /// True if the state is consistent with itself and with the problem.
     pub(super) fn is_sound(&self, setup: &Setup) -> bool {
         let n = setup.space.n_free();
-        // The frame is a length, at most the first one or the largest that it grows to.
+        // The frame size is at most the first size or the maximum size of a growing frame.
         let space = &setup.space;
         let is_inside = |u: &[f64]| {
             u.len() == n
@@ -166,15 +167,16 @@ impl Polling {
         self.best.cost(0).value().unwrap_or(f64::INFINITY)
     }
 
-    /// The step to point `k` of a poll, in units of the sizes, on the mesh of a frame of this scale.
+    /// Computes the step to point `k` of a poll, in units of the parameter sizes, on the mesh of a frame of
+    /// this scale.
     fn poll_step(&self, poll: &Poll, k: usize, scale: f64, out: &mut [f64]) {
         poll.direction(k, out);
         let mesh = scale.min(scale * scale);
         out.iter_mut().for_each(|d| *d = self.first * mesh * (scale * *d / mesh).round());
     }
 
-    /// The point at a step from the best one, in working coordinates and the user's; false where it is the
-    /// best one itself.
+    /// Places the point at a step from the best one, in working coordinates and in the user's units. Returns
+    /// false if the result is the best point itself.
     fn place(&self, step: &[f64], (u, x): &mut (Vec<f64>, Vec<f64>)) -> bool {
         let space = &self.setup.space;
         for (k, (u, step)) in u.iter_mut().zip(step).enumerate() {
@@ -185,7 +187,7 @@ impl Polling {
         x != self.best.x(0)
     }
 
-    /// Makes this point the trial point.
+    /// Makes the point at this step the trial point.
     pub(super) fn place_trial(&mut self, step: &[f64]) -> bool {
         let mut trial = std::mem::take(&mut self.trial);
         let is_new = self.place(step, &mut trial);
@@ -193,8 +195,8 @@ impl Polling {
         is_new
     }
 
-    /// The poll from the best point, given how often the frame has shrunk and whether the point has moved
-    /// since.
+    /// Returns the next poll from the best point. `n_refined` is the number of times that the frame has
+    /// shrunk. `has_moved` is true if the point may have moved since.
     fn next_poll(&self, n_refined: u64, has_moved: bool) -> Poll {
         let (space, n) = (&self.setup.space, self.step.len());
         let way = |k: usize| (self.best.u(0)[k] - self.reference[k]) / space.size(k);
@@ -208,14 +210,14 @@ impl Polling {
         }
     }
 
-    /// Begins a poll from the best point.
+    /// Starts a poll from the best point.
     fn begin_poll(&mut self) {
         self.poll = self.next_poll(self.n_refined, true);
         self.phase = Phase::Polling;
         self.go_to(0);
     }
 
-    /// Goes to the first place of the poll from here on that holds another point than the best one; where
+    /// Selects the first direction of the poll, from `from` on, whose point differs from the best one. If
     /// there is none, the poll has failed.
     fn go_to(&mut self, from: usize) {
         let mut step = std::mem::take(&mut self.step);
@@ -230,7 +232,7 @@ impl Polling {
         }
     }
 
-    /// No point of the poll was better. `counts`: whether any was evaluated.
+    /// Processes a poll without a better point. `counts` is true if any of its points was evaluated.
     fn poll_failed(&mut self, counts: bool) {
         if self.operation.is_none() {
             self.phase = Phase::NoStart;
@@ -259,8 +261,8 @@ impl Polling {
         }
     }
 
-    /// The best point is a minimum as far as polls and discrete gradients tell, or one has gained: ends, or
-    /// begins with the first frame.
+    /// Continues after the search for a descent direction. If it gained nothing, the best point is a minimum
+    /// according to polls and discrete gradients. The run then ends or restarts with the first frame.
     pub(super) fn descended(&mut self, has_gained: bool) {
         let (f, least) = (self.best_cost(), self.tests.map_or(0.0, |tests| tests.f_limit));
         let gains = has_gained || self.f_begin - f > least;
@@ -278,8 +280,8 @@ impl Polling {
         self.begin_frame();
     }
 
-    /// Nothing lower was found: the end, or the check that this is so where points failed beside the best
-    /// one.
+    /// Ends the search without a lower cost. If points near the best one failed, first starts the check for a
+    /// lower cost between them.
     fn converged(&mut self, least: f64) {
         let point = (self.best.x(0), self.best_cost());
         let check = self
@@ -296,7 +298,7 @@ impl Polling {
         };
     }
 
-    /// Takes the outcomes of the check beside points that fail.
+    /// Processes the outcomes of the check near failed points.
     fn check_told(&mut self, answers: &Answers) -> Result<(), Error> {
         let Some(check) = &mut self.check else { return Ok(()) };
         let ended = check.tell(answers, &self.setup)?;
@@ -308,7 +310,7 @@ impl Polling {
         Ok(())
     }
 
-    /// Begins the polls of a frame of another size.
+    /// Starts the polls of a frame of another size.
     fn begin_frame(&mut self) {
         self.n_refined += 1;
         self.reference.copy_from_slice(self.best.u(0));
@@ -325,7 +327,7 @@ impl Polling {
         self.tests = Some(ToleranceTests { extent: TestedSet::Frame, ..tests });
     }
 
-    /// Size of the frame as the x test measures it.
+    /// Returns the size of the frame as measured by the x test.
     fn frame_size(&self) -> f64 {
         let (space, frame) = (&self.setup.space, self.first * self.scale);
         let size = |(k, &i): (usize, &usize)| match space.transform(k) {
@@ -338,7 +340,7 @@ impl Polling {
         }
     }
 
-    /// The trial point is better.
+    /// Accepts the trial point as the best point.
     pub(super) fn accept(&mut self, cost: Cost) {
         let Self { setup, best, trial: (u, x), step, .. } = self;
         for (k, step) in step.iter_mut().enumerate() {
@@ -348,7 +350,7 @@ impl Polling {
         best.set_cost(0, cost);
     }
 
-    /// Tries twice the last step, or ends the iteration where that leads nowhere.
+    /// Requests twice the last step, or ends the iteration if the doubled step does not move the point.
     pub(super) fn extend(&mut self) {
         let doubled: Vec<f64> = self.step.iter().map(|s| 2.0 * s).collect();
         self.phase = Phase::Extending;
@@ -357,7 +359,7 @@ impl Polling {
         }
     }
 
-    /// The step was doubled for as long as that gained.
+    /// Continues after a step has been doubled as long as the cost decreased.
     fn extended(&mut self) {
         if self.descent.is_some() {
             self.descend_on();
@@ -393,15 +395,16 @@ impl Method for Polling {
         }
         batch.start(self.setup.space.n(), self.n_points, self.n_points);
         if self.status() == Status::Running {
-            // The start is the first trial point.
-            // Gradients are made of costs, however high.
+            // The start is the first trial point. Gradients need costs of any magnitude, so they use no
+            // cutoff.
             let cutoff = if self.phase == Phase::Descending { f64::INFINITY } else { self.best_cost() };
             batch.push(&self.trial.1, cutoff);
         }
     }
 
     fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
-        // The rest of this poll, then the one that follows if all of its points fail, or if the step cannot be doubled.
+        // The rest of this poll, then the poll that follows if all its points fail or the step cannot be
+        // doubled.
         let (rest, next) = match self.phase {
             Phase::Starting => (0, (self.next_poll(1, false), 0.5 * self.scale)),
             Phase::Polling => (self.place + 1, (self.next_poll(self.n_refined + 1, false), 0.5 * self.scale)),
@@ -438,7 +441,7 @@ impl Method for Polling {
         self.n_points += 1;
         let Some(outcome) = outcomes.first().filter(|outcome| outcome.is_known()) else { return Ok(()) };
         let cost = outcome.value().map_or(Cost::Failed, Cost::Value);
-        // With a cutoff the evaluation of a point that fails may have ended before.
+        // With a cutoff, the evaluation of a failing point might have stopped before the failure.
         if cost == Cost::Failed && self.phase == Phase::Descending {
             self.failed.remember(&self.trial.1);
         }
@@ -457,7 +460,7 @@ impl Method for Polling {
                 self.accept(cost);
                 self.n_doubled = 0;
                 if self.operation.is_none() {
-                    // The first cost of a search whose start has failed.
+                    // First cost of a search whose start has failed.
                     self.started();
                     self.begin_poll();
                 } else {

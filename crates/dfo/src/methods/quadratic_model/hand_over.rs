@@ -1,4 +1,4 @@
-//! Where noise and kinks show in the model, and what follows from them.
+//! Detection of noise and kinks in the model, and the hand-over to a simplex search.
 
 use super::inverse::median;
 use super::iteration::{FAR, MOST_REFUSED, norm};
@@ -7,28 +7,29 @@ use crate::method_interface::interface::Roughness;
 use crate::methods::nelder_mead::{NelderMead, SimplexSearch};
 use crate::methods::shared::cost::Cost;
 
-/// The curvature is compared with that of an extent so many times as large: two reductions of the resolution.
+/// Ratio of the larger extent whose curvature is compared: two reductions of the resolution.
 const WIDER: f64 = 25.0;
-/// The least power of 1/extent with which it grows at a kink (there it is 1, at noise 2, where the cost is
-/// smooth 0). Chosen with `benches/choice.rs` at seed 0, looked at with seeds 1 to 5.
+/// Minimum exponent of 1/extent with which the curvature grows at a kink. The exponent is 1 at a kink, 2 for
+/// noise and 0 for a smooth cost. Chosen with `benches/choice.rs` at seed 0, checked with seeds 1 to 5.
 const GROWTH: f64 = 0.5;
-/// Of two failed steps in a row the error of the slope, in units of the extent, has grown by this factor.
+/// Factor by which the slope error, in units of the extent, must have grown between two consecutive failed
+/// steps.
 const GROWN: f64 = 2.0;
-/// Least change of the cost by the curvature within rho that counts, as a share of the cost.
+/// Minimum significant change of the cost due to curvature within rho, as a fraction of the cost.
 const VISIBLE: f64 = 1e3 * f64::EPSILON;
 
 impl ModelSearch {
-    /// The median distance of the points of the model from the best one, in units of the sizes: the scale on
-    /// which it knows the cost, which may be far above the resolution.
+    /// Returns the median distance of the points of the model from the best one, in units of the parameter
+    /// sizes. This is the scale on which the model represents the cost. It may be far above the resolution.
     pub(super) fn extent(&self) -> f64 {
         let (base, points) = (self.points.u(self.base()), &self.points);
         let known = (0..points.len()).filter(|&slot| points.cost(slot).value().is_some());
         median(known.map(|slot| norm(&self.displacement(base, points.u(slot)))))
     }
 
-    /// Counts a step that failed among near points if the error of the model's slope, in units of the extent,
-    /// has grown: it falls with the extent where the cost is smooth and grows at kinks and with noise. At a
-    /// minimum no step can succeed, and the error alone tells.
+    /// Counts a failed step among near points if the slope error of the model, in units of the extent, has
+    /// grown. The error decreases with the extent for smooth costs, and grows at kinks and with noise. At a
+    /// minimum, no step can succeed, so only the error is evidence.
     fn judge_refusal(&mut self, extent: f64) {
         let Some(error) = self.refused.filter(|_| extent <= FAR * self.rho) else { return };
         let bend = error / extent;
@@ -36,16 +37,16 @@ impl ModelSearch {
         self.largest_bend = self.largest_bend.max(bend);
     }
 
-    /// Looks for noise and kinks when a resolution is exhausted. Where the cost has kinks the model bends as
-    /// much as the slope changes among its points, so that its curvature grows with 1/extent; what noise adds
-    /// to it grows with 1/extent^2. Steps that fail while the points lie far off say nothing of the cost: the
-    /// model need not be right within the resolution.
+    /// Detects noise and kinks when a resolution is exhausted. At a kink, the curvature of the model reflects
+    /// the change of slope among its points and grows with 1/extent. The contribution of noise grows with
+    /// 1/extent^2. Failed steps are ignored if the points are far away, because the model may then be
+    /// inaccurate within the resolution.
     pub(super) fn look_for_roughness(&mut self) -> Option<Roughness> {
         let extent = self.extent();
         self.judge_refusal(extent);
         let curvature = self.model.hessian.iter().map(|h| h * h).sum::<f64>().sqrt();
         let refused = self.n_refused >= MOST_REFUSED;
-        // Where nothing is seen within the radius the tests mean nothing.
+        // If all costs within the radius are equal, the tests are meaningless.
         let mut found = (refused || self.is_flat()).then_some(Roughness::RefusedSteps);
         let wider = self.curvatures.iter().rev().find(|(wider, _)| *wider >= WIDER * extent).copied();
         if let Some((wider, least)) = wider {
@@ -59,13 +60,13 @@ impl ModelSearch {
         found
     }
 
-    /// All points have one cost: of these none is better than another.
+    /// True if all points have the same cost.
     pub(super) fn is_flat(&self) -> bool {
         let f = self.points.cost(self.points.best()).value();
         (0..self.points.len()).all(|slot| self.points.cost(slot).value() == f)
     }
 
-    /// A simplex search takes over from the best point; false where none can.
+    /// Starts a simplex search from the best point. Returns false if this is not possible.
     pub(super) fn hand_over(&mut self) -> bool {
         let best = self.points.best();
         let (start, cost) = (self.points.x(best).to_vec(), self.points.cost(best));

@@ -1,16 +1,17 @@
-//! Where the first points lie: the start, two along each axis, and more in the planes between axes where they
-//! are wanted.
+//! Positions of the first points: the start, two along each axis, and, if requested, more in the planes
+//! between axes.
 
 use crate::problem::space::Space;
 
-/// Distances that points may have from `u` along coordinate `k`, below and above.
+/// Returns the available distances from `u` along coordinate `k`, below and above.
 fn margins(space: &Space, u: &[f64], k: usize) -> (f64, f64) {
     let (lower, upper) = space.working_bounds(k);
     ((u[k] - lower).max(0.0), (upper - u[k]).max(0.0))
 }
 
-/// Two displacements of coordinate `k` from `u` of about this length: one to each side where there is as
-/// much, else the bound takes the place of one, or both lie on the side with more.
+/// Returns two displacements of coordinate `k` from `u` with approximately this length. The displacements are
+/// on both sides if there is enough space, limited by the bounds. Otherwise both are on the side with more
+/// space.
 fn pair(space: &Space, u: &[f64], k: usize, length: f64) -> [f64; 2] {
     let (below, above) = margins(space, u, k);
     let (side, near, far) = if above >= below { (1.0, below, above) } else { (-1.0, above, below) };
@@ -22,9 +23,10 @@ fn pair(space: &Space, u: &[f64], k: usize, length: f64) -> [f64; 2] {
     [side * 0.5 * far, side * far]
 }
 
-/// The point of this number: 0 is `centre`, the next n one step along each axis, the next n the second step,
-/// then pairs of steps. `shortened`: how often it has failed; it is as many times halved, on alternating
-/// sides where the box has both.
+/// Sets `u` to the point with this index. Index 0 is `centre`, the next n are one step along each axis, the
+/// next n the second steps, then pairs of steps. `shortened` is the number of failures of the point. With
+/// each failure, the side alternates if the box has space on both sides, and the step is halved at every
+/// second failure.
 pub(super) fn place(
     space: &Space,
     centre: &[f64],
@@ -39,7 +41,7 @@ pub(super) fn place(
         0 => return,
         number if number <= 2 * n => [((number - 1) % n, (number - 1) / n), (usize::MAX, 0)],
         number => {
-            // Pairs of axes, those next to one another first.
+            // Pairs of axes, adjacent axes first.
             let (turn, p) = ((number - 2 * n - 1) / n + 1, (number - 2 * n - 1) % n);
             [(p, 0), ((p + turn) % n, 0)]
         }

@@ -1,45 +1,44 @@
-//! The inverse of the matrix of the interpolation conditions, kept up as points are exchanged: of O((m +
-//! n)^2) operations for each, where solving the conditions takes O(m^3). For models of many parameters.
+//! Inverse of the matrix of the interpolation conditions, for models of many parameters. An exchange of
+//! points updates the inverse with O((m + n)^2) operations. Solving the conditions takes O(m^3).
 
 use super::model::{GRADIENT_WEIGHT, SHIFTS};
 use crate::methods::shared::dot::dot;
 use nalgebra::{Cholesky, DMatrix};
 use serde::{Deserialize, Serialize};
 
-/// The matrix `W` has the rows `[-D, X; X', A]` with `X_j = (1, y_j)`, `A_ij = (y_i'y_j)^2 / 2` for
-/// displacements `y_j` of the points from an origin. Its inverse `H` holds the Lagrange polynomials of the
-/// points: column `j` has the value and the gradient at the origin and, after these, the weights of the `y_k
-/// y_k'` in the Hessian (Powell, Math. Program. 100, 2004, section 2). With `D = 0` the models change by the
-/// least Frobenius norm; the small `D` of [`super::model::Interpolation`] makes `W` regular for any number of
-/// points.
+/// Inverse of the interpolation matrix. The matrix `W` has the rows `[-D, X; X', A]` with `X_j = (1, y_j)`,
+/// `A_ij = (y_i'y_j)^2 / 2` for displacements `y_j` of the points from an origin. Its inverse `H` contains
+/// the Lagrange polynomials of the points. Column `j` contains the value and the gradient at the origin,
+/// followed by the weights of the `y_k y_k'` in the Hessian (Powell, Math. Program. 100, 2004, section 2).
+/// With `D = 0`, the models change by the least Frobenius norm. The small `D` of
+/// [`super::model::Interpolation`] makes `W` regular for any number of points.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Inverse {
     n: usize,
-    /// The slot of each point.
+    /// Slot of each point.
     pub(super) slots: Vec<usize>,
-    /// Displacements in units of `scale`, a row each.
+    /// Displacements in units of `scale`, one row per point.
     y: Vec<f64>,
     pub(super) scale: f64,
-    /// Row by row; the points follow the 1 + n coefficients.
+    /// Row-major. The points follow the 1 + n coefficients.
     h: Vec<f64>,
-    /// Weights of the `y_k y_k'` in the Hessian of the model, which holds the rest.
+    /// Weights of the `y_k y_k'` in the Hessian of the model. The model itself stores the remaining part.
     weights: Vec<f64>,
     n_exchanged: usize,
 }
 
-/// The accuracy is looked at when so large a share of the points has been exchanged: what it costs to make
-/// all anew is little then.
+/// Fraction of exchanged points after which the accuracy is checked. The cost of a rebuild is then small.
 const LOOKED_AFTER: f64 = 0.25;
 
-/// A displacement from a point of the interpolation, as the formulas for an exchange need it.
+/// A displacement from a point of the interpolation, with the data for an exchange.
 pub(super) struct Step {
-    /// The coefficients and the values of the Lagrange polynomials at its end: `H w`.
+    /// Coefficients and values of the Lagrange polynomials at the end of the step: `H w`.
     hw: Vec<f64>,
     beta: f64,
     end: Vec<f64>,
 }
 
-/// The upper median; 0 of nothing.
+/// Returns the upper median, or 0 if there are no values.
 pub(super) fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();
     let middle = values.len() / 2;
@@ -51,8 +50,8 @@ fn add(to: &mut [f64], weight: f64, v: &[f64]) {
 }
 
 impl Inverse {
-    /// From scratch: `displacements` of these slots from the origin, one after the other. `None` where
-    /// numbers end.
+    /// Builds the inverse from the concatenated displacements of the slots from the origin. Returns `None` if
+    /// numbers overflow.
     pub(super) fn new(slots: Vec<usize>, displacements: &[f64], n: usize) -> Option<Self> {
         let m = slots.len();
         let scale = median(displacements.chunks_exact(n).map(|y| dot(y, y).sqrt()));
@@ -74,7 +73,7 @@ impl Inverse {
             Cholesky::new(shifted).map(|c| c.inverse())
         })?;
         normalise(&mut omega);
-        // The rest of H from the rows of W H = 1, with -D = -1 / GRADIENT_WEIGHT.
+        // The other parts of H from the rows of W H = 1, with -D = -1 / GRADIENT_WEIGHT.
         let x = rows.insert_column(0, 1.0) * GRADIENT_WEIGHT;
         let xi = x.tr_mul(&omega);
         let upsilon = &xi * x - DMatrix::from_diagonal_element(n + 1, n + 1, GRADIENT_WEIGHT);
@@ -106,7 +105,7 @@ impl Inverse {
         &self.h[k * size..(k + 1) * size]
     }
 
-    /// The coefficients and weights of the Lagrange polynomial of point `k`.
+    /// Returns the coefficients and weights of the Lagrange polynomial of point `k`.
     fn polynomial(&self, k: usize) -> (&[f64], &[f64]) {
         self.row(self.n + 1 + k).split_at(self.n + 1)
     }
@@ -115,23 +114,23 @@ impl Inverse {
         self.y.chunks_exact(self.n)
     }
 
-    /// The place of a slot.
+    /// Returns the index of a slot.
     pub(super) fn place_of(&self, slot: usize) -> Option<usize> {
         self.slots.iter().position(|s| *s == slot)
     }
 
-    /// The displacement of a point from the origin, in units of the scale.
+    /// Returns the displacement of a point from the origin, in units of the scale.
     pub(super) fn point(&self, place: usize) -> &[f64] {
         &self.y[place * self.n..(place + 1) * self.n]
     }
 
-    /// Distance of a point from the origin.
+    /// Returns the distance of a point from the origin.
     pub(super) fn distance(&self, place: usize) -> f64 {
         dot(self.point(place), self.point(place)).sqrt() * self.scale
     }
 
-    /// A displacement from the point `from`. The products are those of its difference from the point, where
-    /// they are one by definition (Powell, report DAMTP 2004/NA08, section 4).
+    /// Returns a displacement from the point `from`. The products use the difference from this point, because
+    /// the products at the point itself are exact by definition (Powell, report DAMTP 2004/NA08, section 4).
     pub(super) fn step(&self, from: usize, displacement: &[f64]) -> Step {
         let base = self.point(from);
         let d: Vec<f64> = displacement.iter().map(|d| d / self.scale).collect();
@@ -149,14 +148,14 @@ impl Inverse {
         Step { hw, beta, end }
     }
 
-    /// The factors by which the determinant of `W` grows if a point is replaced by the end of a step: Powell
-    /// 2004, equation 2.12.
+    /// Returns the factors by which the determinant of `W` grows if each point is replaced by the end of a
+    /// step: Powell 2004, equation 2.12.
     pub(super) fn factors(&self, step: &Step) -> Vec<f64> {
         let of = |(k, tau): (usize, &f64)| self.row(self.n + 1 + k)[self.n + 1 + k] * step.beta + tau * tau;
         step.hw[self.n + 1..].iter().enumerate().map(of).collect()
     }
 
-    /// True if the accuracy is to be checked.
+    /// True if the accuracy must be checked.
     pub(super) fn is_due(&self) -> bool {
         self.n_exchanged > 0 && self.n_exchanged.is_multiple_of(self.interval())
     }
@@ -174,9 +173,9 @@ impl Inverse {
         values.iter().enumerate().all(|(k, v)| (v - f64::from(k == at)).abs() < tolerance)
     }
 
-    /// The end of a step takes the place of a point: Powell 2004, equation 2.11. False where the numbers are
-    /// not enough for it: in exact ones the denominator is at least `tau^2`. The Hessian of the model takes
-    /// what the point had in it.
+    /// Replaces a point by the end of a step: Powell 2004, equation 2.11. Returns false if the numbers are
+    /// too inaccurate: in exact arithmetic, the denominator is at least `tau^2`. The contribution of the
+    /// replaced point is added to the Hessian of the model.
     pub(super) fn exchange(&mut self, place: usize, step: &Step, hessian: &mut [f64]) -> bool {
         let t = self.n + 1 + place;
         let column = self.row(t).to_vec();
@@ -212,21 +211,21 @@ impl Inverse {
         (0..self.slots.len()).for_each(|place| self.fold(place, hessian));
     }
 
-    /// The product of the part of the Hessian that the weights stand for.
+    /// Adds the product of a vector with the part of the Hessian represented by the weights.
     pub(super) fn add_product(&self, v: &[f64], product: &mut [f64]) {
         for (y, weight) in self.points().zip(&self.weights).filter(|(_, weight)| **weight != 0.0) {
             add(product, weight * dot(y, v), y);
         }
     }
 
-    /// Adds the quadratic that has these values at the points to a model whose gradient is that at `base`.
+    /// Adds the quadratic with these values at the points to a model whose gradient is at `base`.
     pub(super) fn add(&mut self, values: &[f64], base: &[f64], gradient: &mut [f64]) {
         let (slope, weights) = self.least_norm(values, base);
         add(gradient, 1.0, &slope);
         add(&mut self.weights, 1.0, &weights);
     }
 
-    /// The quadratic of least norm that has these values at the points: its gradient at `base`, and the
+    /// Returns the quadratic of least norm with these values at the points, as its gradient at `base` and the
     /// weights in its Hessian.
     pub(super) fn least_norm(&self, values: &[f64], base: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let mut coefficients = vec![0.0; self.n + 1 + self.slots.len()];
@@ -243,16 +242,16 @@ impl Inverse {
         self.weights = weights;
     }
 
-    /// The gradient of a polynomial at `base`, in units of the scale.
+    /// Returns the gradient of a polynomial at `base`, in units of the scale.
     fn slope(&self, at_origin: &[f64], weights: &[f64], base: &[f64]) -> Vec<f64> {
         let mut slope = at_origin[1..].to_vec();
         self.points().zip(weights).for_each(|(y, weight)| add(&mut slope, weight * dot(base, y), y));
         slope
     }
 
-    /// The displacement of at most this length, within the bounds, from the point `from` at which the
-    /// Lagrange polynomial of a point is large: along its gradient, or towards another point (BOBYQA's
-    /// ALTMOV: Powell, report DAMTP 2009/NA06, section 3).
+    /// Returns a displacement from the point `from` at which the Lagrange polynomial of a point is large. The
+    /// displacement has at most the given length and is within the bounds. It is along the gradient of the
+    /// polynomial, or towards another point (BOBYQA's ALTMOV: Powell, report DAMTP 2009/NA06, section 3).
     pub(super) fn far_from_zero(
         &self,
         place: usize,
@@ -284,14 +283,14 @@ impl Inverse {
 mod tests {
     use super::*;
 
-    /// A generator of small numbers (Knuth's MMIX constants).
+    /// Returns pseudo-random numbers from -0.5 to 0.5 (Knuth's MMIX constants).
     fn random(state: &mut u64) -> f64 {
         *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (*state >> 11) as f64 / (1u64 << 53) as f64 - 0.5
     }
 
-    /// After twice as many exchanges as there are points the polynomials are those of the points, and the
-    /// model that follows a quadratic by its values interpolates it.
+    /// After twice as many exchanges as points, the polynomials still belong to the points. A model updated
+    /// with the values of a quadratic interpolates this quadratic.
     #[test]
     fn exchanges_keep_the_lagrange_polynomials() {
         let (n, m, mut state) = (6, 13, 11);
@@ -305,7 +304,7 @@ mod tests {
             let (place, from) = (exchange % m, (exchange + 3) % m);
             let end: Vec<f64> = (0..n).map(|_| random(&mut state)).collect();
             let step = inverse.step(from, &displacement(&points[from], &end));
-            // The factor is that of the determinant: never below the square of the polynomial's value there.
+            // The determinant grows at least by the square of the value of the polynomial at the new point.
             assert!(inverse.factors(&step)[place] >= step.hw[n + 1 + place].powi(2) * (1.0 - 1e-9));
             assert!(inverse.exchange(place, &step, &mut hessian));
             points[place] = end;

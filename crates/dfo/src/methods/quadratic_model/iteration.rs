@@ -1,4 +1,4 @@
-//! One iteration: the next trial point, and what follows from its cost.
+//! One iteration: the choice of the next trial point, and the processing of its cost.
 
 use super::model::{Interpolation, Quadratic};
 use super::state::{ModelSearch, Phase};
@@ -11,27 +11,28 @@ use crate::outcome::termination::Termination;
 use crate::values::choices::ToleranceMeasure;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
-/// A resolution below this cannot be seen.
+/// Minimum resolution, limited by rounding.
 const SMALLEST: f64 = 1e-14;
-/// Factor of the resolution when it is exhausted. Like the following constants chosen with the even halves of
-/// the fits, boxes and smooth instances of `benches/quadratic.rs`, which judges with the odd halves.
+/// Factor of the resolution when it is exhausted. This and the following constants were tuned with the even
+/// halves of the fits, boxes and smooth instances of `benches/quadratic.rs`. That bench uses the odd halves
+/// for evaluation.
 const REDUCTION: f64 = 0.2;
-/// Resolutions in a row at which steps failed: then there is noise, or a kink.
+/// Number of consecutive resolutions with failed steps that indicates noise or a kink.
 pub(super) const MOST_REFUSED: usize = 4;
-/// Points that lie farther off than so many radii and so many resolutions leave the model.
+/// Distances, in radii and in resolutions, beyond which points leave the model.
 pub(super) const FAR: f64 = 10.0;
 const FAR_RESOLUTIONS: f64 = 200.0;
-/// The least spread of the points along any direction, in units of the radius, with which they determine the
+/// Minimum spread of the points along any direction, in units of the radius, with which they determine the
 /// gradient.
 const POISED: f64 = 0.3;
-/// A decrease of the cost below this share of it is none.
+/// Relative decrease of the cost below which a restart counts as unsuccessful.
 const NO_PROGRESS: f64 = 1e-9;
-/// Steps that failed are shortened to this share: less would lead straight to where the objective fails, more
-/// costs evaluations.
+/// Factor by which failed steps are shortened. A smaller factor would lead straight to where the objective
+/// fails. A larger factor costs evaluations.
 const SHORTENED: f64 = 0.8;
-/// Failed points farther off than so many radii are not looked at.
+/// Distance, in radii, beyond which failed points are ignored.
 const NEAR: f64 = 4.0;
-/// Curvature across the plane to failed points, in units of the largest of the model.
+/// Curvature across the plane to failed points, in units of the largest curvature of the model.
 const AVOIDANCE: f64 = 100.0;
 
 pub(super) fn norm(v: &[f64]) -> f64 {
@@ -47,13 +48,13 @@ impl ModelSearch {
         self.points.cost(slot).value().unwrap_or(f64::INFINITY)
     }
 
-    /// Displacement between two points in units of the sizes.
+    /// Returns the displacement between two points in units of the parameter sizes.
     pub(super) fn displacement(&self, from: &[f64], to: &[f64]) -> Vec<f64> {
         let space = &self.setup.space;
         from.iter().zip(to).enumerate().map(|(k, (from, to))| (to - from) / space.size(k)).collect()
     }
 
-    /// Makes the interpolation anew, which is no part of a saved state.
+    /// Rebuilds the interpolation, which is not part of a saved state.
     pub(super) fn complete(&mut self) {
         if self.has_many() {
             self.complete_inverse();
@@ -62,7 +63,7 @@ impl ModelSearch {
         }
     }
 
-    /// Where the model interpolates now.
+    /// Returns the interpolation conditions of the current points.
     fn interpolate(&self) -> Option<Interpolation> {
         let (n, base) = (self.n(), self.base());
         let f = self.points.cost(base).value()?;
@@ -78,7 +79,8 @@ impl ModelSearch {
         Interpolation::new(n, slots, &flat)
     }
 
-    /// Ranks the points, and makes the model interpolate them; its displacements are from `from` so far.
+    /// Ranks the points, and makes the model interpolate them. `from` is the previous base point of the
+    /// model.
     pub(super) fn refit(&mut self, from: &[f64]) {
         self.points.rank();
         if self.has_many() {
@@ -100,8 +102,8 @@ impl ModelSearch {
         }
     }
 
-    /// Takes the model of least norm where its slope is much less than that of the updated one (Powell, NA06,
-    /// section 6, waits for three times in a row).
+    /// Replaces the model by the model of least norm if the slope of the latter is much smaller (Powell,
+    /// NA06, section 6, waits for three consecutive cases).
     fn compare_with_least_norm(&mut self) {
         if self.has_many() {
             self.compare_inverse_with_least_norm();
@@ -119,7 +121,8 @@ impl ModelSearch {
         }
     }
 
-    /// True if the slope of the model is much more than that of another, bounds left out.
+    /// True if the slope of the model is much larger than the slope of another. Components blocked by bounds
+    /// are ignored.
     pub(super) fn is_much_steeper_than(&self, other: &[f64]) -> bool {
         let (lower, upper) = self.margins();
         let slope = |gradient: &[f64]| {
@@ -136,7 +139,7 @@ impl ModelSearch {
         self.retries.len()
     }
 
-    /// Removes a point that is not the best.
+    /// Removes a point other than the best one.
     fn remove(&mut self, slot: usize) {
         let last = self.points.len() - 1;
         let (u, x, cost) =
@@ -147,7 +150,8 @@ impl ModelSearch {
         self.points.rank();
     }
 
-    /// Bounds on a step from the base point along each coordinate, below and above, in units of the sizes.
+    /// Returns the lower and upper bounds on a step from the base point along each coordinate, in units of
+    /// the parameter sizes.
     pub(super) fn margins(&self) -> (Vec<f64>, Vec<f64>) {
         let (space, u) = (&self.setup.space, self.points.u(self.base()));
         let ends = |k: usize| {
@@ -157,7 +161,7 @@ impl ModelSearch {
         (0..u.len()).map(ends).unzip()
     }
 
-    /// The model's best step that keeps away from failed points.
+    /// Returns the best step of the model that avoids failed points.
     fn best_step(&self) -> Vec<f64> {
         let (lower, upper) = self.margins();
         let region = Region { radius: self.delta, lower: &lower, upper: &upper };
@@ -179,7 +183,7 @@ impl ModelSearch {
         let Some(Plane { normal, limit }) = plane(&good, &failed) else { return step };
         let beyond = normal.iter().zip(&step).map(|(a, b)| a * b).sum::<f64>() - limit;
         if beyond > 0.0 {
-            // Steps beyond the plane are made costly: those that remain lead along it.
+            // Steps beyond the plane become costly, so that the remaining steps follow the plane.
             let steep = norm(&self.model.gradient) / self.delta;
             let largest = self.model.hessian.iter().fold(steep, |m, v| m.max(v.abs()));
             let weight = AVOIDANCE * largest;
@@ -221,12 +225,12 @@ impl ModelSearch {
         ToleranceTests { extent: TestedSet::Model, ..tests }
     }
 
-    /// Sets the trust region, not smaller than the resolution.
+    /// Sets the trust-region radius, with the resolution as lower limit.
     fn set_delta(&mut self, delta: f64) {
         self.delta = if delta <= 1.5 * self.rho { self.rho } else { delta };
     }
 
-    /// Chooses the next point. Each turn without one shrinks the trust region.
+    /// Chooses the next point. Each turn without a point shrinks the trust region.
     pub(super) fn choose(&mut self) {
         if !self.failed.is_empty() {
             self.fold();
@@ -245,7 +249,7 @@ impl ModelSearch {
                 self.phase = Phase::Trial { predicted };
                 return;
             }
-            // Nothing to gain at this resolution, if the model is right.
+            // If the model is correct, no decrease is possible at this resolution.
             self.set_delta(0.1 * self.delta);
             if self.improve_geometry(POISED) {
                 return;
@@ -256,7 +260,7 @@ impl ModelSearch {
         }
     }
 
-    /// Makes the end of a step the trial point; false if it is a point that is known.
+    /// Makes the end of a step the trial point. Returns false if the point is already known.
     pub(super) fn place_trial(&mut self, s: &[f64]) -> bool {
         let space = &self.setup.space;
         let mut u = self.points.u(self.base()).to_vec();
@@ -272,9 +276,9 @@ impl ModelSearch {
         true
     }
 
-    /// Removes points that lie too far off; then asks for one along the direction in which the rest determine
-    /// the gradient of the model worst, if they do so badly at this radius (Conn, Scheinberg and Vicente
-    /// 2009, chapter 6: the model is to be fully linear): with a spread below `poised`.
+    /// Removes points that are too far away. Then requests a point along the direction in which the others
+    /// determine the gradient worst, if their spread at this radius is below `poised` (Conn, Scheinberg and
+    /// Vicente 2009, chapter 6: the model must be fully linear).
     fn improve_geometry(&mut self, poised: f64) -> bool {
         if self.has_many() {
             return self.replace_farthest(poised);
@@ -292,7 +296,7 @@ impl ModelSearch {
             }
             slot += 1;
             if length.is_finite() {
-                // No point counts for more than one at the radius.
+                // A point outside the radius counts like a point at the radius.
                 let unit = length.max(self.delta);
                 spread.ger(
                     1.0 / (unit * unit),
@@ -333,7 +337,7 @@ impl ModelSearch {
         false
     }
 
-    /// Updates the state after the cost of a point that was to make the model better.
+    /// Updates the state after the cost of a point that improves the model.
     pub(super) fn geometry_known(&mut self) {
         let base = self.base();
         let from = self.points.u(base).to_vec();
@@ -347,8 +351,8 @@ impl ModelSearch {
         self.take_trial(&from, &s, cost < self.cost(base));
     }
 
-    /// The trial point becomes one of the model, which is fitted anew; `s` is its displacement from the base
-    /// point at `from`.
+    /// Adds the trial point to the model and refits the model. `s` is the displacement of the point from the
+    /// base point at `from`.
     fn take_trial(&mut self, from: &[f64], s: &[f64], better: bool) {
         if self.has_many() {
             return self.exchange(s, better);
@@ -359,7 +363,7 @@ impl ModelSearch {
         self.refit(from);
     }
 
-    /// Updates the state after the cost of the model's best point.
+    /// Updates the state after the cost of the best point of the model.
     pub(super) fn trial_known(&mut self, predicted: f64) {
         let base = self.base();
         let from = self.points.u(base).to_vec();
@@ -409,8 +413,8 @@ impl ModelSearch {
         (self.refused, self.largest_bend, self.n_refused) = (None, 0.0, 0);
     }
 
-    /// The slot that the trial point takes: an empty one, else that without which the others determine a
-    /// model best; far ones sooner (Powell, NA06, equation 6.1 and its weights).
+    /// Returns the slot for the trial point. This is an empty slot, or the slot whose removal leaves the best
+    /// determined model, with a preference for far points (Powell, NA06, equation 6.1 and its weights).
     fn slot_to_replace(&mut self, s: &[f64], better: bool) -> Option<usize> {
         if let Some(slot) = self.unused_slot() {
             return Some(slot);
@@ -420,7 +424,7 @@ impl ModelSearch {
         self.most_dispensable(slots.zip(points.lagrange(s).map(|(_, factor)| factor)), better)
     }
 
-    /// A slot without a point in the model.
+    /// Returns a slot without a point of the model.
     pub(super) fn unused_slot(&mut self) -> Option<usize> {
         let empty = (0..self.points.len()).find(|&slot| self.points.cost(slot).value().is_none());
         if empty.is_none() && self.points.len() < self.most_points {
@@ -432,8 +436,8 @@ impl ModelSearch {
         empty
     }
 
-    /// Of slots with the factors by which the determinant of the conditions grows the one to be replaced by
-    /// the trial point.
+    /// Returns the slot to be replaced by the trial point. `factors` contains slots with the growth factors
+    /// of the determinant of the conditions.
     pub(super) fn most_dispensable(
         &self,
         factors: impl Iterator<Item = (usize, f64)>,
@@ -456,22 +460,22 @@ impl ModelSearch {
         chosen.0
     }
 
-    /// True if the model was so wrong along the last step, which failed, that its slope may hide a decrease
-    /// within its extent that the f test would not pass.
+    /// True if the slope error of the model along the last failed step may hide a decrease. The hidden
+    /// decrease within the extent of the model must exceed the limit of the f test.
     fn may_be_steep(&self) -> bool {
         let hidden = self.refused.map_or(0.0, |error| error * self.extent());
         let predicted = -self.value(&self.best_step());
         hidden > 0.0 && !self.judge(predicted.max(0.0) + hidden).passed
     }
 
-    /// True if a point failed within the radius of the last start of the best one: steps keep away from it,
-    /// and what lies beyond is not seen.
+    /// True if a point failed within the radius of the last start, around the best point. Steps avoid this
+    /// point, so costs beyond it are unknown.
     fn is_beside_failures(&self) -> bool {
         let u = self.points.u(self.base());
         self.failed.iter().any(|v| norm(&self.displacement(u, v)) <= self.radius)
     }
 
-    /// Ends so, or looks for a lower cost where points failed beside the best one.
+    /// Ends the search, or starts the search for a lower cost if points near the best one failed.
     fn end(&mut self, termination: Termination) {
         self.phase = Phase::Ended(termination);
         if !self.is_beside_failures() {
@@ -489,7 +493,7 @@ impl ModelSearch {
         };
     }
 
-    /// The resolution is exhausted: the end, a smaller one, or another start.
+    /// Ends the search, reduces the resolution, or restarts after the resolution is exhausted.
     fn refine(&mut self) {
         self.fold();
         let found = self.look_for_roughness();
@@ -509,7 +513,7 @@ impl ModelSearch {
             return;
         }
         if self.is_flat() {
-            // More may be seen farther off.
+            // Costs may differ at a larger distance.
             self.radius *= 2.0;
             self.restart();
             if self.phase == Phase::Starting {
@@ -518,7 +522,7 @@ impl ModelSearch {
             return;
         }
         if passed {
-            // The same points would show the same again; from farther off more resolutions are looked at.
+            // The same points would give the same evidence. A larger distance covers more resolutions.
             self.radius *= 2.0;
         }
         if passed || self.n_refused >= MOST_REFUSED || self.rho <= SMALLEST {
@@ -530,7 +534,8 @@ impl ModelSearch {
             ToleranceMeasure::Absolute => 0.0,
         };
         self.delta = 0.5 * self.rho;
-        // Powell's reductions: by ten, and at the end to the last resolution by two steps or by one.
+        // Powell's reductions: by a constant factor, and near the end to the last resolution in two steps or
+        // one.
         self.rho = match self.rho / tolerance {
             ratio if ratio <= 1.0 || ratio > 250.0 => REDUCTION * self.rho,
             ratio if ratio > 16.0 => (self.rho * tolerance).sqrt(),
@@ -543,7 +548,7 @@ impl ModelSearch {
         }
     }
 
-    /// New points around the best one.
+    /// Restarts with new points around the best one.
     fn restart(&mut self) {
         let best = self.base();
         let f = self.cost(best);

@@ -1,6 +1,6 @@
-//! Quadratic models of many parameters with O(n^2) operations per evaluation: the inverse of the
-//! interpolation conditions is kept from step to step, and points that lie far off are replaced one by one
-//! (NEWUOA: Powell, report DAMTP 2004/NA08; BOBYQA: 2009/NA06).
+//! Quadratic models of many parameters with O(n^2) operations per evaluation. The inverse of the
+//! interpolation conditions is updated from step to step, and distant points are replaced one by one (NEWUOA:
+//! Powell, report DAMTP 2004/NA08; BOBYQA: 2009/NA06).
 
 use super::inverse::{Inverse, median};
 use super::iteration::norm;
@@ -8,12 +8,12 @@ use super::options::MOST_FROM_SCRATCH;
 use super::state::{ModelSearch, Phase};
 use crate::methods::shared::dot::dot;
 
-/// The inverse is made anew when the base point is farther from its origin than so many trust regions:
-/// numbers lose the square of it,
+/// Distance of the base point from the origin, in trust-region radii, above which the inverse is rebuilt.
+/// Rounding errors grow with the square of this distance.
 const FROM_ORIGIN: f64 = 1e3;
-/// and when its Lagrange polynomials are off by so much.
+/// Error of the Lagrange polynomials above which the inverse is rebuilt.
 const INACCURATE: f64 = 0.1;
-/// Points farther off than so many trust regions, or resolutions, are replaced (NA06, section 2).
+/// Distances, in trust-region radii and in resolutions, beyond which points are replaced (NA06, section 2).
 const FAR_REGIONS: f64 = 2.0;
 const FAR_RESOLUTIONS: f64 = 10.0;
 
@@ -22,7 +22,7 @@ impl ModelSearch {
         self.n() > MOST_FROM_SCRATCH
     }
 
-    /// The inverse for the next step: that of before, as long as it is accurate.
+    /// Prepares the inverse for the next step. The existing inverse is kept while it is accurate.
     pub(super) fn complete_inverse(&mut self) {
         let base = self.base();
         let good = self.inverse.as_ref().is_some_and(|inverse| {
@@ -37,7 +37,7 @@ impl ModelSearch {
         }
     }
 
-    /// Makes inverse and model anew, the displacements of the model being from `from` so far.
+    /// Rebuilds the inverse and the model. `from` is the previous base point of the model.
     pub(super) fn rebuild(&mut self, from: &[f64]) {
         self.fold();
         let base = self.base();
@@ -46,7 +46,8 @@ impl ModelSearch {
         self.model.gradient = self.model.slope(&moved);
         let (mut slots, mut displacements, mut rest) = (Vec::new(), Vec::new(), Vec::new());
         slots.extend((0..self.points.len()).filter(|&slot| (self.cost(slot) - f).is_finite()));
-        // In the middle of the points, whatever lies far off: there numbers lose least.
+        // The origin is the median of the points, where rounding errors are smallest. Distant points do not
+        // affect it.
         let origin: Vec<f64> =
             (0..u.len()).map(|k| median(slots.iter().map(|&slot| self.points.u(slot)[k]))).collect();
         for &slot in &slots {
@@ -62,14 +63,15 @@ impl ModelSearch {
         }
     }
 
-    /// The Hessian of the model is whole from here on.
+    /// Moves all weights to the Hessian, which is then complete.
     pub(super) fn fold(&mut self) {
         if let Some(inverse) = &mut self.inverse {
             inverse.fold_all(&mut self.model.hessian);
         }
     }
 
-    /// The product of the Hessian, of which this is one part, with a vector.
+    /// Returns the product of the complete Hessian with a vector. `hessian` is the stored part of the
+    /// Hessian.
     pub(super) fn product(&self, hessian: &[f64], v: &[f64]) -> Vec<f64> {
         let mut product: Vec<f64> = hessian.chunks_exact(v.len()).map(|row| dot(row, v)).collect();
         if let Some(inverse) = &self.inverse {
@@ -78,7 +80,7 @@ impl ModelSearch {
         product
     }
 
-    /// Value of the model at a displacement from the base point, less that at the base point.
+    /// Returns the value of the model at a displacement from the base point, relative to the base point.
     pub(super) fn value(&self, s: &[f64]) -> f64 {
         if !self.has_many() {
             return self.model.value(s);
@@ -86,13 +88,13 @@ impl ModelSearch {
         dot(&self.model.gradient, s) + 0.5 * dot(&self.product(&self.model.hessian, s), s)
     }
 
-    /// The trial point, at the displacement `s` from the base point, takes the place of another in the model.
+    /// Replaces a point of the model by the trial point, at the displacement `s` from the base point.
     pub(super) fn exchange(&mut self, s: &[f64], better: bool) {
         let (base, from) = (self.base(), self.points.u(self.base()).to_vec());
         let place = self.inverse.as_ref().and_then(|inverse| inverse.place_of(base));
         let unused = self.unused_slot();
         let (Some(inverse), Some(base_place), None) = (&self.inverse, place, unused) else {
-            // A point more.
+            // Add a point without an exchange.
             if let Some(slot) = unused {
                 self.fold();
                 self.points.copy_from(slot, &self.trial, 0);
@@ -126,7 +128,7 @@ impl ModelSearch {
         }
     }
 
-    /// Takes the model of least norm where its slope is much less.
+    /// Replaces the model by the model of least norm if the slope of the latter is much smaller.
     pub(super) fn compare_inverse_with_least_norm(&mut self) {
         let base = self.base();
         let f = self.cost(base);
@@ -143,8 +145,8 @@ impl ModelSearch {
         }
     }
 
-    /// Asks for a point near the base point in place of the farthest, if that is too far off, or the wanted
-    /// spread of the points has no limit: where its Lagrange polynomial is large.
+    /// Requests a point near the base point to replace the farthest one, at a large value of its Lagrange
+    /// polynomial. Does so if the farthest point is too far away, or if `poised` is infinite.
     pub(super) fn replace_farthest(&mut self, poised: f64) -> bool {
         let base = self.base();
         let Some(inverse) = &self.inverse else { return false };

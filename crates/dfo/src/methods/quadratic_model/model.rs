@@ -1,20 +1,19 @@
-//! Quadratic interpolation on fewer points than a quadratic has coefficients: of all models through the
-//! points the one that changes least from the model before.
+//! Quadratic interpolation with fewer points than coefficients. Of all models through the points, the result
+//! changes least from the previous model.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-/// Weight of a change of the gradient against one of the Hessian, see [`Interpolation`].
+/// Weight of a change of the gradient relative to a change of the Hessian, see [`Interpolation`].
 pub(super) const GRADIENT_WEIGHT: f64 = 1e3;
-/// Shares of the diagonal that are added to it where the points are too close to a degenerate set for their
-/// values.
+/// Relative shifts of the diagonal that are tried if the set of points is nearly degenerate.
 pub(super) const SHIFTS: [f64; 5] = [0.0, 1e-14, 1e-12, 1e-10, 1e-8];
 
-/// `g's + s'Bs/2`: what the cost at the displacement `s` from the base point has more than there.
+/// `g's + s'Bs/2`, the change of the cost at the displacement `s` relative to the base point.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Quadratic {
     pub(super) gradient: Vec<f64>,
-    /// Symmetric, row after row.
+    /// Symmetric, row-major.
     pub(super) hessian: Vec<f64>,
 }
 
@@ -37,13 +36,13 @@ impl Quadratic {
         terms.sum()
     }
 
-    /// The gradient at a displacement.
+    /// Returns the gradient at a displacement.
     pub(super) fn slope(&self, s: &[f64]) -> Vec<f64> {
         let rows = self.hessian.chunks_exact(s.len());
         rows.zip(&self.gradient).map(|(row, g)| g + dot(row, s)).collect()
     }
 
-    /// Adds the quadratic of the coefficients `lambda` of an interpolation.
+    /// Adds the quadratic with the coefficients `lambda` of an interpolation.
     fn add(&mut self, points: &Interpolation, lambda: &DVector<f64>) {
         let n = self.gradient.len();
         let r = points.scale;
@@ -63,17 +62,19 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// Where a model interpolates: displacements `y_j` from the base point, at which it has the cost as well.
+/// Interpolation conditions of a model: displacements `y_j` from the base point. The base point is also
+/// interpolated.
 ///
-/// Of all changes `D = g's + s'Bs/2` that take given values at the `y_j` the least is the one with the
-/// smallest `|B|_F^2 / 4 + |g|^2 / (2 w)`, lengths in units of the farthest `y_j`. For `w` towards infinity
-/// that is the least Frobenius norm update of Powell (Math. Program. 100, 2004, section 3); the term with `g`
-/// (Zhang, Math. Program. 146, 2014: Sobolev seminorms) makes it unique for any number of points. It is `g =
-/// w sum l_j y_j`, `B = sum l_j y_j y_j'` with `K l = values`, `K_ij = (y_i'y_j)^2 / 2 + w y_i'y_j`, a matrix
-/// that is positive definite where no two points coincide.
+/// The interpolation chooses the smallest change `D = g's + s'Bs/2` with given values at the `y_j`. This
+/// change minimises `|B|_F^2 / 4 + |g|^2 / (2 w)`, with lengths in units of the farthest `y_j`. As `w`
+/// approaches infinity, the result approaches the least Frobenius norm update of Powell (Math. Program. 100,
+/// 2004, section 3). The term with `g` (Zhang, Math. Program. 146, 2014: Sobolev seminorms) makes the change
+/// unique for any number of points. The solution is `g = w sum l_j y_j`, `B = sum l_j y_j y_j'` with `K l =
+/// values`, `K_ij = (y_i'y_j)^2 / 2 + w y_i'y_j`. The matrix `K` is positive definite if no two points
+/// coincide.
 #[derive(Debug, Clone)]
 pub(super) struct Interpolation {
-    /// Slots of the points, and their displacements in units of `scale`, a row each.
+    /// Slots of the points, and their displacements in units of `scale`, one row per point.
     pub(super) slots: Vec<usize>,
     y: DMatrix<f64>,
     scale: f64,
@@ -81,8 +82,8 @@ pub(super) struct Interpolation {
 }
 
 impl Interpolation {
-    /// Through the base point and these slots, with displacements one after the other. `None` where numbers
-    /// end.
+    /// Creates the conditions for the base point and these slots, with concatenated displacements. Returns
+    /// `None` if numbers overflow.
     pub(super) fn new(n: usize, slots: Vec<usize>, displacements: &[f64]) -> Option<Self> {
         let m = slots.len();
         let lengths = displacements.chunks_exact(n).map(|y| dot(y, y));
@@ -112,8 +113,8 @@ impl Interpolation {
         inverse.iter().all(|v| v.is_finite()).then_some(Self { slots, y, scale, inverse })
     }
 
-    /// Changes a model so that it has these values at the points, as little as possible; whether there are
-    /// numbers for it.
+    /// Applies the smallest change that gives a model these values at the points. Returns true if the result
+    /// is finite.
     pub(super) fn update(&self, model: &mut Quadratic, values: &[f64]) -> bool {
         let n = self.y.ncols();
         let mut s = vec![0.0; n];
@@ -137,9 +138,9 @@ impl Interpolation {
         (k, kernel(s.norm_squared()))
     }
 
-    /// The Lagrange polynomials of the slots at a displacement, that of the base point last, and for each the
-    /// factor by which the determinant of the interpolation equations grows in size if the point is replaced
-    /// by this one (Powell 2004, equation 2.12).
+    /// Returns the values of the Lagrange polynomials of the slots at a displacement, with the base point
+    /// last. Each value comes with the factor by which the determinant of the interpolation equations grows
+    /// if the point is replaced by this one (Powell 2004, equation 2.12).
     pub(super) fn lagrange(&self, step: &[f64]) -> impl Iterator<Item = (f64, f64)> {
         let (k, own) = self.products(step);
         let values = &self.inverse * &k;
@@ -165,7 +166,7 @@ mod tests {
     const POINTS: [f64; 10] = [0.1, 0.0, 0.0, 0.1, -0.1, 0.0, 0.0, -0.1, 0.07, 0.08];
 
     #[test]
-    fn as_many_points_as_coefficients_make_the_quadratic_itself() {
+    fn update_reproduces_a_quadratic_when_points_determine_all_coefficients() {
         let points = Interpolation::new(2, (1..6).collect(), &POINTS).unwrap();
         let values: Vec<f64> = POINTS.chunks_exact(2).map(cost).collect();
         let mut model = Quadratic::zero(2);
@@ -177,7 +178,7 @@ mod tests {
             assert!((a - b).abs() < 1e-7, "{model:?}");
         }
         assert!((model.slope(&[1.0, 2.0])[0] - 8.0).abs() < 1e-7);
-        // Nothing is left to change.
+        // A second update changes nothing.
         let before = model.clone();
         assert!(points.update(&mut model, &values));
         assert!(model.hessian.iter().zip(&before.hessian).all(|(a, b)| (a - b).abs() < 1e-9));
@@ -198,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn points_that_coincide_or_are_no_numbers_make_no_panic() {
+    fn interpolation_handles_coincident_and_non_finite_points() {
         let twice = Interpolation::new(1, vec![1, 2], &[0.5, 0.5]).unwrap();
         let mut model = Quadratic::zero(1);
         assert!(twice.update(&mut model, &[1.0, 1.0]) && (model.value(&[0.5]) - 1.0).abs() < 0.1);

@@ -4,14 +4,14 @@ use crate::error::Error;
 use crate::problem::space::Space;
 use serde::{Deserialize, Serialize};
 
-/// Up to so many parameters the interpolation conditions are solved anew at each step, which costs little,
-/// and loses no digits.
+/// Maximum number of parameters for which the interpolation conditions are solved from scratch at each step.
+/// This is cheap and loses no accuracy.
 pub(super) const MOST_FROM_SCRATCH: usize = 20;
 
-/// Options of the trust region on quadratic interpolation models, for costs that are smooth but for noise.
+/// Options of the trust region on quadratic interpolation models, for costs that are smooth except for noise.
 ///
-/// The x test measures the smallest trust region at which the model was exhausted, the f test the decrease
-/// that it still predicts there.
+/// The x test measures the smallest trust region at which the model was exhausted. The f test measures the
+/// decrease that the model still predicts there.
 ///
 /// ```
 /// use dfo::{QuadraticModel, minimize};
@@ -25,22 +25,22 @@ pub(super) const MOST_FROM_SCRATCH: usize = 20;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct QuadraticModel {
-    /// The first trust region, in units of the sizes of the parameters; default 0.2 in a box, 0.1 where a
-    /// parameter has no or one bound.
+    /// First trust-region radius, in units of the parameter sizes. Default 0.2 in a box, 0.1 if any parameter
+    /// has no or only one bound.
     pub radius: Option<f64>,
-    /// The most points that the model interpolates, from n + 2 to (n + 1)(n + 2)/2 for n free parameters. The
-    /// search begins with at most 2n + 1 and keeps later ones as long as there is room. Default 4n + 1, but
-    /// not more than there may be, and 2n + 1 for more than 20 parameters.
+    /// Maximum number of points that the model interpolates, from n + 2 to (n + 1)(n + 2)/2 for n free
+    /// parameters. The search starts with at most 2n + 1 points and keeps later ones up to this number.
+    /// Default 4n + 1, limited to the valid range, and 2n + 1 for more than 20 parameters.
     pub points: Option<usize>,
-    /// Number of times in a row that the search starts anew around its best point, with the first trust
-    /// region, where steps that the model takes for good do not lower the cost (noise, kinks), before it
-    /// gives up; a start that finds a lower cost begins the count anew. Where noise or kinks have shown, so
-    /// many starts in a row must end without, to have converged. Default 3.
+    /// Maximum number of consecutive restarts without a lower cost; default 3. The search restarts around its
+    /// best point, with the first trust region, if predicted decreases do not lower the cost (noise, kinks).
+    /// A start that finds a lower cost resets the count. After noise or kinks have been detected, this number
+    /// of consecutive starts must end without them for convergence.
     pub restarts: usize,
-    /// True if the search goes on as [`NelderMead`](crate::NelderMead), from its best point, where the model
-    /// shows noise or kinks: its curvature grows as its region shrinks, or its steps fail at several
-    /// resolutions. Then the message of the result says so, and its tests are those of the simplex. Default
-    /// false; [`Auto`](crate::Auto) sets it.
+    /// True to continue with [`NelderMead`](crate::NelderMead) from the best point if the model shows noise
+    /// or kinks. They are detected if the curvature grows as the region shrinks, or if steps fail at several
+    /// resolutions. The message of the result then reports the change, and the tests are the tests of the
+    /// simplex. Default false; [`Auto`](crate::Auto) sets it.
     #[serde(default)]
     pub hand_over: bool,
 }
@@ -52,21 +52,21 @@ impl Default for QuadraticModel {
 }
 
 impl QuadraticModel {
-    /// Sets the first trust region.
+    /// Sets the first trust-region radius.
     #[must_use]
     pub fn radius(mut self, radius: f64) -> Self {
         self.radius = Some(radius);
         self
     }
 
-    /// Sets the most interpolation points, see [`QuadraticModel::points`](field@Self::points).
+    /// Sets the maximum number of interpolation points, see [`QuadraticModel::points`](field@Self::points).
     #[must_use]
     pub fn points(mut self, points: usize) -> Self {
         self.points = Some(points);
         self
     }
 
-    /// Sets the number of restarts in a row that may bring nothing, see
+    /// Sets the maximum number of consecutive restarts without a lower cost, see
     /// [`QuadraticModel::restarts`](field@Self::restarts).
     #[must_use]
     pub fn restarts(mut self, restarts: usize) -> Self {
@@ -74,7 +74,7 @@ impl QuadraticModel {
         self
     }
 
-    /// Sets whether Nelder-Mead takes over where noise or kinks show, see
+    /// Sets whether Nelder-Mead continues if noise or kinks are detected, see
     /// [`QuadraticModel::hand_over`](field@Self::hand_over).
     #[must_use]
     pub fn hand_over(mut self, hand_over: bool) -> Self {
@@ -82,17 +82,17 @@ impl QuadraticModel {
         self
     }
 
-    /// The first trust region in this space. Without far bounds: in a box the sizes are widths, else they are
-    /// magnitudes.
+    /// Returns the first trust-region radius in this space, which has no far bounds. In a box, the parameter
+    /// sizes are widths; otherwise they are magnitudes.
     pub(super) fn first_radius(&self, space: &Space) -> f64 {
         let boxed = (0..space.n_free()).all(|k| space.width(k).is_some());
         self.radius.unwrap_or(if boxed { 0.2 } else { 0.1 })
     }
 
-    /// The most interpolation points for `n` free parameters.
+    /// Returns the maximum number of interpolation points for `n` free parameters.
     ///
     /// # Errors
-    /// An option out of its range.
+    /// Returns an error if an option is out of its range.
     pub(super) fn resolve(&self, n: usize) -> Result<usize, Error> {
         if let Some(value) = self.radius.filter(|radius| !(*radius > 0.0 && radius.is_finite())) {
             return Err(Error::Option { name: "radius", value, range: "above 0 and finite" });

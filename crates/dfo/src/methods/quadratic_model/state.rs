@@ -1,4 +1,4 @@
-//! The state machine: which points are asked for, and what follows from their costs.
+//! State machine of the search on quadratic models: requested points and the processing of their costs.
 
 use super::initial;
 use super::inverse::Inverse;
@@ -18,66 +18,69 @@ use crate::outcome::answer::Answers;
 use crate::outcome::termination::Termination;
 use serde::{Deserialize, Serialize};
 
-/// Number of times that a first point that failed is tried nearer to the start.
+/// Maximum number of times that a failed first point is retried nearer to the start.
 const MOST_RETRIES: u32 = 12;
-/// Number of failed points that are remembered.
+/// Maximum number of stored failed points.
 const MOST_FAILED: usize = 64;
 
-/// Phase of the search: the purpose of the points requested.
+/// Phase of the search, which determines the purpose of the requested points.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) enum Phase {
-    /// The first points, or those of a restart.
+    /// The first points, or the points of a restart.
     Starting,
-    /// The next point is to be chosen.
+    /// The next point must be chosen.
     Choosing,
-    /// The model's best point, and the decrease that it predicts there.
+    /// The best point of the model, and the predicted decrease.
     Trial {
         predicted: f64,
     },
-    /// A point that makes the model better.
+    /// A point that improves the model.
     Geometry,
-    /// The simplex search goes on.
+    /// A simplex search continues.
     HandedOver,
-    /// The search has ended beside points that fail: a lower cost is looked for between them.
+    /// The search has ended next to failed points. CMA-ES searches for a lower cost between them.
     BesideFailures,
     NoStart,
     Ended(Termination),
 }
 
-/// A running search where the sizes of all parameters are known.
+/// A running search with known sizes of all parameters.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct ModelSearch {
     pub(super) setup: Setup,
     pub(super) restarts: usize,
-    /// The interpolation points, up to so many; those that failed are no part of the model.
+    /// Maximum number of interpolation points. `points` contains these points; failed points are not part of
+    /// the model.
     pub(super) most_points: usize,
     pub(super) points: RankedPoints,
-    /// The point that is being tried.
+    /// The trial point.
     pub(super) trial: RankedPoints,
     pub(super) rounds: PendingGeneration,
-    /// The model around the best point, displacements in units of the sizes.
+    /// Model around the best point, with displacements in units of the parameter sizes.
     pub(super) model: Quadratic,
-    /// Where it interpolates; made from the points when needed.
+    /// Interpolation conditions of the model; built from the points when needed.
     #[serde(skip)]
     pub(super) interpolation: Option<Interpolation>,
-    /// The same for many parameters, kept up from step to step.
+    /// Inverse of the conditions for many parameters, updated from step to step.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) inverse: Option<Inverse>,
-    /// The trust region, and the resolution that it is not smaller than: both in units of the sizes.
+    /// Trust-region radius, and the resolution, which is its lower limit. Both are in units of the parameter
+    /// sizes.
     pub(super) delta: f64,
     pub(super) rho: f64,
     pub(super) phase: Phase,
     /// Number of failures of each of the first points.
     pub(super) retries: Vec<u32>,
-    /// Working coordinates of points that failed, the last ones.
+    /// Working coordinates of the last failed points.
     pub(super) failed: Vec<Vec<f64>>,
-    /// Error of the model's slope along a step of this resolution that failed; the largest of the resolutions
-    /// given up for that in a row, in units of the model's extent; and the number of these at which it grew.
+    /// Slope error of the model along a failed step at this resolution. `largest_bend` is the largest such
+    /// error in units of the extent, over consecutive resolutions that ended for this reason. `n_refused` is
+    /// the number of these at which the error grew.
     pub(super) refused: Option<f64>,
     pub(super) largest_bend: f64,
     pub(super) n_refused: usize,
-    /// The radius of the last start; restarts in a row that brought nothing; the best cost when the last
-    /// began.
+    /// Radius of the last start, number of consecutive restarts without a gain, and the best cost at the last
+    /// restart.
     pub(super) radius: f64,
     pub(super) n_useless: usize,
     pub(super) f_restart: f64,
@@ -85,23 +88,22 @@ pub struct ModelSearch {
     pub(super) operation: Option<Operation>,
     pub(super) tests: Option<ToleranceTests>,
     pub(super) f_0: f64,
-    /// True if a simplex search may take over; and the one that has.
+    /// True if a simplex search may continue, and the active simplex search.
     #[serde(default)]
     pub(super) hand_over: bool,
     #[serde(default)]
     pub(super) simplex: Option<SimplexSearch>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) check: Option<FailureCheck>,
-    /// The extents of the model since the last start, and the size of its curvature, when resolutions were
-    /// exhausted.
+    /// Extents of the model since the last start, and the norm of its Hessian, for each exhausted resolution.
     #[serde(default)]
     pub(super) curvatures: Vec<(f64, f64)>,
-    /// Evidence of noise or kinks so far, and the number of starts in a row since that have ended without.
+    /// Evidence of noise or kinks so far, and the number of consecutive later starts without such evidence.
     #[serde(default)]
     pub(super) roughness: Option<Roughness>,
     #[serde(default)]
     pub(super) n_smooth: usize,
-    /// Errors of the model at the last two points since the last start, the newest first.
+    /// Errors of the model at the last two points since the last start, newest first.
     #[serde(default)]
     pub(super) last_errors: [f64; 2],
 }
@@ -158,7 +160,7 @@ impl ModelSearch {
     pub(super) fn is_sound(&self, setup: &Setup) -> bool {
         let space = &setup.space;
         let n = space.n_free();
-        // The radii of the trust region are lengths, and the resolution is the smaller.
+        // Radii must be positive and finite, and the resolution must not exceed the trust-region radius.
         let is_length = |length: f64| length > 0.0 && length.is_finite();
         *space == self.setup.space
             && self.setup.tolerances.check().is_ok()
@@ -187,7 +189,7 @@ impl ModelSearch {
                 .is_none_or(|simplex| simplex.is_sound(&NelderMead::default(), &self.setup))
     }
 
-    /// Places all points but the first around it.
+    /// Places all points except the first around the first one.
     pub(super) fn place_around(&mut self) {
         self.retries.fill(0);
         for slot in 1..self.points.len() {
@@ -203,7 +205,7 @@ impl ModelSearch {
         self.points.place(slot, &u, space);
     }
 
-    /// The first points have costs, or have failed.
+    /// Processes the first points after all of them have a cost or have failed.
     fn start_known(&mut self) {
         for slot in 1..self.points.len() {
             if self.points.cost(slot) == Cost::Failed && self.points.cost(0) != Cost::Failed {

@@ -3,12 +3,12 @@
 use super::model::Quadratic;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
-/// Steps for the multiplier of the ball: Newton's method needs a few.
+/// Maximum number of Newton steps for the multiplier of the ball. A few are enough.
 const MOST_STEPS: usize = 60;
-/// Sweeps for eigenvalues: a few for each are enough.
+/// Maximum number of sweeps per eigenvalue. A few are enough.
 const MOST_SWEEPS: usize = 1000;
 
-/// Where steps may lead from the base point: `|s| <= radius`, `lower <= s <= upper` with zero in between.
+/// Region of steps from the base point: `|s| <= radius`, `lower <= s <= upper`, which includes zero.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Region<'a> {
     pub(super) radius: f64,
@@ -22,16 +22,16 @@ struct Part {
     multiplier: f64,
 }
 
-/// The step in the region at which a model is (nearly) smallest.
+/// Returns the step in the region that (nearly) minimises a model.
 ///
-/// In the ball alone the problem is solved exactly (Moré and Sorensen, SIAM J. Sci. Stat. Comput. 4, 1983) by
-/// the eigenvalues of the Hessian. Where the solution leaves the box, the coordinate that reaches its bound
-/// first is set there and the rest is solved again; one whose slope at the end leads back inside is set free
-/// again.
+/// In the ball alone, the problem is solved exactly (Moré and Sorensen, SIAM J. Sci. Stat. Comput. 4, 1983)
+/// with the eigenvalues of the Hessian. If the solution leaves the box, the coordinate that reaches its bound
+/// first is fixed there, and the remaining problem is solved again. A fixed coordinate is released if the
+/// slope at the end of the step leads back inside.
 pub(super) fn minimize(model: &Quadratic, region: Region<'_>) -> Vec<f64> {
     let n = model.gradient.len();
     let Region { radius, lower, upper } = region;
-    // Within the range of numbers.
+    // Scale to avoid overflow.
     let largest = model.gradient.iter().chain(&model.hessian).fold(0.0f64, |m, v| m.max(v.abs()));
     if !(largest > 0.0 && largest.is_finite()) {
         return vec![0.0; n];
@@ -80,7 +80,7 @@ pub(super) fn minimize(model: &Quadratic, region: Region<'_>) -> Vec<f64> {
             }
             continue;
         }
-        // A bound that pulls: the slope there leads back inside.
+        // A bound is released if the slope there leads back inside.
         let pull = |k: usize| {
             let slope = slope(&s, k) + multiplier * s[k];
             let at = fixed[k]?;
@@ -98,7 +98,7 @@ pub(super) fn minimize(model: &Quadratic, region: Region<'_>) -> Vec<f64> {
     best.0
 }
 
-/// The step that makes the model smallest within `|p| <= radius`.
+/// Returns the step that minimises the model within `|p| <= radius`.
 fn within_ball(hessian: DMatrix<f64>, gradient: &DVector<f64>, radius: f64) -> Option<Part> {
     let n = gradient.len();
     let SymmetricEigen { eigenvectors, eigenvalues } =
@@ -124,7 +124,8 @@ fn within_ball(hessian: DMatrix<f64>, gradient: &DVector<f64>, radius: f64) -> O
             return Some(Part { p: &eigenvectors * p, multiplier: 0.0 });
         }
     }
-    // Newton's method on 1 / |p| from the left end of where it falls, bracketed.
+    // Newton's method on 1 / |p|, started at the left end of the interval where |p| decreases, with
+    // bracketing.
     let low_end = (-least).max(0.0);
     let (mut low, mut high) = (low_end, low_end + g.norm() / radius);
     let mut multiplier = low + 1e-3 * (high - low);
@@ -151,7 +152,7 @@ fn within_ball(hessian: DMatrix<f64>, gradient: &DVector<f64>, radius: f64) -> O
     if norm > radius {
         p *= radius / norm;
     } else if norm < 0.999 * radius {
-        // The hard case: the gradient has nothing along the least eigenvalue.
+        // Hard case: the gradient has no component along the smallest eigenvalue.
         let rest = (radius * radius - norm * norm).sqrt();
         p[place] += if p[place] < 0.0 { -rest } else { rest };
         let norm = p.norm();
@@ -164,19 +165,19 @@ fn within_ball(hessian: DMatrix<f64>, gradient: &DVector<f64>, radius: f64) -> O
 mod tests {
     use super::*;
 
-    /// A generator of small numbers (Knuth's MMIX constants).
+    /// Returns pseudo-random numbers from -0.5 to 0.5 (Knuth's MMIX constants).
     fn random(state: &mut u64) -> f64 {
         *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (*state >> 11) as f64 / (1u64 << 53) as f64 - 0.5
     }
 
     #[test]
-    fn no_point_of_the_region_is_much_better() {
+    fn minimize_finds_nearly_the_best_step_of_the_region() {
         let mut state = 7;
         for case in 0..200 {
             let n = 1 + case % 4;
             let gradient: Vec<f64> = (0..n).map(|_| random(&mut state)).collect();
-            // Convex: else there may be several minima on the box.
+            // Convex, because a nonconvex model may have several minima in the box.
             let root = DMatrix::from_fn(n, n, |_, _| 2.0 * random(&mut state));
             let hessian = (&root * root.transpose()).iter().copied().collect();
             let model = Quadratic { gradient, hessian };
@@ -202,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_at_their_ends_make_no_panic() {
+    fn minimize_returns_finite_steps_for_extreme_models() {
         let far = [f64::NEG_INFINITY; 2];
         let away = [f64::INFINITY; 2];
         let region = Region { radius: 1.0, lower: &far, upper: &away };

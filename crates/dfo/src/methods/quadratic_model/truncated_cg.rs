@@ -1,16 +1,17 @@
-//! The step of a quadratic model of many parameters within a ball and a box: by conjugate gradients, of
-//! O(n^2) operations for each.
+//! Step of a quadratic model of many parameters within a ball and a box, by conjugate gradients with O(n^2)
+//! operations each.
 
 use super::subproblem::Region;
 use crate::methods::shared::dot::dot;
 
-/// A step that brings less than this share of the decrease so far ends the search, and so does a gradient as
-/// small as this beside the first (Powell, report DAMTP 2004/NA08, section 5).
+/// Relative limit for the end of the search. The search ends if a step gains less than this fraction of the
+/// decrease so far, or if the gradient is this small relative to the first one (Powell, report DAMTP
+/// 2004/NA08, section 5).
 const LITTLE: f64 = 0.01;
 
-/// The step in the region at which the model is small (Steihaug, SIAM J. Numer. Anal. 20, 1983). Where it
-/// reaches a bound, the coordinate is set there and the search begins anew with the others. `product`: of the
-/// Hessian with a vector.
+/// Returns a step in the region at which the model is small (Steihaug, SIAM J. Numer. Anal. 20, 1983). If the
+/// step reaches a bound, the coordinate is fixed there and the search restarts with the others. `product`
+/// returns the product of the Hessian with a vector.
 pub(super) fn minimize(
     product: impl Fn(&[f64]) -> Vec<f64>,
     gradient: &[f64],
@@ -24,7 +25,7 @@ pub(super) fn minimize(
     for _ in 0..n {
         let mut direction = vec![0.0; n];
         let mut before = f64::INFINITY;
-        // Until a bound is met.
+        // Continue until a bound is reached.
         loop {
             let rest: Vec<f64> =
                 slope.iter().zip(&free).map(|(g, free)| if *free { -g } else { 0.0 }).collect();
@@ -39,7 +40,7 @@ pub(super) fn minimize(
             let bent = product(&direction);
             let (curvature, along) = (dot(&direction, &bent), -dot(&slope, &direction));
             let (a, b, c) = (dot(&direction, &direction), dot(&s, &direction), radius * radius - dot(&s, &s));
-            // The far end of the ball, without cancellation.
+            // Distance to the boundary of the ball, computed without cancellation.
             let root = (b * b + a * c.max(0.0)).sqrt();
             let ball = if b > 0.0 { c.max(0.0) / (b + root) } else { (root - b) / a };
             let bound = |k: usize| match direction[k] {
