@@ -265,8 +265,8 @@ impl AnyMethod {
         each!(self, options => super::schema::option_schemas(options, &names, generator))
     }
 
-    /// Returns the method with this number in `fmin` of Gedda et al. (2012): 1 Nelder-Mead, 2 sequential
-    /// barrier, 3 differential evolution as defined in the paper, 4 genetic algorithm.
+    /// Returns the method with this number in `fmin` of Gedda et al. (2012). The numbers are 1 Nelder-Mead, 2
+    /// sequential barrier, 3 differential evolution (as defined in the paper) and 4 genetic algorithm.
     ///
     /// # Errors
     /// Returns an error for any other number.
@@ -535,7 +535,7 @@ impl Auto {
             _ => None,
         };
         if plan.as_ref().is_some_and(|(_, word)| word.eq_ignore_ascii_case("auto")) {
-            // Uses the plan of the chosen method.
+            // Use the plan of the chosen method.
             options.remove("batch");
         } else if can_take_simplex
             && let Some((_, word)) = plan.filter(|(plan, _)| simplex.takes("batch", plan))

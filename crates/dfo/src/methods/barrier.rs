@@ -1,13 +1,16 @@
 //! Sequential barrier method: Nelder-Mead on the cost plus a barrier term that decreases from stage to stage.
 //!
-//! Stage `k` minimises `f(x) + mu_k B(x)` from the result of the previous stage, with `B(x) = sum s_i / (x_i
-//! - lower_i) + s_i / (upper_i - x_i)` over the finite bounds (Carroll, Oper. Res. 9, 1961). `s_i` is the
-//! size of the parameter. Parameters on a logarithmic scale enter `B` with their logarithm. `B` is positive,
-//! so a partial sum of the cost plus the barrier can be compared with a cutoff. By default, each stage uses a
-//! tenth of the previous barrier parameter. It also uses a smaller first simplex and tighter tolerances. The
-//! method ends if three conditions hold: the tests of Nelder-Mead pass at the user's tolerances, the stage
-//! has moved the point by at most `x_tol`, and `mu B` is at most `f_tol` of the cost (of the first cost, if
-//! that is larger).
+//! Stage `k` minimises `f(x) + mu_k B(x)` from the result of the previous stage. The barrier is `B(x) = sum
+//! s_i / (x_i - lower_i) + s_i / (upper_i - x_i)` over the finite bounds (Carroll, Oper. Res. 9, 1961). `s_i`
+//! is the size of the parameter. Parameters on a logarithmic scale enter `B` with their logarithm. `B` is
+//! positive, so a partial sum of the cost plus the barrier can be compared with a cutoff.
+//!
+//! By default, each stage uses a tenth of the previous barrier parameter. It also uses a smaller first
+//! simplex and tighter tolerances. The method ends if three conditions hold:
+//!
+//! - The tests of Nelder-Mead pass at the user's tolerances.
+//! - The stage has moved the point by at most `x_tol`.
+//! - `mu B` is at most `f_tol` of the cost (of the first cost, if that is larger).
 
 use crate::error::Error;
 use crate::method_interface::interface::{
@@ -33,8 +36,8 @@ const MAX_MU: f64 = 1e200;
 /// Maximum number of stages. After 40 stages, the barrier is below the resolution of 53-bit numbers.
 const MAX_STAGES: usize = 40;
 
-/// Options of the sequential barrier method. Requires a start strictly inside the bounds, and at least one
-/// bound.
+/// Options of the sequential barrier method. The method requires a start strictly inside the bounds, and at
+/// least one bound.
 ///
 /// ```
 /// let report = dfo::minimize(|x: &[f64]| (x[0] - 2.0).powi(2) + (x[1] + 1.0).powi(2))
@@ -438,7 +441,7 @@ impl Method for BarrierState {
 
     fn details(&self) -> MethodDetails<'_> {
         let inner = self.inner.details();
-        // The inner iterations of the last stage are added only when a stage ends.
+        // A run that ended without a stage has no inner iterations.
         let is_counted = self.ended.is_some() && self.schedule.is_empty();
         let operation = match inner.operation {
             None if !self.schedule.is_empty() => Some(Operation::Initial),

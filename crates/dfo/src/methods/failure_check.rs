@@ -26,7 +26,7 @@ const SIGMA: f64 = 0.05;
 /// Gain above which another search follows, in units of the smallest significant gain. At the default
 /// tolerance, this is 0.1 % of the cost.
 const MUCH: f64 = 1e3;
-/// Maximum number of consecutive searches that may gain more than this.
+/// Maximum number of consecutive searches that may gain more than [`MUCH`].
 const MOST_SEARCHES: u64 = 5;
 
 /// The last points that failed, in the user's units.

@@ -9,10 +9,10 @@ use super::options::CmaBounds;
 use crate::problem::space::{Space, fold};
 
 /// Margin as a fraction of the parameter size or of the width of the box, whichever is smaller. Tuned on
-/// rotated ellipsoids and Rosenbrock's function with 5 and 10 parameters, half of them at a bound at the
-/// minimum (`benches/dfo/cma_es.py` contains these problems with 2, 3 and 8). c-cmaes uses 1/20, which bends
-/// valleys inside and is no better if the cost decreases towards the bound. Smaller margins approach a
-/// mirror, which is two to three times slower there, and faster if the cost is level.
+/// rotated ellipsoids and Rosenbrock's function with 5 and 10 parameters (`benches/dfo/cma_es.py` contains
+/// these problems with 2, 3 and 8). At the minimum, half of the parameters are at a bound. The value 1/20 of
+/// c-cmaes bends valleys inside, and is no better if the cost decreases towards the bound. Smaller margins
+/// approach a mirror. A mirror is two to three times slower there, and faster if the cost is level.
 const MARGIN: f64 = 0.005;
 
 /// Bounds of a coordinate, and the margin in which the map is a parabola. With margin 0, the bound is a

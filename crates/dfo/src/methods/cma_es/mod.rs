@@ -16,11 +16,11 @@
 //! The distribution is defined over the working coordinates in units of their sizes, so parameters of any
 //! magnitude are treated alike.
 //!
-//! **Step size.** From a hundred parameters on, without a lag, the step size follows from two individuals on
-//! both sides of the mean, along its last step (two-point adaptation: Hansen, Atamna and Auger, PPSN 2014).
-//! Otherwise the step size follows from the length of the path of the mean. With the default first step,
-//! spheres of 100, 200 and 300 parameters took 7264, 13 493 and 19 647 evaluations with two-point adaptation.
-//! With the path length, they took 12 719, 24 510 and more than 30 000.
+//! **Step size.** From a hundred parameters on, without a lag, two individuals determine the step size. They
+//! are on both sides of the mean, along its last step (two-point adaptation: Hansen, Atamna and Auger, PPSN
+//! 2014). Otherwise the step size follows from the length of the path of the mean. With the default first
+//! step, spheres of 100, 200 and 300 parameters took 7264, 13 493 and 19 647 evaluations with two-point
+//! adaptation. With the path length, they took 12 719, 24 510 and more than 30 000.
 //!
 //! **Bounds.** Points outside the bounds are never evaluated, and no point is redrawn. The distribution is
 //! unbounded, and a map ([`CmaBounds`]) moves drawn points inside. The map is the identity except near the

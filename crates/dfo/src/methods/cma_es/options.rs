@@ -70,8 +70,8 @@ pub struct CmaEs {
     /// Number of individuals drawn ahead of selection at any time; default 0. At most one and a half
     /// populations, because the search does not converge with a larger lag. With lag 0, a generation is drawn
     /// after the previous one is completely known. This needs the fewest evaluations and is best for one
-    /// worker. With four times the workers, a lag keeps them busy even if one evaluation in ten takes ten
-    /// times as long (benches/scaling.md).
+    /// worker. A lag of four times the number of workers keeps them busy even if one evaluation in ten takes
+    /// ten times as long (benches/scaling.md).
     pub lag: usize,
 }
 

@@ -216,8 +216,8 @@ impl CmaRules {
 
     /// True if a run is stuck. If all costs are equal, uses the limit of the test for equal function values
     /// (Hansen 2009). Otherwise, uses its stagnation test, which requires that neither the best nor the
-    /// median costs decrease. If the start is near the minimum and the first step is far too long, these
-    /// costs decrease long before a point is better than the start.
+    /// median costs decrease. With a start near the minimum and a first step that is far too long, these
+    /// costs decrease first. A point that is better than the start follows much later.
     fn is_stuck(&self, n: usize, members: usize, is_flat: bool) -> bool {
         let rate = (30 * n).div_ceil(members);
         let most = (120 + rate + self.n_generations / 5).min(MOST_RECENT - 1);

@@ -5,9 +5,9 @@
 //! children as one batch. The best members of the old generation survive unchanged and are not evaluated
 //! again.
 //!
-//! **Fitness** for any cost: the difference between the 70 % quantile of the costs and the cost, plus a
-//! thousandth of the largest difference so that the worst member can also be selected. Failed members are
-//! never selected. Members with equal costs have equal fitness.
+//! **Fitness** is defined for any cost as the difference between the 70 % quantile of the costs and the cost.
+//! A thousandth of the largest difference is added, so that the worst member can also be selected. Failed
+//! members are never selected. Members with equal costs have equal fitness.
 //!
 //! **Cutoffs**: none, because the fitness of every member counts.
 

@@ -95,7 +95,7 @@ impl Interpolation {
         let (before, after) = gradients.split_at_mut(reference * n);
         let (own, after) = after.split_at_mut(n);
         before.chunks_exact(n).chain(after.chunks_exact(n)).for_each(|g| axpy(-1.0, g, own));
-        // Solves J W' = D. The differences D are reduced to n rows first, so that only these must be solved
+        // Solve J W' = D. The differences D are reduced to n rows first, so that only these must be solved
         // for.
         let (zero, of_base) = (points[reference].1, points[base].1);
         let difference = |i: usize, k: usize| (points[others[k]].1[i] - zero[i]) / lengths[k];

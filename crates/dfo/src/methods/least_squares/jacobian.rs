@@ -2,10 +2,10 @@
 //!
 //! The Jacobian is a regression on the differences from the best point. The error of a point at distance d is
 //! d^2 from curvature, plus the noise. The weight of the point is the inverse of their sum. Distances are in
-//! units of the parameter size or of the value at the best point, whichever is larger, so that a start of
-//! another magnitude has no effect. Residuals may change faster than in proportion to the distance (for
-//! example, a diverging exponential). Then d^2 is far below the error of the linear model, and the point has
-//! less weight by the square of this ratio.
+//! units of the parameter size or of the value at the best point, whichever is larger. A start of another
+//! magnitude then has no effect. Residuals may change faster than in proportion to the distance (for example,
+//! a diverging exponential). Then d^2 is far below the error of the linear model, and the point has less
+//! weight by the square of this ratio.
 
 use super::interpolation::Interpolation;
 use super::points::{BARELY_INDEPENDENT, Selection, difference, distance, norm};

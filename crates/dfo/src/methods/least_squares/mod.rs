@@ -8,9 +8,9 @@
 //!
 //! With rounds of several points, the others are trial points at other radii and neighbours of the first one.
 //! The Jacobian at the first trial point is then known in the same round. If a point next to the best one
-//! shows noise, the models are regressions on all nearby points, with one new point at a time
-//! (`averaging.rs`). Steps stay on one side of a plane that separates failed points from the others. If this
-//! makes no progress, Nelder-Mead continues from a good point away from the failed points.
+//! shows noise, the models become regressions on all nearby points (`averaging.rs`). Then each round contains
+//! one point. Steps stay on one side of a plane that separates failed points from the others. If this makes
+//! no progress, Nelder-Mead continues from a good point away from the failed points.
 
 mod averaging;
 mod interpolation;

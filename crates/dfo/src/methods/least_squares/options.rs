@@ -46,8 +46,8 @@ impl StepPlan {
 /// [`residuals`](crate::residuals)).
 ///
 /// The x test measures the resolution of the model, or the step to the minimum of the model if that step is
-/// longer. If smaller, it uses that step together with the possible error of the model instead. The f test
-/// measures the decrease predicted by the model.
+/// longer. The test uses the sum of this step and the possible error of the model if the sum is smaller. The
+/// f test measures the decrease predicted by the model.
 ///
 /// ```
 /// use dfo::{LeastSquares, minimize, residuals};

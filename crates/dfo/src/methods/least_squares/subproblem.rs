@@ -109,7 +109,6 @@ impl Linear {
 /// The problem in the ball alone is solved exactly with the singular values of `J` (Moré and Sorensen 1983,
 /// with `J'J` in place of the Hessian). If the solution leaves the box, the coordinate that reaches its bound
 /// first is fixed there, and the remaining problem is solved again.
-/// bound first is set there, and the rest is solved again.
 pub(super) struct Subproblem<'a> {
     pub(super) linear: &'a Linear,
     pub(super) radius: f64,
@@ -273,7 +272,7 @@ fn within_ball(a: &DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> 
     &basis * on_the_ball(factor, &reached, radius)
 }
 
-/// Returns this step, computed with singular values.
+/// Returns the step of `within_ball`, computed with singular values.
 fn on_the_ball(a: DMatrix<f64>, r: &DVector<f64>, radius: f64) -> DVector<f64> {
     let n = a.ncols();
     if !a.iter().all(|a| a.is_finite()) {

@@ -41,9 +41,8 @@ const MOST_NOISY: usize = 2;
 /// Change of the residuals next to a point, relative to the misfit of the model, that counts as noise.
 const JUMP: f64 = 0.03;
 /// Maximum step of a search that converges to a root, as a fraction of the distance from the start. At a root
-/// of multiplicity p, the step of the model is 10^(-10/p) / p of this distance after the sum of squares has
-/// fallen to 1e-20 of its first value. For any p, this is at most 1 / (10 e ln 10). A longer step leads to a
-/// minimum at infinity.
+/// of multiplicity p, this fraction is 10^(-10/p) / p after the sum of squares has fallen to 1e-20 of its
+/// first value. For any p, it is at most 1 / (10 e ln 10). A longer step leads to a minimum at infinity.
 const ONWARD: f64 = 0.016;
 /// Minimum distance from the start at which a minimum at infinity is considered if the sum of squares does
 /// not fall to zero. In units of the first radius.
@@ -108,14 +107,14 @@ impl LeastSquaresState {
         self.points[base].residuals.iter().zip(own).enumerate().map(counted).collect()
     }
 
-    /// Sets the set to a point and its nearest independent points.
+    /// Chooses a point and its nearest independent points as the set.
     pub(super) fn choose_set(&mut self, base: usize) {
         let selection = Selection::nearest(&self.points, &self.points[base].z, self.n());
         self.set = std::iter::once(base).chain(selection.chosen).collect();
         self.model = None;
     }
 
-    /// Sets the set around the best point of the set and of a round.
+    /// Chooses the set around the best point of the set and of a round.
     fn choose_set_from(&mut self, round: &[Candidate]) {
         let new = round.iter().filter_map(|candidate| match candidate.known {
             PointStatus::Point(k) => Some(k),
@@ -320,8 +319,9 @@ impl LeastSquaresState {
                 && self.points.iter().any(|point| point.residuals == *residuals && is_far(point))
     }
 
-    /// True if the search has moved at least `far` first radii from the start, and the minimum of the model
-    /// is farther away in the same direction than for any root (see [`ONWARD`]).
+    /// True if the search moves towards a minimum at infinity. It must have moved at least `far` first radii
+    /// from the start. The minimum of the model must be farther away in the same direction than for any root
+    /// (see [`ONWARD`]).
     fn recedes(&self, base: usize, linear: &Linear, far: f64) -> bool {
         let z = &self.points[base].z;
         let (lower, upper) = self.space_around(z);
@@ -623,8 +623,8 @@ impl LeastSquaresState {
         model.exchange(place, &new, &self.residuals_of_set(), is_better)
     }
 
-    /// Returns the index in the set of the point that a new one replaces: a distant point, or a point whose
-    /// position the new one largely covers.
+    /// Returns the index in the set of the point that a new one replaces. This is a distant point, or a point
+    /// whose position the new one largely covers.
     fn replaced(&self, base: usize, new: usize, lagrange: &[f64]) -> Option<usize> {
         let better = self.points[new].cost < self.points[base].cost;
         let from = if better { new } else { base };

@@ -3,12 +3,12 @@
 //! Timmer, Math. Program. 39, 1987, 57).
 //!
 //! Each iteration of the algorithm adds `N` points to the sample. The best fifth of all `kN` points is
-//! considered, best first. A point starts a search unless a better point is within the critical distance `r_k
-//! = pi^(-1/2) (Gamma(1 + n/2) sigma ln(kN) / (kN))^(1/n)`, sigma = 4, in units of the box (their equation
-//! 7). Points within this distance count as one cluster, for which one search is enough. Start points given
-//! by the user always start a search, before all others. Several searches run in parallel, and their points
-//! form one batch. After the first search has ended, fewer searches than allowed may be running. Then the
-//! batch also contains the next sample, if this sample is needed regardless of the results.
+//! considered, best first. A point starts a search unless a better point is within the critical distance
+//! (their equation 7, in units of the box, with sigma = 4): `r_k = pi^(-1/2) (Gamma(1 + n/2) sigma ln(kN) /
+//! (kN))^(1/n)`. Points within this distance count as one cluster, for which one search is enough. Start
+//! points given by the user always start a search, before all others. Several searches run in parallel, and
+//! their points form one batch. After the first search has ended, fewer searches than allowed may be running.
+//! Then the batch also contains the next sample, if this sample is needed regardless of the results.
 //!
 //! The search ends if probably all minima have been found. With `w` minima in `t` trials, the expected number
 //! of minima is `w (t - 1) / (t - w - 2)` (Boender and Rinnooy Kan, Math. Program. 37, 1987, 59). The search
@@ -25,9 +25,9 @@
 //! next searches in the queue also start. The path later requests the points that these copies evaluate,
 //! unless the run ends before. Therefore the number of workers does not change the result.
 //!
-//! If the number of evaluations is limited, the sample and the parallel searches use at most half of them
-//! before the first local search has ended. The other searches wait after that. A problem with one minimum is
-//! thus solved if its local search needs less than the other half.
+//! If the number of evaluations is limited, half of them are reserved until the first local search has ended.
+//! The sample and the parallel searches use at most the other half, and then wait. A problem with one minimum
+//! is thus solved if its local search needs less than the reserved half.
 
 mod clusters;
 mod look_ahead;

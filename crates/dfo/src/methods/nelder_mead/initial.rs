@@ -93,8 +93,8 @@ fn default_steps(space: &Space) -> Vec<f64> {
     (0..space.n_free()).map(step).collect()
 }
 
-/// Returns a simplex from the base point of a size search, with the steps found by the search and default
-/// steps along the other axes. Sets the unknown sizes of the space.
+/// Returns a simplex from the base point of a size search. Its edges are the steps found by the search, and
+/// default steps along the other axes. Sets the unknown sizes of the space.
 pub(super) fn around(space: &mut Space, search: &SizeSearch) -> RankedPoints {
     let found = search.found(space);
     for SizeFound { k, size, .. } in &found {

@@ -22,9 +22,9 @@
 //! Optim. 9, 1998). Then a new simplex with edges along the axes is built around the best vertex. Each edge
 //! points in the direction in which the known costs decrease (Kelley, SIAM J. Optim. 10, 1999). The simplex
 //! is also rebuilt if it is on a kink, where it may collapse away from any minimum. At a kink, the costs of
-//! its vertices differ in proportion to its size; at smooth points, in proportion to the square of its size.
-//! Restarts solve 97 % of 250 piecewise linear functions of 2 to 6 parameters in rotated axes, compared with
-//! 53 % without restarts. A simplex on a bound is not rebuilt.
+//! its vertices differ in proportion to its size. For a smooth cost, they differ in proportion to the square
+//! of its size. Restarts solve 97 % of 250 piecewise linear functions of 2 to 6 parameters in rotated axes,
+//! compared with 53 % without restarts. A simplex on a bound is not rebuilt.
 //!
 //! A simplex also collapses next to failed points, and is rebuilt as on a kink. If this gains nothing, CMA-ES
 //! searches for a lower cost between the failed points (`failure_check.rs`). If CMA-ES finds none, the search
@@ -35,11 +35,12 @@
 //! ten, to the lowest cost along it. When the tests pass, these steps are repeated from the best vertex. If
 //! one finds a lower cost, a new simplex is built from it.
 //!
-//! **Cutoffs** (only if they do not change a decision): the worst cost for the reflection and the inside
-//! contraction, and the cost of the reflection for the expansion and the outside contraction. Points ahead of
-//! need use the worst cost, except the expansion of this iteration, which uses the best cost. There is no
-//! cutoff while the worst vertex has failed, and none for starting and shrinking vertices. Steps that search
-//! for sizes use twice the cost at their start, or the lowest cost found along the parameter.
+//! **Cutoffs** are set only if they do not change a decision. The cutoff is the worst cost for the reflection
+//! and the inside contraction. For the expansion and the outside contraction, it is the cost of the
+//! reflection. Points ahead of need use the worst cost, except the expansion of this iteration, which uses
+//! the best cost. There is no cutoff while the worst vertex has failed, and none for starting and shrinking
+//! vertices. Steps that search for sizes use twice the cost at their start, or the lowest cost found along
+//! the parameter.
 
 mod initial;
 mod iteration;

@@ -137,9 +137,9 @@ fn eliminate(rows: &mut [Vec<f64>], step: usize, columns: usize) -> Option<f64> 
     Some(pivot)
 }
 
-/// Builds a simplex around the best vertex, with one edge along each coordinate, in the direction in which
-/// the costs of the old simplex decrease. `extent` is the size of the old simplex in units of the parameter
-/// sizes.
+/// Builds a simplex around the best vertex, with one edge along each coordinate. Each edge points in the
+/// direction in which the costs of the old simplex decrease. `extent` is the size of the old simplex in units
+/// of the parameter sizes.
 pub(super) fn orient(simplex: &mut RankedPoints, space: &Space, extent: f64) {
     let n = space.n_free();
     let best = simplex.best();

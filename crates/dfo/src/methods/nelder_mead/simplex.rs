@@ -96,7 +96,8 @@ impl RankedPoints {
         space.free().iter().enumerate().map(extent).fold(0.0, f64::max)
     }
 
-    /// Returns this distance in units of the sizes of the working coordinates.
+    /// Returns the largest distance of a vertex from the best in units of the sizes of the working
+    /// coordinates.
     pub(super) fn relative_size(&self, space: &Space) -> f64 {
         let best = self.u(self.best());
         let distance = |slot: &usize| {

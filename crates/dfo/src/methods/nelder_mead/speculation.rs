@@ -15,9 +15,9 @@ use crate::values::choices::BoundsHandling;
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
-/// Frequencies of reflections that are accepted unchanged, followed by an expansion, by an inside contraction
-/// and by an outside contraction, and frequency of accepted expansions. Counted on the 53 problems of Moré
-/// and Wild (SIAM J. Optim. 20, 2009).
+/// Frequencies of accepted reflections, expansions, inside contractions and outside contractions after a
+/// reflection, and of accepted expansions. Counted on the 53 problems of Moré and Wild (SIAM J. Optim. 20,
+/// 2009).
 const ACCEPTED: f64 = 0.50;
 const EXPANDING: f64 = 0.23;
 const INSIDE: f64 = 0.24;
@@ -294,7 +294,7 @@ impl Speculation {
         }
     }
 
-    /// Returns these probabilities from the predicted costs, and whether all costs are known.
+    /// Returns the probabilities of `shares` from the predicted costs, and whether all costs are known.
     fn predicted_shares(
         &self,
         simplex: &RankedPoints,

@@ -1,7 +1,7 @@
 //! State machine of Nelder-Mead: requested points and the processing of their outcomes.
 //!
-//! There is one decision procedure. It uses the known trial points. If it requires an unknown one, this point
-//! is the next batch.
+//! There is one decision procedure. It uses the known trial points. If it requires an unknown one, the next
+//! batch requests this point.
 
 use super::options::CoefficientValues;
 use super::prediction::Prediction;

@@ -4,10 +4,10 @@
 //! At an intersection of several kinks, the descent directions may form a cone so narrow that no poll finds
 //! it. However, each smooth piece of the cost around a point has a gradient. Every piece decreases in the
 //! direction opposite to the shortest vector of the convex hull of these gradients. A discrete gradient
-//! contains the exact change of the cost along a step, and finite differences along the axes from the end of
-//! the step. If a step opposite to the shortest vector does not lead down, its discrete gradient adds an
-//! unknown piece, and the vector becomes shorter. If the vector is zero, the point is a minimum within the
-//! reach of these steps.
+//! contains the exact change of the cost along a step. It also contains finite differences along the axes
+//! from the end of the step. If a step opposite to the shortest vector does not lead down, its discrete
+//! gradient adds an unknown piece, and the vector becomes shorter. If the vector is zero, the point is a
+//! minimum within the reach of these steps.
 
 use crate::methods::shared::dot::dot;
 use serde::{Deserialize, Serialize};

@@ -15,23 +15,23 @@
 //! **Directions.** A Householder reflection aligns one of the coordinate axes with the displacement of the
 //! best point since the frame last shrank. The polls start with the directions nearest to this displacement
 //! (Rosenbrock, Comput. J. 3, 1960, rotates his axes for the same reason: steps along a valley). If the best
-//! point has not moved, the reflection uses the next point of Halton's sequence, as in OrthoMADS, so that the
-//! directions become dense on the sphere. With the first frame, the axes are not rotated. The search is
+//! point has not moved, the reflection uses the next point of Halton's sequence, as in OrthoMADS. The
+//! directions then become dense on the sphere. With the first frame, the axes are not rotated. The search is
 //! deterministic.
 //!
 //! **Kinks.** At an intersection of several kinks, only few directions lead down, and the frame may shrink
-//! before one is found. Passed tests alone are therefore no evidence of a minimum. Discrete gradients around
-//! the best point then either find a descent direction, or show that there is none for steps from the length
-//! of the first frame to the last one (`discrete_gradients.rs`). The search has converged only if they find
-//! none.
+//! before one is found. Passed tests alone are therefore not evidence of a minimum. Discrete gradients around
+//! the best point then search for a descent direction (`discrete_gradients.rs`). Their steps range from the
+//! length of the first frame to the last one. The search has converged only if they find no descent
+//! direction.
 //!
 //! **Restarts.** The search then continues with the first frame and new directions until this gains nothing.
 //!
 //! **Bounds.** A point outside the bounds is moved onto the bound.
 //!
-//! **Failures** are points that are not better. If the start has failed, the first poll must find a cost. If
-//! points next to the best one have failed, CMA-ES searches for a lower cost between them before the search
-//! has converged (`failure_check.rs`).
+//! **Failures.** A failed point counts as a point that is not better. If the start has failed, the first poll
+//! must find a cost. If points next to the best one have failed, CMA-ES searches for a lower cost between
+//! them before the search has converged (`failure_check.rs`).
 //!
 //! **Unknown sizes.** If a parameter starts at zero and has neither a nominal size nor a box, it is first
 //! varied alone (`shared/size_search.rs`).

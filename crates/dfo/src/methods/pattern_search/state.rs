@@ -65,8 +65,8 @@ pub struct Polling {
     pub(super) n_doubled: u32,
     /// The best cost when each of the last frames shrank.
     gains: Vec<f64>,
-    /// Number of consecutive restarts that must gain nothing, number of such restarts so far, and the best
-    /// cost at the last start of the search.
+    /// Number of consecutive restarts that must gain nothing, number of such restarts so far, and best cost
+    /// at the last start.
     restarts: usize,
     n_idle: usize,
     f_begin: f64,

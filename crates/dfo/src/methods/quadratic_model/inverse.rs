@@ -129,8 +129,9 @@ impl Inverse {
         dot(self.point(place), self.point(place)).sqrt() * self.scale
     }
 
-    /// Returns a displacement from the point `from`. The products use the difference from this point, because
-    /// the products at the point itself are exact by definition (Powell, report DAMTP 2004/NA08, section 4).
+    /// Returns a displacement from the point `from`. The computation uses the difference of `w` from its
+    /// value at this point, where `H w` is a unit vector by definition (Powell, report DAMTP 2004/NA08,
+    /// section 4).
     pub(super) fn step(&self, from: usize, displacement: &[f64]) -> Step {
         let base = self.point(from);
         let d: Vec<f64> = displacement.iter().map(|d| d / self.scale).collect();

@@ -277,8 +277,8 @@ impl ModelSearch {
     }
 
     /// Removes points that are too far away. Then requests a point along the direction in which the others
-    /// determine the gradient worst, if their spread at this radius is below `poised` (Conn, Scheinberg and
-    /// Vicente 2009, chapter 6: the model must be fully linear).
+    /// determine the gradient worst. Requests the point only if the spread at this radius is below `poised`
+    /// (Conn, Scheinberg and Vicente 2009, chapter 6: the model must be fully linear).
     fn improve_geometry(&mut self, poised: f64) -> bool {
         if self.has_many() {
             return self.replace_farthest(poised);

@@ -33,11 +33,13 @@
 //! point is retried nearer to the start and on the other side. If the search ends next to failed points, it
 //! continues with CMA-ES, which searches for a lower cost between them (`failure_check.rs`).
 //!
-//! **Cutoffs**: none, because a model needs the value of every point. **Time**: O((4n)^3) operations per
-//! point up to 20 parameters: 11 microseconds for 2, 0.2 ms for 10, 0.6 ms for 20. With more parameters, the
-//! inverse of the interpolation conditions is updated when points are exchanged, the steps use truncated
-//! conjugate gradients, and the model keeps 2n + 1 points (`many_parameters.rs`, `inverse.rs`,
-//! `truncated_cg.rs`). As in NEWUOA, this requires O(n^2) operations per point (`benches/overhead.rs`).
+//! **Cutoffs**: none, because a model needs the value of every point.
+//!
+//! **Time**: O((4n)^3) operations per point up to 20 parameters: 11 microseconds for 2, 0.2 ms for 10, 0.6 ms
+//! for 20. With more parameters, the inverse of the interpolation conditions is updated when points are
+//! exchanged. The steps use truncated conjugate gradients, and the model keeps 2n + 1 points
+//! (`many_parameters.rs`, `inverse.rs`, `truncated_cg.rs`). As in NEWUOA, this requires O(n^2) operations per
+//! point (`benches/overhead.rs`).
 
 mod hand_over;
 mod initial;

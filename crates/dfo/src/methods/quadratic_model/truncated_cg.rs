@@ -5,8 +5,8 @@ use super::subproblem::Region;
 use crate::methods::shared::dot::dot;
 
 /// Relative limit for the end of the search. The search ends if a step gains less than this fraction of the
-/// decrease so far, or if the gradient is this small relative to the first one (Powell, report DAMTP
-/// 2004/NA08, section 5).
+/// decrease so far. It also ends if the gradient is this small relative to the first one (Powell, report
+/// DAMTP 2004/NA08, section 5).
 const LITTLE: f64 = 0.01;
 
 /// Returns a step in the region at which the model is small (Steihaug, SIAM J. Numer. Anal. 20, 1983). If the

@@ -28,8 +28,9 @@ impl RankedPoints {
         self.set_cost(slot, Cost::Pending);
     }
 
-    /// Replaces the first sampled members by known points: the start point, if requested and given, then the
-    /// best points of an earlier run, up to half of the members. Returns the number of replaced members.
+    /// Replaces the first sampled members by known points. The start point comes first, if requested and
+    /// given. The best points of an earlier run follow, up to half of the members. Returns the number of
+    /// replaced members.
     pub(crate) fn seed_with(&mut self, setup: &Setup, include_start: bool) -> usize {
         let space = &setup.space;
         let mut next = 0;
@@ -58,7 +59,7 @@ impl RankedPoints {
         self.order.sort_unstable_by(|&a, &b| in_rank(costs, a, b));
     }
 
-    /// Updates the ranks if only this member has changed since the last ranking.
+    /// Updates the ranks if only the member in `slot` has changed since the last ranking.
     pub(crate) fn rank_again(&mut self, slot: usize) {
         self.order.retain(|other| *other != slot);
         let costs = &self.costs;

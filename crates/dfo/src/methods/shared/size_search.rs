@@ -4,8 +4,8 @@
 //! by many orders of magnitude ends at wrong points. Therefore each such parameter is varied alone, with
 //! steps that grow or shrink by factors of ten. The search ends where the cost is smallest along the
 //! parameter. If no step lowers the cost, it ends where the cost changes by at most its own value. The result
-//! is checked again from the point where the tests pass, because a parameter without effect at the start may
-//! have an effect there.
+//! is checked again from the point where the tests pass. A parameter without effect at the start may have an
+//! effect there.
 
 use crate::method_interface::interface::Batch;
 use crate::problem::space::Space;
