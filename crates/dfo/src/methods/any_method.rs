@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::str::FromStr;
 
-/// Any of the methods, with its options.
+/// Any optimization method, with its options.
 ///
 /// ```
 /// use dfo::{AnyMethod, MethodOptions, minimize};
@@ -289,8 +289,8 @@ fn listed(asked: &str, is_it: impl Fn(&Listed) -> bool) -> Result<AnyMethod, Err
     Err(Error::UnknownMethod { name: asked.to_owned(), hint, known: known.join(", ") })
 }
 
-/// Returns the method most likely meant by an unknown name. This is the method that solves the same problems
-/// as the named one, or a method whose name differs by a few letters.
+/// Returns the method most likely meant by an unknown name. This method solves the same problems as the named
+/// one, or its name differs by a few letters.
 fn meant(asked: &str) -> Option<&'static str> {
     let asked = folded(asked);
     if let Some(method) = LIST.iter().find(|m| m.similar.iter().any(|name| folded(name) == asked)) {

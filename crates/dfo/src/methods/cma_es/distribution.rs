@@ -19,8 +19,8 @@ const LARGEST_VARIANCE: f64 = 1e8;
 const MOST_SWEEPS: usize = 1000;
 
 /// Fraction of the step of the mean that is made if individuals were drawn from earlier distributions.
-/// Pending individuals have not seen this step. Of the values 0.4 to 1, it works for any lag up to one and a
-/// half populations, on the functions of `benches/lag.rs`.
+/// Pending individuals have not seen this step. The values 0.4 to 1 were compared on the functions of
+/// `benches/lag.rs`. This value works for any lag up to one and a half populations.
 const SHARE_OF_EARLIER: f64 = 0.55;
 
 /// Number of parameters from which the step size follows from two individuals instead of the path. The path
@@ -110,7 +110,7 @@ impl Distribution {
         !self.line.is_empty()
     }
 
-    /// Sets a step along the last step of the mean, or opposite to it, with the given squared length of
+    /// Sets a step along the last step of the mean or opposite to it. `squared` is the squared length of
     /// `C^(-1/2) y`. Overwrites `along`.
     pub(super) fn draw_on_line(&self, ahead: bool, squared: f64, step: &mut [f64], along: &mut [f64]) {
         let factor = (squared / self.squared(&self.line, along)).sqrt();

@@ -13,8 +13,8 @@
 //! external solutions into CMA-ES", INRIA RR-7748, 2011). The rule counts answers, not workers. With a lag,
 //! the default population is larger, because many short steps in the wrong place do not converge.
 //!
-//! The distribution is defined over the working coordinates in units of their sizes, so parameters of any
-//! magnitude are treated alike.
+//! The distribution is defined over the working coordinates in units of their sizes. Parameters of any
+//! magnitude are thus treated alike.
 //!
 //! **Step size.** From a hundred parameters on, without a lag, two individuals determine the step size. They
 //! are on both sides of the mean, along its last step (two-point adaptation: Hansen, Atamna and Auger, PPSN
@@ -28,9 +28,9 @@
 //!
 //! **Failures.** A failed individual ranks last. It is not used to update the mean or the covariance matrix,
 //! not even with a negative weight. The positive weights of the remaining individuals sum to 1. After a
-//! generation without any cost, the mean returns to the best point of the run, with half the step size.
+//! generation without any cost, the mean returns to the best point of the run, and the step size is halved.
 //!
-//! **Unknown sizes.** If a parameter starts at zero and has neither a nominal size nor a box, it is first
+//! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, is first
 //! varied alone (`shared/size_search.rs`).
 //!
 //! **Cutoffs**: none, because every rank counts.

@@ -38,9 +38,9 @@ pub enum CmaBounds {
 ///
 /// The search starts from the start point, which is the first individual. Without a start point, it starts
 /// from the middle of the box. From the points of an earlier run, it uses the best. With restarts, the search
-/// continues until a limit ends the run, at the latest when the population has been doubled nine times.
-/// Restarts begin at points drawn in the box. Along a parameter without a box, they are drawn around the
-/// start point, with the size of the parameter as standard deviation.
+/// continues until a limit ends the run, or until the population has been doubled nine times. Restarts begin
+/// at points drawn in the box. Along a parameter without a box, they are drawn around the start point. The
+/// standard deviation is then the size of the parameter.
 ///
 /// ```
 /// use dfo::{CmaEs, minimize};
@@ -70,8 +70,8 @@ pub struct CmaEs {
     /// Number of individuals drawn ahead of selection at any time; default 0. At most one and a half
     /// populations, because the search does not converge with a larger lag. With lag 0, a generation is drawn
     /// after the previous one is completely known. This needs the fewest evaluations and is best for one
-    /// worker. A lag of four times the number of workers keeps them busy even if one evaluation in ten takes
-    /// ten times as long (benches/scaling.md).
+    /// worker. A lag of four times the number of workers keeps them busy. This holds even if one evaluation
+    /// in ten takes ten times as long (benches/scaling.md).
     pub lag: usize,
 }
 

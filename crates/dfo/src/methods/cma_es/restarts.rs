@@ -19,8 +19,8 @@ pub(super) struct Schedule {
     n_doubled: u32,
     /// True if the current run uses a small population.
     is_small: bool,
-    /// Number of evaluations of the runs with large and with small populations, and of the last run with a
-    /// large population.
+    /// Number of evaluations of all runs with large populations, of all with small ones, and of the last with
+    /// a large one.
     n_large: usize,
     n_small: usize,
     n_last_large: usize,
@@ -83,8 +83,8 @@ impl Schedule {
 }
 
 /// Draws the start point of a restart, in working coordinates. The point is uniform in the box. Along a
-/// parameter without a box, it is normally distributed around the start point, with the size of the parameter
-/// as standard deviation.
+/// parameter without a box, it is normally distributed around the start point. The standard deviation is then
+/// the size of the parameter.
 pub(super) fn draw_start(space: &Space, stream: &mut Stream, u: &mut [f64]) {
     space.to_working(space.x0(), u);
     for (k, u) in u.iter_mut().enumerate() {

@@ -44,8 +44,8 @@ pub struct CmaRules {
     /// The best point since the last restart, in working coordinates.
     best: Vec<f64>,
     best_cost: f64,
-    /// Number of generations since the last restart, number of these since the best point changed, and number
-    /// of the last ones without a cost.
+    /// Number of generations since the last restart, since the best point changed, and since the last
+    /// generation with a cost.
     n_generations: usize,
     idle: usize,
     barren: usize,
@@ -75,8 +75,8 @@ fn unbend(point: &mut [f64], space: &Space, handling: CmaBounds) {
 /// for other directions.
 const LEAST_FOR_TWO_POINTS: usize = 4;
 
-/// Returns the number of ranks by which the first individual is better than the second, as a fraction of the
-/// generation. Equal costs have equal rank.
+/// Returns the lead of the first individual over the second in ranks, as a fraction of the generation. Equal
+/// costs have equal rank.
 fn lead(generation: &RankedPoints) -> f64 {
     let rank = |slot: usize| {
         let own = generation.cost(slot).value().unwrap_or(f64::INFINITY);

@@ -1,6 +1,5 @@
-//! Differential evolution, in two forms. The first is the method of Storn and Price (J. Global Optim. 11,
-//! 1997) with its usual variants. The second is L-SHADE (Tanabe and Fukunaga, CEC 2014), which adapts its
-//! factors and shrinks its population.
+//! Differential evolution: the method of Storn and Price (J. Global Optim. 11, 1997) with its usual variants,
+//! and L-SHADE (Tanabe and Fukunaga, CEC 2014). L-SHADE adapts its factors and shrinks its population.
 //!
 //! **Lag.** A generation is one batch, and selection processes its answers in order. With a lag `L`, the next
 //! trial is created after each answer. Trial `k` uses the population after selection from all trials before

@@ -33,8 +33,8 @@ pub struct DifferentialRules {
     /// Ordered trials that are not yet candidates: concatenated working coordinates, and origins.
     ahead: VecDeque<f64>,
     ahead_made: VecDeque<Made>,
-    /// Generation of the next trials, its members, the number of trials created for it, and the members of
-    /// all previous generations.
+    /// Generation of the next trials, its size, the number of its trials so far, and the total size of all
+    /// previous generations.
     generation: u64,
     members: usize,
     n_made: usize,

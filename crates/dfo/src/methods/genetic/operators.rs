@@ -10,11 +10,11 @@ const FLOOR: f64 = 1e-3;
 /// Sets `out` to the cumulative sums of the fitness of all members; the last sum is the total. Fitness is the
 /// difference between the 70 % quantile of the costs and the cost.
 ///
-/// If fitness is measured from the worst member, a few distant mutants make all others equally fit, and the
-/// population never converges. For a sphere in ten parameters on [-5, 5], the remaining cost is then 0.26
-/// after 10 000 evaluations (median of 10 seeds). With quantiles of 80, 70, 60 and 50 %, it is 5e-3, 5e-4,
-/// 3e-5 and 3e-6. A lower quantile loses diversity sooner. For Rosenbrock's function in two parameters, the
-/// remaining costs are 7e-4, 2e-5, 1e-4, 9e-3 and 9e-3.
+/// If fitness is measured from the worst member, a few distant mutants make all others equally fit. The
+/// population then never converges. For a sphere in ten parameters on [-5, 5], the remaining cost is then
+/// 0.26 after 10 000 evaluations (median of 10 seeds). With quantiles of 80, 70, 60 and 50 %, it is 5e-3,
+/// 5e-4, 3e-5 and 3e-6. A lower quantile loses diversity sooner. For Rosenbrock's function in two parameters,
+/// the remaining costs are 7e-4, 2e-5, 1e-4, 9e-3 and 9e-3.
 pub(super) fn fitness_sums(population: &RankedPoints, out: &mut Vec<f64>) {
     let cost = |rank: usize| population.cost(population.order()[rank]).value().unwrap_or(0.0);
     let (low, high) = match population.n_finite() {

@@ -25,8 +25,8 @@ pub enum Selection {
 ///
 /// The tolerance tests measure the best distinct points of all generations. The number of these points is an
 /// eighth of the population, at least n + 1 and at most 100. Copies of one point fill a population long
-/// before the minimum is found, and mutation keeps some members far from the best. With integer or
-/// categorical parameters, the tests measure the best eighth of the population.
+/// before the minimum is found. Mutation keeps some members far from the best. With integer or categorical
+/// parameters, the tests measure the best eighth of the population.
 ///
 /// Unless `resolution` is set, neighbouring codes are 1.5e-5 of the width of the box apart. Smaller distances
 /// cannot be resolved, so a smaller relative `x_tol` never passes and the run ends as stalled. For up to ten

@@ -13,8 +13,8 @@ use crate::outcome::termination::Termination;
 use crate::values::choices::ParameterKind;
 use serde::{Deserialize, Serialize};
 
-/// Returns the number of best points that the tests compare: an eighth of the population, at least n + 1 and
-/// at most 100.
+/// Returns the number of best points that the tests compare. This is an eighth of the population, limited to
+/// the range from n + 1 to 100.
 fn n_seen(members: usize, n: usize) -> usize {
     members.div_ceil(8).max(n + 1).min(100)
 }
@@ -176,7 +176,7 @@ impl GenerationRules for GeneticRules {
     }
 
     /// Tests the best points seen. The population itself is a poor measure of convergence. Copies of one
-    /// point fill it long before the minimum is found, and later most children differ from their parents in a
+    /// point fill it long before the minimum is found. Later, most children differ from their parents in a
     /// significant bit. Discrete parameters may have too few distinct points to compare.
     fn judge_best_seen(&self, setup: &Setup, f_0: f64) -> Option<ToleranceTests> {
         let space = &setup.space;

@@ -28,8 +28,8 @@ const MOST_WITHOUT_GAIN: usize = 50;
 const MOST_SWEEPS: usize = 100;
 
 impl LeastSquaresState {
-    /// Returns the points around the centre with their weights, nearest first: all points within two radii,
-    /// and more if a model needs them.
+    /// Returns the points around the centre with their weights, nearest first. These are all points within
+    /// two radii, and more if a model needs them.
     fn around(&self, averaging: &Averaging) -> Vec<(usize, f64)> {
         let far = |k: usize| distance(&self.points[k].z, &averaging.centre) / (2.0 * averaging.radius);
         let mut near: Vec<(usize, f64)> = (0..self.points.len()).map(|k| (k, far(k))).collect();

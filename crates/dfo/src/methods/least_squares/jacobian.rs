@@ -4,8 +4,8 @@
 //! d^2 from curvature, plus the noise. The weight of the point is the inverse of their sum. Distances are in
 //! units of the parameter size or of the value at the best point, whichever is larger. A start of another
 //! magnitude then has no effect. Residuals may change faster than in proportion to the distance (for example,
-//! a diverging exponential). Then d^2 is far below the error of the linear model, and the point has less
-//! weight by the square of this ratio.
+//! a diverging exponential). Then d^2 is far below the error of the linear model. The weight of the point is
+//! reduced by the square of this ratio.
 
 use super::interpolation::Interpolation;
 use super::points::{BARELY_INDEPENDENT, Selection, difference, distance, norm};

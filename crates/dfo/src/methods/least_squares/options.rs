@@ -14,9 +14,9 @@ pub enum StepPlan {
     /// One point at a time: the fewest evaluations.
     #[default]
     Serial,
-    /// n + 4 points: the best points of the model within four radii, and n neighbours of the first point for
-    /// its Jacobian. This plan needs the fewest rounds if there are at least n + 4 workers. With fewer
-    /// workers, it takes longer than one point at a time.
+    /// n + 4 points. Four are the best points of the model within different radii. The others are n
+    /// neighbours of the first point for its Jacobian. This plan needs the fewest rounds if there are at
+    /// least n + 4 workers. With fewer workers, it takes longer than one point at a time.
     Rounds,
     /// This number of points: first trial points, then neighbours.
     #[serde(untagged)]
@@ -45,9 +45,9 @@ impl StepPlan {
 /// Options of the Gauss-Newton method on interpolation models, for objectives with residuals (see
 /// [`residuals`](crate::residuals)).
 ///
-/// The x test measures the resolution of the model, or the step to the minimum of the model if that step is
-/// longer. The test uses the sum of this step and the possible error of the model if the sum is smaller. The
-/// f test measures the decrease predicted by the model.
+/// The x test measures the resolution of the model, or the step to its minimum if that step is longer. The
+/// test uses the sum of this step and the possible error of the model if the sum is smaller. The f test
+/// measures the decrease predicted by the model.
 ///
 /// ```
 /// use dfo::{LeastSquares, minimize, residuals};

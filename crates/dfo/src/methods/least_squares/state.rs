@@ -28,8 +28,8 @@ const MOST_RESIZED: u32 = 8;
 const MOST_KEPT: usize = 20;
 /// Maximum total number of stored residuals, which further limits the number of points.
 const MOST_NUMBERS: usize = 1 << 27;
-/// Number of parameters from which the start is evaluated alone, to check whether the residuals of the other
-/// points fit into memory.
+/// Number of parameters from which the start is evaluated alone. Its residuals show whether the residuals of
+/// the other points fit into memory.
 const LARGE: usize = 500;
 
 /// Maximum number of stored failed points.
@@ -152,8 +152,7 @@ pub struct LeastSquaresState {
     n_resized: u32,
     /// Cost of the start.
     pub(super) f_0: f64,
-    /// For the last failed step: the distance between the residuals and the model, and the size of the step
-    /// and the set.
+    /// Misfit of the model at the last failed step, and the size of the step and the set.
     pub(super) failure: Option<(f64, f64)>,
     /// The last points that failed.
     pub(super) failed: Vec<Vec<f64>>,
@@ -273,8 +272,8 @@ impl LeastSquaresState {
             }
     }
 
-    /// Returns the start, or its neighbour along a coordinate. With increasing `retries`, the neighbour is on
-    /// the side with more space, then on the other side, then nearer on both sides.
+    /// Returns the start, or its neighbour along a coordinate. The first neighbour is on the side with more
+    /// space, the second on the other side. Further retries alternate nearer to the start.
     fn neighbour(&self, coordinate: Option<usize>, retries: u32) -> Vec<f64> {
         let mut z = vec![0.0; self.n()];
         if let Some(k) = coordinate {

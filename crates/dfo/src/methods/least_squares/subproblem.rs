@@ -103,12 +103,12 @@ impl Linear {
     }
 }
 
-/// A step from the best point with `|s| <= radius` and `lower <= s <= upper` that (nearly) minimises `|r + J
-/// s|`.
+/// A step from the best point with `|s| <= radius` and `lower <= s <= upper` at which `|r + J s|` is (nearly)
+/// minimal.
 ///
 /// The problem in the ball alone is solved exactly with the singular values of `J` (Moré and Sorensen 1983,
 /// with `J'J` in place of the Hessian). If the solution leaves the box, the coordinate that reaches its bound
-/// first is fixed there, and the remaining problem is solved again.
+/// first is fixed there. The remaining problem is then solved again.
 pub(super) struct Subproblem<'a> {
     pub(super) linear: &'a Linear,
     pub(super) radius: f64,

@@ -44,8 +44,8 @@ const JUMP: f64 = 0.03;
 /// of multiplicity p, this fraction is 10^(-10/p) / p after the sum of squares has fallen to 1e-20 of its
 /// first value. For any p, it is at most 1 / (10 e ln 10). A longer step leads to a minimum at infinity.
 const ONWARD: f64 = 0.016;
-/// Minimum distance from the start at which a minimum at infinity is considered if the sum of squares does
-/// not fall to zero. In units of the first radius.
+/// Minimum distance from the start at which a minimum at infinity is considered, in units of the first
+/// radius. Applies if the sum of squares does not fall to zero.
 const FAR: f64 = 100.0;
 /// Ratio to the start value, or to one, above which a value counts as diverged. Bounds at this distance count
 /// as absent (`problem/space`).
@@ -91,8 +91,8 @@ impl LeastSquaresState {
     }
 
     /// Returns the residuals of a point, with the loss linearised at the base. Within the set, only the model
-    /// is then curved. Otherwise the curvature of the loss would hide the slope of the cost between points
-    /// whose residuals differ by the scale of the loss.
+    /// is then curved. Otherwise the curvature of the loss would hide the slope of the cost. This happens
+    /// between points whose residuals differ by the scale of the loss.
     pub(super) fn residuals_near(&self, base: usize, point: usize) -> Cow<'_, [f64]> {
         let (loss, own) = (&self.setup.loss, &self.points[point].residuals);
         let n = own.len();
@@ -304,7 +304,7 @@ impl LeastSquaresState {
     /// True if residuals that are constant at several points, but not at all points, prevent a decrease. In
     /// the first case, at least half of the residuals that change anywhere are constant within the set.
     /// Rounded residuals jump instead, so the model represents only the jumps of the others. In the second
-    /// case, no decrease is predicted and all residuals are the same at a point too far away for the x test.
+    /// case, no decrease is predicted, and a point too far away for the x test has identical residuals.
     fn is_plateau(&self, base: usize, predicted: f64) -> bool {
         let Evaluated { z, residuals, .. } = &self.points[base];
         let is_same = |k: usize, i: usize| self.points[k].residuals[i] == residuals[i];
@@ -331,8 +331,7 @@ impl LeastSquaresState {
         way >= far * self.options.radius && along >= 0.99 * ONWARD * way
     }
 
-    /// Returns a bound on the distance of the minimum from the base, and on the decrease of the cost up to
-    /// the minimum.
+    /// Returns bounds on the distance of the minimum from the base, and on the decrease of the cost up to it.
     fn uncertainty(&self, base: usize, linear: &Linear, length: f64, predicted: f64) -> (f64, f64) {
         let coarse = (self.rho, predicted);
         let Some(curvature) = self.curvature.filter(|_| self.set.len() == self.n() + 1) else {
@@ -606,9 +605,8 @@ impl LeastSquaresState {
         self.set.iter().map(|k| &self.points[*k].residuals[..]).collect()
     }
 
-    /// Updates the model with a new point. Returns false if the model is no longer accurate. The arguments
-    /// are the step from the base point, the values of the Lagrange polynomials, and the misfit at the new
-    /// point.
+    /// Updates the model with a new point. Returns false if the model is no longer accurate. `step` leads
+    /// from the base point to the new point. `lagrange` and `misfit` are the values at the new point.
     fn follow(
         &self,
         model: &mut Interpolation,

@@ -1,6 +1,6 @@
 //! Local searches from several starts in a box. The method samples the box, clusters the sample, and starts a
-//! search from the best point of each cluster, within one budget (multi-level single linkage: Rinnooy Kan and
-//! Timmer, Math. Program. 39, 1987, 57).
+//! search from the best point of each cluster (multi-level single linkage: Rinnooy Kan and Timmer, Math.
+//! Program. 39, 1987, 57). All parts share one budget.
 //!
 //! Each iteration of the algorithm adds `N` points to the sample. The best fifth of all `kN` points is
 //! considered, best first. A point starts a search unless a better point is within the critical distance

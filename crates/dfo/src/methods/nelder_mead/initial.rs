@@ -8,8 +8,8 @@ use crate::methods::shared::size_search::{SizeFound, SizeSearch};
 use crate::problem::space::Space;
 use crate::values::choices::Transform;
 
-/// Edge of the simplex as a fraction of the width of the box. With fractions from 0.03 to 0.3, 124 to 126 of
-/// the 126 tuning runs in boxes (`benches/simplex.rs`) are solved, in 474 to 526 evaluations (median).
+/// Edge of the simplex as a fraction of the width of the box. Fractions from 0.03 to 0.3 solve 124 to 126 of
+/// the 126 tuning runs in boxes (`benches/simplex.rs`). They need 474 to 526 evaluations (median).
 const BOX_FRACTION: f64 = 0.1;
 /// Edge of the simplex without a box, in units of the parameter size.
 const FREE_FRACTION: f64 = 0.3;

@@ -1,19 +1,19 @@
 //! Bounded Nelder-Mead with batches. The n+1 vertices form one batch, and so do the vertices of a shrink.
 //! Points of this iteration and of the next ones can be evaluated ahead of need.
 //!
-//! The rules are from Lagarias, Reeds, Wright and Wright (SIAM J. Optim. 9, 1998, section 2), including ties:
-//! a newer vertex ranks after older ones of equal cost. In five and more dimensions, the coefficients are
+//! The rules are from Lagarias, Reeds, Wright and Wright (SIAM J. Optim. 9, 1998, section 2). A newer vertex
+//! ranks after older ones of equal cost, as in these rules. In five and more dimensions, the coefficients are
 //! from Gao and Han (Comput. Optim. Appl. 51, 2012). For bounds, see
 //! [`BoundsHandling`](crate::BoundsHandling).
 //!
 //! **Failures.** A failed vertex ranks after every vertex with a cost. Among failed vertices, the newest
 //! ranks last. The last vertex is replaced as always, but the centroid includes only the finite ones among
 //! the other vertices (at least the best is finite). The centroid is still in the plane through the remaining
-//! vertices, so the new simplex has volume whenever the old one had. A failed trial point is treated like a
+//! vertices. Therefore the new simplex has volume if the old one had. A failed trial point is treated like a
 //! point with too high a cost.
 //!
 //! **Plans.** An iteration needs its points one after the other: the reflection, then possibly one more. A
-//! plan determines how many points are evaluated at once ([`Lookahead`]). The others are predicted: half of
+//! plan determines how many points are evaluated at once ([`Lookahead`]). The others are predicted. Half of
 //! all iterations accept the reflection unchanged, a quarter contract inside, and a quarter try an expansion.
 //! The most probable next point is thus the reflection of the next iteration. Every plan follows the same
 //! path, because the method receives the same answers as with one point at a time.
@@ -23,16 +23,16 @@
 //! points in the direction in which the known costs decrease (Kelley, SIAM J. Optim. 10, 1999). The simplex
 //! is also rebuilt if it is on a kink, where it may collapse away from any minimum. At a kink, the costs of
 //! its vertices differ in proportion to its size. For a smooth cost, they differ in proportion to the square
-//! of its size. Restarts solve 97 % of 250 piecewise linear functions of 2 to 6 parameters in rotated axes,
-//! compared with 53 % without restarts. A simplex on a bound is not rebuilt.
+//! of its size. With restarts, 97 % of 250 piecewise linear functions of 2 to 6 parameters in rotated axes
+//! are solved. Without restarts, 53 % are solved. A simplex on a bound is not rebuilt.
 //!
 //! A simplex also collapses next to failed points, and is rebuilt as on a kink. If this gains nothing, CMA-ES
 //! searches for a lower cost between the failed points (`failure_check.rs`). If CMA-ES finds none, the search
 //! has converged.
 //!
 //! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, has unknown
-//! magnitude. Before the first simplex is built, each such parameter is varied alone, with steps of powers of
-//! ten, to the lowest cost along it. When the tests pass, these steps are repeated from the best vertex. If
+//! magnitude. Before the first simplex is built, each such parameter is varied alone to the lowest cost along
+//! it. The steps are powers of ten. When the tests pass, these steps are repeated from the best vertex. If
 //! one finds a lower cost, a new simplex is built from it.
 //!
 //! **Cutoffs** are set only if they do not change a decision. The cutoff is the worst cost for the reflection

@@ -94,13 +94,13 @@ impl Coefficients {
 pub enum InitialSimplex {
     /// Determined from the sizes of the parameters. The size is the nominal value if given, otherwise the
     /// width of the box if it determines a size (see [`typical_size`](crate::typical_size)), otherwise |x0|.
-    /// If x0 is zero and nothing else is known, the size is first determined by steps of powers of ten along
-    /// the parameter. The step with the lowest cost becomes a vertex. This costs about ten evaluations per
-    /// such parameter at the start, and some at the end; nominal values avoid them. Without any bound, the
-    /// simplex is regular with edges of `0.3 * size`, pointing away from zero. Multiplying a parameter by a
-    /// constant then has no effect. With bounds, the simplex has one step along each free parameter. The step
-    /// is a tenth of the width of the box if the width determines a size, otherwise `0.3 * size` (a
-    /// logarithmic parameter has the size 1 of its logarithm).
+    /// If x0 is zero and nothing else is known, steps of powers of ten along the parameter first determine
+    /// the size. The step with the lowest cost becomes a vertex. This costs about ten evaluations per such
+    /// parameter at the start, and some at the end; nominal values avoid them. Without any bound, the simplex
+    /// is regular with edges of `0.3 * size`, pointing away from zero. Multiplying a parameter by a constant
+    /// then has no effect. With bounds, the simplex has one step along each free parameter. The step is a
+    /// tenth of the width of the box if the width determines a size, otherwise `0.3 * size` (a logarithmic
+    /// parameter has the size 1 of its logarithm).
     #[default]
     Auto,
     /// These steps, one per parameter in the user's order. A step of a logarithmic parameter is a step of `ln

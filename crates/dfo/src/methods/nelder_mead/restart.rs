@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 
 /// Minimum thickness of a simplex that is not flat, in units of its largest edge.
 const FLAT: f64 = 1e-7;
-/// Distance within which all vertices must be from a bound for the simplex to be on this bound, in units of
-/// the parameter size.
+/// Maximum distance of all vertices from a bound at which the simplex is on this bound. In units of the
+/// parameter size.
 const TOUCHING: f64 = 1e-6;
 /// Minimum edge of the new simplex, in units of the parameter sizes.
 const SIDE: f64 = 1e-3;

@@ -266,8 +266,8 @@ impl Speculation {
         }
     }
 
-    /// Returns the number of vertices of a node with lower costs than a point, or `None` if the cost is not
-    /// predicted.
+    /// Returns the number of vertices of a node with lower costs than a point. Returns `None` if the cost is
+    /// not predicted.
     fn rank(&self, simplex: &RankedPoints, node: usize, point: usize) -> Option<usize> {
         let cost = self.estimates[point]?.mean;
         let order = self.order(node, simplex.n);

@@ -169,8 +169,8 @@ impl NelderMeadState {
         self.n_points
     }
 
-    /// Sets the cost of the start point, which then needs no evaluation, and the magnitude of the first costs
-    /// of the preceding search.
+    /// Sets the cost of the start point, which then needs no evaluation. `f_0` is the magnitude of the first
+    /// costs of the preceding search.
     pub(crate) fn set_start_cost(&mut self, cost: f64, f_0: f64) {
         self.simplex.set_cost(0, Cost::Value(cost));
         self.f_0 = f_0;

@@ -105,8 +105,8 @@ fn brought_onto(u: f64, raw: f64, centroid: f64) -> bool {
     u != raw && (u - centroid).abs() <= 1e-3 * (raw - centroid).abs()
 }
 
-/// Returns the replacement for such a coordinate: the crossed bound, which is half as far from the centroid
-/// as the unbounded point. If the centroid is on this bound, returns the middle of the box.
+/// Returns the replacement for such a coordinate. This is the crossed bound, which is half as far from the
+/// centroid as the unbounded point. If the centroid is on this bound, returns the middle of the box.
 fn beside(space: &Space, k: usize, raw: f64, centroid: f64) -> f64 {
     let (lower, upper) = space.working_bounds(k);
     let bound = if raw.is_finite() { raw.clamp(lower, upper) } else { centroid.clamp(lower, upper) };

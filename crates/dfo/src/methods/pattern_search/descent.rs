@@ -10,8 +10,8 @@ use crate::methods::shared::cost::Cost;
 const SHORTER: f64 = 0.1;
 
 impl Polling {
-    /// Starts the search for a descent direction from the best point, with steps as long as the first frame
-    /// and then shorter ones.
+    /// Starts the search for a descent direction from the best point. The first steps are as long as the
+    /// first frame, later ones are shorter.
     pub(super) fn begin_descent(&mut self, least: f64) {
         let f_begin = self.best_cost();
         self.phase = Phase::Descending;

@@ -6,7 +6,7 @@
 //! direction opposite to the shortest vector of the convex hull of these gradients. A discrete gradient
 //! contains the exact change of the cost along a step. It also contains finite differences along the axes
 //! from the end of the step. If a step opposite to the shortest vector does not lead down, its discrete
-//! gradient adds an unknown piece, and the vector becomes shorter. If the vector is zero, the point is a
+//! gradient adds an unknown piece. The vector then becomes shorter. If the vector is zero, the point is a
 //! minimum within the reach of these steps.
 
 use crate::methods::shared::dot::dot;

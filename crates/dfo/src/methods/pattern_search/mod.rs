@@ -3,14 +3,13 @@
 //!
 //! The method is intended for costs with kinks, steps or failures, and few parameters. It is inefficient for
 //! smooth costs, because its directions do not use the curvature. In a narrow valley, it needs several times
-//! the evaluations of [`QuadraticModel`](crate::QuadraticModel). Of the 53 smooth problems of Moré and Wild,
-//! it solves 57 % within 100 (n + 1) evaluations, and quadratic models solve 92 % (`benches/dfo`).
+//! the evaluations of [`QuadraticModel`](crate::QuadraticModel). Within 100 (n + 1) evaluations, it solves 57
+//! % of the 53 smooth problems of Moré and Wild. Quadratic models solve 92 % (`benches/dfo`).
 //!
 //! A poll evaluates the `2 n` points of a frame around the best point, in both directions along `n`
 //! orthogonal axes. The points are rounded to a mesh that becomes finer than the frame as the frame shrinks.
-//! The first better point in poll order is accepted, and the step to this point is doubled as long as the
-//! cost decreases. Three doublings double the frame. After a poll without a better point, the frame is
-//! halved.
+//! The first better point in poll order is accepted. The step to this point is doubled as long as the cost
+//! decreases. Three doublings double the frame. After a poll without a better point, the frame is halved.
 //!
 //! **Directions.** A Householder reflection aligns one of the coordinate axes with the displacement of the
 //! best point since the frame last shrank. The polls start with the directions nearest to this displacement
@@ -19,9 +18,9 @@
 //! directions then become dense on the sphere. With the first frame, the axes are not rotated. The search is
 //! deterministic.
 //!
-//! **Kinks.** At an intersection of several kinks, only few directions lead down, and the frame may shrink
-//! before one is found. Passed tests alone are therefore not evidence of a minimum. Discrete gradients around
-//! the best point then search for a descent direction (`discrete_gradients.rs`). Their steps range from the
+//! **Kinks.** At an intersection of several kinks, only few directions lead down. The frame may shrink before
+//! one is found. Passed tests alone are therefore not evidence of a minimum. Discrete gradients around the
+//! best point then search for a descent direction (`discrete_gradients.rs`). Their steps range from the
 //! length of the first frame to the last one. The search has converged only if they find no descent
 //! direction.
 //!
@@ -31,9 +30,9 @@
 //!
 //! **Failures.** A failed point counts as a point that is not better. If the start has failed, the first poll
 //! must find a cost. If points next to the best one have failed, CMA-ES searches for a lower cost between
-//! them before the search has converged (`failure_check.rs`).
+//! them (`failure_check.rs`). The search has converged only after that.
 //!
-//! **Unknown sizes.** If a parameter starts at zero and has neither a nominal size nor a box, it is first
+//! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, is first
 //! varied alone (`shared/size_search.rs`).
 //!
 //! **Plan.** The path processes one point after the other. Ahead of need, the next points of the poll are

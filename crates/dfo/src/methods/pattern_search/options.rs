@@ -27,9 +27,9 @@ pub struct PatternSearch {
     /// otherwise 1.
     pub frame: f64,
     /// Number of consecutive restarts without a gain (above the limit of the f test) after which the run
-    /// ends; default 1. The search restarts with the first frame and new directions after the tests have
-    /// passed and discrete gradients show no descent direction. Restarts find lower costs behind a step,
-    /// which gradients cannot show. 0 disables restarts.
+    /// ends; default 1. After the tests have passed and discrete gradients show no descent direction, the
+    /// search restarts. Each restart uses the first frame and new directions. Restarts find lower costs
+    /// behind a step, which gradients cannot show. 0 disables restarts.
     pub restarts: usize,
 }
 

@@ -167,8 +167,8 @@ impl Polling {
         self.best.cost(0).value().unwrap_or(f64::INFINITY)
     }
 
-    /// Computes the step to point `k` of a poll, in units of the parameter sizes, on the mesh of a frame of
-    /// this scale.
+    /// Computes the step to point `k` of a poll, in units of the parameter sizes. The step is on the mesh of
+    /// a frame of this scale.
     fn poll_step(&self, poll: &Poll, k: usize, scale: f64, out: &mut [f64]) {
         poll.direction(k, out);
         let mesh = scale.min(scale * scale);

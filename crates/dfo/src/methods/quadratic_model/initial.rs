@@ -23,10 +23,10 @@ fn pair(space: &Space, u: &[f64], k: usize, length: f64) -> [f64; 2] {
     [side * 0.5 * far, side * far]
 }
 
-/// Sets `u` to the point with this index. Index 0 is `centre`, the next n are one step along each axis, the
-/// next n the second steps, then pairs of steps. `shortened` is the number of failures of the point. After
-/// each failure, the point changes sides if the box has space on both sides. After every second failure,
-/// starting with the first, the step is halved.
+/// Sets `u` to the point with this index. Index 0 is `centre`. The next n indices are one step along each
+/// axis, and the next n the second steps. Pairs of steps follow. `shortened` is the number of failures of the
+/// point. After each failure, the point changes sides if the box has space on both sides. After every second
+/// failure, starting with the first, the step is halved.
 pub(super) fn place(
     space: &Space,
     centre: &[f64],

@@ -8,10 +8,10 @@ use serde::{Deserialize, Serialize};
 
 /// Inverse of the interpolation matrix. The matrix `W` has the rows `[-D, X; X', A]` with `X_j = (1, y_j)`,
 /// `A_ij = (y_i'y_j)^2 / 2` for displacements `y_j` of the points from an origin. Its inverse `H` contains
-/// the Lagrange polynomials of the points. Column `j` contains the value and the gradient at the origin,
-/// followed by the weights of the `y_k y_k'` in the Hessian (Powell, Math. Program. 100, 2004, section 2).
-/// With `D = 0`, the models change by the least Frobenius norm. The small `D` of
-/// [`super::model::Interpolation`] makes `W` regular for any number of points.
+/// the Lagrange polynomials of the points. Column `j` contains the value and the gradient at the origin. The
+/// weights of the `y_k y_k'` in the Hessian follow (Powell, Math. Program. 100, 2004, section 2). With `D =
+/// 0`, the models change by the least Frobenius norm. The small `D` of [`super::model::Interpolation`] makes
+/// `W` regular for any number of points.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Inverse {
     n: usize,
@@ -226,8 +226,8 @@ impl Inverse {
         add(&mut self.weights, 1.0, &weights);
     }
 
-    /// Returns the quadratic of least norm with these values at the points, as its gradient at `base` and the
-    /// weights in its Hessian.
+    /// Returns the quadratic of least norm with these values at the points. The result contains its gradient
+    /// at `base` and the weights in its Hessian.
     pub(super) fn least_norm(&self, values: &[f64], base: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let mut coefficients = vec![0.0; self.n + 1 + self.slots.len()];
         for (k, value) in values.iter().enumerate().filter(|(_, value)| **value != 0.0) {

@@ -414,7 +414,7 @@ impl ModelSearch {
     }
 
     /// Returns the slot for the trial point. This is an empty slot, or the slot whose removal leaves the best
-    /// determined model, with a preference for far points (Powell, NA06, equation 6.1 and its weights).
+    /// determined model. Far points are preferred (Powell, NA06, equation 6.1 and its weights).
     fn slot_to_replace(&mut self, s: &[f64], better: bool) -> Option<usize> {
         if let Some(slot) = self.unused_slot() {
             return Some(slot);
@@ -522,7 +522,8 @@ impl ModelSearch {
             return;
         }
         if passed {
-            // The same points would give the same evidence. A larger distance covers more resolutions.
+            // Points at the same distance would give the same evidence. A larger distance covers more
+            // resolutions.
             self.radius *= 2.0;
         }
         if passed || self.n_refused >= MOST_REFUSED || self.rho <= SMALLEST {

@@ -25,12 +25,12 @@
 //! evidence. Alternatively, it hands over to a simplex search (`hand_over.rs`,
 //! `nelder_mead/simplex_search.rs`), which continues from the best point as Nelder-Mead does from a start.
 //!
-//! **Unknown sizes.** If a parameter starts at zero and has neither a nominal size nor a box, it is first
+//! **Unknown sizes.** A parameter that starts at zero, without a nominal size and without a box, is first
 //! varied alone (`shared/size_search.rs`).
 //!
-//! **Failures.** Failed points are never part of a model. The step is shortened, and later steps stay on one
-//! side of a plane between failed points and the points of the model (`shared/failures.rs`). A failed first
-//! point is retried nearer to the start and on the other side. If the search ends next to failed points, it
+//! **Failures.** Failed points are never part of a model. The step is shortened. Later steps stay on one side
+//! of a plane between failed points and the points of the model (`shared/failures.rs`). A failed first point
+//! is retried nearer to the start and on the other side. If the search ends next to failed points, it
 //! continues with CMA-ES, which searches for a lower cost between them (`failure_check.rs`).
 //!
 //! **Cutoffs**: none, because a model needs the value of every point.

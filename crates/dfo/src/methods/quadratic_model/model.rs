@@ -139,8 +139,8 @@ impl Interpolation {
     }
 
     /// Returns the values of the Lagrange polynomials of the slots at a displacement, with the base point
-    /// last. Each value comes with the factor by which the determinant of the interpolation equations grows
-    /// if the point is replaced by this one (Powell 2004, equation 2.12).
+    /// last. Also returns the growth factor of the determinant of the interpolation equations if the point is
+    /// replaced by this one (Powell 2004, equation 2.12).
     pub(super) fn lagrange(&self, step: &[f64]) -> impl Iterator<Item = (f64, f64)> {
         let (k, own) = self.products(step);
         let values = &self.inverse * &k;

@@ -32,10 +32,10 @@ pub struct QuadraticModel {
     /// parameters. The search starts with at most 2n + 1 points and keeps later ones up to this number.
     /// Default 4n + 1, limited to the valid range, and 2n + 1 for more than 20 parameters.
     pub points: Option<usize>,
-    /// Maximum number of consecutive restarts without a lower cost; default 3. The search restarts around its
-    /// best point, with the first trust region, if predicted decreases do not lower the cost (noise, kinks).
-    /// A start that finds a lower cost resets the count. After noise or kinks have been detected, this number
-    /// of consecutive starts must end without them for convergence.
+    /// Maximum number of consecutive restarts without a lower cost; default 3. If predicted decreases do not
+    /// lower the cost (noise, kinks), the search restarts around its best point. Each restart uses the first
+    /// trust region. A start that finds a lower cost resets the count. After noise or kinks have been
+    /// detected, this number of consecutive starts must end without them for convergence.
     pub restarts: usize,
     /// True to continue with [`NelderMead`](crate::NelderMead) from the best point if the model shows noise
     /// or kinks. They are detected if the curvature grows as the region shrinks, or if steps fail at several

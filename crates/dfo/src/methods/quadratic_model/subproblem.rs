@@ -26,7 +26,7 @@ struct Part {
 ///
 /// In the ball alone, the problem is solved exactly (Moré and Sorensen, SIAM J. Sci. Stat. Comput. 4, 1983)
 /// with the eigenvalues of the Hessian. If the solution leaves the box, the coordinate that reaches its bound
-/// first is fixed there, and the remaining problem is solved again. A fixed coordinate is released if the
+/// first is fixed there. The remaining problem is then solved again. A fixed coordinate is released if the
 /// slope at the end of the step leads back inside.
 pub(super) fn minimize(model: &Quadratic, region: Region<'_>) -> Vec<f64> {
     let n = model.gradient.len();

@@ -39,8 +39,8 @@ pub trait GenerationRules: Serialize + DeserializeOwned {
         Lookahead::None
     }
 
-    /// Passes the candidates of later generations that are already certain to `found`, in order and with
-    /// their cutoffs, until `found` returns false. `cost` returns the available cost of a member of the first
+    /// Calls `found` for each candidate of later generations that is already certain, in order and with its
+    /// cutoff. Ends if `found` returns false. `cost` returns the available cost of a member of the first
     /// population if `is_first`, otherwise of a candidate.
     fn look_ahead(
         &mut self,

@@ -150,8 +150,8 @@ impl SizeSearch {
             let line = &self.lines[number];
             let i = space.free()[line.k];
             self.x[i] = line.value(self.base[i], line.exponent, line.side);
-            // A larger cost only needs to be known up to twice the base cost, and not at all if a lower cost
-            // is known.
+            // A larger cost only needs to be known up to twice the base cost. After a lower cost, it need not
+            // be known.
             let cutoff = match line.best {
                 Some(best) => best.cost + self.threshold,
                 None => (self.f_base + self.threshold).max(self.f_base + self.f_base.abs()),
@@ -253,7 +253,7 @@ impl Line {
             Change::Lower => Change::Lower,
             _ => change.max(opposite),
         });
-        // Of steps with equal costs, the smallest shows where the cost starts to change.
+        // Among steps with equal costs, the smallest shows where the cost starts to change.
         if change == Change::Lower || (change == Change::None && self.trend < 0 && self.best.is_some()) {
             self.best = step.or(self.best);
         }
