@@ -1,4 +1,4 @@
-//! Errors before or instead of a result: one typed error, with indices and values.
+//! Errors that replace a result: one typed error, with indices and values.
 
 use crate::outcome::termination::Termination;
 use crate::outcome::trace::Trace;
@@ -7,10 +7,10 @@ use crate::values::record::RecordError;
 use base::{Bytes, Number};
 use std::fmt;
 
-/// Why a minimisation could not start, or ended with nothing in hand.
+/// Reason why a minimisation could not start, or ended without a usable point.
 ///
-/// Stopping early is not an error: whenever at least one used point has a finite cost, a run ends with a
-/// [`Report`](crate::Report) whose [`Termination`] says why.
+/// Stopping early is not an error. If at least one used point has a finite cost, a run ends with a
+/// [`Report`](crate::Report), whose [`Termination`] contains the reason.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -40,7 +40,7 @@ pub enum Error {
         /// The bound.
         value: f64,
     },
-    /// A lower bound lies above the upper bound.
+    /// A lower bound is above the upper bound.
     #[error("x[{index}]: the lower bound {lower} is above the upper bound {upper}", lower = Number(*.lower), upper = Number(*.upper))]
     BoundsCrossed {
         /// Parameter, counted from 0.
@@ -58,7 +58,7 @@ pub enum Error {
         /// Its start value.
         value: f64,
     },
-    /// The start point lies outside of the box.
+    /// The start point is outside of the box.
     #[error("x0[{index}] = {value} lies outside of its bounds [{lower}, {upper}]", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper))]
     StartOutside {
         /// Parameter, counted from 0.
@@ -92,7 +92,7 @@ pub enum Error {
         /// Condition that it must meet.
         range: &'static str,
     },
-    /// A discrete parameter has no value to take.
+    /// A discrete parameter has no integer between its bounds.
     #[error(
         "x[{index}] is discrete, but between its bounds {lower} and {upper} there is no whole number", lower = Number(*.lower), upper = Number(*.upper)
     )]
@@ -104,7 +104,7 @@ pub enum Error {
         /// Upper bound.
         upper: f64,
     },
-    /// A number outside its range.
+    /// A number is outside its range.
     #[error("{name} = {value} must be {range}", value = Number(*.value))]
     Option {
         /// Name of the option.
@@ -114,20 +114,20 @@ pub enum Error {
         /// Condition that it must meet.
         range: &'static str,
     },
-    /// A value that does not fit the option that it is given to, or an option that there is not.
+    /// A value does not fit its option, or the option does not exist.
     #[error(transparent)]
     Record(#[from] RecordError),
-    /// There is no method of this name or number.
+    /// The name or number of the method is unknown.
     #[error("there is no method '{name}'{hint}; known are {known}")]
     UnknownMethod {
         /// The name or number given.
         name: String,
-        /// The one that may be meant.
+        /// Suggestion of a similar name.
         hint: String,
-        /// The names that there are.
+        /// Available names.
         known: String,
     },
-    /// A method of least squares was given an objective that has a cost only.
+    /// A least-squares method was used with an objective that returns only a cost.
     #[error(
         "{method} needs residuals, but the objective gives only a cost: give the vector of residuals, or take another method"
     )]
@@ -147,7 +147,7 @@ pub enum Error {
         /// Upper bound.
         upper: f64,
     },
-    /// A barrier needs a start strictly inside of the bounds.
+    /// The barrier method needs a start point strictly inside the bounds.
     #[error(
         "x0[{index}] = {value} must lie strictly between its bounds {lower} and {upper}", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper)
     )]
@@ -161,7 +161,7 @@ pub enum Error {
         /// Upper bound.
         upper: f64,
     },
-    /// A method is for bounded parameters, and there is no bound.
+    /// The method requires at least one bound, and there is none.
     #[error("{method} needs at least one bound")]
     NoBounds {
         /// The method.
@@ -177,7 +177,7 @@ pub enum Error {
         /// Its kind.
         kind: ParameterKind,
     },
-    /// An initial simplex does not have one vertex more than there are free parameters.
+    /// The number of vertices of an initial simplex is not the number of free parameters plus one.
     #[error("the initial simplex has {got} vertices; {expected} are needed (free parameters + 1)")]
     SimplexSize {
         /// Vertices needed.
@@ -185,7 +185,7 @@ pub enum Error {
         /// Vertices given.
         got: usize,
     },
-    /// A vertex of an initial simplex has a coordinate outside of the box, or not finite.
+    /// A vertex of an initial simplex has a coordinate that is not finite or is outside of the box.
     #[error(
         "initial simplex: coordinate {value} of vertex {vertex}, x[{index}], must lie in [{lower}, {upper}]", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper)
     )]
@@ -201,7 +201,7 @@ pub enum Error {
         /// Upper bound.
         upper: f64,
     },
-    /// The vertices of an initial simplex lie in a plane of lower dimension.
+    /// The vertices of an initial simplex span a space of lower dimension.
     #[error("the initial simplex is flat: its vertices span only {rank} of {n} dimensions")]
     DegenerateSimplex {
         /// Dimensions spanned.
@@ -209,17 +209,17 @@ pub enum Error {
         /// Free parameters.
         n: usize,
     },
-    /// The file of a checkpoint cannot be read or written.
+    /// The checkpoint file cannot be read or written.
     #[error("checkpoint {path}: {message}")]
     CheckpointFile {
         /// The file.
         path: String,
-        /// Kind of the error; `NotFound` if a checkpoint was required and there is none.
+        /// Kind of the error; `NotFound` if a checkpoint was required and does not exist.
         kind: std::io::ErrorKind,
         /// Message of the system.
         message: String,
     },
-    /// A file is no checkpoint that can be used.
+    /// The file is not a usable checkpoint.
     #[error("checkpoint {path}: {message}")]
     Checkpoint {
         /// The file.
@@ -230,16 +230,16 @@ pub enum Error {
     /// A checkpoint belongs to another run.
     #[error("checkpoint {path} belongs to another run: {what}: {stored} in the file, {given} here")]
     CheckpointMismatch {
-        /// The file, which is left as it is.
+        /// The file, which is left unchanged.
         path: String,
         /// Name of the entry that differs.
         what: String,
-        /// In the file.
+        /// Value in the file.
         stored: String,
-        /// In this run.
+        /// Value in this run.
         given: String,
     },
-    /// `tell` was given an id that is not waiting for an answer.
+    /// `tell` was called with an id that is not waiting for an answer.
     #[error("tell called for point {id}, which is not waiting for an answer")]
     UnknownPoint {
         /// The id.
@@ -248,13 +248,13 @@ pub enum Error {
     /// The saved state of a method cannot be continued.
     #[error("the saved state of the method cannot be continued: {message}")]
     State {
-        /// Why not.
+        /// Reason why the state cannot be continued.
         message: String,
     },
-    /// `tell` was called although no batch was asked for.
+    /// `tell` was called before a batch was requested.
     #[error("tell called, but no batch is waiting for an answer: ask first")]
     TellWithoutAsk,
-    /// `tell` was given more outcomes than points were asked for.
+    /// `tell` was called with more outcomes than the batch has points.
     #[error("{told} outcomes told for a batch of {asked} points")]
     TooManyOutcomes {
         /// Points in the batch.
@@ -262,17 +262,17 @@ pub enum Error {
         /// Outcomes given.
         told: usize,
     },
-    /// The number of residuals is not the same at all points.
+    /// The number of residuals differs between points.
     #[error("{got} residuals at x = {x:?}, but {expected} at the points before")]
     ResidualCount {
-        /// Residuals at the points before.
+        /// Number of residuals at the earlier points.
         expected: usize,
-        /// Residuals at this point.
+        /// Number of residuals at this point.
         got: usize,
         /// The point.
         x: Vec<f64>,
     },
-    /// State that a method has to keep does not fit into memory.
+    /// State that a method must keep does not fit into memory.
     #[error("not enough memory for {what}: {} are needed", Bytes(*.bytes))]
     Memory {
         /// Description of the state.
@@ -283,18 +283,19 @@ pub enum Error {
     /// The objective failed at every starting point.
     #[error("the objective failed at every starting point: {0}")]
     AllStartsFailed(Box<NothingFound>),
-    /// The run was ended before any point had a finite cost.
+    /// The run ended before any point had a finite cost.
     #[error("the run ended ({termination}) before any point had a finite cost: {found}")]
     EndedWithoutPoint {
-        /// Why the run ended.
+        /// Reason why the run ended.
         termination: Termination,
-        /// Evaluations up to then.
+        /// Evaluations until the end.
         found: Box<NothingFound>,
     },
 }
 
 impl Error {
-    /// The parameter that is the matter, counted from 0, where it is one.
+    /// Returns the index of the parameter that caused the error, counted from 0. `None` if the error does not
+    /// concern a single parameter.
     pub fn parameter(&self) -> Option<usize> {
         match self {
             Self::BadBound { index, .. }
@@ -312,7 +313,7 @@ impl Error {
         }
     }
 
-    /// The evaluations made before the error, where there were any.
+    /// Returns the evaluations that were made before the error, if any.
     pub fn trace(&self) -> Option<&Trace> {
         match self {
             Self::AllStartsFailed(found) | Self::EndedWithoutPoint { found, .. } => Some(&found.trace),

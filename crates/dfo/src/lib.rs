@@ -11,42 +11,43 @@
 //! # Ok::<(), dfo::Error>(())
 //! ```
 //!
-//! | method | for | options |
+//! | method | use for | options |
 //! |---|---|---|
-//! | `least-squares` | a cost that is a sum of squares of residuals: [`least_squares`] | [`LeastSquares`] |
-//! | `nelder-mead` | smooth or not, few parameters, with or without bounds | [`NelderMead`] |
-//! | `quadratic-model` | smooth, with or without bounds: the fewest evaluations | [`QuadraticModel`] |
-//! | `barrier` | the same, strictly inside of bounds: needs at least one | [`Barrier`] |
+//! | `least-squares` | costs that are sums of squares of residuals, see [`least_squares`] | [`LeastSquares`] |
+//! | `nelder-mead` | smooth or nonsmooth costs, few parameters, with or without bounds | [`NelderMead`] |
+//! | `quadratic-model` | smooth costs, with or without bounds; fewest evaluations | [`QuadraticModel`] |
+//! | `barrier` | smooth costs with at least one bound; points stay strictly inside the bounds | [`Barrier`] |
 //! | `de` (`differential-evolution`), `de-classic` | many minima in a box; integers | [`DifferentialEvolution`] |
-//! | `cma-es` | badly scaled and turned valleys, noise; with restarts many minima in a box | [`CmaEs`] |
-//! | `multistart` | the same by local searches from several starts: least squares or Nelder-Mead; reports all minima found | [`Multistart`] |
-//! | `pattern-search` | kinks and jumps, not smooth costs; few parameters, with or without bounds | [`PatternSearch`] |
-//! | `ga` (`genetic`) | integers and choices next to numbers, in a box | [`Genetic`] |
+//! | `cma-es` | badly scaled and rotated valleys, noise; with restarts, many minima in a box | [`CmaEs`] |
+//! | `multistart` | many minima in a box, by least squares or Nelder-Mead from several starts; reports all minima found | [`Multistart`] |
+//! | `pattern-search` | costs with kinks and jumps; few parameters, with or without bounds | [`PatternSearch`] |
+//! | `ga` (`genetic`) | integer and categorical parameters combined with continuous ones, in a box | [`Genetic`] |
 //!
-//! [`AnyMethod`] has them by name; [`Optimizer`] (ask/tell) leaves the evaluations to the caller, an
-//! [`Evaluator`] of one's own ([`minimize_by`]) to a cluster, for example.
+//! [`AnyMethod`] selects a method by name. [`Optimizer`] (ask/tell) leaves the evaluations to the caller.
+//! [`minimize_by`] sends them to your own [`Evaluator`], for example a cluster.
 //!
-//! The *path* of a run is the sequence of the points whose outcomes its decisions depend on: those that a run
-//! with one worker would evaluate. What other workers evaluate ahead of need is *speculative*.
+//! The *path* of a run is the sequence of points whose outcomes its decisions depend on. A run with one
+//! worker would evaluate exactly these points. Points that other workers evaluate ahead of need are
+//! *speculative*.
 //!
 //! Properties of every method:
 //!
-//! - **The same bits for any number of workers.** Outcomes are taken in request order, random numbers come
-//!   from one stream per generation and individual. How many points are evaluated ahead of need is an option
-//!   of the method ([`Lookahead`]) and changes neither path nor counts: what was evaluated ahead means
-//!   nothing before the path comes to it.
-//! - **A run can go on**: after a kill, an interrupt or with a larger budget, from a [`Checkpoint`], bit for
-//!   bit.
+//! - **The result is bit-for-bit identical for any number of workers.** Outcomes are processed in request
+//!   order. Random numbers come from one stream per generation and individual. The number of points evaluated
+//!   ahead of need is an option of the method ([`Lookahead`]). It changes neither path nor counts, because a
+//!   speculative outcome is unused until the path reaches its point.
+//! - **A run can be continued** from a [`Checkpoint`] after a kill, after an interrupt or with a larger
+//!   budget. The continued run is bit-for-bit identical to an uninterrupted one.
 //! - **A failure is a state, not a number.** NaN, infinities, errors and panics rank behind every finite
-//!   cost, are counted with their reasons, and enter no mean.
-//! - **Budgets are exact**: they count the evaluations of the path, also inside of a batch. The best point
-//!   seen is in the [`Report`] however a run ends.
-//! - **Cutoffs** tell an objective above which cost its value no longer matters; using them or not changes no
-//!   decision.
-//! - **A method never calls the objective**: it is a state machine that is asked and told ([`Method`]), so
-//!   that a run can be driven by hand.
-//! - Points are in the user's units everywhere outside; bounds may be one-sided, equal bounds fix a
-//!   parameter, and positive parameters can be searched by their logarithm ([`Transform`]).
+//!   cost. They are counted with their reasons and do not enter any mean.
+//! - **Budgets are exact.** They count the evaluations of the path, also within a batch. The [`Report`]
+//!   contains the best point seen, however a run ends.
+//! - **Cutoffs** inform an objective of the cost above which its value no longer matters. An objective may
+//!   use or ignore them; no decision changes.
+//! - **A method never calls the objective.** A [`Method`] is a state machine with an ask/tell interface, so a
+//!   run can also be driven by hand.
+//! - Points are in the user's units in the whole public interface. Bounds may be one-sided, and equal bounds
+//!   fix a parameter. Positive parameters can be searched on a logarithmic scale ([`Transform`]).
 #![forbid(unsafe_code)]
 
 mod error;

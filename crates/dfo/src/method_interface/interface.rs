@@ -1,5 +1,5 @@
-//! Ask / tell: a method proposes a batch of points, is told their outcomes in request order, and never calls
-//! the objective.
+//! Ask/tell interface of the methods. A method proposes a batch of points and receives their outcomes in
+//! request order. It never calls the objective.
 
 use crate::error::Error;
 use crate::method_interface::linear_model::LinearModel;
@@ -16,8 +16,8 @@ use serde::de::{DeserializeOwned, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::fmt;
 
-/// The points that a method wants evaluated next, with their ids and cutoffs, and what it wants to know of
-/// them. Reuse one over a whole run: after the first rounds asking allocates nothing.
+/// Points that a method requests next, with their ids, cutoffs and the kind of values requested. Reuse one
+/// batch for a whole run: after the first rounds, `ask` allocates nothing.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Batch {
     want: Want,
@@ -27,22 +27,22 @@ pub struct Batch {
     points: Vec<f64>,
     cutoffs: Vec<f64>,
     ids: Vec<u64>,
-    /// So many of the first points the path will come to.
+    /// Number of leading points that the path will reach.
     #[serde(skip)]
     n_certain: usize,
 }
 
-/// No run counts more points, batches or iterations: to add two such numbers is no overflow.
+/// Upper limit of the numbers of points, batches and iterations that a run can count. The sum of two such
+/// numbers does not overflow.
 const MOST_COUNTED: u64 = 1 << 60;
 
 impl Batch {
-    /// An empty batch.
+    /// Creates an empty batch.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// For methods: empties the batch and gives it its numbers; costs are wanted. `n` is the length of the
-    /// points.
+    /// For methods: empties the batch, sets its numbers and requests costs. `n` is the length of the points.
     pub fn start(&mut self, n: usize, index: u64, first_id: u64) {
         self.want = Want::Cost;
         self.n = n;
@@ -54,22 +54,23 @@ impl Batch {
         self.n_certain = 0;
     }
 
-    /// For methods that look ahead: the path will come to all points so far, unless the run ends before.
+    /// For methods that look ahead: marks all points so far as certain. The path will reach certain points
+    /// unless the run ends first.
     pub fn all_certain(&mut self) {
         self.n_certain = self.len();
     }
 
-    /// Of the points ahead of need, the number of those that the path will come to.
+    /// Number of points evaluated ahead of need that the path will reach.
     pub(crate) fn n_certain(&self) -> usize {
         self.n_certain
     }
 
-    /// For methods: says what is wanted of all points. With residuals there are no cutoffs.
+    /// For methods: sets the kind of values requested for all points. With residuals there are no cutoffs.
     pub fn set_want(&mut self, want: Want) {
         self.want = want;
     }
 
-    /// Kind of values that is requested of all points.
+    /// Kind of values requested for all points.
     pub fn want(&self) -> Want {
         self.want
     }
@@ -80,20 +81,21 @@ impl Batch {
         self.push_with_id(x, cutoff, self.first_id + self.cutoffs.len() as u64);
     }
 
-    /// The same with a number of its own.
+    /// Adds a point with an explicit id.
     pub(crate) fn push_with_id(&mut self, x: &[f64], cutoff: f64, id: u64) {
         self.points.extend_from_slice(x);
         self.cutoffs.push(cutoff);
         self.ids.push(id);
     }
 
-    /// For a method that wraps another: other numbers for the same points.
+    /// For a method that wraps another method: renumbers the points.
     pub(crate) fn renumber(&mut self, index: u64, first_id: u64) {
         (self.index, self.first_id) = (index, first_id + self.first_id);
         self.ids.iter_mut().for_each(|id| *id += first_id);
     }
 
-    /// True if its lists fit together and to points of this length: what comes from a file may not.
+    /// True if its lists are consistent with each other and with points of length `n`. A batch read from a
+    /// file may be inconsistent.
     pub(crate) fn is_sound(&self, n: usize) -> bool {
         let len = self.cutoffs.len();
         (len == 0 || self.n == n)
@@ -102,12 +104,12 @@ impl Batch {
             && [self.index, self.first_id].iter().chain(&self.ids).all(|number| *number <= MOST_COUNTED)
     }
 
-    /// The place of a point by its number; numbers ascend.
+    /// Returns the index of the point with this id. Ids ascend.
     pub(crate) fn place_of(&self, id: u64) -> Option<usize> {
         self.ids.binary_search(&id).ok()
     }
 
-    /// For a method that wraps another: another cutoff for a point.
+    /// For a method that wraps another method: replaces the cutoff of point `k`.
     pub(crate) fn set_cutoff(&mut self, k: usize, cutoff: f64) {
         self.cutoffs[k] = cutoff;
     }
@@ -117,7 +119,7 @@ impl Batch {
         self.cutoffs.len()
     }
 
-    /// True if there is nothing to evaluate: the method has ended.
+    /// True if there is nothing to evaluate because the method has ended.
     pub fn is_empty(&self) -> bool {
         self.cutoffs.is_empty()
     }
@@ -127,12 +129,12 @@ impl Batch {
         self.n
     }
 
-    /// Running number of the batch.
+    /// Index of the batch, counted over the run.
     pub fn index(&self) -> u64 {
         self.index
     }
 
-    /// Running number of point `k`.
+    /// Id of point `k`, counted over the run.
     pub fn id(&self, k: usize) -> u64 {
         self.ids[k]
     }
@@ -147,47 +149,48 @@ impl Batch {
         self.cutoffs[k]
     }
 
-    /// All points, one after the other.
+    /// All points, stored one after the other.
     pub fn as_flat(&self) -> &[f64] {
         &self.points
     }
 
-    /// The points in request order.
+    /// Returns the points in request order.
     pub fn points(&self) -> impl ExactSizeIterator<Item = &[f64]> {
         (0..self.len()).map(|k| self.point(k))
     }
 
-    /// Query to the objective for point `k`.
+    /// Returns the query to the objective for point `k`.
     pub fn query(&self, k: usize) -> Query<'static> {
         let cutoff = if self.want == Want::Residuals { f64::INFINITY } else { self.cutoffs[k] };
         Query::new(self.id(k), self.index, cutoff).want(self.want)
     }
 }
 
-/// Number of points that a run evaluates at once where the path of its method needs fewer; the others are
-/// those of [`Method::speculate`]. The path is the same in any case. Users write a name or a number.
+/// Number of points that a run evaluates at once when the path of its method needs fewer. The additional
+/// points come from [`Method::speculate`]. The path does not depend on this option. Users write a name or a
+/// number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub enum Lookahead {
-    /// `serial`: the points that the path needs, never an evaluation too many.
+    /// `serial`: only the points that the path needs, without any surplus evaluation.
     #[default]
     #[serde(rename = "serial")]
     None,
     /// `ahead`: as many as there are workers, however short an evaluation is.
     #[serde(rename = "ahead")]
     Workers,
-    /// `auto`: at most as many as there are workers: so many that the path advances fastest. That is measured
-    /// while the run goes on; where evaluations are too short to be handed over, it is one.
+    /// `auto`: the number, up to the number of workers, with which the path advances fastest. It is measured
+    /// during the run. It is one if evaluations are too short to be worth a transfer.
     #[serde(rename = "auto")]
     Measured,
-    /// Up to so many, whatever they cost.
+    /// Up to this number, whatever the evaluations cost.
     #[serde(untagged)]
     Points(usize),
 }
 
 impl Lookahead {
-    /// Its name; a number has none of its own.
+    /// Returns the name of the variant, `points` for a number.
     pub fn name(self) -> &'static str {
         match self {
             Self::None => "serial",
@@ -197,8 +200,10 @@ impl Lookahead {
         }
     }
 
+    /// Checks the number of points.
+    ///
     /// # Errors
-    /// It would be no point at all.
+    /// Returns an error if the number of points is zero.
     pub(crate) fn check(self) -> Result<(), Error> {
         match self {
             Self::Points(0) => Err(Error::Option { name: "batch", value: 0.0, range: "at least 1" }),
@@ -216,7 +221,7 @@ impl<'de> Deserialize<'de> for Lookahead {
     }
 }
 
-/// Reads one of some names, or a number; an untagged variant of an enum would not say what is `expected`.
+/// Reads one of the given names, or a number. An untagged enum variant would not report what is `expected`.
 pub(crate) fn name_or_number<'de, D: Deserializer<'de>, T: Copy>(
     deserializer: D,
     expected: &'static str,
@@ -259,17 +264,17 @@ pub enum Operation {
     InsideContraction,
     /// The simplex was shrunk towards its best vertex.
     Shrink,
-    /// A new simplex was built around the best vertex of one that had become flat.
+    /// A new simplex was built around the best vertex of a simplex that had become flat.
     Restart,
-    /// A generation was evaluated and selected from.
+    /// A generation was evaluated and selection was applied.
     Generation,
-    /// The best point of a model within its trust region was tried.
+    /// The minimum of a model within its trust region was evaluated.
     TrustRegionStep,
-    /// Local searches from several starts advanced by a step each.
+    /// Local searches from several starts advanced by one step each.
     LocalSearches,
     /// A poll found a better point.
     Poll,
-    /// No point of a poll was better: the frame has shrunk.
+    /// No point of a poll was better, and the frame was shrunk.
     Refinement,
 }
 
@@ -292,41 +297,41 @@ impl fmt::Display for Operation {
     }
 }
 
-/// Where a method stands.
+/// State of the progress of a method.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Status {
-    /// It has more to ask.
+    /// The method requests more evaluations.
     Running,
-    /// It came to its own end.
+    /// The method ended by itself.
     Ended(Termination),
-    /// Every starting point failed: there is nothing to go on from.
+    /// Every starting point failed, so the method cannot continue.
     NoStart,
 }
 
 /// Problem, tolerances and seed that a method starts with.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Setup {
-    /// Start point, box, scales.
+    /// Start point, box and scales.
     pub space: Space,
-    /// When to stop.
+    /// Tolerances of the tests that end the method.
     pub tolerances: Tolerances,
-    /// Seed of what is random; `None`: a method that needs one draws it and says it
+    /// Seed of the random numbers. If `None`, a method that needs a seed draws one and reports it
     /// ([`MethodDetails::seed`]).
     pub seed: Option<u64>,
-    /// The budget, for methods that plan ahead with it.
+    /// Limit of evaluations, for methods that plan ahead with it.
     pub max_evaluations: Option<usize>,
-    /// True if the start point of the space is the user's; else it is only the middle of the box.
+    /// True if the user gave the start point. Otherwise, it is only the middle of the box.
     pub start_given: bool,
-    /// Points of an earlier run, best first; all lie in the box.
+    /// Points of an earlier run, best first; all are in the box.
     pub prior: Vec<Vec<f64>>,
-    /// Loss that the residuals have gone through already.
+    /// Loss that has already been applied to the residuals.
     #[serde(default, skip_serializing_if = "RobustLoss::is_linear")]
     pub loss: RobustLoss,
 }
 
 impl Setup {
-    /// Default tolerances.
+    /// Creates a setup with default tolerances.
     pub fn new(space: Space) -> Self {
         Self {
             space,
@@ -340,54 +345,55 @@ impl Setup {
     }
 }
 
-/// Properties of a problem from which a method is chosen for it.
+/// Properties of a problem that determine the choice of its method.
 #[derive(Debug, Clone, Copy)]
 pub struct ProblemClass<'a> {
-    /// Lower bounds; infinite where there is none.
+    /// Lower bounds; infinite if there is none.
     pub lower: &'a [f64],
-    /// Upper bounds; where they equal the lower ones, the parameter is fixed.
+    /// Upper bounds. If an upper bound equals the lower bound, the parameter is fixed.
     pub upper: &'a [f64],
-    /// Kinds of the parameters; empty: all continuous.
+    /// Kinds of the parameters; all are continuous if empty.
     pub kinds: &'a [ParameterKind],
-    /// True if the objective gives residuals.
+    /// True if the objective returns residuals.
     pub residuals: bool,
     /// Goal of the search.
     pub search: Search,
 }
 
 impl ProblemClass<'_> {
-    /// The first free parameter without a finite range.
+    /// Returns the index of the first free parameter without a finite range.
     pub(crate) fn open(&self) -> Option<usize> {
         let width = |i: usize| self.upper[i] - self.lower[i];
         (0..self.lower.len()).find(|&i| self.lower[i] != self.upper[i] && !width(i).is_finite())
     }
 }
 
-/// The options of a method: what makes the [`Method`] once the problem is known.
+/// Options of a method, which create the [`Method`] for a problem.
 pub trait MethodOptions {
     /// The method that these options describe.
     type Method: Method;
 
-    /// Checks the options against the problem and starts.
+    /// Checks the options against the problem and starts the method.
     ///
     /// # Errors
-    /// Options that do not fit, with index and value.
+    /// Returns an error with index and value if an option does not fit the problem.
     fn begin(&self, setup: &Setup) -> Result<Self::Method, Error>;
 
-    /// Continues from a state that [`Method::save`] gave.
+    /// Continues from a state that [`Method::save`] returned.
     ///
     /// # Errors
-    /// A state of another method or another problem, or one that was damaged; a method that cannot be
-    /// continued.
+    /// Returns an error if the state is damaged or belongs to another method or problem, or if the method
+    /// cannot be continued.
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<Self::Method, Error> {
         let _ = (setup, state);
         Err(Error::State { message: "this method cannot be continued".to_owned() })
     }
 
-    /// The method for a problem of this class and the reason, where these options leave the choice open.
+    /// Returns the method for a problem of this class and the reason for the choice, if these options leave
+    /// the choice open.
     ///
     /// # Errors
-    /// There is none for the search that is asked for.
+    /// Returns an error if no method supports the requested search.
     fn chosen(&self, class: &ProblemClass<'_>) -> Result<Option<(Self, String)>, Error>
     where
         Self: Sized,
@@ -396,24 +402,24 @@ pub trait MethodOptions {
         Ok(None)
     }
 
-    /// True if the method needs a start point; one that does not takes the middle of the box where none is
-    /// given.
+    /// True if the method requires a start point. Other methods use the middle of the box if no start point
+    /// is given.
     fn needs_start(&self) -> bool {
         true
     }
 
-    /// True if the method requests residuals: then the objective must have them.
+    /// True if the method requests residuals, so that the objective must return them.
     fn needs_residuals(&self) -> bool {
         false
     }
 
-    /// True if a start must lie strictly inside of the bounds.
+    /// True if the start point must be strictly inside the bounds.
     fn starts_inside(&self) -> bool {
         false
     }
 
-    /// The options and their values in words, so that a checkpoint of other options is recognised, and the
-    /// one that differs can be named.
+    /// Returns the options and their values as text. A checkpoint with other options is then recognised, and
+    /// the error can name the difference.
     fn describe(&self) -> Vec<(String, String)> {
         Vec::new()
     }
@@ -423,105 +429,111 @@ pub trait MethodOptions {
         false
     }
 
-    /// Limits for users who set none: evaluations and iterations for `n` free parameters.
+    /// Returns the default limits of evaluations and iterations for `n` free parameters, for users who set no
+    /// limit.
     fn default_limits(&self, n: usize) -> (Option<usize>, Option<usize>) {
         (Some(5000usize.saturating_mul(n + 1)), Some(1000usize.saturating_mul(n + 1)))
     }
 
-    /// Number of evaluations to remember by default, so that exact repeats cost nothing; 0 for methods that
-    /// repeat themselves rarely.
+    /// Returns the default number of evaluations to remember, so that exact repeats cost nothing. 0 for
+    /// methods that rarely repeat points.
     fn default_cache(&self) -> usize {
         0
     }
 }
 
-/// What is known while the points that a method asked for are under way.
+/// Known answers while the points that a method requested are being evaluated.
 pub trait AnswersSoFar {
-    /// Whether a point needs no evaluation any more.
+    /// True if the point does not need an evaluation.
     fn contains(&self, x: &[f64]) -> bool;
 
-    /// The answer to point `k` of the batch last asked, once it has come.
+    /// Returns the answer to point `k` of the last batch, if it is available.
     fn answer(&self, k: usize) -> Option<&Answer>;
 
-    /// The answer to this query at a point that was evaluated ahead of need.
+    /// Returns the answer to this query at a point that was evaluated ahead of need.
     fn ahead(&self, x: &[f64], query: &Query<'_>) -> Option<Answer>;
 }
 
-/// A method of optimisation as a state machine without input or output.
+/// An optimisation method as a state machine without input or output.
 ///
 /// [`ask`](Self::ask) and [`tell`](Self::tell) alternate until `ask` leaves the batch empty.
 pub trait Method {
-    /// Name, as users write it.
+    /// Returns the name of the method, as users write it.
     fn name(&self) -> &'static str;
 
-    /// Fills `batch` with the points that the path needs next; leaves it empty when the method has ended.
-    /// Asking twice without telling gives the same batch.
+    /// Fills `batch` with the points that the path needs next. Leaves it empty when the method has ended. A
+    /// second `ask` without `tell` returns the same batch.
     fn ask(&mut self, batch: &mut Batch);
 
-    /// The same for methods whose own computations may take long: where the context is over, the batch is
-    /// left empty although the method has not ended, and it can be asked again.
+    /// Like [`ask`](Self::ask), for methods whose own computations may take long. If the context is over, the
+    /// batch is left empty although the method has not ended, and `ask` can be called again.
     fn ask_unless(&mut self, context: &RunContext<'_>, batch: &mut Batch) {
         let _ = context;
         self.ask(batch);
     }
 
-    /// Adds points that the path may need after those just asked for, with cutoffs that are at least those of
-    /// the path: first those that it will come to unless the run ends before ([`Batch::all_certain`]), in its
-    /// order, also those that are known, then others, the most probable first; up to `wanted` that are not
-    /// `known`. What becomes of them is not told: it is at hand when the path asks for them. Must not change
-    /// what the method does.
+    /// Adds points that the path may need after the points just requested. Their cutoffs must be at least as
+    /// high as on the path. First come the points that the path will reach unless the run ends
+    /// ([`Batch::all_certain`]), in its order, including known ones. Other points follow, the most probable
+    /// first. Adds at most `wanted` points that are not `known`.
+    ///
+    /// The outcomes are not told to the method. They are available when the path requests the points. Must
+    /// not change the behaviour of the method.
     fn speculate(&mut self, wanted: usize, known: &dyn AnswersSoFar, batch: &mut Batch) {
         let _ = (wanted, known, batch);
     }
 
-    /// Takes the answers to the batch last asked, in request order. Points that were not evaluated
-    /// ([`Outcome::Skipped`](crate::Outcome::Skipped), or too few answers) and outcomes that say nothing
-    /// (see [`Outcome::is_known`](crate::Outcome::is_known)) are asked again where they are needed.
+    /// Receives the answers to the last batch, in request order. Some points have no usable outcome: they
+    /// were not evaluated ([`Outcome::Skipped`](crate::Outcome::Skipped), or too few answers), or their
+    /// outcome is unknown (see [`Outcome::is_known`](crate::Outcome::is_known)). The method requests such
+    /// points again if it needs them.
     ///
     /// # Errors
-    /// Nothing was asked, or there are more answers than points.
+    /// Returns an error if no batch was requested, or if there are more answers than points.
     fn tell(&mut self, answers: &Answers) -> Result<(), Error>;
 
-    /// As [`tell`](Self::tell), with answers that nobody reads any more: a method that keeps residuals takes
-    /// them ([`Answers::take_residuals`]) instead of a copy, which would take a while where there are many.
+    /// Like [`tell`](Self::tell), with answers that nobody reads afterwards. A method that keeps residuals
+    /// takes them ([`Answers::take_residuals`]) instead of copying them, because a copy of many residuals is
+    /// slow.
     ///
     /// # Errors
-    /// As [`tell`](Self::tell).
+    /// Returns the errors of [`tell`](Self::tell).
     fn tell_last(&mut self, answers: &mut Answers) -> Result<(), Error> {
         self.tell(answers)
     }
 
-    /// Where the method stands.
+    /// Returns the status of the method.
     fn status(&self) -> Status;
 
-    /// The best point and its cost, as the method sees it.
+    /// Returns the best point known to the method, with its cost.
     fn best(&self) -> Option<(&[f64], f64)>;
 
-    /// Where the method stands in detail, and what only some methods have.
+    /// Returns details of the progress of the method, including data that only some methods have.
     fn details(&self) -> MethodDetails<'_>;
 
-    /// The derivatives of the residuals at the best point, for methods that have them (see [`Space`] for its
-    /// scales). Called once, at the end of a run. `None` where it would take long and the context is over.
+    /// Returns the derivatives of the residuals at the best point, for methods that have them (see [`Space`]
+    /// for its scales). Called once, at the end of a run. Returns `None` if the computation would take long
+    /// and the context is over.
     fn linear_model(&self, context: &RunContext<'_>) -> Option<LinearModel> {
         let _ = context;
         None
     }
 
-    /// The whole state, for [`MethodOptions::restore`]; `None` for methods that cannot be continued. May be
-    /// called at any time; a state saved between ask and tell asks for the same batch again.
+    /// Returns the whole state, for [`MethodOptions::restore`]. `None` for methods that cannot be continued.
+    /// May be called at any time. A state saved between `ask` and `tell` requests the same batch again.
     fn save(&self) -> Option<Vec<u8>> {
         None
     }
 }
 
-/// Evidence in a model that the cost is not smooth.
+/// Evidence from a model that the cost is not smooth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Roughness {
     /// The curvature of the model grows as its region shrinks.
     Curvature,
-    /// Steps fail at one resolution after the other.
+    /// Steps fail at successive resolutions.
     RefusedSteps,
 }
 
@@ -538,49 +550,49 @@ impl fmt::Display for Roughness {
     }
 }
 
-/// Where a method stands, besides its status and its best point. A method gives what it has; all else has a
-/// default.
+/// Progress of a method in addition to its status and its best point. A method fills in the fields that
+/// apply; all others have a default.
 #[derive(Debug, Clone, Default)]
 pub struct MethodDetails<'a> {
     /// Number of complete iterations.
     pub n_iterations: usize,
     /// Operation of the last complete iteration; `None` before the starting points are known.
     pub operation: Option<Operation>,
-    /// The tolerance tests after the last complete iteration.
+    /// Tolerance tests after the last complete iteration.
     pub tests: Option<ToleranceTests>,
-    /// True if these have passed, and the method goes on all the same for what may lie beside: an end by a
-    /// limit is a success.
+    /// True if the tests have passed and the method continues to search for other minima. Ending at a limit
+    /// is then a success.
     pub settled: bool,
-    /// The batch plan in use.
+    /// Name of the batch plan in use.
     pub plan: &'static str,
     /// Number of points to evaluate ahead of need.
     pub lookahead: Lookahead,
-    /// The seed in use, for methods that draw random numbers.
+    /// Seed in use, for methods that draw random numbers.
     pub seed: Option<u64>,
     /// Evidence of noise or kinks in the model of the cost, for methods that have one.
     pub roughness: Option<Roughness>,
-    /// The number of points after which another method took over because of that.
+    /// Number of points after which another method took over because of this evidence.
     pub handed_over: Option<u64>,
-    /// Parameters that started at zero, and whose size no step could tell because none has changed the cost,
-    /// by index.
+    /// Indices of parameters that started at zero and have unknown size, because no step of them has changed
+    /// the cost.
     pub without_effect: Vec<usize>,
-    /// The simplex, for methods that have one.
+    /// Simplex, for methods that have one.
     pub simplex: Option<SimplexView<'a>>,
-    /// The population, for methods that have one; of quadratic models the interpolation points.
+    /// Population, for methods that have one. For quadratic models, the interpolation points.
     pub population: Option<SimplexView<'a>>,
-    /// The stages of a sequential barrier search, complete ones only.
+    /// Complete stages of a sequential barrier search.
     pub schedule: &'a [BarrierStage],
-    /// The minima that searches from several starts ended at, the best first.
+    /// Minima at which searches from several starts ended, best first.
     pub optima: &'a [Optimum],
 }
 
-/// A minimum that local searches ended at.
+/// A minimum at which local searches ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Optimum {
-    /// The point, in the user's units and order.
+    /// Point, in the user's units and order.
     pub x: Vec<f64>,
-    /// Its cost.
+    /// Cost at the point.
     pub cost: f64,
     /// Number of starts whose search ended there.
     pub n_starts: usize,
@@ -590,19 +602,19 @@ pub struct Optimum {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct BarrierStage {
-    /// The barrier parameter.
+    /// Barrier parameter.
     pub mu: f64,
     /// `B(x)` at the end of the stage.
     pub barrier: f64,
-    /// The point at the end of the stage: the best for `f + mu B`.
+    /// Point at the end of the stage: the best point for `f + mu B`.
     pub x: Vec<f64>,
-    /// Its `f + mu B`.
+    /// Value of `f + mu B` at the point.
     pub value: f64,
-    /// Evaluations of the stage.
+    /// Number of evaluations of the stage.
     pub n_evaluations: usize,
 }
 
-/// A simplex as it stands, best vertex first.
+/// Borrowed view of a simplex, best vertex first.
 #[derive(Debug, Clone, Copy)]
 pub struct SimplexView<'a> {
     pub(crate) n: usize,
@@ -611,12 +623,12 @@ pub struct SimplexView<'a> {
     pub(crate) order: &'a [usize],
 }
 
-/// A state as bytes.
+/// Encodes a state as bytes.
 pub(crate) fn saved<S: Serialize>(state: &S) -> Option<Vec<u8>> {
     encode(state).ok()
 }
 
-/// True if no field that counts (`n_...`, `idle`) has a number that no run comes to.
+/// True if every counter (`n_...`, `idle`) has a value that a run can reach.
 fn counts_are_possible(state: &ciborium::Value) -> bool {
     use ciborium::Value;
     match state {
@@ -631,7 +643,7 @@ fn counts_are_possible(state: &ciborium::Value) -> bool {
     }
 }
 
-/// A state from bytes, if it is `sound`.
+/// Decodes a state from bytes and checks it with `sound`.
 pub(crate) fn restored<S: DeserializeOwned>(state: &[u8], sound: impl Fn(&S) -> bool) -> Result<S, Error> {
     let bad = |message| Error::State { message };
     let counts: ciborium::Value = decode(state).map_err(bad)?;
@@ -654,18 +666,18 @@ impl<'a> SimplexView<'a> {
         self.order.is_empty()
     }
 
-    /// The vertex of a rank (0 is the best), in the user's units.
+    /// Returns the vertex with this rank (0 is the best), in the user's units.
     pub fn vertex(&self, rank: usize) -> &'a [f64] {
         let slot = self.order[rank];
         &self.x[slot * self.n..(slot + 1) * self.n]
     }
 
-    /// Its cost; `None` if it failed or is not known yet.
+    /// Returns the cost of the vertex with this rank; `None` if it failed or is not known yet.
     pub fn cost(&self, rank: usize) -> Option<f64> {
         self.costs[self.order[rank]]
     }
 
-    /// A copy that stays.
+    /// Returns an owned copy.
     pub fn to_owned(&self) -> Simplex {
         Simplex {
             vertices: (0..self.len()).map(|k| self.vertex(k).to_vec()).collect(),
@@ -677,8 +689,8 @@ impl<'a> SimplexView<'a> {
 /// A simplex or a population, best first.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Simplex {
-    /// The vertices in the user's units.
+    /// Vertices in the user's units.
     pub vertices: Vec<Vec<f64>>,
-    /// Their costs; `None` where the objective failed.
+    /// Costs of the vertices; `None` if the objective failed.
     pub costs: Vec<Option<f64>>,
 }

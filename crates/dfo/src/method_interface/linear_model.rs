@@ -1,5 +1,5 @@
-//! Linear model of least squares around its best point: the Jacobian of the residuals in the user's units,
-//! and the covariance of the parameters that follows from it.
+//! Linear model of least squares around the best point: the Jacobian of the residuals in the user's units,
+//! and the covariance of the parameters.
 
 use crate::problem::space::Space;
 use crate::values::choices::Transform;
@@ -7,30 +7,33 @@ use base::RunContext;
 use nalgebra::{DMatrix, RowDVector};
 use serde::{Deserialize, Serialize};
 
-/// Pivots of the Jacobian with columns of length one that are smaller than this part of the largest count as
-/// zero: a Jacobian from differences is not more accurate (square root of the rounding unit).
+/// Relative rank tolerance. The columns of the Jacobian are scaled to length one. Pivots smaller than this
+/// fraction of the largest pivot count as zero, because a finite-difference Jacobian is not more accurate
+/// (square root of the rounding unit).
 const RANK_TOLERANCE: f64 = 1.5e-8;
 
-/// Within this part of its size from a bound a parameter lies at it.
+/// A parameter counts as at its bound if its distance from the bound is within this fraction of its size.
 const AT_BOUND: f64 = 1e-10;
 
-/// The residuals near the best point: their derivatives by the user's parameters.
+/// Linear model of the residuals near the best point.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LinearModel {
-    /// Row by row, one row for each residual and one column for each parameter, in the user's units; with
-    /// respect to the parameter itself also where it is searched by its logarithm. Columns of fixed
-    /// parameters are zero.
+    /// Derivatives, row by row, in the user's units: one row per residual and one column per parameter. The
+    /// derivatives are with respect to the parameter itself, even if it is searched on a logarithmic scale.
+    /// Columns of fixed parameters are zero.
     pub jacobian: Vec<f64>,
-    /// -1 where a parameter lies at its lower bound (a fixed one, too), 1 at its upper, else 0.
+    /// -1 if a parameter is at its lower bound or fixed, 1 if it is at its upper bound, otherwise 0.
     pub active: Vec<i8>,
 }
 
-/// Rows of the Jacobian that are factorised together: those of ten columns fit into a cache.
+/// Number of rows of the Jacobian that are factorised together. This many rows of ten columns fit into a
+/// cache.
 const ROWS_AT_ONCE: usize = 1 << 12;
 
 impl LinearModel {
-    /// From the derivatives of residual `i` by working coordinate `k` at the point `x`, of `m` residuals.
-    /// `None` where one of them is not finite in the user's units.
+    /// Creates the model at the point `x` with `m` residuals. `derivative(i, k)` is the derivative of
+    /// residual `i` with respect to working coordinate `k`. `None` if a derivative is not finite in the
+    /// user's units.
     pub(crate) fn new(
         space: &Space,
         x: &[f64],
@@ -60,25 +63,27 @@ impl LinearModel {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Covariance {
-    /// Row by row, n x n, in the user's units. Infinite on the diagonal, and NaN among them beside it, for
-    /// parameters that the residuals do not determine; zero for those that are held by a bound.
+    /// Covariance matrix, row by row, n x n, in the user's units. Parameters that the residuals do not
+    /// determine have infinite variances, and the covariances between them are NaN. Entries of parameters at
+    /// a bound are zero.
     pub matrix: Vec<f64>,
-    /// The variance of a residual: their sum of squares by the degrees of freedom; NaN where there are none.
+    /// Variance of a residual: the sum of squares divided by the degrees of freedom. NaN without degrees of
+    /// freedom.
     pub variance: f64,
-    /// Number of residuals less that of the free parameters that lie at no bound.
+    /// Number of residuals minus the number of free parameters that are not at a bound.
     pub degrees_of_freedom: usize,
-    /// Parameters that the residuals do not determine, by index.
+    /// Indices of parameters that the residuals do not determine.
     pub undetermined: Vec<usize>,
-    /// Parameters that lie at a bound, or are fixed: taken as known.
+    /// Indices of parameters that are fixed or at a bound. They are treated as known.
     pub held: Vec<usize>,
 }
 
 impl Covariance {
-    /// `s^2 (J' J)^-1` of the parameters that are not held, with `s^2 = r' r / (m - n)` (Seber and Wild,
-    /// Nonlinear Regression, 1989, section 2.1.2), by a QR factorisation with column pivoting of J with its
-    /// columns scaled to length one.
+    /// Computes `s^2 (J' J)^-1` of the parameters that are not held, with `s^2 = r' r / (m - n)` (Seber and
+    /// Wild, Nonlinear Regression, 1989, section 2.1.2). Uses a QR factorisation with column pivoting of J,
+    /// with the columns of J scaled to length one.
     ///
-    /// `None` where there are many residuals and the context is over.
+    /// Returns `None` if there are many residuals and the context is over.
     pub(crate) fn new(
         residuals: &[f64],
         jacobian: &[f64],
@@ -94,7 +99,7 @@ impl Covariance {
         } else {
             residuals.iter().map(|r| r * r).sum::<f64>() / degrees_of_freedom as f64
         };
-        // Lengths without overflow; a column of zeros stays one.
+        // Computes the column lengths without overflow. A zero column remains zero.
         let (mut largest, mut squares) = (vec![0.0f64; p], vec![0.0; p]);
         for row in jacobian.chunks_exact(n) {
             free.iter().zip(&mut largest).for_each(|(k, most)| *most = most.max(row[*k].abs()));
@@ -106,7 +111,7 @@ impl Covariance {
         }
         let length = |(most, sum): (&f64, &f64)| if *sum > 0.0 { most * sum.sqrt() } else { 1.0 };
         let lengths: Vec<f64> = largest.iter().zip(&squares).map(length).collect();
-        // Rows are added block by block to the triangle of a QR factorisation.
+        // Adds rows block by block to the triangular factor of a QR factorisation.
         let mut columns = DMatrix::zeros(0, p);
         let blocks = jacobian.chunks(ROWS_AT_ONCE * n.max(1));
         for (block, rows) in blocks.enumerate().filter(|_| p > 0) {
@@ -139,7 +144,7 @@ impl Covariance {
         Some(Self { matrix, variance, degrees_of_freedom, undetermined, held })
     }
 
-    /// Remarks on the covariance, with these names for the parameters; empty if there are none.
+    /// Returns remarks on the covariance, with these names of the parameters. Empty if there are none.
     pub fn message(&self, name: impl Fn(usize) -> String) -> String {
         let names =
             |indices: &[usize]| indices.iter().map(|index| name(*index)).collect::<Vec<_>>().join(", ");
@@ -160,9 +165,9 @@ impl Covariance {
     }
 }
 
-/// A generalised inverse of `A' A` for columns of length one or zero, and which of the unknowns have no part
-/// in the null space: of these it is the inverse, whichever generalised inverse it is (Searle, Linear Models,
-/// 1971, section 5.4).
+/// Computes a generalised inverse of `A' A` for columns of length one or zero. Also returns which unknowns do
+/// not contribute to the null space. For these unknowns, all generalised inverses agree (Searle, Linear
+/// Models, 1971, section 5.4).
 fn inverse_of_normal_matrix(columns: DMatrix<f64>, p: usize) -> (DMatrix<f64>, Vec<bool>) {
     let mut inverse = DMatrix::zeros(p, p);
     if p == 0 || columns.nrows() == 0 || columns.iter().any(|a| !a.is_finite()) {
@@ -185,7 +190,7 @@ fn inverse_of_normal_matrix(columns: DMatrix<f64>, p: usize) -> (DMatrix<f64>, V
         return (inverse, vec![false; p]);
     };
     for null in dependent.column_iter() {
-        // The vector of the null space has a one for the dependent column.
+        // The null vector has a one in the dependent column.
         let length = (1.0 + null.norm_squared()).sqrt();
         for (k, share) in null.iter().enumerate() {
             determined[order[k]] &= share.abs() <= RANK_TOLERANCE.sqrt() * length;
@@ -222,7 +227,7 @@ mod tests {
             assert!((got - s2 * expected).abs() < 1e-15, "{covariance:?}");
         }
         assert_eq!((covariance.degrees_of_freedom, said(&covariance)), (2, String::new()));
-        // With b at a bound: the variance of a mean.
+        // With b at a bound, this is the variance of a mean.
         let covariance = computed(&residuals, &jacobian, &[0, 1]);
         assert!((covariance.matrix[0] - 0.05 / 4.0).abs() < 1e-15 && covariance.matrix[1..] == [0.0; 3]);
         assert_eq!(said(&covariance), "at a bound or fixed, taken as known: x[1]");
@@ -237,7 +242,7 @@ mod tests {
 
     #[test]
     fn what_is_not_determined_is_infinite_and_named() {
-        // a + b only, and c.
+        // Only a + b, and c, are determined.
         let jacobian: Vec<f64> = (0..5).flat_map(|t| [1.0, 1.0, f64::from(t)]).collect();
         let covariance = computed(&[1.0, -1.0, 0.5, 0.5, -1.0], &jacobian, &[0, 0, 0]);
         let of = |i: usize, j: usize| covariance.matrix[3 * i + j];

@@ -1,8 +1,8 @@
-//! Random numbers: one independent stream per (purpose, generation, index), so that no draw depends on what
-//! was drawn elsewhere, on the order of answers or on the number of workers.
+//! Random numbers with one independent stream per purpose, generation and index. A draw does not depend on
+//! other draws, on the order of answers or on the number of workers.
 //!
 //! The generator is Philox4x32 with ten rounds (Salmon, Moraes, Dror and Shaw, "Parallel random numbers: as
-//! easy as 1, 2, 3", SC11): a counter goes in, a block of random bits comes out, nothing is kept.
+//! easy as 1, 2, 3", SC11). It maps a counter to a block of random bits and has no state.
 
 use std::f64::consts::{PI, TAU};
 use std::hash::{BuildHasher, Hasher, RandomState};
@@ -31,13 +31,14 @@ pub(crate) struct Stream {
     left: usize,
 }
 
-/// The seed of a run whose user gave none: differs from run to run, and is reported.
+/// Draws a seed for a run without a given seed. It differs from run to run and is reported.
 pub(crate) fn draw_seed() -> u64 {
-    // The standard library's hasher keys are the system's randomness. 53 bits survive every number format.
+    // The keys of the standard library's hasher come from the system's random numbers. 53 bits survive every
+    // number format.
     RandomState::new().build_hasher().finish() >> 11
 }
 
-/// The seed of a search from a point within a search with this seed.
+/// Returns the seed of a search that starts from a point, within a search with this seed.
 pub(crate) fn seed_at(seed: u64, start: &[f64]) -> u64 {
     start.iter().fold(seed, |seed, x| {
         let [low, high] = halves(x.to_bits());
@@ -48,7 +49,7 @@ pub(crate) fn seed_at(seed: u64, start: &[f64]) -> u64 {
 impl Stream {
     pub(crate) fn new(seed: u64, purpose: Purpose, generation: u64, index: usize) -> Self {
         let [low, high] = halves(generation);
-        // The last word holds 24 bits of the generation and the purpose: 2^56 generations.
+        // The last word contains 24 bits of the generation, and the purpose: 2^56 generations.
         let counter = [0, index as u32, low, high << 8 | purpose as u32];
         Self { key: halves(seed), counter, block: [0; 4], left: 0 }
     }
@@ -68,23 +69,23 @@ impl Stream {
         u64::from(self.word()) << 32 | u64::from(low)
     }
 
-    /// Uniform in [0, 1), a multiple of 2^-53.
+    /// Returns a uniform number in [0, 1), a multiple of 2^-53.
     pub(crate) fn uniform(&mut self) -> f64 {
         (self.bits() >> 11) as f64 * (0.5 * f64::EPSILON)
     }
 
-    /// Uniform in `low..high`.
+    /// Returns a uniform number in `low..high`.
     pub(crate) fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.uniform()
     }
 
-    /// True with this probability.
+    /// Returns true with this probability.
     pub(crate) fn chance(&mut self, probability: f64) -> bool {
         self.uniform() < probability
     }
 
-    /// A whole number in `0..n`, all equally likely (Lemire, ACM Trans. Model. Comput. Simul. 29, 2019). 0 if
-    /// `n` is.
+    /// Returns an integer in `0..n`, all equally likely (Lemire, ACM Trans. Model. Comput. Simul. 29, 2019).
+    /// Returns 0 if `n` is 0.
     pub(crate) fn below(&mut self, n: usize) -> usize {
         let n = n as u64;
         if n < 2 {
@@ -99,13 +100,13 @@ impl Stream {
         }
     }
 
-    /// Normally distributed (Box and Muller 1958).
+    /// Returns a normally distributed number (Box and Muller 1958).
     pub(crate) fn normal(&mut self, mean: f64, deviation: f64) -> f64 {
         let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
         mean + deviation * radius * (TAU * self.uniform()).cos()
     }
 
-    /// Cauchy distributed.
+    /// Returns a Cauchy-distributed number.
     pub(crate) fn cauchy(&mut self, location: f64, scale: f64) -> f64 {
         location + scale * (PI * (self.uniform() - 0.5)).tan()
     }
@@ -163,7 +164,7 @@ mod tests {
         assert_eq!(all[0], first(1, Purpose::Individual, 2, 3));
     }
 
-    /// Mean and variance of many draws.
+    /// Returns mean and variance of many draws.
     fn moments(mut draw: impl FnMut() -> f64) -> (f64, f64) {
         const COUNT: f64 = 40_000.0;
         let draws: Vec<f64> = (0..COUNT as usize).map(|_| draw()).collect();

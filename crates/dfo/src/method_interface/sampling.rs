@@ -1,4 +1,4 @@
-//! Starting points that fill a box: uniform, Latin hypercube, Sobol.
+//! Starting points that fill a box: uniform, Latin hypercube or Sobol.
 
 use crate::error::Error;
 use crate::method_interface::rng::{Purpose, Stream};
@@ -11,21 +11,21 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Sampling {
-    /// Independent and uniform.
+    /// Independent and uniform points.
     Uniform,
-    /// Each parameter's range is cut into as many slices as there are points, and each slice is used once
-    /// (McKay, Beckman and Conover 1979).
+    /// Latin hypercube: the range of each parameter is divided into as many intervals as there are points,
+    /// and each interval is used once (McKay, Beckman and Conover 1979).
     #[default]
     LatinHypercube,
-    /// Sobol's sequence with a random digital shift, for at most 40 parameters.
+    /// Sobol sequence with a random digital shift, for at most 40 parameters.
     Sobol,
 }
 
 impl Sampling {
-    /// Fills `out` with working coordinates of `count` points, one after the other.
+    /// Fills `out` with the working coordinates of `count` points, one after the other.
     ///
     /// # Errors
-    /// More parameters than Sobol's table has.
+    /// Returns an error if there are more parameters than the Sobol table supports.
     pub(crate) fn fill(
         self,
         space: &Space,
@@ -67,7 +67,7 @@ impl Sampling {
     }
 }
 
-/// Bits of a Sobol coordinate.
+/// Number of bits of a Sobol coordinate.
 const BITS: usize = 32;
 
 fn sobol(seed: u64, n: usize, count: usize, out: &mut [f64]) -> Result<(), Error> {
@@ -80,16 +80,16 @@ fn sobol(seed: u64, n: usize, count: usize, out: &mut [f64]) -> Result<(), Error
         let shift = (Stream::new(seed, Purpose::Sampling, 1, k).uniform() * 4_294_967_296.0) as u32;
         let mut value = shift;
         for i in 0..count {
-            // Half a cell inside, so that no point lies on the lower bound.
+            // Shifts points by half a cell, so that no point is on the lower bound.
             out[i * n + k] = (f64::from(value) + 0.5) / 4_294_967_296.0;
-            // The order of Antonov and Saleev (1979): one direction per point.
+            // Antonov and Saleev (1979) order: one direction number per point.
             value ^= directions[((i + 1).trailing_zeros() as usize).min(BITS - 1)];
         }
     }
     Ok(())
 }
 
-/// Direction numbers of a dimension (Joe and Kuo, ACM Trans. Math. Softw. 29, 2003).
+/// Returns the direction numbers of a dimension (Joe and Kuo, ACM Trans. Math. Softw. 29, 2003).
 fn directions(dimension: usize) -> [u32; BITS] {
     let mut v = [0u32; BITS];
     let Some((polynomial, first)) = dimension.checked_sub(1).map(|d| POLYNOMIALS[d]) else {
@@ -114,7 +114,7 @@ fn directions(dimension: usize) -> [u32; BITS] {
 }
 
 /// Coefficients of the primitive polynomials (without the first and the last) and the first direction numbers
-/// of dimensions 2 to 40: the table of Joe and Kuo (SIAM J. Sci. Comput. 30, 2008), criterion D6.
+/// of dimensions 2 to 40. Source: table of Joe and Kuo (SIAM J. Sci. Comput. 30, 2008), criterion D6.
 #[rustfmt::skip]
 const POLYNOMIALS: [(u32, &[u32]); 39] = [
     (0, &[1]),
@@ -183,7 +183,7 @@ mod tests {
         }
     }
 
-    /// Slices of the unit interval that hold no point, along each parameter.
+    /// Counts the slices of the unit interval without a point, over all parameters.
     fn empty_slices(sampling: Sampling, n: usize, count: usize) -> usize {
         let mut points = Vec::new();
         sampling.fill(&space(n), 3, count, &mut points).unwrap();
@@ -206,7 +206,7 @@ mod tests {
 
     #[test]
     fn sobol_points_are_the_published_ones() {
-        // Points 5, 11 and 14 of the unshifted sequence in dimensions 1, 2, 3, 8, 21 and 40 (as SciPy 1.17 gives them).
+        // Points 5, 11 and 14 of the unshifted sequence in dimensions 1, 2, 3, 8, 21 and 40, from SciPy 1.17.
         for (point, expected) in [
             (5, [0.875, 0.875, 0.125, 0.375, 0.625, 0.375]),
             (11, [0.4375, 0.5625, 0.1875, 0.6875, 0.9375, 0.3125]),

@@ -1,4 +1,4 @@
-//! Limits of a run from outside, and the tolerance tests that all methods share.
+//! Limits of a run, and the tolerance tests that all methods share.
 
 use crate::error::Error;
 use crate::values::choices::{StopRule, ToleranceMeasure};
@@ -7,25 +7,26 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::time::Duration;
 
-/// Limits that end a run from outside of the method; `None` means no limit.
+/// Limits that end a run independently of the method; `None` means no limit.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Limits {
-    /// Evaluations of the path of the method: those of a run with one point at a time.
+    /// Evaluations of the path of the method, which are the evaluations of a run with one point at a time.
     pub max_evaluations: Option<usize>,
     /// Iterations of the method.
     pub max_iterations: Option<usize>,
-    /// Wall-clock time: no evaluation starts after it.
+    /// Wall-clock time. No evaluation starts after it.
     pub max_time: Option<Duration>,
-    /// The run ends with the first evaluation of the path whose cost is at or below this. What was evaluated
-    /// at once with it and comes after it counts as made ahead of need.
+    /// Cost at or below which an evaluation of the path ends the run. Later points that were evaluated
+    /// together with it count as made ahead of need.
     pub target: Option<f64>,
-    /// The run ends where more than this share of its evaluations has failed, of at least 20; from 0 to 1.
+    /// Fraction of failed evaluations above which the run ends, from 0 to 1. Checked after at least 20
+    /// evaluations.
     #[serde(default)]
     pub max_failed: Option<f64>,
 }
 
 impl Limits {
-    /// Sets evaluations and iterations where there is no limit of any kind but the target.
+    /// Sets evaluations and iterations if no other limit than the target and the failed fraction is set.
     pub(crate) fn fill(&mut self, evaluations: Option<usize>, iterations: Option<usize>) {
         if (self.max_evaluations, self.max_iterations, self.max_time) == (None, None, None) {
             (self.max_evaluations, self.max_iterations) = (evaluations, iterations);
@@ -46,34 +47,37 @@ impl Limits {
     }
 }
 
-/// A best cost below this fraction of the first costs counts as zero, see [`Tolerances`]: the root of the
-/// machine precision.
+/// Relative cost that counts as zero, see [`Tolerances`]. The reference is the first costs. The value is the
+/// square root of the machine precision.
 const ZERO_COST: f64 = 1.490_116_119_384_765_6e-8;
 
 /// Tolerances of the two tests that end a run.
 ///
-/// - x test: `max |x_i - x_best,i| <= x_tol * size_i` over all vertices and parameters (a logarithmic
-///   parameter is compared by its logarithm); with [`ToleranceMeasure::Absolute`]: `<= x_tol` in the user's
+/// - x test: `max |x_i - x_best,i| <= x_tol * size_i` over all vertices and parameters. A logarithmic
+///   parameter is compared by its logarithm. With [`ToleranceMeasure::Absolute`]: `<= x_tol` in the user's
 ///   units.
-/// - f test: `f_worst - f_best <= f_tol * |f_best|`; with [`ToleranceMeasure::Absolute`]: `<= f_tol`. It
-///   never passes while a vertex has failed.
+/// - f test: `f_worst - f_best <= f_tol * |f_best|`. With [`ToleranceMeasure::Absolute`]: `<= f_tol`. The
+///   test never passes while a vertex has failed.
 ///
-/// A cost that goes to zero would never pass a relative f test, because the spread goes to zero with it.
-/// So |f_best| counts at least as `1.5e-8 * f_0` (the root of the machine precision), `f_0` being the
-/// smallest |f| that is not zero of the initial vertices (of a population: the upper median). Near a minimum
-/// the cost is quadratic: where x is known to 1e-6, a cost of zero is known to 1e-12 of `f_0`, and the
-/// default f test, 1.5e-14 of `f_0`, asks for two digits more, not for ten. A run is over only when tests
-/// pass after an iteration is complete, so an initial simplex never passes, and while a vertex has failed
-/// none does.
+/// If the cost goes to zero, the spread goes to zero with it, and a relative f test would never pass.
+/// Therefore |f_best| counts as at least `1.5e-8 * f_0`, where 1.5e-8 is the square root of the machine
+/// precision. `f_0` is the smallest nonzero |f| of the initial vertices; for a population, it is the upper
+/// median.
+///
+/// Near a minimum, the cost is quadratic. If x is known to 1e-6, a cost of zero is known to 1e-12 of `f_0`.
+/// The default f test corresponds to 1.5e-14 of `f_0`, so it requires two more digits, not ten.
+///
+/// A run ends only if the tests pass after a complete iteration. Therefore an initial simplex never passes,
+/// and neither test passes while a vertex has failed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Tolerances {
     /// Tolerance of the x test; default 1e-6.
     pub x_tol: f64,
     /// Tolerance of the f test; default 1e-6.
     pub f_tol: f64,
-    /// Default [`ToleranceMeasure::Relative`].
+    /// Measure of both tolerances; default [`ToleranceMeasure::Relative`].
     pub measure: ToleranceMeasure,
-    /// Default [`StopRule::All`].
+    /// Tests that must pass; default [`StopRule::All`].
     pub stop: StopRule,
 }
 
@@ -93,8 +97,7 @@ impl Tolerances {
         Ok(())
     }
 
-    /// Applies both tests. `f_spread` is `None` while a vertex has failed; `f_0` is described at
-    /// [`Tolerances`].
+    /// Applies both tests. `f_spread` is `None` while a vertex has failed. See [`Tolerances`] for `f_0`.
     pub(crate) fn judge(&self, x_size: f64, f_spread: Option<f64>, f_best: f64, f_0: f64) -> ToleranceTests {
         let f_limit = match self.measure {
             ToleranceMeasure::Absolute => self.f_tol,
@@ -103,7 +106,7 @@ impl Tolerances {
         let x_passed = x_size <= self.x_tol;
         let f_passed = f_spread.is_some_and(|s| s <= f_limit);
         let passed = match self.stop {
-            // Without a spread the points that have a cost may have nothing to compare with.
+            // Without a spread, the x test alone must not end a run: too few points may have a cost.
             StopRule::Any => f_spread.is_some() && (x_passed || f_passed),
             StopRule::All => x_passed && f_passed,
         };
@@ -121,32 +124,32 @@ impl Tolerances {
     }
 }
 
-/// Typical size of the costs at the start: the upper median of the absolute ones.
+/// Returns the typical size of the initial costs: the upper median of their absolute values.
 pub(crate) fn typical(costs: &[Option<f64>]) -> f64 {
     let mut costs: Vec<f64> = costs.iter().flatten().map(|cost| cost.abs()).collect();
     costs.sort_by(f64::total_cmp);
     costs.get(costs.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// Of what the tests measure the size and the spread.
+/// Set of points, or region, whose size and spread the tests measure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum TestedSet {
-    /// Of a simplex.
+    /// A simplex.
     #[default]
     Simplex,
-    /// Of a population.
+    /// A population.
     Population,
-    /// Of its best eighth.
+    /// The best eighth of a population.
     BestEighth,
-    /// Of the best points of all generations, as many as an eighth of the population.
+    /// The best points of all generations, as many as an eighth of the population.
     BestSeen,
-    /// Of the region where a model is trusted, or of the step to the model's minimum with its error, where
-    /// that is less; the spread is the decrease that the model predicts.
+    /// The trust region of a model, or the step to the model's minimum plus its error if that is smaller. The
+    /// spread is the decrease that the model predicts.
     Model,
-    /// Of the frame of a poll.
+    /// The frame of a poll.
     Frame,
-    /// Of the points with the residuals of the best one.
+    /// The points with the same residuals as the best point.
     Plateau,
 }
 
@@ -169,11 +172,11 @@ impl TestedSet {
 pub struct ToleranceTests {
     /// Set of points, or region, that the tests measure.
     pub extent: TestedSet,
-    /// Size of the simplex (or population) as the x test measures it.
+    /// Size of the simplex or population as measured by the x test.
     pub x_size: f64,
     /// Largest minus smallest cost; `None` while a vertex has failed.
     pub f_spread: Option<f64>,
-    /// Bound of the spread in the f test.
+    /// Limit of the spread in the f test.
     pub f_limit: f64,
     /// Best cost.
     pub f_best: f64,
@@ -181,9 +184,9 @@ pub struct ToleranceTests {
     pub x_passed: bool,
     /// True if the f test passes.
     pub f_passed: bool,
-    /// True if the run is over: either one or both, as [`Tolerances::stop`] says.
+    /// True if the tests end the run: either one or both, according to [`Tolerances::stop`].
     pub passed: bool,
-    /// The tolerances used.
+    /// Tolerances of the tests.
     pub tolerances: Tolerances,
 }
 
@@ -250,7 +253,7 @@ mod tests {
         let tolerances = Tolerances::default();
         assert!(tolerances.judge(0.0, Some(1e-14), 0.0, 1.0).passed);
         assert!(!tolerances.judge(0.0, Some(1e-13), 0.0, 1.0).passed);
-        // The offset counts as long as it is more than 1.5e-8 of the first costs.
+        // The offset matters as long as it exceeds 1.5e-8 of the first costs.
         assert_eq!(tolerances.judge(0.0, Some(1e-13), 1.0, 1e7).f_limit, 1e-6);
     }
 

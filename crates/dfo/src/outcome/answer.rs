@@ -1,5 +1,5 @@
-//! Answer to an evaluation: a cost, "above the cutoff", or "failed: why"; and the residuals, where they were
-//! requested.
+//! Answer to an evaluation: a cost, "above the cutoff", or a failure with its reason; and the residuals if
+//! they were requested.
 
 use crate::values::encoding::numbers;
 use serde::{Deserialize, Serialize};
@@ -10,36 +10,36 @@ use std::fmt;
 pub enum Outcome {
     /// The cost. NaN and infinities become [`Failed`](Self::Failed) when it is counted.
     Value(f64),
-    /// The evaluation was given up because the cost is strictly greater than this cutoff. Never a cost, never
-    /// best.
+    /// The evaluation was abandoned because the cost is strictly greater than this cutoff. Never counts as a
+    /// cost or as best.
     Above(f64),
     /// There is no cost at this point. Ranks behind every finite cost.
     Failed(Failure),
-    /// The whole run must end (an exception that is to reach the user, for example).
+    /// The whole run must end, for example because of an exception that must reach the user.
     Abort(String),
-    /// The run ended before this point was evaluated. Nothing is concluded from it; objectives do not return
+    /// The run ended before this point was evaluated. No decision follows from it. Objectives do not return
     /// it.
     Skipped,
 }
 
 impl Outcome {
-    /// A failure with [`FailureKind::Error`] and this message.
+    /// Creates a failure with [`FailureKind::Error`] and this message.
     pub fn failed(message: impl Into<String>) -> Self {
         Self::Failed(Failure { kind: FailureKind::Error, message: message.into() })
     }
 
-    /// A failure with [`FailureKind::NotFinite`] and this message.
+    /// Creates a failure with [`FailureKind::NotFinite`] and this message.
     pub(crate) fn not_finite(message: String) -> Self {
         Self::Failed(Failure { kind: FailureKind::NotFinite, message })
     }
 
-    /// A failure with [`FailureKind::Cancelled`]: the evaluation saw
-    /// [`Query::cancelled`](crate::Query::cancelled) and gave up.
+    /// Creates a failure with [`FailureKind::Cancelled`]. Return it if the evaluation stopped because of
+    /// [`Query::cancelled`](crate::Query::cancelled).
     pub fn cancelled() -> Self {
         Self::Failed(Failure { kind: FailureKind::Cancelled, message: "cancelled".to_owned() })
     }
 
-    /// A failure with [`FailureKind::Lost`]: the engine returned no answer, for this reason.
+    /// Creates a failure with [`FailureKind::Lost`] and this reason: the engine returned no answer.
     pub fn lost(message: impl Into<String>) -> Self {
         Self::Failed(Failure { kind: FailureKind::Lost, message: message.into() })
     }
@@ -49,7 +49,7 @@ impl Outcome {
         matches!(self, Self::Failed(failure) if failure.kind == FailureKind::Lost)
     }
 
-    /// The cost, if there is a finite one.
+    /// Returns the cost if it is finite.
     pub fn value(&self) -> Option<f64> {
         match self {
             Self::Value(v) if v.is_finite() => Some(*v),
@@ -57,8 +57,8 @@ impl Outcome {
         }
     }
 
-    /// True if this says anything about the point: false for [`Skipped`](Self::Skipped),
-    /// [`Abort`](Self::Abort), lost and cancelled evaluations, from which no decision may follow.
+    /// True if the outcome is information about the point. False for [`Skipped`](Self::Skipped),
+    /// [`Abort`](Self::Abort), and lost and cancelled evaluations, on which no decision may depend.
     pub fn is_known(&self) -> bool {
         match self {
             Self::Value(_) | Self::Above(_) => true,
@@ -67,7 +67,7 @@ impl Outcome {
         }
     }
 
-    /// True if this says something lasting about the point: another evaluation would give the same.
+    /// True if another evaluation of the point would give the same outcome.
     pub(crate) fn is_lasting(&self) -> bool {
         match self {
             Self::Failed(failure) => failure.kind.is_of_point() && failure.kind != FailureKind::TimedOut,
@@ -75,7 +75,7 @@ impl Outcome {
         }
     }
 
-    /// The one form that everything relies on that counts it: finite values, honest cutoffs.
+    /// Converts an outcome to its canonical form, with finite values and valid cutoffs.
     pub(crate) fn checked(self, cutoff: f64) -> Self {
         match self {
             Self::Value(v) if !v.is_finite() => Self::not_finite(format!("cost is {v}")),
@@ -88,13 +88,13 @@ impl Outcome {
     }
 }
 
-/// A failed evaluation: of which kind, and why.
+/// Kind and reason of a failed evaluation.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Failure {
-    /// Of which kind.
+    /// Kind of the failure.
     pub kind: FailureKind,
-    /// The reason, for people. Equal texts are counted together in a report, so leave out what changes every
-    /// time.
+    /// Reason in words. Reports count equal texts together, so leave out text that changes with each
+    /// evaluation.
     pub message: String,
 }
 
@@ -104,7 +104,7 @@ impl fmt::Display for Failure {
     }
 }
 
-/// The kinds of failure.
+/// Kind of a failure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum FailureKind {
@@ -114,51 +114,51 @@ pub enum FailureKind {
     Error,
     /// The objective panicked.
     Panic,
-    /// The objective ran out of its own time limit.
+    /// The objective exceeded its own time limit.
     TimedOut,
-    /// The run was being ended; says nothing about the point.
+    /// The run was ending. Not a property of the point.
     Cancelled,
-    /// The engine that evaluates lost the point (a machine or a connection is gone); says nothing about the
+    /// The engine lost the point, for example because a machine or a connection failed. Not a property of the
     /// point, which is evaluated again.
     Lost,
 }
 
 impl FailureKind {
-    /// True if the failure says something about the point, rather than about the run or its engine.
+    /// True if the failure is a property of the point, not of the run or its engine.
     pub fn is_of_point(self) -> bool {
         !matches!(self, Self::Cancelled | Self::Lost)
     }
 }
 
-/// Kind of values that are requested of a point.
+/// Kind of values requested at a point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 pub enum Want {
-    /// Its cost.
+    /// The cost.
     #[default]
     Cost,
-    /// Its cost and the residuals that it is made from; then there is no cutoff.
+    /// The cost and its residuals. There is no cutoff.
     Residuals,
 }
 
-/// The answer to one query. An objective fills one that is lent to it, so that nothing is allocated once it
-/// is warm.
+/// Answer to one query. An objective fills an existing answer, so nothing is allocated after the first
+/// evaluations.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Answer {
     /// Outcome of the evaluation.
     pub outcome: Outcome,
-    /// The residuals, always the same number in the same order. Looked at only where the query wanted them
-    /// and the outcome is a value.
+    /// Residuals, always the same number in the same order. Used only if the query requested them and the
+    /// outcome is a value.
     #[serde(with = "numbers")]
     pub residuals: Vec<f64>,
-    /// Work of the evaluation, in units of the objective's own (right-hand sides, for example); 0 if it does
-    /// not count.
+    /// Work of the evaluation in a unit chosen by the objective, for example right-hand side evaluations. 0
+    /// if the objective does not count its work.
     pub work: u64,
-    /// Wall-clock seconds; the evaluator measures them.
+    /// Wall-clock time in seconds, measured by the evaluator.
     pub seconds: f64,
 }
 
 impl Default for Answer {
-    /// [`Outcome::Skipped`]: nothing yet.
+    /// Returns an answer with [`Outcome::Skipped`].
     fn default() -> Self {
         Self { outcome: Outcome::Skipped, residuals: Vec::new(), work: 0, seconds: 0.0 }
     }
@@ -171,7 +171,7 @@ impl From<Outcome> for Answer {
 }
 
 impl Answer {
-    /// Clears everything; keeps the memory for residuals.
+    /// Clears the answer and keeps the memory of the residuals.
     pub fn clear(&mut self) {
         self.outcome = Outcome::Skipped;
         self.residuals.clear();
@@ -184,20 +184,20 @@ impl Answer {
         !(without && matches!(self.outcome, Outcome::Value(_)))
     }
 
-    /// The same without what was not wanted.
+    /// Returns a copy without residuals that were not requested.
     pub(crate) fn only(&self, want: Want) -> Self {
         let residuals = if want == Want::Residuals { self.residuals.clone() } else { Vec::new() };
         Self { outcome: self.outcome.clone(), residuals, ..*self }
     }
 
-    /// Makes a failure of a cost whose residuals are missing or not finite.
+    /// Turns a cost into a failure if its residuals are missing or not finite.
     pub(crate) fn check_residuals(&mut self) {
         if let Some(failure) = self.residuals_failure() {
             self.outcome = failure;
         }
     }
 
-    /// The failure that it is.
+    /// Returns the failure if the residuals of a cost are missing or not finite.
     pub(crate) fn residuals_failure(&self) -> Option<Outcome> {
         if !matches!(self.outcome, Outcome::Value(_)) {
             return None;
@@ -210,14 +210,14 @@ impl Answer {
     }
 }
 
-/// The answers to a batch, in request order.
+/// Answers to a batch, in request order.
 #[derive(Debug, Clone, Default)]
 pub struct Answers {
     outcomes: Vec<Outcome>,
-    /// Number of residuals of each point; 0 if none were wanted.
+    /// Number of residuals of each point; 0 if residuals were not requested.
     m: usize,
     residuals: Vec<Vec<f64>>,
-    /// Memory of residuals that were removed.
+    /// Memory of removed residuals, for reuse.
     spare: Vec<Vec<f64>>,
 }
 
@@ -238,25 +238,25 @@ impl Answers {
         self.outcomes.is_empty()
     }
 
-    /// The outcomes in request order. Those of points that were not evaluated are [`Outcome::Skipped`].
+    /// Returns the outcomes in request order. Points that were not evaluated have [`Outcome::Skipped`].
     pub fn outcomes(&self) -> &[Outcome] {
         &self.outcomes
     }
 
-    /// The residuals of point `k`; `None` where there are none, or none were wanted.
+    /// Returns the residuals of point `k`; `None` if there are none or they were not requested.
     pub fn residuals(&self, k: usize) -> Option<&[f64]> {
         let known = self.m > 0 && self.outcomes[k].value().is_some();
         known.then(|| &self.residuals[k][..])
     }
 
-    /// As [`residuals`](Self::residuals), and leaves none behind.
+    /// Like [`residuals`](Self::residuals), but moves the residuals out.
     pub fn take_residuals(&mut self, k: usize) -> Option<Vec<f64>> {
         let known = self.m > 0 && self.outcomes[k].value().is_some();
         known.then(|| std::mem::take(&mut self.residuals[k]))
     }
 
-    /// Adds a point. All residual vectors have the length of the first one: of a longer one the rest is left
-    /// out, a shorter one is filled up with zeros.
+    /// Adds a point. All residual vectors get the length of the first one: longer vectors are truncated, and
+    /// shorter ones are padded with zeros.
     pub fn push(&mut self, outcome: Outcome, residuals: &[f64]) {
         let mut own = self.spare.pop().unwrap_or_default();
         own.clear();
@@ -264,7 +264,7 @@ impl Answers {
         self.push_own(outcome, own);
     }
 
-    /// As [`push`](Self::push), without a copy: what is left of the residuals is some memory.
+    /// Like [`push`](Self::push), without a copy: `residuals` is replaced with spare memory.
     pub(crate) fn push_taken(&mut self, outcome: Outcome, residuals: &mut Vec<f64>) {
         let own = std::mem::replace(residuals, self.spare.pop().unwrap_or_default());
         self.push_own(outcome, own);
@@ -280,7 +280,7 @@ impl Answers {
         self.residuals.push(residuals);
     }
 
-    /// Removes all points; keeps their memory.
+    /// Removes all points and keeps their memory.
     pub fn clear(&mut self) {
         self.outcomes.clear();
         self.spare.append(&mut self.residuals);
@@ -308,12 +308,12 @@ impl From<&[Outcome]> for Answers {
     }
 }
 
-/// The best point seen so far, and its cost. Of equal costs the first stays.
+/// Best point seen so far, with its cost. With equal costs, the first point stays.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Best(Option<(Vec<f64>, f64)>);
 
 impl Best {
-    /// Takes over a point whose cost is lower; whether it is.
+    /// Stores a point if its cost is lower. Returns true if it was stored.
     pub(crate) fn offer(&mut self, x: &[f64], cost: f64) -> bool {
         match &mut self.0 {
             Some((best, f)) if cost < *f => {
@@ -334,7 +334,7 @@ impl Best {
         self.0.as_ref().map(|(_, f)| *f)
     }
 
-    /// True if the point has this length and a cost: what comes from a file may not.
+    /// True if the point has length `n` and a finite cost. Data read from a file may be inconsistent.
     pub(crate) fn is_sound(&self, n: usize) -> bool {
         self.0.as_ref().is_none_or(|(x, cost)| x.len() == n && cost.is_finite())
     }

@@ -1,4 +1,4 @@
-//! Answers of an objective, the trace of a run, and the reasons of its end.
+//! Answers of an objective, the trace of a run, and the reasons for its end.
 
 pub(crate) mod answer;
 pub(crate) mod termination;

@@ -1,73 +1,75 @@
-//! Why a run ends.
+//! Reasons for the end of a run.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Why a run ended.
+/// Reason why a run ended.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Termination {
     /// The tolerance tests passed.
     Converged,
-    /// The predicted decrease is less than the effect of the noise of the residuals: the f test cannot pass.
+    /// The predicted decrease is smaller than the effect of the noise of the residuals, so the f test cannot
+    /// pass.
     Noise,
     /// The target value was reached.
     Target,
-    /// The search has no extent left that floating-point numbers could resolve, and the tests have not
+    /// The extent of the search is below the resolution of floating-point numbers, and the tests have not
     /// passed.
     Collapsed,
-    /// The same, and only one vertex has a cost: nothing was learned.
+    /// The search collapsed as in [`Collapsed`](Self::Collapsed), and only one vertex has a cost. The result
+    /// is not informative.
     OneFiniteVertex,
-    /// The tolerance tests passed, but points around the best one fail: a lower cost may lie between them.
+    /// The tolerance tests passed, but points around the best one fail. A lower cost may exist between them.
     BesideFailures,
-    /// The tolerance tests passed, but whoever started the run has found that one more step of least squares
-    /// lowers the cost. No run of this crate ends so.
+    /// The tolerance tests passed, but the caller of the run has found that another least-squares step lowers
+    /// the cost. No run of this crate ends with this reason.
     BeforeMinimum,
-    /// No point of the simplex or population has a cost any more, though earlier ones had.
+    /// No point of the simplex or population has a cost any more, although earlier points had one.
     AllFailed,
-    /// More than the share of all evaluations that was allowed has failed.
+    /// The fraction of failed evaluations exceeded its limit.
     TooManyFailed,
-    /// Nothing new came for long: no better point in many generations, or every point asked for was known
-    /// already.
+    /// The search made no progress for long: many generations without a better point, or only points that
+    /// were already known.
     Stalled,
-    /// All parameters are fixed: the one point there is was evaluated.
+    /// All parameters are fixed, and the only point was evaluated.
     AllFixed,
-    /// The evaluations are used up.
+    /// The limit of evaluations was reached.
     MaxEvaluations,
-    /// The iterations are used up.
+    /// The limit of iterations was reached.
     MaxIterations,
-    /// The time is used up.
+    /// The limit of time was reached.
     MaxTime,
-    /// An observer said stop.
+    /// The observer requested a stop.
     StoppedByObserver,
-    /// The poll function or the cancel flag said stop (Ctrl-C, for example).
+    /// The poll function or the cancel flag requested a stop, for example after Ctrl-C.
     Interrupted,
-    /// The objective asked to end the run, with this message.
+    /// The objective ended the run with this message.
     Aborted(String),
-    /// The run ended, and its last checkpoint could not be written; the result is whole.
+    /// The run ended, but its last checkpoint could not be written. The result is complete.
     NotSaved {
-        /// Why it could not be written.
+        /// Reason why the checkpoint could not be written.
         reason: String,
-        /// Why the run ended.
+        /// Reason why the run ended.
         ended: Box<Termination>,
     },
-    /// The tolerance tests passed, but every point had the same cost: nothing was learned.
+    /// The tolerance tests passed, but all points had the same cost. The result is not informative.
     ConstantCost,
-    /// The search ended beyond all quantities: the cost fell below -1e50, so it has no minimum. Or the
-    /// minimum of a sum of squares lies at infinity: the parameters grew, and the cost still falls that way.
+    /// The cost fell below -1e50, so it has no minimum. Also used if the minimum of a sum of squares is at
+    /// infinity: the parameters grew, and the cost still decreases in that direction.
     Unbounded,
 }
 
-/// What ended a run ([`Termination::cause`]), and so what may follow it.
+/// Category of the reason why a run ended ([`Termination::cause`]). It determines what may follow the run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Cause {
-    /// The search came to an end of its own.
+    /// The search ended by itself.
     Search,
-    /// A limit of evaluations, iterations or of the cost.
+    /// A limit of evaluations, of iterations or of the cost.
     Limit,
     /// A callback.
     Callback,
-    /// The limit of time.
+    /// The time limit.
     Time,
     /// The objective: its points fail, or it has no minimum.
     Objective,
@@ -81,25 +83,25 @@ impl Cause {
         matches!(self, Self::Search | Self::Limit | Self::Callback)
     }
 
-    /// True if the caller asked for the end of all that is under way.
+    /// True if the caller requested the end of all work in progress.
     pub fn is_request(self) -> bool {
         matches!(self, Self::Callback | Self::Interrupt)
     }
 }
 
-/// A cost that has fallen below this counts as unbounded: no quantity in any unit is as large. On the way to
-/// the largest number, 1.8e308, tests that are relative to the cost may pass.
+/// Cost below which a problem counts as unbounded. No physical quantity is as large in any unit. Further
+/// towards the largest number, 1.8e308, relative tests may pass.
 pub(crate) const UNBOUNDED: f64 = -1e50;
 
 impl Termination {
-    /// True if the tolerance tests passed, or the target was reached, or there was nothing to search. The end
-    /// in noise is a success where the x test passed, which [`Report::is_success`](crate::Report::is_success)
+    /// True if the tolerance tests passed, the target was reached, or there was nothing to search. An end in
+    /// noise is a success if the x test passed, which [`Report::is_success`](crate::Report::is_success)
     /// checks.
     pub fn is_success(&self) -> bool {
         matches!(self, Self::Converged | Self::Target | Self::AllFixed)
     }
 
-    /// Why the search ended, also where the checkpoint could not be written then.
+    /// Returns the reason why the search ended, even if the checkpoint could not be written afterwards.
     pub fn ended(&self) -> &Self {
         match self {
             Self::NotSaved { ended, .. } => ended,
@@ -107,7 +109,7 @@ impl Termination {
         }
     }
 
-    /// What ended the run.
+    /// Returns the category of the reason.
     pub fn cause(&self) -> Cause {
         match self {
             Self::Converged
@@ -129,7 +131,7 @@ impl Termination {
         }
     }
 
-    /// A short name, fit for tables and files.
+    /// Returns a short name for tables and files.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Converged => "converged",

@@ -1,11 +1,12 @@
-//! The trace: every evaluation of a run, in request order, stored in columns.
+//! Trace: every evaluation of a run, in request order, stored in columns.
 
 use crate::outcome::answer::{Answer, Outcome};
 use crate::values::encoding::numbers;
 use serde::{Deserialize, Serialize};
 
-/// Every evaluation of a run's path, in request order (the same for any number of workers); and beside them
-/// those that were made ahead of need and not needed. Or the last ones of both, if the trace was limited.
+/// Evaluations of a run. Contains every evaluation of the path in request order, which is the same for any
+/// number of workers. Also contains the evaluations that were made ahead of need and not needed. If the trace
+/// was limited, contains only the last ones of both kinds.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Trace {
     n: usize,
@@ -13,11 +14,11 @@ pub struct Trace {
     points: Vec<f64>,
     #[serde(with = "columns")]
     records: Vec<Record>,
-    /// Evaluations that the path never came to.
+    /// Evaluations that the path never reached.
     speculative: Vec<SpeculativeEntry>,
-    /// Identity of the problem that the costs belong to, if the user has vouched for one.
+    /// Identity of the problem that the costs belong to, if the user gave one.
     problem: Option<String>,
-    /// Evaluations that came before the first one kept.
+    /// Number of evaluations before the first one kept.
     dropped: usize,
 }
 
@@ -30,11 +31,11 @@ pub(crate) struct Record {
     pub(crate) cutoff: f64,
     pub(crate) used: bool,
     pub(crate) seconds: f64,
-    /// Kept only where the user asked for that.
+    /// Residuals; empty unless the user requested to keep them.
     pub(crate) residuals: Vec<f64>,
 }
 
-/// Records in a file: column by column, as many numbers as one string of bytes.
+/// File format of records: column by column, with the numbers of a column as one byte string.
 mod columns {
     use crate::outcome::answer::Outcome;
     use crate::outcome::trace::Record;
@@ -45,10 +46,10 @@ mod columns {
 
     #[derive(Default, Serialize, Deserialize)]
     struct Columns<'a> {
-        /// NaN where there is none.
+        /// NaN if there is no value.
         #[serde(with = "numbers")]
         value: Vec<f64>,
-        /// In place of the values that are NaN.
+        /// Outcomes in place of the NaN values.
         other_outcomes: Vec<Cow<'a, Outcome>>,
         #[serde(with = "numbers")]
         id: Vec<u64>,
@@ -62,7 +63,7 @@ mod columns {
         seconds: Vec<f64>,
         #[serde(with = "numbers")]
         n_residuals: Vec<u64>,
-        /// Those of all records.
+        /// Residuals of all records.
         #[serde(with = "numbers")]
         residuals: Vec<f64>,
     }
@@ -124,22 +125,22 @@ pub(crate) struct SpeculativeEntry {
 /// One evaluation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TraceEntry<'a> {
-    /// The point, in the user's units.
+    /// Point, in the user's units.
     pub x: &'a [f64],
     /// Outcome of the evaluation.
     pub outcome: &'a Outcome,
-    /// Number of the point in the run; from 2^63 on if it was evaluated ahead of need.
+    /// Id of the point in the run; at least 2^63 if it was evaluated ahead of need.
     pub id: u64,
-    /// Number of the batch.
+    /// Index of the batch.
     pub batch: u64,
-    /// The cutoff that the objective was told; infinite if none.
+    /// Cutoff passed to the objective; infinite if there is none.
     pub cutoff: f64,
-    /// True if the method was given this outcome. False for evaluations that the end of the run cut short,
-    /// and for speculative ones ([`Trace::speculative`]): they are never returned as best.
+    /// True if the outcome was passed to the method. False for evaluations that were cut short by the end of
+    /// the run and for speculative ones ([`Trace::speculative`]). These are never returned as best.
     pub used: bool,
-    /// Wall-clock seconds of the evaluation.
+    /// Duration of the evaluation in seconds of wall-clock time.
     pub seconds: f64,
-    /// The residuals, where they were wanted and the trace was asked to keep them; else empty.
+    /// Residuals, if they were requested and the trace keeps them; otherwise empty.
     pub residuals: &'a [f64],
 }
 
@@ -152,7 +153,7 @@ impl Record {
 }
 
 impl Trace {
-    /// That of a run of so many parameters before its first evaluation.
+    /// Creates an empty trace of points with `n` parameters.
     pub fn new(n: usize) -> Self {
         Self { n, ..Self::default() }
     }
@@ -172,30 +173,30 @@ impl Trace {
         self.problem = problem;
     }
 
-    /// Identity of the problem that the costs belong to; `None` if none was given, see
+    /// Returns the identity of the problem that the costs belong to. `None` if no identity was given, see
     /// [`Minimize::problem`](crate::Minimize::problem).
     pub fn problem(&self) -> Option<&str> {
         self.problem.as_deref()
     }
 
-    /// The cost that all points of the path have, if it is one and the same at several points.
+    /// Returns the cost of the path if it is the same at several different points.
     pub(crate) fn constant(&self) -> Option<f64> {
         let first = self.records.first().filter(|_| self.dropped == 0)?.outcome.value()?;
         let is_moved = self.points.chunks_exact(self.n.max(1)).any(|x| x != &self.points[..self.n]);
         (is_moved && self.records.iter().all(|r| r.outcome == Outcome::Value(first))).then_some(first)
     }
 
-    /// Length of the longer list.
+    /// Returns the length of the longer list.
     pub(crate) fn longest(&self) -> usize {
         self.records.len().max(self.speculative.len())
     }
 
-    /// Number of evaluations, those dropped included.
+    /// Returns the number of evaluations, including dropped ones.
     pub(crate) fn end(&self) -> usize {
         self.dropped + self.records.len()
     }
 
-    /// Drops all but the last so many evaluations.
+    /// Drops all but the last `limit` evaluations.
     pub(crate) fn keep_last(&mut self, limit: usize) {
         let surplus = self.records.len().saturating_sub(limit);
         self.records.drain(..surplus);
@@ -205,19 +206,19 @@ impl Trace {
         self.speculative.drain(..surplus);
     }
 
-    /// True if its parts fit together: what comes from a file may not.
+    /// True if all parts are consistent. A trace read from a file may be inconsistent.
     pub(crate) fn is_sound(&self, n: usize) -> bool {
         self.n == n
             && self.points.len() == self.records.len() * n
             && self.speculative.iter().all(|early| early.x.len() == n)
     }
 
-    /// Evaluations at the beginning of the run that a limit of the trace has dropped.
+    /// Returns the number of evaluations at the beginning of the run that the trace limit has dropped.
     pub fn n_dropped(&self) -> usize {
         self.dropped
     }
 
-    /// Number of evaluations of the path kept.
+    /// Returns the number of kept evaluations of the path.
     pub fn len(&self) -> usize {
         self.records.len()
     }
@@ -227,29 +228,29 @@ impl Trace {
         self.records.is_empty()
     }
 
-    /// Number of parameters of each point.
+    /// Returns the number of parameters of each point.
     pub fn n(&self) -> usize {
         self.n
     }
 
-    /// All points of the path, one after the other: row `k` starts at `k * n`.
+    /// Returns all points of the path, one after the other. Row `k` starts at `k * n`.
     pub fn points(&self) -> &[f64] {
         &self.points
     }
 
-    /// Evaluation `k` of those kept, if there is one.
+    /// Returns evaluation `k` of the kept ones, if it exists.
     pub fn get(&self, k: usize) -> Option<TraceEntry<'_>> {
         let r = self.records.get(k)?;
         let x = &self.points[k * self.n..(k + 1) * self.n];
         Some(r.entry(x))
     }
 
-    /// The evaluations of the path in request order.
+    /// Returns the evaluations of the path in request order.
     pub fn iter(&self) -> impl DoubleEndedIterator<Item = TraceEntry<'_>> + ExactSizeIterator {
         self.iter_from(0)
     }
 
-    /// The evaluations from number `first` of the run on, as far as they are kept.
+    /// Returns the kept evaluations starting with number `first` of the run.
     pub fn iter_from(
         &self,
         first: usize,
@@ -261,8 +262,9 @@ impl Trace {
             .map(move |(k, r)| r.entry(&self.points[(first + k) * self.n..(first + k + 1) * self.n]))
     }
 
-    /// The evaluations made ahead of need that the path never came to, in the order in which that was known.
-    /// How many there are, and which, may depend on the number of workers and on how long evaluations take.
+    /// Returns the evaluations made ahead of need that the path never reached, in the order in which this
+    /// became known. Their number and selection may depend on the number of workers and on the duration of
+    /// evaluations.
     pub fn speculative(&self) -> impl ExactSizeIterator<Item = TraceEntry<'_>> {
         self.speculative.iter().map(|early| TraceEntry {
             x: &early.x,
@@ -276,8 +278,8 @@ impl Trace {
         })
     }
 
-    /// Appends the evaluations of a run that came after this one, over the same parameters. Its points and
-    /// batches are numbered on.
+    /// Appends the evaluations of a later run over the same parameters. The numbers of its points and batches
+    /// are continued.
     pub fn append(&mut self, mut later: Trace) {
         if later.dropped > 0 {
             later.dropped += self.end();
@@ -297,8 +299,8 @@ impl Trace {
         self.dropped += later.dropped;
     }
 
-    /// The first of the used points with the smallest cost, among those not above their cutoffs (which only a
-    /// barrier makes possible: see [`Barrier`](crate::Barrier)).
+    /// Returns the first of the used points with the smallest cost that are not above their cutoffs. Only a
+    /// barrier makes costs above a cutoff possible, see [`Barrier`](crate::Barrier).
     pub fn best(&self) -> Option<(&[f64], f64)> {
         let mut best: Option<(&[f64], f64)> = None;
         for entry in self.iter().filter(|e| e.used) {

@@ -1,14 +1,14 @@
-//! Checkpoints: the whole state of a run in a file, so that a resumed run is the uninterrupted one, bit for
-//! bit.
+//! Checkpoints: the whole state of a run in a file, so that a resumed run is bit-for-bit identical to an
+//! uninterrupted one.
 //!
-//! The file is a mark, the format, a checksum, and a map in CBOR (RFC 8949) that names all its parts, the
-//! version of the code that wrote it first. Each write replaces the whole file: it goes to a temporary file,
-//! which is renamed, so a kill leaves the state before. Writing takes at most a tenth of the time of a run.
-//! What identifies a run (the fingerprint) is stored in words; a file of another run is refused by naming the
-//! difference, and left as it is.
+//! The file contains a mark, the format, a checksum and a CBOR map (RFC 8949) with named entries. The first
+//! entry is the version of the code that wrote the file. Each write replaces the whole file: a temporary file
+//! is written and then renamed, so a kill leaves the previous state. Writing takes at most a tenth of the
+//! time of a run. The identity of a run (the fingerprint) is stored as text. A file of another run is left
+//! unchanged, and the error names the difference.
 //!
-//! A batch that was cut short by the end of a run is not told to the stored state: the outcomes that were
-//! known are kept beside it and given again when the resumed run asks.
+//! If the end of a run cuts a batch short, the stored state of the method does not include the batch. The
+//! known outcomes are stored separately and are used when the resumed run requests them.
 
 use crate::error::Error;
 use crate::evaluation::counted_batch::CountedBatch;
@@ -24,30 +24,30 @@ use std::io::{ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// First bytes of a checkpoint; then comes the format, one byte.
+/// First bytes of a checkpoint. The format follows in one byte.
 const MARK: &[u8; 15] = b"dfo checkpoint\0";
 
-/// The format that this version reads and writes. It changes with everything that a file holds.
+/// Format that this version reads and writes. It changes with the contents of the file.
 const FORMAT: u8 = 14;
 
-/// Version of the code, which every file names.
+/// Version of the code, stored in every file.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// Treatment of a checkpoint that is there already.
+/// Treatment of an existing checkpoint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Resume {
-    /// Continue if there is one, else start.
+    /// Continue if a checkpoint exists; otherwise start.
     #[default]
     Auto,
-    /// Start anew, whatever there is.
+    /// Start from the beginning, even if a checkpoint exists.
     Never,
-    /// Continue; an error if there is none.
+    /// Continue; it is an error if no checkpoint exists.
     Require,
 }
 
-/// Where and how often a run writes its state.
+/// Location and frequency of the checkpoints of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Checkpoint {
@@ -55,21 +55,21 @@ pub struct Checkpoint {
     pub path: PathBuf,
     /// Default [`Resume::Auto`].
     pub resume: Resume,
-    /// Least time between two writes while the run goes on; default 0.2 s. The end of a run is always
+    /// Minimum time between two writes during the run; default 0.2 s. The state at the end of a run is always
     /// written.
     pub interval: Duration,
-    /// Further identity of the run, by name: what the objective is made from, for example.
+    /// Additional named properties that identify the run, for example the source of the objective.
     pub tags: Vec<(String, String)>,
-    /// Name of the function that is minimised, see [`function`](Self::function).
+    /// Name of the minimised function, see [`function`](Self::function).
     #[serde(default)]
     pub function: Option<String>,
 }
 
-/// Name of the function among what identifies a run.
+/// Name of the fingerprint entry with the name of the function.
 const FUNCTION: &str = "function";
 
 impl Checkpoint {
-    /// Writes to this file and resumes from it, if it is there.
+    /// Creates a checkpoint at `path`. The run resumes from this file if it exists.
     pub fn new(path: impl Into<PathBuf>) -> Self {
         Self {
             path: path.into(),
@@ -80,39 +80,40 @@ impl Checkpoint {
         }
     }
 
-    /// Sets the name of the function that is minimised. With [`Resume::Auto`] a file of a function with
-    /// another name is refused; with [`Resume::Require`] the user says that it is the right one. Whether the
-    /// function computes the same as before, the user decides.
+    /// Sets the name of the minimised function. [`Resume::Auto`] rejects a file of a function with another
+    /// name. With [`Resume::Require`], the user confirms that the file is the right one. The user is
+    /// responsible for the function computing the same values as before.
     #[must_use]
     pub fn function(mut self, name: impl Into<String>) -> Self {
         self.function = Some(name.into());
         self
     }
 
-    /// Sets what to do with a file that is there already.
+    /// Sets the treatment of an existing file.
     #[must_use]
     pub fn resume(mut self, resume: Resume) -> Self {
         self.resume = resume;
         self
     }
 
-    /// Sets the least time between two writes.
+    /// Sets the minimum time between two writes.
     #[must_use]
     pub fn interval(mut self, interval: Duration) -> Self {
         self.interval = interval;
         self
     }
 
-    /// Identity of the run in the file, by name, its tags among it; `None` where there is no file, or where
-    /// it will not be continued.
+    /// Returns the identity of the run in the file, by name, including its tags. `None` if the file does not
+    /// exist or will not be continued.
     ///
     /// # Errors
-    /// The file cannot be read, or is no checkpoint, or there is none and one is required.
+    /// Returns an error if the file cannot be read or is not a checkpoint, or if a checkpoint is required and
+    /// does not exist.
     pub fn stored_identity(&self) -> Result<Option<Vec<(String, String)>>, Error> {
         Ok(load(self)?.map(|snapshot| snapshot.fingerprint.into_owned()))
     }
 
-    /// Adds something that identifies the run: a file with another value is refused.
+    /// Adds a property that identifies the run. A file with another value is rejected.
     #[must_use]
     pub fn tag(mut self, name: impl Into<String>, value: impl Into<String>) -> Self {
         self.tags.push((name.into(), value.into()));
@@ -130,7 +131,7 @@ pub(crate) struct Snapshot<'a> {
     pub(crate) ledger: Cow<'a, Ledger>,
     pub(crate) store: Cow<'a, Store>,
     pub(crate) stale: usize,
-    /// Evaluations so far of the batch that the method waits for.
+    /// Known evaluations of the batch that the method waits for.
     pub(crate) known: Cow<'a, [EarlyOutcome]>,
     pub(crate) observed: Option<usize>,
     pub(crate) first_recent: usize,
@@ -138,13 +139,13 @@ pub(crate) struct Snapshot<'a> {
     pub(crate) seed: Option<u64>,
 }
 
-/// Who wrote a file, whatever else it holds.
+/// Version that wrote a file, readable whatever else the file contains.
 #[derive(Debug, Deserialize)]
 struct Written {
     version: String,
 }
 
-/// Identity of a run, as text.
+/// Returns the identity of a run as text.
 pub(crate) fn fingerprint(
     (method, options, budget): (&str, Vec<(String, String)>, bool),
     setup: &Setup,
@@ -173,7 +174,7 @@ pub(crate) fn fingerprint(
     }
     all.extend(place.tags.iter().map(|(name, value)| (name.clone(), value.clone())));
     all.extend(place.function.iter().map(|function| named(FUNCTION, function.clone())));
-    // After the tags, which say in words what a hash cannot.
+    // The problem comes after the tags, because tags describe a difference more clearly than a hash.
     if let Some(problem) = problem {
         all.push(named("problem", problem.to_owned()));
     }
@@ -186,12 +187,12 @@ fn failed(path: &Path, message: impl ToString) -> Error {
 
 fn file_failed(path: &Path, e: &std::io::Error) -> Error {
     let text = e.to_string();
-    // The system's number says less than its words.
+    // Omits the error number of the operating system.
     let message = text.split(" (os error").next().unwrap_or(&text).to_owned();
     Error::CheckpointFile { path: path.display().to_string(), kind: e.kind(), message }
 }
 
-/// The state in the file that a run is to continue from, if it is to; whatever run it is of.
+/// Reads the state from the file, of whichever run. `None` if there is nothing to continue from.
 fn load(options: &Checkpoint) -> Result<Option<Snapshot<'static>>, Error> {
     let path = &options.path;
     let is_required = options.resume == Resume::Require;
@@ -207,7 +208,7 @@ fn load(options: &Checkpoint) -> Result<Option<Snapshot<'static>>, Error> {
         Err(e) => return Err(file_failed(path, &e)),
     };
     let mut bytes = Vec::new();
-    // Of a file that will be replaced only the mark: one of somebody else's is not.
+    // If the file will be replaced, only its mark is read. A file without the mark must not be replaced.
     let most = if options.resume == Resume::Never { MARK.len() as u64 + 1 } else { u64::MAX };
     file.take(most).read_to_end(&mut bytes).map_err(|e| file_failed(path, &e))?;
     let Some((format, rest)) = bytes.strip_prefix(&MARK[..]).and_then(|rest| rest.split_first()) else {
@@ -243,7 +244,7 @@ fn load(options: &Checkpoint) -> Result<Option<Snapshot<'static>>, Error> {
     })
 }
 
-/// The words of users for what identifies a run.
+/// Returns the user-facing name of a fingerprint entry.
 pub(crate) fn words(name: &str) -> &str {
     match name {
         "measure" => "tolerances",
@@ -253,7 +254,7 @@ pub(crate) fn words(name: &str) -> &str {
     }
 }
 
-/// Reads the checkpoint that a run is to continue from, if it is to.
+/// Reads and checks the checkpoint to continue from. `None` if there is nothing to continue from.
 pub(crate) fn read(
     options: &Checkpoint,
     fingerprint: &[(String, String)],
@@ -306,28 +307,29 @@ pub(crate) fn read(
     Ok(Some(snapshot))
 }
 
-/// Time that a run lasts before it writes again: all writes take at most a tenth of it, also where long
-/// states take long to write, with the next, and one at the end, each up to half as long again as the last.
+/// Returns the elapsed time of a run before its next write. All writes then take at most a tenth of the run,
+/// even if states are long. The estimate includes the next write and one at the end, each 1.5 times as long
+/// as the last.
 fn least_time(spent: Duration, last: Duration) -> Duration {
     10 * (spent + 3 * last)
 }
 
-/// Writes snapshots, not too often.
+/// Writer of snapshots that limits how often they are written.
 #[derive(Debug)]
 pub(crate) struct Writer {
     options: Checkpoint,
     fingerprint: Vec<(String, String)>,
     began: Instant,
     next: Instant,
-    /// Time of all writes.
+    /// Total time of all writes.
     spent: Duration,
-    /// No other run writes to the file.
+    /// Claim that prevents other runs from writing to the file.
     _claim: Claim,
 }
 
 impl Writer {
-    /// Checks that there is a place to write to, before anything is computed. `by_hand`: of a run that stands
-    /// still where nobody asks it, so that another one of this process may go on with its file.
+    /// Checks that the file can be written before anything is computed. `by_hand` marks a run that is idle
+    /// between calls, so another run of this process may continue its file.
     pub(crate) fn new(
         options: Checkpoint,
         fingerprint: Vec<(String, String)>,
@@ -350,9 +352,9 @@ impl Writer {
         Instant::now() >= self.next
     }
 
-    /// Replaces the file by one with the state of now. `known`: what is known of the batch that
-    /// the method waits for; `observed`: the iteration that the observer saw last, and where the trace stood
-    /// then.
+    /// Replaces the file with the current state. `known` are the outcomes so far of the batch that the method
+    /// waits for. `observed` is the last iteration that the observer saw, and `first_recent` is the length of
+    /// the trace at that time.
     pub(crate) fn write<M: Method + ?Sized>(
         &mut self,
         method: &M,
@@ -385,7 +387,7 @@ impl Writer {
             file.write_all(&bytes)?;
             unfinished.finish()
         });
-        // What could not be written is tried again.
+        // A failed write is tried again when the next write is due.
         self.spent += begin.elapsed();
         let until = self.began + least_time(self.spent, begin.elapsed());
         self.next = until.max(Instant::now() + self.options.interval);
@@ -399,7 +401,7 @@ mod tests {
 
     #[test]
     fn all_writes_take_a_tenth_of_a_run_whatever_one_of_them_takes() {
-        // The same for each write, growing with the trace, one slow write among fast ones.
+        // Constant write times, times that grow with the trace, and one slow period among fast writes.
         let all: [&dyn Fn(f64) -> f64; 3] =
             [&|_| 0.7, &|now| 4e-3 * now, &|now| if (40.0..60.0).contains(&now) { 0.3 } else { 0.01 }];
         for seconds in all {
@@ -410,7 +412,7 @@ mod tests {
                 last = seconds(now);
                 spent += last;
                 n += 1;
-                // Wherever the run ends, with its last write.
+                // The bound also applies if the run ends here with one last write.
                 assert!(spent + last <= 0.1001 * now, "{now}: {spent}");
             }
             assert!(n > 15, "{n} writes");

@@ -1,5 +1,5 @@
-//! The only loop: ask -> evaluate -> tell -> observe -> stop? It takes answers as they come and goes on when
-//! those are there that the path needs.
+//! The main loop of a run: ask, evaluate, tell, observe, check for the end. It processes answers as they come
+//! and continues when all answers that the path needs are available.
 
 use crate::error::Error;
 use crate::evaluation::counted_batch::{CountedBatch, reset};
@@ -22,27 +22,27 @@ use std::collections::HashMap;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-/// A point that the engine lost is evaluated again; after this number of losses the run ends. Dask gives up a
-/// task whose workers died as often (`distributed.scheduler.allowed-failures`).
+/// Number of losses of one point that ends the run. Before that, a lost point is evaluated again. Dask
+/// abandons a task after the same number of worker deaths (`distributed.scheduler.allowed-failures`).
 const MOST_LOSSES: u32 = 3;
 
 pub(crate) type Observer<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
 
-/// Who takes part in a run besides its method.
+/// Participants of a run other than its method.
 pub(crate) struct Around<'a, 'b, 'c> {
     pub(crate) evaluator: &'a mut dyn Evaluator,
     pub(crate) control: &'a ContextPoller<'b>,
     pub(crate) observer: Option<&'a mut Observer<'c>>,
 }
 
-/// Where a run stands.
+/// Stage of a run.
 #[derive(Debug, Clone, PartialEq)]
 enum Stage {
-    /// The method is to be asked.
+    /// The next step is to ask the method.
     Ask,
-    /// Points that it asked for are under way.
+    /// Requested points are being evaluated.
     Evaluate,
-    /// Over; `None`: the method had nothing to start from.
+    /// The run is over. `None`: all starting points of the method failed.
     Over(Option<Termination>),
 }
 
@@ -54,7 +54,7 @@ pub(crate) struct Drive<M> {
     pub(crate) limits: Limits,
     pub(crate) workers: usize,
     writer: Option<Writer>,
-    /// The iteration that the observer saw last, and where the trace stood then.
+    /// Last iteration that the observer saw. The next field is the length of the trace at that time.
     observed: Option<usize>,
     first_recent: usize,
     start: Instant,
@@ -64,21 +64,20 @@ pub(crate) struct Drive<M> {
     method_reason: Option<String>,
     options: Vec<(String, String)>,
     resumed: Option<Resumed>,
-    /// Why the checkpoint could not be written.
+    /// Error of the last attempt to write the checkpoint.
     pub(crate) unsaved: Option<Error>,
     stage: Stage,
-    /// The points asked for, the answers to those of them that are evaluated, and how many of these are
-    /// missing.
+    /// Requested points, the answers to the points that are evaluated, and the number of missing answers.
     batch: Batch,
     answers: Vec<Answer>,
     n_missing: usize,
-    /// The first of them known to end the run; nothing after it is awaited.
+    /// Index of the first point that is known to end the run. Later points are not awaited.
     end: usize,
-    /// Points of the path that were still evaluated elsewhere when the run had to end.
+    /// Number of points of the path that were still being evaluated elsewhere when the run had to end.
     n_left: usize,
-    /// Points of this batch that the engine lost, by number, and how often.
+    /// Number of losses of each point of this batch that the engine lost, by id.
     losses: HashMap<u64, u32>,
-    /// Answers that came since the checkpoint was written.
+    /// Number of answers since the checkpoint was written.
     n_unsaved: usize,
     guesses: SpeculativeEvaluations,
     answer: Answer,
@@ -86,11 +85,11 @@ pub(crate) struct Drive<M> {
 }
 
 impl<M: Method> Drive<M> {
-    /// `by_hand`: whether answers only come from outside.
+    /// Creates the driver of a started run. `by_hand` is true if the caller supplies the answers.
     pub(crate) fn new(started: StartedRun<M>, by_hand: bool) -> Self {
         let StartedRun { method, round, limits, workers, writer, observed, first_recent, before, .. } =
             started;
-        // A run that was resumed may be over already, for whatever reason it ended.
+        // A resumed run may already be over, for any reason.
         let over = started.resumed.as_ref().and_then(|_| end(&method, &round, &limits, None, false));
         Self {
             method,
@@ -121,12 +120,13 @@ impl<M: Method> Drive<M> {
         }
     }
 
-    /// Seconds of the run, those before it was resumed included.
+    /// Duration of the run in seconds, including the time before it was resumed.
     pub(crate) fn elapsed(&self) -> f64 {
         self.before + self.start.elapsed().as_secs_f64()
     }
 
-    /// Why it is over, if it is; `Some(None)`: the method had nothing to start from.
+    /// Returns the reason why the run is over; `None` while it is not. `Some(None)`: all starting points of
+    /// the method failed.
     pub(crate) fn ended(&self) -> Option<Option<Termination>> {
         match &self.stage {
             Stage::Over(termination) => Some(termination.clone()),
@@ -134,12 +134,12 @@ impl<M: Method> Drive<M> {
         }
     }
 
-    /// True if the method was not asked to its end.
+    /// True if the next step is to ask the method, for example because the last `ask` was interrupted.
     pub(crate) fn is_put_off(&self) -> bool {
         self.stage == Stage::Ask
     }
 
-    /// Drives the run to its end and reports.
+    /// Drives the run to its end and returns the report.
     pub(crate) fn run(mut self, mut around: Around<'_, '_, '_>) -> Result<Report, Error> {
         while !self.advance(&mut around)? {}
         self.guesses.cancel(around.evaluator);
@@ -151,8 +151,8 @@ impl<M: Method> Drive<M> {
         self.report(termination, &RunContext::new().asking(&is_interrupted))
     }
 
-    /// Keeps the answers to evaluations that are still under way, and have been cancelled, where they end all
-    /// the same. Waits for their end unless `is_left`: then they are left to themselves.
+    /// Records the answers to cancelled evaluations that still finish. Waits for these evaluations unless
+    /// `is_left` is true.
     fn take_the_rest(&mut self, around: &mut Around<'_, '_, '_>, is_left: bool) {
         let mut answer = Answer::default();
         loop {
@@ -178,7 +178,7 @@ impl<M: Method> Drive<M> {
         }
     }
 
-    /// The result; nothing is left of the run then.
+    /// Builds the report and consumes the run.
     fn report(mut self, termination: Option<Termination>, context: &RunContext<'_>) -> Result<Report, Error> {
         let (seconds, n_left) = (self.elapsed(), self.n_left);
         self.round.finish();
@@ -193,7 +193,7 @@ impl<M: Method> Drive<M> {
         Ok(Report { method_reason, options, resumed, ..report })
     }
 
-    /// The result so far, as if the run was interrupted.
+    /// Builds the report of the run so far, as if it was interrupted.
     pub(crate) fn report_so_far(&self) -> Result<Report, Error> {
         let termination = self.ended().unwrap_or(Some(Termination::Interrupted));
         let (seconds, mut round) = (self.elapsed(), self.round.clone());
@@ -205,8 +205,8 @@ impl<M: Method> Drive<M> {
         Ok(Report { method_reason, options, resumed: self.resumed.clone(), ..report })
     }
 
-    /// Goes on as far as the answers reach that are there. Whether it is over; if not, answers are awaited
-    /// that only come from outside.
+    /// Advances the run as far as the available answers allow. Returns true if the run is over. Otherwise,
+    /// the run waits for answers that only the caller can supply.
     pub(crate) fn advance(&mut self, around: &mut Around<'_, '_, '_>) -> Result<bool, Error> {
         loop {
             match self.stage {
@@ -228,8 +228,8 @@ impl<M: Method> Drive<M> {
         }
     }
 
-    /// True where a run by hand is to be asked again: the method has nothing yet, and the caller waits no
-    /// longer.
+    /// Asks the method. Returns true if a run by hand must ask again later, because the method has no points
+    /// yet and the caller does not wait longer.
     fn ask(&mut self, around: &mut Around<'_, '_, '_>) -> Result<bool, Error> {
         let cause = Cell::new(None);
         let is_over = || {
@@ -248,7 +248,7 @@ impl<M: Method> Drive<M> {
             Some(StopCause::OutOfTime) if self.batch.is_empty() && is_running => {
                 Some(limited(&self.method, &self.round, Termination::MaxTime))
             }
-            // What needs no evaluation needs no budget.
+            // A batch without evaluations needs no budget.
             _ if self.batch.is_empty() => None,
             _ => self.exhausted(around.control).map(|limit| limited(&self.method, &self.round, limit)),
         };
@@ -266,10 +266,10 @@ impl<M: Method> Drive<M> {
         Ok(false)
     }
 
-    /// The limit that forbids to start another evaluation, if one does.
+    /// Returns the limit that forbids another evaluation, if any.
     fn exhausted(&self, control: &ContextPoller<'_>) -> Option<Termination> {
         if self.round.store.has_replays() {
-            // Evaluations made before the run was resumed are known already.
+            // Evaluations made before the run was resumed are already known.
             return None;
         }
         if self.limits.max_evaluations.is_some_and(|m| self.round.ledger.n_evaluations >= m) {
@@ -278,7 +278,8 @@ impl<M: Method> Drive<M> {
         control.signals().is_late().then_some(Termination::MaxTime)
     }
 
-    /// Hands in what the batch needs and is not under way, in request order, and what may be needed next.
+    /// Submits the points of the batch that are not already being evaluated, in request order. Then submits
+    /// points that may be needed next.
     fn open(&mut self, around: &mut Around<'_, '_, '_>) {
         let Self { round, guesses, batch, answers, limits, .. } = self;
         round.cutoff_use = around.evaluator.cutoff_use();
@@ -288,7 +289,8 @@ impl<M: Method> Drive<M> {
         (self.n_missing, self.n_unsaved, self.stage) = (n_work, 0, Stage::Evaluate);
         self.end = usize::MAX;
         self.losses.clear();
-        // Who makes the evaluations goes on after an interrupt, or stops the run.
+        // If the caller makes the evaluations, the run continues after an interrupt; only the caller stops
+        // it.
         self.cause = around.control.check().filter(|cause| !self.by_hand || *cause != StopCause::Interrupted);
         if self.cause.is_some() {
             self.n_missing = 0;
@@ -304,7 +306,7 @@ impl<M: Method> Drive<M> {
         self.look_ahead(around);
     }
 
-    /// Fills the workers that the path leaves free.
+    /// Submits speculative points to workers that the path does not use.
     fn look_ahead(&mut self, around: &mut Around<'_, '_, '_>) {
         if self.cause.is_none() && self.n_missing > 0 && self.end == usize::MAX {
             let left = self.round.left_after(&self.limits);
@@ -319,12 +321,12 @@ impl<M: Method> Drive<M> {
         }
     }
 
-    /// Takes the next answer in. Whether there is none, and none will come by waiting.
+    /// Processes the next answer. Returns true if there is none and waiting will not produce one.
     fn take_answer(&mut self, around: &mut Around<'_, '_, '_>) -> bool {
         let Around { evaluator, control, .. } = around;
         let mut answer = std::mem::take(&mut self.answer);
         let mut wait = control.wait(self.cause.is_some());
-        // A run whose time is up does not wait for what others evaluate: they may never answer.
+        // A run that is out of time does not wait for external evaluations, which may never answer.
         let is_left = self.cause == Some(StopCause::OutOfTime) && evaluator.leave();
         if is_left {
             wait.until = Instant::now();
@@ -342,7 +344,7 @@ impl<M: Method> Drive<M> {
                 self.n_missing = 0;
             }
             Polled::Waiting => {}
-            // What was handed in and is not answered was not evaluated.
+            // Submitted points without an answer were not evaluated.
             Polled::Idle => self.n_missing = 0,
         }
         self.answer = answer;
@@ -365,9 +367,9 @@ impl<M: Method> Drive<M> {
         false
     }
 
-    /// Submits a point again that the engine lost, if this answer is a loss and the path waits for the point.
-    /// Otherwise a loss becomes [`Outcome::Skipped`], or ends the run after [`MOST_LOSSES`] of the same
-    /// point: no decision follows from it.
+    /// Submits a lost point again. Returns true if this answer is a loss and the path waits for the point.
+    /// Otherwise, a loss becomes [`Outcome::Skipped`]. After [`MOST_LOSSES`] losses of one point, the run
+    /// ends. No decision follows from a loss.
     fn is_evaluated_again(&mut self, id: u64, answer: &mut Answer, evaluator: &mut dyn Evaluator) -> bool {
         if !answer.outcome.is_lost() {
             return false;
@@ -390,21 +392,21 @@ impl<M: Method> Drive<M> {
         false
     }
 
-    /// Nothing that is under way is needed any more.
+    /// Cancels all evaluations in progress.
     fn cancel(&mut self, evaluator: &mut dyn Evaluator) {
         let missing = |k: &usize| self.answers[*k].outcome == Outcome::Skipped;
         (0..self.answers.len()).filter(missing).for_each(|k| evaluator.cancel(self.round.work.id(k)));
         self.guesses.cancel(evaluator);
     }
 
-    /// One answer, to a point of the path or to a guess.
+    /// Processes one answer to a point of the path or to a speculative point.
     fn answered(&mut self, id: u64, answer: &mut Answer, evaluator: &mut dyn Evaluator) {
         if id >= FIRST_ID {
             let cutoff_use = evaluator.cutoff_use();
             let reached = self.guesses.answered(id, std::mem::take(answer), &mut self.round, cutoff_use);
             match reached {
                 Some(Reached::Answer(k, answer)) => self.fill(k, answer, evaluator),
-                // Where the run is being ended nothing begins again.
+                // No evaluation is restarted while the run is ending.
                 Some(Reached::Again(k)) if self.cause.is_some() => self.fill(k, Answer::default(), evaluator),
                 Some(Reached::Again(k)) => {
                     evaluator.submit(self.round.work.point(k), self.round.work.query(k))
@@ -415,7 +417,8 @@ impl<M: Method> Drive<M> {
             if answer.outcome != Outcome::Skipped {
                 let cutoff = self.round.work.query(k).cutoff;
                 answer.outcome = match std::mem::replace(&mut answer.outcome, Outcome::Skipped) {
-                    // It might as well have been given up, as elsewhere.
+                    // An evaluation above its cutoff counts as abandoned, because another worker might have
+                    // abandoned it.
                     Outcome::Value(v)
                         if v > cutoff && v.is_finite() && self.round.cutoff_use == CutoffUse::Yes =>
                     {
@@ -429,8 +432,7 @@ impl<M: Method> Drive<M> {
         }
     }
 
-    /// Puts an answer to its place. After one that ends the run nothing more begins, and only what comes
-    /// before it is awaited.
+    /// Stores an answer. If it ends the run, later points are cancelled, and only earlier points are awaited.
     fn fill(&mut self, k: usize, answer: Answer, evaluator: &mut dyn Evaluator) {
         self.answers[k] = answer;
         if k > self.end {
@@ -447,11 +449,11 @@ impl<M: Method> Drive<M> {
         }
     }
 
-    /// The batch is answered as far as it will be.
+    /// Closes the batch with the answers so far.
     fn close(&mut self, around: &mut Around<'_, '_, '_>) -> Result<(), Error> {
         let stopped = self.verdict(around.control);
         if stopped.is_some() && self.writer.is_some() {
-            // The state before this batch, and what is known of the batch.
+            // Saves the state before this batch, and the known outcomes of the batch.
             let known = self.round.known(&self.batch, &self.answers);
             self.save(&known);
         }
@@ -459,7 +461,7 @@ impl<M: Method> Drive<M> {
             self.stage = Stage::Over(Some(Termination::Aborted(error.to_string())));
             return Err(error);
         }
-        // Nothing follows from residuals any more, and many of them take their time.
+        // After an interrupt, residuals are no longer used, and processing many of them is slow.
         let is_left = stopped == Some(Termination::Interrupted) && self.batch.want() == Want::Residuals;
         if !is_left {
             self.method.tell_last(self.round.told(&self.batch))?;
@@ -467,7 +469,7 @@ impl<M: Method> Drive<M> {
         self.observe_and_end(stopped, around)
     }
 
-    /// Why the run must end after what the path needs was evaluated.
+    /// Returns the reason why the run must end after the points that the path needs were evaluated.
     fn verdict(&self, control: &ContextPoller<'_>) -> Option<Termination> {
         let last = self.round.last(&self.answers);
         let stopped = self.round.stopped(last);
@@ -481,15 +483,15 @@ impl<M: Method> Drive<M> {
         }
         let n_needed = last.map_or(self.answers.len(), |(place, _)| self.round.n_before(place));
         if self.answers[..n_needed].iter().any(|answer| !answer.outcome.is_known()) {
-            // An evaluation gave up although nothing above noticed: the deadline passed inside of it, or the
-            // objective was told to stop elsewhere.
+            // An evaluation stopped early for a reason unknown to the run: the deadline passed during the
+            // evaluation, or the objective was cancelled elsewhere.
             let is_late = control.signals().is_late();
             return Some(if is_late { Termination::MaxTime } else { Termination::Interrupted });
         }
         stopped
     }
 
-    /// Tells the observer, saves the state if it is time to, and ends the run or goes on.
+    /// Informs the observer, saves the state if a write is due, and ends or continues the run.
     fn observe_and_end(
         &mut self,
         stopped: Option<Termination>,
@@ -508,7 +510,7 @@ impl<M: Method> Drive<M> {
         Ok(())
     }
 
-    /// Ends the run as if it was interrupted. What is known of the batch that is under way is entered.
+    /// Ends the run as if it was interrupted. Known outcomes of the current batch are recorded.
     pub(crate) fn interrupt(&mut self, around: &mut Around<'_, '_, '_>) -> Result<(), Error> {
         match self.stage {
             Stage::Over(_) => return Ok(()),
@@ -523,13 +525,13 @@ impl<M: Method> Drive<M> {
         Ok(())
     }
 
-    /// Closes the batch with the answers that are there.
+    /// Closes the batch with the available answers.
     pub(crate) fn abandon(&mut self, around: &mut Around<'_, '_, '_>) -> Result<(), Error> {
         self.cancel(around.evaluator);
         self.close(around)
     }
 
-    /// Tells the observer of a new iteration; whether it said stop.
+    /// Informs the observer of a new iteration. Returns true if the observer requests a stop.
     fn observe(&mut self, observer: Option<&mut Observer<'_>>) -> bool {
         let seconds = self.elapsed();
         let (ledger, details) = (&self.round.ledger, self.method.details());
@@ -559,7 +561,7 @@ impl<M: Method> Drive<M> {
         observer(&progress).is_break()
     }
 
-    /// Writes the state, with what is known of the batch that is under way.
+    /// Writes the state, including the known outcomes of the current batch.
     pub(crate) fn save_now(&mut self) {
         let known = match self.stage {
             Stage::Evaluate => self.round.known(&self.batch, &self.answers),
@@ -568,8 +570,8 @@ impl<M: Method> Drive<M> {
         self.save(&known);
     }
 
-    /// A file that cannot be written, on a full disk for example, is said once and tried again; where the
-    /// last one fails, the run says so at its end.
+    /// Writes the state. A failure, for example on a full disk, is logged once, and the write is tried again
+    /// later. If the last write fails, the result reports the failure.
     fn save(&mut self, known: &[EarlyOutcome]) {
         let seconds = self.elapsed();
         let Some(writer) = &mut self.writer else { return };
@@ -581,8 +583,8 @@ impl<M: Method> Drive<M> {
         self.unsaved = written.err();
     }
 
-    /// Termination of the run: an interrupt or an abort, else a checkpoint that could not be written, else
-    /// this.
+    /// Returns the termination of the run. Interrupts and aborts take precedence, then a checkpoint that
+    /// could not be written, then `termination`.
     fn unless_unsaved(&self, termination: Termination) -> Termination {
         match (termination, &self.unsaved) {
             (hard @ (Termination::Aborted(_) | Termination::Interrupted), _) => hard,
@@ -594,16 +596,16 @@ impl<M: Method> Drive<M> {
     }
 }
 
-/// Evaluations before the share of those that failed is looked at.
+/// Minimum number of evaluations before the fraction of failures is checked.
 const FEWEST_EVALUATIONS: usize = 20;
 
-/// True if more evaluations have failed than are allowed.
+/// True if the fraction of failed evaluations exceeds its limit.
 fn too_many_failed(round: &CountedBatch, limits: &Limits) -> bool {
     let (n, failed) = (round.ledger.n_evaluations, round.ledger.n_failed);
     n >= FEWEST_EVALUATIONS && limits.max_failed.is_some_and(|share| failed as f64 > share * n as f64)
 }
 
-/// Limits that hold between two batches, besides those that a batch keeps.
+/// Checks the limits between two batches, in addition to the limits within a batch.
 fn reached<M: Method + ?Sized>(method: &M, round: &CountedBatch, limits: &Limits) -> Option<Termination> {
     if round.target_reached(limits) {
         return Some(Termination::Target);
@@ -618,7 +620,8 @@ fn reached<M: Method + ?Sized>(method: &M, round: &CountedBatch, limits: &Limits
     over.then(|| limited(method, round, Termination::MaxIterations))
 }
 
-/// Termination where a limit ends a run: the limit, unless the tests have passed for the best point already.
+/// Returns the termination of a run at a limit. It is the limit, unless the tests have already passed for the
+/// best point.
 pub(crate) fn limited<M: Method + ?Sized>(
     method: &M,
     round: &CountedBatch,
@@ -630,7 +633,8 @@ pub(crate) fn limited<M: Method + ?Sized>(
     if settled && tested { meaning(Termination::Converged, round) } else { limit }
 }
 
-/// Termination where a method has ended by itself: `Unbounded` or `ConstantCost` where the costs show it.
+/// Refines the termination of a method that ended by itself: `Unbounded` or `ConstantCost` if the costs
+/// indicate it.
 fn meaning(termination: Termination, round: &CountedBatch) -> Termination {
     let Ledger { trace, best, .. } = &round.ledger;
     let first = trace.iter().find_map(|entry| entry.outcome.value());
@@ -641,8 +645,8 @@ fn meaning(termination: Termination, round: &CountedBatch) -> Termination {
     }
 }
 
-/// Termination of a run that is over after a batch; `None` if it goes on; `Some(None)`: the method had
-/// nothing to start from.
+/// Returns the termination of a run that ends after a batch; `None` if the run continues. `Some(None)`: all
+/// starting points of the method failed.
 pub(crate) fn end<M: Method + ?Sized>(
     method: &M,
     round: &CountedBatch,
@@ -650,7 +654,7 @@ pub(crate) fn end<M: Method + ?Sized>(
     stopped: Option<&Termination>,
     broken: bool,
 ) -> Option<Option<Termination>> {
-    // An interrupt outranks a result that came at the same moment; a result outranks a limit.
+    // An interrupt takes precedence over a simultaneous result. A result takes precedence over a limit.
     if let Some(hard @ (Termination::Aborted(_) | Termination::Interrupted)) = stopped {
         return Some(Some(hard.clone()));
     }
@@ -667,7 +671,7 @@ pub(crate) fn end<M: Method + ?Sized>(
         return Some(Some(limited(method, round, stopped.clone())));
     }
     if round.is_stale() {
-        // Among whole numbers nothing is left to try then, and the tests measure what there is.
+        // With integers, no untested points may be left. The tests then measure the remaining points.
         let passed = method.details().tests.is_some_and(|tests| tests.passed);
         return Some(Some(if passed { Termination::Converged } else { Termination::Stalled }));
     }

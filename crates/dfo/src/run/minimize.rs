@@ -28,7 +28,7 @@ use std::marker::PhantomData;
 use std::ops::ControlFlow;
 use std::time::Duration;
 
-/// Minimises an objective: a closure `Fn(&[f64]) -> f64 + Sync`, or anything that is an [`Objective`].
+/// Minimises an objective: a closure `Fn(&[f64]) -> f64 + Sync` or any other [`Objective`].
 ///
 /// ```
 /// use dfo::{NelderMead, minimize};
@@ -49,7 +49,7 @@ pub fn minimize<'a>(objective: impl Objective + 'a) -> Minimize<'a, NelderMead> 
     Minimize::new(ByRun { loss, ..ByRun::new(Source::Objective(Box::new(objective))) })
 }
 
-/// Minimises the sum of the squares of residuals:
+/// Minimises a sum of squares of residuals. Short for
 /// `minimize(residuals(function)).method(LeastSquares::default())`.
 ///
 /// ```
@@ -68,12 +68,13 @@ pub fn least_squares<'a>(function: impl ResidualFunction + 'a) -> Minimize<'a, L
     minimize(residuals(function)).method(LeastSquares::default())
 }
 
-/// Minimises by a function that evaluates whole batches on the calling thread and returns one outcome per
-/// point, in order: for vectorised functions and for an executor of the caller's.
+/// Minimises with a function that evaluates whole batches on the calling thread. Use it for vectorised
+/// functions and for your own executor. The function returns one outcome per point, in order.
 ///
-/// [`Minimize::workers`] then only says how many points such a batch should have. A function that was
-/// interrupted returns [`Outcome::Skipped`] for what it left out, which ends the run. After a panic it is
-/// given the points of the batch one by one: those that it panics at have failed.
+/// [`Minimize::workers`] then sets only the number of points that a batch should have. If the function is
+/// interrupted, it returns [`Outcome::Skipped`] for the remaining points, and the run ends. If the function
+/// panics, it is called again with each point of the batch separately. The points at which it panics again
+/// count as failed.
 ///
 /// ```
 /// use dfo::{BatchView, Outcome, minimize_batches};
@@ -91,17 +92,18 @@ pub fn minimize_batches<'a>(
     Minimize::new(ByRun::new(Source::Batches(Box::new(function))))
 }
 
-/// Minimises by an [`Evaluator`] of one's own, which takes points one by one and answers in any order: an
-/// executor, a cluster, a laboratory. Points that are needed go first; where its [`width`](Evaluator::width)
-/// leaves room, others follow that may be needed.
+/// Minimises with your own [`Evaluator`], for example an executor, a cluster or a laboratory. The evaluator
+/// receives points one by one and answers in any order. Points that the path needs are submitted first. If
+/// the evaluator's [`width`](Evaluator::width) allows more, points that may be needed follow.
 pub fn minimize_by<'a>(evaluator: impl Evaluator + 'a) -> Minimize<'a, NelderMead> {
     Minimize::new(ByRun::new(Source::Evaluator(Box::new(evaluator))))
 }
 
-/// A run that is driven by hand, point by point: described as [`minimize`] is, ended by
+/// Describes a run that the caller drives point by point. Describe it like a [`minimize`] run and finish with
 /// [`optimizer`](Minimize::optimizer).
 ///
-/// [`Minimize::workers`] then says how many points are evaluated at once, which a batch plan may follow.
+/// [`Minimize::workers`] then sets the number of points that the caller evaluates at once. A batch plan may
+/// use this number.
 ///
 /// ```
 /// use dfo::{Genetic, Outcome, by_hand};
@@ -127,7 +129,7 @@ enum Source<'a> {
     Evaluator(Box<dyn Evaluator + 'a>),
 }
 
-/// Of a [`Minimize`]: what it minimises is evaluated by the run.
+/// Driver of a [`Minimize`] whose run evaluates the objective.
 pub struct ByRun<'a> {
     source: Source<'a>,
     context: RunContext<'a>,
@@ -153,12 +155,12 @@ impl<'a> ByRun<'a> {
     }
 }
 
-/// Of a [`Minimize`]: the caller evaluates, see [`by_hand`].
+/// Driver of a [`Minimize`] whose caller evaluates the points, see [`by_hand`].
 #[derive(Debug, Clone, Copy)]
 pub struct ByHand;
 
-/// A minimisation being described; made by [`minimize`], [`minimize_batches`], [`minimize_by`] or
-/// [`by_hand`], ended by [`run`](Self::run) or [`optimizer`](Self::optimizer).
+/// Builder of a minimisation. Created by [`minimize`], [`minimize_batches`], [`minimize_by`] or [`by_hand`];
+/// finished by [`run`](Self::run) or [`optimizer`](Self::optimizer).
 #[must_use = "nothing happens before run()"]
 pub struct Minimize<'a, M, D = ByRun<'a>> {
     description: Description<M>,
@@ -173,30 +175,30 @@ impl<D> Minimize<'_, NelderMead, D> {
 }
 
 impl<'a, M, D> Minimize<'a, M, D> {
-    /// The start point. Must lie in the box; required, unless the method samples its box.
+    /// Sets the start point. It must be in the box. It is required unless the method samples its box.
     pub fn start(mut self, x0: &[f64]) -> Self {
         self.description.x0 = Some(x0.to_vec());
         self
     }
 
-    /// Lower and upper bounds; infinite where there is none, equal where a parameter is fixed. Default none.
-    /// Of a box that is too wide to tell the size of a parameter see [`Bounds`].
+    /// Sets lower and upper bounds; default none. An infinite bound means no bound. Equal bounds fix a
+    /// parameter. See [`Bounds`] for boxes that are too wide to determine the size of a parameter.
     ///
     /// # Errors
-    /// As [`Bounds::new`].
+    /// Returns the errors of [`Bounds::new`].
     pub fn bounds(mut self, lower: &[f64], upper: &[f64]) -> Result<Self, Error> {
         self.description.bounds = Some(Bounds::new(lower, upper)?);
         Ok(self)
     }
 
-    /// The method; default Nelder-Mead.
+    /// Sets the method; default Nelder-Mead.
     pub fn method<N: MethodOptions>(self, method: N) -> Minimize<'a, N, D> {
         let Self { description, driver, life } = self;
         Minimize { description: description.with_method(method), driver, life }
     }
 
-    /// Sets the goal of the search; the run chooses the method for it ([`AnyMethod::chosen_for`]), and its
-    /// report says which and why.
+    /// Sets the goal of the search. The run chooses a suitable method ([`AnyMethod::chosen_for`]), and the
+    /// report contains the method and the reason for the choice.
     ///
     /// ```
     /// use dfo::{Search, minimize};
@@ -210,89 +212,91 @@ impl<'a, M, D> Minimize<'a, M, D> {
         self.method(AnyMethod::auto(search))
     }
 
-    /// All options at once, the method with them.
+    /// Sets all options at once, including the method.
     pub fn options<N: MethodOptions>(self, options: RunOptions<N>) -> Minimize<'a, N, D> {
         let Self { description, driver, life } = self;
         let Description { x0, bounds, transforms, sizes, kinds, .. } = description;
         Minimize { description: Description { options, x0, bounds, transforms, sizes, kinds }, driver, life }
     }
 
-    /// All that was requested by name.
+    /// Sets everything that was requested by name.
     pub fn requested(self, requested: RequestedRun) -> Minimize<'a, AnyMethod, D> {
         let RequestedRun { options, scale, nominal, kinds } = requested;
         self.options(options).transforms(&scale).known_scales(&nominal).kinds(&kinds)
     }
 
-    /// Evaluations that may run at once, on threads of our own with 16 MiB of stack; 1 (the default): on the
-    /// calling thread. The result does not depend on it. Evaluations that are too short to be worth handing
-    /// over stay on the calling thread; so does the first one, which shows that, unless its
-    /// [`context`](Self::context) has a function.
+    /// Sets the number of evaluations that may run at once. The result does not depend on it. With 1 (the
+    /// default), evaluations run on the calling thread. With more, they run on separate threads with 16 MiB
+    /// of stack each.
+    ///
+    /// Evaluations that are too short to be worth a transfer stay on the calling thread. The first evaluation
+    /// also runs there, to measure its duration, unless the [`context`](Self::context) has a function.
     pub fn workers(mut self, workers: usize) -> Self {
         self.description.options.workers = Some(workers);
         self
     }
 
-    /// Limit of evaluations of the path, exact even inside a batch. At least 1.
+    /// Sets the limit of evaluations of the path, at least 1. The limit is exact even within a batch.
     ///
-    /// Without any of the three limits (evaluations, iterations, time) the method's defaults hold
-    /// ([`MethodOptions::default_limits`]), for Nelder-Mead `1000 (n + 1)` iterations or `5000 (n + 1)`
-    /// evaluations, `n` being the number of free parameters. Setting one lifts these defaults.
+    /// If none of the three limits (evaluations, iterations, time) is set, the method's defaults apply
+    /// ([`MethodOptions::default_limits`]). For Nelder-Mead these are `1000 (n + 1)` iterations or `5000 (n +
+    /// 1)` evaluations for `n` free parameters. Setting one limit removes these defaults.
     pub fn max_evaluations(mut self, n: usize) -> Self {
         self.description.options.limits.max_evaluations = Some(n);
         self
     }
 
-    /// Limit of iterations; 0 evaluates only the starting points.
+    /// Sets the limit of iterations; 0 evaluates only the starting points.
     pub fn max_iterations(mut self, n: usize) -> Self {
         self.description.options.limits.max_iterations = Some(n);
         self
     }
 
-    /// Limit of wall-clock time: no evaluation starts after it, and running ones see
-    /// [`Query::cancelled`](crate::Query::cancelled).
+    /// Sets the limit of wall-clock time. No evaluation starts after it. Evaluations that are running at that
+    /// time see [`Query::cancelled`](crate::Query::cancelled).
     pub fn max_time(mut self, time: Duration) -> Self {
         self.description.options.limits.max_time = Some(time);
         self
     }
 
-    /// Ends the run with the first evaluation of the path whose cost is at or below this, see
+    /// Ends the run at the first evaluation of the path with a cost at or below `cost`, see
     /// [`Limits::target`].
     pub fn target(mut self, cost: f64) -> Self {
         self.description.options.limits.target = Some(cost);
         self
     }
 
-    /// Ends the run where more than this share of its evaluations has failed, see [`Limits::max_failed`].
+    /// Ends the run if more than this fraction of its evaluations has failed, see [`Limits::max_failed`].
     pub fn max_failed(mut self, share: f64) -> Self {
         self.description.options.limits.max_failed = Some(share);
         self
     }
 
-    /// Where no limit is set, none holds: not even the method's defaults.
+    /// Disables the method's default limits if no limit is set.
     pub fn unlimited(mut self) -> Self {
         self.description.options.unlimited = true;
         self
     }
 
-    /// All limits at once.
+    /// Sets all limits at once.
     pub fn limits(mut self, limits: Limits) -> Self {
         self.description.options.limits = limits;
         self
     }
 
-    /// All tolerances at once.
+    /// Sets all tolerances at once.
     pub fn tolerances(mut self, tolerances: Tolerances) -> Self {
         self.description.options.tolerances = tolerances;
         self
     }
 
-    /// Tolerance of the x test, see [`Tolerances`]; default 1e-6.
+    /// Sets the tolerance of the x test, see [`Tolerances`]; default 1e-6.
     pub fn x_tol(mut self, tolerance: f64) -> Self {
         self.description.options.tolerances.x_tol = tolerance;
         self
     }
 
-    /// Tolerance of the f test, see [`Tolerances`]; default 1e-6.
+    /// Sets the tolerance of the f test, see [`Tolerances`]; default 1e-6.
     pub fn f_tol(mut self, tolerance: f64) -> Self {
         self.description.options.tolerances.f_tol = tolerance;
         self
@@ -304,48 +308,49 @@ impl<'a, M, D> Minimize<'a, M, D> {
         self
     }
 
-    /// Sets the number of tests that must pass: both (default) or either.
+    /// Sets if both tests must pass (default) or either one.
     pub fn stop(mut self, stop: StopRule) -> Self {
         self.description.options.tolerances.stop = stop;
         self
     }
 
-    /// Typical sizes of the parameters, positive: the unit of a relative `x_tol`. Default: see
-    /// [`typical_size`](crate::typical_size), else what the method finds out (see
-    /// [`InitialSimplex::Auto`](crate::InitialSimplex::Auto)). For a logarithmic parameter in units of `ln
-    /// x`.
+    /// Sets the typical sizes of the parameters, which are positive. They are the unit of a relative `x_tol`.
+    /// The size of a logarithmic parameter is in units of `ln x`. Default: see
+    /// [`typical_size`](crate::typical_size); otherwise a size that the method estimates (see
+    /// [`InitialSimplex::Auto`](crate::InitialSimplex::Auto)).
     pub fn scales(self, sizes: &[f64]) -> Self {
         let sizes: Vec<_> = sizes.iter().copied().map(Some).collect();
         self.known_scales(&sizes)
     }
 
-    /// The same where only some of the sizes are known; the default holds for the others.
+    /// Sets the typical sizes of some parameters. `None` selects the default, see [`scales`](Self::scales).
     pub fn known_scales(mut self, sizes: &[Option<f64>]) -> Self {
         self.description.sizes = sizes.to_vec();
         self
     }
 
-    /// Seed of the random numbers, for methods that draw them. Default: drawn, and reported.
+    /// Sets the seed of the random numbers, for methods that draw random numbers. By default, a seed is drawn
+    /// and reported.
     pub fn seed(mut self, seed: u64) -> Self {
         self.description.options.seed = Some(seed);
         self
     }
 
-    /// Sets the identity of the problem, a word or a hash that the caller vouches for: it stands for
-    /// everything that a cost depends on but the point (model, data, settings), neither bounds nor start.
-    /// Costs that are known from elsewhere are only used where they belong to the same problem; a checkpoint
-    /// of another one is refused.
+    /// Sets the identity of the problem: a word or a hash that the caller vouches for. It must represent
+    /// everything that a cost depends on except the point: model, data and settings, but neither bounds nor
+    /// start. Costs from other runs are used only if they belong to the same problem. A checkpoint of another
+    /// problem is rejected.
     pub fn problem(mut self, identity: impl Into<String>) -> Self {
         self.description.options.problem = Some(identity.into());
         self
     }
 
-    /// Starts from what an earlier run has learnt: its points, as far as they lie in the box and have the
-    /// values of the fixed parameters. The best of them is the start point, and populations begin with the
-    /// best of them. What had failed, or was given up above a cutoff, is left out.
+    /// Starts from the points of an earlier run. Points outside the box and points with other values of the
+    /// fixed parameters are left out. So are points that failed or were abandoned above a cutoff. The best
+    /// remaining point is the start point, and populations begin with the best remaining points.
     ///
-    /// Where both runs name the same [`problem`](Self::problem), none of the points is evaluated again. Else
-    /// their costs only say where to start.
+    /// If both runs have the same [`problem`](Self::problem), none of these points is evaluated again.
+    /// Otherwise, their costs only determine where to start.
     pub fn warm_start(self, trace: &Trace) -> Self {
         let problem = trace.problem().map(str::to_owned);
         let known = |e: TraceEntry<'_>| {
@@ -355,45 +360,48 @@ impl<'a, M, D> Minimize<'a, M, D> {
         self.known(trace.iter().filter_map(known))
     }
 
-    /// The same with points that were kept otherwise; those whose costs are not finite are left out.
+    /// Starts from points of any origin, like [`warm_start`](Self::warm_start). Points whose costs are not
+    /// finite are left out.
     pub fn known(mut self, points: impl IntoIterator<Item = KnownPoint>) -> Self {
         self.description.options.known.extend(points);
         self
     }
 
-    /// Sets the number of evaluations to remember, so that exact repeats cost nothing; 0 for none. Default:
-    /// the method's ([`MethodOptions::default_cache`]), with discrete parameters at least 10 000.
+    /// Sets the number of evaluations to remember, so that exact repeats cost nothing. 0 disables the cache.
+    /// Default: the method's ([`MethodOptions::default_cache`]), and at least 10 000 with discrete
+    /// parameters.
     pub fn cache(mut self, evaluations: usize) -> Self {
         self.description.options.cache = Some(evaluations);
         self
     }
 
-    /// Keeps only the last so many evaluations in the trace (while the run goes on, up to twice as many).
+    /// Keeps only the last `evaluations` entries in the trace. During the run, the trace may contain up to
+    /// twice as many.
     pub fn trace_limit(mut self, evaluations: usize) -> Self {
         self.description.options.trace_limit = Some(evaluations);
         self
     }
 
-    /// Keeps the residuals of the points for which the method wanted them in the trace, too.
+    /// Also keeps residuals in the trace, for the points at which the method requested them.
     pub fn trace_residuals(mut self) -> Self {
         self.description.options.trace_residuals = true;
         self
     }
 
-    /// Writes the state of the run to a file, and continues from it if it is there.
+    /// Writes the state of the run to a file. If the file exists, the run continues from it.
     pub fn checkpoint(mut self, checkpoint: Checkpoint) -> Self {
         self.description.options.checkpoint = Some(checkpoint);
         self
     }
 
-    /// Continuous, integer or categorical, per parameter. Default all continuous; not every method takes the
-    /// others.
+    /// Sets the kind of each parameter: continuous, integer or categorical. Default: all continuous. Not
+    /// every method supports the other kinds.
     pub fn kinds(mut self, kinds: &[ParameterKind]) -> Self {
         self.description.kinds = kinds.to_vec();
         self
     }
 
-    /// Linear or logarithmic, per parameter. Default all linear.
+    /// Sets the scale of each parameter: linear or logarithmic. Default: all linear.
     pub fn transforms(mut self, transforms: &[Transform]) -> Self {
         self.description.transforms = transforms.to_vec();
         self
@@ -401,44 +409,46 @@ impl<'a, M, D> Minimize<'a, M, D> {
 }
 
 impl<'a, M> Minimize<'a, M> {
-    /// Called on the calling thread after the starting points and after each iteration; `Break` ends the run.
+    /// Sets a function that is called on the calling thread after the starting points and after each
+    /// iteration. `Break` ends the run.
     pub fn observer(mut self, observer: impl FnMut(&Progress<'_>) -> ControlFlow<()> + 'a) -> Self {
         self.driver.observer = Some(Box::new(observer));
         self
     }
 
-    /// Who may interrupt the run: no further evaluation starts then, and running ones see
-    /// [`Query::cancelled`](crate::Query::cancelled). The function of the context is called on the calling
-    /// thread between evaluations, with workers at least every 50 ms. Several runs can share a flag. The time
-    /// that the context has left ends the run as [`max_time`](Self::max_time) does, if it ends sooner.
+    /// Sets the context that may interrupt the run. After an interrupt, no further evaluation starts, and
+    /// running ones see [`Query::cancelled`](crate::Query::cancelled). The function of the context is called
+    /// on the calling thread between evaluations; with workers, at least every 50 ms. Several runs can share
+    /// a flag. If the remaining time of the context is shorter than [`max_time`](Self::max_time), it ends the
+    /// run in the same way.
     pub fn context(mut self, context: RunContext<'a>) -> Self {
         self.driver.context = context;
         self
     }
 
-    /// Says whether a function of [`minimize_batches`] gives up above cutoffs: then a cost above one counts
-    /// as given up, whoever evaluates.
+    /// Declares if a function of [`minimize_batches`] stops early above cutoffs. If it does, every cost above
+    /// its cutoff counts as abandoned, whichever code evaluates the point.
     pub fn cutoff_use(mut self, cutoff_use: CutoffUse) -> Self {
         self.driver.cutoff_use = cutoff_use;
         self
     }
 
-    /// Says whether an [`Evaluator`] of one's own gives residuals: then a method that is chosen for the
-    /// problem may ask for them.
+    /// Declares if your [`Evaluator`] provides residuals. If it does, a method that is chosen for the problem
+    /// may request them.
     pub fn with_residuals(mut self, has_residuals: bool) -> Self {
         self.driver.has_residuals = has_residuals;
         self
     }
 
-    /// Says what the residuals that a function of [`minimize_batches`] gives have gone through already
-    /// ([`RobustLoss::transform`]), so that the [`Report`] gives back the plain ones.
+    /// Sets the loss that a function of [`minimize_batches`] has already applied to its residuals
+    /// ([`RobustLoss::transform`]). The [`Report`] then contains the plain residuals.
     pub fn loss(mut self, loss: RobustLoss) -> Self {
         self.driver.loss = loss;
         self
     }
 
-    /// Sets the part of the limit of wall-clock time ([`max_time`](Self::max_time)) that was used before the
-    /// run begins. The message of a run that ends by time names the whole limit.
+    /// Sets the part of the time limit ([`max_time`](Self::max_time)) that was used before the run begins. If
+    /// the run ends at the limit, its message names the whole limit.
     pub fn spent(mut self, time: Duration) -> Self {
         self.driver.spent = time;
         self
@@ -446,11 +456,11 @@ impl<'a, M> Minimize<'a, M> {
 }
 
 impl<M: MethodOptions> Minimize<'_, M> {
-    /// Runs.
+    /// Runs the minimisation.
     ///
     /// # Errors
-    /// Options that cannot be used; an objective that failed at every starting point; a run that was ended
-    /// before any point had a finite cost. Every other end is a [`Report`].
+    /// Returns an error if options are unusable, if the objective failed at every starting point, or if the
+    /// run ended before any point had a finite cost. Every other end returns a [`Report`].
     pub fn run(mut self) -> Result<Report, Error> {
         let ByRun { mut source, context, mut observer, has_residuals, cutoff_use, loss, spent } = self.driver;
         if let Source::Evaluator(evaluator) = &source {
@@ -459,7 +469,7 @@ impl<M: MethodOptions> Minimize<'_, M> {
         if let Some(checkpoint) = self.description.options.checkpoint.as_mut().filter(|_| !loss.is_linear()) {
             checkpoint.tags.push(("loss".to_owned(), loss.to_string()));
         }
-        // A batch function shows by its first answer whether it has some.
+        // The first answer of a batch function shows if it has residuals.
         let (has_residuals, may_have_some) = match &source {
             Source::Objective(objective) => (objective.has_residuals(), objective.has_residuals()),
             Source::Batches(_) | Source::Evaluator(_) => (has_residuals, true),
@@ -502,10 +512,10 @@ where
     M: MethodOptions,
     M::Method: Send + 'static,
 {
-    /// Starts, or continues from a checkpoint, and hands the run over.
+    /// Starts the run, or continues it from a checkpoint, and returns its optimizer.
     ///
     /// # Errors
-    /// Options that cannot be used.
+    /// Returns an error if options are unusable.
     pub fn optimizer(self) -> Result<Optimizer, Error> {
         Optimizer::start(self.description.begin(false, RobustLoss::default(), true)?)
     }

@@ -1,4 +1,4 @@
-//! Runs: minimisation, ask and tell, options, report, checkpoint.
+//! Runs: minimisation, ask/tell, options, report, checkpoint.
 
 pub(crate) mod checkpoint;
 pub(crate) mod drive;

@@ -1,4 +1,4 @@
-//! Ask / tell by ids: points are handed out one by one or many at once, and answered in any order.
+//! Ask/tell by point ids: points are handed out individually or in groups and are answered in any order.
 
 use crate::error::Error;
 use crate::evaluation::store::FIRST_ID;
@@ -15,35 +15,35 @@ use crate::run::start::StartedRun;
 use base::RunContext;
 use std::time::{Duration, Instant};
 
-/// A point that is to be evaluated.
+/// A point to evaluate.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Point {
-    /// Its number, to answer by.
+    /// Id of the point, for the answer.
     pub id: u64,
-    /// The batch that it belongs to.
+    /// Index of the batch that the point belongs to.
     pub batch: u64,
     /// The point, in the user's units.
     pub x: Vec<f64>,
-    /// Above this cost the outcome may be [`Outcome::Above`]; infinite if there is no cutoff.
+    /// Cost above which the outcome may be [`Outcome::Above`]; infinite if there is no cutoff.
     pub cutoff: f64,
-    /// Kind of values that is requested.
+    /// Kind of the requested values.
     pub want: Want,
 }
 
 impl Point {
-    /// Query to give to an [`Objective`](crate::Objective) with the point.
+    /// Returns the query to pass to an [`Objective`](crate::Objective) together with the point.
     pub fn query(&self) -> Query<'static> {
         Query::new(self.id, self.batch, self.cutoff).want(self.want)
     }
 }
 
-/// A run whose evaluations the caller makes: the same trace as [`minimize`](crate::minimize) makes, whatever
-/// the order of the answers.
+/// A run whose evaluations are made by the caller. Its trace is identical to the trace of
+/// [`minimize`](crate::minimize), in whatever order the answers come.
 ///
-/// Methods work in rounds, so [`ask`](Self::ask) has nothing to give while the last answers of a round are
-/// missing. Made by [`by_hand`](crate::by_hand), which has an example. With a checkpoint the state is written
-/// as answers come (not too often), at the end, and by [`save`](Self::save).
+/// Methods work in rounds. While the last answers of a round are missing, [`ask`](Self::ask) may return no
+/// points. Created by [`by_hand`](crate::by_hand), which has an example. With a checkpoint, the state is
+/// written as answers come (not too often), at the end, and by [`save`](Self::save).
 #[derive(Debug)]
 pub struct Optimizer {
     drive: Drive<BoxedMethod>,
@@ -52,7 +52,8 @@ pub struct Optimizer {
 }
 
 impl Optimizer {
-    /// A limit of time counts from here and is looked at when a batch is complete or asked for.
+    /// Starts the run. A time limit counts from this call and is checked when a batch is complete or
+    /// requested.
     pub(crate) fn start<T: Method + Send + 'static>(started: StartedRun<T>) -> Result<Self, Error> {
         let (workers, before) = (started.workers, started.before);
         let left = started.limits.max_time.map(|t| t.saturating_sub(Duration::from_secs_f64(before)));
@@ -63,7 +64,7 @@ impl Optimizer {
         Ok(optimizer)
     }
 
-    /// Goes on as far as the answers reach; an error where the checkpoint could not be written.
+    /// Advances the run as far as the answers allow. Returns an error if the checkpoint could not be written.
     fn advance(
         &mut self,
         context: &RunContext<'_>,
@@ -79,23 +80,24 @@ impl Optimizer {
         self.advance(context, |drive, around| drive.advance(around).map(|_| ()))
     }
 
-    /// Writes the checkpoint, if there is one, with the answers of the round that is under way.
+    /// Writes the checkpoint, if there is one, including the answers of the current round.
     ///
     /// # Errors
-    /// The file cannot be written.
+    /// Returns an error if the file cannot be written.
     pub fn save(&mut self) -> Result<(), Error> {
         self.drive.save_now();
         self.drive.unsaved.take().map_or(Ok(()), Err)
     }
 
-    /// Points to evaluate, at most so many; none while the answers to all points of a round are awaited, and
-    /// none after the end.
+    /// Returns at most `at_most` points to evaluate. Returns none while the round waits for the answers to
+    /// all of its points, and none after the end.
     pub fn ask(&mut self, at_most: usize) -> Vec<Point> {
         self.ask_unless(at_most, &RunContext::new())
     }
 
-    /// As [`ask`](Self::ask); where a call was cancelled before the method had chosen its points, it goes on
-    /// with that, unless this context is cancelled, too: then there are none yet.
+    /// Like [`ask`](Self::ask), with a context. If an earlier call was cancelled before the method had chosen
+    /// its points, this call completes the choice. If this context is cancelled as well, no points are
+    /// returned yet.
     pub fn ask_unless(&mut self, at_most: usize, context: &RunContext<'_>) -> Vec<Point> {
         let mut points = Vec::new();
         if self.drive.is_put_off() && self.go_on(context).is_err() {
@@ -111,22 +113,22 @@ impl Optimizer {
         points
     }
 
-    /// The answer to a point: its outcome, and the residuals where they are wanted. [`Outcome::Skipped`] and
-    /// cancelled evaluations give the point back: it is handed out again where it is still needed.
-    /// [`Outcome::Abort`] ends the run. After the end an answer changes nothing.
+    /// Answers a point with its outcome, and with its residuals if they are requested. [`Outcome::Skipped`]
+    /// and cancelled evaluations return the point, which is handed out again if it is still needed.
+    /// [`Outcome::Abort`] ends the run. After the end, answers have no effect.
     ///
     /// # Errors
-    /// An id that was not handed out, or was answered already; a checkpoint that cannot be written (the
-    /// answer counts all the same).
+    /// Returns an error if the id was not handed out or was already answered. Also returns an error if a
+    /// checkpoint cannot be written; the answer still counts.
     pub fn tell(&mut self, id: u64, answer: impl Into<Answer>) -> Result<(), Error> {
         self.tell_unless(id, answer, &RunContext::new())
     }
 
-    /// As [`tell`](Self::tell); the answer counts, whatever the context says: where it is cancelled, the next
-    /// points are chosen by [`ask`](Self::ask).
+    /// Like [`tell`](Self::tell), with a context. The answer counts even if the context is cancelled. In that
+    /// case, [`ask`](Self::ask) chooses the next points.
     ///
     /// # Errors
-    /// As [`tell`](Self::tell).
+    /// Returns the errors of [`tell`](Self::tell).
     pub fn tell_unless(
         &mut self,
         id: u64,
@@ -142,56 +144,56 @@ impl Optimizer {
             Outcome::Skipped => Outcome::Skipped,
             other => other.checked(handed.query.cutoff),
         };
-        // What was evaluated ahead of need ends nothing before it is needed.
+        // An abort of a speculative point does not end the run until the path needs the point.
         let is_final = answer.outcome.is_known() || matches!(answer.outcome, Outcome::Abort(_));
         let ends = matches!(answer.outcome, Outcome::Abort(_)) && id < FIRST_ID;
         self.hand.answered(handed, answer, is_final);
         self.advance(context, |drive, around| match drive.advance(around)? {
-            // The points before it will have no answer.
+            // The earlier points will not be answered.
             false if ends => drive.abandon(around),
             _ => Ok(()),
         })
     }
 
-    /// Ends the run: [`termination`](Self::termination) is [`Termination::Interrupted`] then, if it was not
-    /// over already. What was told of an incomplete round is entered.
+    /// Ends the run. Unless the run was already over, its [`termination`](Self::termination) becomes
+    /// [`Termination::Interrupted`]. Answers of the incomplete round are recorded.
     ///
     /// # Errors
-    /// The checkpoint cannot be written.
+    /// Returns an error if the checkpoint cannot be written.
     pub fn stop(&mut self) -> Result<(), Error> {
         self.advance(&RunContext::new(), |drive, around| drive.interrupt(around))
     }
 
-    /// Points handed out and not answered yet.
+    /// Returns the number of points that were handed out and are not answered yet.
     pub fn n_pending(&self) -> usize {
         self.hand.n_pending()
     }
 
-    /// The best point so far and its cost, of complete rounds.
+    /// Returns the best point of all complete rounds, with its cost.
     pub fn best(&self) -> Option<(&[f64], f64)> {
         self.drive.round.ledger.best.get()
     }
 
-    /// Why the run is over; `None` while it is not. A run whose starting points all failed counts as
-    /// [`Termination::AllFailed`] here; its [`report`](Self::report) is an error.
+    /// Returns the reason why the run ended; `None` while it is running. If all starting points failed, the
+    /// reason is [`Termination::AllFailed`], and [`report`](Self::report) returns an error.
     pub fn termination(&self) -> Option<Termination> {
         self.drive.ended().map(|t| t.unwrap_or(Termination::AllFailed))
     }
 
-    /// The method, to look into.
+    /// Returns the method, for inspection.
     pub fn method(&self) -> &dyn Method {
         &self.drive.method
     }
 
-    /// All evaluations of complete rounds.
+    /// Returns all evaluations of complete rounds.
     pub fn trace(&self) -> &Trace {
         &self.drive.round.ledger.trace
     }
 
-    /// The result so far; [`Termination::Interrupted`] while the run is not over.
+    /// Returns the result so far. Its termination is [`Termination::Interrupted`] while the run is not over.
     ///
     /// # Errors
-    /// There is no point with a finite cost.
+    /// Returns an error if no point has a finite cost.
     pub fn report(&self) -> Result<Report, Error> {
         self.drive.report_so_far()
     }

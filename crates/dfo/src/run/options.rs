@@ -1,4 +1,4 @@
-//! Options of a run: one record for Rust, Python, fits and files.
+//! Options of a run, shared by Rust, Python, fits and files.
 
 use crate::error::Error;
 use crate::evaluation::MOST_WORKERS;
@@ -8,7 +8,7 @@ use crate::methods::NelderMead;
 use crate::run::checkpoint::Checkpoint;
 use serde::{Deserialize, Serialize};
 
-/// A point with its cost, and the problem that they belong to.
+/// A point with its cost and the identity of its problem.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct KnownPoint {
@@ -16,51 +16,52 @@ pub struct KnownPoint {
     pub x: Vec<f64>,
     /// Its cost.
     pub cost: f64,
-    /// Its residuals; empty where they are not known.
+    /// Its residuals; empty if unknown.
     pub residuals: Vec<f64>,
-    /// Problem that the cost belongs to; if it is not that of the run, or `None`, the point is only a start.
+    /// Identity of the problem that the cost belongs to. If it differs from the identity of the run, or is
+    /// `None`, the point is only used as a start.
     pub problem: Option<String>,
 }
 
-/// All that may be chosen about a run but its objective and the parameters that it searches. No limit is
-/// `None`.
+/// All options of a run except its objective and its parameters. A limit of `None` means no limit.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RunOptions<M = NelderMead> {
     /// The method with its options; default Nelder-Mead.
     pub method: M,
-    /// Why it was chosen, where the user left it open.
+    /// Reason why the method was chosen, if the user did not choose it.
     pub method_reason: Option<String>,
-    /// When the tests pass that end a run.
+    /// Conditions of the tolerance tests that end a run.
     pub tolerances: Tolerances,
-    /// Further limits that end the run. Without a limit of evaluations, iterations or time the method's own
-    /// hold.
+    /// Further limits that end the run. If none of evaluations, iterations and time is limited, the method's
+    /// own limits apply.
     pub limits: Limits,
-    /// Where no limit is set, none holds: not even the method's own.
+    /// True to disable the method's own limits if no limit is set.
     pub unlimited: bool,
-    /// Evaluations that may run at once. The result does not depend on it.
+    /// Number of evaluations that may run at once. The result does not depend on it.
     pub workers: Option<usize>,
-    /// Seed of the random numbers, for methods that draw them; default: drawn, and reported.
+    /// Seed of the random numbers, for methods that draw random numbers. By default, a seed is drawn and
+    /// reported.
     pub seed: Option<u64>,
     /// Number of evaluations to remember, so that exact repeats cost nothing; default: the method's.
     pub cache: Option<usize>,
-    /// Keeps only the last so many evaluations in the trace; default all.
+    /// Number of evaluations to keep in the trace; only the last ones are kept. Default all.
     pub trace_limit: Option<usize>,
-    /// Keeps residuals in the trace, where the method wanted them.
+    /// True to keep residuals in the trace, for the points at which the method requested them.
     pub trace_residuals: bool,
-    /// Where the state of the run is written, and continued from.
+    /// File to which the state of the run is written, and from which the run continues.
     pub checkpoint: Option<Checkpoint>,
-    /// Identity of the problem, a word or a hash that the caller vouches for: it stands for everything that a
-    /// cost depends on but the point (model, data, settings), neither bounds nor start. Costs that are known
-    /// from elsewhere are only used where they belong to the same problem; a checkpoint of another one is
-    /// refused.
+    /// Identity of the problem: a word or a hash that the caller vouches for. It must represent everything
+    /// that a cost depends on except the point: model, data and settings, but neither bounds nor start. Costs
+    /// from other runs are used only if they belong to the same problem. A checkpoint of another problem is
+    /// rejected.
     pub problem: Option<String>,
-    /// Points that are known from earlier runs.
+    /// Known points from earlier runs.
     pub known: Vec<KnownPoint>,
 }
 
 impl<M> RunOptions<M> {
-    /// The same for another method.
+    /// Returns these options with another method.
     pub fn with_method<N>(self, method: N) -> RunOptions<N> {
         let Self { tolerances, limits, unlimited, workers, seed, cache, .. } = self;
         let Self { trace_limit, trace_residuals, checkpoint, problem, known, .. } = self;
@@ -81,10 +82,11 @@ impl<M> RunOptions<M> {
         }
     }
 
-    /// Chooses the method for a problem of this class, where the choice is open.
+    /// Chooses the method for a problem of this class, if the user left the choice open.
     ///
     /// # Errors
-    /// There is none for the search that is asked for, or it does not have the options that were given.
+    /// Returns an error if no method supports the requested search, or if the chosen method does not have the
+    /// given options.
     pub fn choose(&mut self, class: &ProblemClass<'_>) -> Result<(), Error>
     where
         M: MethodOptions,
@@ -95,7 +97,7 @@ impl<M> RunOptions<M> {
         Ok(())
     }
 
-    /// Checks what does not depend on the problem.
+    /// Checks the options that do not depend on the problem.
     pub(crate) fn check(&self) -> Result<(), Error> {
         self.limits.check()?;
         match self.workers {

@@ -4,14 +4,14 @@ use crate::method_interface::interface::{Operation, SimplexView};
 use crate::method_interface::tolerances::ToleranceTests;
 use crate::outcome::trace::{Trace, TraceEntry};
 
-/// The state of a run after an iteration (number 0: the starting points).
+/// State of a run after an iteration. Iteration 0 evaluates the starting points.
 #[derive(Debug, Clone, Copy)]
 pub struct Progress<'a> {
     /// Complete iterations.
     pub n_iterations: usize,
     /// Evaluations of the path so far.
     pub n_evaluations: usize,
-    /// Further calls of the objective so far, made ahead of need.
+    /// Additional calls of the objective so far that were made ahead of need.
     pub n_speculative: usize,
     /// Failed evaluations so far.
     pub n_failed: usize,
@@ -34,12 +34,12 @@ pub struct Progress<'a> {
 }
 
 impl<'a> Progress<'a> {
-    /// The evaluations since the last report.
+    /// Returns the evaluations since the last report.
     pub fn recent(&self) -> impl DoubleEndedIterator<Item = TraceEntry<'a>> + ExactSizeIterator {
         self.trace.iter_from(self.first_recent)
     }
 
-    /// All evaluations so far.
+    /// Returns all evaluations so far.
     pub fn trace(&self) -> &'a Trace {
         self.trace
     }

@@ -1,4 +1,4 @@
-//! The result of a run: the best point, what it cost, and why the run ended.
+//! Result of a run: the best point, its cost and the reason why the run ended.
 
 use crate::error::{Error, NothingFound};
 use crate::evaluation::ledger::Ledger;
@@ -15,12 +15,12 @@ use std::borrow::Cow;
 use std::fmt;
 use std::path::PathBuf;
 
-/// The checkpoint that a run was continued from. `Display` says so.
+/// Checkpoint from which a run was continued. `Display` prints a sentence about it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Resumed {
     /// The file.
     pub path: PathBuf,
-    /// Evaluations that were made before.
+    /// Number of evaluations made before the checkpoint was written.
     pub n_evaluations: usize,
 }
 
@@ -31,40 +31,41 @@ impl fmt::Display for Resumed {
     }
 }
 
-/// The result of a run. `Display` prints a summary for people.
+/// Result of a run. `Display` prints a readable summary.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Report {
-    /// The best point (user's units, user's order).
+    /// Best point, in the user's units and order.
     pub x: Vec<f64>,
-    /// Its cost: the smallest of all used points.
+    /// Cost of the best point, the smallest of all used points.
     pub fun: f64,
-    /// Evaluations of the path of the method: the same for any number of workers. What budgets count.
+    /// Number of evaluations of the path of the method. Budgets limit this number. It is the same for any
+    /// number of workers.
     pub n_evaluations: usize,
-    /// Complete iterations.
+    /// Number of complete iterations.
     pub n_iterations: usize,
-    /// Rounds: how often points were evaluated, many at once or one.
+    /// Number of rounds. A round evaluates one or more points.
     pub n_batches: usize,
-    /// Failed evaluations of the path.
+    /// Number of failed evaluations of the path.
     pub n_failed: usize,
-    /// Answers that the engine lost (a machine or a connection was gone). The points were evaluated again,
-    /// and count once.
+    /// Number of answers that the engine lost, for example because a machine or a connection failed. Their
+    /// points were evaluated again and count once.
     #[serde(default)]
     pub n_lost: usize,
-    /// Answers that count as no evaluation, because the point was known already. Where only that it lies
-    /// above a lower cutoff was known, it is evaluated all the same, outside of budget and trace: so cutoffs
-    /// change no count.
+    /// Number of answers that do not count as evaluations, because the point was already known. If a point
+    /// was only known to be above a lower cutoff, the point is evaluated again outside of budget and trace.
+    /// Therefore cutoffs do not change any count.
     pub n_cached: usize,
-    /// Further calls of the objective: made ahead of need, and not needed. May depend on the number of
-    /// workers and on how long evaluations take.
+    /// Number of additional calls of the objective that were made ahead of need and were not needed. May
+    /// depend on the number of workers and on the duration of evaluations.
     pub n_speculative: usize,
-    /// Why the run ended.
+    /// Reason why the run ended.
     pub termination: Termination,
-    /// The same in a sentence, with the test that fired and its values.
+    /// Reason as a sentence, including the test that passed and its values.
     pub message: String,
     /// The last values of the tolerance tests.
     pub tests: Option<ToleranceTests>,
-    /// Every evaluation, those of the path in request order.
+    /// All evaluations; the evaluations of the path are in request order.
     pub trace: Trace,
     /// The simplex at the end, for methods that have one.
     pub final_simplex: Option<Simplex>,
@@ -72,45 +73,45 @@ pub struct Report {
     pub failures: Vec<(String, usize)>,
     /// Name of the method.
     pub method: Cow<'static, str>,
-    /// Why it was chosen, where the user left the choice open.
+    /// Reason why the method was chosen, if the user left the choice open.
     pub method_reason: Option<String>,
     /// Options of the method and the tolerances, by name, as text.
     #[serde(default)]
     pub options: Vec<(String, String)>,
     /// Batch plan of the method.
     pub batch: Cow<'static, str>,
-    /// Evaluations that could run at once.
+    /// Number of evaluations that could run at once.
     pub workers: usize,
-    /// The stages of a sequential barrier search: barrier parameter, barrier, point and cost of each.
+    /// Stages of a sequential barrier search: barrier parameter, barrier, point and cost of each stage.
     pub schedule: Vec<BarrierStage>,
-    /// The distinct minima that searches from several starts ended at, the lowest first, with how many starts
-    /// reached each. A run that was cut off may have a result that is lower than all of them.
+    /// Distinct minima at which searches from several starts ended, lowest first, with the number of starts
+    /// that reached each minimum. If the run stopped early, its result may be lower than all of them.
     pub optima: Vec<Optimum>,
     /// The population at the end, for methods that have one.
     pub final_population: Option<Simplex>,
-    /// The seed of the random numbers, for methods that draw them: the one given, or the one drawn.
+    /// Seed of the random numbers, for methods that draw random numbers: the given or the drawn seed.
     pub seed: Option<u64>,
-    /// Wall-clock seconds.
+    /// Wall-clock time in seconds.
     pub seconds: f64,
-    /// The residuals at the best point, where its evaluation was asked for them: the plain ones, whatever the
-    /// loss.
+    /// Residuals at the best point, if its evaluation requested them. These are the plain residuals, whatever
+    /// the loss.
     pub residuals: Option<Vec<f64>>,
-    /// Their derivatives by the parameters, row by row (m x n, the user's units and order, those by fixed
-    /// parameters zero), as the model of the method has them at the end.
+    /// Derivatives of the residuals with respect to the parameters, row by row (m x n), in the user's units
+    /// and order. Columns of fixed parameters are zero. The values come from the method's model at the end.
     pub jacobian: Option<Vec<f64>>,
-    /// With a Jacobian: -1 where a parameter lies at its lower bound (a fixed one, too), 1 at its upper,
-    /// else 0. Else empty.
+    /// Active bounds, one entry per parameter: -1 at the lower bound (also for fixed parameters), 1 at the
+    /// upper bound, otherwise 0. Empty if there is no Jacobian.
     pub active: Vec<i8>,
     /// Loss that was applied to the residuals in [`fun`](Self::fun).
     pub loss: RobustLoss,
-    /// Checkpoint that the run was continued from; `None`: it began anew.
+    /// Checkpoint from which the run was continued; `None` if the run started fresh.
     #[serde(default)]
     pub resumed: Option<Resumed>,
 }
 
 impl Report {
-    /// True if the tolerance tests passed, or the x test alone where nothing but noise was left, or the
-    /// target was reached, or there was nothing to search.
+    /// True if the tolerance tests passed, the target was reached, or there was nothing to search. Also true
+    /// if only noise was left and the x test passed.
     pub fn is_success(&self) -> bool {
         match self.termination {
             Termination::Noise => self.tests.is_some_and(|tests| tests.x_passed),
@@ -118,7 +119,8 @@ impl Report {
         }
     }
 
-    /// The report of a run whose time was up before any evaluation had ended: its start, with a cost of NaN.
+    /// Creates the report of a run that ran out of time before any evaluation had ended. It contains the
+    /// start point with a cost of NaN.
     pub fn without_cost(x: &[f64], method: &str, found: NothingFound, seconds: f64) -> Self {
         Self {
             message: String::new(),
@@ -154,7 +156,7 @@ impl Report {
         }
     }
 
-    /// True if the lengths of its parts fit together: what comes from a file may not.
+    /// True if the lengths of all parts are consistent. A report read from a file may be inconsistent.
     pub fn is_sound(&self) -> bool {
         let n = self.x.len();
         let simplexes = self.final_simplex.iter().chain(&self.final_population);
@@ -169,17 +171,19 @@ impl Report {
             && self.optima.iter().all(|optimum| optimum.x.len() == n)
     }
 
-    /// Covariance of the parameters by the linear model of the residuals at the end: `s^2 (J' J)^-1` with
-    /// `s^2 = r' r / (m - n)`, over the free parameters that lie at no bound. `None` without residuals or
-    /// Jacobian.
+    /// Computes the covariance of the parameters from the linear model of the residuals at the end. It is
+    /// `s^2 (J' J)^-1` with `s^2 = r' r / (m - n)`, over the free parameters that are not at a bound. `None`
+    /// without residuals or Jacobian.
     ///
-    /// With a loss it is that of the M-estimator: r are the scores of the residuals over the slope of their
-    /// mean, times the root of the correction for small samples ([`MeanScore`]).
+    /// With a loss, the covariance is the covariance of the M-estimator. Then r are the scores of the
+    /// residuals, divided by the slope of their mean and multiplied by the square root of the small-sample
+    /// correction ([`MeanScore`]).
     pub fn covariance(&self) -> Option<Covariance> {
         self.covariance_unless(&RunContext::new())
     }
 
-    /// The same; `None`, too, where there are many residuals and the context is over.
+    /// Like [`covariance`](Self::covariance). Also returns `None` if there are many residuals and the context
+    /// is over.
     pub fn covariance_unless(&self, context: &RunContext<'_>) -> Option<Covariance> {
         let (residuals, jacobian) = (self.residuals.as_ref()?, self.jacobian.as_ref()?);
         let n_free = self.active.iter().filter(|active| **active == 0).count();
@@ -193,12 +197,12 @@ impl Report {
         Covariance::new(&working, jacobian, &self.active, context)
     }
 
-    /// The sum of the squares of the plain residuals: with the linear loss the cost.
+    /// Returns the sum of squares of the plain residuals. With the linear loss, it equals the cost.
     pub fn sum_of_squares(&self) -> Option<f64> {
         self.residuals.as_ref().map(|residuals| residuals.iter().map(|r| r * r).sum())
     }
 
-    /// Takes residuals and Jacobian for what a loss has made of the plain ones, and gives these back.
+    /// Converts residuals and Jacobian that a loss has transformed back to the plain ones.
     pub(crate) fn undo(&mut self, loss: RobustLoss) {
         self.loss = loss;
         let Some(residuals) = self.residuals.as_mut().filter(|_| !loss.is_linear()) else { return };
@@ -241,7 +245,8 @@ impl fmt::Display for Report {
     }
 }
 
-/// The result of a method and a ledger; the trace moves into it. No termination: nothing to start from.
+/// Builds the result of a method and a ledger; the trace moves into the result. A termination of `None` means
+/// that all starting points failed.
 pub(crate) fn conclude<M: Method + ?Sized>(
     method: &M,
     ledger: &mut Ledger,

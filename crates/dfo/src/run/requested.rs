@@ -1,5 +1,5 @@
-//! Options of a run by name, as users write them: one flat record, with those of the method beside those that
-//! every run has.
+//! Options of a run by name, as users write them. One flat record contains the options of the method and the
+//! options that every run has.
 
 use crate::error::Error;
 use crate::methods::AnyMethod;
@@ -15,78 +15,78 @@ use std::path::PathBuf;
 use std::thread::available_parallelism;
 use std::time::Duration;
 
-/// The options that every run has. What is left out is as by default, no limit is `None`.
+/// Options that every run has. Missing options have their defaults; a limit of `None` means no limit.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub(super) struct RunRecord {
-    /// The method; default: chosen for the problem.
+    /// Method; default: chosen for the problem.
     method: Option<String>,
-    /// Goal of the search, where the method is left open.
+    /// Goal of the search, if no method is given.
     search: Option<Search>,
     /// Tolerance of the parameters.
     x_tol: Option<f64>,
     /// Tolerance of the cost.
     f_tol: Option<f64>,
-    /// Number of the two tests that must pass.
+    /// Tests that must pass: both, or either one.
     stop: Option<StopRule>,
     /// Measure of the tolerances.
     tolerances: Option<ToleranceMeasure>,
     /// Limit of evaluations.
     #[cfg_attr(feature = "schema", schemars(with = "Option<u64>", range(min = 1)))]
     max_evaluations: Value,
-    /// The same as `max_evaluations`.
+    /// Alias of `max_evaluations`.
     #[cfg_attr(feature = "schema", schemars(with = "Option<u64>", range(min = 1)))]
     max_fevals: Value,
     /// Limit of iterations.
     #[cfg_attr(feature = "schema", schemars(with = "Option<u64>"))]
     max_iterations: Value,
-    /// The same as `max_iterations`.
+    /// Alias of `max_iterations`.
     #[cfg_attr(feature = "schema", schemars(with = "Option<u64>"))]
     max_iters: Value,
-    /// Limit of wall-clock time, in s.
+    /// Limit of wall-clock time, in seconds.
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", extend("exclusiveMinimum" = 0)))]
     max_time: Value,
-    /// The run ends with the first cost at or below this.
+    /// Cost at or below which the run ends.
     target: Option<f64>,
-    /// The run ends where more than this share of its evaluations has failed.
+    /// Fraction of failed evaluations above which the run ends.
     #[cfg_attr(feature = "schema", schemars(range(min = 0, max = 1)))]
     max_failed: Option<f64>,
-    /// Where no limit is set, none holds: not even the method's own.
+    /// Disables the method's own limits if no limit is set.
     unlimited: Option<bool>,
-    /// Evaluations that may run at once; -1: as many as there are cores. The result does not depend on it.
+    /// Number of evaluations that may run at once; -1 uses all cores. The result does not depend on it.
     #[cfg_attr(feature = "schema", schemars(schema_with = "workers_schema"))]
     workers: Value,
-    /// Seed of the random numbers; default: drawn, and reported.
+    /// Seed of the random numbers. By default, a seed is drawn and reported.
     seed: Option<u64>,
-    /// The same as `seed`.
+    /// Alias of `seed`.
     rng: Option<u64>,
     /// Number of evaluations to remember.
     #[cfg_attr(feature = "schema", schemars(with = "Option<u64>"))]
     cache: Value,
-    /// Keeps only the last so many evaluations in the trace.
+    /// Number of evaluations to keep in the trace; only the last ones are kept.
     #[cfg_attr(feature = "schema", schemars(with = "Option<u64>", range(min = 1)))]
     trace_limit: Value,
     /// Identity of the problem, see [`RunOptions::problem`].
     problem: Option<String>,
-    /// Points that are known from earlier runs.
+    /// Known points from earlier runs.
     warm_start: Option<Vec<KnownPoint>>,
-    /// File in which the state of the run is kept.
+    /// File to which the state of the run is written.
     checkpoint: Option<PathBuf>,
-    /// Least time between two writes of that file, in s.
+    /// Minimum time between two writes of the checkpoint, in seconds.
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", range(min = 0)))]
     checkpoint_interval: Value,
-    /// Treatment of a checkpoint that is there already.
+    /// Treatment of an existing checkpoint.
     resume: Option<Resume>,
-    /// Name of the function that is minimised.
+    /// Name of the minimised function.
     function: Option<String>,
-    /// The scale of all parameters, or of each.
+    /// Scale of all parameters, or of each parameter.
     #[cfg_attr(feature = "schema", schemars(with = "Option<PerParameter<Transform>>"))]
     scale: Value,
-    /// The typical size of all parameters, or of each.
+    /// Typical size of all parameters, or of each parameter.
     #[cfg_attr(feature = "schema", schemars(with = "Option<PerParameter<f64>>"))]
     nominal: Value,
-    /// The kind of all parameters, or of each.
+    /// Kind of all parameters, or of each parameter.
     #[cfg_attr(feature = "schema", schemars(with = "Option<PerParameter<ParameterKind>>"))]
     kinds: Value,
 }
@@ -96,47 +96,48 @@ fn workers_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
     schemars::json_schema!({ "anyOf": [{ "enum": [-1, null] }, { "type": "integer", "minimum": 1 }] })
 }
 
-/// A value for all parameters, or one for each.
+/// A value for all parameters, or one value per parameter.
 #[cfg(feature = "schema")]
 #[derive(schemars::JsonSchema)]
 #[serde(untagged)]
 #[allow(dead_code, reason = "its schema alone is used")]
 enum PerParameter<T> {
-    /// For all.
+    /// One value for all parameters.
     All(T),
-    /// For each.
+    /// One value per parameter.
     Each(Vec<T>),
 }
 
-/// A run and what is said of its parameters, as users ask for them by name.
+/// A run and the properties of its parameters, as requested by name.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct RequestedRun {
     /// The run.
     pub options: RunOptions<AnyMethod>,
-    /// The scale of each parameter; empty: all are linear.
+    /// Scale of each parameter; all are linear if empty.
     pub scale: Vec<Transform>,
-    /// The typical size of each parameter, where it is known.
+    /// Typical size of each parameter; `None` if unknown.
     pub nominal: Vec<Option<f64>>,
-    /// The kind of each parameter; empty: all are continuous.
+    /// Kind of each parameter; all are continuous if empty.
     pub kinds: Vec<ParameterKind>,
 }
 
 impl RequestedRun {
-    /// The names of all options that a record of a run may have, with those of any method.
+    /// Returns the names of all options that a record of a run may contain, including the options of every
+    /// method.
     ///
     /// # Errors
-    /// The options of a method cannot be serialised.
+    /// Returns an error if the options of a method cannot be serialised.
     pub fn option_names() -> Result<BTreeSet<String>, Error> {
         let mut names = AnyMethod::all_option_names()?;
         names.extend(field_names::<RunRecord>()?);
         Ok(names)
     }
 
-    /// The run of a record, over `n` parameters; `options` holds where the record says nothing, or none. What
-    /// every run has stands in the record beside the options of the method.
+    /// Reads the run of a record over `n` parameters. `options` supplies the values that the record does not
+    /// set. The record contains both the options that every run has and the options of the method.
     ///
     /// # Errors
-    /// An option that there is not, or a value that it cannot have.
+    /// Returns an error if an option does not exist or its value is not allowed.
     pub fn new(options: RunOptions<AnyMethod>, record: &Record, n: usize) -> Result<Self, Error> {
         let (of_run, mut of_method) = read_part::<RunRecord>(record.clone(), "option of a run")?;
         let mut asked = Self { options, ..Self::default() };
@@ -153,11 +154,11 @@ impl RequestedRun {
         Ok(asked)
     }
 
-    /// The record that asks for a run with these options: what holds in words and numbers, what is left open
-    /// left out. It says nothing of the parameters, nor of the identities of problem and code.
+    /// Returns the record that requests a run with these options. Unset options are left out. The record
+    /// contains neither parameters nor the identities of problem and code.
     ///
     /// # Errors
-    /// The options of the method cannot be serialised.
+    /// Returns an error if the options of the method cannot be serialised.
     pub fn record(options: &RunOptions<AnyMethod>) -> Result<Record, Error> {
         let RunOptions { method, tolerances, limits, checkpoint, known, .. } = options;
         let count = |limit: Option<usize>| limit.map_or(Value::Nothing, |n| Value::Count(n as u64));
@@ -193,7 +194,7 @@ impl RequestedRun {
         Ok(record)
     }
 
-    /// The method with its options.
+    /// Reads the method with its options.
     fn method(&self, of_run: &RunRecord, of_method: &Record) -> Result<AnyMethod, Error> {
         let method = match &of_run.method {
             Some(method) => method.parse()?,
@@ -214,7 +215,7 @@ impl RequestedRun {
         method.with_options(of_method)
     }
 
-    /// Sets what is not the method's, where it is said.
+    /// Sets the given options that do not belong to the method.
     fn set(&mut self, asked: RunRecord, n: usize) -> Result<(), Error> {
         let checkpoint = checkpoint(&asked)?;
         let run = &mut self.options;
@@ -249,14 +250,14 @@ impl RequestedRun {
     }
 }
 
-/// Sets what is said.
+/// Sets an option if a value is given.
 fn set<T>(option: &mut T, said: Option<T>) {
     if let Some(said) = said {
         *option = said;
     }
 }
 
-/// Sets a limit, where it is said.
+/// Sets a limit if a value is given.
 fn limit(limit: &mut Option<usize>, name: &str, said: &Value, least: u64) -> Result<(), RecordError> {
     if *said != Value::Nothing {
         *limit = said.read_limit(name, least)?;
@@ -264,12 +265,12 @@ fn limit(limit: &mut Option<usize>, name: &str, said: &Value, least: u64) -> Res
     Ok(())
 }
 
-/// The number of cores that this process may use.
+/// Returns the number of cores that this process may use.
 fn all_cores() -> usize {
     available_parallelism().map_or(1, usize::from)
 }
 
-/// How many evaluations may run at once, where it is said.
+/// Reads the number of evaluations that may run at once, if it is given.
 fn workers(said: &Value) -> Result<Option<usize>, RecordError> {
     match said {
         Value::Negative(-1) => Ok(Some(all_cores())),
@@ -280,7 +281,7 @@ fn workers(said: &Value) -> Result<Option<usize>, RecordError> {
     }
 }
 
-/// The file of a run, and when it is read and written.
+/// Reads the options of the checkpoint: its file and when it is read and written.
 fn checkpoint(asked: &RunRecord) -> Result<Option<Checkpoint>, Error> {
     let interval = &asked.checkpoint_interval;
     let seconds = interval.read::<Option<f64>>("checkpoint_interval")?;
@@ -306,7 +307,8 @@ fn checkpoint(asked: &RunRecord) -> Result<Option<Checkpoint>, Error> {
     Ok(Some(checkpoint))
 }
 
-/// A value for each of `n` parameters; one that is no list holds for all; none where nothing is said.
+/// Reads one value for each of `n` parameters. A value that is not a list applies to all of them. Returns an
+/// empty list if nothing is given.
 fn per_parameter<T: DeserializeOwned + Clone>(name: &str, value: &Value, n: usize) -> Result<Vec<T>, Error> {
     let values = match value {
         Value::Nothing => return Ok(Vec::new()),

@@ -1,5 +1,4 @@
-//! The JSON schema of the options of a run: those of every run, and those of each method, of which only the
-//! method that is named may have its own.
+//! JSON schema of the options of a run: the options of every run, and the options of the named method only.
 
 use crate::methods::AnyMethod;
 use crate::run::requested::{RequestedRun, RunRecord};
@@ -26,7 +25,7 @@ impl JsonSchema for RequestedRun {
             }));
             words.extend(names.into_iter().map(Json::from));
             for (name, shape) in own {
-                // Options of several methods may have the same name.
+                // Several methods may have options with the same name.
                 let shapes = options.entry(name).or_insert_with(|| json!([]));
                 if let Some(shapes) = shapes.as_array_mut().filter(|shapes| !shapes.contains(&shape)) {
                     shapes.push(shape);

@@ -1,4 +1,4 @@
-//! The description of a run, and how it becomes a method, a round and a checkpoint.
+//! Description of a run, and its conversion to a method, a round and a checkpoint.
 
 use crate::error::Error;
 use crate::evaluation::counted_batch::CountedBatch;
@@ -17,7 +17,7 @@ use crate::run::options::{KnownPoint, RunOptions};
 use crate::run::report::Resumed;
 use crate::values::choices::{ParameterKind, Search, Transform};
 
-/// Everything that can be said about a run but who evaluates.
+/// Complete description of a run except for the evaluator.
 #[derive(Debug, Default)]
 pub(crate) struct Description<M = NelderMead> {
     pub(crate) options: RunOptions<M>,
@@ -28,7 +28,7 @@ pub(crate) struct Description<M = NelderMead> {
     pub(crate) kinds: Vec<ParameterKind>,
 }
 
-/// A run that can be driven.
+/// A run that is ready to be driven.
 #[derive(Debug)]
 pub(crate) struct StartedRun<T> {
     pub(crate) method: T,
@@ -40,17 +40,17 @@ pub(crate) struct StartedRun<T> {
     pub(crate) first_recent: usize,
     /// Seconds of the run before it was resumed.
     pub(crate) before: f64,
-    /// True if the method needs residuals; and the reason why it was chosen.
+    /// True if the method needs residuals. The next field is the reason why the method was chosen.
     pub(crate) needs_residuals: bool,
     pub(crate) method_reason: Option<String>,
-    /// Options of the method and tolerances, as text.
+    /// Options of the method and tolerances as text.
     pub(crate) options: Vec<(String, String)>,
-    /// Checkpoint that the run was continued from.
+    /// Checkpoint from which the run was continued.
     pub(crate) resumed: Option<Resumed>,
 }
 
 impl<T> StartedRun<T> {
-    /// The same with the method in another form.
+    /// Converts the method to another form.
     pub(crate) fn map_method<U>(self, form: impl FnOnce(T) -> U) -> StartedRun<U> {
         let Self { method, round, limits, workers, writer, observed, first_recent, .. } = self;
         let Self { before, needs_residuals, method_reason, options, resumed, .. } = self;
@@ -72,7 +72,7 @@ impl<T> StartedRun<T> {
 }
 
 impl<M> Description<M> {
-    /// The same run with another method.
+    /// Returns the description with another method.
     pub(crate) fn with_method<N>(self, method: N) -> Description<N> {
         let Self { options, x0, bounds, transforms, sizes, kinds } = self;
         Description { options: options.with_method(method), x0, bounds, transforms, sizes, kinds }
@@ -80,13 +80,13 @@ impl<M> Description<M> {
 }
 
 impl<M: MethodOptions> Description<M> {
-    /// The method for this problem, where the choice is open.
+    /// Chooses the method for this problem, if the choice is open.
     fn choose(&mut self, residuals: bool) -> Result<(), Error> {
         let n = self.bounds.as_ref().map_or(self.x0.as_ref().map_or(0, Vec::len), Bounds::len);
         let unbounded = Bounds::unbounded(n);
         let bounds = self.bounds.as_ref().unwrap_or(&unbounded);
         let (lower, upper) = (bounds.lower(), bounds.upper());
-        // What is fixed does not choose the method.
+        // Fixed parameters do not affect the choice.
         let is_free = |i: &usize| lower.get(*i) != upper.get(*i);
         let kinds: Vec<ParameterKind> =
             (0..self.kinds.len()).filter(is_free).map(|i| self.kinds[i]).collect();
@@ -94,8 +94,9 @@ impl<M: MethodOptions> Description<M> {
         self.options.choose(&class)
     }
 
-    /// Checks everything, and starts or continues. `residuals`: whether the objective is known to give them,
-    /// which have gone through this loss. `by_hand`: whether answers only come from outside.
+    /// Checks all options and starts or continues the run. `residuals` is true if the objective is known to
+    /// return residuals, and `loss` has already been applied to them. `by_hand` is true if the caller
+    /// supplies the answers.
     pub(crate) fn begin(
         mut self,
         residuals: bool,
@@ -144,7 +145,7 @@ impl<M: MethodOptions> Description<M> {
             ..Setup::new(space)
         };
         let mut store = Store::new(capacity);
-        // A cost of no problem in particular is a cost of none.
+        // A cost without a problem identity does not belong to any problem.
         let belongs = |known: &&KnownPoint| options.problem.is_some() && known.problem == options.problem;
         for KnownPoint { x, cost, residuals, .. } in prior.iter().copied().filter(belongs) {
             store.pin(x, Answer { residuals: residuals.clone(), ..Outcome::Value(*cost).into() });
@@ -193,7 +194,7 @@ impl<M: MethodOptions> Description<M> {
     }
 }
 
-/// The points of earlier runs that lie in this space, each once, the best first of its problem.
+/// Returns the points of earlier runs that are in this space, without duplicates, lowest cost first.
 fn usable<'a>(known: &'a [KnownPoint], space: &Space) -> Vec<&'a KnownPoint> {
     let discrete: Vec<usize> = (0..space.n_free())
         .filter(|&k| space.kind(k) != ParameterKind::Continuous)
@@ -209,7 +210,7 @@ fn usable<'a>(known: &'a [KnownPoint], space: &Space) -> Vec<&'a KnownPoint> {
     prior
 }
 
-/// The middle of a box, where no start was given; `None` if it has none.
+/// Returns the middle of a box, for runs without a start point. `None` if the box has no finite middle.
 fn middle(bounds: &Bounds, transforms: &[Transform], kinds: &[ParameterKind]) -> Option<Vec<f64>> {
     (0..bounds.len())
         .map(|i| {
