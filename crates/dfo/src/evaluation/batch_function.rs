@@ -1,4 +1,4 @@
-//! A function of the user's that evaluates whole batches on the calling thread.
+//! Evaluation by a user function that computes whole batches on the calling thread.
 
 use super::evaluator::{CutoffUse, Evaluator, Polled, Wait, panicked};
 use crate::outcome::answer::{Answer, Failure, Outcome};
@@ -8,7 +8,7 @@ use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Instant;
 
-/// The points that a user's function is to evaluate.
+/// Points that a user function has to evaluate.
 #[derive(Debug, Clone, Copy)]
 pub struct BatchView<'a> {
     n: usize,
@@ -18,7 +18,7 @@ pub struct BatchView<'a> {
     details: &'a [PointDetails],
 }
 
-/// Values that the function gives for a point besides its outcome.
+/// Values that the function sets for a point in addition to its outcome.
 #[derive(Debug, Default)]
 struct PointDetails {
     seconds: Cell<Option<f64>>,
@@ -52,23 +52,23 @@ impl<'a> BatchView<'a> {
         self.points
     }
 
-    /// Query for point `k`: the kind of values, its cutoff, ids and cancel flag.
+    /// Returns the query for point `k`: the kind of values, the cutoff, the ids and the cancel flag.
     pub fn query(&self, k: usize) -> Query<'a> {
         self.queries[k].ended_by(self.signals)
     }
 
-    /// Says how many seconds point `k` took, for the trace; else it is an equal share of the time of the
-    /// call.
+    /// Sets the duration of point `k` in seconds, for the trace. By default, it is an equal share of the time
+    /// of the call.
     pub fn set_seconds(&self, k: usize, seconds: f64) {
         self.details[k].seconds.set(Some(seconds));
     }
 
-    /// Says what point `k` took, in units of the function's own.
+    /// Sets the work of point `k`, in a unit chosen by the function.
     pub fn set_work(&self, k: usize, work: u64) {
         self.details[k].work.set(work);
     }
 
-    /// The residuals of point `k`, where the query wants them.
+    /// Sets the residuals of point `k`, if the query requests them.
     pub fn set_residuals(&self, k: usize, residuals: &[f64]) {
         let mut own = self.details[k].residuals.borrow_mut();
         own.clear();
@@ -79,29 +79,31 @@ impl<'a> BatchView<'a> {
 /// A function that evaluates whole batches on the calling thread: one outcome per point, in order.
 pub(crate) type BatchFunction<'a> = dyn FnMut(&BatchView<'_>) -> Vec<Outcome> + 'a;
 
-/// Points that take no less time together than one by one are not evaluated ahead of need: with so many at
-/// once they must be faster by this factor.
+/// Minimum speed-up for evaluations ahead of need. If evaluating several points together is not faster by
+/// this factor than one by one, no points are evaluated ahead.
 const LEAST_GAIN: f64 = 1.5;
 
 pub(crate) struct Batches<'a> {
     function: &'a mut BatchFunction<'a>,
     workers: usize,
     cutoff_use: CutoffUse,
-    /// Speed-up of the points of the last calls together against one by one, as reported by the function.
+    /// Speed-up of evaluating the points of the last calls together compared with one by one, as reported by
+    /// the function.
     gain: Option<f64>,
     points: Vec<f64>,
     queries: Vec<Query<'static>>,
-    /// The answers to the points before `next` have been given.
+    /// Answers. Those before `next` have already been returned.
     answers: Vec<Answer>,
     next: usize,
-    /// Cancelled before they were given to the function.
+    /// Ids of points that were cancelled before the function received them.
     withdrawn: Vec<u64>,
-    /// After a panic: points that are given one by one.
+    /// Points that are passed one by one after a panic.
     alone: Range<usize>,
 }
 
 impl<'a> Batches<'a> {
-    /// `workers`: how many points a batch should have where the path needs fewer.
+    /// Creates the evaluator. `workers` is the number of points that a batch should have if the path needs
+    /// fewer.
     pub(crate) fn new(function: &'a mut BatchFunction<'a>, workers: usize, cutoff_use: CutoffUse) -> Self {
         Self {
             function,
@@ -117,7 +119,7 @@ impl<'a> Batches<'a> {
         }
     }
 
-    /// One call. `Err`: it panicked.
+    /// Calls the function once. Returns an error if it panics.
     fn call(&mut self, places: Range<usize>, signals: CancelSignals<'_>) -> Result<(), Failure> {
         let (len, n) = (places.len(), self.points.len() / self.queries.len().max(1));
         let details: Vec<PointDetails> = std::iter::repeat_with(PointDetails::default).take(len).collect();
@@ -139,7 +141,7 @@ impl<'a> Batches<'a> {
         }
         for (((answer, outcome), details), k) in answers.iter_mut().zip(outcomes).zip(details).zip(places) {
             answer.outcome = match outcome {
-                // A function that was interrupted says so by leaving points out.
+                // An interrupted function skips points.
                 Outcome::Skipped => Outcome::Skipped,
                 other => other.checked(self.queries[k].cutoff),
             };
@@ -178,13 +180,13 @@ impl Evaluator for Batches<'_> {
             return Polled::Idle;
         }
         if self.answers.len() < len {
-            // What came while the answers to the last call were taken.
+            // Points that were submitted while the answers of the last call were returned.
             let new = self.answers.len()..len;
             self.answers.resize_with(len, Answer::default);
             match self.call(new.clone(), wait.signals) {
                 Ok(()) => {}
                 Err(why) if new.len() == 1 => self.answers[new.start].outcome = Outcome::Failed(why),
-                // One point that panics is no reason for the others to fail.
+                // A panic at one point must not make the other points fail.
                 Err(_) => self.alone = new,
             }
         }
@@ -206,7 +208,7 @@ impl Evaluator for Batches<'_> {
             self.points.drain(k * n..(k + 1) * n);
             self.withdrawn.push(id);
         } else if let Some(k) = self.alone.clone().find(|&k| k >= self.next && self.queries[k].id == id) {
-            // One by one it need not begin.
+            // A point that would be passed alone is skipped.
             self.alone.end = self.alone.end.min(k);
         }
     }

@@ -1,4 +1,4 @@
-//! The user evaluates: points wait until they are asked for, and are answered when the user tells them.
+//! Evaluation by the caller: points wait until they are requested and until the caller answers them.
 
 use super::evaluator::{Evaluator, Polled, Wait};
 use crate::outcome::answer::Answer;
@@ -18,9 +18,9 @@ pub(crate) struct Handed {
 #[derive(Debug)]
 pub(crate) struct ByHand {
     workers: usize,
-    /// Not handed out yet, in order.
+    /// Points that are not handed out yet, in order.
     due: VecDeque<Handed>,
-    /// Handed out, by number.
+    /// Points that are handed out, by id.
     out: BTreeMap<u64, Handed>,
     told: VecDeque<(u64, Answer)>,
 }
@@ -30,20 +30,20 @@ impl ByHand {
         Self { workers, due: VecDeque::new(), out: BTreeMap::new(), told: VecDeque::new() }
     }
 
-    /// Hands out the next point.
+    /// Hands out the next point and returns it.
     pub(crate) fn hand_out(&mut self) -> Option<&Handed> {
         let mut next = self.due.pop_front()?;
         next.since = Instant::now();
         Some(self.out.entry(next.query.id).or_insert(next))
     }
 
-    /// Takes a point back that was handed out.
+    /// Removes a point from the points that are handed out.
     pub(crate) fn take_back(&mut self, id: u64) -> Option<Handed> {
         self.out.remove(&id)
     }
 
-    /// Takes an answer to a point that was taken back; one that says nothing gives the point back, to be
-    /// handed out again.
+    /// Processes the answer to a point that was taken back. If the answer is not final, the point is handed
+    /// out again.
     pub(crate) fn answered(&mut self, handed: Handed, mut answer: Answer, is_final: bool) {
         if !is_final && handed.is_cancelled {
             self.told.push_back((handed.query.id, Answer::default()));
@@ -55,7 +55,7 @@ impl ByHand {
         }
     }
 
-    /// Points handed out and not answered yet.
+    /// Returns the number of points that are handed out and not answered yet.
     pub(crate) fn n_pending(&self) -> usize {
         self.out.len()
     }
@@ -90,7 +90,7 @@ impl Evaluator for ByHand {
         self.workers
     }
 
-    /// The user is given whole plans, whatever can run at once.
+    /// The user receives whole plans, however many points can be evaluated at once.
     fn room(&self, plan: usize) -> usize {
         plan
     }

@@ -1,11 +1,11 @@
-//! One point after the other on the calling thread, each when it is polled.
+//! Evaluation on the calling thread, one point per poll.
 
 use super::evaluator::{CutoffUse, Evaluator, Polled, Wait, call, cutoff_use};
 use crate::outcome::answer::Answer;
 use crate::problem::objective::{Objective, Query};
 use std::collections::VecDeque;
 
-/// A point that waits.
+/// A point that waits for its evaluation.
 struct Waiting {
     x: Vec<f64>,
     query: Query<'static>,

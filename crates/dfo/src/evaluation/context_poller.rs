@@ -1,4 +1,4 @@
-//! Signals that end a run from outside while evaluations are under way.
+//! Signals that end a run from outside during evaluations.
 
 use super::evaluator::Wait;
 use crate::problem::objective::{CancelSignals, NEVER};
@@ -6,16 +6,16 @@ use base::RunContext;
 use std::cell::Cell;
 use std::time::{Duration, Instant};
 
-/// The calling thread looks for interrupts at least this often while others compute.
+/// Maximum time between two checks for interrupts while other threads compute.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Looks at the context of a run while a batch is computed.
+/// Checks the context of a run during the evaluation of a batch.
 pub(crate) struct ContextPoller<'a> {
     context: RunContext<'a>,
     last_asked: Cell<Option<Instant>>,
 }
 
-/// Why no more evaluations may start.
+/// Reason why no more evaluations may start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum StopCause {
     Interrupted,
@@ -27,13 +27,13 @@ impl<'a> ContextPoller<'a> {
         Self { context, last_asked: Cell::default() }
     }
 
-    /// The part of the context that evaluations on other threads see.
+    /// Returns the part of the context that evaluations on other threads see.
     pub(crate) fn signals(&self) -> CancelSignals<'a> {
         CancelSignals::new(self.context.flag().unwrap_or(&NEVER), self.context.end())
     }
 
-    /// Why the run is to end, if it is; the function of the context is called unless that was done a moment
-    /// ago.
+    /// Returns the reason why the run must end, if any. Calls the function of the context unless it was
+    /// called a moment ago.
     pub(crate) fn check(&self) -> Option<StopCause> {
         if self.signals().is_cancelled() {
             return Some(StopCause::Interrupted);
@@ -53,8 +53,8 @@ impl<'a> ContextPoller<'a> {
         self.context.end().filter(|d| now >= *d).map(|_| StopCause::OutOfTime)
     }
 
-    /// Time up to which the calling thread may wait for an answer before it checks the signals again.
-    /// `halted`: true if it has seen the deadline already.
+    /// Returns the time until which the calling thread may wait for an answer before it checks the signals
+    /// again. `halted` is true if the deadline has already been noticed.
     pub(crate) fn wait(&self, halted: bool) -> Wait<'a> {
         let soon = Instant::now() + POLL_INTERVAL;
         let until = self.context.end().filter(|_| !halted).map_or(soon, |deadline| deadline.min(soon));

@@ -1,4 +1,4 @@
-//! Sorts a batch into what must be evaluated and what is known, and puts the answers together again.
+//! Splits a batch into points to evaluate and known points, and merges the answers.
 
 use super::evaluator::CutoffUse;
 use super::ledger::{Ledger, Source};
@@ -14,38 +14,38 @@ use std::collections::HashMap;
 use std::collections::hash_map::{DefaultHasher, Entry};
 use std::hash::Hasher;
 
-/// Batches in a row without anything new after which a run ends.
+/// Number of successive batches without a new point after which a run ends.
 const STALE_BATCHES: usize = 200;
 
-/// Sorts a batch into what must be evaluated and what is known, and puts the answers together again.
+/// State of a batch that is split into points to evaluate and known points.
 #[derive(Debug, Clone)]
 pub(crate) struct CountedBatch {
     pub(crate) ledger: Ledger,
     pub(crate) store: Store,
     pub(crate) stale: usize,
-    /// Points of the batch that are to be evaluated.
+    /// Points of the batch to evaluate.
     pub(crate) work: Batch,
     pub(crate) cutoff_use: CutoffUse,
-    /// The place of the batch that each point of `work` has.
+    /// Index in the batch of each point of `work`.
     work_places: Vec<usize>,
     sources: Vec<Source>,
-    /// The answers to the points of a batch, and what of them the method is told.
+    /// Answers to the points of a batch, and the part of them that is passed to the method.
     answers: Vec<Answer>,
     told: Answers,
-    /// Places of the points of a batch, by their hash.
+    /// Indices of the points of a batch, by hash.
     places: HashMap<u64, usize>,
     truncated: bool,
-    /// The cost at which the run ends, and the place of the batch where a known answer ends it.
+    /// Cost at which the run ends, and the index of a known answer in the batch that ends it.
     target: Option<f64>,
     reached: Option<usize>,
 }
 
-/// Why no point after this one is of the path.
+/// Reason why no later point belongs to the path.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Last<'a> {
-    /// The objective asked to end the run, with this message.
+    /// The objective requested to end the run, with this message.
     Abort(&'a str),
-    /// Its cost is the target or below.
+    /// The cost reaches the target.
     Target,
 }
 
@@ -68,7 +68,7 @@ impl CountedBatch {
         }
     }
 
-    /// Takes a batch in. What the budget leaves of it and is not known stands in `work` then.
+    /// Starts a batch. Afterwards, `work` contains the unknown points that the budget allows.
     pub(crate) fn open(&mut self, batch: &Batch, limits: &Limits) {
         let mut left = self.left(limits);
         self.work.start(batch.n(), batch.index(), 0);
@@ -118,8 +118,9 @@ impl CountedBatch {
         }
     }
 
-    /// Source of a point that is known to lie above a lower cutoff; enters the point into the work if that is
-    /// its only source. Without cutoffs it would be known altogether, so that it must not count.
+    /// Returns the source of a point that is only known to be above a lower cutoff. Adds the point to the
+    /// work if there is no other source. It must not count, because without cutoffs the point would be
+    /// completely known.
     fn again(&mut self, batch: &Batch, k: usize) -> Source {
         if let Some(twin) = self.twin(batch, k) {
             return Source::Copy(twin);
@@ -134,13 +135,13 @@ impl CountedBatch {
         Source::Again
     }
 
-    /// Evaluations that the budget leaves.
+    /// Returns the number of evaluations left in the budget.
     fn left(&self, limits: &Limits) -> usize {
         let spent = self.ledger.n_evaluations;
         limits.max_evaluations.map_or(usize::MAX, |m| m.saturating_sub(spent))
     }
 
-    /// The outcome of a point that was evaluated before the run was resumed, or ahead of need.
+    /// Returns the answer for a point that was evaluated before the run was resumed, or ahead of need.
     fn evaluated_before(&mut self, batch: &Batch, k: usize) -> Option<Answer> {
         match self.store.take(batch.point(k), &batch.query(k), self.cutoff_use)? {
             Ok((known, is_of_path)) => {
@@ -154,7 +155,7 @@ impl CountedBatch {
         }
     }
 
-    /// An earlier place of the batch whose outcome answers for place `k` too.
+    /// Returns the index of an earlier point of the batch whose outcome also answers point `k`.
     fn twin(&mut self, batch: &Batch, k: usize) -> Option<usize> {
         if self.store.is_off() {
             return None;
@@ -174,12 +175,12 @@ impl CountedBatch {
         if same && answers && batch.cutoff(j) >= batch.cutoff(k) {
             return Some(j);
         }
-        // This one answers for more.
+        // Point `k` has the higher cutoff, so its answer is valid for more queries.
         *place.into_mut() = k;
         None
     }
 
-    /// Place `k` of `work` is under way already.
+    /// Marks point `k` of `work` as already being evaluated.
     pub(crate) fn begun(&mut self, k: usize) {
         let source = &mut self.sources[self.work_places[k]];
         if *source == Source::Run {
@@ -187,25 +188,27 @@ impl CountedBatch {
         }
     }
 
-    /// Evaluations that the budget leaves after this batch.
+    /// Returns the number of evaluations left in the budget after this batch.
     pub(crate) fn left_after(&self, limits: &Limits) -> usize {
         let counts = |source: &&Source| matches!(source, Source::Run | Source::Begun);
         self.left(limits).saturating_sub(self.sources.iter().filter(counts).count())
     }
 
-    /// True if an answer ends the run. What lies above its cutoff might as well have been given up.
+    /// True if an answer reaches the target. Costs above the cutoff do not count, because the evaluation
+    /// might have been abandoned.
     fn is_target(&self, answer: &Answer, cutoff: f64) -> bool {
         let value = answer.outcome.value().filter(|value| *value <= cutoff);
         matches!((value, self.target), (Some(value), Some(target)) if value <= target)
             && !(self.work.want() == Want::Residuals && answer.residuals_failure().is_some())
     }
 
-    /// True if the answer to point `k` of `work` is one after which nothing more is of the path.
+    /// True if no point after point `k` of `work` belongs to the path.
     pub(crate) fn is_last(&self, k: usize, answer: &Answer) -> bool {
         matches!(answer.outcome, Outcome::Abort(_)) || self.is_target(answer, self.work.cutoff(k))
     }
 
-    /// The last place of the batch that is of the path, if not all are, and why. `answers`: to `work`.
+    /// Returns the index of the last point of the batch that belongs to the path and the reason, if the path
+    /// ends within the batch. `answers` are the answers to `work`.
     pub(crate) fn last<'a>(&'a self, answers: &'a [Answer]) -> Option<(usize, Last<'a>)> {
         let mut new = answers.iter().enumerate();
         self.sources.iter().enumerate().find_map(|(k, source)| {
@@ -223,12 +226,13 @@ impl CountedBatch {
         })
     }
 
-    /// Number of points of `work` before this place of the batch.
+    /// Returns the number of points of `work` before this index of the batch.
     pub(crate) fn n_before(&self, place: usize) -> usize {
         self.work_places.partition_point(|&other| other < place)
     }
 
-    /// Why the run ends with this batch, if it is not entered whole. `last`: of [`last`](Self::last).
+    /// Returns the reason why the run ends with this batch, if the batch is incomplete. `last` is the result
+    /// of [`last`](Self::last).
     pub(crate) fn stopped(&self, last: Option<(usize, Last<'_>)>) -> Option<Termination> {
         match last {
             Some((_, Last::Abort(message))) => Some(Termination::Aborted(message.to_owned())),
@@ -237,7 +241,7 @@ impl CountedBatch {
         }
     }
 
-    /// Evaluations of this batch that remain valid should the run end here.
+    /// Returns the evaluations of this batch that remain valid if the run ends here.
     pub(crate) fn known(&self, batch: &Batch, answers: &[Answer]) -> Vec<EarlyOutcome> {
         let mut known = Vec::new();
         let mut new = answers.iter();
@@ -257,13 +261,13 @@ impl CountedBatch {
         known
     }
 
-    /// Takes the answers to `work`, in order, and enters everything into the ledger.
+    /// Merges the answers to `work`, in order, and records everything in the ledger.
     ///
     /// # Errors
-    /// The number of residuals is not that of the points before.
+    /// Returns an error if the number of residuals differs from the earlier points.
     pub(crate) fn close(&mut self, batch: &Batch, answers: &mut [Answer]) -> Result<(), Error> {
         let mut at = 0;
-        // One point at a time nothing would have been evaluated after it.
+        // With one point at a time, no later point would have been evaluated.
         let last = self.last(answers).map_or(usize::MAX, |(k, _)| k);
         for k in 0..batch.len() {
             match self.sources[k] {
@@ -279,14 +283,14 @@ impl CountedBatch {
                 Source::Copy(twin) => self.answers[k] = self.answers[twin].clone(),
                 Source::Replayed | Source::Cached | Source::Forbidden => {}
             }
-            // Also what is known from elsewhere: a file or a user may have given it.
+            // Also checks answers from elsewhere, which may come from a file or a user.
             if batch.want() == Want::Residuals {
                 self.ledger.count_residuals(batch.point(k), &self.answers[k])?;
                 self.answers[k].check_residuals();
             }
             let remembers = match self.sources[k] {
                 Source::Run | Source::Begun | Source::Replayed => true,
-                // Had it been known altogether, it would not come back once the batch has driven it out.
+                // If the point had been completely known, it would not return after the batch has evicted it.
                 Source::Again => self.store.remembers(batch.point(k)),
                 Source::Cached | Source::Copy(_) | Source::Forbidden => false,
             };
@@ -304,7 +308,7 @@ impl CountedBatch {
         Ok(())
     }
 
-    /// Keeps the answer to point `k` of `work` that the path did not come to after all.
+    /// Keeps the answer to point `k` of `work`, which the path did not reach.
     pub(crate) fn keep_unneeded(&mut self, k: usize, answer: &Answer) {
         if answer.outcome == Outcome::Skipped {
             return;
@@ -322,7 +326,7 @@ impl CountedBatch {
         }
     }
 
-    /// The run is over: nothing that was evaluated early will be needed.
+    /// Ends the run and moves the remaining early evaluations to the trace.
     pub(crate) fn finish(&mut self) {
         for early in self.store.drain() {
             if !early.is_of_path {
@@ -332,8 +336,7 @@ impl CountedBatch {
         self.ledger.trim(true);
     }
 
-    /// Answers to the last batch, which are nowhere else then; what was not evaluated is
-    /// [`Outcome::Skipped`].
+    /// Moves out the answers to the last batch. Points that were not evaluated are [`Outcome::Skipped`].
     pub(crate) fn told(&mut self, batch: &Batch) -> &mut Answers {
         self.told.clear();
         for answer in &mut self.answers {
@@ -355,7 +358,7 @@ impl CountedBatch {
     }
 }
 
-/// A round while `answers` to its work come in.
+/// A round whose `answers` are still coming in.
 pub(crate) struct UnderWay<'a> {
     pub(crate) round: &'a CountedBatch,
     pub(crate) answers: &'a [Answer],
@@ -380,7 +383,7 @@ impl AnswersSoFar for UnderWay<'_> {
     }
 }
 
-/// As many empty answers.
+/// Resets the list to `len` empty answers.
 pub(crate) fn reset(answers: &mut Vec<Answer>, len: usize) {
     answers.truncate(len);
     answers.iter_mut().for_each(Answer::clear);

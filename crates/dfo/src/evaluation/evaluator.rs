@@ -1,5 +1,5 @@
-//! Evaluation of points: the interface by which they are submitted and answered, and the one place where an
-//! objective is called.
+//! Evaluation of points: the interface for submitting and answering points, and the only place that calls an
+//! objective.
 
 use crate::outcome::answer::{Answer, Failure, FailureKind, Outcome};
 use crate::problem::objective::{CancelSignals, Objective, Query};
@@ -7,7 +7,7 @@ use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Instant;
 
-/// Who evaluates: points are handed in one by one and come back in any order. It lives as long as the run.
+/// Evaluates points, which are submitted one by one and answered in any order. Lives as long as the run.
 ///
 /// ```
 /// use dfo::{Answer, Evaluator, Outcome, Polled, Query, Wait, minimize_by};
@@ -48,40 +48,41 @@ use std::time::Instant;
 /// # Ok::<(), dfo::Error>(())
 /// ```
 pub trait Evaluator {
-    /// Takes a point, by the number of its query. What is handed in earlier begins earlier.
+    /// Submits a point. The id of its query identifies it. Points start in the order of submission.
     fn submit(&mut self, x: &[f64], query: Query<'static>);
 
-    /// Puts the next answer into `answer`, and waits for one if need be. Each point that was handed in is
-    /// answered once: also one that was cancelled, by [`Outcome::Skipped`] where it had not begun.
+    /// Writes the next answer into `answer`; waits for one if necessary. Each submitted point is answered
+    /// exactly once. A point that was cancelled before it started is answered with [`Outcome::Skipped`].
     fn poll(&mut self, wait: &Wait<'_>, answer: &mut Answer) -> Polled;
 
-    /// The answer to this point is not needed any more: it need not begin, and may give up.
+    /// Cancels a point whose answer is no longer needed. It need not start, and a running evaluation may
+    /// stop.
     fn cancel(&mut self, id: u64);
 
-    /// Number of points that can be under way at once.
+    /// Returns the number of points that can be evaluated at once.
     fn width(&self) -> usize;
 
-    /// Number of points that a plan of so many may have under way at once.
+    /// Returns the number of points of a plan that may be evaluated at once.
     fn room(&self, plan: usize) -> usize {
         plan.min(self.width())
     }
 
-    /// True if evaluations ahead of need pay, as far as measured by now.
+    /// True if evaluations ahead of need are worthwhile according to the measurements so far.
     fn pays_ahead(&self) -> bool {
         self.width() > 1
     }
 
-    /// True if the next answer is there already: then it is taken before anything else is handed in.
+    /// True if the next answer is already available. It is then processed before more points are submitted.
     fn is_ready(&self) -> bool {
         false
     }
 
-    /// Use of the cutoff: whether evaluations are given up above it.
+    /// Returns if evaluations stop early above their cutoff.
     fn cutoff_use(&self) -> CutoffUse {
         CutoffUse::Unknown
     }
 
-    /// True if a run that ends can leave what is under way to itself; otherwise its end is awaited.
+    /// True if a run that ends may abandon running evaluations. Otherwise, it waits for their end.
     fn leave(&mut self) -> bool {
         false
     }
@@ -117,54 +118,56 @@ impl<E: Evaluator + ?Sized> Evaluator for Box<E> {
     }
 }
 
-/// Use of cutoffs: whether evaluations are given up above them. If so, every outcome but a cost below
-/// the cutoff depends on it.
+/// Use of cutoffs by an objective. If evaluations stop early above cutoffs, every outcome except a cost below
+/// the cutoff depends on the cutoff.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CutoffUse {
-    /// They are.
+    /// Evaluations stop early above their cutoff.
     Yes,
     /// The cost does not depend on the cutoff.
     No,
-    /// It is not known.
+    /// The use is unknown.
     Unknown,
 }
 
-/// Limit of the time to wait for an answer.
+/// Time limit of a wait for an answer.
 #[derive(Debug, Clone, Copy)]
 pub struct Wait<'a> {
-    /// Not longer than this.
+    /// Latest time to return.
     pub until: Instant,
-    /// Signals that end evaluations that poll itself makes.
+    /// Signals that end evaluations made by `poll` itself.
     pub(crate) signals: CancelSignals<'a>,
 }
 
 impl Wait<'_> {
-    /// The time that is left.
+    /// Returns the remaining time.
     pub fn left(&self) -> std::time::Duration {
         self.until.saturating_duration_since(Instant::now())
     }
 }
 
-/// Result of polling.
+/// Result of a poll.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Polled {
-    /// The answer to the query with this number.
+    /// The answer belongs to the query with this id.
     Answered(u64),
-    /// Nothing yet.
+    /// No answer is available yet.
     Waiting,
-    /// There is nothing to wait for.
+    /// No point is waiting for an answer.
     Idle,
 }
 
-/// One call of the objective: panics caught, the outcome made regular, the time taken.
+/// Calls the objective once, catches panics, checks the outcome and measures the time.
 pub(super) fn call(objective: &dyn Objective, x: &[f64], query: &Query<'_>, answer: &mut Answer) {
     answer.clear();
     let start = Instant::now();
-    // Unwind safety: the objective is only lent, and one that breaks itself by panicking can only fail again.
+    // Unwind safety: the objective is only borrowed. An objective that a panic leaves in a broken state can
+    // only fail again.
     let called = catch_unwind(AssertUnwindSafe(|| objective.evaluate(x, query, answer)));
     answer.seconds = start.elapsed().as_secs_f64();
     answer.outcome = match (called, std::mem::replace(&mut answer.outcome, Outcome::Skipped)) {
-        // What is known above the cutoff depends on the cutoff, which may be another where points are evaluated ahead.
+        // An outcome above the cutoff must not depend on where a point is evaluated: points evaluated ahead
+        // may have another cutoff.
         (Ok(()), Outcome::Value(v)) if v > query.cutoff && v.is_finite() && objective.uses_cutoff() => {
             Outcome::Above(query.cutoff)
         }
@@ -173,7 +176,7 @@ pub(super) fn call(objective: &dyn Objective, x: &[f64], query: &Query<'_>, answ
     };
 }
 
-/// Use of the cutoff by the objective.
+/// Returns the use of the cutoff by the objective.
 pub(super) fn cutoff_use(objective: &dyn Objective) -> CutoffUse {
     if objective.uses_cutoff() { CutoffUse::Yes } else { CutoffUse::No }
 }

@@ -1,4 +1,4 @@
-//! Record of a run: every count, the failures, the best point so far, the trace.
+//! Ledger of a run: counts, failures, the best point so far and the trace.
 
 use crate::error::{Error, NothingFound};
 use crate::method_interface::interface::Batch;
@@ -6,30 +6,31 @@ use crate::outcome::answer::{Answer, Best, Failure, Outcome, Want};
 use crate::outcome::trace::{Record, SpeculativeEntry, Trace};
 use serde::{Deserialize, Serialize};
 
-/// Reasons counted one by one; what comes beyond is counted together.
+/// Maximum number of reasons that are counted separately. Further reasons are counted together.
 const MAX_REASONS: usize = 50;
 
-/// Where the outcome of a point comes from.
+/// Source of the outcome of a point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) enum Source {
-    /// The objective is called for it.
+    /// The objective is called for the point.
     Run,
-    /// It was begun ahead of need, and is waited for.
+    /// The evaluation started ahead of need and is awaited.
     Begun,
-    /// The same, for a point of which only that it lies above a lower cutoff is known: it counts as known.
+    /// The objective is called for a point that is only known to be above a lower cutoff. The point counts as
+    /// known.
     Again,
-    /// The objective was called for it before: ahead of need, or before the run was resumed.
+    /// The objective was called earlier: ahead of need, or before the run was resumed.
     Replayed,
-    /// It is known from another point of this run or an earlier one.
+    /// The point is known from an evaluation of this run or an earlier run.
     Cached,
-    /// The same point stands at this place of the batch.
+    /// The batch contains the same point at this index.
     Copy(usize),
-    /// The budget forbids it, or the run ends before it.
+    /// The budget does not allow the evaluation, or the run ends before it.
     Forbidden,
 }
 
 impl Source {
-    /// True if the point is evaluated in this batch, or was begun before it.
+    /// True if the point is evaluated in this batch or was started before it.
     pub(crate) fn is_work(self) -> bool {
         matches!(self, Self::Run | Self::Begun | Self::Again)
     }
@@ -41,25 +42,26 @@ pub(crate) struct Ledger {
     trace_limit: Option<usize>,
     /// True if the trace keeps residuals.
     keeps_residuals: bool,
-    /// Evaluations begun ahead of need, and those of them that the path came to while they were under way.
+    /// Number of evaluations started ahead of need, and number of them that the path reached while they were
+    /// running.
     pub(crate) n_guessed: u64,
     pub(crate) n_adopted: usize,
-    /// Those that ended before, and those of them that the path came to.
+    /// Number of them that ended before, and number of these that the path reached.
     n_early: usize,
     pub(crate) n_reached: usize,
     pub(crate) best: Best,
-    /// The residuals of the best point; empty where they are not known.
+    /// Residuals of the best point; empty if unknown.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(crate) best_residuals: Vec<f64>,
     pub(crate) n_evaluations: usize,
     pub(crate) n_failed: usize,
-    /// Answers that the engine lost.
+    /// Number of answers that the engine lost.
     #[serde(default)]
     pub(crate) n_lost: usize,
     pub(crate) n_cached: usize,
     /// Number of batches requested.
     pub(crate) n_batches: usize,
-    /// Number of residuals of each point, once one has some.
+    /// Number of residuals of each point, once known.
     pub(crate) n_residuals: Option<usize>,
     failures: Vec<(String, usize)>,
     other_failures: usize,
@@ -90,7 +92,7 @@ impl Ledger {
         }
     }
 
-    /// Enters a batch of the path: its answers and their sources, in request order.
+    /// Records a batch of the path: its answers and their sources, in request order.
     pub(crate) fn record(&mut self, batch: &Batch, answers: &[Answer], sources: &[Source]) {
         self.n_batches += usize::from(sources.contains(&Source::Run));
         for (k, answer) in answers.iter().enumerate() {
@@ -103,11 +105,11 @@ impl Ledger {
             } else if outcome.is_known() {
                 self.n_cached += 1;
             }
-            // What lies above its cutoff might as well have been given up, and must not make a difference.
+            // A cost above its cutoff is ignored, because the evaluation might have been abandoned.
             let Some(value) = outcome.value().filter(|v| *v <= batch.cutoff(k)) else { continue };
             let is_best = self.best.offer(batch.point(k), value);
             let wanted = batch.want() == Want::Residuals;
-            // A cost that was known without residuals may come again with them.
+            // A cost that was known without residuals may be evaluated again with them.
             if is_best || wanted && self.best.get() == Some((batch.point(k), value)) {
                 self.best_residuals.clear();
                 self.best_residuals.extend_from_slice(if wanted { &answer.residuals } else { &[] });
@@ -115,10 +117,10 @@ impl Ledger {
         }
     }
 
-    /// Compares the number of residuals at a point with that of the points before.
+    /// Compares the number of residuals at a point with the earlier points.
     ///
     /// # Errors
-    /// It is another one: nothing can be said then about what any of them is the residual of.
+    /// Returns an error if the number differs, because the residuals can then not be matched to each other.
     pub(crate) fn count_residuals(&mut self, x: &[f64], answer: &Answer) -> Result<(), Error> {
         let got = answer.residuals.len();
         if got == 0 || answer.outcome.value().is_none() {
@@ -128,7 +130,7 @@ impl Ledger {
         if got == expected { Ok(()) } else { Err(Error::ResidualCount { expected, got, x: x.to_vec() }) }
     }
 
-    /// Counts an evaluation and keeps it in the trace.
+    /// Counts an evaluation and adds it to the trace.
     fn enter(&mut self, batch: &Batch, k: usize, answer: &Answer) {
         self.n_evaluations += 1;
         let outcome = &answer.outcome;
@@ -157,28 +159,28 @@ impl Ledger {
         self.trace.push(batch.point(k), record);
     }
 
-    /// Evaluations that the path has not come to.
+    /// Returns the number of evaluations that the path has not reached.
     pub(crate) fn n_speculative(&self) -> usize {
         self.n_early.saturating_sub(self.n_reached)
     }
 
-    /// Evaluations begun ahead of need that have been of no use by now.
+    /// Returns the number of evaluations started ahead of need that have not been useful so far.
     pub(crate) fn n_in_vain(&self) -> usize {
         (self.n_guessed as usize).saturating_sub(self.n_adopted + self.n_reached)
     }
 
-    /// An evaluation was made that the path has not come to.
+    /// Counts an evaluation that the path has not reached.
     pub(crate) fn count_early(&mut self) {
         self.n_early += 1;
     }
 
-    /// Enters an evaluation that does not answer what the path asks at its point.
+    /// Records an evaluation that does not answer the query of the path at its point.
     pub(crate) fn useless(&mut self, entry: SpeculativeEntry) {
         self.n_early += 1;
         self.trace.push_speculative(entry);
     }
 
-    /// Drops what the trace need not keep; `all`: down to the limit, else now and then.
+    /// Trims the trace. With `all`, trims to the limit; otherwise only from time to time.
     pub(crate) fn trim(&mut self, all: bool) {
         if let Some(limit) = self.trace_limit
             && (all || self.trace.longest() >= limit.saturating_mul(2).max(limit.saturating_add(64)))
@@ -187,7 +189,7 @@ impl Ledger {
         }
     }
 
-    /// Reasons of the failures, most frequent first.
+    /// Returns the reasons of the failures, most frequent first.
     pub(crate) fn failures(&self) -> Vec<(String, usize)> {
         let mut list = self.failures.clone();
         list.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
@@ -197,7 +199,7 @@ impl Ledger {
         list
     }
 
-    /// Everything that was seen by a run without a result.
+    /// Returns the evaluations of a run without a result.
     pub(crate) fn nothing_found(&self) -> Box<NothingFound> {
         Box::new(NothingFound {
             n_evaluations: self.n_evaluations,
@@ -207,7 +209,7 @@ impl Ledger {
         })
     }
 
-    /// True if its parts fit together: what comes from a file may not.
+    /// True if all parts are consistent. A ledger read from a file may be inconsistent.
     pub(crate) fn is_sound(&self, n: usize) -> bool {
         self.trace.is_sound(n)
             && self.best.is_sound(n)

@@ -1,5 +1,4 @@
-//! Points on their way to whoever evaluates them, and what is known of them: evaluators, the one store of
-//! known points, the ledger of a run.
+//! Evaluation of points: evaluators, the store of known points, and the ledger of a run.
 
 mod batch_function;
 mod by_hand;

@@ -1,5 +1,5 @@
-//! Speculative evaluations that are under way: they use the workers that the path leaves free, are never
-//! waited for, and are cancelled when the path can no longer come to them.
+//! Speculative evaluations in progress. They use workers that the path does not need and are never awaited.
+//! They are cancelled when the path can no longer reach them.
 
 use super::counted_batch::{CountedBatch, UnderWay};
 use super::evaluator::{CutoffUse, Evaluator};
@@ -11,60 +11,62 @@ use crate::problem::objective::Query;
 use std::collections::hash_map::DefaultHasher;
 use std::hash::Hasher;
 
-/// So many evaluations ahead of need may be for nothing, per evaluation of the path; and so many in all
-/// before that.
+/// Number of speculative evaluations that may remain unneeded, per evaluation of the path: with up to
+/// [`FEW_WORKERS`] workers, and with a thousand. The third constant is the number allowed in addition from
+/// the start.
 const WASTE: f64 = 1.75;
 const WASTE_OF_THOUSAND: f64 = 3.5;
 const FIRST_WASTE: usize = 16;
-/// Up to so many workers the first share holds.
+/// Number of workers up to which `WASTE` applies.
 const FEW_WORKERS: f64 = 64.0;
 
-/// An evaluation that was begun ahead of need.
+/// An evaluation that was started ahead of need.
 #[derive(Debug)]
 struct SpeculativePoint {
     x: Vec<f64>,
     query: Query<'static>,
     batch: u64,
-    /// The place in the round's work that waits for it, once the path has come to it.
+    /// Index in the round's work that waits for the evaluation, once the path has reached it.
     place: Option<usize>,
     hash: u64,
     is_cancelled: bool,
 }
 
-/// Those under way.
+/// Speculative evaluations in progress.
 #[derive(Debug, Default)]
 pub(crate) struct SpeculativeEvaluations {
     under_way: Vec<SpeculativePoint>,
     asked: Batch,
     spare: Vec<Vec<f64>>,
-    /// Of the points of `asked`, and those of them that are under way.
+    /// Hashes of the points of `asked`, later of the points in progress.
     hashes: Vec<u64>,
-    /// True if answers come one at a time: a guess was under way when a round began.
+    /// True if answers come one at a time, which means that a speculative evaluation was running when a round
+    /// began.
     flows: bool,
 }
 
-/// Use of an answer to a guess.
+/// Use of an answer to a speculative point.
 pub(crate) enum Reached {
-    /// It answers what the path asks at this place.
+    /// It answers the query of the path at this index.
     Answer(usize, Answer),
-    /// It does not: the place has to be evaluated.
+    /// It does not answer the query, so the point at this index must be evaluated.
     Again(usize),
-    /// The path is not there, or not yet.
+    /// The path has not reached the point.
     Kept,
 }
 
-/// Evaluations ahead of need that may be for nothing, per evaluation of the path.
+/// Returns the number of speculative evaluations that may remain unneeded, per evaluation of the path.
 fn share_of_waste(workers: usize) -> f64 {
     let many = (workers as f64 / FEW_WORKERS).max(1.0).ln() / (1000.0 / FEW_WORKERS).ln();
     WASTE + (WASTE_OF_THOUSAND - WASTE) * many.min(1.0)
 }
 
-/// Number of evaluations ahead of need that may be for nothing in a run of so many.
+/// Returns the number of speculative evaluations that may remain unneeded in a run with `n_evaluations`.
 fn allowed_waste(n_evaluations: usize, workers: usize) -> usize {
     (share_of_waste(workers) * n_evaluations as f64) as usize + workers.min(FIRST_WASTE)
 }
 
-/// Of the bits of a point. Where two points share one, no more than a guess is lost.
+/// Hashes the bits of a point. If two points have the same hash, at most one speculative evaluation is lost.
 fn hash(x: &[f64]) -> u64 {
     let mut hasher = DefaultHasher::new();
     x.iter().for_each(|v| hasher.write_u64(v.to_bits()));
@@ -72,7 +74,8 @@ fn hash(x: &[f64]) -> u64 {
 }
 
 impl SpeculativeEvaluations {
-    /// True if a point of the path is under way already; place `k` of the round's work waits for it then.
+    /// True if a point of the path is already being evaluated. Index `k` of the round's work then waits for
+    /// it.
     pub(crate) fn adopt(&mut self, x: &[f64], k: usize) -> bool {
         self.flows |= !self.under_way.is_empty();
         let same = |y: &[f64]| x.iter().zip(y).all(|(x, y)| x.to_bits() == y.to_bits());
@@ -82,9 +85,9 @@ impl SpeculativeEvaluations {
         found.map(|guess| guess.place = Some(k)).is_some()
     }
 
-    /// Gives up those that the path has left, and begins others where there is room. `answers`: to the points
-    /// of the path that were under way; `open`: how many still are; `left`: evaluations that the budget
-    /// leaves after these.
+    /// Cancels speculative points that the path can no longer reach, and starts others if workers are free.
+    /// `answers` are the answers to the current points of the path, and `open` is the number of missing ones.
+    /// `left` is the number of evaluations left in the budget after these points.
     pub(crate) fn renew<M: Method + ?Sized>(
         &mut self,
         method: &mut M,
@@ -110,7 +113,8 @@ impl SpeculativeEvaluations {
         asked.start(round.work.n(), round.work.index(), 0);
         asked.set_want(round.work.want());
         if wanted > 0 {
-            // Farther than there is room for: what is under way already is not given up because others have come before it.
+            // Requests more points than fit, so that running points are not cancelled when other points
+            // precede them.
             method.speculate(2 * wanted, &UnderWay { round, answers }, asked);
         }
         hashes.clear();
@@ -122,19 +126,19 @@ impl SpeculativeEvaluations {
                 evaluator.cancel(guess.query.id);
             }
         }
-        // A point that was given up may still be evaluated to its end.
+        // A cancelled point may still be evaluated to its end.
         let under_way_in_all = open + under_way.len() - awaited;
         let most = allowed_waste(round.ledger.n_evaluations + open, evaluator.width());
         hashes.clear();
         hashes.extend(under_way.iter().filter(|guess| !guess.is_cancelled).map(|guess| guess.hash));
         hashes.sort_unstable();
         let is_begun = |x: &[f64]| hashes.binary_search(&hash(x)).is_ok();
-        // The path will come to these.
+        // The path will reach these points.
         let is_useful = |k: &usize| is_begun(asked.point(*k)) || round.store.contains(asked.point(*k));
         let useful = awaited + (0..asked.n_certain()).filter(is_useful).count();
         let mut allowed = most.saturating_sub(round.ledger.n_in_vain().saturating_sub(useful));
         let mut free = room.saturating_sub(under_way_in_all);
-        // While little is left, the least probable ones would soon take it (benches/ahead.rs).
+        // While little of the budget is left, the least probable points would use it up (benches/ahead.rs).
         allowed = if *flows {
             let n_ahead =
                 under_way.iter().filter(|guess| !guess.is_cancelled && guess.place.is_none()).count();
@@ -172,7 +176,7 @@ impl SpeculativeEvaluations {
         }
     }
 
-    /// Takes an answer in.
+    /// Processes an answer.
     pub(crate) fn answered(
         &mut self,
         id: u64,
@@ -206,7 +210,7 @@ impl SpeculativeEvaluations {
         })
     }
 
-    /// Gives all up. Those that the path waits for included.
+    /// Cancels all speculative evaluations, including those that the path waits for.
     pub(crate) fn cancel(&mut self, evaluator: &mut dyn Evaluator) {
         for guess in self.under_way.iter_mut().filter(|guess| !guess.is_cancelled) {
             guess.is_cancelled = true;
@@ -214,7 +218,7 @@ impl SpeculativeEvaluations {
         }
     }
 
-    /// The same for those that only places of the round's work after this one wait for, and those that none
+    /// Cancels the evaluations that only later indices of the round's work wait for, and those that no index
     /// waits for.
     pub(crate) fn cancel_after(&mut self, place: usize, evaluator: &mut dyn Evaluator) {
         for guess in self.under_way.iter_mut().filter(|guess| guess.place.is_none_or(|k| k > place)) {

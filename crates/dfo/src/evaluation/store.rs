@@ -1,6 +1,6 @@
-//! Evaluations of points, stored by the bits of the point: those that the run has counted (bounded, the
-//! oldest go first), and early ones, made ahead of need or before the run was resumed, which count when the
-//! path comes to them.
+//! Store of evaluated points, by the bits of the point. It contains evaluations that the run has counted;
+//! their number is limited, and the oldest are evicted first. It also contains early evaluations, made ahead
+//! of need or before the run was resumed, which count when the path reaches them.
 
 use super::evaluator::CutoffUse;
 use crate::outcome::answer::{Answer, Outcome, Want};
@@ -9,11 +9,11 @@ use crate::problem::objective::Query;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap, VecDeque};
 
-/// First number of the points that are evaluated ahead; those of the path count from 0.
+/// First id of points evaluated ahead of need. Ids of the path count from 0.
 pub(crate) const FIRST_ID: u64 = 1 << 63;
 
-/// So many early evaluations are kept, with so many residuals in all: the path comes to a point soon or
-/// never.
+/// Maximum number of early evaluations, and maximum total number of their residuals. The path reaches a point
+/// soon or never.
 const MOST_EARLY: usize = 4096;
 const MOST_EARLY_RESIDUALS: usize = 1 << 24;
 
@@ -23,7 +23,7 @@ type Key = Box<[u64]>;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct EarlyOutcome {
     pub(crate) entry: SpeculativeEntry,
-    /// True if the path was at this point before the run was resumed.
+    /// True if the path had reached this point before the run was resumed.
     pub(crate) is_of_path: bool,
 }
 
@@ -32,21 +32,21 @@ pub(crate) struct EarlyOutcome {
 pub(crate) struct Store {
     capacity: usize,
     known: HashMap<Key, Answer>,
-    /// Keys in the order in which they came.
+    /// Keys in insertion order.
     order: VecDeque<Key>,
-    /// Keys that stay.
+    /// Keys that are never evicted.
     pinned: Vec<Key>,
     key: Vec<u64>,
-    /// Early evaluations in the order in which they came, and their numbers by key.
+    /// Early evaluations in insertion order, and their numbers by key.
     early: BTreeMap<u64, EarlyOutcome>,
     places: HashMap<Key, VecDeque<u64>>,
     next: u64,
     n_residuals: usize,
-    /// Of the early evaluations, those from before the run was resumed.
+    /// Number of early evaluations from before the run was resumed.
     n_replays: usize,
 }
 
-/// A store as a file holds it: in the order in which the points came.
+/// File format of a store: entries in insertion order.
 #[derive(Clone, Serialize, Deserialize)]
 struct Stored {
     capacity: usize,
@@ -97,7 +97,7 @@ impl Store {
         self.capacity == 0
     }
 
-    /// Remembers an evaluation for good, whatever the capacity.
+    /// Stores an evaluation permanently, regardless of the capacity.
     pub(crate) fn pin(&mut self, x: &[f64], answer: Answer) {
         self.key(x);
         let key: Box<[u64]> = self.key.as_slice().into();
@@ -106,7 +106,7 @@ impl Store {
         }
     }
 
-    /// Evaluations that stay.
+    /// Returns the number of permanent evaluations.
     pub(crate) fn n_pinned(&self) -> usize {
         self.pinned.len()
     }
@@ -116,12 +116,12 @@ impl Store {
         self.key.extend(x.iter().map(|v| v.to_bits()));
     }
 
-    /// True if an evaluation of a point is stored that the run has counted.
+    /// True if the store contains a counted evaluation of the point.
     pub(crate) fn remembers(&self, x: &[f64]) -> bool {
         !self.known.is_empty() && self.known.contains_key(&bits(x))
     }
 
-    /// True if an evaluation of a point is stored.
+    /// True if the store contains any evaluation of the point.
     pub(crate) fn contains(&self, x: &[f64]) -> bool {
         !(self.known.is_empty() && self.places.is_empty()) && {
             let key = bits(x);
@@ -129,8 +129,8 @@ impl Store {
         }
     }
 
-    /// Stored answer for a point, if it answers the query: "above c" does only up to the cutoff c, a cost
-    /// only where no residuals are requested.
+    /// Returns the stored answer for a point, if it answers the query. "Above c" answers only queries with a
+    /// cutoff up to c. A cost without residuals answers only queries without residuals.
     pub(crate) fn get(&mut self, x: &[f64], query: Query<'_>) -> Option<&Answer> {
         if self.known.is_empty() {
             return None;
@@ -142,13 +142,13 @@ impl Store {
         self.known.get(&self.key[..]).filter(answers)
     }
 
-    /// True if no more is known of a point than that it lies above some cutoff.
+    /// True if the point is only known to be above some cutoff.
     pub(crate) fn is_above(&mut self, x: &[f64]) -> bool {
         self.key(x);
         matches!(self.known.get(&self.key[..]), Some(Answer { outcome: Outcome::Above(_), .. }))
     }
 
-    /// Remembers an evaluation, unless it says nothing lasting about the point.
+    /// Stores an evaluation, unless another evaluation of the point could have a different outcome.
     pub(crate) fn insert(&mut self, x: &[f64], answer: &Answer, want: Want) {
         if self.capacity == 0 || !answer.outcome.is_lasting() {
             return;
@@ -168,8 +168,8 @@ impl Store {
         self.known.insert(key, answer.only(want));
     }
 
-    /// Keeps an early evaluation. Returns what is of no use: the oldest where there is no room, or this one
-    /// if it says nothing lasting about its point.
+    /// Keeps an early evaluation. Returns an evaluation that is not kept: the oldest if the store is full, or
+    /// this one if its outcome is not lasting.
     pub(crate) fn keep(&mut self, early: EarlyOutcome) -> Option<EarlyOutcome> {
         let outcome = &early.entry.answer.outcome;
         if matches!(outcome, Outcome::Failed(_)) && !outcome.is_lasting() && !early.is_of_path {
@@ -199,8 +199,8 @@ impl Store {
         Some(early)
     }
 
-    /// Takes the early evaluation of a point that the path has come to: its answer, or the evaluation itself
-    /// if that does not answer this query.
+    /// Removes the early evaluation of a point that the path has reached. Returns its answer, or the
+    /// evaluation itself if it does not answer this query.
     pub(crate) fn take(
         &mut self,
         x: &[f64],
@@ -219,7 +219,7 @@ impl Store {
         })
     }
 
-    /// What is known of a point where it answers this query, early evaluations included.
+    /// Returns the known answer for a point if it answers this query, including early evaluations.
     pub(crate) fn look_up(&self, x: &[f64], query: &Query<'_>, cutoff_use: CutoffUse) -> Option<Answer> {
         let key = bits(x);
         if let Some(known) = self.known.get(&key) {
@@ -230,27 +230,26 @@ impl Store {
         early.entry.answer_to(query, cutoff_use)
     }
 
-    /// Takes out all that are early.
+    /// Removes and returns all early evaluations.
     pub(crate) fn drain(&mut self) -> impl Iterator<Item = EarlyOutcome> {
         self.places.clear();
         (self.n_residuals, self.n_replays) = (0, 0);
         std::mem::take(&mut self.early).into_values()
     }
 
-    /// True if evaluations of the path are known from before the run was resumed.
+    /// True if there are evaluations of the path from before the run was resumed.
     pub(crate) fn has_replays(&self) -> bool {
         self.n_replays > 0
     }
 
-    /// Removes the evaluations made for the batch at which a run was resumed that were not needed for it
-    /// after all.
+    /// Removes evaluations from before the run was resumed that the first batch did not need.
     pub(crate) fn forget_replays(&mut self) {
         let replays: Vec<u64> =
             self.early.iter().filter(|(_, early)| early.is_of_path).map(|(number, _)| *number).collect();
         replays.into_iter().for_each(|number| drop(self.remove(number)));
     }
 
-    /// After a run was resumed: exceptions are gone with the process that raised them.
+    /// Removes aborts after a run was resumed, because their exceptions belong to the previous process.
     pub(crate) fn forget_aborts(&mut self) {
         let is_abort = |early: &EarlyOutcome| matches!(early.entry.answer.outcome, Outcome::Abort(_));
         let aborts: Vec<u64> =
@@ -258,7 +257,7 @@ impl Store {
         aborts.into_iter().for_each(|number| drop(self.remove(number)));
     }
 
-    /// True if its points have this length: what comes from a file may not.
+    /// True if all points have length `n`. A store read from a file may be inconsistent.
     pub(crate) fn is_sound(&self, n: usize) -> bool {
         self.early.values().all(|early| early.entry.x.len() == n)
             && self.known.keys().all(|key| key.len() == n)
@@ -266,7 +265,7 @@ impl Store {
 }
 
 impl SpeculativeEntry {
-    /// Entry for an answer that the path has not counted.
+    /// Creates an entry for an answer that the path has not counted.
     pub(crate) fn new(id: u64, batch: u64, x: Vec<f64>, query: Query<'_>, answer: Answer) -> Self {
         let mut answer = answer.only(query.want);
         if query.want == Want::Residuals {
@@ -275,7 +274,7 @@ impl SpeculativeEntry {
         Self { id, batch, x, cutoff: query.cutoff, answer }
     }
 
-    /// Answer that the objective would have given to this query, as far as that is known.
+    /// Returns the answer that the objective would have given to this query, if it can be derived.
     pub(crate) fn answer_to(&self, query: &Query<'_>, cutoff_use: CutoffUse) -> Option<Answer> {
         let cutoff = query.cutoff;
         let above = || Some(Answer { outcome: Outcome::Above(cutoff), ..self.answer.only(Want::Cost) });
@@ -289,7 +288,7 @@ impl SpeculativeEntry {
                     None
                 }
             }
-            // With a lower cutoff it might have been given up before.
+            // With a lower cutoff, the evaluation might have been abandoned earlier.
             Outcome::Failed(_) | Outcome::Abort(_) => {
                 let same = self.cutoff == cutoff || cutoff_use == CutoffUse::No;
                 same.then(|| self.answer.clone())

@@ -1,4 +1,4 @@
-//! Evaluates the points of a run in a thread pool of its own, with one queue.
+//! Evaluation of the points of a run in a separate thread pool with one queue.
 
 use super::evaluator::{CutoffUse, Evaluator, Polled, Wait, call, cutoff_use};
 use super::timing::Timing;
@@ -13,47 +13,48 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::thread::{Builder, Scope};
 use std::time::{Duration, Instant};
 
-/// More workers than this are a mistake: no machine runs so many threads at once.
+/// Maximum number of workers. Larger numbers are a mistake, because no machine runs this many threads at
+/// once.
 pub(crate) const MOST_WORKERS: usize = 1 << 15;
 
-/// Stack of a worker thread: compiled models put large arrays there.
+/// Stack size of a worker thread in bytes. Compiled models put large arrays on the stack.
 const STACK_SIZE: usize = 16 << 20;
 
-/// So long the calling thread has the first points to itself, to see whether evaluations are worth handing
-/// over.
+/// Time during which only the calling thread evaluates the first points, to measure if handing over
+/// evaluations is worthwhile.
 const TRIAL: Duration = Duration::from_micros(100);
 
 thread_local! {
-    /// True while a thread of a pool is at work.
+    /// True while a thread of a pool is evaluating.
     static EVALUATES: Cell<bool> = const { Cell::new(false) };
 }
 
-/// A point on its way to a thread and back.
+/// A point with its query and answer, passed to a thread and back.
 #[derive(Debug)]
 struct Job {
     x: Vec<f64>,
     query: Query<'static>,
     answer: Answer,
-    /// Raised where its answer is not needed any more.
+    /// Set when the answer is no longer needed.
     over: Arc<AtomicBool>,
     handed_in: Instant,
-    /// True if a thread was free when it was handed in.
+    /// True if a thread was free when the job was submitted.
     at_once: bool,
 }
 
 #[derive(Default)]
 struct Queue {
     jobs: VecDeque<Job>,
-    /// Nothing begins before.
+    /// Time before which no job starts.
     opens: Option<Instant>,
-    /// Tasks of the pool: each does one job after the other, until none is left.
+    /// Number of pool tasks. Each task processes jobs until the queue is empty.
     n_tasks: usize,
-    /// True if the calling thread evaluates, too.
+    /// True if the calling thread also evaluates.
     is_joined: bool,
 }
 
-/// Starts the threads of a run, which end before the scope `run` does. Fewer if the system refuses so many;
-/// `None` if it refuses all.
+/// Starts the threads of a run, which end before the scope `run` does. Starts fewer threads if the system
+/// refuses the requested number. `None` if the system refuses all threads.
 pub(crate) fn pool<'scope>(run: &'scope Scope<'scope, '_>, workers: usize) -> Option<ThreadPool> {
     let spawn = |thread: ThreadBuilder| {
         let name = format!("dfo-worker-{}", thread.index());
@@ -70,7 +71,7 @@ pub(crate) fn pool<'scope>(run: &'scope Scope<'scope, '_>, workers: usize) -> Op
     None
 }
 
-/// State that the threads of a run share.
+/// State shared by the threads of a run.
 pub(crate) struct Shared<'a> {
     objective: &'a dyn Objective,
     signals: CancelSignals<'a>,
@@ -84,12 +85,12 @@ impl<'a> Shared<'a> {
         Self { objective, signals, workers, queue: Mutex::default(), opened: Condvar::new() }
     }
 
-    /// The queue is whole at every instant, whoever panicked.
+    /// Locks the queue. The queue is consistent at every instant, so poisoning by a panic is ignored.
     fn queue(&self) -> MutexGuard<'_, Queue> {
         self.queue.lock().unwrap_or_else(|e| e.into_inner())
     }
 
-    /// The next job, once the queue is open; `None` ends the task that asks.
+    /// Waits until the queue is open and returns the next job. `None` ends the calling task.
     fn next(&self) -> Option<Job> {
         let mut queue = self.queue();
         loop {
@@ -103,8 +104,9 @@ impl<'a> Shared<'a> {
         }
     }
 
-    /// One task of the pool. An objective that waits for tasks of rayon may be given this one: then it ends
-    /// at once, for a job that began within another evaluation would take its thread-local state.
+    /// Runs one task of the pool. If an objective waits for rayon tasks, rayon may start this task within
+    /// another evaluation. The task then ends immediately, because a job would otherwise use the thread-local
+    /// state of that evaluation.
     fn work(&self, sender: &Sender<Job>) {
         if EVALUATES.replace(true) {
             self.queue().n_tasks -= 1;
@@ -117,31 +119,31 @@ impl<'a> Shared<'a> {
             } else {
                 call(self.objective, x, &query.ended_by(self.signals.with_own_flag(over)), answer);
             }
-            // The receiver is gone only while the calling thread unwinds.
+            // The receiver is dropped only while the calling thread unwinds.
             let _ = sender.send(job);
         }
         EVALUATES.set(false);
     }
 }
 
-/// When the calling thread evaluates, too.
+/// Condition under which the calling thread also evaluates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum OnCallingThread {
-    /// When evaluations are known to be short.
+    /// If evaluations are known to be short.
     WhenShort,
-    /// When they are too short to be handed over; and the first one, which shows how long they are.
+    /// If evaluations are too short to be handed over, and for the first evaluation, to measure its duration.
     AtFirst,
 }
 
-/// The threads of a run, which work for it within a scope of their pool.
+/// Threads of a run, which work within a scope of their pool.
 pub(crate) struct Threads<'s, 'e> {
     scope: &'s ScopeFifo<'e>,
     shared: &'e Shared<'e>,
     here: OnCallingThread,
     timing: Timing,
-    /// Not given to the threads yet.
+    /// Jobs that are not handed to the threads yet.
     waiting: VecDeque<Job>,
-    /// Given to the threads: number and flag.
+    /// Jobs handed to the threads: id and cancel flag.
     away: Vec<(u64, Arc<AtomicBool>)>,
     spare: Vec<Job>,
     sender: Sender<Job>,
@@ -155,7 +157,7 @@ impl<'s, 'e> Threads<'s, 'e> {
         Self { scope, shared, here, timing: Timing::new(), waiting, away, spare, sender, receiver }
     }
 
-    /// Gives all that waits to the threads; nothing begins before `opens`.
+    /// Hands all waiting jobs to the threads. No job starts before `opens`.
     fn hand_over(&mut self, opens: Option<Instant>) {
         if self.waiting.is_empty() {
             return;
@@ -163,7 +165,7 @@ impl<'s, 'e> Threads<'s, 'e> {
         let mut queue = self.shared.queue();
         queue.opens = opens;
         let now = Instant::now();
-        // In a queue that opens later the time of a job is not that of handing it over.
+        // If the queue opens later, the waiting time of a job is not the handover time.
         let mut free = if opens.is_some() { 0 } else { self.shared.workers.saturating_sub(self.away.len()) };
         for mut job in self.waiting.drain(..) {
             (job.handed_in, job.at_once) = (now, free > 0);
@@ -174,7 +176,7 @@ impl<'s, 'e> Threads<'s, 'e> {
         self.start_tasks(queue);
     }
 
-    /// Lets the threads begin; or takes `all` back that none has begun.
+    /// Opens the queue for the threads. With `all`, takes back the jobs that have not started.
     fn take_back(&mut self, all: bool) {
         let mut queue = self.shared.queue();
         (queue.opens, queue.is_joined) = (None, false);
@@ -218,7 +220,7 @@ impl<'s, 'e> Threads<'s, 'e> {
         Polled::Answered(id)
     }
 
-    /// True if the calling thread takes the next point that waits.
+    /// True if the calling thread evaluates the next waiting point.
     fn stays(&self) -> bool {
         let stays = self.timing.stays(self.waiting.len(), self.shared.workers);
         match self.here {
@@ -303,7 +305,7 @@ impl Evaluator for Threads<'_, '_> {
 }
 
 impl Drop for Threads<'_, '_> {
-    /// Cancels running evaluations, because the scope waits for them, also if the calling thread panics.
+    /// Cancels running evaluations, because the scope waits for them even if the calling thread panics.
     fn drop(&mut self) {
         self.shared.queue().jobs.clear();
         self.away.iter().for_each(|(_, over)| over.store(true, Ordering::Relaxed));

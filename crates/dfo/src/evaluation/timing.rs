@@ -1,22 +1,23 @@
-//! Measured times of evaluations, and of handing them to other threads: they decide if that pays.
+//! Measured durations of evaluations and of handing them to other threads. They determine if handing over is
+//! worthwhile.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Handing work to other threads pays where it saves more than twice the time that it took lately. Before
-/// that is measured, it counts as so many seconds: a waiting thread is running after 0.05 to 0.5 ms.
+/// Assumed handover time in seconds before it is measured: a waiting thread starts after 0.05 to 0.5 ms.
+/// Handing work to other threads is worthwhile if it saves more than twice the recent handover time.
 const HANDOVER_SECONDS: f64 = 100e-6;
-/// It never counts as less.
+/// Lower limit of the measured handover time in seconds.
 const LEAST_HANDOVER_SECONDS: f64 = 20e-6;
-/// Evaluations whose median says how long one takes, and jobs whose median says how long handing over takes.
+/// Number of recent evaluations and handovers whose medians are the current estimates.
 const N_RECENT: usize = 9;
-/// Weight of a new measurement beside the longest of all before.
+/// Weight of a new measurement relative to the previous maximum.
 const WEIGHT: f64 = 0.25;
-/// An evaluation that takes no longer does not keep the calling thread from looking for interrupts.
+/// Maximum duration of an evaluation that does not prevent the calling thread from checking for interrupts.
 const SHORT: Duration = Duration::from_millis(20);
 
-/// The last measurements, the oldest replaced first; their (lower) median is moved by one that was disturbed
-/// only while it is alone.
+/// The most recent measurements; the oldest is replaced first. A single outlier has little effect on their
+/// (lower) median.
 #[derive(Debug)]
 struct Recent(VecDeque<f64>);
 
@@ -41,12 +42,12 @@ impl Recent {
     }
 }
 
-/// Measures evaluations, and what handing them over takes.
+/// Measures the durations of evaluations and handovers.
 #[derive(Debug)]
 pub(super) struct Timing {
     evaluations: Recent,
     handovers: Recent,
-    /// The longest of the last evaluations.
+    /// Longest of the recent evaluations, in seconds.
     longest: f64,
 }
 
@@ -55,36 +56,36 @@ impl Timing {
         Self { evaluations: Recent::new(), handovers: Recent::new(), longest: 0.0 }
     }
 
-    /// An evaluation took so long.
+    /// Records the duration of an evaluation in seconds.
     pub(super) fn evaluated(&mut self, seconds: f64) {
         self.evaluations.push(seconds);
         self.longest = seconds.max(self.longest * (1.0 - WEIGHT));
     }
 
-    /// Between handing a job to a thread that was free and its answer lay so many seconds without its
-    /// evaluation.
+    /// Records a handover time in seconds: the time between handing a job to a free thread and its answer,
+    /// without its evaluation.
     pub(super) fn handed_over(&mut self, seconds: f64) {
         self.handovers.push(seconds.max(LEAST_HANDOVER_SECONDS));
     }
 
-    /// Seconds that handing over must save.
+    /// Returns the time in seconds that handing over must save.
     fn worthwhile(&self) -> f64 {
         2.0 * self.handovers.median().unwrap_or(HANDOVER_SECONDS)
     }
 
-    /// True if handing over one more point at once pays; `None` while nothing is measured.
+    /// True if it is worthwhile to hand over one more point; `None` without measurements.
     pub(super) fn is_long(&self) -> Option<bool> {
         self.evaluations.median().map(|seconds| seconds >= self.worthwhile())
     }
 
-    /// True if so many points are better evaluated on the calling thread than by so many workers; `None`
-    /// while nothing is measured.
+    /// True if it is faster to evaluate this number of points on the calling thread than with this number of
+    /// workers. `None` without measurements.
     pub(super) fn stays(&self, points: usize, workers: usize) -> Option<bool> {
         let saved = (points - points.div_ceil(workers.max(1))) as f64;
         self.evaluations.median().map(|seconds| saved * seconds <= self.worthwhile())
     }
 
-    /// True if no evaluation keeps the calling thread from other things.
+    /// True if evaluations are short enough for the calling thread to remain responsive.
     pub(super) fn is_short(&self) -> bool {
         self.longest <= SHORT.as_secs_f64()
     }
@@ -105,16 +106,17 @@ mod tests {
             }
             timing
         };
-        // The second measurement makes good for a first one that was disturbed.
+        // The second measurement compensates for a disturbed first one.
         let mut disturbed = Timing::new();
         disturbed.evaluated(0.05);
         disturbed.evaluated(1e-6);
         assert_eq!((disturbed.is_long(), disturbed.stays(8, 4)), (Some(false), Some(true)));
-        // What handing over takes in this run decides, not what it takes as a rule.
+        // The handover time of this run matters, not the default.
         assert_eq!(timing(30e-6, 100e-6).is_long(), Some(true));
         assert_eq!(timing(100e-6, 150e-6).is_long(), Some(false));
         assert_eq!(timing(0.0, 1e-6).is_long(), Some(false));
-        // One point has nothing beside it; of many, short ones are worth it.
+        // A single point cannot run in parallel. With many points, even short evaluations are worth handing
+        // over.
         assert_eq!(
             (timing(30e-6, 1.0).stays(1, 4), timing(30e-6, 1e-6).stays(1000, 4)),
             (Some(true), Some(false))

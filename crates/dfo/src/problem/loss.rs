@@ -1,4 +1,4 @@
-//! Robust losses: a residual far from zero counts less than its square.
+//! Robust losses, which reduce the weight of large residuals.
 
 use crate::error::Error;
 use crate::outcome::answer::Outcome;
@@ -10,7 +10,7 @@ use std::fmt;
 /// Contribution of a residual to the cost: `rho((r / scale)^2) scale^2`, with the functions rho of SciPy's
 /// `least_squares`.
 ///
-/// For small residuals every one of them is the square of the residual.
+/// For small residuals, every loss equals the square of the residual.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
@@ -24,20 +24,20 @@ pub enum Loss {
     SoftL1,
     /// `rho(z) = z` up to 1, `2 sqrt(z) - 1` beyond (Huber, Ann. Math. Statist. 35, 1964).
     Huber,
-    /// `rho(z) = ln(1 + z)`: outliers count almost nothing; may have several minima.
+    /// `rho(z) = ln(1 + z)`: outliers count almost nothing. The cost may have several minima.
     Cauchy,
 }
 
-/// A loss and its scale: residuals that are small against it count by their squares.
+/// A loss and its scale. Residuals that are small relative to the scale count with their squares.
 ///
-/// Every residual r is replaced by `s(r) = sign(r) scale sqrt(rho((r / scale)^2))`, so that the sum of
-/// squares is the robust cost for every method (Triggs, McLauchlan, Hartley and Fitzgibbon, Bundle
-/// adjustment: a modern synthesis, 2000, section 3.4).
+/// Every residual r is replaced with `s(r) = sign(r) scale sqrt(rho((r / scale)^2))`. The sum of squares is
+/// then the robust cost, for every method (Triggs, McLauchlan, Hartley and Fitzgibbon, Bundle adjustment: a
+/// modern synthesis, 2000, section 3.4).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RobustLoss {
     kind: Loss,
     scale: f64,
-    /// Residuals at the end that count by their squares.
+    /// Number of residuals at the end of the vector that count with their squares.
     #[serde(default, skip_serializing_if = "is_zero")]
     spared: usize,
 }
@@ -47,7 +47,7 @@ fn is_zero(n: &usize) -> bool {
 }
 
 impl Default for RobustLoss {
-    /// The square.
+    /// Returns the linear loss.
     fn default() -> Self {
         Self { kind: Loss::Linear, scale: 1.0, spared: 0 }
     }
@@ -66,10 +66,10 @@ impl fmt::Display for RobustLoss {
 }
 
 impl RobustLoss {
-    /// `scale`: in the units of the residuals.
+    /// Creates a loss. `scale` is in the units of the residuals.
     ///
     /// # Errors
-    /// A scale that is not from 1e-300 to 1e300.
+    /// Returns an error if the scale is not between 1e-300 and 1e300.
     pub fn new(kind: Loss, scale: f64) -> Result<Self, Error> {
         if (1e-300..=1e300).contains(&scale) {
             return Ok(Self { kind, scale, spared: 0 });
@@ -81,10 +81,11 @@ impl RobustLoss {
         })
     }
 
-    /// The loss of a record, whose options `loss` and `f_scale` it takes out; `None`: it names none.
+    /// Reads the loss of a record and removes the options `loss` and `f_scale` from the record. `None` if the
+    /// record has no `loss`.
     ///
     /// # Errors
-    /// A value that such an option cannot have.
+    /// Returns an error if the value of an option is not allowed.
     pub fn from_record(record: &mut Record) -> Result<Option<Self>, Error> {
         let scale = record.remove("f_scale").map(|scale| scale.read("f_scale")).transpose()?;
         match record.remove("loss") {
@@ -93,10 +94,10 @@ impl RobustLoss {
         }
     }
 
-    /// The loss of this kind and scale; default: no loss, and a scale of 1.
+    /// Creates the loss with this kind and scale; default scale 1. `None` if there is no kind.
     ///
     /// # Errors
-    /// A scale that it cannot have.
+    /// Returns an error if the scale is not allowed.
     pub fn named(kind: Option<Loss>, scale: Option<f64>) -> Result<Option<Self>, Error> {
         let Some(kind) = kind else { return Ok(None) };
         Self::new(kind, scale.unwrap_or(1.0)).map(Some).map_err(|_| {
@@ -105,46 +106,46 @@ impl RobustLoss {
         })
     }
 
-    /// The same for all but the last residuals of a vector: these count by their squares, as the residuals of
-    /// priors do.
+    /// Exempts the last `n_last` residuals of a vector from this loss. They count with their squares, as the
+    /// residuals of priors do.
     pub fn sparing(self, n_last: usize) -> Self {
         Self { spared: if self.is_linear() { 0 } else { n_last }, ..self }
     }
 
-    /// The loss of the residual `k` of `n`.
+    /// Returns the loss of residual `k` of `n`.
     pub fn of_residual(&self, k: usize, n: usize) -> Self {
         if k + self.spared < n { Self { spared: 0, ..*self } } else { Self::default() }
     }
 
-    /// Replaces each residual by what [`transform`](Self::transform) makes of it.
+    /// Applies [`transform`](Self::transform) to each residual.
     pub fn transform_all(&self, residuals: &mut [f64]) {
         let n = residuals.len().saturating_sub(self.spared);
         residuals[..n].iter_mut().for_each(|r| *r = self.transform(*r));
     }
 
-    /// Replaces each residual by what [`inverse`](Self::inverse) makes of it.
+    /// Applies [`inverse`](Self::inverse) to each residual.
     pub fn inverse_all(&self, residuals: &mut [f64]) {
         let n = residuals.len().saturating_sub(self.spared);
         residuals[..n].iter_mut().for_each(|s| *s = self.inverse(*s));
     }
 
-    /// The loss.
+    /// Returns the kind of the loss.
     pub fn kind(&self) -> Loss {
         self.kind
     }
 
-    /// Its scale, in the units of the residuals.
+    /// Returns the scale, in the units of the residuals.
     pub fn scale(&self) -> f64 {
         self.scale
     }
 
-    /// Whether residuals stay as they are.
+    /// True if residuals are unchanged.
     pub fn is_linear(&self) -> bool {
         self.kind == Loss::Linear
     }
 
-    /// The number whose square is what the residual counts: exact for small residuals, without overflow for
-    /// large ones. NaN and infinities stay what they are.
+    /// Returns the number whose square is the contribution of the residual. It is exact for small residuals
+    /// and does not overflow for large ones. NaN and infinities are returned unchanged.
     #[inline]
     pub fn transform(&self, r: f64) -> f64 {
         if self.is_linear() { r } else { self.bent(r) }
@@ -157,7 +158,7 @@ impl RobustLoss {
         }
         match self.kind {
             Loss::Linear => r,
-            // 2 (sqrt(1 + z) - 1) = 2 z / (sqrt(1 + z) + 1), which cancels nothing.
+            // 2 (sqrt(1 + z) - 1) = 2 z / (sqrt(1 + z) + 1), which avoids cancellation.
             Loss::SoftL1 => r * (scale.sqrt() / (0.5 * scale + 0.5 * scale.hypot(r)).sqrt()),
             Loss::Huber if size <= scale => r,
             Loss::Huber => (scale.sqrt() * SQRT_2 * (size - 0.5 * scale).sqrt()).copysign(r),
@@ -174,9 +175,9 @@ impl RobustLoss {
         }
     }
 
-    /// The cost of residuals, summed from the first to the last; they become what
-    /// [`transform`](Self::transform) makes of them. Strictly above the cutoff it is given up. One that is
-    /// not finite is a failure that names it.
+    /// Transforms the residuals in place ([`transform`](Self::transform)) and returns their cost, summed from
+    /// the first to the last. Stops when the sum strictly exceeds the cutoff. A residual that is not finite
+    /// is a failure whose message contains its index.
     pub fn cost(&self, residuals: &mut [f64], cutoff: f64) -> Outcome {
         let mut sum = 0.0;
         let n = residuals.len().saturating_sub(self.spared);
@@ -197,7 +198,7 @@ impl RobustLoss {
         }
     }
 
-    /// The residual that [`transform`](Self::transform) made this of, up to rounding.
+    /// Inverts [`transform`](Self::transform), up to rounding.
     pub fn inverse(&self, s: f64) -> f64 {
         let (scale, size) = (self.scale, s.abs());
         let t = size / scale;
@@ -217,7 +218,8 @@ impl RobustLoss {
         }
     }
 
-    /// The derivative of [`transform`](Self::transform) at a residual: from 1 at zero down to 0.
+    /// Returns the derivative of [`transform`](Self::transform) at a residual. It decreases from 1 at zero to
+    /// 0.
     pub fn slope(&self, r: f64) -> f64 {
         let (scale, size) = (self.scale, r.abs());
         let t = size / scale;
@@ -246,7 +248,7 @@ mod tests {
     fn spared_residuals_count_by_their_squares() {
         let loss = RobustLoss::new(Loss::Huber, 1.0).unwrap().sparing(1);
         let mut residuals = [3.0, 3.0];
-        // 2 * 3 - 1 of the first, 9 of the second.
+        // 2 * 3 - 1 for the first residual, 9 for the second.
         assert_eq!(loss.cost(&mut residuals, f64::INFINITY), Outcome::Value(residuals[0].powi(2) + 9.0));
         assert!((residuals[0].powi(2) - 5.0).abs() < 1e-14);
         loss.inverse_all(&mut residuals);
@@ -292,7 +294,7 @@ mod tests {
                 let slope = loss.slope(r);
                 assert!((0.0..=1.0 + 1e-12).contains(&slope), "{loss} {r} {slope}");
                 last = s;
-                // Where the square has any effect at all: the inverse, within the rounding of the logarithm.
+                // If the square has any effect: the inverse, within the rounding of the logarithm.
                 let back = loss.inverse(s);
                 assert!((back / r - 1.0).abs() < 1e-12 || s == 0.0 || r < 1e-300, "{loss} {r} {s} {back}");
             }

@@ -1,43 +1,43 @@
-//! What a robust loss makes of residuals in the equations that a fit solves: near their solution it is linear
-//! least squares with other residuals.
+//! M-estimators. Near the solution of a fit with a robust loss, its equations are the equations of linear
+//! least squares with modified residuals.
 
 use super::loss::RobustLoss;
 
-/// The median of the absolute values of a standard normal number.
+/// Median of the absolute value of a standard normal number.
 const MEDIAN_DEVIATION: f64 = 0.674_489_750_196_081_7;
 
-/// The slope of the mean score of residuals with one distribution, and the correction of their variance.
+/// Slope of the mean score of identically distributed residuals, and the correction of their variance.
 ///
 /// The covariance of the parameters is `c mean psi^2 / l^2 (J'J)^-1` with the scores `psi(r)`
 /// ([`RobustLoss::score`]), their mean slope l, and the correction c (Huber, Robust Statistics, 1981, section
-/// 7.6). So it is that of linear least squares with the residuals `psi / l`, whose variance is multiplied by
-/// c.
+/// 7.6). It equals the covariance of linear least squares with the residuals `psi / l`, whose variance is
+/// multiplied by c.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeanScore {
-    /// The slope l of the mean score; above zero.
+    /// Slope l of the mean score; positive.
     pub slope: f64,
-    /// The square of `1 + p/N var(psi') / l^2`: Huber's correction for small samples of N residuals and p
-    /// parameters.
+    /// Huber's correction for small samples of N residuals and p parameters: the square of `1 + p/N var(psi')
+    /// / l^2`.
     pub correction: f64,
 }
 
 impl RobustLoss {
-    /// Half the derivative of what a residual counts.
+    /// Returns half the derivative of the contribution of a residual.
     pub fn score(&self, r: f64) -> f64 {
         self.transform(r) * self.slope(r)
     }
 
-    /// The slope of the score over a width to both sides of a residual.
+    /// Returns the slope of the score over `width` to both sides of a residual.
     pub fn score_slope(&self, r: f64, width: f64) -> f64 {
         (self.score(r + width) - self.score(r - width)) / (2.0 * width)
     }
 
-    /// The mean score of residuals, of which a fit has determined `p_by_n` parameters each; `None` where all
-    /// are zero, or one is not finite.
+    /// Returns the mean score of residuals from which a fit has determined `p_by_n` parameters per residual.
+    /// `None` if all residuals are zero or one is not finite.
     ///
-    /// Its slope is taken over the bandwidth of a density estimate (Silverman, Density Estimation, 1986,
-    /// section 3.4: `0.9 s N^(-1/5)`) to both sides: where the loss is narrow against the noise, slopes at
-    /// the few residuals that lie within are much too steep.
+    /// The slope is a central difference over the bandwidth of a density estimate (Silverman, Density
+    /// Estimation, 1986, section 3.4: `0.9 s N^(-1/5)`). If the loss is narrow relative to the noise, the
+    /// slopes at the few residuals within its scale would be much too steep.
     pub fn mean_score(&self, residuals: &[f64], p_by_n: f64) -> Option<MeanScore> {
         let n = residuals.len() as f64;
         let of = |values: &dyn Fn(f64) -> f64| residuals.iter().map(|r| values(*r)).sum::<f64>() / n;
@@ -54,17 +54,18 @@ impl RobustLoss {
         let spread = (median(&mut sorted) / MEDIAN_DEVIATION).max(1e-6 * mean_square.sqrt());
         let width = 0.9 * spread * n.powf(-0.2);
         let mean_of_all = of(&|r| self.score_slope(r, width));
-        // A loss that falls far from zero may have no mean slope; that of normal residuals (Stein's identity) is above zero.
+        // The mean slope of a loss that decreases far from zero may not be positive. The mean slope of normal
+        // residuals (Stein's identity) is positive.
         let least = of(&|r| self.score(r) * r) / mean_square;
         let slope = self.mean_slope(residuals, width, p_by_n).max(least);
         let variance = of(&|r| (self.score_slope(r, width) - mean_of_all).powi(2));
         Some(MeanScore { slope, correction: (1.0 + p_by_n * variance / (slope * slope)).powi(2) })
     }
 
-    /// The mean slope of the score, without as many of the residuals next to zero as there are parameters:
-    /// with a narrow loss a fit goes through so many measurements, nearly, and these say nothing of how many
-    /// residuals of others lie there (Schrader and McKean in Dodge, ed., Statistical Data Analysis Based on
-    /// the L1 Norm, 1987).
+    /// Returns the mean slope of the score without the residuals nearest to zero, as many as there are
+    /// parameters. With a narrow loss, a fit passes almost exactly through that many measurements. Their
+    /// residuals do not represent how many of the other residuals are near zero (Schrader and McKean in
+    /// Dodge, ed., Statistical Data Analysis Based on the L1 Norm, 1987).
     fn mean_slope(&self, residuals: &[f64], width: f64, p_by_n: f64) -> f64 {
         let mut sorted = residuals.to_vec();
         sorted.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
@@ -74,7 +75,7 @@ impl RobustLoss {
     }
 }
 
-/// The median; sorts.
+/// Sorts the values and returns their median.
 fn median(values: &mut [f64]) -> f64 {
     values.sort_by(f64::total_cmp);
     let n = values.len();
@@ -86,7 +87,7 @@ mod tests {
     use super::*;
     use crate::problem::loss::Loss;
 
-    /// Quantiles of the normal distribution's range, and two outliers.
+    /// Returns quantiles of the normal distribution and two outliers.
     fn residuals() -> Vec<f64> {
         let mut r: Vec<f64> = (0..98).map(|k| ((f64::from(k) + 0.5) / 98.0 - 0.5) * 4.0).collect();
         r.extend([50.0, -50.0]);
@@ -107,10 +108,12 @@ mod tests {
 
     #[test]
     fn mean_score_counts_the_residuals_within_the_loss_when_it_is_narrow() {
-        // Of Huber's loss with the scale 1 half the residuals lie within: mean psi' = 0.49 for all but the smoothing.
+        // For Huber's loss with scale 1, half of the residuals are within the scale: mean psi' = 0.49 for all
+        // without smoothing.
         let MeanScore { slope, correction } = loss(Loss::Huber, 1.0).mean_score(&residuals(), 0.02).unwrap();
         assert!((slope - 0.49).abs() < 0.02, "{slope}");
-        // Over the bandwidth 0.9 * 1 / 0.6745 * 100^(-1/5) = 0.53 it falls from 1 at 0.47 to 0 at 1.53: mean square (0.47 + 1.06 / 3) 0.49.
+        // Over the bandwidth 0.9 * 1 / 0.6745 * 100^(-1/5) = 0.53 it decreases from 1 at 0.47 to 0 at 1.53:
+        // mean square (0.47 + 1.06 / 3) 0.49.
         let expected = (1.0 + 0.02 * ((0.47 + 1.06 / 3.0) * 0.49 - 0.49 * 0.49) / (0.49 * 0.49_f64)).powi(2);
         assert!((correction - expected).abs() < 2e-3, "{correction}");
     }

@@ -1,11 +1,11 @@
-//! Check that the memory that a method needs is available, before anything large is allocated.
+//! Check that enough memory is available for a method, before large allocations.
 
 use crate::error::Error;
 
-/// Asks the system for memory for the product of `factors` numbers of 8 bytes, and frees it.
+/// Requests memory for the product of `factors` numbers of 8 bytes from the system, and frees it.
 ///
 /// # Errors
-/// There is none.
+/// Returns an error if the memory is not available.
 pub(crate) fn check(what: &'static str, factors: &[usize]) -> Result<(), Error> {
     let bytes = factors.iter().try_fold(8usize, |bytes, factor| bytes.checked_mul(*factor));
     let granted = bytes.is_some_and(|bytes| Vec::<u8>::new().try_reserve_exact(bytes).is_ok());

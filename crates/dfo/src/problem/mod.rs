@@ -1,4 +1,4 @@
-//! The problem: objective, loss, search space.
+//! Optimisation problem: objective, loss and search space.
 
 pub(crate) mod loss;
 pub(crate) mod m_estimator;

@@ -1,4 +1,4 @@
-//! The objective: one point goes in, an answer comes out.
+//! Objectives, which map a point to an answer.
 
 use crate::error::Error;
 use crate::outcome::answer::{Answer, Outcome, Want};
@@ -7,15 +7,15 @@ use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-/// A flag that nobody raises.
+/// A flag that is never set.
 pub(crate) static NEVER: AtomicBool = AtomicBool::new(false);
 
-/// Signals that end an evaluation that is under way. Each flag is raised and lowered by its owner alone.
+/// Signals that end a running evaluation. Only the owner of a flag sets and clears it.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CancelSignals<'a> {
-    /// The user's.
+    /// Flag of the user.
     cancel: &'a AtomicBool,
-    /// The run's, for one evaluation.
+    /// Flag of the run for one evaluation.
     over: &'a AtomicBool,
     pub(crate) deadline: Option<Instant>,
 }
@@ -25,7 +25,7 @@ impl<'a> CancelSignals<'a> {
         Self { cancel, over: &NEVER, deadline }
     }
 
-    /// The same for an evaluation that the run may end by this flag.
+    /// Adds a flag with which the run may end one evaluation.
     pub(crate) fn with_own_flag<'b>(self, over: &'b AtomicBool) -> CancelSignals<'b>
     where
         'a: 'b,
@@ -33,40 +33,40 @@ impl<'a> CancelSignals<'a> {
         CancelSignals { over, ..self }
     }
 
-    /// True if the user's flag is up.
+    /// True if the user's flag is set.
     pub(crate) fn is_cancelled(&self) -> bool {
         self.cancel.load(Ordering::Relaxed)
     }
 
-    /// True if the deadline has come.
+    /// True if the deadline has passed.
     pub(crate) fn is_late(&self) -> bool {
         self.deadline.is_some_and(|d| Instant::now() >= d)
     }
 }
 
-/// Request to an objective besides the point.
+/// Request to an objective in addition to the point.
 #[derive(Debug, Clone, Copy)]
 pub struct Query<'a> {
-    /// Kind of values that is requested of the point.
+    /// Kind of values requested at the point.
     pub want: Want,
-    /// The objective may stop as soon as its partial cost is strictly greater than this, and answer
-    /// [`Outcome::Above`] with it. `f64::INFINITY`: no cutoff.
+    /// Cutoff of the cost; `f64::INFINITY` means no cutoff. If the partial cost is strictly greater, the
+    /// objective may stop and return [`Outcome::Above`] with this value.
     pub cutoff: f64,
-    /// Running number of the point, the same for any number of workers; from 2^63 on where a point is
-    /// evaluated ahead of need.
+    /// Id of the point, counted over the run; the same for any number of workers. At least 2^63 if the point
+    /// is evaluated ahead of need.
     pub id: u64,
-    /// Running number of the batch that the point belongs to.
+    /// Index of the batch that the point belongs to.
     pub batch: u64,
     signals: CancelSignals<'a>,
 }
 
 impl Query<'static> {
-    /// A query for the cost without any limit: for calling an objective by hand.
+    /// Creates a query for the cost without time limit or cancel flag, for calling an objective by hand.
     pub fn new(id: u64, batch: u64, cutoff: f64) -> Self {
         Self { want: Want::Cost, cutoff, id, batch, signals: CancelSignals::new(&NEVER, None) }
     }
 
-    /// The same for something else.
+    /// Sets the kind of values requested.
     #[must_use]
     pub fn want(self, want: Want) -> Self {
         Self { want, ..self }
@@ -74,52 +74,53 @@ impl Query<'static> {
 }
 
 impl Query<'_> {
-    /// The same query, given up when the flag is set or the deadline is over.
+    /// Adds a cancel flag and a deadline to the query.
     pub fn cancellable(self, cancel: &AtomicBool, deadline: Option<Instant>) -> Query<'_> {
         self.ended_by(CancelSignals::new(cancel, deadline))
     }
 
-    /// The same query as one of a run.
+    /// Adds the signals of a run to the query.
     pub(crate) fn ended_by(self, signals: CancelSignals<'_>) -> Query<'_> {
         Query { want: self.want, cutoff: self.cutoff, id: self.id, batch: self.batch, signals }
     }
 
-    /// True if the run is being ended (interrupt or time limit): a long evaluation should check this now and
-    /// then, give up and answer [`Outcome::cancelled`].
+    /// True if the run is ending because of an interrupt or time limit. A long evaluation should check this
+    /// from time to time, and then stop and return [`Outcome::cancelled`].
     pub fn cancelled(&self) -> bool {
         self.signals.is_cancelled() || self.signals.over.load(Ordering::Relaxed) || self.signals.is_late()
     }
 }
 
-/// Something to minimise. Called from several threads at once when there are workers.
+/// A function to minimise. With workers, several threads call it at once.
 ///
-/// Every closure `Fn(&[f64]) -> f64 + Sync` is one; see [`fallible`], [`with_query`] and [`residuals`] for
-/// richer ones, and [`ByRef`] to lend one.
+/// Every closure `Fn(&[f64]) -> f64 + Sync` is an objective. See [`fallible`], [`with_query`] and
+/// [`residuals`] for objectives with more features, and [`ByRef`] for a borrowed objective.
 pub trait Objective: Sync {
-    /// The answer at `x` (user's units, user's order) into `answer`, which comes cleared: the outcome, what
-    /// was counted, and the residuals where [`Query::want`] asks for them. Then the cutoff is infinite.
+    /// Evaluates the point `x` (user's units and order) and writes the result to `answer`, which is cleared
+    /// beforehand. The result contains the outcome, the counted work, and the residuals if [`Query::want`]
+    /// requests them. With residuals, the cutoff is infinite.
     fn evaluate(&self, x: &[f64], query: &Query<'_>, answer: &mut Answer);
 
-    /// The same as a value of its own, for calling an objective by hand.
+    /// Evaluates the point and returns the answer, for calling an objective by hand.
     fn answer(&self, x: &[f64], query: &Query<'_>) -> Answer {
         let mut answer = Answer::default();
         self.evaluate(x, query, &mut answer);
         answer
     }
 
-    /// True if the cost is made from residuals that can be requested; the default is false.
+    /// True if the cost is computed from residuals that can be requested. Default false.
     fn has_residuals(&self) -> bool {
         false
     }
 
-    /// Loss that has been applied already to the residuals that it gives; a [`Report`](crate::Report) gives
-    /// back the plain ones.
+    /// Returns the loss that has already been applied to the returned residuals. A [`Report`](crate::Report)
+    /// contains the plain residuals.
     fn residual_loss(&self) -> RobustLoss {
         RobustLoss::default()
     }
 
-    /// True if evaluations are given up above their cutoff; the default is true. An objective that returns
-    /// false is never evaluated anew because the cutoff was another before.
+    /// True if evaluations stop early above their cutoff. Default true. If false, no point is evaluated again
+    /// because of a different cutoff.
     fn uses_cutoff(&self) -> bool {
         true
     }
@@ -134,7 +135,7 @@ impl<F: Fn(&[f64]) -> f64 + Sync> Objective for F {
     }
 }
 
-/// An objective that is lent.
+/// A borrowed objective.
 #[derive(Debug)]
 pub struct ByRef<'a, O: ?Sized>(pub &'a O);
 
@@ -153,11 +154,12 @@ impl<O: Objective + ?Sized> Objective for ByRef<'_, O> {
     }
 }
 
-/// See [`fallible`].
+/// Objective created by [`fallible`].
 #[derive(Debug, Clone, Copy)]
 pub struct Fallible<F>(F);
 
-/// An objective from a function that may fail: `Err(e)` becomes a failed evaluation with the text of `e`.
+/// Creates an objective from a function that may fail. `Err(e)` becomes a failed evaluation with the text of
+/// `e`.
 pub fn fallible<F, E>(f: F) -> Fallible<F>
 where
     F: Fn(&[f64]) -> Result<f64, E> + Sync,
@@ -182,11 +184,12 @@ where
     }
 }
 
-/// See [`with_query`].
+/// Objective created by [`with_query`].
 #[derive(Debug, Clone, Copy)]
 pub struct WithQuery<F>(F);
 
-/// An objective from a function that sees the cutoff and the cancel flag and returns an [`Outcome`].
+/// Creates an objective from a function that receives the query with its cutoff and cancel flag, and returns
+/// an [`Outcome`].
 pub fn with_query<F>(f: F) -> WithQuery<F>
 where
     F: Fn(&[f64], &Query<'_>) -> Outcome + Sync,
@@ -203,12 +206,13 @@ where
     }
 }
 
-/// A function with a residual vector.
+/// A function that returns a residual vector.
 pub trait ResidualFunction: Sync {
-    /// Appends the residuals at `x` to `out`, which comes empty; always the same number in the same order.
+    /// Appends the residuals at `x` to the empty vector `out`. Their number and order must not change.
     ///
     /// # Errors
-    /// The outcome to report instead: failed, above the cutoff (of the sum of squares), or abort.
+    /// Returns the outcome to report instead: a failure, above the cutoff (of the sum of squares), or an
+    /// abort.
     fn residuals(&self, x: &[f64], query: &Query<'_>, out: &mut Vec<f64>) -> Result<(), Outcome>;
 }
 
@@ -219,22 +223,23 @@ impl<F: Fn(&[f64], &mut Vec<f64>) + Sync> ResidualFunction for F {
     }
 }
 
-/// See [`residuals`].
+/// Objective created by [`residuals`].
 #[derive(Debug, Clone, Copy)]
 pub struct Residuals<R> {
     function: R,
     loss: RobustLoss,
 }
 
-/// An objective whose cost is the sum of the squared residuals, added from the first to the last in this
-/// order, so that the cost has the same bits wherever it is computed. Gives up above the cutoff.
+/// Creates an objective whose cost is the sum of squared residuals. They are added in order from the first to
+/// the last, so the cost is bit-for-bit identical wherever it is computed. The evaluation stops above the
+/// cutoff.
 pub fn residuals<R: ResidualFunction>(function: R) -> Residuals<R> {
     Residuals { function, loss: RobustLoss::default() }
 }
 
 impl<R> Residuals<R> {
-    /// A loss that counts large residuals less than their squares; residuals that are small against `scale`
-    /// count as before. The cost is the sum of what the residuals count then, for every method.
+    /// Sets a loss that reduces the weight of large residuals. Residuals that are small relative to `scale`
+    /// count as before. The cost is then the sum of the reduced contributions, for every method.
     ///
     /// ```
     /// use dfo::{Loss, minimize, residuals, LeastSquares};
@@ -250,7 +255,7 @@ impl<R> Residuals<R> {
     /// ```
     ///
     /// # Errors
-    /// As [`RobustLoss::new`].
+    /// Returns the errors of [`RobustLoss::new`].
     pub fn loss(mut self, loss: Loss, scale: f64) -> Result<Self, Error> {
         self.loss = RobustLoss::new(loss, scale)?;
         Ok(self)

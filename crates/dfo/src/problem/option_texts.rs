@@ -1,9 +1,9 @@
-//! Options as text: what identifies a run, and what the error about a checkpoint that does not fit names.
+//! Options as text, for the fingerprint of a run and for errors about checkpoints that do not match.
 
 use serde::Serialize;
 use serde_json::Value;
 
-/// The fields of a struct of options, by name.
+/// Returns the fields of an options struct with their names.
 pub(crate) fn fields(options: &impl Serialize) -> Vec<(String, String)> {
     match serde_json::to_value(options) {
         Ok(Value::Object(fields)) => fields.iter().map(|(name, value)| (name.clone(), text(value))).collect(),
@@ -12,17 +12,17 @@ pub(crate) fn fields(options: &impl Serialize) -> Vec<(String, String)> {
     }
 }
 
-/// A word of a set, or a list of them.
+/// Returns the text of a named choice or of a list of choices.
 pub(crate) fn word(value: &impl Serialize) -> String {
     serde_json::to_value(value).map_or_else(|error| error.to_string(), |value| text(&value))
 }
 
-/// A list of numbers, infinite ones too.
+/// Returns the text of a list of numbers, including infinite ones.
 pub(crate) fn numbers(values: &[f64]) -> String {
     format!("{values:?}")
 }
 
-/// A limit, or none.
+/// Returns the text of a limit, or "none".
 pub(crate) fn limit(value: Option<usize>) -> String {
     value.map_or_else(|| "none".to_owned(), |value| value.to_string())
 }

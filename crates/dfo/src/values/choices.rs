@@ -1,32 +1,32 @@
-//! Choices by name: how a parameter is searched, how the search is kept in its bounds, how tolerances are
-//! measured.
+//! Named choices: scale and kind of a parameter, treatment of bounds, goal of the search, and measure of
+//! tolerances.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// The scale on which a parameter is searched.
+/// Scale on which a parameter is searched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Transform {
-    /// As it is.
+    /// Search the parameter itself.
     #[default]
     Linear,
-    /// By its natural logarithm; only for positive parameters.
+    /// Search its natural logarithm; only for positive parameters.
     Log,
 }
 
-/// Kind of the values that a parameter takes.
+/// Kind of the values of a parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum ParameterKind {
-    /// Any in its bounds.
+    /// Any value within the bounds.
     #[default]
     Continuous,
-    /// Whole numbers.
+    /// Integers.
     Integer,
-    /// Whole numbers that stand for choices: 3 is no closer to 2 than to 7.
+    /// Integers that represent choices: 3 is no closer to 2 than to 7.
     Categorical,
 }
 
@@ -40,23 +40,23 @@ impl fmt::Display for ParameterKind {
     }
 }
 
-/// Treatment of the bounds by a search.
+/// Treatment of points outside of the bounds by a search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum BoundsHandling {
-    /// There are no such points: the search runs over an angle whose sine gives the place between two bounds,
-    /// and over a hyperbola for one bound (James and Roos, Comput. Phys. Commun. 10, 1975: MINUIT). A cost
-    /// that goes down towards a bound is smooth over the angle, with its minimum where the bound is reached;
-    /// mirrored it has a kink there, and a simplex clamped to bounds becomes flat. Of 126 runs in boxes
-    /// (`benches/simplex.rs`) 125 are solved with a mean of 788 evaluations; mirrored 94 with 5385, clamped
-    /// 84 with 4578.
+    /// No point is outside: the search uses an angle whose sine determines the position between two bounds,
+    /// and a hyperbola for one bound (James and Roos, Comput. Phys. Commun. 10, 1975: MINUIT). A cost that
+    /// decreases towards a bound is smooth as a function of the angle, with its minimum at the bound. With
+    /// mirroring, the cost has a kink there; with clamping, a simplex becomes flat. Of 126 runs in boxes
+    /// (`benches/simplex.rs`), 125 are solved with a mean of 788 evaluations. Mirroring solves 94 with 5385,
+    /// and clamping 84 with 4578.
     #[default]
     Sine,
-    /// Mirrored at the bound, repeatedly if need be.
+    /// Points are mirrored at the bound, repeatedly if necessary.
     Mirror,
-    /// Set onto the bound.
+    /// Points are moved onto the bound.
     Clamp,
 }
 
@@ -65,10 +65,10 @@ pub enum BoundsHandling {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Search {
-    /// The minimum next to the start.
+    /// The minimum nearest to the start.
     #[default]
     Local,
-    /// The best minimum of a box.
+    /// The lowest minimum in a box.
     Global,
 }
 
@@ -80,18 +80,18 @@ pub enum ToleranceMeasure {
     /// `x_tol` in units of the parameter's size, `f_tol` as a fraction of |f_best|.
     #[default]
     Relative,
-    /// Both as they are, in the user's units.
+    /// Both tolerances are absolute, in the user's units.
     Absolute,
 }
 
-/// Number of the two tests that must pass.
+/// Number of tolerance tests that must pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum StopRule {
-    /// Either one ends the run.
+    /// Either test ends the run.
     Any,
-    /// Both must hold at once.
+    /// Both tests must pass at the same time.
     #[default]
     All,
 }

@@ -1,20 +1,20 @@
-//! Bytes that say themselves what they hold: CBOR (RFC 8949), with the names of all fields.
+//! Self-describing encoding: CBOR (RFC 8949) with the names of all fields.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// A value as bytes.
+/// Encodes a value as bytes.
 ///
 /// # Errors
-/// As text. What this crate stores has none.
+/// Returns the error as text. The types that this crate stores never cause one.
 pub(crate) fn encode<T: Serialize>(value: &T) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::new();
     ciborium::into_writer(value, &mut bytes).map_err(|e| e.to_string())?;
     Ok(bytes)
 }
 
-/// Many numbers as one string of bytes (little endian, 8 for each), a small part of the time of as many
-/// single numbers: for `#[serde(with = "numbers")]`. Texts have them one by one.
+/// Encodes many numbers as one byte string (little endian, 8 bytes each), for `#[serde(with = "numbers")]`.
+/// This takes a small fraction of the time of separate numbers. Text formats store separate numbers.
 pub(crate) mod numbers {
     use serde::de::{DeserializeOwned, Deserializer, Error};
     use serde::{Deserialize, Serialize, Serializer};
@@ -64,10 +64,10 @@ pub(crate) mod numbers {
     }
 }
 
-/// A value from bytes.
+/// Decodes a value from bytes.
 ///
 /// # Errors
-/// The reason, as text, if the bytes do not fit the type.
+/// Returns the reason as text if the bytes do not match the type.
 pub(crate) fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
     ciborium::from_reader(bytes).map_err(|e| match e {
         ciborium::de::Error::Semantic(_, what) => what,

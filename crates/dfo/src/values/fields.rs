@@ -1,15 +1,15 @@
-//! Fields of the serde types that records are read as: their names, and parts of a record that several types
-//! share.
+//! Fields of the serde types that records are read as: their names, and the split of a record between several
+//! types.
 
 use crate::values::record::{Record, RecordError, Value};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeSet;
 
-/// The names of the fields of a type.
+/// Returns the names of the fields of a type.
 ///
 /// # Errors
-/// Its default cannot be serialised.
+/// Returns an error if the default value of the type cannot be serialised.
 pub fn field_names<T: Default + Serialize>() -> Result<BTreeSet<String>, RecordError> {
     match Value::of(&T::default())? {
         Value::Record(fields) => Ok(fields.into_keys().collect()),
@@ -17,19 +17,20 @@ pub fn field_names<T: Default + Serialize>() -> Result<BTreeSet<String>, RecordE
     }
 }
 
-/// Reads a record as a type; `what`: what its fields are called where there is none of a name.
+/// Reads a record as a type. `what` describes its fields in the error about an unknown name.
 ///
 /// # Errors
-/// A field that there is not, or a value that it cannot have.
+/// Returns an error if a field is unknown or its value is not allowed.
 pub fn read_record<T: DeserializeOwned>(record: &Record, what: &str) -> Result<T, RecordError> {
     let record = Value::Record(record.clone());
     T::deserialize(&record).map_err(|error| error.among(what).of(what, &record))
 }
 
-/// Reads a record as a type that leaves out what it does not know.
+/// Reads a record as a type whose serde implementation ignores unknown fields. Unknown fields are an error
+/// here.
 ///
 /// # Errors
-/// As [`read_record`].
+/// Returns the errors of [`read_record`].
 pub fn read_known<T>(record: &Record, what: &str) -> Result<T, RecordError>
 where
     T: Default + Serialize + DeserializeOwned,
@@ -41,10 +42,10 @@ where
     }
 }
 
-/// Reads those fields of a record that the type has; the others are returned.
+/// Reads the fields of a record that the type has, and returns the other fields.
 ///
 /// # Errors
-/// As [`read_record`].
+/// Returns the errors of [`read_record`].
 pub fn read_part<T>(record: Record, what: &str) -> Result<(T, Record), RecordError>
 where
     T: Default + Serialize + DeserializeOwned,

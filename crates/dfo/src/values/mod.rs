@@ -1,4 +1,4 @@
-//! Plain values: choices by name, bytes as text, records.
+//! Plain values: named choices, encoding and records.
 
 pub(crate) mod choices;
 pub(crate) mod encoding;

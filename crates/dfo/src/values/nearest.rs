@@ -1,6 +1,6 @@
-//! Names that somebody may have meant who wrote another one.
+//! Suggestions for misspelt names.
 
-/// The name that is most like what was written, if no more than two fifths of its letters differ.
+/// Returns the most similar name, if at most two fifths of its letters differ.
 pub(crate) fn nearest<'n>(written: &str, names: impl IntoIterator<Item = &'n str>) -> Option<&'n str> {
     let asked = folded(written);
     let all = names.into_iter().map(|name| (edits(&asked, &folded(name)), name));
@@ -8,12 +8,12 @@ pub(crate) fn nearest<'n>(written: &str, names: impl IntoIterator<Item = &'n str
     (5 * edits <= 2 * name.len().max(written.len())).then_some(name)
 }
 
-/// A name without what people write differently: the case of letters, and what stands between words.
+/// Returns a name in lower case without separators, to compare spellings.
 pub(crate) fn folded(name: &str) -> String {
     name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
 }
 
-/// How many letters must be changed, added or taken away to make one word of the other (Levenshtein, Sov.
+/// Returns the number of letters to change, add or remove to convert one word to the other (Levenshtein, Sov.
 /// Phys. Dokl. 10, 1966).
 pub(crate) fn edits(from: &str, to: &str) -> usize {
     let to: Vec<char> = to.chars().collect();

@@ -1,5 +1,4 @@
-//! Options by name: plain data from Python, a file or a command line, and how it becomes the serde types of
-//! this workspace.
+//! Options by name: plain data from Python, a file or a command line, and its conversion to serde types.
 
 use crate::values::nearest::nearest;
 use base::Number;
@@ -11,79 +10,79 @@ use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
 
-/// A limit of wall-clock time beyond this, in s, is none.
+/// Limit of wall-clock time in seconds that counts as no limit.
 const ENDLESS: f64 = 1e15;
 
-/// Where one of more names was meant, the others are not listed.
+/// Maximum number of names to list in an error that already suggests one.
 const MOST_LISTED: usize = 24;
 
 /// Values by name.
 pub type Record = BTreeMap<String, Value>;
 
-/// Plain data. Other than JSON it has infinities and NaN.
+/// Plain data. In contrast to JSON, it includes infinities and NaN.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Value {
-    /// None: the default, no limit, no bound.
+    /// None: the default, no limit or no bound.
     #[default]
     Nothing,
     /// True or false.
     Flag(bool),
-    /// A whole number, at least 0.
+    /// An integer that is at least 0.
     Count(u64),
-    /// A negative whole number.
+    /// A negative integer.
     Negative(i64),
     /// A number.
     Number(f64),
-    /// A text.
+    /// A string.
     Text(String),
     /// Several values.
     List(Vec<Value>),
     /// Values by name.
     Record(Record),
-    /// Something that is no data, by a text that shows it. It fits nowhere.
+    /// A value that is not plain data, as the text to display. It matches no type.
     #[serde(skip)]
     Other(String),
 }
 
 impl Value {
-    /// Converts the value to a type that serde can read. Names of variants are taken in any case and with `_`
-    /// for `-`; counts also from numbers like 1e4.
+    /// Converts the value to a type that serde can read. Names of variants are case-insensitive and accept
+    /// `_` for `-`. Counts also accept numbers such as 1e4.
     ///
     /// # Errors
-    /// A [`RecordError`] that calls the value `name`.
+    /// Returns a [`RecordError`] that uses `name` for the value.
     pub fn read<T: DeserializeOwned>(&self, name: &str) -> Result<T, RecordError> {
         T::deserialize(self).map_err(|error| error.of(name, self))
     }
 
-    /// The serialised form of a value.
+    /// Serialises a value.
     ///
     /// # Errors
-    /// It cannot be serialised.
+    /// Returns an error if the value cannot be serialised.
     pub fn of<T: Serialize>(value: &T) -> Result<Self, RecordError> {
         let json = serde_json::to_value(value).map_err(|e| RecordError::message(e.to_string()))?;
         Ok(json.into())
     }
 
-    /// Converts a text by [`FromStr`].
+    /// Parses a string with [`FromStr`].
     ///
     /// # Errors
-    /// Another type, or a text that is refused.
+    /// Returns an error if the value is not a string or cannot be parsed.
     pub fn parse<T: FromStr<Err: fmt::Display>>(&self, name: &str) -> Result<T, RecordError> {
         self.read::<String>(name)?.parse().map_err(|error: T::Err| RecordError::message(error.to_string()))
     }
 
-    /// Converts to a limit: a whole number from `least` on; `None`, infinity and what no machine counts are
-    /// no limit.
+    /// Converts the value to a limit, an integer that is at least `least`. `None`, infinity and numbers
+    /// beyond the range of counters mean no limit.
     ///
     /// # Errors
-    /// Another number, or another type.
+    /// Returns an error for other numbers and other types.
     pub fn read_limit(&self, name: &str, least: u64) -> Result<Option<usize>, RecordError> {
         let count = match self {
             Self::Nothing => return Ok(None),
             Self::Count(count) => *count,
             Self::Number(number) if *number == f64::INFINITY => return Ok(None),
-            // The cast ends at the largest.
+            // The cast saturates at the largest integer.
             Self::Number(number) if number.fract() == 0.0 && *number >= 0.0 => *number as u64,
             Self::Negative(_) | Self::Number(_) => return Err(self.out_of(name, least)),
             _ => return Err(RecordError::expected("a number", true).of(name, self)),
@@ -94,11 +93,11 @@ impl Value {
         Ok(usize::try_from(count).ok().filter(|count| *count < usize::MAX / 2))
     }
 
-    /// Converts to a limit of wall-clock time from seconds; `None`, infinity and 30 million years are no
-    /// limit.
+    /// Converts seconds to a limit of wall-clock time. `None`, infinity and more than 30 million years mean
+    /// no limit.
     ///
     /// # Errors
-    /// No positive number, or another type.
+    /// Returns an error if the value is not a positive number.
     pub fn read_time(&self, name: &str) -> Result<Option<Duration>, RecordError> {
         let Some(seconds) =
             self.read::<Option<f64>>(name)?.filter(|seconds| seconds.is_nan() || *seconds <= ENDLESS)
@@ -156,12 +155,12 @@ impl fmt::Display for Value {
     }
 }
 
-/// Why a value does not fit the option that it is given to.
+/// Reason why a value does not fit its option.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordError {
-    /// The name of the option, once it is known.
+    /// Name of the option, if known.
     name: Option<String>,
-    /// The method whose option it is.
+    /// Method that the option belongs to.
     method: Option<&'static str>,
     given: Value,
     problem: Problem,
@@ -169,17 +168,17 @@ pub struct RecordError {
 
 #[derive(Debug, Clone, PartialEq)]
 enum Problem {
-    /// It must be this; whether its type is another.
+    /// The value must be `what`; `is_type` is true if its type is wrong.
     Expected { what: String, is_type: bool },
-    /// It must be within this range.
+    /// The value must be in this range.
     Range(String),
-    /// There is no checkpoint that it could belong to.
+    /// The option requires a checkpoint, and there is none.
     NoCheckpoint,
-    /// It is none of these words.
+    /// The value is not one of these words.
     Word(Vec<&'static str>),
-    /// The record has no field of this name; those there are.
+    /// The record has no field of this name; the existing names follow.
     Field(Box<(String, &'static [&'static str])>),
-    /// What is wrong, in full.
+    /// The complete message.
     Message(String),
 }
 
@@ -200,13 +199,13 @@ impl RecordError {
         Self::new(Problem::NoCheckpoint)
     }
 
-    /// An error with this message.
+    /// Creates an error with this message.
     pub fn message(text: impl Into<String>) -> Self {
         Self::new(Problem::Message(text.into()))
     }
 
-    /// An error about a name that is none of those there are, with the one that is most like it; `what`: what
-    /// it is the name of.
+    /// Creates an error about an unknown name, with the most similar known name. `what` describes the kind of
+    /// the name.
     pub fn unknown<N: AsRef<str>>(what: &str, name: &str, known: &[N]) -> Self {
         let known: Vec<&str> = known.iter().map(AsRef::as_ref).collect();
         let meant = nearest(name, known.iter().copied());
@@ -218,7 +217,7 @@ impl RecordError {
         Self::message(format!("there is no {what} '{name}'{hint}{listed}"))
     }
 
-    /// The same, where it is about a name that the outermost record does not have: what the names there are.
+    /// Describes an unknown field of the outermost record as an unknown `what`.
     pub(crate) fn among(self, what: &str) -> Self {
         match &self.problem {
             Problem::Field(field) if self.name.is_none() => Self::unknown(what, &field.0, field.1),
@@ -226,7 +225,7 @@ impl RecordError {
         }
     }
 
-    /// The same of an option, where none is named yet.
+    /// Sets the option and its value, unless a name is already set.
     pub(crate) fn of(mut self, name: &str, given: &Value) -> Self {
         if self.name.is_none() {
             (self.name, self.given) = (Some(name.to_owned()), given.clone());
@@ -234,11 +233,11 @@ impl RecordError {
         self
     }
 
-    /// The same of an option of a method, of which this was given.
+    /// Sets the method, the option and its value.
     pub(crate) fn of_method(mut self, method: &'static str, name: &str, given: &Value) -> Self {
         (self.name, self.method, self.given) = (Some(name.to_owned()), Some(method), given.clone());
         if let Problem::Expected { what, is_type } = &mut self.problem {
-            // Whole numbers, NaN and infinities have the right type where numbers are expected.
+            // Integers, NaN and infinities have the right type if a number is expected.
             let is_number = match given {
                 Value::Count(_) | Value::Negative(_) => true,
                 Value::Number(number) => !number.is_finite() || number.fract() == 0.0,
@@ -249,7 +248,7 @@ impl RecordError {
         self
     }
 
-    /// Says what an option of several shapes must be.
+    /// Sets the expected value of an option that accepts several forms.
     pub(crate) fn must_be(&mut self, expected: &str) {
         match &mut self.problem {
             Problem::Expected { what, .. } => expected.clone_into(what),
@@ -258,24 +257,24 @@ impl RecordError {
         }
     }
 
-    /// Says that the option may also be none.
+    /// Adds that the option may also be None.
     pub(crate) fn or_none(&mut self) {
         if let Problem::Expected { what, .. } = &mut self.problem {
             what.push_str(" or None");
         }
     }
 
-    /// The name of the option.
+    /// Returns the name of the option.
     pub fn name(&self) -> Option<&str> {
         self.name.as_deref()
     }
 
-    /// Whether the value is of another type than the option.
+    /// True if the type of the value is wrong.
     pub fn is_type(&self) -> bool {
         matches!(self.problem, Problem::Expected { is_type: true, .. })
     }
 
-    /// The message, with the value as the user has written it.
+    /// Returns the message, with the value as the user wrote it.
     pub fn with_given(&self, given: &str) -> String {
         let name = self.name.as_deref().unwrap_or("the value");
         match &self.problem {
@@ -327,14 +326,14 @@ impl de::Error for RecordError {
         };
         let is_number =
             matches!(found, Unexpected::Float(_) | Unexpected::Signed(_) | Unexpected::Unsigned(_));
-        // A number of the right kind that cannot be: a negative count.
+        // The number has the right type but is not allowed, for example a negative count.
         let is_count = matches!(found, Unexpected::Signed(_)) && what.starts_with("a whole number");
         Self::expected(what, !(is_count || is_number && what == "a number"))
     }
 
     fn invalid_value(found: Unexpected<'_>, expected: &dyn de::Expected) -> Self {
         match found {
-            // One word of several that there are.
+            // The value is not one of several words.
             Unexpected::Str(_) => Self::expected(expected.to_string(), false),
             _ => Self::invalid_type(found, expected),
         }
@@ -349,7 +348,7 @@ impl de::Error for RecordError {
     }
 }
 
-/// A value as what serde finds in it.
+/// Describes a value for serde errors.
 fn found(value: &Value) -> Unexpected<'_> {
     match value {
         Value::Nothing => Unexpected::Unit,
@@ -372,7 +371,7 @@ impl<'v> IntoDeserializer<'v, RecordError> for &'v Value {
     }
 }
 
-/// A count is also read from a number like 1e4.
+/// Counts are also read from numbers such as 1e4.
 macro_rules! counts {
     ($($method:ident)*) => {
         $(fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, RecordError> {
@@ -433,7 +432,7 @@ impl<'de> Deserializer<'de> for &'de Value {
         }
     }
 
-    /// Not of a list: its fields would have no names.
+    /// Rejects lists, because their fields would not have names.
     fn deserialize_map<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, RecordError> {
         match self {
             Value::List(_) => Err(de::Error::invalid_type(found(self), &"a table of names and values")),
@@ -464,7 +463,7 @@ impl<'de> Deserializer<'de> for &'de Value {
     }
 }
 
-/// The fields of a record, whose names stand in the errors about their values.
+/// Fields of a record. Errors about their values contain their names.
 struct Fields<'v> {
     rest: btree_map::Iter<'v, String, Value>,
     current: Option<(&'v str, &'v Value)>,

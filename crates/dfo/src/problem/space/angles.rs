@@ -1,19 +1,21 @@
-//! A space whose coordinates are angles: the place between two bounds is a sine, the place above or below one
-//! bound lies on a hyperbola ([`BoundsHandling::Sine`](crate::BoundsHandling::Sine)).
+//! Spaces whose coordinates are angles. A sine maps an angle to a position between two bounds. A hyperbola
+//! maps a coordinate to a position above or below a single bound
+//! ([`BoundsHandling::Sine`](crate::BoundsHandling::Sine)).
 
 use super::coordinates::Space;
 use std::f64::consts::PI;
 
 impl Space {
-    /// The same problem over angles. Working coordinates of this space have no bounds; their sizes are such
-    /// that a distance in them is at least that of the point, in units of its size.
+    /// Returns this problem in terms of angles. The working coordinates of the new space have no bounds.
+    /// Their sizes are such that a distance in them is at least the distance of the points, in units of the
+    /// parameter's size.
     pub(crate) fn with_sine(&self) -> Self {
         let mut space = self.clone();
         for k in 0..self.n_free() {
             let (lower, upper) = self.limits_of(k);
             space.sizes[k] = match self.boxed[k].then_some(upper - lower) {
                 Some(width) if width > 0.0 => 2.0 * self.sizes[k] / width,
-                // A range without width on a logarithmic scale, or one bound.
+                // Either a range without width on a logarithmic scale, or only one bound.
                 Some(_) => 1.0,
                 None if lower.is_finite() || upper.is_finite() => 1.0,
                 None => self.sizes[k],
@@ -25,31 +27,31 @@ impl Space {
         space
     }
 
-    /// The same problem over the parameters themselves.
+    /// Returns this problem in terms of the parameters themselves.
     pub(crate) fn without_sine(&self) -> Self {
         let sizes = if self.sine { self.units.clone() } else { self.sizes.clone() };
         Self { sizes, sine: false, ..self.clone() }
     }
 
-    /// The coordinate that an angle stands for.
+    /// Returns the coordinate that belongs to an angle.
     pub(super) fn fold_sine(&self, k: usize, v: f64) -> f64 {
         let (lower, upper) = self.limits_of(k);
         let u = match (lower.is_finite(), upper.is_finite()) {
             (true, true) if self.boxed[k] => lower + 0.5 * (upper - lower) * (1.0 + v.sin()),
-            // The width is no number.
+            // The width overflows.
             (true, true) => (0.5 * lower + 0.5 * upper) + (0.5 * upper - 0.5 * lower) * v.sin(),
             (true, false) => lower + self.units[k] * (v.hypot(1.0) - 1.0),
             (false, true) => upper - self.units[k] * (v.hypot(1.0) - 1.0),
             (false, false) => v,
         };
-        // Far out on a hyperbola there are no numbers left.
+        // Far out on a hyperbola, the result may overflow.
         u.clamp(self.lower[k].max(f64::MIN), self.upper[k].min(f64::MAX))
     }
 
-    /// The angle of a coordinate.
+    /// Returns the angle of a coordinate.
     pub(super) fn unfold(&self, k: usize, u: f64) -> f64 {
         let (lower, upper) = self.limits_of(k);
-        // The root of (d + 1)^2 - 1, which has no square that could overflow.
+        // Root of (d + 1)^2 - 1, without a square that could overflow.
         let arc = |distance: f64| {
             let d = (distance / self.units[k]).clamp(0.0, f64::MAX);
             (d.sqrt() * (d + 2.0).sqrt()).min(f64::MAX)
@@ -68,13 +70,13 @@ impl Space {
         }
     }
 
-    /// The user's bounds that lie between two values of a coordinate that is an angle.
+    /// Returns the user's bounds that are passed between two values of an angle coordinate.
     pub(super) fn bounds_passed(&self, k: usize, from: f64, to: f64) -> [Option<f64>; 2] {
         let (low, high) = self.limits_of(k);
         let (lower, upper) = (self.bounds.lower()[self.free[k]], self.bounds.upper()[self.free[k]]);
         match (low.is_finite(), high.is_finite()) {
             (true, true) => {
-                // Arcs from bound to bound are numbered; the even ones begin at the lower bound.
+                // Arcs from bound to bound are numbered. Even arcs begin at the lower bound.
                 let arc = |v: f64| (v / PI + 0.5).floor();
                 let (first, last) = (arc(from.min(to)), arc(from.max(to)));
                 match last - first {
@@ -133,7 +135,8 @@ mod tests {
             [ToleranceMeasure::Absolute, ToleranceMeasure::Relative]
                 .map(|m| space.extent(k, at(from), others.clone(), m))
         };
-        // Sizes are 4, 2 and 1. From 2 over the upper bound to 2 again; over both; over the lower one.
+        // Sizes are 4, 2 and 1. The paths run from 2 over the upper bound back to 2, over both bounds, and
+        // over the lower bound.
         for (k, from, to, expected) in [
             (0, 0.0, PI, 2.0),
             (0, 0.0, 0.5 * PI, 2.0),

@@ -1,13 +1,14 @@
-//! Boxes: lower and upper bounds, one-sided or none; fixed parameters; folding and clamping into them.
+//! Boxes: lower and upper bounds, one-sided bounds and fixed parameters, with folding and clamping into the
+//! box.
 
 use crate::error::Error;
 use serde::{Deserialize, Serialize};
 
-/// Lower and upper bounds per parameter; infinite where there is none; equal where the parameter is fixed.
+/// Lower and upper bounds per parameter. An infinite bound means no bound. Equal bounds fix the parameter.
 ///
-/// A box that is more than 100 times as wide as the parameter is large (as given, else |x0|) tells nothing of
-/// its size. Methods that start from a point take bounds from 1e10 times that on as none, but for keeping to
-/// them; those that sample a box search all of it.
+/// A box does not determine the size of a parameter if it is more than 100 times as wide as the parameter is
+/// large (the given size, otherwise |x0|). Methods that start from a point ignore bounds beyond 1e10 times
+/// that size, except that points stay within them. Methods that sample a box search all of it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Bounds {
     lower: Vec<f64>,
@@ -15,11 +16,11 @@ pub struct Bounds {
 }
 
 impl Bounds {
-    /// Bounds in the user's units.
+    /// Creates bounds in the user's units.
     ///
     /// # Errors
-    /// Different lengths, NaN, a lower bound of +inf or an upper bound of -inf, a lower bound above the upper
-    /// one.
+    /// Returns an error if the lengths differ, a bound is NaN, a lower bound is +inf, an upper bound is -inf,
+    /// or a lower bound is above the upper bound.
     pub fn new(lower: &[f64], upper: &[f64]) -> Result<Self, Error> {
         if lower.len() != upper.len() {
             return Err(Error::Length { what: "upper bounds", expected: lower.len(), got: upper.len() });
@@ -38,7 +39,7 @@ impl Bounds {
         Ok(Self { lower: lower.to_vec(), upper: upper.to_vec() })
     }
 
-    /// No bounds on any of `n` parameters.
+    /// Creates infinite bounds for `n` parameters.
     pub fn unbounded(n: usize) -> Self {
         Self { lower: vec![f64::NEG_INFINITY; n], upper: vec![f64::INFINITY; n] }
     }
@@ -53,30 +54,30 @@ impl Bounds {
         self.lower.is_empty()
     }
 
-    /// The lower bounds.
+    /// Returns the lower bounds.
     pub fn lower(&self) -> &[f64] {
         &self.lower
     }
 
-    /// The upper bounds.
+    /// Returns the upper bounds.
     pub fn upper(&self) -> &[f64] {
         &self.upper
     }
 
-    /// True if parameter `i` has only one value.
+    /// True if parameter `i` is fixed.
     pub fn is_fixed(&self, i: usize) -> bool {
         self.lower[i] == self.upper[i]
     }
 
-    /// True if the point lies in the box; false for another length.
+    /// True if the point is in the box. False for a point of another length.
     pub fn contains(&self, x: &[f64]) -> bool {
         x.len() == self.len()
             && x.iter().zip(&self.lower).zip(&self.upper).all(|((&x, &lo), &hi)| lo <= x && x <= hi)
     }
 }
 
-/// Mirrors `u` at the bounds, as often as needed, until it lies inside. `fallback`, a point inside, stands in
-/// where the arithmetic overflows.
+/// Mirrors `u` at the bounds until it is inside. Returns `fallback`, a point inside, if the arithmetic
+/// overflows.
 pub(crate) fn fold(u: f64, lower: f64, upper: f64, fallback: f64) -> f64 {
     if !u.is_finite() {
         return fallback;
@@ -96,7 +97,7 @@ pub(crate) fn fold(u: f64, lower: f64, upper: f64, fallback: f64) -> f64 {
     if folded.is_finite() { folded } else { fallback }
 }
 
-/// The nearest value in the bounds; `fallback` for what is not finite.
+/// Returns the nearest value within the bounds; `fallback` for values that are not finite.
 pub(crate) fn clamp(u: f64, lower: f64, upper: f64, fallback: f64) -> f64 {
     if u.is_finite() { u.clamp(lower, upper) } else { fallback }
 }

@@ -1,4 +1,4 @@
-//! The map between the user's parameters and the coordinates that methods see.
+//! Map between the user's parameters and the coordinates that methods see.
 
 use super::bounds::{Bounds, clamp, fold};
 use crate::error::Error;
@@ -6,7 +6,7 @@ use crate::problem::option_texts;
 use crate::values::choices::{BoundsHandling, ParameterKind, ToleranceMeasure, Transform};
 use serde::{Deserialize, Serialize};
 
-/// A checked start point with its box, scales and sizes.
+/// A validated start point with its box, scales and sizes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Space {
     pub(super) x0: Vec<f64>,
@@ -18,11 +18,12 @@ pub struct Space {
     pub(super) upper: Vec<f64>,
     pub(super) sizes: Vec<f64>,
     pub(super) size_given: Vec<bool>,
-    /// True if nothing is known of the size: it was taken for 1.
+    /// True if the size is unknown and was set to 1.
     pub(super) size_unknown: Vec<bool>,
-    /// True if working coordinates are angles and the like, see [`BoundsHandling::Sine`].
+    /// True if working coordinates are angles or hyperbolic coordinates, see [`BoundsHandling::Sine`].
     pub(super) sine: bool,
-    /// With it: the sizes of the parameters themselves, also the unit of the hyperbola at a single bound.
+    /// Sizes of the parameters themselves, for use with `sine`. They are also the unit of the hyperbola at a
+    /// single bound.
     pub(super) units: Vec<f64>,
     /// True if the user's bounds are finite on both sides (in working coordinates).
     pub(super) boxed: Vec<bool>,
@@ -30,13 +31,13 @@ pub struct Space {
     /// [`without_far_bounds`](Self::without_far_bounds).
     #[serde(default)]
     pub(super) is_local: Local,
-    /// True if the lower and the upper bound count as none, see
+    /// True for each of the lower and upper bound that is ignored, see
     /// [`without_far_bounds`](Self::without_far_bounds).
     pub(super) far: Vec<[bool; 2]>,
 }
 
-/// True if a space is that of a search that starts from a point. It follows from the method: no two spaces
-/// differ by it, and files from before there was one are read.
+/// True for the space of a search that starts from a point. The method determines this flag, so two spaces
+/// never differ by it alone. Files written before the flag existed can be read.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub(super) struct Local(bool);
 
@@ -46,34 +47,37 @@ impl PartialEq for Local {
     }
 }
 
-/// A box that is so many times wider than the parameter is large tells nothing of its size.
+/// Relative width of a box beyond which the box does not determine the size of the parameter.
 const WIDE: f64 = 100.0;
 
-/// A bound that lies so many times farther than what is known of a parameter counts as none. Beyond that the
-/// rounding of an angle between the bounds (1e-16 of the width) is more than the default `x_tol` of 1e-6 near
-/// the start.
+/// Relative distance of a bound beyond which the bound is ignored. Beyond it, the rounding error of an angle
+/// between the bounds (1e-16 of the width) exceeds the default `x_tol` of 1e-6 near the start.
 const FAR: f64 = 1e10;
 
-/// A start value below this in size counts as zero: parameters in SI units lie between a capacitance of 1e-12
-/// F and a modulus of elasticity of 1e11 Pa.
+/// Magnitude of a start value below which it counts as zero. Parameters in SI units range from a capacitance
+/// of 1e-12 F to a modulus of elasticity of 1e11 Pa.
 const ZERO: f64 = 1e-12;
 
-/// A start value below this in size, the square root of the rounding unit, is a first guess of the size
-/// alone, where nothing else tells it: a parameter may be as small, or its start may stand for zero.
+/// Magnitude of a start value below which it is only a first guess of the size, if nothing else determines
+/// the size. The parameter may be this small, or the start may represent zero. The value is the square root
+/// of the rounding unit.
 const TINY: f64 = 1.5e-8;
 
-/// Logarithms of about the smallest and the largest normal number, with room for rounding.
+/// Logarithms of approximately the smallest and the largest normal number, with a margin for rounding.
 const LN_RANGE: (f64, f64) = (-708.0, 709.0);
 
-/// Up to here every whole number is a number of its own.
+/// Largest number up to which every integer is represented exactly.
 const LARGEST_WHOLE: f64 = 9_007_199_254_740_992.0;
 
-/// Typical size of a parameter on its scale, as far as something tells it: the given size; else the width of
-/// the box, unless it is more than 100 times |start|; else |start|, or on a logarithmic scale 1. A
-/// logarithmic box tells a size where it reaches over at most a factor of 100 to each side of its middle. Of
-/// a parameter that starts at zero (below 1e-12 in size) a box tells the size up to a width of 100.
+/// Returns the typical size of a parameter on its scale, if it can be determined. The given size takes
+/// precedence. Next comes the width of the box, unless it is more than 100 times |start|. Otherwise, the size
+/// is |start|, or 1 on a logarithmic scale.
 ///
-/// The same rule as in [`Space`], for whoever moves parameters by a share of their size.
+/// A logarithmic box determines the size if it extends by at most a factor of 100 to each side of its middle.
+/// If a parameter starts at zero (below 1e-12 in magnitude), a box of width up to 100 determines its size.
+///
+/// [`Space`] uses the same rule. The function is public for code that changes parameters by a fraction of
+/// their size.
 pub fn typical_size(
     transform: Transform,
     start: f64,
@@ -88,12 +92,12 @@ pub fn typical_size(
     given.or(of_box).or(Some(magnitude).filter(|size| *size > 0.0 && size.is_finite()))
 }
 
-/// The size of a value, as far as it tells one.
+/// Returns the magnitude of a value; 0 if it counts as zero.
 fn magnitude_of(value: f64) -> f64 {
     if value.abs() < ZERO { 0.0 } else { value.abs() }
 }
 
-/// The widest box that tells the size of a parameter of this magnitude.
+/// Returns the width of the widest box that determines the size of a parameter of this magnitude.
 fn widest(transform: Transform, magnitude: f64) -> f64 {
     match transform {
         Transform::Linear => (WIDE * if magnitude > 0.0 { magnitude } else { 1.0 }).min(f64::MAX),
@@ -102,12 +106,13 @@ fn widest(transform: Transform, magnitude: f64) -> f64 {
 }
 
 impl Space {
-    /// Checks everything. `transforms` and `sizes` may be empty (all linear, all sizes by default); a size of
-    /// a logarithmic parameter is in units of `ln x`.
+    /// Checks and creates a space. `transforms` and `sizes` may be empty (all linear, all default sizes). The
+    /// size of a logarithmic parameter is in units of `ln x`.
     ///
     /// # Errors
-    /// Lengths that differ, a start point that is empty, not finite or outside, a logarithmic parameter that
-    /// is not positive, a size that is not positive and finite.
+    /// Returns an error if lengths differ, or if the start point is empty, not finite or outside of the box.
+    /// Also returns an error if a logarithmic parameter is not positive, or if a size is not positive and
+    /// finite.
     pub fn new(
         x0: &[f64],
         bounds: Bounds,
@@ -181,7 +186,7 @@ impl Space {
             }
         };
         let width = hi - lo;
-        // An open side of a logarithmic parameter ends where exp(u) leaves the normal numbers.
+        // An unbounded side of a logarithmic parameter ends at the limit of the normal numbers for exp(u).
         let (lo, hi) = match transform {
             Transform::Linear => (lo, hi),
             Transform::Log => (lo.max(LN_RANGE.0).min(value.ln()), hi.min(LN_RANGE.1).max(value.ln())),
@@ -191,7 +196,7 @@ impl Space {
         self.kinds.push(ParameterKind::Continuous);
         self.lower.push(lo);
         self.upper.push(hi);
-        // Of a start at zero a wide box says little, but to a search of the box itself.
+        // For a start at zero, a wide box determines the size only for a search of the box itself.
         let known = typical_size(transform, value, (lower, upper), size);
         self.sizes.push(known.unwrap_or(if width.is_finite() && width > 0.0 { width } else { 1.0 }));
         self.size_given.push(size.is_some());
@@ -202,10 +207,10 @@ impl Space {
         Ok(())
     }
 
-    /// The same problem for a search that starts from a point: a box that is too wide to tell a size has no
-    /// [`width`](Self::width). Bounds of a linear parameter from 1e10 times the largest of 1, |x0| and the
-    /// given size on stand for "none": the coordinates are those of a parameter without them, and points are
-    /// clamped to them.
+    /// Returns this problem for a search that starts from a point. A box that is too wide to determine a size
+    /// has no [`width`](Self::width). For a linear parameter, bounds beyond 1e10 times the largest of 1, |x0|
+    /// and the given size are ignored. The coordinates are then those of a parameter without bounds, and
+    /// points are clamped to the bounds.
     pub(crate) fn without_far_bounds(&self) -> Self {
         let mut space = Self { is_local: Local(true), ..self.clone() };
         for (k, &i) in self.free.iter().enumerate().filter(|(k, _)| self.transforms[*k] == Transform::Linear)
@@ -223,27 +228,27 @@ impl Space {
         space
     }
 
-    /// True if the box is too wide to show the size of coordinate `k`, see [`typical_size`].
+    /// True if the box is too wide to determine the size of coordinate `k`, see [`typical_size`].
     fn is_wide(&self, k: usize) -> bool {
         let known = self.size_given[k].then(|| self.sizes[k]);
         let magnitude = known.unwrap_or(magnitude_of(self.x0[self.free[k]]));
         self.upper[k] - self.lower[k] > widest(self.transforms[k], magnitude)
     }
 
-    /// True if coordinate `k` has no bound that counts.
+    /// True if coordinate `k` has no effective bound.
     pub(crate) fn is_open(&self, k: usize) -> bool {
         let (lower, upper) = self.working_bounds(k);
         (lower == f64::NEG_INFINITY || self.far[k][0]) && (upper == f64::INFINITY || self.far[k][1])
     }
 
-    /// Makes parameters discrete, one kind per parameter. Working coordinates of discrete parameters stay
-    /// real; [`to_user`](Self::to_user) rounds, and a linear range reaches half a unit beyond its ends, so
-    /// that each whole number has the same share of it.
+    /// Makes parameters discrete; `kinds` has one entry per parameter. Working coordinates of discrete
+    /// parameters stay real, and [`to_user`](Self::to_user) rounds them. A linear range is extended by half a
+    /// unit at each end, so each integer has the same share of it.
     ///
     /// # Errors
-    /// Another number of kinds than parameters; a discrete parameter whose start value is not whole, between
-    /// whose bounds there is no whole number, or whose bounds lie beyond the numbers that are told apart from
-    /// their neighbours (2^53).
+    /// Returns an error if the number of kinds is not the number of parameters. For a discrete parameter,
+    /// returns an error if its start value is not an integer, if there is no integer between its bounds, or
+    /// if its bounds exceed 2^53, beyond which integers are not represented exactly.
     pub fn with_kinds(mut self, kinds: &[ParameterKind]) -> Result<Self, Error> {
         if kinds.len() != self.n() {
             return Err(Error::Length { what: "kinds", expected: self.n(), got: kinds.len() });
@@ -274,10 +279,11 @@ impl Space {
         Ok(self)
     }
 
-    /// True if two points of the working space are one up to rounding.
+    /// True if two points of the working space are equal up to rounding.
     pub(crate) fn is_same(&self, u: &[f64], v: &[f64]) -> bool {
         u.iter().zip(v).enumerate().all(|(k, (u, v))| {
-            // Rounding of ln x is absolute, that of x relative; zero is what is tiny against the size.
+            // The rounding error of ln x is absolute, the rounding error of x relative. Values that are tiny
+            // relative to the size count as zero.
             let magnitude = match self.transforms[k] {
                 Transform::Linear => v.abs().max(f64::EPSILON * self.sizes[k]),
                 Transform::Log => v.abs().max(1.0),
@@ -286,15 +292,15 @@ impl Space {
         })
     }
 
-    /// Kind of free parameter `k`.
+    /// Returns the kind of free parameter `k`.
     pub fn kind(&self, k: usize) -> ParameterKind {
         self.kinds[k]
     }
 
-    /// For methods that need continuous parameters.
+    /// Checks that all free parameters are continuous, for methods that require it.
     ///
     /// # Errors
-    /// The first parameter that is not.
+    /// Returns an error with the first parameter that is not continuous.
     pub fn require_continuous(&self, method: &'static str) -> Result<(), Error> {
         match self.kinds.iter().position(|k| *k != ParameterKind::Continuous) {
             Some(k) => Err(Error::NotContinuous { method, index: self.free[k], kind: self.kinds[k] }),
@@ -302,10 +308,10 @@ impl Space {
         }
     }
 
-    /// For methods that search a box.
+    /// Checks that all free parameters have a finite range, for methods that search a box.
     ///
     /// # Errors
-    /// The first parameter without a finite range (or whose range has no finite width).
+    /// Returns an error with the first parameter without a finite range, or whose range has no finite width.
     pub fn require_box(&self, method: &'static str) -> Result<(), Error> {
         let endless = (0..self.n_free()).find(|&k| self.width(k).is_none_or(|w| !w.is_finite()));
         match endless.map(|k| self.free[k]) {
@@ -317,7 +323,7 @@ impl Space {
         }
     }
 
-    /// Bounds, scales, kinds and sizes as text, for a fingerprint.
+    /// Returns bounds, scales, kinds and sizes as text, for a fingerprint.
     pub(crate) fn describe(&self) -> Vec<(String, String)> {
         let Self { bounds, free, transforms, kinds, sizes, size_given, .. } = self;
         let given = free.iter().zip(size_given).filter(|(_, given)| **given).map(|(index, _)| index);
@@ -334,53 +340,53 @@ impl Space {
         .into()
     }
 
-    /// True if a point lies strictly between the bounds of all free parameters.
+    /// True if the point is strictly between the bounds of all free parameters.
     pub(crate) fn is_inside(&self, x: &[f64]) -> bool {
         let (lower, upper) = (self.bounds.lower(), self.bounds.upper());
         self.free.iter().all(|&i| lower[i] < x[i] && x[i] < upper[i])
     }
 
-    /// The same space with another start point inside of the box.
+    /// Returns this space with another start point inside the box.
     pub(crate) fn starting_at(&self, x0: &[f64]) -> Self {
         Self { x0: x0.to_vec(), ..self.clone() }
     }
 
-    /// Number of parameters, the fixed ones included.
+    /// Returns the number of parameters, including fixed ones.
     pub fn n(&self) -> usize {
         self.x0.len()
     }
 
-    /// Number of free parameters: the dimension in which a method searches.
+    /// Returns the number of free parameters, which is the dimension of the search.
     pub fn n_free(&self) -> usize {
         self.free.len()
     }
 
-    /// Indices of the free parameters.
+    /// Returns the indices of the free parameters.
     pub fn free(&self) -> &[usize] {
         &self.free
     }
 
-    /// The start point.
+    /// Returns the start point.
     pub fn x0(&self) -> &[f64] {
         &self.x0
     }
 
-    /// The box in the user's units.
+    /// Returns the box in the user's units.
     pub fn bounds(&self) -> &Bounds {
         &self.bounds
     }
 
-    /// Scale of free parameter `k`.
+    /// Returns the scale of free parameter `k`.
     pub fn transform(&self, k: usize) -> Transform {
         self.transforms[k]
     }
 
-    /// Bounds of working coordinate `k`.
+    /// Returns the bounds of working coordinate `k`.
     pub fn working_bounds(&self, k: usize) -> (f64, f64) {
         if self.sine { (f64::NEG_INFINITY, f64::INFINITY) } else { (self.lower[k], self.upper[k]) }
     }
 
-    /// Typical size of working coordinate `k`: the unit of a relative `x_tol`.
+    /// Returns the typical size of working coordinate `k`, which is the unit of a relative `x_tol`.
     pub fn size(&self, k: usize) -> f64 {
         self.sizes[k]
     }
@@ -390,29 +396,29 @@ impl Space {
         self.size_given[k]
     }
 
-    /// True if nothing is known of the size of parameter `k`: it starts at zero or next to it, without a
-    /// nominal size and without a box.
+    /// True if the size of parameter `k` is unknown: it starts at or close to zero, without a nominal size
+    /// and without a box.
     pub(crate) fn size_is_unknown(&self, k: usize) -> bool {
         self.size_unknown[k]
     }
 
-    /// Typical size of parameter `k` itself, also over angles.
+    /// Returns the typical size of parameter `k` itself, also if its coordinate is an angle.
     pub(crate) fn unit(&self, k: usize) -> f64 {
         if self.sine { self.units[k] } else { self.sizes[k] }
     }
 
-    /// Takes the size of a parameter without a box that was found while the search went on.
+    /// Sets the size of a parameter without a box that was found during the search.
     pub(crate) fn set_unit(&mut self, k: usize, size: f64) {
         if self.sine {
             self.units[k] = size;
         }
-        // With one bound an angle keeps its size, and the hyperbola follows its unit.
+        // With one bound, the angle keeps its size, and only the unit of the hyperbola changes.
         if !self.sine || self.limits_of(k) == (f64::NEG_INFINITY, f64::INFINITY) {
             self.sizes[k] = size;
         }
     }
 
-    /// True if two spaces are the same but for sizes that were found while the search went on.
+    /// True if two spaces are equal except for sizes that were found during the search.
     pub(crate) fn is_same_space(&self, other: &Self) -> bool {
         let mut own = self.clone();
         let unknown = (0..self.n_free()).filter(|&k| self.size_unknown[k]);
@@ -422,13 +428,14 @@ impl Space {
         }
     }
 
-    /// Width of the box along working coordinate `k`, if the user's bounds make it finite; for a search that
-    /// starts from a point, if it also tells the size of the parameter.
+    /// Returns the width of the box along working coordinate `k`, if the user's bounds make it finite. For a
+    /// search that starts from a point, the box must also determine the size of the parameter.
     pub fn width(&self, k: usize) -> Option<f64> {
         (self.boxed[k] && !(self.is_local.0 && self.is_wide(k))).then(|| self.upper[k] - self.lower[k])
     }
 
-    /// Working coordinates of a point (`x` of length [`n`](Self::n), `u` of length [`n_free`](Self::n_free)).
+    /// Computes the working coordinates of a point (`x` of length [`n`](Self::n), `u` of length
+    /// [`n_free`](Self::n_free)).
     pub fn to_working(&self, x: &[f64], u: &mut [f64]) {
         for (k, &i) in self.free.iter().enumerate() {
             u[k] = match self.transforms[k] {
@@ -441,7 +448,7 @@ impl Space {
         }
     }
 
-    /// The point of given working coordinates; always inside of the box if they are.
+    /// Computes the point of given working coordinates. It is in the box if they are within their bounds.
     pub fn to_user(&self, u: &[f64], x: &mut [f64]) {
         x.copy_from_slice(&self.x0);
         for (k, &i) in self.free.iter().enumerate() {
@@ -452,14 +459,14 @@ impl Space {
             };
             if self.kinds[k] != ParameterKind::Continuous {
                 let whole = x[i].round().clamp(self.bounds.lower()[i].ceil(), self.bounds.upper()[i].floor());
-                // There is but one zero: -0 would be another point for the cache, and look odd.
+                // Converts -0 to 0: -0 would be a different point in the cache.
                 x[i] = whole + 0.0;
             }
         }
     }
 
-    /// The user's bounds in the linear or logarithmic scale of a coordinate; infinite where there is none
-    /// that counts.
+    /// Returns the user's bounds on the linear or logarithmic scale of a coordinate; infinite without an
+    /// effective bound.
     pub(crate) fn limits_of(&self, k: usize) -> (f64, f64) {
         let i = self.free[k];
         let (lower, upper) = (self.bounds.lower()[i], self.bounds.upper()[i]);
@@ -472,9 +479,9 @@ impl Space {
         (lower, if upper.is_infinite() || far_above { f64::INFINITY } else { self.upper[k] })
     }
 
-    /// The largest distance from `centre` that coordinate `k` has on the way to any of the `others`, all of
-    /// them pairs of a working coordinate and the user's: over angles the way may lead to a bound and back,
-    /// and one place has many angles.
+    /// Returns the largest distance from `centre` that coordinate `k` reaches on the way to any of the
+    /// `others`. All of them are pairs of a working coordinate and the user's coordinate. With angles, the
+    /// way may pass a bound and return, because many angles represent one position.
     pub(crate) fn extent<I>(&self, k: usize, centre: (f64, f64), others: I, measure: ToleranceMeasure) -> f64
     where
         I: Iterator<Item = (f64, f64)> + Clone,
@@ -503,8 +510,8 @@ impl Space {
         }
     }
 
-    /// Brings working coordinate `k` into its bounds; `fallback`, a value inside, stands in for what is not
-    /// finite.
+    /// Moves working coordinate `k` into its bounds. Returns `fallback`, a value inside, for values that are
+    /// not finite.
     pub fn bring_inside(&self, k: usize, u: f64, fallback: f64, handling: BoundsHandling) -> f64 {
         match handling {
             BoundsHandling::Mirror => fold(u, self.lower[k], self.upper[k], fallback),

@@ -1,13 +1,14 @@
-//! The search space: which parameters are free, on which scale they are, and what size a step of one has.
+//! Search space: the free parameters, their scales and their typical sizes.
 //!
-//! Outside, points are always in the user's units and order. Methods see *working coordinates*: one per free
-//! parameter, `x` itself on a linear scale (bit for bit, so that tolerances in x stay tolerances in x) and
-//! `ln x` on a logarithmic one. The typical size of a coordinate is taken from the user, else from the width
-//! of a finite box that is not too wide to tell one, else from |x0|, else it is 1: see [`typical_size`].
+//! In the public interface, points are always in the user's units and order. Methods see *working
+//! coordinates*, one per free parameter. On a linear scale, the coordinate is `x` itself, bit for bit, so
+//! tolerances in x remain tolerances in x. On a logarithmic scale, it is `ln x`. The typical size of a
+//! coordinate is the user's value, otherwise the width of a finite box that is not too wide, otherwise |x0|,
+//! otherwise 1; see [`typical_size`].
 //!
-//! Searches that start from a point (all but those that sample a box) take finite bounds that stand for
-//! "none", at least 1e10 times as far as the largest of 1, |x0| and the given size, as none: the coordinates
-//! are those of a parameter without them. No point outside of them is evaluated all the same.
+//! Searches that start from a point (all except those that sample a box) ignore finite bounds at least 1e10
+//! times as far as the largest of 1, |x0| and the given size. The coordinates are then those of a parameter
+//! without bounds. Still, no point outside these bounds is evaluated.
 
 mod angles;
 mod bounds;
