@@ -1,8 +1,9 @@
-//! Fits an FMU that brings its own solver (co-simulation) to a recording in other units than the model's: cm and ms.
+//! Fits a co-simulation FMU, which contains its own solver, to a recording in cm and ms instead of the
+//! model's units.
 //!
-//! The recording is that of the quadruple tank, as a data logger might have written it: columns that say their units are
-//! converted to those of the model's variables. The fit is then handed on: saved, as a parameter file for other tools
-//! (`.ssv`), as a report. Run with `cargo run --release --example co_simulation`.
+//! The recording is the quadruple-tank recording in the form that a data logger might write. Columns with
+//! units are converted to the units of the model's variables. The fit is then exported: saved, as a parameter
+//! file for other tools (`.ssv`), and as a report. Run with `cargo run --release --example co_simulation`.
 
 #![allow(clippy::print_stdout)]
 
@@ -13,7 +14,7 @@ use fmufit::fmi::{Fmu, RunSettings};
 use std::error::Error;
 use std::path::Path;
 
-/// The recording in cm and ms, with the names of a data logger.
+/// Returns the recording in cm and ms, with column names of a data logger.
 fn logged() -> Result<Data, Box<dyn Error>> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/data/quad_tank.csv");
     let recording = Data::from_csv(path)?;

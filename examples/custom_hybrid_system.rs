@@ -1,7 +1,8 @@
-//! A hand-written hybrid system, no FMU: a room with a heater that a thermostat switches.
+//! A hand-written hybrid system without an FMU: a room with a heater that a thermostat switches.
 //!
-//! The temperature falls towards 5 degrees outside and rises while the heater is on; the thermostat switches on below
-//! 19 and off above 21 degrees. Both switches are state events. Run with `cargo run --example custom_hybrid_system`.
+//! The temperature falls towards 5 degrees outside and rises while the heater is on. The thermostat switches
+//! on below 19 and off above 21 degrees. Both switches are state events. Run with `cargo run --example
+//! custom_hybrid_system`.
 
 #![allow(clippy::print_stdout)]
 
@@ -40,7 +41,7 @@ impl HybridSystem for Room {
         Ok(())
     }
 
-    /// Positive while the present mode may stay.
+    /// Positive as long as the present mode continues.
     fn event_indicators(&mut self, _t: f64, x: &[f64], z: &mut [f64]) -> CallResult<()> {
         z[0] = if self.heater_on { 21.0 - x[0] } else { x[0] - 19.0 };
         Ok(())

@@ -1,9 +1,10 @@
-//! Calibrates a diesel exhaust pipe as Gedda, Andersson, Åkesson and Diehl (2012), section 6.2: first the right gas volume, then
-//! the left.
+//! Calibrates a diesel exhaust pipe as in Gedda, Andersson, Åkesson and Diehl (2012), section 6.2: first the
+//! right gas volume, then the left.
 //!
-//! A stiff model with five recorded inputs, its solver found by comparison. The first 500 s of the recording are for the calibration,
-//! the rest for the validation. Then all four parameters are fitted at once: the fit says itself that the data does not tell
-//! them apart. Run with `cargo run --release --example exhaust`.
+//! The model is stiff and has five recorded inputs. Its solver is chosen by comparison. The first 500 s of
+//! the recording are used for the calibration, the rest for the validation. Then all four parameters are
+//! fitted at once, and the fit reports that the data do not determine them separately. Run with
+//! `cargo run --release --example exhaust`.
 
 #![allow(clippy::print_stdout)]
 
@@ -18,11 +19,11 @@ use std::path::Path;
 
 const INPUTS: [&str; 5] = ["T_in", "p_in", "w_turb1", "w_turb2", "p_out"];
 
-/// Parameter, nominal value, upper bound: heat capacities in J/K and conductances in W/K of both walls.
+/// Parameter, nominal value and upper bound: heat capacities in J/K and conductances in W/K of both walls.
 const PARAMETERS: [(&str, f64, f64); 4] =
     [("C1", 2500.0, 5e4), ("G1", 120.0, 500.0), ("C2", 9000.0, 5e4), ("G2", 80.0, 500.0)];
 
-/// Prints the parameters of a fit and its RMS in units of those of the nominal parameters.
+/// Prints the parameters of a fit and its RMS relative to the RMS of the nominal parameters.
 fn show(what: &str, fit: &Fit, validation: &Validation, nominal: (f64, f64)) {
     let values: Vec<String> =
         fit.names.iter().zip(&fit.x).map(|(name, x)| format!("{name} = {x:.1}")).collect();

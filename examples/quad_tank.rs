@@ -1,7 +1,7 @@
-//! Calibrates the outlets of a quadruple tank that is driven by recorded voltages: inputs from the data, in two steps.
+//! Calibrates the outlets of a quadruple tank in two steps, with recorded voltages as inputs.
 //!
-//! First the outlets of the lower tanks from the lower levels alone, then all four outlets from all four levels. Run with
-//! `cargo run --release --example quad_tank`.
+//! The first step fits the outlets of the lower tanks to the lower levels only. The second step fits all four
+//! outlets to all four levels. Run with `cargo run --release --example quad_tank`.
 
 #![allow(clippy::print_stdout)]
 
@@ -11,7 +11,7 @@ use fmufit::fmi::Fmu;
 use std::error::Error;
 use std::path::Path;
 
-/// The first `n` outlets from the first `n` levels, starting at 3e-6 m2.
+/// Fits the first `n` outlets to the first `n` levels, starting at 3e-6 m2.
 fn calibrate(fmu: &Fmu, data: &Data, n: usize) -> Result<(), Box<dyn Error>> {
     let mut experiment = Experiment::new(data.clone()).input("u1", "u1").input("u2", "u2");
     for i in 1..=n {

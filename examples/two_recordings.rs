@@ -1,8 +1,8 @@
-//! Fits one pendulum to two recordings that began at different angles: frictions are shared, the first angle is each
-//! recording's own.
+//! Fits one pendulum to two recordings that begin at different angles. The frictions are shared; each
+//! recording has its own initial angle.
 //!
-//! The recordings are made of the bundled model with known parameters and noise. Run with
-//! `cargo run --release --example two_recordings`.
+//! The recordings are generated from the bundled model with known parameters and noise. Run with `cargo run
+//! --release --example two_recordings`.
 
 #![allow(clippy::print_stdout)]
 
@@ -11,14 +11,14 @@ use fmufit::example_models::example_fmu;
 use fmufit::fmi::{Fmu, SimulateOptions};
 use std::error::Error;
 
-/// Output and the standard deviation of its noise in rad.
+/// Output and standard deviation of its noise in rad.
 const OUTPUTS: [(&str, f64); 2] = [("armJoint.phi", 0.03), ("pendulumJoint.phi", 0.02)];
 
-/// Friction, its true value, where the fit starts, its upper bound, in N m.
+/// Friction, true value, start value of the fit and upper bound, in N m.
 const FRICTIONS: [(&str, f64, f64, f64); 2] =
     [("armFriction", 0.011, 0.012, 0.022), ("pendulumFriction", 0.0013, 0.002, 0.012)];
 
-/// Standard normal numbers: sums of twelve uniform ones, less six.
+/// Returns a standard normal number: the sum of twelve uniform numbers, minus six.
 fn noise(seed: &mut u64) -> f64 {
     let mut uniform = || {
         *seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -27,7 +27,7 @@ fn noise(seed: &mut u64) -> f64 {
     (0..12).map(|_| uniform()).sum::<f64>() - 6.0
 }
 
-/// A recording of 20 s that begins at this angle of the pendulum.
+/// Generates a recording of 20 s that begins at this angle of the pendulum.
 fn recording(fmu: &Fmu, angle: f64, seed: &mut u64) -> Result<Data, Box<dyn Error>> {
     let time: Vec<f64> = (0..=400).map(|k| 0.05 * f64::from(k)).collect();
     let mut options = SimulateOptions::new()

@@ -1,12 +1,12 @@
-//! The context of a piece of work: who may end it early, and when its time is over.
+//! Context of a long operation: cancellation and time limit.
 
 use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// The conditions under which work goes on: until it is cancelled, and until its time is over. It is
-/// passed by reference to everything that takes long, which looks at [`is_over`](Self::is_over) between its
-/// steps.
+/// Conditions under which an operation may continue: it has not been cancelled, and its time is not over. The
+/// context is passed by reference to every long operation, which checks [`is_over`](Self::is_over) between
+/// its steps.
 ///
 /// ```
 /// use base::RunContext;
@@ -26,32 +26,32 @@ pub struct RunContext<'a> {
 }
 
 impl<'a> RunContext<'a> {
-    /// Nobody ends the work, and it may take any time.
+    /// Creates a context without cancellation and without a time limit.
     pub fn new() -> Self {
         Self { ask: None, flag: None, began: Instant::now(), end: None }
     }
 
-    /// The work ends when this function, which is called on the thread that works, says so.
+    /// Adds a function that cancels the operation when it returns true. It is called on the working thread.
     #[must_use]
     pub fn asking(self, ask: &'a dyn Fn() -> bool) -> Self {
         Self { ask: Some(ask), ..self }
     }
 
-    /// The work ends when another thread has raised this flag.
+    /// Adds a flag with which another thread cancels the operation.
     #[must_use]
     pub fn flagged(self, flag: &'a AtomicBool) -> Self {
         Self { flag: Some(flag), ..self }
     }
 
-    /// The same, and it has this time from now on, if that ends sooner. A limit beyond what the clock can
-    /// count is none.
+    /// Limits the remaining time, unless an earlier end is already set. A limit beyond the range of the clock
+    /// means no limit. Also restarts [`elapsed`](Self::elapsed).
     #[must_use]
     pub fn within(self, limit: Option<Duration>) -> Self {
         let began = Instant::now();
         Self { began, ..self }.until(limit.and_then(|limit| began.checked_add(limit)))
     }
 
-    /// The same, and its time is over at that moment, if that is sooner.
+    /// Sets the end of the time, unless an earlier end is already set.
     #[must_use]
     pub fn until(self, end: Option<Instant>) -> Self {
         let end = match (self.end, end) {
@@ -61,17 +61,17 @@ impl<'a> RunContext<'a> {
         Self { end, ..self }
     }
 
-    /// True if the work was cancelled, by the flag or by the function.
+    /// True if the flag or the function has cancelled the operation.
     pub fn is_cancelled(&self) -> bool {
         self.flag.is_some_and(|flag| flag.load(Ordering::Relaxed)) || self.function().is_some_and(|ask| ask())
     }
 
-    /// The function that is asked.
+    /// Returns the function that can cancel the operation.
     pub fn function(&self) -> Option<&'a dyn Fn() -> bool> {
         self.ask
     }
 
-    /// The flag that is looked at.
+    /// Returns the flag that can cancel the operation.
     pub fn flag(&self) -> Option<&'a AtomicBool> {
         self.flag
     }
@@ -81,22 +81,22 @@ impl<'a> RunContext<'a> {
         self.end.is_some_and(|end| Instant::now() >= end)
     }
 
-    /// True if the work is to end: it was cancelled, or its time is over.
+    /// True if the operation must end because it was cancelled or its time is over.
     pub fn is_over(&self) -> bool {
         self.is_late() || self.is_cancelled()
     }
 
-    /// The time that is left; `None` without a limit.
+    /// Returns the remaining time; `None` without a limit.
     pub fn left(&self) -> Option<Duration> {
         self.end.map(|end| end.saturating_duration_since(Instant::now()))
     }
 
-    /// Moment at which the time is over; `None` without a limit.
+    /// Returns the end of the time; `None` without a limit.
     pub fn end(&self) -> Option<Instant> {
         self.end
     }
 
-    /// The time since the work began.
+    /// Returns the time since the operation began.
     pub fn elapsed(&self) -> Duration {
         self.began.elapsed()
     }

@@ -1,4 +1,4 @@
-//! Files of the user: read only where they are regular ones, written whole or not at all.
+//! User files: only regular files are read, and files are written completely or not at all.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -7,18 +7,18 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 use tempfile::{NamedTempFile, TempPath};
 
-/// Part of the name of a temporary file between the name of the file that it will replace and the number of
-/// the process.
+/// Part of the name of a temporary file, between the name of the target file and the process id.
 const WRITING: &str = ".writing-";
 
-/// So many bytes of a name are repeated in that of its temporary file: names have at most 255.
+/// Maximum number of bytes of a file name to repeat in the name of its temporary file. File names have at
+/// most 255 bytes.
 const LONGEST: usize = 180;
 
-/// Opens a regular file for reading. The system is not waited for: what is no regular file (a named pipe, a
-/// device, a socket) is refused before anything is read from it.
+/// Opens a regular file for reading, without blocking. A file that is not regular (a named pipe, a device, a
+/// socket) is rejected before anything is read from it.
 ///
 /// # Errors
-/// Those of the system; [`io::ErrorKind::InvalidInput`] for what is no regular file,
+/// Returns the errors of the system, [`io::ErrorKind::InvalidInput`] if the file is not regular, and
 /// [`io::ErrorKind::IsADirectory`] for a folder.
 pub fn open_regular(path: &Path) -> io::Result<File> {
     let mut options = OpenOptions::new();
@@ -26,10 +26,10 @@ pub fn open_regular(path: &Path) -> io::Result<File> {
     require_regular(without_waiting(&mut options, 0).open(path)?)
 }
 
-/// The content of a regular file.
+/// Returns the content of a regular file.
 ///
 /// # Errors
-/// As [`open_regular`].
+/// Returns the errors of [`open_regular`].
 pub fn read_regular(path: &Path) -> io::Result<Vec<u8>> {
     let mut file = open_regular(path)?;
     let length = file.metadata()?.len();
@@ -41,11 +41,12 @@ pub fn read_regular(path: &Path) -> io::Result<Vec<u8>> {
     Ok(content)
 }
 
-/// Opens a regular file of this user for reading and writing in a folder that is open to others: links are
-/// not followed.
+/// Opens a regular file of this user for reading and writing, in a folder that other users can access. Links
+/// are not followed.
 ///
 /// # Errors
-/// As [`open_regular`]; [`io::ErrorKind::PermissionDenied`] for a file of another user.
+/// Returns the errors of [`open_regular`], and [`io::ErrorKind::PermissionDenied`] if another user owns the
+/// file.
 pub fn open_own(path: &Path) -> io::Result<File> {
     let mut options = OpenOptions::new();
     options.read(true).write(true);
@@ -61,8 +62,8 @@ pub fn open_own(path: &Path) -> io::Result<File> {
     Ok(file)
 }
 
-/// True if a file belongs to the owner of its folder. That the folder is one's own, the caller knows: only
-/// its owner can remove it.
+/// True if the owner of a file owns its folder. The caller must know that this user owns the folder, which
+/// only its owner can remove.
 #[cfg(unix)]
 fn is_own(folder: &Path, file: &File) -> io::Result<bool> {
     use std::os::unix::fs::MetadataExt;
@@ -84,7 +85,7 @@ fn require_regular(file: File) -> io::Result<File> {
     let kind = file.metadata()?.file_type();
     match () {
         () if kind.is_file() => Ok(file),
-        // With the number that the system gives it where somebody asks for that.
+        // Includes the error number of the system, for callers that use it.
         #[cfg(unix)]
         () if kind.is_dir() => Err(io::Error::from_raw_os_error(libc::EISDIR)),
         #[cfg(not(unix))]
@@ -93,10 +94,10 @@ fn require_regular(file: File) -> io::Result<File> {
     }
 }
 
-/// The file itself, where a path is a link to it, also to one that is not there.
+/// Resolves links to the file itself, even if the file does not exist.
 fn followed(path: &Path) -> PathBuf {
     let mut target = path.to_path_buf();
-    // As many links as the system itself follows.
+    // Follows as many links as the system does.
     for _ in 0..40 {
         let Ok(next) = fs::read_link(&target) else { break };
         target = target.parent().unwrap_or(Path::new("")).join(next);
@@ -104,7 +105,7 @@ fn followed(path: &Path) -> PathBuf {
     target
 }
 
-/// The folder in which a file lies.
+/// Returns the folder that contains a file.
 pub fn folder_of(path: &Path) -> &Path {
     match path.parent() {
         Some(folder) if folder != Path::new("") => folder,
@@ -112,17 +113,17 @@ pub fn folder_of(path: &Path) -> &Path {
     }
 }
 
-/// Lock files of the claims of this process, by path and process (a forked child has none of its parent's),
-/// and whether the claim is shared. The system's locks belong to the process as a whole, so they exclude
-/// other processes only.
+/// Lock files claimed by this process: path, process id and shared flag. A forked child does not own the
+/// claims of its parent. The locks of the system belong to the whole process, so they exclude only other
+/// processes.
 static CLAIMED: Mutex<Vec<(PathBuf, u32, bool)>> = Mutex::new(Vec::new());
 
-/// A claim on a file that one run at a time writes again and again: a locked file next to it, which is
-/// removed with the claim. The lock ends with its process, however that ends, also if forked children live
-/// on.
+/// Claim on a file that one run at a time writes repeatedly. It is a locked file next to the target, and it
+/// is removed with the claim. The lock ends when its process ends for any reason, even if forked children
+/// continue.
 #[derive(Debug)]
 pub struct Claim {
-    /// `None`: this process has a claim on it already that is shared, or the target is not a file that is
+    /// `None` if this process already has a shared claim on the file, or if the target is not a file that is
     /// replaced.
     locked: Option<File>,
     path: PathBuf,
@@ -130,12 +131,12 @@ pub struct Claim {
 }
 
 impl Claim {
-    /// Claims the file at this place, which need not be there. `is_shared`: other claims of this process are
-    /// let in while this one holds.
+    /// Claims the file at this path, which need not exist. With `is_shared`, other claims of this process on
+    /// the file are accepted at the same time.
     ///
     /// # Errors
-    /// [`io::ErrorKind::ResourceBusy`] with the number of the process that has a claim on it, or with the
-    /// word that it is this one; those of the system.
+    /// Returns [`io::ErrorKind::ResourceBusy`] if the file is already claimed; the message contains the id of
+    /// the process, or states that it is this process. Also returns the errors of the system.
     pub fn new(path: &Path, is_shared: bool) -> io::Result<Self> {
         let target = followed(path);
         let process = std::process::id();
@@ -146,7 +147,8 @@ impl Claim {
         name.push(".lock");
         let place = fs::canonicalize(folder_of(&target))?.join(name);
         let mut claimed = CLAIMED.lock().unwrap_or_else(PoisonError::into_inner);
-        // Checked before the file is opened: closing any descriptor of it ends the lock of the process.
+        // Checked before the file is opened, because closing any of its descriptors releases the lock of the
+        // process.
         match claimed.iter().find(|(path, owner, _)| *path == place && *owner == process) {
             Some((.., true)) => return Ok(Self { locked: None, path: place, process }),
             Some((.., false)) => {
@@ -177,7 +179,7 @@ impl Claim {
                     let message = format!("process {owner} is writing to it");
                     return Err(io::Error::new(io::ErrorKind::ResourceBusy, message));
                 }
-                // Some file systems have no locks.
+                // Some file systems do not support locks.
                 Err(fs::TryLockError::Error(_)) => return Ok(Self { locked: None, path: place, process }),
             }
         }
@@ -186,7 +188,7 @@ impl Claim {
 
 impl Drop for Claim {
     fn drop(&mut self) {
-        // A forked child has a copy of the claim, but neither the lock nor the file.
+        // A forked child has a copy of the claim but neither the lock nor the file.
         if self.locked.is_some() && self.process == std::process::id() {
             let mut claimed = CLAIMED.lock().unwrap_or_else(PoisonError::into_inner);
             let _ = fs::remove_file(&self.path);
@@ -195,8 +197,8 @@ impl Drop for Claim {
     }
 }
 
-/// Locks a file for this process. The lock is a record lock (`fcntl`, POSIX.1-2024), which forked children do
-/// not inherit: they would keep it after the end of the process.
+/// Locks a file for this process. The lock is a record lock (`fcntl`, POSIX.1-2024). Forked children do not
+/// inherit it, so they cannot keep it after the process has ended.
 #[cfg(unix)]
 fn try_lock(file: &File) -> Result<(), fs::TryLockError> {
     use rustix::io::Errno;
@@ -212,7 +214,8 @@ fn try_lock(file: &File) -> Result<(), fs::TryLockError> {
     file.try_lock()
 }
 
-/// True if an open file is still the one at a place (no link): its owner may have removed it meanwhile.
+/// True if an open file is still the file at a path and the path is not a link. Its owner may have removed it
+/// in the meantime.
 fn is_at(file: &File, place: &Path) -> io::Result<bool> {
     #[cfg(unix)]
     {
@@ -229,25 +232,25 @@ fn is_at(file: &File, place: &Path) -> io::Result<bool> {
     Ok(file.metadata().is_ok() && place.exists())
 }
 
-/// A file in the making. It takes the place of another when it is whole; until then, and where it never is,
-/// the other one stays as it is.
+/// A file that replaces another file once it is complete. If it is never completed, the other file remains
+/// unchanged.
 ///
-/// Links are followed, the permissions of the file that was there are kept, and one that is read-only is
-/// refused. A device or a named pipe is not replaced: it gets the content at the end.
+/// Links are followed, and the permissions of the existing file are kept. An existing read-only file is an
+/// error. A device or a named pipe is not replaced: the complete content is written to it at the end.
 #[derive(Debug)]
 pub struct AtomicFile {
     file: NamedTempFile,
     target: PathBuf,
-    /// The device or pipe at the place.
+    /// Device or pipe at the path.
     stream: Option<File>,
 }
 
 impl AtomicFile {
-    /// Begins a file for this place.
+    /// Creates a temporary file for this path.
     ///
     /// # Errors
-    /// The folder is not there or cannot be written to; the place is a folder, a read-only file or a pipe
-    /// that nobody reads.
+    /// Returns an error if the folder does not exist or is not writable. Also returns an error if the path is
+    /// a folder, a read-only file, or a pipe without a reader.
     pub fn new(path: &Path) -> io::Result<Self> {
         let target = followed(path);
         let old = match fs::metadata(&target) {
@@ -276,11 +279,11 @@ impl AtomicFile {
         let suffix = target.extension().map(|extension| format!(".{}", extension.to_string_lossy()));
         let mut builder = tempfile::Builder::new();
         builder.prefix(&prefix).suffix(suffix.as_deref().unwrap_or_default());
-        // Of the permissions asked for the system takes away what the user's umask says.
+        // The system reduces these permissions according to the user's umask.
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
         let file = if is_stream { builder.tempfile() } else { builder.tempfile_in(folder) };
-        // Without the name of the temporary file, which says nothing to anybody.
+        // Omits the name of the temporary file, which does not help the user.
         let file = file.map_err(|error| match error.kind() {
             io::ErrorKind::NotFound if !folder.is_dir() => {
                 io::Error::new(error.kind(), format!("there is no folder '{}'", folder.display()))
@@ -293,20 +296,20 @@ impl AtomicFile {
         Ok(Self { file, target, stream })
     }
 
-    /// The file to write to.
+    /// Returns the file to write to.
     pub fn file(&self) -> &File {
         self.file.as_file()
     }
 
-    /// Where it is until it is whole.
+    /// Returns the path of the temporary file.
     pub fn path(&self) -> &Path {
         self.file.path()
     }
 
-    /// It is whole: it is flushed to the disk and takes its place.
+    /// Completes the file: flushes it to the disk and replaces the target.
     ///
     /// # Errors
-    /// Those of the system; the file that was there stays.
+    /// Returns the errors of the system. The existing file then remains unchanged.
     pub fn finish(self) -> io::Result<()> {
         let Some(mut stream) = self.stream else {
             self.file.as_file().sync_all()?;
@@ -320,23 +323,23 @@ impl AtomicFile {
     }
 }
 
-/// Writes a file in one step.
+/// Writes a file atomically.
 ///
 /// # Errors
-/// As [`AtomicFile::new`] and [`AtomicFile::finish`].
+/// Returns the errors of [`AtomicFile::new`] and [`AtomicFile::finish`].
 pub fn write_atomically(path: &Path, content: &[u8]) -> io::Result<()> {
     let unfinished = AtomicFile::new(path)?;
     io::Write::write_all(&mut unfinished.file(), content)?;
     unfinished.finish()
 }
 
-/// Common beginning of the names of the temporary files of a file.
+/// Returns the common prefix of the names of the temporary files for a file.
 fn prefix(name: &str) -> String {
     let end = (0..=name.len().min(LONGEST)).rev().find(|end| name.is_char_boundary(*end)).unwrap_or(0);
     format!(".{}{WRITING}", &name[..end])
 }
 
-/// Removes what processes left behind that were killed while they wrote this file.
+/// Removes temporary files of this file from processes that were killed while writing.
 pub fn remove_unfinished(path: &Path) {
     let target = followed(path);
     let prefix =
@@ -346,14 +349,14 @@ pub fn remove_unfinished(path: &Path) {
         let rest = name.to_str().and_then(|name| name.strip_prefix(&prefix));
         let process = rest.and_then(|rest| rest.split_once('-')?.0.parse::<u32>().ok());
         if process.is_some_and(|process| !is_alive(process, &entry)) {
-            // Another process may have been faster.
+            // Another process may have removed the file already.
             let _ = fs::remove_file(entry.path());
         }
     }
 }
 
-/// True if a process may still write its temporary file: it is there, or, where that cannot be seen, the file
-/// is younger than a day.
+/// True if a process may still be writing its temporary file. The process must exist. If this cannot be
+/// checked, the file must be younger than a day.
 fn is_alive(process: u32, file: &fs::DirEntry) -> bool {
     if Path::new("/proc/self").exists() {
         return Path::new("/proc").join(process.to_string()).exists();
@@ -381,7 +384,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run");
         let claim = Claim::new(&path, true).unwrap();
-        // This process may go on with one that is shared, and with no other.
+        // This process accepts further claims while a shared claim exists.
         drop(Claim::new(&path, false).unwrap());
         assert_eq!(names(folder.path()), ["run.lock"]);
         drop(claim);
@@ -393,7 +396,7 @@ mod tests {
         }
         drop(claim);
         assert_eq!(names(folder.path()), Vec::<String>::new());
-        // What another process has left behind is no claim; what it holds is one.
+        // A file left behind by another process is not a claim; a file that it locks is one.
         let lock = folder.path().join("run.lock");
         fs::write(&lock, "4711").unwrap();
         drop(Claim::new(&path, false).unwrap());
@@ -440,11 +443,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let pipe = folder.path().join("pipe");
         assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
-        // Nobody reads.
+        // The pipe has no reader.
         assert!(write_atomically(&pipe, b"x").is_err());
         let reader = without_waiting(OpenOptions::new().read(true), 0).open(&pipe).unwrap();
         write_atomically(&pipe, b"through").unwrap();
-        // Seven bytes only: a process that another test starts holds the write end open until it calls exec.
+        // Reads only seven bytes: a process started by another test keeps the write end open until it calls
+        // exec.
         let mut content = [0; 7];
         (&reader).read_exact(&mut content).unwrap();
         assert_eq!(&content, b"through");
@@ -480,7 +484,7 @@ mod tests {
         assert!(write_atomically(folder.path(), b"x").is_err());
         let message = write_atomically(&folder.path().join("none/a"), b"x").unwrap_err().to_string();
         assert!(message.starts_with("there is no folder '"), "{message}");
-        // Of a process that is gone.
+        // The process of this file no longer exists.
         fs::write(folder.path().join(".a.writing-999999999-Xy"), "").unwrap();
         fs::write(folder.path().join(".b.writing-999999999-Xy"), "").unwrap();
         remove_unfinished(&file);

@@ -1,4 +1,4 @@
-//! Parts that all crates of this workspace share: the context of a run, numbers as messages show them, files.
+//! Shared parts of all crates of this workspace: the context of a run, number formatting and files.
 #![forbid(unsafe_code)]
 
 mod context;

@@ -1,9 +1,9 @@
-//! Numbers as messages show them.
+//! Formatting of numbers in messages.
 
 use std::fmt;
 
-/// Shows a number with as many digits as it has, and with an exponent where they would be a long row of
-/// zeros: below 1e-4 and from 1e7 on. A precision asks for so many digits at most.
+/// Number formatted with its shortest exact digits, with an exponent below 1e-4 and from 1e7. A precision
+/// limits the number of significant digits.
 #[derive(Debug, Clone, Copy)]
 pub struct Number(pub f64);
 
@@ -21,7 +21,7 @@ impl fmt::Display for Number {
     }
 }
 
-/// Shows a number of bytes with a unit, powers of 1000.
+/// Number of bytes formatted with a unit, in powers of 1000.
 #[derive(Debug, Clone, Copy)]
 pub struct Bytes(pub f64);
 

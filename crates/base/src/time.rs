@@ -1,9 +1,9 @@
 //! Tolerance for comparing times.
 
-/// Returns the largest difference of two numbers that are the same time, in a span from `start` to `end`:
-/// `100 u max(|start|, |end|, |end - start|)`, where `u` is the unit round-off. Whatever compares times
-/// follows this rule: events, inputs, ticks of clocks, rows, the end of a run. The last digit of a time is
-/// coarser the larger the time is: 2e-7 s for seconds since 1970.
+/// Returns the largest difference between two numbers that represent the same time, in a span from `start` to
+/// `end`: `100 u max(|start|, |end|, |end - start|)`, where `u` is the unit round-off. All comparisons of
+/// times use this rule: events, inputs, clock ticks, rows and the end of a run. The resolution of a time
+/// decreases with its magnitude: 2e-7 s for seconds since 1970.
 ///
 /// ```
 /// let (a, b) = (0.1 + 0.2, 0.3_f64);

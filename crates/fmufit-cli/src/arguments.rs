@@ -1,4 +1,4 @@
-//! The arguments of the command line, and what `--help` teaches about them.
+//! Arguments of the command line and the text of `--help`.
 
 use crate::error::Error;
 use calibration::SimulationSettings;
@@ -35,29 +35,29 @@ pub(crate) struct CommandLine {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
-    /// Show what a model has: interfaces, default experiment, variables
+    /// Show the contents of a model: interfaces, default experiment, variables
     #[command(
         after_help = "Example:\n  fmufit info plant.fmu --causality parameter\n\nRuns no code of the model."
     )]
     Info(Info),
-    /// Look for departures from the standard, and simulate a model in a process of its own
+    /// Report violations of the FMI standard and simulate a model in a separate process
     #[command(
         after_help = "Example:\n  fmufit validate plant.fmu --timeout 20\n\nExits with 1 if the model cannot be simulated."
     )]
     Validate(Validate),
-    /// Simulate a model; the result is a CSV table
+    /// Simulate a model and write the result as a CSV table
     #[command(
         after_help = "Examples:\n  fmufit simulate plant.fmu --final-time 40 --set friction=0.01 --output run.csv\n  \
             fmufit simulate plant.fmu --input recorded.csv --outputs T --outputs 'tank.*' --plot run.svg"
     )]
     Simulate(Simulate),
-    /// Write a problem file with comments from a model and a recording
+    /// Write a commented problem file from a model and a recording
     #[command(
         after_help = "Example:\n  fmufit init plant.fmu run.csv problem.toml\n\nOutputs and inputs are matched with columns by their \
             names. Parameters that move no output\nat the start are written as comments."
     )]
     Init(Init),
-    /// Look for mistakes in a problem before a fit
+    /// Check a problem for mistakes before a fit
     #[command(
         after_help = "Example:\n  fmufit check problem.toml --preflight\n\nExits with 1 if an error was found."
     )]
@@ -76,7 +76,7 @@ pub(crate) enum Command {
             fmufit resume problem.toml --checkpoint plant.ckpt\n\nThe result has the same bits as that of a fit that was not interrupted."
     )]
     Resume(Fit),
-    /// Write the report of a saved fit: a page, or a file for other programs
+    /// Write the report of a saved fit as a page or as a file for other programs
     #[command(
         after_help = "Examples:\n  fmufit report plant.fit plant.html    a page with tables and figures\n  \
             fmufit report plant.fit plant.csv     parameters as a table\n  \
@@ -88,24 +88,24 @@ pub(crate) enum Command {
         after_help = "Example:\n  fmufit build plant/ plant.fmu\n\nRuns the C compiler of this machine on the sources of the model."
     )]
     Build(Build),
-    /// Write the JSON schema of problem files, or of a result, to the standard output
+    /// Write the JSON schema of problem files or of a result to the standard output
     #[command(
         after_help = "Example:\n  fmufit schema > problem.schema.json\n\nEditors that know TOML check a problem file against it and complete \
             its fields; the first line\nof what init writes names this file."
     )]
     Schema(SchemaOf),
-    /// Write the completions of a shell to the standard output
+    /// Write the completion script of a shell to the standard output
     #[command(
         after_help = "Example:\n  fmufit completions bash > ~/.local/share/bash-completion/completions/fmufit"
     )]
     Completions(Completions),
-    /// Serve as the process in which models of another program run; that program starts it
+    /// Serve as the process in which another program runs its models; started by that program
     #[command(hide = true)]
     Worker,
 }
 
 impl Command {
-    /// True if the result is to be JSON: an error is, too.
+    /// True if the command prints results and errors as JSON.
     pub(crate) fn is_json(&self) -> bool {
         match self {
             Self::Info(Info { json, .. })
@@ -118,10 +118,10 @@ impl Command {
     }
 }
 
-/// Limits with which a model is opened.
+/// Limits for opening a model.
 #[derive(Debug, Args)]
 pub(crate) struct Limits {
-    /// Largest size of modelDescription.xml, in bytes; default: 64 MiB
+    /// Maximum size of modelDescription.xml, in bytes; default: 64 MiB
     #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) max_description_bytes: Option<u64>,
 }
@@ -143,13 +143,13 @@ pub(crate) struct Info {
     pub(crate) model: PathBuf,
     #[command(flatten)]
     pub(crate) limits: Limits,
-    /// All variables, internal ones too
+    /// Show all variables, including internal ones
     #[arg(long)]
     pub(crate) all: bool,
-    /// Only variables of this causality: parameter, input, output, local and so on
+    /// Show only variables of this causality: parameter, input, output, local and so on
     #[arg(long, value_name = "WORD")]
     pub(crate) causality: Option<String>,
-    /// A JSON document with all variables
+    /// Print a JSON document with all variables
     #[arg(long)]
     pub(crate) json: bool,
 }
@@ -160,13 +160,13 @@ pub(crate) struct Validate {
     pub(crate) model: PathBuf,
     #[command(flatten)]
     pub(crate) limits: Limits,
-    /// Limit of the simulation, in seconds
+    /// Time limit of the simulation, in seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 30.0)]
     pub(crate) timeout: f64,
-    /// Confine the model: it writes into a folder of its own only, and opens no connections (Linux)
+    /// Confine the model: it writes only into a separate folder and opens no connections (Linux)
     #[arg(long)]
     pub(crate) sandbox: bool,
-    /// A JSON document
+    /// Print a JSON document
     #[arg(long)]
     pub(crate) json: bool,
 }
@@ -177,37 +177,36 @@ pub(crate) struct Simulate {
     pub(crate) model: PathBuf,
     #[command(flatten)]
     pub(crate) limits: Limits,
-    /// Value of a parameter, or start value of a variable, or all those of an SSP parameter file; may be
-    /// given several times
+    /// Value of a parameter, start value of a variable, or all values of an SSP parameter file; may be given
+    /// several times
     #[arg(long = "set", value_name = "NAME=VALUE | @FILE.ssv")]
     pub(crate) values: Vec<String>,
-    /// Value of a continuous state at the start, also if the initialization computes another one (model
+    /// Value of a continuous state at the start, even if the initialization computes another one (model
     /// exchange); may be given several times
     #[arg(long = "initial-state", value_name = "NAME=NUMBER")]
     pub(crate) initial_states: Vec<String>,
-    /// A CSV file with a column `time`, and one for each input or tunable parameter that is called as its
-    /// column
+    /// CSV file with a column `time` and one column per input or tunable parameter of the same name
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) input: Option<PathBuf>,
-    /// Name of its column of times, where it is not `time`
+    /// Name of its time column, if it is not `time`
     #[arg(long, value_name = "COLUMN", requires = "input")]
     pub(crate) time: Option<String>,
-    /// The unit of a variable of which the model states none; may be given several times
+    /// Unit of a variable for which the model declares none; may be given several times
     #[arg(long, value_name = "VARIABLE=UNIT")]
     pub(crate) unit: Vec<String>,
-    /// File of the table; default, and -: the standard output
+    /// File for the table; default, and -: standard output
     #[arg(short, long, value_name = "FILE.csv")]
     pub(crate) output: Option<PathBuf>,
-    /// Variables to record: names, patterns with * and ?, `all`; default: outputs and states
+    /// Variables to record: names, patterns with * and ?, or `all`; default: outputs and states
     #[arg(long, value_name = "NAME")]
     pub(crate) outputs: Vec<String>,
-    /// Where the simulation starts, in s; default: that of the model, else 0
+    /// Start time of the simulation, in s; default: the start time of the model, otherwise 0
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(crate) start_time: Option<f64>,
-    /// Where it ends, in s; default: that of the model
+    /// Final time of the simulation, in s; default: the stop time of the model
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(crate) final_time: Option<f64>,
-    /// Distance of the rows, in s; default: 500 intervals
+    /// Row spacing, in s; default: 500 intervals
     #[arg(long, value_name = "SECONDS")]
     pub(crate) interval: Option<f64>,
     /// Integration method
@@ -216,22 +215,22 @@ pub(crate) struct Simulate {
     /// Interface: ME (model exchange) or CS (co-simulation)
     #[arg(long, value_name = "NAME")]
     pub(crate) kind: Option<String>,
-    /// Relative tolerance; default: that of the model, else 1e-6
+    /// Relative tolerance; default: the tolerance of the model, otherwise 1e-6
     #[arg(long, value_name = "NUMBER")]
     pub(crate) tolerance: Option<f64>,
-    /// Step of a fixed-step method, communication step of a co-simulation, in s
+    /// Step size of a fixed-step method or communication step size of a co-simulation, in s
     #[arg(long, value_name = "SECONDS")]
     pub(crate) step_size: Option<f64>,
     /// Limit of wall-clock time, in seconds
     #[arg(long, value_name = "SECONDS")]
     pub(crate) timeout: Option<f64>,
-    /// Draw the result into a file
+    /// Plot the result to a file
     #[arg(long, value_name = "FILE.svg")]
     pub(crate) plot: Option<PathBuf>,
     /// Run the model in this process
     #[arg(long, conflicts_with = "sandbox")]
     pub(crate) in_process: bool,
-    /// Confine the model: it writes into a folder of its own only, and opens no connections (Linux)
+    /// Confine the model: it writes only into a separate folder and opens no connections (Linux)
     #[arg(long)]
     pub(crate) sandbox: bool,
 }
@@ -242,31 +241,31 @@ pub(crate) struct Init {
     pub(crate) model: PathBuf,
     #[command(flatten)]
     pub(crate) limits: Limits,
-    /// A recording: a CSV file with a column of times
+    /// A recording: a CSV file with a time column
     pub(crate) data: PathBuf,
     /// The file to write
     #[arg(default_value = "problem.toml")]
     pub(crate) problem: PathBuf,
-    /// A variable and the column that measured it; may be given several times
+    /// A variable and the column with its measurements; may be given several times
     #[arg(long, value_name = "VARIABLE=COLUMN")]
     pub(crate) output: Vec<String>,
-    /// An input and the column that drives it; may be given several times
+    /// An input and the column with its values; may be given several times
     #[arg(long, value_name = "VARIABLE=COLUMN")]
     pub(crate) input: Vec<String>,
-    /// A parameter to fit; may be given several times. Default: all that move an output
+    /// A parameter to fit; may be given several times. Default: all parameters that affect an output
     #[arg(long, value_name = "NAME")]
     pub(crate) parameter: Vec<String>,
-    /// Name of the column of times, where it is not `time`
+    /// Name of the time column, if it is not `time`
     #[arg(long, value_name = "COLUMN")]
     pub(crate) time: Option<String>,
-    /// Run no code of the model: all parameters are proposed
+    /// Do not run code of the model; all parameters are proposed
     #[arg(long)]
     pub(crate) no_run: bool,
-    /// Confine the model, here and in fits of the problem: it writes into a folder of its own only, and opens
-    /// no connections (Linux)
+    /// Confine the model, here and in fits of the problem: it writes only into a separate folder and opens no
+    /// connections (Linux)
     #[arg(long)]
     pub(crate) sandbox: bool,
-    /// Replace a file that is there
+    /// Replace an existing file
     #[arg(long)]
     pub(crate) force: bool,
 }
@@ -275,50 +274,51 @@ pub(crate) struct Init {
 pub(crate) struct Check {
     #[command(flatten)]
     pub(crate) problem: Problem,
-    /// Simulate nothing
+    /// Do not run simulations
     #[arg(long)]
     pub(crate) no_run: bool,
-    /// Also move each parameter: which ones have an effect, which are confounded, how long a fit will take
+    /// Also vary each parameter: report which parameters have an effect, which are confounded, and how long a
+    /// fit will take
     #[arg(long, conflicts_with = "no_run")]
     pub(crate) preflight: bool,
-    /// A JSON document
+    /// Print a JSON document
     #[arg(long)]
     pub(crate) json: bool,
 }
 
-/// A problem: a file, or a model and a recording with names.
+/// A problem, given as a file or as a model and a recording with names.
 #[derive(Debug, Args)]
 pub(crate) struct Problem {
-    /// A problem file (see `fmufit init`; - is the standard input), or a model
+    /// A problem file (see `fmufit init`; - is the standard input) or a model
     #[arg(value_name = "PROBLEM.toml | MODEL.fmu")]
     pub(crate) problem: PathBuf,
     /// With a model: the recording, a CSV file
     pub(crate) data: Option<PathBuf>,
-    /// With a model: a variable and the column that measured it; may be given several times
+    /// With a model: a variable and the column with its measurements; may be given several times
     #[arg(long, value_name = "VARIABLE=COLUMN")]
     pub(crate) output: Vec<String>,
-    /// With a model: an input, and the column or the number that drives it; may be given several times.
-    /// Default: the columns that are called as inputs
+    /// With a model: an input, and the column or the number for its values; may be given several times.
+    /// Default: the columns with the names of inputs
     #[arg(long, value_name = "VARIABLE=COLUMN")]
     pub(crate) input: Vec<String>,
-    /// With a model: a parameter, its start and its bounds; may be given several times
+    /// With a model: a parameter, its start value and its bounds; may be given several times
     #[arg(long, value_name = "NAME=START:LOWER:UPPER")]
     pub(crate) parameter: Vec<String>,
-    /// With a model: name of the column of times, where it is not `time`
+    /// With a model: name of the time column, if it is not `time`
     #[arg(long, value_name = "COLUMN")]
     pub(crate) time: Option<String>,
-    /// With a model: time of the recording at which the model has its start values, in s, as in
-    /// [[experiments]]; default: that of the model, mostly 0
+    /// With a model: time in the recording, in s, at which the model has its start values, as in
+    /// [[experiments]]; default: the start time of the model, usually 0
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(crate) start_time: Option<f64>,
-    /// The unit of a variable of which the model states none; may be given several times
+    /// Unit of a variable for which the model declares none; may be given several times
     #[arg(long, value_name = "VARIABLE=UNIT")]
     pub(crate) unit: Vec<String>,
-    /// A setting of the simulations, as in [settings]; may be given several times
+    /// A simulation setting, as in [settings]; may be given several times
     #[arg(short = 'S', long, value_name = "NAME=VALUE")]
     pub(crate) setting: Vec<String>,
-    /// Confine the model: it writes into a folder of its own only, and opens no connections (Linux); the same
-    /// as --setting sandbox=true
+    /// Confine the model: it writes only into a separate folder and opens no connections (Linux); alias of
+    /// --setting sandbox=true
     #[arg(long)]
     pub(crate) sandbox: bool,
 }
@@ -330,31 +330,31 @@ pub(crate) struct Fit {
     /// An option of the fit, as in [fit]; may be given several times
     #[arg(short = 'O', long, value_name = "NAME=VALUE")]
     pub(crate) option: Vec<String>,
-    /// File in which the state of the fit is kept, for `fmufit resume`
+    /// File for the state of the fit, for `fmufit resume`
     #[arg(long, value_name = "FILE")]
     pub(crate) checkpoint: Option<PathBuf>,
     /// Save the fit, for `fmufit report` and `pydfo.load_fit`
     #[arg(short, long, value_name = "FILE.fit")]
     pub(crate) save: Option<PathBuf>,
-    /// Write a page with tables and figures (.html), or what `fmufit report` writes
+    /// Write a page with tables and figures (.html), or another format of `fmufit report`
     #[arg(short, long, value_name = "FILE.html")]
     pub(crate) report: Option<PathBuf>,
-    /// Show the fit while it runs on a page of this machine, whose address is printed, with a button that
-    /// ends it; afterwards its report, on a terminal until Ctrl-C
+    /// Show the running fit on a local page, whose address is printed. A button on the page ends the fit.
+    /// Afterwards, the page shows the report; on a terminal, until Ctrl-C
     #[arg(long)]
     pub(crate) watch: bool,
-    /// The result as a JSON document
+    /// Print the result as a JSON document
     #[arg(long)]
     pub(crate) json: bool,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct Report {
-    /// A fit that was saved
+    /// A saved fit
     pub(crate) fit: PathBuf,
-    /// The file to write; its suffix says what: .html, .csv, .json, .ssv
+    /// The file to write; its suffix determines the format: .html, .csv, .json, .ssv
     pub(crate) output: PathBuf,
-    /// The model, where it is not at its place any more
+    /// The model, if it is no longer at its original path
     #[arg(long, value_name = "MODEL.fmu")]
     pub(crate) model: Option<PathBuf>,
 }
@@ -363,13 +363,13 @@ pub(crate) struct Report {
 pub(crate) struct Build {
     /// A folder with modelDescription.xml and sources/, or an .fmu file
     pub(crate) model: PathBuf,
-    /// The .fmu file to write; default: that of the folder's name, beside it
+    /// The .fmu file to write; default: named after the folder, next to it
     pub(crate) output: Option<PathBuf>,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct SchemaOf {
-    /// What it describes: problem files, what a command prints with --json, or its errors
+    /// Subject of the schema: problem files, the --json output of a command, or its errors
     #[arg(long, value_name = "DOCUMENT", default_value = "problem")]
     pub(crate) of: Document,
 }

@@ -1,4 +1,4 @@
-//! Errors of the command line, and the exit codes.
+//! Errors of the command line, and exit codes.
 
 use calibration::{CalibrationError, visible_error};
 use schemars::JsonSchema;
@@ -10,20 +10,20 @@ use std::path::Path;
 /// Outcome of a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Exit {
-    /// All went well.
+    /// The command succeeded.
     Success,
-    /// The work was done, and did not succeed.
+    /// The work was done but did not succeed.
     NoSuccess,
-    /// Arguments, files or values that cannot be used.
+    /// Arguments, files or values are unusable.
     WrongInput,
-    /// A fit ran to its end, and its result is not to be used.
+    /// A fit ran to its end, but its result should not be used.
     NotUsable,
-    /// Ended by Ctrl-C.
+    /// The command was ended by Ctrl-C.
     Interrupted,
 }
 
 impl Exit {
-    /// The exit code; 130 is what shells give to a program that SIGINT has ended.
+    /// Returns the exit code. Shells use 130 for a program ended by SIGINT.
     pub(crate) fn code(self) -> u8 {
         match self {
             Self::Success => 0,
@@ -43,7 +43,7 @@ pub(crate) struct Error {
     message: String,
 }
 
-/// An error as `--json` prints it.
+/// Error as printed by `--json`.
 #[derive(Serialize, JsonSchema)]
 #[schemars(title = "Error of fmufit")]
 pub(crate) struct ErrorDocument<'e> {
@@ -52,47 +52,48 @@ pub(crate) struct ErrorDocument<'e> {
 
 #[derive(Serialize, JsonSchema)]
 struct ErrorFields<'e> {
-    /// What went wrong, in a sentence.
+    /// Description of the error, in a sentence.
     message: &'e str,
-    /// The exit code of the program.
+    /// Exit code of the program.
     exit_code: u8,
 }
 
 impl Error {
-    /// Arguments, files or values that cannot be used.
+    /// Creates an error for unusable arguments, files or values.
     pub(crate) fn input(message: impl Display) -> Self {
         Self { exit: Exit::WrongInput, message: message.to_string() }
     }
 
-    /// Arguments that are no command, by the message for people: the lines up to the first empty one.
+    /// Creates an error for invalid arguments from the message of the parser: its lines up to the first empty
+    /// one.
     pub(crate) fn of_usage(message: &str) -> Self {
         let lines = message.lines().take_while(|line| !line.trim().is_empty()).map(str::trim);
         Self::input(lines.collect::<Vec<_>>().join(" ").trim_start_matches("error: "))
     }
 
-    /// Work that did not succeed.
+    /// Creates an error for work that did not succeed.
     pub(crate) fn work(message: impl Display) -> Self {
         Self { exit: Exit::NoSuccess, message: message.to_string() }
     }
 
-    /// Work that Ctrl-C has ended before it had a result.
+    /// Creates an error for work that Ctrl-C ended before it had a result.
     pub(crate) fn interrupted() -> Self {
         Self { exit: Exit::Interrupted, message: "interrupted before there was a result".to_owned() }
     }
 
-    /// The error for programs that read JSON.
+    /// Returns the error as a JSON document.
     pub(crate) fn document(&self) -> serde_json::Value {
         let error = ErrorFields { message: &self.message, exit_code: self.exit.code() };
         serde_json::to_value(ErrorDocument { error }).unwrap_or_default()
     }
 
-    /// A file that cannot be written.
+    /// Returns a function that creates an error for a file that cannot be written.
     pub(crate) fn write(path: &Path) -> impl Fn(io::Error) -> Self {
         move |error| Self::input(format!("cannot write {}: {error}", path.display()))
     }
 
-    /// An error of work: an interrupt, if it is none of its own; a value or a file that cannot be used, if it
-    /// is one of these.
+    /// Converts an error of the work. Interrupts, unusable values and unusable files have their own exit
+    /// codes.
     pub(crate) fn of_work(error: CalibrationError) -> Self {
         use dfo::Error::{Checkpoint, CheckpointFile, CheckpointMismatch, Option};
         match error {
@@ -107,7 +108,7 @@ impl Error {
         }
     }
 
-    /// The same of what arguments name, in their words.
+    /// Converts an error about arguments and uses the names of the arguments in its message.
     pub(crate) fn of_arguments(error: CalibrationError) -> Self {
         let Self { exit, message } = Self::of_input(error);
         let message = message
@@ -124,7 +125,8 @@ impl Error {
         Self { exit, message }
     }
 
-    /// An error of what was read or built: an interrupt, if it is none of its own.
+    /// Converts an error about input that was read or built. It has the exit code of unusable input, except
+    /// for interrupts.
     pub(crate) fn of_input(error: CalibrationError) -> Self {
         match Self::of_work(error) {
             Self { exit: Exit::NoSuccess, message } => Self { exit: Exit::WrongInput, message },

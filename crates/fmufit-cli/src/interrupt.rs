@@ -1,4 +1,4 @@
-//! Ctrl-C: the first one asks the work to end, the second one ends the program.
+//! Ctrl-C: the first one requests the end of the work, the second one ends the program.
 
 use crate::error::{Error, Exit};
 use signal_hook::SigId;
@@ -7,19 +7,19 @@ use signal_hook::flag::{register, register_conditional_shutdown};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Watches for Ctrl-C, and for the signal by which other programs ask this one to end.
+/// Watches for Ctrl-C and for SIGTERM, with which other programs end this one.
 pub(crate) struct Interrupt {
     is_asked: Arc<AtomicBool>,
     handlers: Vec<SigId>,
 }
 
 impl Interrupt {
-    /// Watches from now on, until it is dropped.
+    /// Watches until the value is dropped.
     pub(crate) fn watch() -> Result<Self, Error> {
         let mut interrupt = Self { is_asked: Arc::default(), handlers: Vec::new() };
         for signal in [SIGINT, SIGTERM] {
             let flag = || Arc::clone(&interrupt.is_asked);
-            // In this order: the first signal finds the flag down, and raises it.
+            // The order matters: the first signal finds the flag cleared and sets it.
             let shutdown = register_conditional_shutdown(signal, Exit::Interrupted.code().into(), flag());
             let handlers = [shutdown, register(signal, flag())];
             for handler in handlers {
@@ -30,12 +30,12 @@ impl Interrupt {
         Ok(interrupt)
     }
 
-    /// True once the end was asked for.
+    /// True if the end of the work was requested.
     pub(crate) fn is_asked(&self) -> bool {
         self.is_asked.load(Ordering::Relaxed)
     }
 
-    /// The same as a flag.
+    /// Returns the request as a flag.
     pub(crate) fn flag(&self) -> Arc<AtomicBool> {
         Arc::clone(&self.is_asked)
     }

@@ -1,11 +1,13 @@
-//! The command line `fmufit`: FMUs are looked at, simulated and fitted to recordings, without a line of code.
+//! The command line `fmufit`, which inspects and simulates FMUs and fits them to recordings without
+//! programming.
 //!
-//! [`main`] takes the arguments and returns the exit code, so that any program can offer the command line. A
-//! program that calls [`calibration::serve_if_worker`] first, or names another one that does, has FMUs run in
-//! processes of their own.
+//! [`main`] processes the arguments and returns the exit code, so any program can provide the command line.
+//! FMUs run in separate processes if the program first calls [`calibration::serve_if_worker`], or names
+//! another program that does.
 //!
-//! Folders, from the lowest: `error`; `written` (which files may be); `console` (what is printed, and where),
-//! `interrupt`; `problem` (problem files and their short form); `arguments`; `commands`, one file for each.
+//! Modules, from the lowest layer: `error`; `output_paths` (paths that may be written); `console` (output
+//! streams), `interrupt`; `problem` (problem files and their short form); `arguments`; `commands`, one file
+//! per command.
 #![forbid(unsafe_code)]
 
 mod arguments;
@@ -22,16 +24,19 @@ use console::Console;
 use error::{Error, Exit};
 use std::ffi::OsString;
 
-/// Runs the command that these arguments, the first of which is the name of the program, ask for. Returns the
-/// exit code: 0 if all went well; 1 if the work was done and did not succeed (a fit that did not converge, an
-/// FMU that cannot be simulated); 2 for arguments, files and values that cannot be used; 3 for a fit that ran
-/// and whose result is not to be used; 130 after Ctrl-C.
+/// Runs the command of these arguments, the first of which is the name of the program. Returns the exit code:
+///
+/// - 0: the command succeeded.
+/// - 1: the work was done but did not succeed (a fit that did not converge, an FMU that cannot be simulated).
+/// - 2: arguments, files or values are unusable.
+/// - 3: a fit ran, but its result should not be used.
+/// - 130: Ctrl-C.
 pub fn main(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> u8 {
     let given: Vec<OsString> = arguments.into_iter().map(Into::into).collect();
     let arguments = match CommandLine::try_parse_from(&given) {
         Ok(arguments) => arguments,
         Err(message) => {
-            // What cannot be printed has nobody who reads it.
+            // A failed write means that nobody reads the message.
             let _ = message.print();
             if !message.use_stderr() {
                 return Exit::Success.code();
@@ -50,7 +55,7 @@ pub fn main(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) ->
         Err(error) => {
             console.error(&error);
             if is_json {
-                // Programs read the standard output; there is nothing else to say where that fails.
+                // Programs read the standard output. If it fails, there is no other way to report the error.
                 let _ = console.json(&error.document());
             }
             error.exit.code()

@@ -1,9 +1,9 @@
-//! Files that a command writes.
+//! Checks of the files that a command writes.
 
 use crate::error::Error;
 use std::path::{Path, PathBuf};
 
-/// Refuses files to write that the command reads, one file for two results, and places that cannot be
+/// Rejects output files that the command also reads, one file for two results, and paths that cannot be
 /// written.
 pub(crate) fn check_written<'p>(
     written: impl IntoIterator<Item = &'p PathBuf>,
@@ -23,7 +23,7 @@ pub(crate) fn check_written<'p>(
                 "{shown} would be written twice: give each result a file of its own"
             )));
         }
-        // Found now, not after hours of work. A pipe is opened once.
+        // Reported now, not after hours of work. A pipe can be opened only once, so it is not tested.
         if !std::fs::metadata(path).is_ok_and(|there| !there.is_file() && !there.is_dir()) {
             drop(base::files::AtomicFile::new(path).map_err(Error::write(path))?);
         }

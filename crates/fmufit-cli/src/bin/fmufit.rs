@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    // The processes in which FMUs run are this program, too.
+    // FMUs run in processes of this same program.
     calibration::serve_if_worker();
     ExitCode::from(fmufit_cli::main(std::env::args_os()))
 }

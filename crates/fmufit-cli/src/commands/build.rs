@@ -1,4 +1,4 @@
-//! `fmufit build`: a source-code FMU compiled for this platform.
+//! `fmufit build`: compiles a source-code FMU for this platform.
 
 use crate::arguments::Build;
 use crate::console::Console;
@@ -11,7 +11,7 @@ pub(crate) fn run(arguments: &Build, console: &Console) -> Result<Exit, Error> {
     let output = match output {
         Some(output) => output.clone(),
         None if model.is_dir() => {
-            // A folder may be written with a slash at its end, or as `.`.
+            // A folder may be given with a trailing slash, or as `.`.
             let folder =
                 model.canonicalize().map_err(|e| Error::input(format!("{}: {e}", model.display())))?;
             folder.with_extension("fmu")

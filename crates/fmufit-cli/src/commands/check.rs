@@ -1,4 +1,4 @@
-//! `fmufit check`: mistakes in a problem, before a fit.
+//! `fmufit check`: checks a problem for mistakes before a fit.
 
 use super::fit::check_fit;
 use crate::arguments::Check;
@@ -10,15 +10,15 @@ use calibration::{CheckOptions, Finding, Preflight, PreflightOptions, RunContext
 use schemars::JsonSchema;
 use serde::Serialize;
 
-/// A check as `--json` prints it.
+/// Result of a check as printed by `--json`.
 #[derive(Serialize, JsonSchema)]
 #[schemars(title = "Check of fmufit")]
 pub(super) struct Document<'c> {
-    /// Nothing speaks against a fit.
+    /// True if no finding prevents a fit.
     is_ok: bool,
-    /// The most severe first.
+    /// Findings, most severe first.
     findings: &'c [Finding],
-    /// What came of moving each parameter, where that was asked for.
+    /// Result of varying each parameter, if requested.
     preflight: Option<&'c Preflight>,
 }
 
@@ -27,7 +27,7 @@ pub(crate) fn run(arguments: &Check, console: &Console) -> Result<Exit, Error> {
     let interrupt = Interrupt::watch()?;
     let is_asked = || interrupt.is_asked();
     let calibration = file.calibration(&RunContext::new().asking(&is_asked))?;
-    // Mistakes in the options of the fit are found, too.
+    // Also finds mistakes in the options of the fit.
     let n = calibration.parameters().len();
     check_fit(&calibration, &file.options(n)?, &file.stages(n, None)?)?;
     let line = console.live_line();
@@ -52,7 +52,7 @@ pub(crate) fn run(arguments: &Check, console: &Console) -> Result<Exit, Error> {
     } else {
         console.result(&check.to_string());
         if let Some(mut preflight) = preflight {
-            // They stand above.
+            // The findings are already printed above.
             preflight.findings.clear();
             console.result(&format!("\n{preflight}"));
         }

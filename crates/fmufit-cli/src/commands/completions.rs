@@ -1,4 +1,4 @@
-//! `fmufit completions`: what shells complete.
+//! `fmufit completions`: writes shell completion scripts.
 
 use crate::arguments::{CommandLine, Completions};
 use crate::console::Console;

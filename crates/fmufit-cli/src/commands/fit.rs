@@ -1,4 +1,4 @@
-//! `fmufit fit` and `fmufit resume`: parameters are fitted to recordings.
+//! `fmufit fit` and `fmufit resume`: fit parameters to recordings.
 
 use super::report;
 use crate::arguments::Fit;
@@ -17,12 +17,12 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Where a fit with a checkpoint begins.
+/// Start of a fit with a checkpoint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Begin {
-    /// As the options say.
+    /// According to the options.
     Auto,
-    /// Where the checkpoint ends: there must be one.
+    /// From an existing checkpoint; it is an error if there is none.
     Resume,
 }
 
@@ -40,7 +40,7 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
     let mut options = file.options(n)?;
     let stages = file.stages(n, options.run.workers)?;
     if let Some(path) = &arguments.checkpoint {
-        // Relative to where the command was given, unlike that of the file.
+        // Relative to the working folder, in contrast to a path in the problem file.
         options.run.checkpoint = Some(Checkpoint::new(path));
     }
     match (&mut options.run.checkpoint, begin) {
@@ -53,17 +53,17 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
             ));
         }
     }
-    // Before a page has an address, and apart from what fails later.
+    // Checked before the page gets an address, and separately from later failures.
     check_fit(&calibration, &options, &stages)?;
     let watch = arguments.watch.then(|| watch(&calibration, console)).transpose()?;
     let fit = searched(&calibration, options, &stages, (&interrupt, watch.as_ref()), console)
         .inspect_err(|error| watch.iter().for_each(|watch| watch.show_error(&error.to_string())))?;
-    // First of all: what follows may take long, or fail.
+    // Printed first, because the following steps may take long or fail.
     match arguments.json {
         true => console.data(&(fit.to_json(&calibration).map_err(Error::of_work)? + "\n")),
         false => console.result(&fit.to_string()),
     }
-    // The page of the result waits for another one.
+    // The page of the result waits for a request.
     let is_interrupted = fit.report.termination == Termination::Interrupted || interrupt.is_asked();
     if let Some(path) = &arguments.save {
         fit.save(&calibration, path).map_err(Error::of_input)?;
@@ -80,7 +80,8 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
     if let Some(watch) = &watch {
         show_report(watch, &fit, &calibration, &interrupt, console);
     }
-    // At the end, where a terminal shows it and a log ends; the findings stand above, among the results.
+    // Printed last, because a terminal shows the end and a log ends there. The findings are above, among the
+    // results.
     reasons_against(&fit).iter().for_each(|reason| console.say(reason));
     Ok(match (fit.is_success(), fit.is_usable()) {
         _ if is_interrupted => Exit::Interrupted,
@@ -90,7 +91,7 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
     })
 }
 
-/// Refuses options and stages that the fit would refuse.
+/// Rejects options and stages that the fit would reject.
 pub(super) fn check_fit(
     calibration: &Calibration,
     options: &FitOptions<'_>,
@@ -108,7 +109,7 @@ pub(super) fn check_fit(
     calibration.check_fit(stages, asked).map_err(Error::of_input)
 }
 
-/// Why the result of a fit is not to be used, with what is likely to have caused it.
+/// Returns the reasons why the result of a fit should not be used, with the probable cause.
 fn reasons_against(fit: &calibration::Fit) -> Vec<String> {
     let findings = fit.findings();
     let errors = findings.iter().filter(|finding| finding.severity == Severity::Error);
@@ -121,17 +122,17 @@ fn reasons_against(fit: &calibration::Fit) -> Vec<String> {
     said
 }
 
-/// Serves a page that will show the fit, and prints where.
+/// Serves a page that will show the fit, and prints its address.
 fn watch(calibration: &Calibration, console: &Console) -> Result<LivePage, Error> {
     let watch = LivePage::start(calibration)
         .map_err(|error| Error::work(format!("--watch: the page cannot be served: {error}")))?;
-    // Said in any case: without the address there is no page.
+    // Printed even with `--quiet`, because the page is useless without its address.
     console.say(&format!("watch it at {}", watch.url()));
     Ok(watch)
 }
 
-/// Shows the report of a fit on its page, until the reader closes it or presses Ctrl-C. Where no terminal is,
-/// nobody could do the latter: the page ends with the program.
+/// Shows the report of a fit on its page until the reader closes it or presses Ctrl-C. Without a terminal,
+/// Ctrl-C is not possible, so the page ends with the program.
 fn show_report(
     watch: &LivePage,
     fit: &calibration::Fit,
@@ -150,12 +151,12 @@ fn show_report(
                 std::thread::sleep(Duration::from_millis(50));
             }
         }
-        // It is a way to look at a fit that there is.
+        // The fit itself is complete; only its display failed.
         Err(error) => console.say(&format!("the page cannot show the report: {error}")),
     }
 }
 
-/// Fits, and shows how far it is. The fit ends when one of the two says so.
+/// Runs the fit and shows its progress. Either `interrupt` or `watch` can end the fit.
 fn searched(
     calibration: &Calibration,
     options: FitOptions<'_>,
@@ -192,7 +193,7 @@ fn searched(
     fit.map_err(Error::of_work)
 }
 
-/// The line that shows a fit while it runs.
+/// Progress line of a running fit.
 struct Shown {
     line: LiveLine,
     phase: Arc<CurrentPhase>,
@@ -233,7 +234,7 @@ impl Shown {
     }
 }
 
-/// A number with five digits.
+/// Rounds a number to five significant digits.
 fn rounded(number: f64) -> f64 {
     format!("{number:.4e}").parse().unwrap_or(number)
 }

@@ -1,4 +1,4 @@
-//! `fmufit info`: what a model has.
+//! `fmufit info`: shows the contents of a model.
 
 use crate::arguments::Info;
 use crate::console::{Console, Table};
@@ -65,7 +65,7 @@ fn is_internal(variable: &Variable) -> bool {
     matches!(variable.causality, Causality::Local | Causality::Independent)
 }
 
-/// A value as a person reads it.
+/// Formats a value for display.
 fn value_text(value: &Value) -> String {
     match value {
         Value::Real(x) => Number(*x).to_string(),
@@ -74,7 +74,7 @@ fn value_text(value: &Value) -> String {
     }
 }
 
-/// The lines about the model as a whole.
+/// Returns the lines about the model as a whole.
 fn header(fmu: &Fmu) -> String {
     let description = fmu.description();
     let mut lines = vec![format!("{}, FMI {}", description.model_name, description.fmi_version)];
@@ -103,28 +103,28 @@ fn interfaces(description: &ModelDescription) -> Vec<(&'static str, &Interface)>
         .collect()
 }
 
-/// A model as `--json` prints it.
+/// Model as printed by `--json`.
 #[derive(Serialize, JsonSchema)]
 #[schemars(title = "Model of fmufit")]
 pub(super) struct Document<'m> {
-    /// The model.
+    /// Path of the model.
     path: String,
-    /// Its name.
+    /// Name of the model.
     model_name: &'m str,
-    /// Version of FMI, as `2.0`.
+    /// FMI version, for example `2.0`.
     fmi_version: String,
     description: Option<&'m str>,
     generation_tool: Option<&'m str>,
     generation_date_and_time: Option<&'m str>,
-    /// `model exchange`, `co-simulation`.
+    /// Interfaces: `model exchange`, `co-simulation`.
     interfaces: Vec<&'static str>,
     default_experiment: Experiment,
     variables: Vec<VariableFields<'m>>,
-    /// Departures from the standard.
+    /// Violations of the FMI standard.
     quirks: Vec<String>,
 }
 
-/// The default experiment of a model; times in s.
+/// Default experiment of a model; times in s.
 #[derive(Serialize, JsonSchema)]
 struct Experiment {
     start_time: Option<f64>,
@@ -144,7 +144,7 @@ struct VariableFields<'m> {
     r#type: &'static str,
     unit: Option<&'m str>,
     display_unit: Option<&'m str>,
-    /// A number, a text, a truth value, or a list of these.
+    /// A number, a string, a boolean, or a list of these.
     start: Option<Json>,
     min: Option<f64>,
     max: Option<f64>,

@@ -1,4 +1,4 @@
-//! The commands, one file for each.
+//! Commands, one file per command.
 
 mod build;
 mod check;

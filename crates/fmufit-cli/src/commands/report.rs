@@ -1,4 +1,4 @@
-//! `fmufit report`: a saved fit as a page, or as a file for other programs.
+//! `fmufit report`: writes a saved fit as a page or as a file for other programs.
 
 use crate::arguments::Report;
 use crate::console::Console;
@@ -35,7 +35,7 @@ fn suffix(path: &Path) -> String {
     path.extension().map(|suffix| suffix.to_string_lossy().to_lowercase()).unwrap_or_default()
 }
 
-/// Refuses names that do not say what is to be written.
+/// Rejects file names whose suffix does not determine a format.
 pub(super) fn check_suffix(path: &Path) -> Result<(), Error> {
     match ["html", "htm", "csv", "json", "ssv"].contains(&suffix(path).as_str()) {
         true => Ok(()),
@@ -46,7 +46,7 @@ pub(super) fn check_suffix(path: &Path) -> Result<(), Error> {
     }
 }
 
-/// Writes the file that the suffix of its name asks for.
+/// Writes the file in the format that its suffix determines.
 pub(super) fn write(
     fit: &Fit,
     calibration: &Calibration,

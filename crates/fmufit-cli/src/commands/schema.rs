@@ -1,4 +1,4 @@
-//! `fmufit schema`: the JSON schemas of problem files, and of what `--json` prints.
+//! `fmufit schema`: writes the JSON schemas of problem files and of `--json` output.
 
 use super::{check, info, validate};
 use crate::arguments::{Document, SchemaOf};
@@ -10,7 +10,7 @@ use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value, json};
 
 pub(crate) fn run(arguments: &SchemaOf, console: &Console) -> Result<Exit, Error> {
-    // What editors for TOML know.
+    // TOML editors support draft 7.
     let generator = SchemaSettings::draft07().into_generator();
     let mut schema = match arguments.of {
         Document::Problem => generator.into_root_schema_for::<ProblemRecord>(),
@@ -26,12 +26,12 @@ pub(crate) fn run(arguments: &SchemaOf, console: &Console) -> Result<Exit, Error
     Ok(Exit::Success)
 }
 
-/// In problems words are read in any case, with - and _ alike, and 0 and 1 as false and true. The words stand
-/// there as they are, too: editors offer them.
+/// Accepts alternative spellings in problem files. Words are case-insensitive, - and _ are equivalent, and 0
+/// and 1 mean false and true. The original words remain listed, because editors offer them.
 fn take_spellings(schema: &mut Value) {
     match schema {
         Value::Object(fields) => {
-            // The names of fields are read as they are.
+            // The names of fields have only one spelling.
             let all = fields.iter_mut().filter(|(keyword, _)| *keyword != "propertyNames");
             all.for_each(|(_, value)| take_spellings(value));
             let kind = fields.get("type");
@@ -57,7 +57,7 @@ fn take_spellings(schema: &mut Value) {
     }
 }
 
-/// The regular expression of the spellings of a word.
+/// Returns the regular expression for the spellings of a word.
 fn spellings(word: &str) -> String {
     let letter = |letter: char| match letter {
         '-' | '_' => "[-_]".to_owned(),
@@ -69,7 +69,7 @@ fn spellings(word: &str) -> String {
     word.chars().map(letter).collect()
 }
 
-/// In results null stands for numbers that are not finite.
+/// Allows null in results, where it represents numbers that are not finite.
 fn allow_null(schema: &mut Value) {
     match schema {
         Value::Object(fields) => {

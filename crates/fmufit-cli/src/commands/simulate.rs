@@ -1,4 +1,4 @@
-//! `fmufit simulate`: a table of what a model does.
+//! `fmufit simulate`: simulates a model and writes a table.
 
 use super::variable_text::value_of;
 use crate::arguments::Simulate;
@@ -35,7 +35,7 @@ pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error
     let options = options(arguments, &fmu, console)?;
     let kind = fmu.check_runnable_as(options.run.kind).map_err(Error::input)?;
     options.without_effect(kind).iter().for_each(|sentence| console.note(&format!("warning: {sentence}")));
-    // What is wrong with the options shows before the model is loaded.
+    // Reports mistakes in the options before the model is loaded.
     SimulationPlan::new(&fmu, &options)
         .map_err(|error| Error::input(in_arguments(&calibration::visible_error(&error))))?;
     let place = match arguments.in_process {
@@ -78,7 +78,7 @@ fn is_drawing(path: &Path) -> bool {
     path.extension().is_some_and(|suffix| suffix.eq_ignore_ascii_case("svg"))
 }
 
-/// A message about options of a simulation, in the words of the arguments.
+/// Replaces the names of simulation options in a message with the names of the arguments.
 fn in_arguments(message: &str) -> String {
     let names = [
         ("start_time", "--start-time"),
@@ -90,17 +90,17 @@ fn in_arguments(message: &str) -> String {
     names.iter().fold(message.to_owned(), |message, (name, argument)| message.replace(name, argument))
 }
 
-/// Where a model is simulated.
+/// Process in which a model is simulated.
 pub(crate) enum Place {
     ThisProcess,
-    /// In a process of its own, where this program can start one.
+    /// A separate process if this program can start one, otherwise this process.
     Worker {
-        /// It is confined, or there is an error.
+        /// True to confine the process; an error if that is not possible.
         sandbox: bool,
     },
 }
 
-/// Simulates a model; Ctrl-C ends that.
+/// Simulates a model. Ctrl-C ends the simulation.
 pub(crate) fn simulated(
     fmu: &Fmu,
     options: &SimulateOptions,
@@ -163,7 +163,7 @@ fn options(arguments: &Simulate, fmu: &Fmu, console: &Console) -> Result<Simulat
     let values = short_form::assignments(&values, "NAME=VALUE, as in --set friction=0.01, or @FILE.ssv")?;
     for file in files {
         let set = ParameterSet::read(&file[1..]).and_then(|set| set.values(fmu.description()));
-        // What is named alone goes before what is in a file.
+        // Individual values take precedence over values from files.
         let is_named = |name: &String| values.iter().any(|(given, _)| given == name);
         for (name, value) in set.map_err(Error::of_arguments)?.into_iter().filter(|(name, _)| !is_named(name))
         {
@@ -194,8 +194,8 @@ fn options(arguments: &Simulate, fmu: &Fmu, console: &Console) -> Result<Simulat
     Ok(options)
 }
 
-/// The inputs that a recording has columns for, in the units of the model; the others keep their start
-/// values, unless these are `given`.
+/// Returns the inputs for which the recording has columns, in the units of the model. The other inputs keep
+/// their start values, unless they are `given`.
 fn inputs(fmu: &Fmu, data: &Data, given: &[String], console: &Console) -> Result<Inputs, Error> {
     let description = fmu.description();
     let (converted, pairs, warnings) =
@@ -206,7 +206,7 @@ fn inputs(fmu: &Fmu, data: &Data, given: &[String], console: &Console) -> Result
         let stated = description.variable(name).and_then(|variable| variable.unit.as_deref());
         let stated = stated.filter(|unit| !matches!(*unit, "" | "1" | "-") && data.unit(column).is_none());
         without_unit.extend(stated.map(|unit| format!("'{name}' in {unit}")));
-        // Rows where the value is missing are left out, as in fits.
+        // Rows with a missing value are left out, as in fits.
         let rows = data.time().iter().zip(values).filter(|(_, value)| !value.is_nan());
         let (times, values): (Vec<f64>, Vec<f64>) = rows.unzip();
         inputs = inputs.series(name, times, values);
@@ -224,11 +224,10 @@ fn inputs(fmu: &Fmu, data: &Data, given: &[String], console: &Console) -> Result
     Ok(inputs)
 }
 
-/// The rows as comma-separated values; all numbers have the digits that stand for the same number when they
-/// are read again.
+/// Returns the rows as comma-separated values. All numbers have enough digits to be read back exactly.
 fn table(trajectory: &Trajectory) -> Result<String, Error> {
     let failed = |e: &dyn std::fmt::Display| Error::work(format!("no table can be made: {e}"));
-    // Exact integers stand among the numbers, too.
+    // Exact integers are also among the numeric columns.
     let texts = trajectory.values.iter().filter(|column| !trajectory.names.contains(&column.name));
     let texts: Vec<_> = texts.collect();
     let mut writer = csv::Writer::from_writer(Vec::new());

@@ -1,4 +1,4 @@
-//! `fmufit validate`: departures from the standard, and a run in a process of its own.
+//! `fmufit validate`: reports violations of the FMI standard and runs the model in a separate process.
 
 use super::simulate::{Place, simulated};
 use crate::arguments::Validate;
@@ -14,31 +14,31 @@ use ode::Termination;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-/// Length of the run of a model that states none, in s.
+/// Duration of the simulation in s, if the model does not declare a stop time.
 const SHORT: f64 = 1.0;
 
-/// A simulation that did not go well.
+/// A simulation with problems.
 enum Run {
-    /// It went to its end, and its results mean nothing.
+    /// It reached the end, but its results are unusable.
     Ended,
     Failed,
 }
 
-/// A validation as `--json` prints it.
+/// Result of a validation as printed by `--json`.
 #[derive(Serialize, JsonSchema)]
 #[schemars(title = "Validation of fmufit")]
 pub(super) struct Document<'v> {
-    /// The model.
+    /// Path of the model.
     path: String,
     /// Name of the model.
     model_name: &'v str,
-    /// Version of FMI, as `2.0`.
+    /// FMI version, for example `2.0`.
     fmi_version: String,
-    /// Departures from the standard.
+    /// Violations of the FMI standard.
     quirks: &'v [String],
-    /// The simulation went well, and its results are finite.
+    /// True if the simulation succeeded and its results are finite.
     is_simulated: bool,
-    /// What came of it, in a sentence.
+    /// Result of the simulation, in a sentence.
     simulation: &'v str,
 }
 
@@ -94,7 +94,7 @@ pub(crate) fn run(arguments: &Validate, console: &Console) -> Result<Exit, Error
     Ok(if outcome.is_ok() { Exit::Success } else { Exit::NoSuccess })
 }
 
-/// End and counts of a simulation.
+/// Returns the end time and the counts of a simulation.
 fn result(trajectory: &Trajectory) -> String {
     let (end, stats, n_events) = (Number(trajectory.end_time), &trajectory.stats, trajectory.events.len());
     let by_model = match trajectory.termination {

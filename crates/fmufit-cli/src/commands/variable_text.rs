@@ -1,11 +1,11 @@
-//! Values of variables as texts of the command line.
+//! Values of variables, given as text on the command line.
 
 use crate::error::Error;
 use fmi::description::VariableKind;
 use fmi::{FmiError, ModelDescription, Value, Variable};
 
-/// The value that a text is for a variable: a number, `true` or `false`, a text, the name of an item of an
-/// enumeration; of an array its elements with commas between them.
+/// Parses the value of a variable: a number, `true` or `false`, a string, or the name of an enumeration item.
+/// The elements of an array are separated by commas.
 pub(crate) fn value_of(description: &ModelDescription, name: &str, text: &str) -> Result<Value, Error> {
     let array = || name.rsplit_once('[').and_then(|(array, _)| description.variable(array));
     let variable = description.variable(name).or_else(array).ok_or_else(|| {

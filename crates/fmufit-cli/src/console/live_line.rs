@@ -1,4 +1,4 @@
-//! A line that shows how far work is: rewritten on a terminal, printed from time to time elsewhere.
+//! Progress line: rewritten on a terminal, printed from time to time otherwise.
 
 use super::messages;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -7,18 +7,19 @@ use std::io;
 use std::time::{Duration, Instant};
 use terminal_size::terminal_size_of;
 
-/// Least time between two lines where none is rewritten.
+/// Minimum time between two printed lines.
 const PAUSE: Duration = Duration::from_secs(2);
 
-/// Columns of a terminal that the line leaves free: the echo of Ctrl-C must not break it.
+/// Number of free columns at the end of the line, so that the echo of Ctrl-C does not break it.
 const MARGIN: usize = 6;
 
-/// The line; it goes away when it is dropped.
+/// The progress line, which disappears when it is dropped.
 pub(crate) struct LiveLine {
     bar: Option<ProgressBar>,
-    /// Of lines that are printed: the heading of the last one, and when it was.
+    /// Heading and time of the last printed line, if lines are printed.
     printed: Option<(RefCell<String>, Cell<Instant>)>,
-    /// The end of the work was asked for: nothing is left on the screen that a second Ctrl-C would leave.
+    /// True after a request to end the work. The line is then cleared, because a second Ctrl-C would leave it
+    /// on the screen.
     is_ending: Cell<bool>,
 }
 
@@ -38,7 +39,7 @@ impl LiveLine {
         line
     }
 
-    /// Shows what is done, unless its end was asked for. Returns whether it was.
+    /// Shows the current work, unless its end was requested. Returns true if it was requested.
     pub(crate) fn show_until(&self, is_asked: bool, heading: &str) -> bool {
         match is_asked {
             true => self.end(),
@@ -47,7 +48,7 @@ impl LiveLine {
         is_asked
     }
 
-    /// Says that the work is about to end; the line goes away.
+    /// Announces that the work is about to end, and removes the line.
     pub(crate) fn end(&self) {
         if self.is_ending.replace(true) {
             return;
@@ -61,7 +62,7 @@ impl LiveLine {
         }
     }
 
-    /// Shows what is done, and how far it is.
+    /// Shows the current work and its progress.
     pub(crate) fn show(&self, heading: &str, state: impl Fn() -> String) {
         if self.is_ending.get() {
             return;

@@ -1,5 +1,5 @@
-//! Messages on the standard error stream: those of this program, and those that the library logs. They stand
-//! above the live line.
+//! Messages of this program and log messages of the library, on the standard error stream. They appear above
+//! the live line.
 
 use calibration::{SETUP_LOG_TARGET, visible, visible_line};
 use indicatif::ProgressBar;
@@ -9,19 +9,20 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 struct Messages;
 
-/// The live line that is shown.
+/// The current live line.
 static LIVE: Mutex<Option<ProgressBar>> = Mutex::new(None);
 
 fn live() -> MutexGuard<'static, Option<ProgressBar>> {
     LIVE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Says which live line messages are to stand above.
+/// Sets the live line above which messages appear.
 pub(super) fn stand_above(bar: Option<ProgressBar>) {
     *live() = bar;
 }
 
-/// Has warnings of the library printed, unless nothing is to be said. A program that has a logger keeps it.
+/// Prints warnings of the library, unless `is_quiet` is true. If the program already has a logger, the logger
+/// is kept.
 pub(super) fn pass_on(is_quiet: bool) {
     if log::set_logger(&Messages).is_ok() {
         log::set_max_level(if is_quiet { LevelFilter::Off } else { LevelFilter::Warn });
@@ -31,7 +32,7 @@ pub(super) fn pass_on(is_quiet: bool) {
 /// Prints a message.
 pub(super) fn print(text: &str) {
     let bar = live().clone();
-    // Nobody may be there to read it any more.
+    // The reader of the stream may be gone.
     let write = || _ = writeln!(io::stderr(), "{}", visible(text));
     match bar {
         Some(bar) => bar.suspend(write),
@@ -48,7 +49,7 @@ impl Log for Messages {
         if self.enabled(record.metadata()) {
             let level = if record.level() == Level::Error { "error" } else { "warning" };
             let text = record.args().to_string();
-            // A warning about a setup holds names; a model may log several lines.
+            // A warning about a setup contains names and is one line. A model may log several lines.
             let text = if record.target() == SETUP_LOG_TARGET { visible_line(&text) } else { text.into() };
             print(&format!("{level}: {text}"));
         }

@@ -1,16 +1,16 @@
-//! Tables of texts.
+//! Text tables.
 
 use comfy_table::ContentArrangement;
 use comfy_table::presets::NOTHING;
 
-/// A table with a header. Columns without any text are left out.
+/// A table with a header. Empty columns are left out.
 pub(crate) struct Table<const N: usize> {
     header: [&'static str; N],
     rows: Vec<[String; N]>,
 }
 
 impl<const N: usize> Table<N> {
-    /// Without rows.
+    /// Creates an empty table.
     pub(crate) fn new(header: [&'static str; N]) -> Self {
         Self { header, rows: Vec::new() }
     }
@@ -20,8 +20,7 @@ impl<const N: usize> Table<N> {
         self.rows.push(row);
     }
 
-    /// The text: a line for each row; in a terminal of this width with cells that wrap where a line is too
-    /// short.
+    /// Returns the text, one line per row. With a terminal `width`, cells wrap if a line is too long.
     pub(crate) fn text(&self, width: Option<u16>) -> String {
         let is_kept: [bool; N] = std::array::from_fn(|k| self.rows.iter().any(|row| !row[k].is_empty()));
         let kept = |row: &[String; N]| {

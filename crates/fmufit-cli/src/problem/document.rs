@@ -1,11 +1,11 @@
-//! A TOML document as plain data, with the line of each value.
+//! TOML documents as plain data, with the line of each value.
 
 use super::error_location::{Lines, field, item};
 use dfo::{Record, Value};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// A document, and where its values stand.
+/// A document and the lines of its values.
 pub(super) struct Document {
     pub(super) record: Record,
     pub(super) lines: Lines,
@@ -15,7 +15,7 @@ impl Document {
     /// Reads a document.
     ///
     /// # Errors
-    /// The number of a line, and what is wrong with it.
+    /// Returns the line number and a description of the mistake.
     pub(super) fn parse(text: &str) -> Result<Self, (usize, String)> {
         let line_at = |at: usize| 1 + text.bytes().take(at).filter(|byte| *byte == b'\n').count();
         let table = DeTable::parse(text).map_err(|error| {
@@ -28,7 +28,7 @@ impl Document {
     }
 }
 
-/// The value that a text is in TOML; a word without quotes is a text, too.
+/// Parses a text as a TOML value. A word without quotes is a string.
 pub(super) fn value_of_text(text: &str) -> Value {
     let document = Document::parse(&format!("value = {text}"));
     let value = document.ok().and_then(|mut document| document.record.remove("value"));
@@ -54,7 +54,7 @@ impl Reader<'_> {
         table.iter().map(field).collect()
     }
 
-    /// The columns of outputs keep the order in which they are written: residuals have it.
+    /// The columns of outputs keep the order in which they are written, because residuals use that order.
     fn value(&mut self, value: &Spanned<DeValue<'_>>, path: &str) -> Result<Value, (usize, String)> {
         let line = (self.line_at)(value.span().start);
         let bad = |message: &str| (line, format!("{path}: {message}"));

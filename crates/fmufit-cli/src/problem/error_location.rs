@@ -1,19 +1,20 @@
-//! Places in a problem file, as errors name them.
+//! Locations in a problem file, for errors.
 
 use dfo::Value;
 use std::collections::BTreeMap;
 
-/// Path of a value in a document: names of fields, and numbers in lists, as `experiments[0].outputs`.
+/// Returns the path of a field in a document. A path consists of field names and list indices, for example
+/// `experiments[0].outputs`.
 pub(super) fn field(of: &str, name: &str) -> String {
     if of.is_empty() { name.to_owned() } else { format!("{of}.{name}") }
 }
 
-/// Path of an item of a list.
+/// Returns the path of an item of a list.
 pub(super) fn item(of: &str, index: usize) -> String {
     format!("{of}[{index}]")
 }
 
-/// Lines of the values of a document, by their paths.
+/// Line numbers of the values of a document, by path.
 #[derive(Debug, Default)]
 pub(super) struct Lines(BTreeMap<String, usize>);
 
@@ -22,7 +23,7 @@ impl Lines {
         self.0.insert(path, line);
     }
 
-    /// The line of a value, or of the nearest that it is part of.
+    /// Returns the line of a value, or of the nearest value that contains it.
     pub(super) fn of(&self, path: &str) -> Option<usize> {
         let mut path = path;
         loop {
@@ -34,8 +35,8 @@ impl Lines {
     }
 }
 
-/// The path of what a message names within a value: a field or a text in quotes, or a field at its start;
-/// else a file, which stands without quotes, and before a colon.
+/// Returns the path of the part of a value that a message names: a field or string in quotes, or a field at
+/// the start of the message; otherwise a file name, which is unquoted and followed by a colon.
 pub(super) fn named_in(message: &str, value: &Value, path: &str) -> Option<String> {
     let is_quoted =
         |name: &str| ["'", "\""].iter().any(|quote| message.contains(&format!("{quote}{name}{quote}")));
@@ -47,7 +48,8 @@ pub(super) fn named_in(message: &str, value: &Value, path: &str) -> Option<Strin
 
 type Holds<'f> = dyn Fn(&str) -> bool + 'f;
 
-/// The path of the first field, or text, for which this holds; what is inside of a field goes first.
+/// Returns the path of the first matching field or string. Matches inside a field take precedence over the
+/// field.
 fn find(value: &Value, path: &str, of_field: &Holds<'_>, of_text: &Holds<'_>) -> Option<String> {
     match value {
         Value::Text(text) => of_text(text).then(|| path.to_owned()),

@@ -1,4 +1,4 @@
-//! Problems of fits as users write them: in a file, or in short on the command line.
+//! Problems of fits as users write them: in a file, or in short form on the command line.
 
 mod document;
 mod error_location;

@@ -1,4 +1,4 @@
-//! The problem of the arguments of a command: a file, or the short form.
+//! Problem from the arguments of a command: a file or the short form.
 
 use super::problem_file::ProblemFile;
 use super::short_form;
@@ -12,7 +12,7 @@ use fmi::description::Causality;
 use fmi::worker::Isolation;
 use std::path::Path;
 
-/// The problem that arguments describe.
+/// Returns the problem that the arguments describe.
 pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<ProblemFile, Error> {
     let Problem { problem, data, output, input, parameter, time, start_time, unit, setting, sandbox } =
         arguments;
@@ -22,13 +22,13 @@ pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<Pro
             problem.display()
         )));
     }
-    // Systems of models are refused, with what to use, where they are opened.
+    // Systems of models are rejected, with an alternative, when they are opened.
     let is_model = problem.is_dir()
         || problem.extension().is_some_and(|suffix| {
             ["fmu", "ssp", "ssd"].iter().any(|known| suffix.eq_ignore_ascii_case(known))
         });
     let settings = short_form::options(setting)?.into_iter().map(|(name, value)| match (&name[..], value) {
-        // The word for no isolation, not the default.
+        // Without this, "none" would mean the default instead of no isolation.
         ("isolation", Value::Nothing) => (name, Value::Text(Isolation::None.name().to_owned())),
         (_, value) => (name, value),
     });
@@ -86,7 +86,7 @@ pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<Pro
     Ok(file)
 }
 
-/// The inputs that columns of the recording are called as, which drive them.
+/// Returns the inputs with the names of columns of the recording.
 fn driven(
     model: &Path,
     data: &Path,

@@ -1,5 +1,5 @@
-//! The problem file: model, experiments, parameters, settings and the options of a fit, each as the library
-//! reads it from a record.
+//! Problem file: model, experiments, parameters, settings and the options of a fit. The library reads each
+//! part from a record.
 
 use super::document::Document;
 use super::error_location::{Lines, field, item, named_in};
@@ -17,18 +17,18 @@ use std::fmt::Display;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// A problem file: which parameters of a model are fitted to which recordings.
+/// A problem file, which specifies the parameters of a model and the recordings to fit them to.
 #[derive(Debug, Default, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(title = "Problem of fmufit")]
 pub(crate) struct ProblemRecord {
-    /// The model: the path of an FMU.
+    /// Path of the FMU.
     #[schemars(with = "PathBuf")]
     model: Value,
-    /// Recordings, and how the model is to reproduce them.
+    /// Recordings, and how the model should reproduce them.
     #[schemars(with = "Vec<ExperimentRecord>", length(min = 1))]
     experiments: Value,
-    /// What is fitted.
+    /// Parameters to fit.
     #[schemars(schema_with = "parameters_schema")]
     parameters: Value,
     /// Settings of the simulations.
@@ -38,17 +38,18 @@ pub(crate) struct ProblemRecord {
     #[schemars(schema_with = "fit_schema")]
     #[serde(default)]
     fit: Value,
-    /// Fits one after the other, each of some of the parameters.
+    /// Successive fits, each of some of the parameters.
     #[schemars(schema_with = "stages_schema")]
     #[serde(default)]
     stages: Value,
 }
 
-/// Fields of an experiment that are written before its table by mistake.
+/// Fields of an experiment that may be written before its table by mistake.
 const OF_EXPERIMENTS: [&str; 8] =
     ["data", "time", "outputs", "inputs", "weights", "windows", "start_time", "start_values"];
 
-/// One at least, each with a name, and a start unless it is tied to another one.
+/// Schema of the parameters: at least one, each with a name, and with a start value unless it is tied to
+/// another parameter.
 fn parameters_schema(generator: &mut SchemaGenerator) -> Schema {
     let has_value = json_schema!({
         "required": ["name"],
@@ -60,9 +61,9 @@ fn parameters_schema(generator: &mut SchemaGenerator) -> Schema {
 
 /// A problem as it was written.
 pub(crate) struct ProblemFile {
-    /// Its path; `None`: it is that of the command line.
+    /// Path of the file; `None` for a problem from the command line.
     path: Option<PathBuf>,
-    /// Where relative paths in it begin.
+    /// Folder for relative paths in the file.
     folder: PathBuf,
     record: Value,
     lines: Lines,
@@ -85,7 +86,7 @@ impl ProblemFile {
         Self::parse(&text, path)
     }
 
-    /// The file with this text, which is, or is to be, at a path.
+    /// Parses the text of a file, which exists or will be written at `path`.
     pub(crate) fn parse(text: &str, path: &Path) -> Result<Self, Error> {
         let Document { record, lines } = Document::parse(text)
             .map_err(|(line, message)| Error::input(format!("{}, line {line}: {message}", path.display())))?;
@@ -100,7 +101,7 @@ impl ProblemFile {
         file.checked()
     }
 
-    /// A problem without a file; relative paths begin in the working folder.
+    /// Creates a problem without a file. Relative paths start in the working folder.
     pub(crate) fn without_file(record: Record) -> Result<Self, Error> {
         let record = Value::Record(record);
         Self { path: None, folder: PathBuf::new(), record, lines: Lines::default(), set: Vec::new() }
@@ -128,13 +129,13 @@ impl ProblemFile {
         })
     }
 
-    /// Sets options of a table, in place of what the file says.
+    /// Sets options of a table and replaces options of the file.
     pub(crate) fn set(&mut self, table: &str, options: impl IntoIterator<Item = (String, Value)>) {
         let Value::Record(record) = &mut self.record else { return };
         let own = record.entry(table.to_owned()).or_insert_with(|| Value::Record(Record::new()));
         if let Value::Record(fields) = own {
             for (name, value) in options {
-                // Two words for one option: that of the command line holds.
+                // `rng` and `seed` are the same option, and the command line takes precedence.
                 let other = [("rng", "seed"), ("seed", "rng")].iter().find(|(own, _)| *own == name);
                 other.iter().for_each(|(_, other)| drop(fields.remove(*other)));
                 self.set.push(field(table, &name));
@@ -143,7 +144,7 @@ impl ProblemFile {
         }
     }
 
-    /// Sets entries of a record in a table beside those of the file.
+    /// Adds entries to a record of a table, in addition to the entries of the file.
     pub(crate) fn extend(
         &mut self,
         table: &str,
@@ -162,7 +163,7 @@ impl ProblemFile {
         self.set(table, [(name.to_owned(), Value::Record(all))]);
     }
 
-    /// An error at a path in the file.
+    /// Creates an error at a path in the file.
     fn error(&self, path: &str, message: impl Display) -> Error {
         if let Some((table, name)) = path.split_once('.').filter(|_| self.set.iter().any(|set| set == path)) {
             let argument = if table == "settings" { "--setting" } else { "--option" };
@@ -175,7 +176,8 @@ impl ProblemFile {
         }
     }
 
-    /// An error of the library about the value at a path: at the line of what it names, if that stands there.
+    /// Converts a library error about the value at a path. The location is the line of the item that the
+    /// message names, if the file contains it.
     fn located(&self, path: &str, error: CalibrationError) -> Error {
         let of = if self.path.is_some() { Error::of_input } else { Error::of_arguments };
         let message = match of(error) {
@@ -186,7 +188,7 @@ impl ProblemFile {
         self.error(place.as_deref().unwrap_or(path), message)
     }
 
-    /// The value of a field of the file, or all of it.
+    /// Returns the value of a field of the file, or the whole file.
     fn value(&self, path: &str) -> Option<&Value> {
         let Value::Record(fields) = &self.record else { return None };
         if path.is_empty() {
@@ -199,7 +201,7 @@ impl ProblemFile {
         }
     }
 
-    /// The fields of a table; none where it is left out.
+    /// Returns the fields of a table; empty if the table is missing.
     fn fields(&self, path: &str) -> Result<Record, Error> {
         match self.value(path) {
             None => Ok(Record::new()),
@@ -211,7 +213,7 @@ impl ProblemFile {
         }
     }
 
-    /// The tables of a list, with their paths.
+    /// Returns the tables of a list, with their paths.
     fn tables(&self, name: &str) -> Result<Vec<(String, Record)>, Error> {
         let n = match self.value(name) {
             None => 0,
@@ -222,7 +224,7 @@ impl ProblemFile {
         paths.map(|path| self.fields(&path).map(|fields| (path, fields))).collect()
     }
 
-    /// Refuses names in a table that the library does not know.
+    /// Rejects names in a table that the library does not support.
     fn check_names(
         &self,
         path: &str,
@@ -238,7 +240,7 @@ impl ProblemFile {
         }
     }
 
-    /// The files that it is read from: itself, the model, the recordings.
+    /// Returns the files that the problem is read from: itself, the model and the recordings.
     pub(crate) fn files(&self) -> Vec<PathBuf> {
         let experiments = self.tables("experiments").unwrap_or_default();
         let of_experiment =
@@ -262,13 +264,13 @@ impl ProblemFile {
         Fmu::open_with(self.folder.join(path), &options).map_err(|error| self.located("model", error.into()))
     }
 
-    /// The settings of the simulations.
+    /// Returns the settings of the simulations.
     fn settings(&self) -> Result<SimulationSettings, Error> {
         let settings = SimulationSettings::from_record(&self.fields("settings")?);
         settings.map_err(|error| self.located("settings", error.into()))
     }
 
-    /// The calibration: the recordings are read, unless the context is over.
+    /// Creates the calibration and reads the recordings, unless the context is over.
     pub(crate) fn calibration(&self, context: &RunContext<'_>) -> Result<Calibration, Error> {
         let mut builder = Calibration::builder(self.model()?).settings(self.settings()?);
         for (path, fields) in self.tables("parameters")? {
@@ -282,7 +284,7 @@ impl ProblemFile {
         builder.build().map_err(|error| self.located("", error))
     }
 
-    /// The options of the fit of so many parameters.
+    /// Returns the options of a fit of `n_parameters` parameters.
     pub(crate) fn options(&self, n_parameters: usize) -> Result<FitOptions<'static>, Error> {
         let at = |error: dfo::Error| self.located("fit", error.into());
         let fields = self.fields("fit")?;
@@ -294,7 +296,7 @@ impl ProblemFile {
         Ok(options)
     }
 
-    /// The stages of the fit; none: it is made at once.
+    /// Returns the stages of the fit; empty for a fit in one stage.
     pub(crate) fn stages(&self, n_parameters: usize, workers: Option<usize>) -> Result<Vec<Stage>, Error> {
         let stage = |(path, fields): (String, Record)| {
             let at = |error: dfo::Error| self.located(&path, error.into());

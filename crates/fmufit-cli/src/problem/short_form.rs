@@ -1,11 +1,11 @@
-//! The short form of a problem on the command line: a model, a recording, and names.
+//! Short form of a problem on the command line: a model, a recording and names.
 
 use super::document::value_of_text;
 use crate::error::Error;
 use dfo::{Record, Value};
 use std::path::Path;
 
-/// Name and value of `name=value`.
+/// Splits `name=value` into name and value.
 pub(crate) fn assignment(text: &str, what: &str) -> Result<(String, String), Error> {
     match text.split_once('=') {
         Some((name, value)) if !name.trim().is_empty() => {
@@ -15,7 +15,7 @@ pub(crate) fn assignment(text: &str, what: &str) -> Result<(String, String), Err
     }
 }
 
-/// Names and values, each name once.
+/// Splits several assignments. Each name may occur once.
 pub(crate) fn assignments(given: &[String], what: &str) -> Result<Vec<(String, String)>, Error> {
     let mut pairs: Vec<(String, String)> = Vec::with_capacity(given.len());
     for text in given {
@@ -28,7 +28,7 @@ pub(crate) fn assignments(given: &[String], what: &str) -> Result<Vec<(String, S
     Ok(pairs)
 }
 
-/// Options given as `name=value`.
+/// Returns the options given as `name=value`.
 pub(crate) fn options(given: &[String]) -> Result<Vec<(String, Value)>, Error> {
     let pairs = assignments(given, "name=value")?;
     let is_given = |word: &str| pairs.iter().any(|(name, _)| name == word);
@@ -38,7 +38,7 @@ pub(crate) fn options(given: &[String]) -> Result<Vec<(String, Value)>, Error> {
     Ok(pairs.into_iter().map(|(name, value)| (name, value_of_text(&value))).collect())
 }
 
-/// A path as a problem holds it.
+/// Converts a path to its form in a problem.
 pub(crate) fn text_of(path: &Path) -> Result<String, Error> {
     path.to_str().map(str::to_owned).ok_or_else(|| {
         let path = path.display();
@@ -46,7 +46,7 @@ pub(crate) fn text_of(path: &Path) -> Result<String, Error> {
     })
 }
 
-/// The record of a parameter, `name=start:lower:upper`, of which the bounds may be left out.
+/// Returns the record of a parameter `name=start:lower:upper`. The bounds are optional.
 fn parameter(text: &str) -> Result<Value, Error> {
     const FORM: &str = "name=start:lower:upper, as in --parameter armFriction=0.012:0:0.022";
     let (name, numbers) = assignment(text, FORM)?;
@@ -67,7 +67,7 @@ fn parameter(text: &str) -> Result<Value, Error> {
     Ok(Value::Record(record))
 }
 
-/// A variable and its column; one name alone is that of both.
+/// Returns a variable and its column. A single name stands for both.
 fn column(text: &str) -> Result<Value, Error> {
     if !text.contains('=') {
         return Ok(Value::Text(text.to_owned()));
@@ -76,7 +76,7 @@ fn column(text: &str) -> Result<Value, Error> {
     Ok(Value::List(vec![Value::Text(variable), Value::Text(column)]))
 }
 
-/// The same for an input, which a number may drive.
+/// Like `column`, for an input, which may have a number instead of a column.
 fn source(text: &str) -> Result<Value, Error> {
     match column(text)? {
         Value::List(pair) => match &pair[..] {
@@ -89,7 +89,7 @@ fn source(text: &str) -> Result<Value, Error> {
     }
 }
 
-/// The record of a problem with one recording.
+/// Returns the record of a problem with one recording.
 pub(crate) fn record(
     model: &Path,
     data: &Path,

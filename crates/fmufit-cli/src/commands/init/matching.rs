@@ -1,4 +1,4 @@
-//! Columns of a recording and the variables that they measure or drive, matched by their names.
+//! Matching of the columns of a recording with the variables that they measure or drive, by name.
 
 use super::proposal::Proposed;
 use crate::error::Error;
@@ -9,20 +9,20 @@ use fmi::{Fmu, Variable};
 /// A variable and a column.
 pub(super) type Pair = (String, String);
 
-/// Columns of a recording, and what became of them.
+/// Columns of a recording and their matches.
 pub(super) struct Columns {
     pub(super) outputs: Vec<Pair>,
     pub(super) inputs: Vec<Pair>,
-    /// Columns that belong to no variable, with the variables that they may belong to.
+    /// Columns without a variable, each with candidate variables.
     pub(super) unmatched: Vec<(String, Vec<String>)>,
-    /// Inputs that no column drives.
+    /// Inputs without a column.
     pub(super) undriven: Vec<String>,
-    /// Variables of which the model states no unit, with the unit that their column states.
+    /// Variables without a unit in the model, each with the unit of its column.
     pub(super) without_unit: Vec<Pair>,
 }
 
 impl Columns {
-    /// Matches what was not given.
+    /// Matches the columns that are not matched explicitly.
     pub(super) fn matched(
         fmu: &Fmu,
         data: &Data,
@@ -83,7 +83,7 @@ impl Columns {
         !self.outputs.is_empty()
     }
 
-    /// The counts, in a sentence.
+    /// Returns the counts as text.
     pub(super) fn summary(&self, proposed: &Proposed) -> String {
         let count = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
         let mut parts = vec![
@@ -98,7 +98,7 @@ impl Columns {
     }
 }
 
-/// The name of a column without its unit, where that is enough to find it.
+/// Returns the name of a column without its unit, if the short name still identifies the column.
 fn stem(name: &str, data: &Data) -> String {
     let short = name.split(['[', '(']).next().unwrap_or(name).trim_end();
     match find_column(data.names(), short) {
@@ -107,7 +107,7 @@ fn stem(name: &str, data: &Data) -> String {
     }
 }
 
-/// The variables that a column may belong to: those of the best kind of match that there is.
+/// Returns the variables that a column may belong to. Only the best kind of match is returned.
 fn candidates<'v>(column: &str, variables: &'v [Variable]) -> Vec<&'v Variable> {
     let is_result = |variable: &&Variable| match variable.causality {
         Causality::Input | Causality::Output => true,
@@ -125,7 +125,7 @@ fn candidates<'v>(column: &str, variables: &'v [Variable]) -> Vec<&'v Variable> 
         }];
     for is_match in kinds {
         let found: Vec<&Variable> = all().filter(|variable| is_match(&variable.name)).collect();
-        // What is meant for use outside goes first.
+        // Variables for use outside of the model take precedence.
         let outside: Vec<&Variable> = found.iter().copied().filter(is_outside).collect();
         if !outside.is_empty() {
             return outside;
@@ -137,7 +137,7 @@ fn candidates<'v>(column: &str, variables: &'v [Variable]) -> Vec<&'v Variable> 
     Vec::new()
 }
 
-/// A name without what people write differently.
+/// Returns a name in lower case without separators, to compare spellings.
 fn folded(name: &str) -> String {
     name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
 }

@@ -1,4 +1,4 @@
-//! `fmufit init`: a problem file from a model and a recording.
+//! `fmufit init`: writes a problem file from a model and a recording.
 
 mod matching;
 mod proposal;
@@ -30,7 +30,7 @@ pub(crate) fn run(arguments: &Init, console: &Console) -> Result<Exit, Error> {
     let recording = Data::read_csv(data, request).map_err(Error::of_arguments)?;
     let columns = Columns::matched(&fmu, &recording, named(&arguments.output)?, named(&arguments.input)?)?;
     let mut proposed = Proposed::of(&fmu, &arguments.parameter)?;
-    // Paths in the file begin where that is.
+    // Paths in the file are relative to its folder.
     let folder = base::files::folder_of(problem);
     let (model_path, data_path) = (relative(model, folder)?, relative(data, folder)?);
     let text = |proposed: &Proposed| {
@@ -50,7 +50,7 @@ pub(crate) fn run(arguments: &Init, console: &Console) -> Result<Exit, Error> {
         }
     }
     let text = text(&proposed);
-    // What was written must be read.
+    // Checks that the written text can be read.
     ProblemFile::parse(&text, problem)?;
     base::files::write_atomically(problem, text.as_bytes()).map_err(Error::write(problem))?;
     console.result(&format!("wrote {}: {}", problem.display(), columns.summary(&proposed)));
@@ -63,19 +63,19 @@ pub(crate) fn run(arguments: &Init, console: &Console) -> Result<Exit, Error> {
     Ok(Exit::Success)
 }
 
-/// Variables and columns of `variable=column`.
+/// Returns the variables and columns of `variable=column` arguments.
 fn named(given: &[String]) -> Result<Vec<Pair>, Error> {
     given.iter().map(|text| short_form::assignment(text, "VARIABLE=COLUMN")).collect()
 }
 
-/// A path as it is seen from a folder: in full, unless it is below.
+/// Returns a path relative to a folder, or the full path if it is not inside the folder.
 fn relative(path: &Path, folder: &Path) -> Result<String, Error> {
     let full = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
     let (path, folder) = (full(path), full(folder));
     short_form::text_of(path.strip_prefix(&folder).unwrap_or(&path))
 }
 
-/// Moves each of the parameters that a text proposes.
+/// Varies each of the parameters that the text proposes.
 fn tried(text: &str, path: &Path, console: &Console) -> Result<calibration::Preflight, Error> {
     let interrupt = Interrupt::watch()?;
     let line = console.live_line();

@@ -1,17 +1,17 @@
-//! Parameters that are proposed for a fit.
+//! Proposal of parameters for a fit.
 
 use crate::error::Error;
 use calibration::Preflight;
 use fmi::description::{Causality, Variability};
 use fmi::{Fmu, Value, Variable};
 
-/// Bounds that the model does not state are this factor away from the start value.
+/// Factor between the start value and a bound that the model does not declare.
 const WIDTH: f64 = 10.0;
 
-/// More parameters are too many to be tried out, and for a fit.
+/// Maximum number of parameters to vary and to propose for a fit.
 const MOST: usize = 50;
 
-/// A parameter that is proposed.
+/// A candidate parameter.
 pub(super) struct Candidate {
     pub(super) name: String,
     pub(super) start: f64,
@@ -19,19 +19,19 @@ pub(super) struct Candidate {
     pub(super) upper: f64,
     pub(super) unit: Option<String>,
     pub(super) description: Option<String>,
-    /// Why it is not to be fitted.
+    /// Reason why the parameter should not be fitted.
     pub(super) reason: Option<String>,
 }
 
-/// The parameters that are proposed.
+/// Proposed parameters.
 pub(super) struct Proposed {
     pub(super) candidates: Vec<Candidate>,
-    /// Remarks on pairs that move the outputs the same way.
+    /// Remarks on groups of parameters with similar effects on the outputs.
     pub(super) confounded: Vec<String>,
 }
 
 impl Proposed {
-    /// The parameters of these names, or all that there are.
+    /// Returns the parameters with these names, or all parameters if no names are given.
     pub(super) fn of(fmu: &Fmu, names: &[String]) -> Result<Self, Error> {
         let description = fmu.description();
         let mut candidates = Vec::new();
@@ -63,7 +63,7 @@ impl Proposed {
         Ok(Self { candidates, confounded: Vec::new() })
     }
 
-    /// Those that are to be fitted.
+    /// Returns the parameters to fit.
     pub(super) fn active(&self) -> impl Iterator<Item = &Candidate> {
         self.candidates.iter().filter(|candidate| candidate.reason.is_none())
     }
@@ -76,7 +76,7 @@ impl Proposed {
         self.n_active() > 0
     }
 
-    /// Leaves out what moves no output, as it showed when each was moved.
+    /// Excludes parameters that do not affect any output or whose variation makes the simulation fail.
     pub(super) fn judge(&mut self, preflight: &Preflight) {
         for tried in &preflight.parameters {
             let own = self.candidates.iter_mut().find(|candidate| candidate.name == tried.name);
@@ -107,7 +107,8 @@ impl Proposed {
     }
 }
 
-/// Parameters that pairs connect, each with the smallest correlation in size of its pairs.
+/// Merges connected pairs of parameters into groups. Each group has the smallest absolute correlation of its
+/// pairs.
 fn groups(pairs: &[(usize, usize, f64)]) -> Vec<(Vec<usize>, f64)> {
     let mut groups: Vec<(Vec<usize>, f64)> = Vec::new();
     for (one, other, correlation) in pairs {
@@ -124,7 +125,7 @@ fn groups(pairs: &[(usize, usize, f64)]) -> Vec<(Vec<usize>, f64)> {
     groups
 }
 
-/// A variable as a parameter of a fit; `None`: it is no single real number with a start value.
+/// Converts a variable to a parameter of a fit. `None` if it is not a single real number with a start value.
 fn candidate(variable: &Variable) -> Option<Candidate> {
     let Some(Value::Real(start)) = variable.start else { return None };
     if !variable.kind.is_float() || !variable.dimensions.is_empty() || !start.is_finite() {
@@ -139,7 +140,7 @@ fn candidate(variable: &Variable) -> Option<Candidate> {
         start if start > 0.0 => (start / WIDTH, start * WIDTH),
         start => (start * WIDTH, start / WIDTH),
     };
-    // Shown with the digits that the start has.
+    // Rounds to the digits of the start value.
     let rounded = |bound: f64| format!("{bound:.5e}").parse().unwrap_or(bound);
     let within =
         |bound: f64| rounded(bound).clamp(variable.min.unwrap_or(f64::MIN), variable.max.unwrap_or(f64::MAX));

@@ -1,4 +1,4 @@
-//! The text of a problem file, with comments.
+//! Text of a problem file, with comments.
 
 use super::matching::{Columns, Pair};
 use super::proposal::{Candidate, Proposed};
@@ -7,10 +7,10 @@ use calibration::{CostKind, FitOptions, SimulationSettings};
 use dfo::AnyMethod;
 use fmi::Fmu;
 
-/// So many parameters that are left out for one reason are named.
+/// Maximum number of names to list for one reason to leave out parameters.
 const LISTED: usize = 12;
 
-/// The text; `paths` of model and recording as they stand in the file.
+/// Returns the text. `model` and `data` are the paths as written in the file.
 pub(super) fn text(
     fmu: &Fmu,
     model: &str,
@@ -22,7 +22,7 @@ pub(super) fn text(
 ) -> String {
     let description = fmu.description();
     let mut lines = vec![
-        // Editors read it.
+        // For editors.
         "#:schema problem.schema.json".to_owned(),
         "# Which parameters of a model are fitted to which recordings.".to_owned(),
         "#   fmufit check FILE    looks for mistakes".to_owned(),
@@ -90,9 +90,9 @@ pub(super) fn text(
     lines.join("\n") + "\n"
 }
 
-/// The settings by their defaults, as comments, but for those of the command line; `without_unit`: variables
-/// of which the model states no unit, and their columns do; `max_description_bytes`: the limit with which the
-/// model was opened.
+/// Returns the settings. Defaults are written as comments, and settings of the command line as values.
+/// `without_unit` contains variables without a unit in the model whose columns have one.
+/// `max_description_bytes` is the limit with which the model was opened.
 fn settings(without_unit: &[Pair], max_description_bytes: Option<u64>, sandbox: bool) -> Vec<String> {
     let (settings, fit) = (SimulationSettings::default(), FitOptions::default());
     let tolerances = fit.run.tolerances;
@@ -141,7 +141,7 @@ fn settings(without_unit: &[Pair], max_description_bytes: Option<u64>, sandbox: 
     lines
 }
 
-/// Parameters that are not proposed, a line for each reason.
+/// Returns comments about parameters that are not proposed, one line per reason.
 fn left_out(candidates: &[Candidate]) -> Vec<String> {
     let mut reasons: Vec<&str> = Vec::new();
     for reason in candidates.iter().filter_map(|candidate| candidate.reason.as_deref()) {
@@ -166,7 +166,7 @@ fn left_out(candidates: &[Candidate]) -> Vec<String> {
     lines
 }
 
-/// The table of a parameter.
+/// Returns the table of a parameter.
 fn parameter(candidate: &Candidate) -> Vec<String> {
     let Candidate { name, start, lower, upper, unit, description, reason: _ } = candidate;
     let unit = unit.as_ref().map(|unit| format!("in {}", one_line(unit)));
@@ -191,7 +191,7 @@ fn pairs(name: &str, pairs: &[Pair]) -> String {
     }
 }
 
-/// A text in quotes, as TOML has it.
+/// Quotes a string in TOML syntax.
 fn quoted(text: &str) -> String {
     format!(
         "\"{}\"",
@@ -205,7 +205,7 @@ fn quoted(text: &str) -> String {
     )
 }
 
-/// A text for a comment: those of models may have line breaks.
+/// Converts a text to a single line for a comment. Texts of models may contain line breaks.
 fn one_line(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ").chars().filter(|c| !c.is_control()).collect()
 }
