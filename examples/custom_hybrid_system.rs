@@ -1,8 +1,8 @@
 //! A hand-written hybrid system without an FMU: a room with a heater that a thermostat switches.
 //!
 //! The temperature falls towards 5 degrees outside and rises while the heater is on. The thermostat switches
-//! on below 19 and off above 21 degrees. Both switches are state events. Run with `cargo run --example
-//! custom_hybrid_system`.
+//! on below 19 and off above 21 degrees. Both switches are state events. Run with
+//! `cargo run --example custom_hybrid_system`.
 
 #![allow(clippy::print_stdout)]
 

@@ -1,8 +1,8 @@
 //! Fits one pendulum to two recordings that begin at different angles. The frictions are shared; each
 //! recording has its own initial angle.
 //!
-//! The recordings are generated from the bundled model with known parameters and noise. Run with `cargo run
-//! --release --example two_recordings`.
+//! The recordings are generated from the bundled model with known parameters and noise. Run with
+//! `cargo run --release --example two_recordings`.
 
 #![allow(clippy::print_stdout)]
 

@@ -122,7 +122,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn work_ends_when_asked_or_flagged_or_late() {
+    fn context_is_over_when_cancelled_or_late() {
         let flag = AtomicBool::new(false);
         let asked = std::cell::Cell::new(false);
         let ask = || asked.get();
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn the_shorter_limit_holds_and_none_is_endless() {
+    fn shorter_limit_applies_and_none_is_unlimited() {
         let none = RunContext::new().within(None);
         assert!(!none.is_late() && none.left().is_none());
         assert!(none.within(Some(Duration::MAX)).left().is_none());

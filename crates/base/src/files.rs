@@ -380,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_is_claimed_once_at_a_time() {
+    fn file_is_claimed_once_at_a_time() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run");
         let claim = Claim::new(&path, true).unwrap();
@@ -419,7 +419,7 @@ mod tests {
     }
 
     #[test]
-    fn permissions_and_links_stay() {
+    fn atomic_write_keeps_permissions_and_links() {
         let folder = tempfile::tempdir().unwrap();
         let (file, link) = (folder.path().join("a.csv"), folder.path().join("link"));
         fs::write(&file, "old").unwrap();
@@ -437,7 +437,7 @@ mod tests {
     }
 
     #[test]
-    fn devices_and_pipes_get_the_content() {
+    fn atomic_write_writes_to_devices_and_pipes() {
         write_atomically(Path::new("/dev/null"), b"anything").unwrap();
         assert!(fs::metadata("/dev/null").unwrap().file_type().is_char_device());
         let folder = tempfile::tempdir().unwrap();
@@ -457,7 +457,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_regular_file_is_not_read() {
+    fn irregular_files_are_not_read() {
         let folder = tempfile::tempdir().unwrap();
         let pipe = folder.path().join("pipe");
         assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
@@ -477,7 +477,7 @@ mod tests {
     }
 
     #[test]
-    fn what_fails_leaves_nothing() {
+    fn failed_write_leaves_no_files() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("a");
         drop(AtomicFile::new(&file).unwrap());
@@ -492,7 +492,7 @@ mod tests {
     }
 
     #[test]
-    fn long_names_are_written() {
+    fn atomic_write_supports_long_names() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("\u{e4}".repeat(127));
         write_atomically(&file, b"x").unwrap();

@@ -40,7 +40,7 @@ mod tests {
     use super::Number;
 
     #[test]
-    fn rows_of_zeros_are_exponents() {
+    fn long_rows_of_zeros_become_exponents() {
         for (number, text) in [
             (0.0, "0"),
             (1.0, "1"),

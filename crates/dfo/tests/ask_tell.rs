@@ -18,7 +18,7 @@ fn search(problem: &Problem, p: Lookahead) -> NelderMeadState {
 }
 
 #[test]
-fn by_hand_and_driven_are_the_same() {
+fn ask_tell_matches_driven_run() {
     for problem in problems() {
         for p in PLANS {
             let mut by_hand: Vec<(Vec<f64>, u64, u64, f64, bool)> = Vec::new();
@@ -61,7 +61,7 @@ fn by_hand_and_driven_are_the_same() {
 }
 
 #[test]
-fn answers_may_come_in_pieces() {
+fn method_accepts_partial_answers() {
     // Answers are left out by a fixed pattern; what is needed is asked again, and the path stays the same.
     for problem in problems() {
         for p in PLANS {
@@ -104,7 +104,7 @@ fn answers_may_come_in_pieces() {
 }
 
 #[test]
-fn a_copy_continues_like_the_original() {
+fn cloned_method_continues_like_original() {
     let problem = &problems()[6];
     let mut s = search(problem, Lookahead::Points(2));
     let mut batch = Batch::new();
@@ -129,7 +129,7 @@ fn a_copy_continues_like_the_original() {
 }
 
 #[test]
-fn misuse_is_a_typed_error() {
+fn misuse_returns_typed_error() {
     let mut s = search(&problems()[0], Lookahead::None);
     assert_eq!(s.tell(&Answers::from(&[][..])), Err(Error::TellWithoutAsk));
     let mut batch = Batch::new();
@@ -147,7 +147,7 @@ fn misuse_is_a_typed_error() {
 }
 
 #[test]
-fn asking_and_telling_allocate_nothing_once_warm() {
+fn ask_and_tell_allocate_nothing_after_first_rounds() {
     for (n, p) in [
         (2, Lookahead::None),
         (10, Lookahead::Points(2)),
@@ -181,7 +181,7 @@ fn asking_and_telling_allocate_nothing_once_warm() {
 }
 
 #[test]
-fn own_methods_can_be_driven() {
+fn custom_method_can_be_driven() {
     /// Tries the integers from 0 on and ends at 20.
     struct Count(u64, Option<f64>, [f64; 1]);
     struct CountOptions;
@@ -224,7 +224,7 @@ fn own_methods_can_be_driven() {
 
 /// A round of many residuals is taken without a copy of them: nobody could interrupt that.
 #[test]
-fn residuals_that_are_told_are_not_copied() {
+fn tell_last_does_not_copy_residuals() {
     const N: usize = 20;
     const M: usize = 100_000;
     let setup = Setup::new(Space::new(&[1.0; N], Bounds::unbounded(N), &[], &[]).unwrap());

@@ -24,7 +24,7 @@ fn boxed<'a>(m: Minimize<'a, NelderMead>, method: &AnyMethod) -> Minimize<'a, An
 }
 
 #[test]
-fn budgets_are_exact_and_the_best_is_returned() {
+fn budgets_are_exact_and_best_is_returned() {
     for method in methods() {
         for budget in 1..=200 {
             let calls = AtomicUsize::new(0);
@@ -81,7 +81,7 @@ fn iterations_targets_and_observers_end_every_method() {
 }
 
 #[test]
-fn workers_and_cutoffs_change_nothing() {
+fn result_is_independent_of_workers_and_cutoffs() {
     for method in methods() {
         let one = boxed(minimize(probe), &method).max_evaluations(600).run().unwrap();
         for workers in [2, 7] {
@@ -121,7 +121,7 @@ fn failing(how: usize) -> impl Fn(&[f64], &Query<'_>) -> Outcome + Sync {
 }
 
 #[test]
-fn the_probe_with_failing_regions() {
+fn every_method_handles_failing_regions() {
     quiet_panics_on_purpose();
     for method in methods() {
         let mut first: Option<Report> = None;
@@ -159,7 +159,7 @@ fn optimizer(method: &AnyMethod, limits: Limits) -> Minimize<'static, AnyMethod,
 }
 
 #[test]
-fn ask_and_tell_in_any_order_is_the_driven_run() {
+fn ask_tell_in_any_order_matches_driven_run() {
     for method in methods() {
         let driven = boxed(minimize(probe), &method).max_evaluations(333).run().unwrap();
         for (at_most, backwards) in [(1, false), (3, true), (1000, true)] {
@@ -201,7 +201,7 @@ fn ask_and_tell_in_any_order_is_the_driven_run() {
 }
 
 #[test]
-fn a_run_by_hand_that_ends_anywhere_goes_on_from_its_checkpoint() {
+fn ask_tell_run_resumes_from_its_checkpoint() {
     let folder = tempfile::tempdir().unwrap();
     let limits = Limits { max_evaluations: Some(150), ..Limits::default() };
     for (k, method) in methods().into_iter().enumerate() {
@@ -291,7 +291,7 @@ fn exact_repeats_cost_nothing() {
 }
 
 #[test]
-fn traces_can_be_bounded() {
+fn trace_length_can_be_limited() {
     for method in methods() {
         let whole = boxed(minimize(probe), &method).max_evaluations(400).run().unwrap();
         for limit in [0, 1, 50] {
@@ -306,7 +306,7 @@ fn traces_can_be_bounded() {
 }
 
 #[test]
-fn warm_starts_begin_with_what_is_known() {
+fn warm_start_begins_with_known_points() {
     let first = boxed(minimize(probe), &"de".parse().unwrap());
     let first = first.problem("probe").max_evaluations(200).run().unwrap();
     assert_eq!(first.trace.problem(), Some("probe"));
@@ -377,7 +377,7 @@ fn costs_of_another_problem_are_never_reused() {
 }
 
 #[test]
-fn generations_allocate_nothing_once_warm() {
+fn generations_allocate_nothing_after_first_rounds() {
     use dfo::{Batch, DifferentialEvolution, Genetic, Method, MethodOptions};
     fn measure<M: MethodOptions>(options: &M) -> u64 {
         let n = 6;
@@ -402,7 +402,7 @@ fn generations_allocate_nothing_once_warm() {
 
 /// A run that its budget ended is over, whatever plan it had; it evaluates nothing and returns the same when resumed.
 #[test]
-fn a_run_that_its_budget_ended_stays_over() {
+fn run_ended_by_budget_stays_over() {
     let folder = tempfile::tempdir().unwrap();
     for (k, method) in methods().into_iter().enumerate() {
         for budget in (30..200).step_by(3) {

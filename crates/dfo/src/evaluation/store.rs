@@ -312,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn the_oldest_go_first() {
+    fn store_evicts_oldest_entries_first() {
         let mut store = Store::new(2);
         (0..3).map(f64::from).for_each(|k| insert(&mut store, k, Outcome::Value(k)));
         let known = |c: &mut Store, x: f64| get(c, x, f64::INFINITY);
@@ -323,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn above_a_cutoff_answers_up_to_it() {
+    fn above_outcome_answers_queries_up_to_its_cutoff() {
         let mut store = Store::new(4);
         insert(&mut store, 1.0, Outcome::Above(3.0));
         assert_eq!(get(&mut store, 1.0, 2.0), Some(Outcome::Above(3.0)));
@@ -344,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cost_does_not_answer_for_residuals() {
+    fn cost_does_not_answer_query_for_residuals() {
         let mut store = Store::new(4);
         let query = Query::new(0, 0, f64::INFINITY).want(Want::Residuals);
         let answer = Answer { residuals: vec![1.0], ..Outcome::Value(1.0).into() };

@@ -96,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn short_evaluations_stay_where_they_are() {
+    fn short_evaluations_stay_on_the_calling_thread() {
         let timing = |handover: f64, evaluation: f64| {
             let mut timing = Timing::new();
             assert!(timing.is_long().is_none() && timing.stays(8, 4).is_none());

@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_has_the_textbook_variances() {
+    fn line_fit_has_textbook_variances() {
         // y = a + b t at t = 0, 1, 2, 3: (X' X)^-1 = [[0.7, -0.3], [-0.3, 0.2]].
         let jacobian: Vec<f64> = (0..4).flat_map(|t| [1.0, f64::from(t)]).collect();
         let residuals = [0.1, -0.2, 0.3, -0.1];
@@ -234,14 +234,14 @@ mod tests {
     }
 
     #[test]
-    fn scales_make_no_difference() {
+    fn covariance_is_independent_of_scales() {
         let jacobian: Vec<f64> = (0..4).flat_map(|t| [1e200, 1e-200 * f64::from(t)]).collect();
         let matrix = computed(&[0.1, -0.2, 0.3, -0.1], &jacobian, &[0, 0]).matrix;
         assert!((matrix[1] / (-0.3 * 0.075) - 1.0).abs() < 1e-12 && matrix[3] == f64::INFINITY, "{matrix:?}");
     }
 
     #[test]
-    fn what_is_not_determined_is_infinite_and_named() {
+    fn undetermined_parameters_are_infinite_and_named() {
         // Only a + b, and c, are determined.
         let jacobian: Vec<f64> = (0..5).flat_map(|t| [1.0, 1.0, f64::from(t)]).collect();
         let covariance = computed(&[1.0, -1.0, 0.5, 0.5, -1.0], &jacobian, &[0, 0, 0]);
@@ -258,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn derivatives_are_by_the_parameters_themselves() {
+    fn derivatives_are_with_respect_to_the_parameters() {
         let bounds = Bounds::new(&[0.0, 1.0, 0.1], &[4.0, 1.0, 10.0]).unwrap();
         let log = [Transform::Linear, Transform::Linear, Transform::Log];
         let space = Space::new(&[4.0, 1.0, 2.0], bounds, &log, &[]).unwrap();

@@ -131,7 +131,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_published_answers_come_out() {
+    fn philox_matches_published_vectors() {
         // The known-answer vectors that accompany the paper (Random123).
         for (counter, key, expected) in [
             ([0; 4], [0; 2], [0x6627_e8d5, 0xe169_c58d, 0xbc57_ac4c, 0x9b00_dbd8]),
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn streams_differ_in_each_of_their_names() {
+    fn streams_differ_for_each_key() {
         let first = |seed, purpose, generation, index| Stream::new(seed, purpose, generation, index).bits();
         let all = [
             first(1, Purpose::Individual, 2, 3),
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn distributions_have_their_moments() {
+    fn distributions_have_expected_moments() {
         let mut s = Stream::new(7, Purpose::Individual, 0, 0);
         // Three standard deviations of the mean of 40 000 draws: 3 sigma / 200.
         let (mean, variance) = moments(|| s.uniform());

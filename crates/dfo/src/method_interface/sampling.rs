@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn sobol_points_are_the_published_ones() {
+    fn sobol_points_match_published_values() {
         // Points 5, 11 and 14 of the unshifted sequence in dimensions 1, 2, 3, 8, 21 and 40, from SciPy 1.17.
         for (point, expected) in [
             (5, [0.875, 0.875, 0.125, 0.375, 0.625, 0.375]),

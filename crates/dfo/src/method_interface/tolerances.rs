@@ -241,7 +241,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tests_are_nan_proof() {
+    fn tests_never_pass_with_nan() {
         let tolerances = Tolerances { stop: StopRule::Any, ..Tolerances::default() };
         for (x, spread) in [(f64::NAN, Some(f64::NAN)), (f64::INFINITY, Some(f64::INFINITY)), (1.0, None)] {
             assert!(!tolerances.judge(x, spread, 1.0, 1.0).passed);
@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cost_of_zero_can_stop() {
+    fn f_test_passes_at_zero_cost() {
         let tolerances = Tolerances::default();
         assert!(tolerances.judge(0.0, Some(1e-14), 0.0, 1.0).passed);
         assert!(!tolerances.judge(0.0, Some(1e-13), 0.0, 1.0).passed);
@@ -258,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn either_or_both() {
+    fn stop_rule_requires_either_or_both_tests() {
         let any =
             Tolerances { stop: StopRule::Any, measure: ToleranceMeasure::Absolute, ..Tolerances::default() };
         let all = Tolerances { stop: StopRule::All, ..any };

@@ -356,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn giving_up_below_the_cutoff_is_a_failure() {
+    fn abandoning_below_the_cutoff_is_a_failure() {
         assert_eq!(Outcome::Above(2.0).checked(2.0), Outcome::Above(2.0));
         assert_eq!(Outcome::Above(3.0).checked(2.0), Outcome::Above(3.0));
         for (above, cutoff) in [(1.0, 2.0), (f64::NAN, 2.0), (1.0, f64::INFINITY)] {
@@ -365,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn residuals_are_there_and_finite() {
+    fn missing_or_nonfinite_residuals_are_failures() {
         let check = |residuals: &[f64]| {
             let mut answer = Answer { residuals: residuals.to_vec(), ..Outcome::Value(1.0).into() };
             answer.check_residuals();
@@ -378,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rows_of_a_batch_stay_apart() {
+    fn residuals_of_a_batch_stay_separate() {
         let mut answers = Answers::default();
         answers.push(Outcome::failed("no"), &[]);
         answers.push(Outcome::Value(5.0), &[1.0, 2.0]);

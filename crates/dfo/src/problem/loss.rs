@@ -245,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn spared_residuals_count_by_their_squares() {
+    fn spared_residuals_count_with_their_squares() {
         let loss = RobustLoss::new(Loss::Huber, 1.0).unwrap().sparing(1);
         let mut residuals = [3.0, 3.0];
         // 2 * 3 - 1 for the first residual, 9 for the second.
@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn small_residuals_stay_and_huge_ones_overflow_nothing() {
+    fn transform_keeps_small_residuals_and_does_not_overflow() {
         for loss in [1e-300, 1e-6, 1.0, 1e6, 1e300].into_iter().flat_map(all) {
             assert_eq!(loss.transform(0.0), 0.0);
             assert_eq!(loss.transform(1e-9 * loss.scale), 1e-9 * loss.scale);
@@ -302,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn slopes_are_derivatives() {
+    fn slope_matches_derivative_of_transform() {
         for loss in all(0.5) {
             for r in [-3.0, -0.4, 1e-3, 0.3, 2.0, 1e3] {
                 let h = 1e-6 * f64::max(1.0, f64::abs(r));
@@ -313,7 +313,7 @@ mod tests {
     }
 
     #[test]
-    fn scales_that_are_none_are_refused() {
+    fn invalid_scales_are_rejected() {
         for scale in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             assert!(RobustLoss::new(Loss::Huber, scale).is_err());
         }

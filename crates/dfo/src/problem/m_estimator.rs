@@ -16,8 +16,8 @@ const MEDIAN_DEVIATION: f64 = 0.674_489_750_196_081_7;
 pub struct MeanScore {
     /// Slope l of the mean score; positive.
     pub slope: f64,
-    /// Huber's correction for small samples of N residuals and p parameters: the square of `1 + p/N var(psi')
-    /// / l^2`.
+    /// Huber's correction for small samples of N residuals and p parameters: the square of
+    /// `1 + p/N var(psi') / l^2`.
     pub correction: f64,
 }
 
@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn mean_score_is_that_of_least_squares_when_the_loss_is_wide() {
+    fn mean_score_matches_least_squares_when_loss_is_wide() {
         for kind in [Loss::Linear, Loss::Huber, Loss::SoftL1, Loss::Cauchy] {
             let MeanScore { slope, correction } = loss(kind, 1e6).mean_score(&residuals(), 0.02).unwrap();
             assert!((slope - 1.0).abs() < 1e-6 && (correction - 1.0).abs() < 1e-6, "{kind:?}");
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn mean_score_counts_the_residuals_within_the_loss_when_it_is_narrow() {
+    fn mean_score_counts_residuals_within_narrow_loss() {
         // For Huber's loss with scale 1, half of the residuals are within the scale: mean psi' = 0.49 for all
         // without smoothing.
         let MeanScore { slope, correction } = loss(Loss::Huber, 1.0).mean_score(&residuals(), 0.02).unwrap();
@@ -119,14 +119,14 @@ mod tests {
     }
 
     #[test]
-    fn residuals_that_the_parameters_made_zero_are_left_out_of_the_mean_slope() {
+    fn mean_slope_excludes_residuals_fitted_to_zero() {
         let (narrow, r) = (loss(Loss::Huber, 0.01), residuals());
         let with_fitted: Vec<f64> = [0.0, 0.0].into_iter().chain(r.iter().copied()).collect();
         assert_eq!(narrow.mean_slope(&with_fitted, 0.5, 2.0 / 102.0), narrow.mean_slope(&r, 0.5, 0.0));
     }
 
     #[test]
-    fn residuals_without_a_size_have_no_mean_score() {
+    fn zero_or_nonfinite_residuals_have_no_mean_score() {
         let huber = loss(Loss::Huber, 1.0);
         assert_eq!([&[][..], &[0.0, 0.0], &[1.0, f64::NAN]].map(|r| huber.mean_score(r, 0.1)), [None; 3]);
     }

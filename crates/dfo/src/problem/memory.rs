@@ -18,7 +18,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_no_machine_has_is_refused_with_its_size() {
+    fn excessive_memory_is_rejected_with_its_size() {
         assert_eq!(check("a simplex", &[1000, 1000]), Ok(()));
         for factors in [&[1 << 20, 1 << 30][..], &[usize::MAX, 3]] {
             let message = check("a simplex", factors).unwrap_err().to_string();

@@ -54,7 +54,7 @@ mod tests {
     use crate::{AnyMethod, Coefficients, Genetic, Lookahead, MethodOptions, NelderMead, Selection};
 
     #[test]
-    fn options_are_told_as_users_write_them() {
+    fn options_are_formatted_as_users_write_them() {
         let coefficients =
             Coefficients::Custom { reflection: 1.0, expansion: 1.5, contraction: 0.5, shrink: 0.9 };
         let options = NelderMead::default()
@@ -82,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_in_them_is_written_as_in_a_program() {
+    fn option_texts_contain_no_program_syntax() {
         for name in AnyMethod::NAMES {
             for (option, value) in name.parse::<AnyMethod>().unwrap().describe() {
                 let text = format!("{option} {value}");

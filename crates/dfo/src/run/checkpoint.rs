@@ -400,7 +400,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn all_writes_take_a_tenth_of_a_run_whatever_one_of_them_takes() {
+    fn writes_take_at_most_a_tenth_of_a_run() {
         // Constant write times, times that grow with the trace, and one slow period among fast writes.
         let all: [&dyn Fn(f64) -> f64; 3] =
             [&|_| 0.7, &|now| 4e-3 * now, &|now| if (40.0..60.0).contains(&now) { 0.3 } else { 0.01 }];

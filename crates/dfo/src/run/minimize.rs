@@ -239,8 +239,8 @@ impl<'a, M, D> Minimize<'a, M, D> {
     /// Sets the limit of evaluations of the path, at least 1. The limit is exact even within a batch.
     ///
     /// If none of the three limits (evaluations, iterations, time) is set, the method's defaults apply
-    /// ([`MethodOptions::default_limits`]). For Nelder-Mead these are `1000 (n + 1)` iterations or `5000 (n +
-    /// 1)` evaluations for `n` free parameters. Setting one limit removes these defaults.
+    /// ([`MethodOptions::default_limits`]). For Nelder-Mead, these are `1000 (n + 1)` iterations or
+    /// `5000 (n + 1)` evaluations for `n` free parameters. Setting one limit removes these defaults.
     pub fn max_evaluations(mut self, n: usize) -> Self {
         self.description.options.limits.max_evaluations = Some(n);
         self

@@ -327,7 +327,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn options_of_runs_and_of_methods_are_known_by_name() {
+    fn option_names_include_runs_and_methods() {
         let names = RequestedRun::option_names().unwrap();
         assert!(["max_time", "x_tol", "initial_simplex"].iter().all(|name| names.contains(*name)));
         let of_run = field_names::<RunRecord>().unwrap();

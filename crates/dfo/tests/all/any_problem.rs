@@ -303,7 +303,7 @@ fn examine(case: u64, folder: &Path) {
 }
 
 #[test]
-fn the_contracts_hold_on_any_problem() {
+fn contracts_hold_on_random_problems() {
     let folder = tempfile::tempdir().unwrap();
     let cases = std::env::var("DFO_CASES").ok().and_then(|n| n.parse().ok()).unwrap_or(400);
     let bad =

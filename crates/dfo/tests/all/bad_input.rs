@@ -23,7 +23,7 @@ fn error(run: Result<Report, Error>) -> (Error, String) {
 }
 
 #[test]
-fn start_points() {
+fn bad_start_points_are_errors() {
     assert_eq!(minimize(sum).run().unwrap_err(), Error::NoStart);
     assert_eq!(minimize(sum).start(&[]).run().unwrap_err(), Error::Empty);
     for value in [f64::NAN, INF, -INF] {
@@ -36,7 +36,7 @@ fn start_points() {
 }
 
 #[test]
-fn bounds() {
+fn bad_bounds_are_errors() {
     let (e, text) = error(two().bounds(&[0.0], &[5.0]).unwrap().run());
     assert_eq!(e, Error::Length { what: "bounds", expected: 2, got: 1 });
     assert_eq!(text, "bounds: 1 values given for 2 parameters");
@@ -49,7 +49,7 @@ fn bounds() {
 }
 
 #[test]
-fn numbers_out_of_range() {
+fn numbers_out_of_range_are_errors() {
     for value in [-1.0, f64::NAN, INF] {
         assert!(matches!(two().x_tol(value).run(), Err(Error::Option { name: "x_tol", .. })));
         assert!(matches!(two().f_tol(value).run(), Err(Error::Option { name: "f_tol", .. })));
@@ -75,7 +75,7 @@ fn numbers_out_of_range() {
 }
 
 #[test]
-fn options_of_the_method() {
+fn bad_method_options_are_errors() {
     let with = |m: NelderMead| two().method(m).run();
     for steps in [&[1.0][..], &[1.0, 0.0], &[f64::NAN, 1.0]] {
         assert!(with(NelderMead::default().initial_steps(steps)).is_err());
@@ -103,7 +103,7 @@ fn options_of_the_method() {
 }
 
 #[test]
-fn an_objective_that_always_fails_is_a_named_error_with_reasons() {
+fn error_lists_reasons_when_objective_always_fails() {
     let cost = fallible(|x: &[f64]| match x[0] > 1.2 {
         true => Err("too large"),
         false => Ok(f64::NAN),
@@ -119,7 +119,7 @@ fn an_objective_that_always_fails_is_a_named_error_with_reasons() {
 }
 
 #[test]
-fn batch_functions_of_the_wrong_shape() {
+fn wrong_number_of_outcomes_is_a_failure() {
     let short = |b: &BatchView<'_>| vec![Outcome::Value(1.0); b.len() - 1];
     let (e, text) = error(minimize_batches(short).start(&[1.0, 2.0]).run());
     assert!(matches!(e, Error::EndedWithoutPoint { termination: Termination::Aborted(_), .. }));
@@ -154,7 +154,7 @@ fn batch_functions_of_the_wrong_shape() {
 }
 
 #[test]
-fn many_different_reasons_stay_bounded() {
+fn number_of_failure_reasons_is_limited() {
     let cost = fallible(|x: &[f64]| if x == [0.5] { Ok(1.0) } else { Err(format!("at {x:?}")) });
     let report = minimize(cost).start(&[0.5]).max_iterations(200).run().unwrap();
     assert!(report.failures.len() <= 51 && report.n_failed > 51);
@@ -162,7 +162,7 @@ fn many_different_reasons_stay_bounded() {
 }
 
 #[test]
-fn sizes_that_no_memory_holds_are_refused() {
+fn sizes_beyond_memory_are_rejected() {
     let run = || minimize(sum).start(&[1.0, 2.0]).bounds(&[0.0; 2], &[5.0; 2]).unwrap();
     for members in [0, 1_000_001, 1 << 62, usize::MAX] {
         let (e, _) = error(run().method(Genetic::default().population(members)).run());
@@ -183,7 +183,7 @@ fn sizes_that_no_memory_holds_are_refused() {
 }
 
 #[test]
-fn a_box_that_reaches_zero_has_no_logarithm_there() {
+fn logarithmic_parameter_rejects_box_that_includes_zero() {
     let run =
         minimize(sum).start(&[1.0]).bounds(&[0.0], &[1e-12 + 1.0]).unwrap().transforms(&[Transform::Log]);
     let (e, text) = error(run.method(DifferentialEvolution::default()).run());
@@ -191,7 +191,7 @@ fn a_box_that_reaches_zero_has_no_logarithm_there() {
 }
 
 #[test]
-fn discrete_parameters_without_a_value_blame_their_bounds() {
+fn error_names_bounds_when_discrete_parameter_has_no_value() {
     for (lower, upper) in [(0.2, 0.8), (-0.9, -0.1)] {
         let run = minimize(sum).start(&[1.0, 0.5 * (lower + upper)]).bounds(&[0.0, lower], &[5.0, upper]);
         let run = run.unwrap().kinds(&[ParameterKind::Continuous, ParameterKind::Integer]);
@@ -206,7 +206,7 @@ fn discrete_parameters_without_a_value_blame_their_bounds() {
 }
 
 #[test]
-fn options_beyond_their_range_are_named_with_it() {
+fn errors_name_option_and_its_range() {
     let run = || minimize(sum).start(&[1.0, 2.0]).bounds(&[0.0; 2], &[5.0; 2]).unwrap();
     for mu in [1e308, f64::INFINITY, f64::NAN, 0.0, -1.0] {
         let (e, text) = error(run().method(Barrier::default().mu(mu)).run());

@@ -16,7 +16,7 @@ fn run(m: Minimize<'_, NelderMead>, plan: Lookahead) -> Report {
 }
 
 #[test]
-fn active_bounds_are_approached_from_inside() {
+fn barrier_approaches_active_bounds_from_inside() {
     let report = run(minimize(rosenbrock), Lookahead::None);
     println!("{report}");
     for stage in &report.schedule {
@@ -37,7 +37,7 @@ fn active_bounds_are_approached_from_inside() {
 }
 
 #[test]
-fn plans_workers_and_cutoffs_change_nothing() {
+fn result_is_independent_of_plans_workers_and_cutoffs() {
     for cost in [rosenbrock as fn(&[f64]) -> f64, probe] {
         let one = run(minimize(cost), Lookahead::None);
         for plan in [Lookahead::Points(2), Lookahead::Points(4)] {
@@ -56,7 +56,7 @@ fn plans_workers_and_cutoffs_change_nothing() {
 }
 
 #[test]
-fn the_probe_keeps_the_invariants() {
+fn barrier_keeps_invariants_on_probe_problem() {
     let report = minimize(probe)
         .start(&[-0.5, 1.0])
         .bounds(&[-2.0; 2], &[2.0; 2])
@@ -71,7 +71,7 @@ fn the_probe_keeps_the_invariants() {
 }
 
 #[test]
-fn starts_that_are_not_interior_are_refused() {
+fn barrier_rejects_starts_on_bounds() {
     let run = |x0: f64, lower: f64, options| {
         minimize(rosenbrock)
             .start(&[x0, 0.0])

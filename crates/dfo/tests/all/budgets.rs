@@ -38,7 +38,7 @@ fn evaluation_budgets_are_exact() {
 }
 
 #[test]
-fn a_budget_cuts_the_path_but_does_not_bend_it() {
+fn budget_truncates_path_without_changing_it() {
     for p in PLANS {
         let whole = minimize(probe).start(&[-0.5, 1.0]).method(plan(p)).run().unwrap();
         for budget in 1..whole.n_evaluations {
@@ -55,7 +55,7 @@ fn a_budget_cuts_the_path_but_does_not_bend_it() {
 }
 
 #[test]
-fn iteration_budgets_are_exact_and_the_same_for_every_plan() {
+fn iteration_budgets_are_exact_for_every_plan() {
     for problem in problems() {
         for budget in [0, 1, 2, 7, 33] {
             let reports =
@@ -74,7 +74,7 @@ fn iteration_budgets_are_exact_and_the_same_for_every_plan() {
 }
 
 #[test]
-fn setting_one_limit_lifts_the_default_of_the_other() {
+fn setting_one_limit_removes_the_default_of_the_other() {
     // A cost that falls with every evaluation never converges: only limits end it.
     let falling = |_: &[f64], e: &Query<'_>| Outcome::Value(-(e.id as f64));
     let mirrored = NelderMead::default().bounds_handling(BoundsHandling::Mirror);
@@ -90,7 +90,7 @@ fn setting_one_limit_lifts_the_default_of_the_other() {
 }
 
 #[test]
-fn a_target_ends_the_run_with_its_batch() {
+fn target_ends_the_run_with_its_batch() {
     for p in PLANS {
         let report = minimize(rosenbrock).start(&[-1.2, 1.0]).method(plan(p)).target(0.5).run().unwrap();
         assert!(
@@ -106,7 +106,7 @@ fn a_target_ends_the_run_with_its_batch() {
 }
 
 #[test]
-fn time_limits_end_the_run_with_the_best_in_hand() {
+fn time_limit_returns_best_point() {
     let slow = with_query(|x: &[f64], e: &Query<'_>| {
         let until = std::time::Instant::now() + Duration::from_millis(if e.id < 3 { 1 } else { 5000 });
         while std::time::Instant::now() < until {
@@ -156,7 +156,7 @@ fn failing_at(k: usize, at: &[f64], how: usize) -> impl Fn(&[f64], &Query<'_>) -
 }
 
 #[test]
-fn failing_at_any_evaluation_loses_nothing() {
+fn failure_at_any_evaluation_preserves_best_point() {
     quiet_panics_on_purpose();
     let plain = minimize(rosenbrock).start(&[-1.2, 1.0]).run().unwrap();
     for k in 0..60 {
@@ -200,7 +200,7 @@ fn failing_at_any_evaluation_loses_nothing() {
 }
 
 #[test]
-fn an_observer_may_stop_and_sees_everything_once() {
+fn observer_sees_each_evaluation_once_and_may_stop() {
     for p in PLANS {
         let mut seen = 0;
         let mut lines = Vec::new();
@@ -227,7 +227,7 @@ fn an_observer_may_stop_and_sees_everything_once() {
 }
 
 #[test]
-fn too_many_failures_end_a_run_with_its_best_point() {
+fn too_many_failures_end_run_with_best_point() {
     for workers in [1, 3] {
         let cost = |x: &[f64]| if x[0] > 0.3 { f64::NAN } else { common::rosenbrock(x) };
         let run = minimize(cost).bounds(&[-1.0; 2], &[1.0; 2]).unwrap().seed(1).workers(workers);

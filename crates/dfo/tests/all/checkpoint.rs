@@ -71,7 +71,7 @@ pub(crate) fn same(a: &Report, b: &Report, what: &str) {
 }
 
 #[test]
-fn interrupted_and_resumed_is_uninterrupted() {
+fn resumed_run_matches_uninterrupted_run() {
     let folder = Folder::new("interrupted");
     for (number, method) in methods().iter().enumerate() {
         let whole = with_query(|x: &[f64], _: &Query<'_>| Outcome::Value(probe(x)));
@@ -116,7 +116,7 @@ fn interrupted_and_resumed_is_uninterrupted() {
 }
 
 #[test]
-fn a_kill_between_two_writes_loses_only_time() {
+fn kill_between_writes_does_not_change_the_result() {
     // The file of a moment in the middle is put aside and resumed from later.
     let folder = Folder::new("killed");
     for method in methods() {
@@ -146,7 +146,7 @@ fn a_kill_between_two_writes_loses_only_time() {
 }
 
 #[test]
-fn a_larger_budget_continues() {
+fn run_continues_with_larger_budget() {
     let folder = Folder::new("budget");
     for method in methods() {
         if method.plans_with_budget() {
@@ -175,7 +175,7 @@ fn a_larger_budget_continues() {
 }
 
 #[test]
-fn files_of_other_runs_are_refused_and_left_alone() {
+fn rejects_file_of_other_run_and_leaves_it_unchanged() {
     let folder = Folder::new("refused");
     let path = folder.file();
     let run = |seed, upper: f64, x_tol, name: &str, checkpoint: Checkpoint| {
@@ -232,7 +232,7 @@ fn files_of_other_runs_are_refused_and_left_alone() {
 }
 
 #[test]
-fn a_drawn_seed_is_stored() {
+fn drawn_seed_is_stored() {
     let folder = Folder::new("seed");
     let run = |budget| {
         minimize(probe)
@@ -250,7 +250,7 @@ fn a_drawn_seed_is_stored() {
 }
 
 #[test]
-fn time_already_spent_counts() {
+fn time_before_resume_counts() {
     let folder = Folder::new("time");
     // Sleeping takes at least as long as it is told: the first run spends more than the limit of the second one.
     let slow = |x: &[f64]| {
@@ -269,7 +269,7 @@ fn time_already_spent_counts() {
 }
 
 #[test]
-fn a_file_that_could_not_be_written_for_a_while_is_written_again() {
+fn failed_write_is_retried() {
     let folder = tempfile::tempdir().unwrap();
     let (place, away) = (folder.path().join("place"), folder.path().join("away"));
     std::fs::create_dir(&place).unwrap();
@@ -300,7 +300,7 @@ fn a_file_that_could_not_be_written_for_a_while_is_written_again() {
 }
 
 #[test]
-fn a_file_of_somebody_else_is_left_as_it_is() {
+fn foreign_file_is_left_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("data.csv");
     for content in ["time,y\n0,1\n", "x"] {
@@ -319,7 +319,7 @@ fn a_file_of_somebody_else_is_left_as_it_is() {
 }
 
 #[test]
-fn a_file_that_cannot_be_written_any_more_costs_no_result() {
+fn run_returns_result_when_checkpoint_becomes_unwritable() {
     for name in methods_for_costs().iter().map(AnyMethod::name) {
         let folder = tempfile::tempdir().unwrap();
         let place = folder.path().join("place");
@@ -364,7 +364,7 @@ fn a_file_that_cannot_be_written_any_more_costs_no_result() {
 
 /// A file that an earlier version wrote: Nelder-Mead on Rosenbrock's function, stopped after 8 evaluations.
 #[test]
-fn a_file_of_an_earlier_format_is_refused_and_left_alone() {
+fn rejects_file_of_earlier_format_and_leaves_it_unchanged() {
     let folder = Folder::new("format");
     let golden = include_bytes!("../data/format_2.checkpoint");
     std::fs::write(folder.file(), golden).unwrap();
@@ -385,7 +385,7 @@ fn a_file_of_an_earlier_format_is_refused_and_left_alone() {
 /// Files of the present format stay readable: one of each method, written after 60 evaluations,
 /// is continued to the end of the uninterrupted run. `DFO_WRITE_CHECKPOINTS=1` writes them anew, with a new format only.
 #[test]
-fn files_of_the_present_format_are_continued() {
+fn files_of_current_format_are_resumed() {
     let folder = Folder::new("present");
     for name in methods_for_costs().iter().map(AnyMethod::name) {
         let golden =
@@ -423,7 +423,7 @@ fn files_of_the_present_format_are_continued() {
 }
 
 #[test]
-fn what_a_file_belongs_to_can_be_read() {
+fn stored_identity_can_be_read() {
     let folder = Folder::new("identity");
     let file = folder.file();
     let checkpoint = || at(&file).tag("solver", "radau5");
@@ -441,7 +441,7 @@ fn what_a_file_belongs_to_can_be_read() {
 
 /// A trace that is limited is so in the file, too.
 #[test]
-fn a_file_has_what_the_trace_keeps() {
+fn checkpoint_contains_only_kept_trace() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run");
     let cost = |x: &[f64]| x.iter().map(|x| (x - 0.3).abs().sqrt()).sum::<f64>();

@@ -24,7 +24,7 @@ fn names(folder: &Path) -> Vec<String> {
 }
 
 #[test]
-fn what_a_killed_process_left_is_swept() {
+fn temporary_files_of_killed_processes_are_removed() {
     let folder = tempfile::tempdir().unwrap();
     // No process has a number as large as this; process 1 is always there.
     let (dead, alive) = (".run.writing-4294967294-Ab3xYz", ".run.writing-1-Ab3xYz");
@@ -40,7 +40,7 @@ fn what_a_killed_process_left_is_swept() {
 }
 
 #[test]
-fn a_file_is_written_by_one_run_at_a_time() {
+fn checkpoint_is_written_by_one_run_at_a_time() {
     let folder = tempfile::tempdir().unwrap();
     let file = || Checkpoint::new(folder.path().join("run"));
     let square = |x: &[f64]| x[0] * x[0];
@@ -67,7 +67,7 @@ fn a_file_is_written_by_one_run_at_a_time() {
 }
 
 #[test]
-fn a_link_is_followed_and_permissions_stay() {
+fn checkpoint_follows_links_and_keeps_permissions() {
     let folder = tempfile::tempdir().unwrap();
     let (file, link) = (folder.path().join("store/file"), folder.path().join("link"));
     std::fs::create_dir(file.parent().unwrap()).unwrap();
@@ -86,7 +86,7 @@ fn a_link_is_followed_and_permissions_stay() {
 }
 
 #[test]
-fn what_is_no_regular_file_is_refused_and_left_alone() {
+fn rejects_irregular_file_and_leaves_it_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     let fifo = folder.path().join("pipe");
     assert!(std::process::Command::new("mkfifo").arg(&fifo).status().unwrap().success());

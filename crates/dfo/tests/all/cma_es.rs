@@ -33,7 +33,7 @@ fn median(f: fn(&[f64]) -> f64, x0: &[f64], lag: usize) -> usize {
 
 /// The medians of pycma 4.5 with the same starts, step size, population and number of seeds (`benches/dfo/cma_es.py`).
 #[test]
-fn as_many_evaluations_as_pycma() {
+fn cma_es_needs_no_more_evaluations_than_pycma() {
     for (name, f, x0, n, theirs) in [
         ("ellipsoid", ellipsoid as fn(&[f64]) -> f64, 1.0, 5, PYCMA[0]),
         ("ellipsoid", ellipsoid, 1.0, 10, PYCMA[1]),
@@ -55,7 +55,7 @@ fn boxed<'a>(f: fn(&[f64]) -> f64, n: usize, options: CmaEs) -> Minimize<'a, Cma
 }
 
 #[test]
-fn minima_at_bounds_are_found() {
+fn cma_es_finds_minima_at_bounds() {
     // Half of the parameters have their minimum at the upper bound, where the cost goes down towards it.
     let f = |x: &[f64]| {
         let shifted: Vec<f64> = x.iter().map(|x| x - 1.0).collect();
@@ -89,7 +89,7 @@ fn restarts_find_the_lowest_of_many_minima() {
 }
 
 #[test]
-fn units_of_the_parameters_change_nothing() {
+fn result_is_independent_of_parameter_units() {
     let run = |unit: [f64; 2]| -> Report {
         let cost = move |x: &[f64]| rosenbrock(&[x[0] / unit[0], x[1] / unit[1]]);
         minimize(cost).start(&[-1.5 * unit[0], unit[1]]).method(CmaEs::default()).seed(3).run().unwrap()
@@ -101,7 +101,7 @@ fn units_of_the_parameters_change_nothing() {
 }
 
 #[test]
-fn runs_that_learn_nothing_end() {
+fn runs_without_information_end() {
     let flat = boxed(|_| 1.0, 3, CmaEs::default()).seed(1).run().unwrap();
     assert!(!flat.is_success() && flat.n_evaluations < 500, "{flat}");
     let unbounded = minimize(|x: &[f64]| x[0]).start(&[1.0]).method(CmaEs::default()).seed(1).run().unwrap();
@@ -118,7 +118,7 @@ fn runs_that_learn_nothing_end() {
 
 /// Nothing tells that the parameters are as small as 1e-7: both methods look for it before they search.
 #[test]
-fn starts_at_zero_find_the_sizes_of_parameters() {
+fn cma_es_finds_parameter_sizes_when_start_is_zero() {
     for size in [1e-9, 1e-7, 1e-5, 1e-2, 1e3] {
         let cost = move |x: &[f64]| rosenbrock(&[x[0] / size, x[1] / size]) + (x[2] - 4.0).powi(2);
         let run =
@@ -132,7 +132,7 @@ fn starts_at_zero_find_the_sizes_of_parameters() {
 
 /// No individual is better than a start near the minimum until a first step that is far too long has become short.
 #[test]
-fn a_good_start_does_not_end_the_search_before_it_has_begun() {
+fn good_start_does_not_end_the_search_early() {
     for n in [40, 50] {
         let sphere = |x: &[f64]| x.iter().map(|x| (x - 1.0).powi(2)).sum::<f64>();
         let run = minimize(sphere).start(&vec![1.0 + 1e-5; n]).method(CmaEs::default()).seed(1);
@@ -147,7 +147,7 @@ fn a_good_start_does_not_end_the_search_before_it_has_begun() {
 
 /// The default first step is too long for a hundred parameters: the step size from the path needs 12 719 evaluations.
 #[test]
-fn many_parameters_shorten_the_first_step_soon() {
+fn first_step_is_shortened_quickly_with_many_parameters() {
     let sphere = |x: &[f64]| x.iter().map(|x| (x - 0.3).powi(2)).sum::<f64>();
     let folder = tempfile::tempdir().unwrap();
     for seed in 1..=3 {

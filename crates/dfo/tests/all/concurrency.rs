@@ -21,7 +21,7 @@ fn within_ten_seconds<T: Send + 'static>(f: impl FnOnce() -> T + Send + 'static)
 }
 
 #[test]
-fn all_starting_vertices_are_evaluated_at_once() {
+fn starting_vertices_are_evaluated_at_once() {
     for n in [1, 3, 6] {
         let report = within_ten_seconds(move || {
             let barrier = Barrier::new(n + 1);
@@ -38,7 +38,7 @@ fn all_starting_vertices_are_evaluated_at_once() {
 }
 
 #[test]
-fn four_points_are_evaluated_at_once_where_that_is_worth_it() {
+fn four_points_are_evaluated_at_once_when_worthwhile() {
     let report = within_ten_seconds(|| {
         let (barrier, ahead) = (Barrier::new(4), AtomicUsize::new(0));
         let cost = with_query(|x: &[f64], e: &Query<'_>| {
@@ -61,7 +61,7 @@ fn four_points_are_evaluated_at_once_where_that_is_worth_it() {
 }
 
 #[test]
-fn a_shrink_is_evaluated_at_once() {
+fn shrink_is_evaluated_at_once() {
     // Four parameters; everything but the starting vertices and the shrunken ones is bad, so iteration 1 shrinks.
     let report = within_ten_seconds(|| {
         let barrier = Barrier::new(4);
@@ -85,7 +85,7 @@ fn a_shrink_is_evaluated_at_once() {
 }
 
 #[test]
-fn callbacks_run_on_the_calling_thread_and_the_context_is_asked_again_and_again() {
+fn callbacks_run_regularly_on_the_calling_thread() {
     let caller = thread::current().id();
     let (last, longest, polls) = (Cell::new(Instant::now()), Cell::new(Duration::ZERO), Cell::new(0));
     let ask = || {
@@ -144,7 +144,7 @@ fn interrupted(workers: usize, ready_after: u64) -> (Result<Report, Error>, Dura
 }
 
 #[test]
-fn an_interrupt_ends_running_evaluations_and_keeps_the_best() {
+fn interrupt_ends_running_evaluations_and_keeps_best() {
     for workers in [2, 4] {
         for ready_after in [2, 3, 20] {
             let (result, time, started) = interrupted(workers, ready_after);
@@ -165,7 +165,7 @@ fn an_interrupt_ends_running_evaluations_and_keeps_the_best() {
 }
 
 #[test]
-fn a_cancel_flag_from_outside_interrupts_and_is_left_as_it_is() {
+fn cancel_flag_interrupts_and_is_left_unchanged() {
     let flag = Arc::new(AtomicBool::new(false));
     let report = minimize(|x: &[f64]| rosenbrock(x))
         .start(&[-1.2, 1.0])
@@ -203,7 +203,7 @@ fn a_cancel_flag_from_outside_interrupts_and_is_left_as_it_is() {
 }
 
 #[test]
-fn a_cancel_flag_set_while_a_run_ends_its_evaluations_is_not_lost() {
+fn cancel_flag_set_during_shutdown_is_not_lost() {
     let (flag, hanging) = (Arc::new(AtomicBool::new(false)), AtomicBool::new(false));
     let run = || {
         let cost = with_query(|x: &[f64], e: &Query<'_>| {
@@ -236,7 +236,7 @@ fn a_cancel_flag_set_while_a_run_ends_its_evaluations_is_not_lost() {
 }
 
 #[test]
-fn a_function_of_the_context_that_panics_ends_running_evaluations_and_leaves_the_flag_alone() {
+fn panic_of_context_function_ends_evaluations_and_keeps_the_flag() {
     let (flag, hanging) = (Arc::new(AtomicBool::new(false)), AtomicBool::new(false));
     let cost = with_query(|_: &[f64], e: &Query<'_>| {
         hanging.store(true, Ordering::Release);
@@ -263,7 +263,7 @@ fn a_function_of_the_context_that_panics_ends_running_evaluations_and_leaves_the
 }
 
 #[test]
-fn an_abort_starts_nothing_more_and_loses_nothing_before_it() {
+fn abort_starts_no_evaluation_and_keeps_earlier_ones() {
     let (started, aborted) = (AtomicUsize::new(0), AtomicBool::new(false));
     let cost = with_query(|x: &[f64], e: &Query<'_>| {
         started.fetch_add(1, Ordering::Relaxed);
@@ -289,7 +289,7 @@ fn an_abort_starts_nothing_more_and_loses_nothing_before_it() {
 }
 
 #[test]
-fn workers_have_deep_stacks() {
+fn workers_have_large_stacks() {
     fn deep(level: u32) -> f64 {
         let room = std::hint::black_box([f64::from(level); 1024]);
         if level == 0 { 0.0 } else { room[7] * 0.0 + deep(level - 1) }

@@ -26,7 +26,7 @@ fn counts(r: &Report) -> (Vec<u64>, [usize; 5], Termination, Vec<Vec<u64>>) {
 }
 
 #[test]
-fn a_point_asked_again_with_a_larger_cutoff_does_not_count() {
+fn point_repeated_with_larger_cutoff_does_not_count() {
     let set_up = |m: Minimize<'static, NelderMead>, method: &AnyMethod, budget: usize, seed: u64| {
         let m = m
             .bounds(&[-9.0; 3], &[9.0; 3])
@@ -52,7 +52,7 @@ fn a_point_asked_again_with_a_larger_cutoff_does_not_count() {
 }
 
 #[test]
-fn nor_does_it_for_a_simplex() {
+fn simplex_point_repeated_with_larger_cutoff_does_not_count() {
     fn run(objective: impl Objective + 'static, method: &str, start: f64, budget: usize) -> Report {
         let method: AnyMethod = method.parse().unwrap();
         let m = minimize(objective).start(&[start, 1.0 - start]).bounds(&[-2.0; 2], &[2.0; 2]).unwrap();
@@ -70,7 +70,7 @@ fn nor_does_it_for_a_simplex() {
 }
 
 #[test]
-fn a_run_that_was_cut_short_goes_on_as_if_not() {
+fn truncated_run_continues_identically() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run");
     let run = |budget: usize, checkpoint: Option<Checkpoint>| {

@@ -91,7 +91,7 @@ fn l_shade_solves_the_global_set() {
 }
 
 #[test]
-fn the_paper_s_form_solves_small_problems() {
+fn classic_form_solves_small_problems() {
     let mut solved = 0;
     for seed in 0..10 {
         let report = minimize(rosenbrock)
@@ -109,7 +109,7 @@ fn the_paper_s_form_solves_small_problems() {
 }
 
 #[test]
-fn all_variants_solve_the_probe() {
+fn all_variants_solve_probe_problem() {
     let runs: Vec<DifferentialEvolution> =
         [Strategy::Rand1, Strategy::Best1, Strategy::CurrentToBest1, Strategy::Rand2]
             .into_iter()
@@ -156,7 +156,7 @@ fn run(m: Minimize<'_, dfo::NelderMead>, options: &DifferentialEvolution, seed: 
 }
 
 #[test]
-fn the_number_of_workers_changes_nothing() {
+fn result_is_independent_of_number_of_workers() {
     for options in [DifferentialEvolution::default(), DifferentialEvolution::classic()] {
         let one = run(minimize(probe), &options, 3);
         for workers in [2, 7] {
@@ -186,7 +186,7 @@ fn the_number_of_workers_changes_nothing() {
 }
 
 #[test]
-fn cutoffs_change_no_decision() {
+fn cutoffs_do_not_change_decisions() {
     for options in [DifferentialEvolution::default(), DifferentialEvolution::classic()] {
         let plain = run(minimize(probe), &options, 5);
         let cut = run(minimize(common::cutting(probe)), &options, 5);
@@ -202,7 +202,7 @@ fn cutoffs_change_no_decision() {
 }
 
 #[test]
-fn integers_logarithms_and_fixed_parameters_work() {
+fn differential_evolution_handles_integer_logarithmic_and_fixed_parameters() {
     let cost = |x: &[f64]| (x[0] - 7.3).powi(2) + (x[1].ln() - 1e-3f64.ln()).powi(2) + (x[2] - 1.5).powi(2);
     for options in [DifferentialEvolution::default(), DifferentialEvolution::classic()] {
         let report = minimize(cost)
@@ -234,7 +234,7 @@ fn integers_logarithms_and_fixed_parameters_work() {
 }
 
 #[test]
-fn it_converges_and_says_so() {
+fn differential_evolution_reports_convergence() {
     let report = minimize(|x: &[f64]| 1.0 + x.iter().map(|v| v * v).sum::<f64>())
         .bounds(&[-1.0; 3], &[1.5; 3])
         .unwrap()
@@ -252,7 +252,7 @@ fn it_converges_and_says_so() {
 }
 
 #[test]
-fn what_cannot_be_is_a_typed_error() {
+fn bad_options_return_typed_errors() {
     let run = |options: DifferentialEvolution, upper: f64| {
         minimize(rosenbrock)
             .bounds(&[-2.0; 2], &[2.0, upper])

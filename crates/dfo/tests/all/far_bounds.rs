@@ -17,7 +17,7 @@ fn start(x0: &[f64], lower: &[f64], upper: &[f64]) -> Minimize<'static, NelderMe
 const FAR: [f64; 9] = [1e10, 1e12, 1e15, 1e16, 1e20, 1e30, 1e100, 1e300, f64::MAX];
 
 #[test]
-fn the_path_is_that_without_bounds() {
+fn far_bounds_do_not_change_the_path() {
     for x0 in [[0.0, 0.0], [0.3, 0.3], [-5.0, 0.0]] {
         let free = minimize(bowl).start(&x0).run().unwrap();
         assert!(free.is_success() && free.fun < 1e-9, "{free}");
@@ -30,7 +30,7 @@ fn the_path_is_that_without_bounds() {
 }
 
 #[test]
-fn minima_are_found_with_any_handling_and_bounds_on_one_side() {
+fn far_bounds_allow_minima_with_any_handling() {
     let inf = f64::INFINITY;
     for handling in [BoundsHandling::Sine, BoundsHandling::Mirror, BoundsHandling::Clamp] {
         let method = || NelderMead::default().bounds_handling(handling);
@@ -50,7 +50,7 @@ fn minima_are_found_with_any_handling_and_bounds_on_one_side() {
 }
 
 #[test]
-fn the_barrier_finds_them_too() {
+fn barrier_finds_minima_with_far_bounds() {
     for b in FAR {
         for x0 in [[0.0, 0.0], [0.3, 0.3]] {
             for (lower, upper) in [([-b, -b], [b, b]), ([-0.5, -b], [b, 0.5]), ([-0.5, -3.0], [b, 3.0])] {
@@ -62,7 +62,7 @@ fn the_barrier_finds_them_too() {
 }
 
 #[test]
-fn they_are_kept() {
+fn far_bounds_are_respected() {
     for handling in [BoundsHandling::Sine, BoundsHandling::Mirror, BoundsHandling::Clamp] {
         for (x0, slope) in [(0.3, -1.0), (0.0, -1.0), (-2.0, 1.0)] {
             let b = 1e12;
@@ -80,7 +80,7 @@ fn they_are_kept() {
 }
 
 #[test]
-fn boxes_that_say_something_are_boxes() {
+fn informative_boxes_are_used() {
     // The same in units a million times as small, with the start at the same place of the box.
     let scaled = |s: f64| {
         let cost = move |x: &[f64]| bowl(&[x[0] / s, x[1] / s]);

@@ -83,7 +83,7 @@ impl<E: Evaluator> Evaluator for Lossy<E> {
 }
 
 #[test]
-fn lost_answers_change_nothing_but_their_count() {
+fn lost_answers_change_only_their_count() {
     for name in ["nelder-mead", "pattern-search", "de", "cma-es", "multistart", "quadratic-model", "ga"] {
         let method = named(name);
         let whole = described(minimize(rosenbrock), &method, (3, 200)).run().unwrap();
@@ -100,7 +100,7 @@ fn lost_answers_change_nothing_but_their_count() {
 }
 
 #[test]
-fn a_point_that_is_always_lost_ends_the_run_and_is_not_stored() {
+fn point_that_is_always_lost_ends_the_run() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run");
     let method = named("de");
@@ -117,7 +117,7 @@ fn a_point_that_is_always_lost_ends_the_run_and_is_not_stored() {
 }
 
 #[test]
-fn whoever_answers_first_the_path_is_the_same() {
+fn path_is_independent_of_answer_order() {
     for name in ["nelder-mead", "pattern-search", "de", "cma-es", "multistart", "quadratic-model", "ga"] {
         let method = named(name);
         let serial = described(minimize(rosenbrock), &method, (4, 300)).run().unwrap();
@@ -158,7 +158,7 @@ fn flowing() -> Vec<(&'static str, AnyMethod)> {
 }
 
 #[test]
-fn failures_and_cutoffs_flow_too() {
+fn path_with_failures_and_cutoffs_is_independent_of_answer_order() {
     for (name, method) in flowing() {
         for cutoff_use in [CutoffUse::No, CutoffUse::Yes] {
             let run = |width: usize| {
@@ -186,7 +186,7 @@ fn failures_and_cutoffs_flow_too() {
 }
 
 #[test]
-fn whoever_drives_the_path_is_the_same() {
+fn path_is_independent_of_driver() {
     for (name, method) in flowing() {
         let costs = |x: &[f64]| Outcome::Value(rosenbrock(x));
         if name == "residuals" {
@@ -215,7 +215,7 @@ fn whoever_drives_the_path_is_the_same() {
 }
 
 #[test]
-fn workers_are_busy_although_some_evaluations_take_long() {
+fn workers_stay_busy_with_slow_evaluations() {
     let cma_es: AnyMethod = CmaEs::default().lag(64).into();
     let methods: [(&str, AnyMethod, u64, f64, f64); 5] = [
         ("de", named("de"), 10, 0.8, 0.36),
@@ -241,7 +241,7 @@ fn workers_are_busy_although_some_evaluations_take_long() {
 }
 
 #[test]
-fn stragglers_hold_up_only_those_who_need_them() {
+fn slow_evaluations_delay_only_dependent_points() {
     for (every, least) in [(10, 2.0), (20, 2.0)] {
         let method = named("nelder-mead");
         let (_, serial) = run(&method, (5, 600), 1, every);
@@ -253,7 +253,7 @@ fn stragglers_hold_up_only_those_who_need_them() {
 }
 
 #[test]
-fn evaluations_in_vain_are_bounded() {
+fn unneeded_evaluations_are_limited() {
     let ahead: AnyMethod = NelderMead::default().batch(Lookahead::Workers).into();
     let poll = |n: usize| -> AnyMethod { PatternSearch::default().batch(Lookahead::Points(2 * n)).into() };
     for (width, most) in [(16, 2), (64, 2), (300, 4), (1000, 4)] {
@@ -267,7 +267,7 @@ fn evaluations_in_vain_are_bounded() {
 }
 
 #[test]
-fn what_was_answered_is_kept_from_the_first_evaluation_on() {
+fn answers_are_kept_from_the_first_evaluation() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["de", "cma-es", "nelder-mead", "quadratic-model", "multistart"] {
         let whole = described(minimize(rosenbrock), &named(name), (6, 120)).run().unwrap();

@@ -20,7 +20,7 @@ fn run(options: &Genetic, seed: u64, workers: usize) -> Report {
 }
 
 #[test]
-fn failing_regions_do_not_stop_it() {
+fn genetic_survives_failing_regions() {
     for options in [
         Genetic::default(),
         Genetic::default().selection(Selection::Tournament(2)),
@@ -38,7 +38,7 @@ fn failing_regions_do_not_stop_it() {
 }
 
 #[test]
-fn a_smooth_bowl_is_found_with_default_settings() {
+fn genetic_solves_smooth_bowl_with_defaults() {
     let mut solved = 0;
     for seed in 0..10 {
         let report = minimize(|x: &[f64]| (x[0] - 0.3).powi(2) + 2.0 * (x[1] - 1.1).powi(2))
@@ -56,7 +56,7 @@ fn a_smooth_bowl_is_found_with_default_settings() {
 }
 
 #[test]
-fn the_number_of_workers_changes_nothing() {
+fn result_is_independent_of_number_of_workers() {
     let one = run(&Genetic::default(), 3, 1);
     for workers in [2, 7] {
         let many = run(&Genetic::default(), 3, workers);
@@ -67,7 +67,7 @@ fn the_number_of_workers_changes_nothing() {
 }
 
 #[test]
-fn integers_and_choices_are_searched() {
+fn genetic_searches_integer_and_categorical_parameters() {
     let cost =
         |x: &[f64]| (x[0] - 3.3).powi(2) + [2.0, 0.0, 3.0, 1.0, 4.0][x[1] as usize] + (x[2] - 0.7).abs();
     let mut solved = 0;
@@ -88,7 +88,7 @@ fn integers_and_choices_are_searched() {
 }
 
 #[test]
-fn the_best_points_seen_pass_the_tests_on_a_quadratic() {
+fn best_points_seen_pass_the_tests_on_quadratic() {
     for seed in 0..5 {
         let report = minimize(|x: &[f64]| (x[0] - 1.2).powi(2) + 3.0 * (x[1] + 0.4).powi(2))
             .bounds(&[-5.0; 2], &[5.0; 2])
@@ -107,7 +107,7 @@ fn the_best_points_seen_pass_the_tests_on_a_quadratic() {
 
 /// Neither do copies of one point pass the tests far from the minimum, nor does mutation keep them from passing near it.
 #[test]
-fn the_tests_pass_with_many_parameters_too() {
+fn tests_pass_near_minimum_with_many_parameters() {
     for (n, budget) in [(4, 5_000), (8, 20_000), (12, 50_000), (15, 80_000)] {
         let cost = |x: &[f64]| -> f64 {
             x.iter().enumerate().map(|(k, x)| (1.0 + k as f64) * (x - 0.7 + 0.1 * k as f64).powi(2)).sum()
@@ -131,7 +131,7 @@ fn the_tests_pass_with_many_parameters_too() {
 
 /// A few members are too few to say that a search has converged.
 #[test]
-fn a_small_population_does_not_converge_at_once() {
+fn small_population_does_not_converge_immediately() {
     for members in [2, 5, 8] {
         let report = minimize(rosenbrock)
             .bounds(&[-2.0; 2], &[2.0; 2])
@@ -146,7 +146,7 @@ fn a_small_population_does_not_converge_at_once() {
 }
 
 #[test]
-fn it_ends_when_nothing_new_comes() {
+fn genetic_stalls_without_new_points() {
     let report = minimize(|x: &[f64]| x[0])
         .bounds(&[0.0], &[3.0])
         .unwrap()
@@ -163,7 +163,7 @@ fn it_ends_when_nothing_new_comes() {
 }
 
 #[test]
-fn what_cannot_be_is_a_typed_error() {
+fn bad_options_return_typed_errors() {
     for bad in [
         Genetic::default().population(1),
         Genetic::default().population(4).elite(4),

@@ -23,7 +23,7 @@ fn kinked(x: &[f64]) -> f64 {
 }
 
 #[test]
-fn smooth_costs_take_the_path_of_the_model() {
+fn auto_follows_quadratic_model_on_smooth_costs() {
     let run = |method: AnyMethod| minimize(rosenbrock).start(&[-1.2, 1.0]).method(method).run().unwrap();
     let (own, model) = (run(auto()), run(QuadraticModel::default().into()));
     assert_eq!(timeless(&own.trace), timeless(&model.trace));
@@ -33,7 +33,7 @@ fn smooth_costs_take_the_path_of_the_model() {
 }
 
 #[test]
-fn kinks_are_handed_over_and_no_success_of_the_model() {
+fn auto_switches_to_nelder_mead_on_kinks() {
     let run = |method: AnyMethod| minimize(kinked).start(&[-1.0, 2.0]).method(method).run().unwrap();
     let own = run(auto());
     assert!(own.is_success() && own.fun < 1e-5, "{own}");
@@ -45,7 +45,7 @@ fn kinks_are_handed_over_and_no_success_of_the_model() {
 
 /// Where `auto` would hand over, the model alone does not claim to have converged.
 #[test]
-fn a_model_that_has_met_kinks_claims_no_success_beside_the_minimum() {
+fn quadratic_model_claims_success_only_at_minimum_on_kinks() {
     let sum = |x: &[f64]| x.iter().map(|x| (x - 0.3).abs()).sum::<f64>();
     let largest = |x: &[f64]| x.iter().fold(0.0, |m: f64, x| m.max((x - 0.3).abs()));
     let chain =
@@ -66,7 +66,7 @@ fn a_model_that_has_met_kinks_claims_no_success_beside_the_minimum() {
 
 /// Parameters that start at zero tell no size: it is looked for, then the model searches.
 #[test]
-fn unknown_sizes_are_looked_for() {
+fn auto_finds_unknown_sizes() {
     for size in [1e-12, 1e-6, 1.0, 300.0] {
         let cost = |x: &[f64]| (x[0] / size - 1.0).powi(2) + 3.0 * (x[1] / size - 2.0).powi(2);
         for method in [auto(), QuadraticModel::default().into()] {
@@ -80,7 +80,7 @@ fn unknown_sizes_are_looked_for() {
 /// Not fewer of the problems of Moré and Wild with absolute residuals than Nelder-Mead, up to two, with at most 1.2 times
 /// its evaluations.
 #[test]
-fn problems_with_kinks_are_solved_as_by_nelder_mead() {
+fn auto_matches_nelder_mead_on_kinks() {
     let histories = |method: &AnyMethod, p: &problems::Instance| {
         let cost = |x: &[f64]| residuals(p.number, p.m, x).iter().map(|r| r.abs()).sum::<f64>();
         let run = minimize(cost).start(&p.start()).method(method.clone()).x_tol(0.0).f_tol(0.0);
@@ -122,7 +122,7 @@ fn same(a: &Report, b: &Report) {
 }
 
 #[test]
-fn workers_and_interruptions_change_nothing() {
+fn result_is_independent_of_workers_and_interruptions() {
     let whole = set_up(usize::MAX).run().unwrap();
     assert!(whole.message.contains("took over"), "{}", whole.message);
     for workers in [2, 5] {

@@ -68,7 +68,7 @@ fn dice(k: u64) -> f64 {
 
 /// `|x|^2` where `x0 > x1` and all are above 0.1; elsewhere it fails. The infimum is 0.03, in a corner.
 #[test]
-fn nelder_mead_claims_success_near_the_minimum_only_when_points_around_fail() {
+fn nelder_mead_claims_success_only_near_minimum_when_neighbours_fail() {
     let cost = |x: &[f64]| {
         let is_good = x[0] > x[1] && x.iter().all(|x| *x > 0.1);
         if is_good { x.iter().map(|x| x * x).sum::<f64>() } else { f64::NAN }
@@ -90,7 +90,7 @@ fn nelder_mead_claims_success_near_the_minimum_only_when_points_around_fail() {
 /// The square of the distance from a point where the cost fails, beyond a slanted plane or outside of a ball.
 /// The infimum is the square of the distance of that point from the border.
 #[test]
-fn local_methods_claim_success_at_the_minimum_only_when_it_lies_on_a_border_of_failures() {
+fn local_methods_claim_success_only_at_minimum_when_it_is_on_failure_border() {
     let (mut n_found, mut n_success) = ([0; 4], 0);
     for k in 0..30u64 {
         let n = 2 + (k % 4) as usize;
@@ -127,7 +127,7 @@ fn local_methods_claim_success_at_the_minimum_only_when_it_lies_on_a_border_of_f
 
 /// Two dipoles: from this start the parameters run to 1e16, where rounding looks like noise.
 #[test]
-fn least_squares_claims_no_success_when_the_parameters_have_run_away() {
+fn least_squares_claims_no_success_when_parameters_diverge() {
     let moments = |x: &[f64], out: &mut Vec<f64>| {
         let [a, c, t, u, v, w] = [0, 1, 2, 3, 4, 5].map(|k| x[k]);
         let (b, d) = (-0.816 - a, -0.017 - c);
@@ -152,7 +152,7 @@ fn least_squares_claims_no_success_when_the_parameters_have_run_away() {
 
 /// Only the end of the method's own says that no better minimum is expected.
 #[test]
-fn a_global_search_is_no_success_when_a_limit_ends_it() {
+fn global_search_claims_no_success_when_limit_ends_it() {
     let rastrigin =
         |x: &[f64]| x.iter().map(|x| x * x - 10.0 * (std::f64::consts::TAU * x).cos() + 10.0).sum::<f64>();
     for budget in [600, 1000, 1500, 2500] {
@@ -170,7 +170,7 @@ fn a_global_search_is_no_success_when_a_limit_ends_it() {
 
 /// Overflow of the exponential ends the simplex that takes over on a steep slope beside it.
 #[test]
-fn least_squares_claims_success_at_the_minimum_only_when_residuals_overflow() {
+fn least_squares_claims_success_only_at_minimum_when_residuals_overflow() {
     let decay = |x: &[f64], out: &mut Vec<f64>| {
         out.extend((0..50).map(|k| {
             let t = 4.0 * f64::from(k) / 49.0;

@@ -36,7 +36,7 @@ static OVER: AtomicBool = AtomicBool::new(true);
 const BATCHES: [usize; 4] = [1, 2, 4, 7];
 
 #[test]
-fn failing_regions() {
+fn least_squares_survives_failing_regions() {
     for batch in 1..9 {
         for start in [[-0.5, 1.0], [-0.7, 1.2], [0.1, 0.9], [-1.0, 1.5], [-1.1, 1.1], [0.0, 0.3]] {
             let run = boxed(minimize(residuals(probe)), batch).start(&start).max_evaluations(2000);
@@ -54,7 +54,7 @@ fn told(report: &Report) -> Told {
 }
 
 #[test]
-fn budgets_are_exact_inside_of_rounds() {
+fn budgets_are_exact_within_rounds() {
     for batch in BATCHES {
         for budget in 1..=60 {
             let calls = AtomicUsize::new(0);
@@ -81,7 +81,7 @@ fn budgets_are_exact_inside_of_rounds() {
 }
 
 #[test]
-fn a_run_by_hand_that_is_cancelled_while_points_are_chosen_goes_on_with_the_same_bits() {
+fn ask_tell_run_is_identical_after_cancelled_ask() {
     // So many residuals that the model is made in pieces.
     let many = |x: &[f64], out: &mut Vec<f64>| {
         out.extend((0..30_000).map(|i| {
@@ -114,7 +114,7 @@ fn a_run_by_hand_that_is_cancelled_while_points_are_chosen_goes_on_with_the_same
 }
 
 #[test]
-fn the_same_bits_with_workers_by_hand_and_resumed_anywhere() {
+fn result_is_identical_with_workers_ask_tell_and_resume() {
     let folder = tempfile::tempdir().unwrap();
     let noisy = |x: &[f64], out: &mut Vec<f64>| {
         probe(x, out);
@@ -150,7 +150,7 @@ fn the_same_bits_with_workers_by_hand_and_resumed_anywhere() {
 }
 
 #[test]
-fn what_has_no_residuals_is_refused_before_anything_is_evaluated() {
+fn objective_without_residuals_is_rejected_before_evaluation() {
     let calls = AtomicUsize::new(0);
     let cost = |x: &[f64]| {
         calls.fetch_add(1, Ordering::Relaxed);
@@ -163,7 +163,7 @@ fn what_has_no_residuals_is_refused_before_anything_is_evaluated() {
 }
 
 #[test]
-fn a_failing_start_and_failing_directions_are_no_end() {
+fn least_squares_continues_after_failing_directions() {
     // Only three of the five points of the first round have residuals; one direction has none on either side.
     let wall = |x: &[f64], out: &mut Vec<f64>| {
         if x[2] == 0.5 && (x[3] == 0.5 || x[0] != 0.5) {
@@ -232,7 +232,7 @@ fn normal(dice: &mut u64) -> f64 {
 }
 
 #[test]
-fn smooth_problems_take_few_evaluations() {
+fn least_squares_solves_smooth_problems_in_few_evaluations() {
     for (tau, soon, in_all, most) in [(1e-5, 89.0, 92.0, 4.2), (1e-7, 0.0, 87.0, 8.0)] {
         let (within_25, within_100, median) = profile(units(tau, |_| 1, false, None));
         println!("tau {tau:e}: {within_25:.0} % within 25, {within_100:.0} % within 100, median {median:.1}");
@@ -242,7 +242,7 @@ fn smooth_problems_take_few_evaluations() {
 
 /// Evaluations up to the end by the default tolerances in units of n + 1; SciPy's `least_squares(method="trf")` takes 8.7.
 #[test]
-fn the_end_is_not_late() {
+fn least_squares_ends_in_few_evaluations() {
     let mut units = Vec::new();
     for regression in regressions() {
         for start in &regression.starts {
@@ -258,7 +258,7 @@ fn the_end_is_not_late() {
 }
 
 #[test]
-fn rounds_of_many_points_are_few() {
+fn larger_rounds_reduce_their_number() {
     type Width = fn(usize) -> usize;
     let widths: [(&str, Width, f64); 3] =
         [("n + 1", |n| n + 1, 12.0), ("n + 4", |n| n + 4, 10.0), ("4 (n + 1)", |n| 4 * n + 4, 8.0)];
@@ -285,7 +285,7 @@ fn rounds_of_many_points_are_few() {
 
 /// The plan of rounds takes n + 4 points, also by its name.
 #[test]
-fn a_plan_of_rounds_is_chosen_by_name() {
+fn rounds_plan_is_chosen_by_name() {
     let by_name = |plan: &str| {
         let options = Record::from([("batch".to_owned(), Value::Text(plan.to_owned()))]);
         "least-squares".parse::<AnyMethod>().unwrap().with_options(&options)
@@ -303,7 +303,7 @@ fn a_plan_of_rounds_is_chosen_by_name() {
 
 /// Equal residuals at all points of the model are no minimum.
 #[test]
-fn a_plateau_is_left() {
+fn least_squares_leaves_a_plateau() {
     let stairs = |x: &[f64], out: &mut Vec<f64>| out.push((10.0 * rosenbrock(x)).floor() / 10.0);
     for (start, most) in [([-1.2, 1.0], 4.0), ([0.3, -0.5], 0.3), ([2.0, 2.0], 0.2)] {
         let report = minimize(residuals(stairs)).start(&start).method(LeastSquares::default()).run().unwrap();
@@ -312,7 +312,7 @@ fn a_plateau_is_left() {
 }
 
 #[test]
-fn noise_of_a_thousandth_is_averaged() {
+fn least_squares_averages_noise_of_a_thousandth() {
     let (_, solved, median) = profile(units(1e-5, |_| 1, false, Some(1)));
     println!("noise 1e-3: {solved:.0} % solved, median {median:.1}");
     assert!(solved >= 86.0);
@@ -320,7 +320,7 @@ fn noise_of_a_thousandth_is_averaged() {
 
 /// Parameters of sizes from 1e-6 to 1e6 that start at zero: decays that saturate, and linear ones.
 #[test]
-fn sizes_that_nothing_tells_are_found() {
+fn least_squares_finds_unknown_sizes() {
     let mut evaluations = Vec::new();
     for case in 0..60i32 {
         let dice = |k: i32| f64::from((case * 7919 + k * 104_729) % 1000) / 1000.0;
@@ -343,7 +343,7 @@ fn sizes_that_nothing_tells_are_found() {
 
 /// One parameter does nothing.
 #[test]
-fn a_parameter_without_effect_costs_little() {
+fn parameter_without_effect_needs_few_evaluations() {
     let model = |x: &[f64], out: &mut Vec<f64>| {
         out.extend(
             (0..30)
@@ -366,7 +366,7 @@ fn large(x: &[f64], out: &mut Vec<f64>) {
 
 /// What the method computes itself can be interrupted, and goes on as if it had not been.
 #[test]
-fn own_computations_can_be_interrupted() {
+fn computations_of_the_method_can_be_interrupted() {
     let bounds = Bounds::unbounded(3);
     let setup = Setup::new(Space::new(&[1.0, 1.0, 1.0], bounds, &[], &[]).unwrap());
     let [mut plain, mut interrupted] = [0, 1].map(|_| LeastSquares::default().begin(&setup).unwrap());
@@ -411,7 +411,7 @@ fn own_computations_can_be_interrupted() {
 
 /// A run that is interrupted while its method computes ends at once, and goes on from there.
 #[test]
-fn an_interrupt_between_rounds_ends_the_run() {
+fn interrupt_between_rounds_ends_the_run() {
     let folder = tempfile::tempdir().unwrap();
     let run = |name: &str| {
         let at = Checkpoint::new(folder.path().join(name)).interval(Duration::ZERO);
@@ -437,7 +437,7 @@ fn chained(x: &[f64], out: &mut Vec<f64>) {
 
 /// Many parameters are no reason to stop: the cost falls with the first steps.
 #[test]
-fn hundreds_of_parameters() {
+fn least_squares_reduces_cost_with_hundreds_of_parameters() {
     let n = 610;
     let start: Vec<f64> = (0..n).map(|k| if k % 2 == 0 { -1.2 } else { 1.0 }).collect();
     let run = minimize(residuals(chained)).start(&start).method(LeastSquares::default());
@@ -447,7 +447,7 @@ fn hundreds_of_parameters() {
 
 /// A linear problem ends with the step that solves it, although its points make no further model.
 #[test]
-fn hundreds_of_linear_residuals_end_with_their_solution() {
+fn linear_problem_with_hundreds_of_parameters_ends_at_solution() {
     let n = 600;
     let linear = |x: &[f64], out: &mut Vec<f64>| {
         let term = |k: usize, scale: f64, j: usize| scale * (x[k] - 1.0) + 0.3 * (x[j % n] - 1.0);
@@ -461,7 +461,7 @@ fn hundreds_of_linear_residuals_end_with_their_solution() {
 
 /// The search goes on beside a region that fails, from the best point and not from the start.
 #[test]
-fn a_wall_is_followed() {
+fn least_squares_follows_border_of_failing_region() {
     let wall = |x: &[f64], out: &mut Vec<f64>| {
         out.extend([10.0 * (x[1] - x[0] * x[0]), if x[0] > 0.9 { f64::NAN } else { 1.0 - x[0] }]);
     };
@@ -476,7 +476,7 @@ fn a_wall_is_followed() {
 
 /// What no memory holds is refused once the number of residuals is known: after the start alone, not after all n + 1 points.
 #[test]
-fn residuals_that_do_not_fit_into_memory_are_refused() {
+fn residuals_beyond_memory_are_rejected() {
     let setup = Setup::new(Space::new(&vec![1.0; 3000], Bounds::unbounded(3000), &[], &[]).unwrap());
     let mut method = match LeastSquares::default().begin(&setup) {
         Ok(method) => method,
@@ -491,7 +491,7 @@ fn residuals_that_do_not_fit_into_memory_are_refused() {
 
 /// Sums of squares that fall towards infinity: what the cost comes near to on the way is no minimum.
 #[test]
-fn a_minimum_at_infinity_is_no_success() {
+fn minimum_at_infinity_is_not_reported_as_success() {
     let exponential: fn(&[f64], &mut Vec<f64>) = |x, out| out.push((-x[0]).exp());
     let root: fn(&[f64], &mut Vec<f64>) = |x, out| out.push(x[0].powf(-0.4));
     let with_rest: fn(&[f64], &mut Vec<f64>) = |x, out| out.extend([1.0 / x[0], 1.0]);
@@ -511,7 +511,7 @@ fn a_minimum_at_infinity_is_no_success() {
 
 /// Roots of any multiplicity are minima, however slow the way to them is.
 #[test]
-fn multiple_roots_are_no_minima_at_infinity() {
+fn multiple_roots_are_not_reported_as_unbounded() {
     for power in 1..9 {
         let f = |x: &[f64], out: &mut Vec<f64>| out.push((x[0] - 50.0).powi(power));
         let report = minimize(residuals(f)).start(&[1.0]).method(LeastSquares::default()).run().unwrap();
@@ -521,7 +521,7 @@ fn multiple_roots_are_no_minima_at_infinity() {
 
 /// Where residuals are rounded the cost is the same around its least value, and no test tells where its minimum lies.
 #[test]
-fn rounded_residuals_are_no_success_where_the_rounding_decides() {
+fn rounded_residuals_are_not_reported_as_success_when_rounding_dominates() {
     for digits in [10.0, 1e4] {
         let line = |x: &[f64], out: &mut Vec<f64>| {
             out.extend((0..20).map(|k| {
@@ -552,7 +552,7 @@ fn rounded_residuals_are_no_success_where_the_rounding_decides() {
 /// A sine of a ten-thousandth of a unit in one of three residuals: the model there promises more than ten times
 /// the tolerance for ever, and each step gains a little.
 #[test]
-fn fine_noise_does_not_take_the_whole_budget() {
+fn fine_noise_does_not_exhaust_the_budget() {
     let fine = |x: &[f64], out: &mut Vec<f64>| {
         out.extend([x[0] - 3.3, x[1] + 1.7, 0.5 + 0.3 * (1e5 * x[0] + 3e5 * x[1]).sin()]);
     };

@@ -49,7 +49,7 @@ fn fitted(loss: Loss) -> Report {
 }
 
 #[test]
-fn residuals_and_jacobian_are_the_plain_ones_for_every_loss() {
+fn report_contains_plain_residuals_and_jacobian_for_every_loss() {
     for loss in [Loss::Linear, Loss::SoftL1, Loss::Huber, Loss::Cauchy] {
         let report = fitted(loss);
         assert!(report.is_success(), "{loss:?} {report}");
@@ -78,7 +78,7 @@ fn residuals_and_jacobian_are_the_plain_ones_for_every_loss() {
 }
 
 #[test]
-fn a_loss_is_part_of_the_objective_for_every_method_and_respects_the_cutoff() {
+fn every_method_minimises_the_loss_within_the_cutoff() {
     let objective = residuals(decay).loss(Loss::Huber, 0.1).unwrap();
     let simplex = minimize(objective).start(&[1.0, 1.0, 0.0]).method(NelderMead::default()).run().unwrap();
     let report = fitted(Loss::Huber);
@@ -91,7 +91,7 @@ fn a_loss_is_part_of_the_objective_for_every_method_and_respects_the_cutoff() {
 }
 
 #[test]
-fn fixed_logarithmic_and_bounded_parameters() {
+fn jacobian_handles_fixed_logarithmic_and_bounded_parameters() {
     let run = least_squares(decay).start(&[1.0, 0.7, 0.1]);
     let run = run.bounds(&[0.1, 0.7, 0.0], &[10.0, 0.7, 0.2]).unwrap();
     let report = run.transforms(&[Transform::Log, Transform::Linear, Transform::Linear]).run().unwrap();
@@ -105,7 +105,7 @@ fn fixed_logarithmic_and_bounded_parameters() {
 }
 
 #[test]
-fn batches_by_hand_and_resumed_runs_give_the_same() {
+fn batch_ask_tell_and_resumed_runs_agree() {
     let report = fitted(Loss::SoftL1);
     let same = |other: &Report| {
         assert_eq!(
@@ -157,7 +157,7 @@ fn batches_by_hand_and_resumed_runs_give_the_same() {
 /// Lines with noise of a tenth to ten times the scale of the loss: the cost falls to its minimum, which
 /// Newton's method on the scores finds. A model of residuals that a loss has bent would end before it.
 #[test]
-fn a_loss_that_bends_between_the_points_does_not_hide_the_slope() {
+fn least_squares_reaches_minimum_when_loss_changes_between_points() {
     for (kind, turn) in [(Loss::Huber, 0), (Loss::SoftL1, 1), (Loss::Cauchy, 2)] {
         for seed in 0..10 {
             let n = 400;
@@ -205,7 +205,7 @@ fn noise(k: usize) -> f64 {
 }
 
 #[test]
-fn covariance_is_that_of_the_closed_form_when_huge_residuals_were_met() {
+fn covariance_matches_closed_form_after_huge_residuals() {
     for (offset, deviation) in [(10.0, 0.2), (10.0, 1e-3), (823.5, 0.2), (823.5, 1e-3)] {
         let residuals = |x: &[f64], out: &mut Vec<f64>| {
             let model = |k: usize| x[0] - x[1] * (-x[2] * time(k)).exp();
@@ -239,7 +239,7 @@ fn covariance_is_that_of_the_closed_form_when_huge_residuals_were_met() {
 
 /// NIST StRD: certified standard deviations of the estimates.
 #[test]
-fn covariance_is_the_certified_one_for_hard_regressions() {
+fn covariance_matches_certified_values_for_hard_regressions() {
     let certified: [(&str, &[f64]); 2] = [
         ("MGH17", &[2.0723153551e-3, 2.2031669222e-1, 2.2175707739e-1, 4.4861358114e-4, 8.9471996575e-4]),
         ("Eckerle4", &[1.5408051163e-2, 4.6803020753e-2, 4.6800518816e-2]),
@@ -260,7 +260,7 @@ fn covariance_is_the_certified_one_for_hard_regressions() {
 }
 
 #[test]
-fn covariance_is_infinite_at_any_scale_when_columns_are_collinear() {
+fn covariance_is_infinite_for_collinear_columns_at_any_scale() {
     type Model = fn(&[f64], f64) -> f64;
     let models: [(Model, [usize; 2]); 4] = [
         (|x, t| x[0] * x[1] * (-x[2] * t).exp(), [0, 1]),
@@ -289,7 +289,7 @@ fn covariance_is_infinite_at_any_scale_when_columns_are_collinear() {
 
 /// From a hundred parameters on the Jacobian is that of the interpolation.
 #[test]
-fn jacobian_of_many_parameters_is_that_of_their_residuals() {
+fn jacobian_of_many_parameters_matches_residuals() {
     let n = 120;
     let residuals = |x: &[f64], out: &mut Vec<f64>| {
         let own = |k: usize| x[k] + 0.1 * x[k] * x[(k + 1) % x.len()];
@@ -315,7 +315,7 @@ fn jacobian_of_many_parameters_is_that_of_their_residuals() {
 
 /// A line with noise of a tenth of outliers, 300 times: the scatter of the slope is what the covariance says.
 #[test]
-fn covariance_with_a_loss_is_the_scatter_of_the_estimates() {
+fn covariance_with_loss_matches_scatter_of_estimates() {
     let normal = |k: usize| {
         // SplitMix64 (Steele, Lea and Flood 2014).
         let uniform = |k: usize| {

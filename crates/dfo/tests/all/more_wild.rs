@@ -15,7 +15,7 @@ fn sum_of_squares(number: usize, m: usize, x: &[f64]) -> f64 {
 }
 
 #[test]
-fn values_at_the_start_are_the_published_ones() {
+fn values_at_the_start_match_published_values() {
     for (number, n, m, expected) in [
         (1, 9, 45, 72.0),
         (2, 7, 35, 11_654_195.0),
@@ -47,7 +47,7 @@ fn values_at_the_start_are_the_published_ones() {
 }
 
 #[test]
-fn values_at_the_minima_are_the_published_ones() {
+fn values_at_the_minima_match_published_values() {
     let osborne_2 = [1.3100, 0.4315, 0.6336, 0.5993, 0.7539, 0.9056, 1.3651, 4.8248, 2.3988, 4.5689, 5.6754];
     let watson = [-0.015_725, 1.012_435, -0.232_992, 1.260_430, -1.513_729, 0.992_996];
     let cases: [(usize, usize, &[f64], f64, f64); 17] = [
@@ -85,7 +85,7 @@ fn values_at_the_minima_are_the_published_ones() {
 }
 
 #[test]
-fn the_best_known_values_are_reached() {
+fn reference_solver_reaches_best_known_values() {
     let instances = instances();
     assert_eq!(instances.len(), 53);
     let mut reached = 0;
@@ -119,7 +119,7 @@ fn profile(mut units: Vec<Option<f64>>) -> (f64, f64) {
 }
 
 #[test]
-fn smooth_problems_within_the_budget() {
+fn nelder_mead_solves_smooth_problems_within_budget() {
     let instances = instances();
     for tau in [1e-1, 1e-3, 1e-5] {
         let units: Vec<_> = instances
@@ -190,7 +190,7 @@ fn moving_several_vertices_saves_rounds() {
 }
 
 #[test]
-fn bounded_problems_interior_and_active() {
+fn nelder_mead_solves_bounded_problems() {
     for active in [false, true] {
         let mut counts = Vec::new();
         for handling in [BoundsHandling::Sine, BoundsHandling::Mirror, BoundsHandling::Clamp] {

@@ -34,7 +34,7 @@ fn found(report: &Report) -> usize {
 }
 
 #[test]
-fn all_minima_are_found_and_counted_once() {
+fn multistart_finds_all_minima_and_counts_each_once() {
     let (mut by_cost, mut by_residuals, mut evaluations) = (0, 0, 0);
     for seed in 0..20 {
         let report = minimize(cost).bounds(&[-5.0; 2], &[5.0; 2]).unwrap();
@@ -57,7 +57,7 @@ fn all_minima_are_found_and_counted_once() {
 
 /// Local searches end at residuals of exactly zero before their radius passes the x test.
 #[test]
-fn a_cost_of_zero_is_a_success() {
+fn multistart_succeeds_at_zero_cost() {
     for start in [1.5, 3.0, 4.5] {
         let line = |x: &[f64], out: &mut Vec<f64>| out.push(1.0 - x[0]);
         let run = minimize(residuals(line)).start(&[start]).bounds(&[0.0], &[5.0]).unwrap();
@@ -68,7 +68,7 @@ fn a_cost_of_zero_is_a_success() {
 
 /// The start that was given is searched from first, so that what a local search solves is solved here.
 #[test]
-fn the_start_is_the_first_to_be_searched_from() {
+fn multistart_searches_from_given_start_first() {
     let run = minimize(cost).start(&[3.5, -1.8]).bounds(&[-5.0; 2], &[5.0; 2]).unwrap();
     let report = run.method(Multistart::default().exploration(0.0).max_starts(1)).seed(1).run().unwrap();
     assert_eq!((report.trace.get(0).unwrap().x, report.optima.len()), (&[3.5, -1.8][..], 1));
@@ -76,7 +76,7 @@ fn the_start_is_the_first_to_be_searched_from() {
 }
 
 #[test]
-fn exploration_finds_the_deepest_of_many_minima() {
+fn exploration_finds_lowest_of_many_minima() {
     let solved = (0..20).filter(|&seed| {
         let run = minimize(rastrigin).bounds(&[-5.12, -5.12, -5.12], &[4.9; 3]).unwrap();
         let method = Multistart::default();
@@ -100,7 +100,7 @@ fn variants() -> [Multistart; 5] {
 
 /// Ends, counts and paths are the same for any number of workers, and for a run that was stopped after any evaluation.
 #[test]
-fn workers_and_interruptions_change_nothing() {
+fn result_is_independent_of_workers_and_interruptions() {
     let folder = tempfile::tempdir().unwrap();
     for (number, method) in variants().into_iter().enumerate() {
         let run = |f: &(dyn Fn(&[f64]) -> Outcome + Sync), workers: usize, path: Option<&std::path::Path>| {
@@ -132,7 +132,7 @@ fn workers_and_interruptions_change_nothing() {
 }
 
 #[test]
-fn failures_start_no_search_and_ends_say_why() {
+fn failed_points_start_no_search() {
     let nothing = fallible(|_: &[f64]| Err::<f64, _>("no"));
     let run = minimize(nothing).bounds(&[0.0; 2], &[1.0; 2]).unwrap().method(Multistart::default());
     assert!(matches!(run.run(), Err(Error::AllStartsFailed(_))));
@@ -152,7 +152,7 @@ fn failures_start_no_search_and_ends_say_why() {
 }
 
 #[test]
-fn bad_options_are_refused() {
+fn bad_options_are_rejected() {
     let run = |method: Multistart| {
         minimize(cost).start(&[0.0; 2]).bounds(&[-5.0; 2], &[5.0; 2]).unwrap().method(method).run()
     };
@@ -176,7 +176,7 @@ fn bad_options_are_refused() {
 
 /// Until the first search has ended, all other points are at most half of the budget.
 #[test]
-fn the_first_search_has_half_of_the_budget() {
+fn first_search_gets_half_of_the_budget() {
     let start = [-1.2, 1.0, -1.2, 1.0];
     let chain = |x: &[f64]| -> f64 {
         x.windows(2).map(|w| 100.0 * (w[1] - w[0] * w[0]).powi(2) + (1.0 - w[0]).powi(2)).sum()
@@ -201,7 +201,7 @@ fn the_first_search_has_half_of_the_budget() {
 /// The batches of more than one point keep two workers busy for 93 % of the time, where all evaluations take as long. For the rest of it,
 /// and beside a search that runs alone, points are evaluated that a search may need next.
 #[test]
-fn two_workers_are_busy() {
+fn multistart_keeps_two_workers_busy() {
     for (n, f) in [(2, cost as fn(&[f64]) -> f64), (3, rastrigin), (5, rastrigin), (8, rastrigin)] {
         let (mut rounds, mut points) = (0, 0);
         let count = |batch: &dfo::BatchView<'_>| {
@@ -229,7 +229,7 @@ fn two_workers_are_busy() {
 
 /// Valleys within a bowl: the points around the best one are one cluster, and lead to many minima.
 #[test]
-fn a_cluster_with_several_minima_is_not_taken_for_one() {
+fn cluster_with_several_minima_is_searched_repeatedly() {
     let bowl = |x: &[f64], out: &mut Vec<f64>| {
         let r = |x: f64, at: f64| [x - at, 2.0 * (9.0 * (x - at)).sin()];
         out.extend(r(x[0], 0.37));
@@ -254,7 +254,7 @@ fn a_cluster_with_several_minima_is_not_taken_for_one() {
 
 /// Steps of the local searches from their starts: those of one seed would be the same for all.
 #[test]
-fn local_searches_draw_random_numbers_of_their_own() {
+fn local_searches_use_separate_random_numbers() {
     let cost = |x: &[f64]| x.iter().map(|x| (x * x - 1.0).powi(2) + 0.1 * x).sum::<f64>();
     let method = Multistart::default().polish(Polish::CmaEs).exploration(0.0).side_by_side(4);
     let run = minimize(cost).bounds(&[-2.0; 6], &[2.0; 6]).unwrap().method(method).seed(1);

@@ -4,7 +4,7 @@
 use dfo::AnyMethod;
 
 #[test]
-fn methods_have_their_full_names_and_those_of_scipy() {
+fn methods_accept_full_names_and_scipy_names() {
     let name = |asked: &str| asked.parse::<AnyMethod>().map(|method| method.name());
     for (asked, expected) in [
         ("differential_evolution", "de"),

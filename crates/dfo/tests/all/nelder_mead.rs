@@ -14,7 +14,7 @@ use dfo::{
 use problems::rotated::{Random, piecewise_linear, smooth};
 
 #[test]
-fn classic_problems_are_solved() {
+fn nelder_mead_solves_classic_problems() {
     let report = minimize(rosenbrock).start(&[-1.2, 1.0]).target(1e-8).run().unwrap();
     println!("rosenbrock: {} evaluations to 1e-8", report.n_evaluations);
     assert!(
@@ -37,7 +37,7 @@ fn classic_problems_are_solved() {
 }
 
 #[test]
-fn ten_parameters_with_adaptive_coefficients() {
+fn adaptive_coefficients_solve_ten_parameters() {
     let sphere =
         |x: &[f64]| -> f64 { x.iter().enumerate().map(|(i, x)| (1 + i) as f64 * (x - 1.0).powi(2)).sum() };
     let report = minimize(sphere).start(&[0.0; 10]).run().unwrap();
@@ -49,7 +49,7 @@ fn ten_parameters_with_adaptive_coefficients() {
 }
 
 #[test]
-fn active_bounds_are_found() {
+fn nelder_mead_finds_active_bounds() {
     // The minimum over x1 <= 0.5 lies at (0.5, 0.25) with (1 - 0.5)^2.
     for handling in [BoundsHandling::Mirror, BoundsHandling::Clamp, BoundsHandling::Sine] {
         let report = minimize(rosenbrock)
@@ -80,7 +80,7 @@ fn mckinnon(x: &[f64]) -> f64 {
 }
 
 #[test]
-fn a_flat_simplex_is_built_anew() {
+fn flat_simplex_is_rebuilt() {
     let root = 33f64.sqrt();
     let vertices = vec![vec![0.0, 0.0], vec![(1.0 + root) / 8.0, (1.0 - root) / 8.0], vec![1.0, 1.0]];
     let run = |restarts| {
@@ -95,7 +95,7 @@ fn a_flat_simplex_is_built_anew() {
 
 /// A simplex that collapses on a kink away from the minimum claims no success.
 #[test]
-fn kinks_in_rotated_axes_are_followed_to_the_minimum() {
+fn nelder_mead_follows_rotated_kinks_to_minimum() {
     for method in [AnyMethod::from(NelderMead::default()), AnyMethod::auto(Search::Local)] {
         let (mut all, mut solved, mut wrong) = (0, 0, 0);
         for (n, seed) in (2..=6).flat_map(|n| (20..28).map(move |seed| (n, seed))) {
@@ -117,7 +117,7 @@ fn kinks_in_rotated_axes_are_followed_to_the_minimum() {
 
 /// Smooth costs are taken for what they are: no restart.
 #[test]
-fn smooth_costs_need_no_restart() {
+fn smooth_costs_cause_no_restart() {
     for (n, seed) in (2..=6).flat_map(|n| (0..4).map(move |seed| (n, seed))) {
         for f in smooth(n, seed) {
             let mut random = Random::new(seed * 100 + n as u64);
@@ -132,7 +132,7 @@ fn smooth_costs_need_no_restart() {
 }
 
 #[test]
-fn a_simplex_flat_on_a_bound_is_left_alone() {
+fn simplex_flat_on_bound_is_not_rebuilt() {
     // The minimum lies in a corner of the box: vertices end on the bounds.
     for handling in [BoundsHandling::Mirror, BoundsHandling::Clamp] {
         let run = |restarts| {
@@ -150,7 +150,7 @@ fn a_simplex_flat_on_a_bound_is_left_alone() {
 }
 
 #[test]
-fn starts_at_every_corner_of_the_box() {
+fn nelder_mead_solves_from_every_corner_of_the_box() {
     let (lower, upper) = ([-2.0, -1.0, 0.0], [3.0, 1.5, 4.0]);
     let cost = |x: &[f64]| (x[0] - 1.0).powi(2) + (x[1] + 0.5).powi(2) + (x[2] - 2.0).powi(2);
     for corner in 0..8 {
@@ -164,7 +164,7 @@ fn starts_at_every_corner_of_the_box() {
 }
 
 #[test]
-fn failing_regions_do_not_stop_it() {
+fn nelder_mead_survives_failing_regions() {
     type ParameterKind = fn(&[f64]) -> Outcome;
     let kinds: [(&str, ParameterKind); 4] = [
         ("nan", |x| Outcome::Value(probe(x))),
@@ -213,7 +213,7 @@ fn parameters_may_be_fixed_one_sided_and_logarithmic() {
 }
 
 #[test]
-fn small_parameters_and_small_costs_are_no_obstacle() {
+fn nelder_mead_handles_small_parameters_and_costs() {
     let cost = |x: &[f64]| 1e-8 * rosenbrock(&[x[0] * 1e6, x[1] * 1e6]);
     let report =
         minimize(cost).start(&[-1.2e-6, 1e-6]).bounds(&[-2e-6, -2e-6], &[2e-6, 2e-6]).unwrap().run().unwrap();
@@ -221,7 +221,7 @@ fn small_parameters_and_small_costs_are_no_obstacle() {
 }
 
 #[test]
-fn a_cost_of_zero_stops() {
+fn nelder_mead_stops_at_zero_cost() {
     // Starts in the minimum, where |f_best| = 0 from the first evaluation on.
     for x0 in [0.0, 1.0] {
         let report = minimize(move |x: &[f64]| x.iter().map(|v| (v - x0).powi(2)).sum())
@@ -236,7 +236,7 @@ fn a_cost_of_zero_stops() {
 }
 
 #[test]
-fn one_finite_point_among_failures_is_no_success() {
+fn single_finite_point_is_not_reported_as_success() {
     let lonely = |x: &[f64]| if x == [0.25, 0.5] { Ok(1.0) } else { Err("outside") };
     // The x test alone passes in the end: the simplex of failures shrinks to the one point.
     for (stop, measure) in
@@ -252,7 +252,7 @@ fn one_finite_point_among_failures_is_no_success() {
 }
 
 #[test]
-fn success_means_that_the_tests_passed() {
+fn success_requires_passed_tests() {
     // Tolerances that no numbers meet: the simplex ends as a point.
     let bowl = |x: &[f64]| 1.0 + (x[0] - 0.3).abs() + (x[1] - 0.7).abs().sqrt();
     let report = minimize(bowl).start(&[1.0, 1.0]).x_tol(1e-30).f_tol(0.0).run().unwrap();
@@ -274,7 +274,7 @@ fn success_means_that_the_tests_passed() {
 }
 
 #[test]
-fn the_paper_stops_at_either_test_but_never_before_it_moved() {
+fn either_test_stops_only_after_an_iteration() {
     // 1e-8 times Rosenbrock: the starting simplex passes the f test as it stands.
     let run = |stop| {
         minimize(|x: &[f64]| 1e-8 * rosenbrock(x))
@@ -293,7 +293,7 @@ fn the_paper_stops_at_either_test_but_never_before_it_moved() {
 }
 
 #[test]
-fn the_absolute_x_test_is_in_the_units_of_x() {
+fn absolute_x_test_uses_units_of_x() {
     let cost = |x: &[f64]| (x[0] / 1e4 - 3.0).powi(2) + (x[1] - 2.0).powi(2) + 1.0;
     for transforms in [[Transform::Linear; 2], [Transform::Log; 2]] {
         let report = minimize(cost)
@@ -320,7 +320,7 @@ fn the_absolute_x_test_is_in_the_units_of_x() {
 }
 
 #[test]
-fn given_steps_and_given_vertices_are_what_is_evaluated() {
+fn given_steps_and_vertices_are_evaluated() {
     let report = minimize(rosenbrock)
         .start(&[0.0, 0.0])
         .method(NelderMead::default().initial_steps(&[0.5, -0.25]))
@@ -340,7 +340,7 @@ fn given_steps_and_given_vertices_are_what_is_evaluated() {
 }
 
 #[test]
-fn the_first_iterations_are_those_of_the_book() {
+fn first_iterations_match_hand_calculation() {
     // f = x^2 + y^2 from (4, 3), (5, 3), (4, 4), costs 25, 34, 32. Centroid of the best two: (4, 3.5).
     // Reflection (3, 4): 25, not below the best, below the second worst: accepted, behind the older 25.
     // Then the worst is (4, 4); centroid (3.5, 3.5); reflection (3, 3): 18 < 25; expansion (2.5, 2.5): 12.5.
@@ -373,7 +373,7 @@ fn reflection(vertices: [[f64; 2]; 3]) -> Vec<f64> {
 }
 
 #[test]
-fn mirroring_never_makes_the_simplex_flat() {
+fn mirroring_keeps_the_simplex_nondegenerate() {
     // Unbounded (-0.25, 0.375): mirrored onto the line through the other two, so it goes onto the bound.
     assert_eq!(reflection([[0.25, 0.25], [0.25, 0.5], [0.75, 0.375]]), [0.0, 0.375]);
     // Unbounded (-0.25, 0.25): mirrored onto the best vertex.
@@ -383,7 +383,7 @@ fn mirroring_never_makes_the_simplex_flat() {
 }
 
 #[test]
-fn a_simplex_clamped_onto_one_point_is_no_success() {
+fn simplex_clamped_to_one_point_is_not_reported_as_success() {
     // Starts on a bound and inside of it, minima anywhere: vertices are set onto bounds that others lie on.
     for width in [1.0, 0.5, 2.0, 0.13] {
         for optimum in [0.4f64, 0.01, -0.3, -0.9, -0.9999, 0.95] {

@@ -47,7 +47,7 @@ fn compass(f: &dyn Fn(&[f64]) -> f64, x0: &[f64], budget: usize, goal: f64) -> (
 }
 
 #[test]
-fn valleys_take_fewer_evaluations_than_with_a_compass_search() {
+fn valleys_need_fewer_evaluations_than_compass_search() {
     for n in [2, 5] {
         let x0 = vec![-1.2; n];
         let ours = minimize(rosenbrock).start(&x0).method(PatternSearch::default());
@@ -63,7 +63,7 @@ fn valleys_take_fewer_evaluations_than_with_a_compass_search() {
 
 /// Sums of absolute residuals of the instances of Moré and Wild, judged on the odd ones (the even ones served for tuning).
 #[test]
-fn costs_with_kinks_come_lower_than_with_a_compass_search() {
+fn pattern_search_reaches_lower_cost_than_compass_search_on_kinks() {
     let (mut lower, mut total) = (0, 0);
     for instance in problems::instances().iter().filter(|i| i.number % 2 == 1) {
         let cost = |x: &[f64]| -> f64 {
@@ -81,7 +81,7 @@ fn costs_with_kinks_come_lower_than_with_a_compass_search() {
 }
 
 #[test]
-fn plans_keep_the_path_and_save_rounds() {
+fn plans_save_rounds_without_changing_the_path() {
     let run = |plan, workers| -> Report {
         let search =
             minimize(rosenbrock).start(&[-1.2, 1.0, 0.5]).bounds(&[-2.0; 3], &[0.9, 2.0, 2.0]).unwrap();
@@ -105,7 +105,7 @@ fn plans_keep_the_path_and_save_rounds() {
 }
 
 #[test]
-fn narrow_cones_of_descent_are_met() {
+fn pattern_search_finds_narrow_cones_of_descent() {
     let kinks = |x: &[f64]| (x[0] - 1.0).abs() + 10.0 * (x[1] - x[0]).abs();
     for x0 in [[-1.0, 2.0], [3.0, 1.0], [-2.0, -2.0], [0.5, 7.0]] {
         let report = minimize(kinks).start(&x0).method(PatternSearch::default()).run().unwrap();
@@ -131,7 +131,7 @@ fn crossing_kinks(n: usize) -> [(&'static str, Cost); 3] {
 }
 
 #[test]
-fn no_success_is_claimed_beside_the_minimum_where_kinks_cross() {
+fn pattern_search_claims_success_only_at_minimum_when_kinks_cross() {
     for n in 2..=6 {
         for (name, cost) in crossing_kinks(n) {
             for x0 in [vec![1.5; n], vec![0.0; n], (0..n).map(|k| 2.0 - (k % 3) as f64).collect()] {
@@ -145,7 +145,7 @@ fn no_success_is_claimed_beside_the_minimum_where_kinks_cross() {
 
 /// The same at bounds: the minimum lies on some of them.
 #[test]
-fn kinks_that_cross_at_bounds_are_followed() {
+fn pattern_search_follows_kinks_that_cross_at_bounds() {
     for n in [2, 4] {
         let chain = |x: &[f64]| x[0].abs() + x.windows(2).map(|w| 10.0 * (w[1] - w[0]).abs()).sum::<f64>();
         let (mut lower, mut upper) = (vec![-5.0; n], vec![5.0; n]);
@@ -168,7 +168,7 @@ fn set_up(limit: usize) -> Minimize<'static, PatternSearch> {
 }
 
 #[test]
-fn discrete_gradients_take_the_same_path_with_workers_and_interruptions() {
+fn discrete_gradients_path_is_independent_of_workers_and_interruptions() {
     let same = |a: &Report, b: &Report| {
         assert!(timeless(&a.trace) == timeless(&b.trace));
         assert_eq!((&a.x, a.fun.to_bits(), &a.message), (&b.x, b.fun.to_bits(), &b.message));

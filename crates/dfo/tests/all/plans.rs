@@ -7,7 +7,7 @@ use common::{PLANS, cutting, plan, problems, run_with_path, timeless};
 use dfo::{BatchView, Lookahead, Outcome, minimize, minimize_batches};
 
 #[test]
-fn all_plans_walk_the_same_simplices() {
+fn all_plans_follow_the_same_path() {
     for problem in problems() {
         let (serial, path) = run_with_path(problem.minimize().method(plan(Lookahead::None))).unwrap();
         assert_eq!(serial.n_speculative, 0);
@@ -31,7 +31,7 @@ fn all_plans_walk_the_same_simplices() {
 }
 
 #[test]
-fn cutoffs_change_no_decision() {
+fn cutoffs_do_not_change_decisions() {
     let mut saved = 0;
     for problem in problems() {
         let (plain, path) = run_with_path(problem.minimize().method(plan(Lookahead::None))).unwrap();
@@ -84,7 +84,7 @@ fn any_number_of_workers_gives_the_same_trace() {
 }
 
 #[test]
-fn short_evaluations_need_no_guesses() {
+fn short_evaluations_cause_no_speculation() {
     // What stays on the calling thread depends on how long evaluations take: `evaluation/timing.rs` tests that with stated times.
     for workers in [1, 2, 4, 9] {
         let report = minimize(common::rosenbrock).start(&[-1.2, 1.0]).workers(workers).run().unwrap();

@@ -19,7 +19,7 @@ fn quadratic() -> QuadraticModel {
 }
 
 #[test]
-fn smooth_problems_within_the_budget() {
+fn quadratic_model_solves_smooth_problems_within_budget() {
     let mut units: Vec<f64> = instances()
         .iter()
         .map(|p| {
@@ -52,7 +52,7 @@ fn fit(fit: &Fit, start: &[f64], boxed: bool, method: AnyMethod) -> Report {
 /// As many fits as Nelder-Mead solves, with at most half of its evaluations. Where one of the two ends at another local
 /// minimum of the cost than the other, either may be the lucky one.
 #[test]
-fn fits_take_half_of_the_evaluations_of_nelder_mead() {
+fn fits_need_half_of_the_evaluations_of_nelder_mead() {
     for boxed in [false, true] {
         let (mut solved, mut evaluations) = ([0, 0], [Vec::new(), Vec::new()]);
         for f in fits().iter().skip(1).step_by(2) {
@@ -94,7 +94,7 @@ fn minima_on_bounds_are_found_from_anywhere() {
 }
 
 #[test]
-fn failing_regions_are_walked_around() {
+fn quadratic_model_avoids_failing_regions() {
     let starts = [[-0.5, 1.0], [-0.4, 0.9], [-0.6, 1.2], [-1.0, 1.4], [-0.9, 1.0], [-0.5, 1.5], [0.1, 1.0]];
     for start in starts {
         let run = minimize(probe).start(&start).bounds(&[-2.0; 2], &[2.0; 2]).unwrap().method(quadratic());
@@ -119,7 +119,7 @@ fn failing_regions_are_walked_around() {
 
 /// Units of powers of two change no bit of the path.
 #[test]
-fn units_do_not_change_the_path() {
+fn path_is_independent_of_units() {
     for (number, f) in fits().iter().skip(1).step_by(2).enumerate() {
         let start = &f.starts()[number % 3];
         let run = |units: &[f64]| {
@@ -135,7 +135,7 @@ fn units_do_not_change_the_path() {
 }
 
 #[test]
-fn one_parameter_many_and_all_fixed() {
+fn quadratic_model_handles_one_many_and_fixed_parameters() {
     for size in [1e-6, 1.0, 1e6] {
         let run =
             minimize(|x: &[f64]| (x[0] / size - 2.0).powi(2) + 1.0).start(&[0.7 * size]).method(quadratic());
@@ -152,7 +152,7 @@ fn one_parameter_many_and_all_fixed() {
 }
 
 #[test]
-fn one_bound_and_logarithms_are_no_exception() {
+fn quadratic_model_handles_single_bounds_and_logarithms() {
     let lower = [0.0, 1e-3, f64::NEG_INFINITY, f64::NEG_INFINITY];
     let upper = [f64::INFINITY, 1e3, f64::INFINITY, 2.0];
     let cost = |x: &[f64]| {
@@ -170,7 +170,7 @@ fn one_bound_and_logarithms_are_no_exception() {
 
 /// Noise ends the search by itself, without a success that is none.
 #[test]
-fn noise_is_no_success() {
+fn noise_is_not_reported_as_success() {
     for seed in 0..5 {
         let noise = |x: &[f64]| {
             let bits = x.iter().fold(seed, |h: u64, v| {
@@ -187,7 +187,7 @@ fn noise_is_no_success() {
 }
 
 #[test]
-fn options_out_of_their_range_are_named() {
+fn errors_name_options_out_of_range() {
     let run = |method: QuadraticModel| minimize(rosenbrock).start(&[0.5, 0.5]).method(method).run();
     for radius in [0.0, -1.0, f64::NAN, f64::INFINITY] {
         assert!(run(quadratic().radius(radius)).unwrap_err().to_string().contains("radius"));
@@ -207,7 +207,7 @@ fn chained(x: &[f64]) -> f64 {
 
 /// Some 10 n evaluations for quadratics, 40 to 60 n for chained Rosenbrock functions.
 #[test]
-fn many_parameters_take_evaluations_in_proportion() {
+fn evaluations_grow_linearly_with_parameters() {
     let coupled = |x: &[f64]| -> f64 {
         let alone = x.iter().enumerate().map(|(k, x)| (1.0 + (k % 7) as f64) * (x - 1.0).powi(2));
         alone.sum::<f64>() + x.windows(2).map(|w| (w[0] - 2.0 * w[1] + 1.0).powi(2)).sum::<f64>()
@@ -222,7 +222,7 @@ fn many_parameters_take_evaluations_in_proportion() {
 
 /// Bounds, failures next to the start and an interruption, with more parameters than the conditions are solved anew for.
 #[test]
-fn many_parameters_keep_to_bounds_and_survive_failures_and_interruptions() {
+fn many_parameters_respect_bounds_and_survive_failures_and_interruptions() {
     let n = 24;
     let (lower, upper) = (vec![-2.0; n], vec![0.5; n]);
     let folder = tempfile::tempdir().unwrap();
@@ -248,7 +248,7 @@ fn many_parameters_keep_to_bounds_and_survive_failures_and_interruptions() {
 
 /// Equal costs at all points are no convergence: plateaus are left, or the result says so.
 #[test]
-fn plateaus_are_no_convergence() {
+fn plateau_is_not_reported_as_convergence() {
     let stairs = |x: &[f64]| (10.0 * rosenbrock(x)).floor() / 10.0;
     for start in [[-1.2, 1.0], [-1.0, 1.0], [0.3, -0.4]] {
         let run = |hand_over| {
@@ -261,7 +261,7 @@ fn plateaus_are_no_convergence() {
 
 /// A start anew that does not lower a cost of zero brings nothing, as with any other cost.
 #[test]
-fn restarts_at_a_cost_of_zero_end() {
+fn restarts_end_at_zero_cost() {
     let kinked = |x: &[f64]| (x[0] - 1.0).abs() + 10.0 * (x[1] - x[0]).abs();
     let report = minimize(kinked).start(&[1.0, 1.0]).method(QuadraticModel::default()).run().unwrap();
     assert!(report.fun == 0.0 && report.n_evaluations < 500, "{report}");
@@ -269,7 +269,7 @@ fn restarts_at_a_cost_of_zero_end() {
 
 /// At a minimum no step succeeds, which is no sign of noise where the cost is smooth.
 #[test]
-fn a_start_at_the_minimum_of_a_smooth_cost_converges() {
+fn start_at_minimum_of_smooth_cost_converges() {
     for (n, seed) in (2..=10).flat_map(|n| (0..6).map(move |seed| (n, seed))) {
         let offset = [0.0, 1.0, 100.0][seed as usize % 3];
         for f in smooth(n, seed) {
@@ -282,7 +282,7 @@ fn a_start_at_the_minimum_of_a_smooth_cost_converges() {
 }
 
 #[test]
-fn a_cost_without_a_minimum_is_no_success() {
+fn cost_without_minimum_is_not_reported_as_success() {
     let falls = |x: &[f64]| -x[0] + x[1] * x[1];
     for start in [[0.0, 0.0], [1.0, -3.0], [1e3, 2.0]] {
         let report = minimize(falls).start(&start).method(QuadraticModel::default()).run().unwrap();
@@ -295,7 +295,7 @@ fn a_cost_without_a_minimum_is_no_success() {
 }
 
 #[test]
-fn a_model_that_was_wrong_along_its_last_step_is_no_minimum() {
+fn model_wrong_along_last_step_is_not_reported_as_minimum() {
     // Condition 1e6. By the f test of the model alone these end as converged, 22 and 26 above the minimum.
     for seed in [19, 30] {
         let mut random = Random::new(seed);
@@ -312,7 +312,7 @@ fn a_model_that_was_wrong_along_its_last_step_is_no_minimum() {
 
 /// Fits of two parameters to noisy curves, from many starts, with the loose tolerances of a first fit.
 #[test]
-fn a_loose_fit_ends_within_a_fifth_of_the_standard_error() {
+fn loose_fit_ends_within_a_fifth_of_standard_error() {
     type Curve = fn(&[f64], f64) -> f64;
     let curves: [(Curve, [f64; 2]); 3] = [
         (|x, t| x[1] * (-x[0] * t).exp(), [0.7, 1.0]),

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 #[test]
-fn a_log_parameter_without_bounds_stays_a_number() {
+fn logarithmic_parameter_without_bounds_stays_finite() {
     for f in [|x: &[f64]| 1.0 / x[0], |x: &[f64]| x[0]] {
         let report =
             minimize(f).start(&[1.0]).transforms(&[Transform::Log]).max_iterations(3000).run().unwrap();
@@ -16,7 +16,7 @@ fn a_log_parameter_without_bounds_stays_a_number() {
 }
 
 #[test]
-fn clamped_points_lie_on_the_bound_not_in_the_middle() {
+fn clamped_points_are_on_the_bound() {
     let method = NelderMead::default().bounds_handling(BoundsHandling::Clamp);
     let report = minimize(|x: &[f64]| x[0])
         .start(&[0.3])
@@ -31,7 +31,7 @@ fn clamped_points_lie_on_the_bound_not_in_the_middle() {
 }
 
 #[test]
-fn a_minimisation_within_a_minimisation_with_workers_of_its_own_ends() {
+fn nested_minimisation_with_workers_ends() {
     let outer = move |x: &[f64]| {
         let a = x[0];
         let run = minimize(move |y: &[f64]| (y[0] - a).powi(2))
@@ -51,7 +51,7 @@ fn a_minimisation_within_a_minimisation_with_workers_of_its_own_ends() {
 }
 
 #[test]
-fn a_panic_of_the_function_that_is_asked_ends_the_batch() {
+fn panic_of_context_function_ends_the_batch() {
     let calls = AtomicUsize::new(0);
     let objective = |x: &[f64]| {
         calls.fetch_add(1, Ordering::SeqCst);

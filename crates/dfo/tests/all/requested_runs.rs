@@ -33,7 +33,7 @@ fn chosen_for(mut json: serde_json::Value, residuals: bool) -> Result<(AnyMethod
 }
 
 #[test]
-fn names_find_their_places() {
+fn record_sets_options_by_name() {
     let run = asked(serde_json::json!({
         "method": "NELDER_MEAD", "x_tol": 1e-3, "tolerances": "Absolute", "stop": "any", "max_fevals": 40.0, "max_time": 2,
         "cache": null, "batch": "Ahead", "coefficients": [1, 2, 0.5, 0.4], "scale": "log", "kinds": ["integer", "continuous"],
@@ -56,7 +56,7 @@ fn names_find_their_places() {
 }
 
 #[test]
-fn options_of_variants_are_options_like_the_others() {
+fn options_of_variants_are_set_by_name() {
     let run =
         asked(serde_json::json!({ "method": "de-classic", "weight": [0.5, 1], "population": 30 })).unwrap();
     let AnyMethod::DifferentialEvolution(options) = run.options.method else { panic!("another method") };
@@ -72,7 +72,7 @@ fn options_of_variants_are_options_like_the_others() {
 
 /// What a run was asked for comes back from its options.
 #[test]
-fn the_record_of_a_run_asks_for_the_same_run() {
+fn record_of_a_run_requests_the_same_run() {
     for json in [
         serde_json::json!({ "method": "auto", "search": "global", "x_tol": 1e-5, "seed": 3, "workers": 2 }),
         serde_json::json!({ "method": "nelder-mead", "coefficients": [1, 2, 0.5, 0.4], "initial_simplex": [0.1, 0.2], "stop": "any" }),
@@ -98,7 +98,7 @@ fn the_record_of_a_run_asks_for_the_same_run() {
 
 /// Words that Python's functions take have the same meaning in a record.
 #[test]
-fn the_words_of_python_are_known() {
+fn record_accepts_python_option_names() {
     let run = asked(serde_json::json!({ "rng": 7, "workers": 3, "batch": "workers" })).unwrap().options;
     assert_eq!((run.seed, run.workers), (Some(7), Some(3)));
     assert_eq!(run.method, NelderMead::default().batch(Lookahead::Points(3)).into());
@@ -111,7 +111,7 @@ fn the_words_of_python_are_known() {
 }
 
 #[test]
-fn infinite_limits_are_none() {
+fn infinite_limits_mean_no_limit() {
     let limits = Record::from([
         ("max_evaluations".to_owned(), Value::Number(f64::INFINITY)),
         ("max_time".to_owned(), Value::Number(f64::INFINITY)),
@@ -123,7 +123,7 @@ fn infinite_limits_are_none() {
 }
 
 #[test]
-fn open_choices_carry_their_options() {
+fn chosen_method_receives_given_options() {
     let (method, _) = chosen(serde_json::json!({ "points": 6 })).unwrap();
     assert_eq!(method, QuadraticModel::default().points(6).hand_over(true).into());
     let (method, reason) = chosen(serde_json::json!({ "batch": "ahead" })).unwrap();

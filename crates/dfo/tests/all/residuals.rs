@@ -150,7 +150,7 @@ fn seen(path: &std::path::Path) -> Vec<u64> {
 }
 
 #[test]
-fn the_same_bits_serially_in_a_pool_in_batches_by_hand_and_resumed() {
+fn residuals_are_identical_for_every_evaluator_and_after_resume() {
     let folder = std::env::temp_dir().join(format!("dfo-residuals-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let file = |name: &str| folder.join(name);
@@ -206,7 +206,7 @@ fn the_same_bits_serially_in_a_pool_in_batches_by_hand_and_resumed() {
 }
 
 #[test]
-fn residuals_that_the_trace_has_kept_are_not_computed_again() {
+fn residuals_in_the_trace_are_not_recomputed() {
     let run = || described(minimize(residuals(decay))).problem("decay");
     let first = run().trace_residuals().run().unwrap();
     let kept: Vec<usize> = first.trace.iter().map(|e| e.residuals.len()).collect();
@@ -229,7 +229,7 @@ fn residuals_that_the_trace_has_kept_are_not_computed_again() {
 }
 
 #[test]
-fn what_is_no_residual_vector_has_failed() {
+fn invalid_residual_vector_is_a_failure() {
     let run = |residuals: fn(&[f64]) -> Vec<f64>| {
         let objective = move |view: &BatchView<'_>| {
             let one = |k| {
@@ -253,7 +253,7 @@ fn what_is_no_residual_vector_has_failed() {
 }
 
 #[test]
-fn another_number_of_residuals_is_an_error_for_any_workers() {
+fn changed_number_of_residuals_is_an_error_for_any_workers() {
     let changing = |x: &[f64], out: &mut Vec<f64>| out.extend(vec![1.0; 1 + (x[0].abs() * 1e6) as usize % 3]);
     let run = |workers| {
         let run = minimize(residuals(changing)).start(&[1.0]).method(LeastSquares::default());

@@ -45,7 +45,7 @@ const MODELS: [(&str, Model); 6] = [
 
 /// Sizes that nothing tells, of parameters that start at zero in no box or a wide one, are found on the way.
 #[test]
-fn least_squares_is_continued_from_wherever_it_was_stopped() {
+fn least_squares_resumes_from_any_evaluation() {
     let folder = Folder::new("least-squares");
     // Only the end is written.
     let file = || Checkpoint::new(folder.file()).interval(Duration::from_secs(3600));
@@ -82,7 +82,7 @@ fn least_squares_is_continued_from_wherever_it_was_stopped() {
 
 /// The end of the start points, of a search for sizes and of whole numbers that leave nothing to try among them.
 #[test]
-fn a_run_that_is_over_gives_its_stored_result_whenever_it_is_called() {
+fn finished_run_returns_its_stored_result() {
     let folder = Folder::new("over");
     let shifted = |x: &[f64]| 1.0 + rosenbrock(&[x[0] + 2.0, x[1] - 1.0]);
     for method in methods() {

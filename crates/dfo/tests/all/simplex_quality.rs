@@ -12,7 +12,7 @@ fn judging() -> impl Iterator<Item = Fit> {
 }
 
 #[test]
-fn fits_without_bounds_are_solved() {
+fn nelder_mead_solves_fits_without_bounds() {
     let (mut solved, mut all, mut evaluations) = (0, 0, Vec::new());
     for fit in judging() {
         for start in fit.starts() {
@@ -31,7 +31,7 @@ fn fits_without_bounds_are_solved() {
 }
 
 #[test]
-fn units_do_not_change_the_path() {
+fn path_is_independent_of_units() {
     for (number, fit) in judging().enumerate() {
         let start = &fit.starts()[number % 3];
         // Powers of two, so that the products are exact; a negative one turns the axis. No start becomes smaller than 1.5e-8,
@@ -89,7 +89,7 @@ fn minima_on_bounds_are_found_from_anywhere() {
 
 /// A minimum in a corner costs no more than one inside, and the corner is met within x_tol.
 #[test]
-fn a_corner_is_no_dearer_than_the_interior() {
+fn corner_minimum_needs_no_more_evaluations_than_interior() {
     for (n, seed) in [(3, 11), (5, 12), (10, 13)] {
         let [corner, interior] = [Place::Corner, Place::Interior].map(|place| {
             let p = quadratic(n, place, 1e3, seed);
@@ -107,7 +107,7 @@ fn a_corner_is_no_dearer_than_the_interior() {
 }
 
 #[test]
-fn one_bound_and_logarithms_are_no_exception() {
+fn nelder_mead_handles_single_bounds_and_logarithms() {
     // x0 >= 0 and active, x1 in a logarithmic box and at its end, x2 on a logarithm without bounds, x3 <= 2 and active.
     let lower = [0.0, 1e-3, f64::NEG_INFINITY, f64::NEG_INFINITY];
     let upper = [f64::INFINITY, 1e3, f64::INFINITY, 2.0];
@@ -127,7 +127,7 @@ fn one_bound_and_logarithms_are_no_exception() {
 
 /// A start that is the best point there is stays the result, also where all of its bounds are active.
 #[test]
-fn nothing_is_worse_than_the_start() {
+fn result_is_never_worse_than_start() {
     let cost = |x: &[f64]| x[0] - x[1] + 0.1 * (x[2] - 0.3).abs();
     let start = [0.0, 1.0, 0.3];
     let report = minimize(cost).start(&start).bounds(&[0.0; 3], &[1.0; 3]).unwrap().run().unwrap();
@@ -136,7 +136,7 @@ fn nothing_is_worse_than_the_start() {
 
 /// A minimum of zero takes no more evaluations than its accuracy needs, nor than a minimum of one.
 #[test]
-fn a_minimum_of_zero_stops_in_time() {
+fn minimum_of_zero_needs_no_extra_evaluations() {
     let rosenbrock = |x: &[f64]| -> f64 {
         x.windows(2).map(|w| 100.0 * (w[1] - w[0] * w[0]).powi(2) + (1.0 - w[0]).powi(2)).sum()
     };
@@ -174,7 +174,7 @@ fn random(seed: u64) -> impl FnMut() -> f64 {
 
 /// Parameters of sizes from 1e-6 to 1e6 that all start at zero, or all but one: valleys that are not along the axes.
 #[test]
-fn sizes_that_nothing_tells_are_found() {
+fn nelder_mead_finds_unknown_sizes() {
     let (mut solved, mut wrong, mut evaluations) = (0, 0, Vec::new());
     for seed in 0..120 {
         let mut next = random(seed);
@@ -212,7 +212,7 @@ fn sizes_that_nothing_tells_are_found() {
 
 /// At the start the second parameter has no effect; where the first has come to its value, it has.
 #[test]
-fn a_parameter_that_matters_only_later_is_found() {
+fn parameter_with_later_effect_is_found() {
     for size in [1e-5, 1.0, 1e5] {
         let cost = |x: &[f64]| (x[0] - 3.0).powi(2) + (x[0].powi(3) * (x[1] / size - 2.0)).powi(2);
         let report = minimize(cost).start(&[0.0, 0.0]).run().unwrap();
@@ -222,7 +222,7 @@ fn a_parameter_that_matters_only_later_is_found() {
 }
 
 #[test]
-fn a_parameter_without_effect_is_named() {
+fn report_names_parameter_without_effect() {
     let report = minimize(|x: &[f64]| (x[0] - 3.0).powi(2)).start(&[1.0, 0.0]).run().unwrap();
     assert!(report.is_success() && report.message.contains("no step of x[1] from zero"), "{report}");
     let told =
@@ -238,7 +238,7 @@ fn a_parameter_without_effect_is_named() {
 
 /// A bound on one side leaves the size as unknown as none.
 #[test]
-fn one_bound_does_not_tell_a_size() {
+fn single_bound_does_not_determine_size() {
     for size in [1e-6, 1.0, 1e6] {
         let cost = |x: &[f64]| (x[0] / size - 2.0).powi(2) + (x[0] / size - x[1] + 3.0).powi(2);
         let bounds = ([0.0, f64::NEG_INFINITY], [f64::INFINITY; 2]);

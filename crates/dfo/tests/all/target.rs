@@ -56,7 +56,7 @@ fn records(trace: &Trace) -> Vec<(usize, f64)> {
 }
 
 #[test]
-fn the_path_ends_with_the_evaluation_that_reaches_the_target() {
+fn path_ends_with_evaluation_that_reaches_target() {
     for method in methods() {
         let (whole, _) = run(&method, None, 1, None);
         for (place, target) in records(&whole.trace) {
@@ -79,7 +79,7 @@ fn the_path_ends_with_the_evaluation_that_reaches_the_target() {
 }
 
 #[test]
-fn a_run_by_hand_ends_there_too() {
+fn ask_tell_run_ends_at_target() {
     for method in methods() {
         let (whole, _) = run(&method, None, 1, None);
         for (place, target) in records(&whole.trace) {
@@ -108,7 +108,7 @@ fn a_run_by_hand_ends_there_too() {
 }
 
 #[test]
-fn it_goes_on_from_there_as_if_it_had_not_ended() {
+fn run_continues_identically_after_target() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run");
     for method in methods() {

@@ -7,7 +7,7 @@ use common::methods_for_costs;
 use dfo::{AnyMethod, DifferentialEvolution, Outcome, ParameterKind, Termination, minimize};
 
 #[test]
-fn a_cost_that_does_not_change_is_no_success() {
+fn constant_cost_is_not_reported_as_success() {
     for name in methods_for_costs().iter().map(AnyMethod::name) {
         let run = || {
             let method: AnyMethod = name.parse().unwrap();
@@ -36,7 +36,7 @@ fn a_cost_that_does_not_change_is_no_success() {
 }
 
 #[test]
-fn a_descent_without_bound_is_no_success() {
+fn unbounded_descent_is_not_reported_as_success() {
     for n in [1, 2, 4] {
         let report = minimize(|x: &[f64]| x.iter().sum::<f64>() * x[0].abs())
             .start(&vec![-1.0; n])
@@ -49,7 +49,7 @@ fn a_descent_without_bound_is_no_success() {
 }
 
 #[test]
-fn whole_numbers_that_are_found_are_a_success() {
+fn integer_minimum_is_reported_as_success() {
     for seed in 0..20 {
         let cost = |x: &[f64]| (x[0] - 3.0).powi(2) + (x[1] + 2.0).powi(2);
         let report = minimize(cost)
@@ -69,7 +69,7 @@ fn whole_numbers_that_are_found_are_a_success() {
 }
 
 #[test]
-fn whole_numbers_are_found_however_the_search_ends() {
+fn integer_minimum_is_found_for_every_end() {
     let cost = |x: &[f64]| x.iter().zip([3.2, -1.6, 0.3]).map(|(x, t)| (x - t).powi(2)).sum::<f64>();
     for method in [DifferentialEvolution::default(), DifferentialEvolution::classic()] {
         for n in 1..=3 {

@@ -44,7 +44,7 @@ fn run(method: AnyMethod, x0: &[f64], bounds: (&[f64], &[f64]), transforms: &[Tr
 }
 
 #[test]
-fn the_answer_is_the_same_however_wide_the_box() {
+fn local_methods_find_same_answer_for_any_box_width() {
     for method in local() {
         let name = format!("{method:?}");
         for (x0, lower, upper, transform) in UPPER
@@ -69,7 +69,7 @@ fn the_answer_is_the_same_however_wide_the_box() {
 }
 
 #[test]
-fn parameters_of_unlike_bounds_do_not_disturb_each_other() {
+fn parameters_with_different_bounds_do_not_affect_each_other() {
     for method in local() {
         for (k, b) in [(10.0, 1e6), (1e9, 1e6), (10.0, 1e12), (1e9, 1e12), (2.5, 1e300)] {
             let report = run(method.clone(), &[1.0, 1e5], (&[0.0, 0.0], &[k, b]), &[]);
@@ -81,7 +81,7 @@ fn parameters_of_unlike_bounds_do_not_disturb_each_other() {
 
 /// Also where the best value lies at a bound that is more than 100 times as far as the start.
 #[test]
-fn a_far_bound_is_kept_and_reached() {
+fn local_methods_reach_and_respect_far_bound() {
     for method in local() {
         for upper in [0.5, 1.5] {
             let report = run(method.clone(), &[1e-3], (&[0.0], &[upper]), &[]);
@@ -94,7 +94,7 @@ fn a_far_bound_is_kept_and_reached() {
 
 /// A method that samples its box searches all of it, and ends with the x test in units of the parameter.
 #[test]
-fn differential_evolution_resolves_the_parameter_and_not_the_box() {
+fn differential_evolution_resolves_parameter_in_wide_box() {
     for upper in [10.0, 1e3, 1e5] {
         let report = run(DifferentialEvolution::default().into(), &[1.0], (&[0.0], &[upper]), &[]);
         assert!((report.x[0] - 2.0).abs() < 2e-3 && report.is_success(), "{upper:e}: {report}");
@@ -102,7 +102,7 @@ fn differential_evolution_resolves_the_parameter_and_not_the_box() {
 }
 
 #[test]
-fn the_size_is_that_of_a_box_that_tells_one_else_of_the_start() {
+fn typical_size_comes_from_box_or_start() {
     use Transform::{Linear, Log};
     let size = |transform, start, bounds, given| typical_size(transform, start, bounds, given);
     for (transform, start, bounds, given, expected) in [

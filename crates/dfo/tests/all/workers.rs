@@ -62,7 +62,7 @@ fn described<'a>(run: Minimize<'a, NelderMead>, method: &AnyMethod, dice: u64) -
 }
 
 #[test]
-fn no_number_of_workers_changes_anything() {
+fn result_is_independent_of_number_of_workers() {
     quiet_panics_on_purpose();
     let mut methods: Vec<AnyMethod> = methods_for_costs();
     methods.extend(PLANS.map(|plan| NelderMead::default().batch(plan).into()));
@@ -98,7 +98,7 @@ fn no_number_of_workers_changes_anything() {
 
 /// An abort at a point that is only evaluated ahead ends nothing.
 #[test]
-fn an_exception_counts_when_the_path_comes_to_it() {
+fn abort_counts_only_when_path_reaches_it() {
     let path = minimize(rosenbrock).start(&[-1.2, 1.0]).max_evaluations(60).run().unwrap();
     let on_path = |x: &[f64]| path.trace.iter().any(|e| e.x == x);
     let trap = with_query(|x: &[f64], _: &Query<'_>| match on_path(x) {
@@ -134,7 +134,7 @@ fn more_workers_need_fewer_rounds() {
 
 /// A start that an earlier run left on a bound is no start for a barrier.
 #[test]
-fn a_warm_start_on_a_bound_does_not_end_the_barrier() {
+fn barrier_accepts_warm_start_with_point_on_bound() {
     let slope = |x: &[f64]| x[0] + (x[1] - 0.5).powi(2);
     let run = |method: AnyMethod| {
         let run = minimize(slope).start(&[0.7, 0.2]).bounds(&[0.0; 2], &[1.0; 2]).unwrap();
@@ -147,7 +147,7 @@ fn a_warm_start_on_a_bound_does_not_end_the_barrier() {
 }
 
 #[test]
-fn sizes_beyond_all_memory_are_errors() {
+fn sizes_beyond_memory_are_errors() {
     let n = 3_000_000;
     let run = minimize(|x: &[f64]| x[0]).start(&vec![0.5; n]).run();
     assert!(matches!(run, Err(Error::Memory { .. })), "{:?}", run.map(|r| r.fun));
@@ -157,7 +157,7 @@ fn sizes_beyond_all_memory_are_errors() {
 }
 
 #[test]
-fn no_limit_is_something_to_plan_with() {
+fn methods_that_plan_with_budget_run_without_limit() {
     let rastrigin = |x: &[f64]| -> f64 {
         x.iter().map(|x| x * x + 10.0 - 10.0 * (std::f64::consts::TAU * x).cos()).sum()
     };
@@ -168,7 +168,7 @@ fn no_limit_is_something_to_plan_with() {
 }
 
 #[test]
-fn a_batch_function_that_panics_at_one_point_fails_there_alone() {
+fn batch_function_fails_only_at_the_point_where_it_panics() {
     quiet_panics_on_purpose();
     let batches = |batch: &BatchView<'_>| {
         let one = |k: usize| {

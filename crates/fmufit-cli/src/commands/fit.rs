@@ -244,7 +244,7 @@ mod tests {
     use super::rounded;
 
     #[test]
-    fn numbers_are_shown_with_five_digits() {
+    fn numbers_are_rounded_to_five_digits() {
         assert_eq!((rounded(0.012_345_678), rounded(-1.0), rounded(0.0)), (0.012_346, -1.0, 0.0));
         assert!(rounded(f64::NAN).is_nan() && rounded(f64::INFINITY).is_infinite());
     }

@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn texts_are_values_of_toml_or_themselves() {
+    fn text_is_parsed_as_toml_value_or_string() {
         for (text, value) in [
             ("3", Value::Count(3)),
             ("1e-3", Value::Number(1e-3)),

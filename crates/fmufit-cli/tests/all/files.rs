@@ -6,7 +6,7 @@ use std::io::Write;
 use std::process::Stdio;
 
 #[test]
-fn what_a_command_reads_is_not_written_over() {
+fn commands_do_not_overwrite_their_input() {
     let folder = Folder::with_model("dahlquist");
     folder.record_decay();
     folder.write("problem.toml", PROBLEM);
@@ -34,7 +34,7 @@ fn what_a_command_reads_is_not_written_over() {
 }
 
 #[test]
-fn a_dash_is_a_standard_stream() {
+fn dash_means_a_standard_stream() {
     let folder = Folder::with_model("dahlquist");
     folder.record_decay();
     let table = folder.run("simulate model.fmu --final-time 1 --interval 1 --output -").good();
@@ -46,7 +46,7 @@ fn a_dash_is_a_standard_stream() {
 }
 
 #[test]
-fn options_that_are_given_twice_are_named() {
+fn errors_name_options_given_twice() {
     let folder = Folder::with_model("dahlquist");
     folder.record_decay();
     for (arguments, expected) in [
@@ -72,7 +72,7 @@ fn options_that_are_given_twice_are_named() {
 }
 
 #[test]
-fn the_short_form_has_its_column_of_times_and_its_inputs() {
+fn short_form_supports_time_column_and_inputs() {
     let folder = Folder::with_model("dahlquist");
     folder.record_decay();
     folder.write("t.csv", &folder.read("run.csv").replace("time", "t"));
@@ -107,7 +107,7 @@ fn the_short_form_has_its_column_of_times_and_its_inputs() {
 }
 
 #[test]
-fn errors_are_json_where_results_are() {
+fn errors_are_json_when_results_are() {
     let folder = Folder::new();
     let ran = folder.run("info none.fmu --json");
     let error = &json(&ran.out)["error"];
@@ -117,7 +117,7 @@ fn errors_are_json_where_results_are() {
 
 #[test]
 #[cfg(target_os = "linux")]
-fn results_that_cannot_be_written_are_an_error() {
+fn unwritable_result_is_an_error() {
     let folder = Folder::with_model("dahlquist");
     for arguments in ["simulate model.fmu", "info model.fmu", "info model.fmu --json", "schema"] {
         let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
@@ -131,7 +131,7 @@ fn results_that_cannot_be_written_are_an_error() {
 
 #[test]
 #[cfg(target_os = "linux")]
-fn names_that_are_no_utf8_are_used_or_refused() {
+fn file_names_outside_utf8_are_used_or_rejected() {
     use std::ffi::OsStr;
     use std::os::unix::ffi::OsStrExt;
     let folder = Folder::with_model("dahlquist");
@@ -154,7 +154,7 @@ fn names_that_are_no_utf8_are_used_or_refused() {
 }
 
 #[test]
-fn a_place_that_cannot_be_written_is_an_error_before_the_work() {
+fn unwritable_output_is_reported_before_the_work() {
     let folder = Folder::with_model("dahlquist");
     std::fs::write(folder.path("data.csv"), "time,x\n0,1\n0.5,0.6\n1,0.37\n").unwrap();
     let fit = "fit model.fmu data.csv --output x --parameter k=0.5:0.1:3";

@@ -28,7 +28,7 @@ fn fitted(out: &str) -> f64 {
 }
 
 #[test]
-fn the_short_form_is_the_same_fit_as_the_file() {
+fn short_form_and_file_give_the_same_fit() {
     let folder = decay("");
     let from_file = folder.run("fit problem.toml --json --quiet");
     assert_eq!(from_file.err, "");
@@ -44,7 +44,7 @@ fn the_short_form_is_the_same_fit_as_the_file() {
 }
 
 #[test]
-fn people_read_a_summary_and_lines_of_progress() {
+fn fit_prints_summary_and_progress() {
     let folder = decay("");
     let ran = folder.run("fit problem.toml");
     assert!(
@@ -56,7 +56,7 @@ fn people_read_a_summary_and_lines_of_progress() {
 }
 
 #[test]
-fn options_of_the_command_line_go_before_those_of_the_file() {
+fn command_line_options_take_precedence() {
     let folder = decay(
         "[settings]\nsolver = \"rk4\"\nstep_size = 0.01\n[fit]\nmethod = \"nelder-mead\"\nmax_evaluations = 3\n",
     );
@@ -87,7 +87,7 @@ fn in_another_unit(folder: &Folder) {
 }
 
 #[test]
-fn a_fit_that_is_worse_than_a_constant_has_an_exit_code_of_its_own_and_says_why_at_the_end() {
+fn fit_worse_than_a_constant_exits_with_3_and_reports_the_reason() {
     let folder = decay("");
     in_another_unit(&folder);
     let ran = folder.run("fit problem.toml --json --quiet");
@@ -132,7 +132,7 @@ fn a_fit_that_is_worse_than_a_constant_has_an_exit_code_of_its_own_and_says_why_
 }
 
 #[test]
-fn start_values_of_a_problem_come_from_an_exported_fit() {
+fn problem_reads_start_values_from_exported_fit() {
     let folder = decay("");
     folder.run("fit problem.toml --save decay.fit --report decay.ssv --quiet").good();
     // It has k, which is the start of nothing here, since it is fitted.
@@ -152,7 +152,7 @@ fn start_values_of_a_problem_come_from_an_exported_fit() {
 }
 
 #[test]
-fn units_that_the_model_does_not_state_are_stated() {
+fn units_missing_in_the_model_can_be_given() {
     let folder = decay("");
     let milli: String = (folder.read("run.csv").lines().skip(1))
         .map(|row| row.split_once(',').unwrap())
@@ -187,7 +187,7 @@ fn units_that_the_model_does_not_state_are_stated() {
 
 /// Words of Python and of other tools mean the same in files and on the command line.
 #[test]
-fn words_are_those_of_python() {
+fn option_names_match_python() {
     let folder = decay("[settings]\nsolver = \"CVode\"\n[fit]\nrng = 1\nworkers = -1\nbatch = \"serial\"\n");
     let result = json(&folder.run("fit problem.toml --json").good());
     assert_eq!(
@@ -202,7 +202,7 @@ fn words_are_those_of_python() {
 
 /// Programs that ask for JSON read what is wrong with their arguments there.
 #[test]
-fn wrong_arguments_are_a_document_where_json_is_asked_for() {
+fn wrong_arguments_are_reported_as_json() {
     let folder = decay("");
     for (arguments, expected) in [
         ("fit problem.toml --json --no-such-option", "unexpected argument '--no-such-option' found"),
@@ -218,7 +218,7 @@ fn wrong_arguments_are_a_document_where_json_is_asked_for() {
 }
 
 #[test]
-fn stages_and_several_recordings_stand_in_the_file() {
+fn file_supports_stages_and_several_recordings() {
     let folder = decay("");
     folder.write(
         "several.toml",
@@ -257,7 +257,7 @@ max_evaluations = 50
 }
 
 #[test]
-fn mistakes_in_a_file_are_named_with_their_lines() {
+fn errors_name_the_line_of_a_mistake() {
     let folder = decay("");
     for (from, to, line, expected) in [
         ("model = ", "modell = ", 1, "no field of a problem 'modell'; did you mean 'model'?"),
@@ -340,7 +340,7 @@ fn mistakes_in_a_file_are_named_with_their_lines() {
 }
 
 #[test]
-fn options_that_a_method_does_not_have_are_wrong_input() {
+fn unsupported_method_options_are_wrong_input() {
     let folder = decay("\n[fit]\npopulation = 5\n");
     for command in ["check", "fit"] {
         let said = folder.run(&format!("{command} problem.toml")).wrong_input();
@@ -349,7 +349,7 @@ fn options_that_a_method_does_not_have_are_wrong_input() {
 }
 
 #[test]
-fn check_exits_with_1_for_errors_alone() {
+fn check_exits_with_1_only_for_errors() {
     let folder = decay("");
     let document = json(&folder.run("check problem.toml --json --preflight").good());
     assert!(
@@ -371,7 +371,7 @@ fn check_exits_with_1_for_errors_alone() {
 }
 
 #[test]
-fn a_fit_is_resumed_from_its_checkpoint_with_the_same_bits() {
+fn resumed_fit_is_bit_for_bit_identical() {
     let folder = decay("[fit]\nmethod = \"nelder-mead\"\nx_tol = 1e-9\n");
     let whole = json(&folder.run("fit problem.toml --json").out);
     let first = folder.run("fit problem.toml --json --checkpoint fit.ckpt -O max_evaluations=10");
@@ -386,7 +386,7 @@ fn a_fit_is_resumed_from_its_checkpoint_with_the_same_bits() {
 }
 
 #[test]
-fn a_report_of_something_else_is_refused() {
+fn report_rejects_files_that_are_not_saved_fits() {
     let folder = decay("");
     folder.run("fit problem.toml --save decay.fit --quiet").good();
     for (arguments, expected) in [

@@ -17,7 +17,7 @@ const COMMANDS: [&str; 11] = [
 ];
 
 #[test]
-fn help_has_an_example_for_each_command_and_the_exit_codes() {
+fn help_contains_examples_and_exit_codes() {
     let folder = Folder::new();
     let all = folder.run("--help").good();
     assert!(all.contains("130  Ctrl-C") && all.contains("3    the fit ran"), "{all}");
@@ -30,7 +30,7 @@ fn help_has_an_example_for_each_command_and_the_exit_codes() {
 }
 
 #[test]
-fn wrong_arguments_are_named() {
+fn errors_name_wrong_arguments() {
     let folder = Folder::new();
     for (arguments, expected) in [
         ("", "Usage: fmufit"),
@@ -49,7 +49,7 @@ fn wrong_arguments_are_named() {
 }
 
 #[test]
-fn each_shell_has_completions() {
+fn completions_exist_for_each_shell() {
     let folder = Folder::new();
     for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
         let script = folder.run(&format!("completions {shell}")).good();
@@ -61,7 +61,7 @@ fn each_shell_has_completions() {
 }
 
 #[test]
-fn what_nobody_reads_is_no_error() {
+fn closed_output_pipe_is_not_an_error() {
     let folder = Folder::new();
     let mut child = folder.command("completions bash").spawn().unwrap();
     drop(child.stdout.take());

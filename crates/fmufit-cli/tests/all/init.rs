@@ -3,7 +3,7 @@
 use crate::support::{Folder, json};
 
 #[test]
-fn from_a_model_and_a_recording_to_the_truth_and_a_report() {
+fn init_leads_to_correct_fit_and_report() {
     let folder = Folder::with_model("dahlquist");
     folder.record_decay();
     let out = folder.run("init model.fmu run.csv problem.toml").good();
@@ -31,7 +31,7 @@ fn from_a_model_and_a_recording_to_the_truth_and_a_report() {
 }
 
 #[test]
-fn init_says_what_it_did_not_find() {
+fn init_reports_unmatched_columns_and_variables() {
     let folder = Folder::with_model("furuta");
     folder.write("run.csv", "time,PHI,x\n0,0,1\n1,0.1,2\n2,0.2,1\n");
     let ran = folder.run("init model.fmu run.csv");
@@ -65,7 +65,7 @@ fn init_says_what_it_did_not_find() {
 }
 
 #[test]
-fn a_variable_that_is_named_is_matched_no_second_time() {
+fn named_variable_is_matched_only_once() {
     let folder = Folder::with_model("furuta");
     folder.write("run.csv", "time,PHI,armJoint.phi\n0,0,1\n1,0.1,2\n2,0.2,1\n");
     folder.run("init model.fmu run.csv --output armJoint.phi=PHI --parameter armFriction").good();
@@ -75,7 +75,7 @@ fn a_variable_that_is_named_is_matched_no_second_time() {
 }
 
 #[test]
-fn parameters_without_an_effect_are_one_comment() {
+fn parameters_without_effect_are_listed_in_one_comment() {
     let folder = Folder::with_model("bouncing_ball");
     // Before the first bounce at 0.45 s only gravity moves the ball.
     folder.run("simulate model.fmu --final-time 0.3 --interval 0.02 --output run.csv").good();
@@ -89,7 +89,7 @@ fn parameters_without_an_effect_are_one_comment() {
 }
 
 #[test]
-fn paths_in_the_file_begin_where_it_is() {
+fn paths_are_relative_to_the_problem_file() {
     let folder = Folder::with_model("dahlquist");
     folder.record_decay();
     std::fs::create_dir(folder.path("below")).unwrap();

@@ -18,7 +18,7 @@ const ENDLESS: &str = "fit problem.toml --json --save furuta.fit -O method=de -O
 
 /// Ctrl-C, and how the system or another program asks this one to end.
 #[test]
-fn a_fit_ends_with_the_best_point() {
+fn interrupted_fit_ends_with_best_point() {
     [Signal::INT, Signal::TERM].into_iter().for_each(ends_with_the_best_point);
 }
 
@@ -64,7 +64,7 @@ fn interrupted(folder: &Folder, arguments: &str, signal: Signal) -> Value {
 
 /// The page of a fit: its address is printed, its button ends the fit as Ctrl-C does; without a terminal the program does not wait.
 #[test]
-fn the_button_on_the_page_ends_the_fit_with_the_best_point() {
+fn page_button_ends_the_fit_with_best_point() {
     let folder = Folder::with_model("furuta");
     folder
         .run("simulate model.fmu --final-time 10 --set armFriction=0.01 --output run.csv --interval 0.05")
@@ -97,7 +97,7 @@ fn the_button_on_the_page_ends_the_fit_with_the_best_point() {
 }
 
 #[test]
-fn a_simulation_that_is_interrupted_has_no_result() {
+fn interrupted_simulation_has_no_result() {
     let folder = Folder::with_model("van_der_pol");
     let arguments =
         "simulate model.fmu --final-time 1e9 --interval 1e8 --solver rk4 --step-size 1e-4 --output run.csv";

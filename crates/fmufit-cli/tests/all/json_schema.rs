@@ -143,7 +143,7 @@ fn is_of(name: &Value, document: &Value) -> bool {
 }
 
 #[test]
-fn the_validation_refuses_what_a_schema_does_not_allow() {
+fn validator_rejects_documents_that_violate_schema() {
     let schema = Schema::new(serde_json::json!({
         "type": "object",
         "properties": {

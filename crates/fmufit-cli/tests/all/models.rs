@@ -37,7 +37,7 @@ fn info_shows_variables_with_causality_unit_and_start() {
 }
 
 #[test]
-fn validate_runs_a_model_and_says_what_it_departs_in() {
+fn validate_runs_a_model_and_reports_violations() {
     let folder = Folder::with_model("dahlquist");
     let text = folder.run("validate model.fmu").good();
     assert!(
@@ -62,7 +62,7 @@ const SET: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
 "#;
 
 #[test]
-fn start_values_come_from_parameter_sets_of_ssp() {
+fn simulate_reads_start_values_from_ssp_parameter_sets() {
     let folder = Folder::with_model("dahlquist");
     folder.write("set.ssv", SET);
     let options = "--final-time 1 --interval 0.25";
@@ -86,7 +86,7 @@ fn start_values_come_from_parameter_sets_of_ssp() {
 }
 
 #[test]
-fn systems_of_models_are_refused_by_name() {
+fn systems_of_models_are_rejected() {
     let folder = Folder::with_model("dahlquist");
     folder.write("system.ssd", "<ssd:SystemStructureDescription/>");
     let message = folder.run("info system.ssd").wrong_input();
@@ -116,7 +116,7 @@ fn simulate_writes_the_solution_of_the_model() {
 }
 
 #[test]
-fn simulate_is_driven_by_a_recording_in_the_units_of_the_model() {
+fn simulate_converts_recorded_inputs_to_model_units() {
     let folder = Folder::with_model("quad_tank");
     let inputs = json(&folder.run("info model.fmu --json --causality input").good());
     let names: Vec<&str> =
@@ -137,7 +137,7 @@ fn simulate_is_driven_by_a_recording_in_the_units_of_the_model() {
 }
 
 #[test]
-fn inputs_without_a_column_are_named() {
+fn warning_names_inputs_without_a_column() {
     let folder = Folder::with_model("quad_tank");
     let simulate =
         "simulate model.fmu --input in.csv --final-time 20 --interval 10 --outputs u1 --outputs u2";
@@ -171,7 +171,7 @@ fn inputs_without_a_column_are_named() {
 }
 
 #[test]
-fn what_simulate_cannot_use_is_named() {
+fn simulate_names_unusable_arguments() {
     let folder = Folder::with_model("furuta");
     for (arguments, expected) in [
         ("none.fmu", "cannot open none.fmu"),
@@ -195,7 +195,7 @@ fn what_simulate_cannot_use_is_named() {
 }
 
 #[test]
-fn a_library_that_is_none_is_named_where_the_sources_take_its_place() {
+fn warning_names_invalid_library_when_sources_replace_it() {
     let folder = Folder::with_model("dahlquist");
     let file = std::fs::File::open(folder.path("model.fmu")).unwrap();
     zip::ZipArchive::new(file).unwrap().extract(folder.path("decay")).unwrap();
@@ -214,7 +214,7 @@ fn a_library_that_is_none_is_named_where_the_sources_take_its_place() {
 }
 
 #[test]
-fn what_simulate_cannot_do_is_said_in_the_words_of_its_arguments() {
+fn simulate_errors_use_argument_names() {
     let folder = Folder::with_model("dahlquist");
     for (arguments, expected) in [
         ("--plot x.png", "--plot x.png: a plot is an SVG drawing: give a name that ends in .svg"),

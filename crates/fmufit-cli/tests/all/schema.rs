@@ -43,7 +43,7 @@ fn problem_files_follow_their_schema() {
 }
 
 #[test]
-fn words_and_flags_are_spelt_as_the_program_takes_them() {
+fn schema_accepts_the_spellings_of_the_program() {
     let folder = Folder::with_model("dahlquist");
     let schema = schema(&folder);
     folder.record_decay();
@@ -99,7 +99,7 @@ fn results_follow_their_schemas() {
 }
 
 #[test]
-fn what_one_refuses_the_other_refuses() {
+fn schema_and_program_reject_the_same_documents() {
     let folder = Folder::with_model("dahlquist");
     let schema = schema(&folder);
     folder.record_decay();

@@ -104,7 +104,7 @@ mod tests {
     const INF: f64 = f64::INFINITY;
 
     #[test]
-    fn angles_never_leave_the_box_and_come_back() -> Result<(), Error> {
+    fn angles_stay_in_the_box_and_are_invertible() -> Result<(), Error> {
         let bounds = Bounds::new(&[-1.0, 0.0, -INF, -INF, 1e-3], &[3.0, INF, 2.0, INF, 1e3])?;
         let log =
             [Transform::Linear, Transform::Linear, Transform::Linear, Transform::Linear, Transform::Log];
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn the_way_to_the_same_place_leads_over_the_bound() -> Result<(), Error> {
+    fn path_between_angles_of_one_point_passes_the_bound() -> Result<(), Error> {
         let bounds = Bounds::new(&[0.0, 1.0, -INF], &[4.0, INF, INF])?;
         let space = Space::new(&[2.0, 2.0, 0.0], bounds, &[], &[])?.with_sine();
         let distance = |k: usize, from: f64, to: f64| {

@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_bounds_are_named() {
+    fn errors_name_bad_bounds() {
         let crossed = Bounds::new(&[0.0, 2.0], &[1.0, 1.0]);
         assert_eq!(crossed, Err(Error::BoundsCrossed { index: 1, lower: 2.0, upper: 1.0 }));
         assert!(matches!(

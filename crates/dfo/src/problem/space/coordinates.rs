@@ -528,7 +528,7 @@ mod tests {
     const INF: f64 = f64::INFINITY;
 
     #[test]
-    fn sizes_come_from_user_then_box_then_start_then_one() -> Result<(), Error> {
+    fn size_precedence_is_user_box_start_one() -> Result<(), Error> {
         let bounds = Bounds::new(&[0.0, 0.0, -INF, -INF], &[4.0, INF, INF, 2.0])?;
         let space = Space::new(&[1.0, 3.0, 0.0, -5.0], bounds.clone(), &[], &[])?;
         assert_eq!([0, 1, 2, 3].map(|k| space.size(k)), [4.0, 3.0, 1.0, 5.0]);
@@ -564,7 +564,7 @@ mod tests {
     }
 
     #[test]
-    fn discrete_parameters_are_whole_and_share_their_range() -> Result<(), Error> {
+    fn discrete_parameters_are_integers_with_equal_shares() -> Result<(), Error> {
         let space = |x0: f64, kind| {
             let bounds = Bounds::new(&[-0.2], &[3.7])?;
             Space::new(&[x0], bounds, &[], &[])?.with_kinds(&[kind])
@@ -595,7 +595,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_logarithm_is_an_error() -> Result<(), Error> {
+    fn value_without_logarithm_is_an_error() -> Result<(), Error> {
         let log = [Transform::Log];
         let zero = Space::new(&[0.0], Bounds::unbounded(1), &log, &[]);
         assert!(matches!(zero, Err(Error::LogScale { index: 0, what: "start value", .. })));
