@@ -1,4 +1,4 @@
-//! Driven by hand: the same trace as the driven run, whatever order or pieces the answers come in.
+//! Ask/tell: the trace equals the trace of the driven run, whatever the order and grouping of the answers.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
@@ -49,7 +49,7 @@ fn ask_tell_matches_driven_run() {
                 report.trace.iter().map(|e| (e.x.to_vec(), e.id, e.batch, e.cutoff, e.used)).collect();
             assert_eq!(by_hand, driven, "{} {p:?}", problem.name);
             assert_eq!(s.best(), Some((&report.x[..], report.fun)));
-            // That the cost never changed the method does not see.
+            // The method does not detect that the cost never changed.
             let ended = match report.termination {
                 Termination::ConstantCost => Termination::Converged,
                 other => other,
@@ -62,7 +62,8 @@ fn ask_tell_matches_driven_run() {
 
 #[test]
 fn method_accepts_partial_answers() {
-    // Answers are left out by a fixed pattern; what is needed is asked again, and the path stays the same.
+    // Answers are left out in a fixed pattern. The method requests needed points again, and the path is
+    // unchanged.
     for problem in problems() {
         for p in PLANS {
             let mut s = search(&problem, p);
@@ -161,7 +162,7 @@ fn ask_and_tell_allocate_nothing_after_first_rounds() {
         let mut round = |s: &mut NelderMeadState| {
             s.ask(&mut batch);
             answers.clear();
-            // Now and then everything fails but the vertices themselves: that forces shrinks.
+            // Occasionally, all points except the vertices fail, which forces shrinks.
             let bad = batch.index() % 37 == 5;
             answers
                 .extend(batch.points().map(|x| Outcome::Value(if bad { f64::NAN } else { rosenbrock(x) })));
@@ -182,7 +183,7 @@ fn ask_and_tell_allocate_nothing_after_first_rounds() {
 
 #[test]
 fn custom_method_can_be_driven() {
-    /// Tries the integers from 0 on and ends at 20.
+    /// Tries the integers from 0 and ends at 20.
     struct Count(u64, Option<f64>, [f64; 1]);
     struct CountOptions;
     impl MethodOptions for CountOptions {
@@ -222,7 +223,7 @@ fn custom_method_can_be_driven() {
     assert_eq!((report.x, report.fun, report.n_evaluations, &*report.method), (vec![7.0], 0.0, 20, "count"));
 }
 
-/// A round of many residuals is taken without a copy of them: nobody could interrupt that.
+/// A round of many residuals is processed without copying them, because a copy could not be interrupted.
 #[test]
 fn tell_last_does_not_copy_residuals() {
     const N: usize = 20;
@@ -237,7 +238,7 @@ fn tell_last_does_not_copy_residuals() {
         answers.push(Outcome::Value(residuals.iter().map(|r| r * r).sum()), &residuals);
     }
     let counted = allocation_counter::measure(|| search.tell_last(&mut answers).unwrap());
-    // Whether there is memory for them twice is asked for, and that is not touched.
+    // The method checks that memory for a second copy is available, without using it.
     let probed = 2 * (N + 1) * M * size_of::<f64>();
     assert!(counted.bytes_total < (probed + M * size_of::<f64>()) as u64, "{counted:?}");
 }

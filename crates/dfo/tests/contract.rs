@@ -1,4 +1,4 @@
-//! What holds for every method, method by method.
+//! Contracts of every method.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
@@ -11,7 +11,7 @@ use dfo::{
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-/// Every method, Nelder-Mead with its widest plan as well.
+/// Every method, and also Nelder-Mead with its widest plan.
 fn methods() -> Vec<AnyMethod> {
     let mut all: Vec<AnyMethod> = methods_for_costs();
     all.push(NelderMead::default().batch(Lookahead::Points(20)).into());
@@ -34,7 +34,7 @@ fn budgets_are_exact_and_best_is_returned() {
             };
             let report = match boxed(minimize(cost), &method).max_evaluations(budget).run() {
                 Ok(report) => report,
-                // Samplers may meet nothing but failures at first.
+                // Methods that sample may find only failures at first.
                 Err(Error::EndedWithoutPoint { termination: Termination::MaxEvaluations, found }) => {
                     assert!(found.trace.iter().all(|e| e.outcome.value().is_none()));
                     continue;
@@ -86,7 +86,7 @@ fn result_is_independent_of_workers_and_cutoffs() {
         let one = boxed(minimize(probe), &method).max_evaluations(600).run().unwrap();
         for workers in [2, 7] {
             let pinned = match &method {
-                // The automatic plan follows the workers; a pinned one does not.
+                // The automatic plan depends on the workers; a fixed plan does not.
                 AnyMethod::NelderMead(m) if m.batch == Lookahead::Measured => {
                     m.clone().batch(Lookahead::None).into()
                 }
@@ -109,7 +109,7 @@ fn result_is_independent_of_workers_and_cutoffs() {
     }
 }
 
-/// Four ways to fail, for the same points.
+/// Four ways to fail at the same points.
 fn failing(how: usize) -> impl Fn(&[f64], &Query<'_>) -> Outcome + Sync {
     move |x, _| match (probe_fails(x), how) {
         (false, _) => Outcome::Value(rosenbrock(x)),
@@ -175,12 +175,12 @@ fn ask_tell_in_any_order_matches_driven_run() {
                 if backwards {
                     waiting.reverse();
                 }
-                // Some answers come late; some are given back and come again.
+                // Some answers come late; some points are returned and requested again.
                 let keep = waiting.len() / 2;
                 for point in waiting.split_off(keep) {
                     if point.id % 7 == 3 && backwards {
                         o.tell(point.id, Outcome::Skipped).unwrap();
-                        // One that the path has left is not handed out again.
+                        // A point that the path has left is not handed out again.
                         let Some(again) = o.ask(1).pop() else { continue };
                         o.tell(again.id, Outcome::Value(probe(&again.x))).unwrap();
                         waiting.retain(|p| p.id != again.id);
@@ -208,7 +208,8 @@ fn ask_tell_run_resumes_from_its_checkpoint() {
         let whole = boxed(minimize(probe), &method).max_evaluations(150).trace_limit(100).run().unwrap();
         let path = folder.path().join(k.to_string());
         let mut told = 0;
-        // Left without a word after ever more answers, in the middle of rounds; the file is what was saved by hand.
+        // Abandoned after an increasing number of answers, in the middle of rounds. The file contains the
+        // last explicit save.
         for leave in 1.. {
             let mut o = optimizer(&method, limits)
                 .trace_limit(100)
@@ -235,7 +236,7 @@ fn ask_tell_run_resumes_from_its_checkpoint() {
                 break;
             }
         }
-        // The driven run takes the same file: it is over.
+        // The driven run resumes from the same file and is already over.
         let again = boxed(minimize(probe), &method).max_evaluations(150).trace_limit(100);
         let again = again.checkpoint(Checkpoint::new(&path).resume(Resume::Require)).run().unwrap();
         let n = whole.n_evaluations;
@@ -285,7 +286,8 @@ fn exact_repeats_cost_nothing() {
             cached.trace.iter().map(|e| e.x.iter().map(|v| v.to_bits()).collect::<Vec<_>>()).collect();
         points.sort();
         points.dedup();
-        // A point may be asked again for a larger cutoff only if it had been given up, which this cost never does.
+        // A point may be requested again with a larger cutoff only if it was abandoned, which this cost never
+        // does.
         assert_eq!(points.len(), cached.n_evaluations);
     }
 }
@@ -331,7 +333,7 @@ fn warm_start_begins_with_known_points() {
                 .filter(|e| e.outcome.value().is_some())
                 .all(|e| !asked.iter().any(|x| x == e.x))
         );
-        // Even if nothing at all may be evaluated that is better, the best of the earlier run is the result.
+        // Even if no better point can be evaluated, the best point of the earlier run is the result.
         let flat = boxed(minimize(|_: &[f64]| 1e9), &method)
             .problem("probe")
             .warm_start(&first.trace)
@@ -340,7 +342,7 @@ fn warm_start_begins_with_known_points() {
             .unwrap();
         assert_eq!((&flat.x, flat.fun), (&first.x, first.fun), "{method:?}");
     }
-    // Points outside of the box of the new run are of no use to it.
+    // Points outside of the box of the new run are not used.
     let elsewhere = minimize(rosenbrock).start(&[5.0, 5.0]).bounds(&[4.0; 2], &[6.0; 2]).unwrap();
     let cold = elsewhere.warm_start(&first.trace).max_evaluations(50).run().unwrap();
     assert_eq!((cold.trace.get(0).unwrap().x, cold.n_cached), (&[5.0, 5.0][..], 0));
@@ -355,7 +357,7 @@ fn costs_of_another_problem_are_never_reused() {
             None => run.run().unwrap(),
         }
     };
-    // The other problem is dearer everywhere: a cost below 1000 is one of the first.
+    // The other problem has higher costs everywhere: costs below 1000 belong to the first problem.
     let dearer = |x: &[f64]| 1000.0 + rosenbrock(x);
     for method in methods() {
         for (then, now) in
@@ -370,7 +372,7 @@ fn costs_of_another_problem_are_never_reused() {
             };
             let report = run.run().unwrap();
             assert_eq!(report.fun, dearer(&report.x), "{method:?}");
-            // Its points are where the search starts.
+            // The search starts from the points of the earlier run.
             assert!(report.n_cached == 0 && report.trace.iter().take(40).any(|e| e.x == earlier.x));
         }
     }
@@ -400,7 +402,8 @@ fn generations_allocate_nothing_after_first_rounds() {
     assert_eq!(measure(&Genetic::default()), 0);
 }
 
-/// A run that its budget ended is over, whatever plan it had; it evaluates nothing and returns the same when resumed.
+/// A run that ended by its budget is over, whatever its plan. When resumed, it evaluates nothing and returns
+/// the same result.
 #[test]
 fn run_ended_by_budget_stays_over() {
     let folder = tempfile::tempdir().unwrap();

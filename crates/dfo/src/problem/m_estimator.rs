@@ -87,7 +87,7 @@ mod tests {
     use super::*;
     use crate::problem::loss::Loss;
 
-    /// Returns quantiles of the normal distribution and two outliers.
+    /// Returns evenly spaced values between -2 and 2, and two outliers.
     fn residuals() -> Vec<f64> {
         let mut r: Vec<f64> = (0..98).map(|k| ((f64::from(k) + 0.5) / 98.0 - 0.5) * 4.0).collect();
         r.extend([50.0, -50.0]);

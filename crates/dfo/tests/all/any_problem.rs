@@ -1,6 +1,6 @@
-//! The contracts on problems of all magnitudes, with failures, bounds and options drawn at random: points lie in the box
-//! and are finite, budgets are exact, the best is never lost, workers and cutoffs change nothing, a resumed run is the
-//! uninterrupted one.
+//! Contracts on random problems of all magnitudes, with failures, bounds and options. Points are finite and
+//! in the box, budgets are exact, and the best point is never lost. Workers and cutoffs do not change the
+//! result, and a resumed run equals the uninterrupted run.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use crate::common;
@@ -159,7 +159,7 @@ impl Problem {
     }
 }
 
-/// A problem as an objective, with residuals where the cost is made of squares.
+/// A problem as an objective, with residuals if the cost is a sum of squares.
 struct Costs<'a> {
     problem: &'a Problem,
     cutoffs: bool,
@@ -240,7 +240,7 @@ fn check(problem: &Problem, method: &AnyMethod, report: &Report) {
         case()
     );
     assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)), "{}", case());
-    // Of all costs that the path went through, none is smaller.
+    // No cost on the path is smaller.
     let smallest = report.trace.iter().filter(|e| e.used).filter_map(|e| e.outcome.value());
     assert!(smallest.fold(f64::INFINITY, f64::min) >= report.fun, "{}", case());
     let failed = report.trace.iter().filter(|e| matches!(e.outcome, Outcome::Failed(_))).count();
@@ -272,7 +272,7 @@ fn examine(case: u64, folder: &Path) {
                 "case {case}: {found:?} {method:?} on {problem:?}"
             );
         }
-        // What cannot be searched is refused before anything is evaluated.
+        // Unsupported problems are rejected before any evaluation.
         Err(_) => return,
     }
     let told = |r: &Result<Report, Error>| match r {
@@ -283,7 +283,7 @@ fn examine(case: u64, folder: &Path) {
         assert_eq!(told(a), told(b), "case {case}, {what}: {method:?} on {problem:?}");
     };
     same(&plain, &problem.run(&method, (3, false, problem.budget), None), "workers");
-    // With cutoffs: the same decisions.
+    // With cutoffs, the decisions are identical.
     if let (Ok(a), Ok(b)) = (&plain, &problem.run(&method, (1, true, problem.budget), None)) {
         assert_eq!(
             (bits(&a.x), a.fun.to_bits(), a.n_iterations, &a.termination),
@@ -291,7 +291,8 @@ fn examine(case: u64, folder: &Path) {
             "case {case}, cutoffs: {method:?} on {problem:?}"
         );
     }
-    // Ended by the budget in the middle, then continued: where the budget is part of the plan, another one is refused.
+    // Interrupted by the budget and then continued. If the budget is part of the plan, another budget is
+    // rejected.
     if method.plans_with_budget() {
         return;
     }

@@ -1,4 +1,4 @@
-//! Whatever is passed in ends in a typed error that says where and with which numbers.
+//! Every bad input ends in a typed error with location and values.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use dfo::{
@@ -119,7 +119,7 @@ fn error_lists_reasons_when_objective_always_fails() {
 }
 
 #[test]
-fn wrong_number_of_outcomes_is_a_failure() {
+fn wrong_number_of_outcomes_ends_the_run() {
     let short = |b: &BatchView<'_>| vec![Outcome::Value(1.0); b.len() - 1];
     let (e, text) = error(minimize_batches(short).start(&[1.0, 2.0]).run());
     assert!(matches!(e, Error::EndedWithoutPoint { termination: Termination::Aborted(_), .. }));
@@ -198,7 +198,7 @@ fn error_names_bounds_when_discrete_parameter_has_no_value() {
         let (e, text) = error(run.method(Genetic::default()).run());
         assert!(matches!(e, Error::NoWholeNumber { index: 1, .. }), "{text}");
         assert!(text.contains("[1]") && text.contains(&format!("{lower} and {upper}")), "{text}");
-        // Nor is a start asked for that cannot be given.
+        // The error does not ask for a start that cannot be given.
         let run = dfo::by_hand().bounds(&[lower], &[upper]).unwrap().kinds(&[ParameterKind::Categorical]);
         let e = run.method(Genetic::default()).optimizer().unwrap_err();
         assert!(matches!(e, Error::NoWholeNumber { index: 0, .. }), "{e}");
@@ -212,7 +212,7 @@ fn errors_name_option_and_its_range() {
         let (e, text) = error(run().method(Barrier::default().mu(mu)).run());
         assert!(matches!(e, Error::Option { name: "mu", .. }) && text.contains("at most 1e200"), "{text}");
     }
-    // A barrier that outweighs every cost keeps the search in the middle, and is a number all the same.
+    // A barrier that outweighs every cost keeps the search in the middle and stays finite.
     let report = run().method(Barrier::default().mu(1e200)).max_evaluations(300).run().unwrap();
     assert!(report.fun.is_finite() && report.n_failed == 0 && report.schedule[0].value.is_finite());
     let (e, text) = error(run().method(DifferentialEvolution::default().budget(0)).run());

@@ -1,4 +1,4 @@
-//! The sequential barrier method: interior, bounded, cut short without harm.
+//! Sequential barrier method: interior points, bounds and early ends.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::common;
@@ -30,7 +30,7 @@ fn barrier_approaches_active_bounds_from_inside() {
     assert!(report.schedule.len() > 3 && report.schedule.windows(2).all(|w| w[1].mu < 0.2 * w[0].mu));
     let total: usize = report.schedule.iter().map(|s| s.n_evaluations).sum();
     assert_eq!(total, report.n_evaluations);
-    // An interior minimum is found as well.
+    // An interior minimum is also found.
     let inside = minimize(rosenbrock).start(&[-1.2, 1.0]).bounds(&[-2.0; 2], &[2.0; 2]).unwrap();
     let inside = inside.method(Barrier::default()).run().unwrap();
     assert!(inside.fun < 1e-8 && inside.is_success(), "{inside}");
@@ -91,7 +91,7 @@ fn barrier_rejects_starts_on_bounds() {
     }
     let unbounded = minimize(rosenbrock).start(&[0.0, 0.0]).method(Barrier::default()).run();
     assert!(matches!(unbounded, Err(Error::NoBounds { .. })));
-    // A fixed parameter has no inside, and needs none.
+    // A fixed parameter has no interior and does not need one.
     assert!(run(1.0, 1.0, Barrier::default()).unwrap().is_success());
     let budget = minimize(rosenbrock).start(&[0.0; 2]).bounds(&[-1.0; 2], &[1.0; 2]).unwrap();
     assert_eq!(

@@ -1,4 +1,4 @@
-//! Budgets are exact and the best point is never lost, however a run ends.
+//! Budgets are exact, and the best point is never lost, however a run ends.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::common;
@@ -46,7 +46,8 @@ fn budget_truncates_path_without_changing_it() {
                 minimize(probe).start(&[-0.5, 1.0]).method(plan(p)).max_evaluations(budget).run().unwrap();
             for (a, b) in part.trace.iter().zip(whole.trace.iter()) {
                 assert_eq!((a.x, a.id, a.batch), (b.x, b.id, b.batch));
-                // The last batch may be cut before the point that says whether an earlier one is needed.
+                // The last batch may be truncated before the point that determines if an earlier point is
+                // needed.
                 let cut = p == Lookahead::Points(20) && !a.used && a.batch + 1 == part.n_batches as u64;
                 assert!(a.used == b.used || cut, "{p:?} {budget}");
             }
@@ -75,7 +76,7 @@ fn iteration_budgets_are_exact_for_every_plan() {
 
 #[test]
 fn setting_one_limit_removes_the_default_of_the_other() {
-    // A cost that falls with every evaluation never converges: only limits end it.
+    // A cost that decreases with every evaluation never converges, so only limits end the run.
     let falling = |_: &[f64], e: &Query<'_>| Outcome::Value(-(e.id as f64));
     let mirrored = NelderMead::default().bounds_handling(BoundsHandling::Mirror);
     let problem = || minimize(with_query(falling)).start(&[0.5]).bounds(&[0.0], &[1.0]).unwrap();
@@ -130,7 +131,7 @@ fn time_limit_returns_best_point() {
         assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)));
         assert!(report.message.contains("0.1 s"), "{report}");
     }
-    // What is over before the run counts, and the message names the whole limit.
+    // Time spent before the run counts, and the message names the whole limit.
     let hour = Duration::from_secs(3600);
     let short = hour - Duration::from_millis(100);
     let run = || minimize(dfo::ByRef(slow)).start(&[-1.2, 1.0]).max_time(hour);
@@ -143,7 +144,7 @@ fn time_limit_returns_best_point() {
     assert!(matches!(nothing, Err(Error::EndedWithoutPoint { termination: Termination::MaxTime, .. })));
 }
 
-/// Fails at one point, in one of several ways.
+/// Objective that fails at one point, in one of several ways.
 fn failing_at(k: usize, at: &[f64], how: usize) -> impl Fn(&[f64], &Query<'_>) -> Outcome + Sync {
     move |x, _| match (x == at, how) {
         (false, _) => Outcome::Value(rosenbrock(x)),
@@ -184,12 +185,12 @@ fn failure_at_any_evaluation_preserves_best_point() {
                 if how == 4 {
                     assert_eq!(report.termination, Termination::Aborted("exception".to_owned()));
                     assert_eq!(report.n_failed, 0);
-                    // Everything asked before it counts as usual.
+                    // All points requested before the failure count as usual.
                     for id in 0..=k as u64 {
                         assert!(report.trace.iter().any(|e| e.id == id), "{k} {p:?} lost {id}");
                     }
                 } else {
-                    // A path that such a failure bends may come to the point again.
+                    // If the failure changes the path, the path may return to the point.
                     let failed = report.trace.iter().filter(|e| e.x == at).count();
                     assert!(failed > 0, "{k} {how} {p:?}");
                     assert_eq!((report.n_evaluations, report.n_failed), (120, failed), "{k} {how} {p:?}");

@@ -1,4 +1,5 @@
-//! A resumed run is the uninterrupted one, bit for bit; files that do not belong are refused and left alone.
+//! A resumed run is bit-for-bit identical to the uninterrupted run. Files of other runs are rejected and left
+//! unchanged.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::common;
@@ -83,7 +84,7 @@ fn resumed_run_matches_uninterrupted_run() {
             let report = loop {
                 sessions += 1;
                 assert!(sessions < 1200, "{method:?} does not end");
-                // Each session is aborted after so many calls of the objective.
+                // Each session is aborted after `stride` calls of the objective.
                 let calls = AtomicUsize::new(0);
                 let cost = with_query(|x: &[f64], _: &Query<'_>| {
                     if calls.fetch_add(1, Ordering::Relaxed) == stride {
@@ -93,7 +94,8 @@ fn resumed_run_matches_uninterrupted_run() {
                     Outcome::Value(probe(x))
                 });
                 let workers = if stride > 50 { 3 } else { 1 };
-                // The plan that the first session chose is kept, whatever the workers of the next are.
+                // The plan chosen by the first session is kept, whatever the number of workers of later
+                // sessions.
                 let run = set_up(minimize(cost), method).workers(if sessions == 1 { 1 } else { workers });
                 match run.checkpoint(at(&path)).run() {
                     Ok(report) if matches!(report.termination, Termination::Aborted(_)) => continue,
@@ -103,11 +105,11 @@ fn resumed_run_matches_uninterrupted_run() {
                 }
             };
             same(&report, &whole, &format!("{method:?} {stride}"));
-            // Nothing that was known is evaluated again (several workers may be cut off in the middle of some).
+            // No known point is evaluated again. With several workers, running evaluations may be cut off.
             if stride < 50 && whole.n_speculative == 0 {
                 assert_eq!(total.into_inner(), whole.n_evaluations, "{method:?} {stride}");
             }
-            // A finished run is its stored result.
+            // A finished run returns its stored result.
             let never = |_: &[f64]| -> f64 { panic!("nothing is left to evaluate") };
             let stored = set_up(minimize(never), method).checkpoint(at(&path)).run().unwrap();
             same(&stored, &whole, &format!("{method:?} {stride} stored"));
@@ -117,7 +119,7 @@ fn resumed_run_matches_uninterrupted_run() {
 
 #[test]
 fn kill_between_writes_does_not_change_the_result() {
-    // The file of a moment in the middle is put aside and resumed from later.
+    // Keeps a copy of the file from the middle of the run and resumes from the copy later.
     let folder = Folder::new("killed");
     for method in methods() {
         let (path, aside) = (folder.file(), folder.0.join("aside"));
@@ -150,7 +152,7 @@ fn run_continues_with_larger_budget() {
     let folder = Folder::new("budget");
     for method in methods() {
         if method.plans_with_budget() {
-            continue; // L-SHADE plans with its budget: another one is another run.
+            continue; // L-SHADE plans with its budget, so another budget is another run.
         }
         let _ = std::fs::remove_file(folder.file());
         let whole = set_up(minimize(probe), &method).run().unwrap();
@@ -209,12 +211,13 @@ fn rejects_file_of_other_run_and_leaves_it_unchanged() {
         }
         assert_eq!(std::fs::read(&path).unwrap(), bytes);
     }
-    // In words, not as in a program.
+    // In words, without program syntax.
     let other = run(1, 2.0, 1e-6, "de", tagged()).unwrap_err().to_string();
     assert!(other.ends_with("belongs to another run: method: ga in the file, de here"), "{other}");
     let other = run(1, 2.5, 1e-6, "ga", tagged()).unwrap_err().to_string();
     assert!(other.ends_with("upper bounds: [2.0, 2.0] in the file, [2.0, 2.5] here"), "{other}");
-    // Damaged in any byte, or cut anywhere: an error, never a panic, never another result.
+    // If the file is damaged in any byte or truncated anywhere, the run returns an error. It never panics or
+    // returns another result.
     for k in (0..bytes.len()).step_by(11) {
         let mut damaged = bytes.clone();
         damaged[k] ^= 0x40;
@@ -252,7 +255,8 @@ fn drawn_seed_is_stored() {
 #[test]
 fn time_before_resume_counts() {
     let folder = Folder::new("time");
-    // Sleeping takes at least as long as it is told: the first run spends more than the limit of the second one.
+    // A sleep lasts at least the requested time, so the first run spends more than the limit of the second
+    // one.
     let slow = |x: &[f64]| {
         std::thread::sleep(Duration::from_millis(2));
         probe(x)
@@ -326,7 +330,7 @@ fn run_returns_result_when_checkpoint_becomes_unwritable() {
         std::fs::create_dir(&place).unwrap();
         let calls = AtomicUsize::new(0);
         let cost = |x: &[f64]| {
-            // The folder goes in the middle of the run.
+            // The folder is removed in the middle of the run.
             if calls.fetch_add(1, Ordering::Relaxed) == 150 {
                 std::fs::remove_dir_all(&place).unwrap();
             }
@@ -345,7 +349,7 @@ fn run_returns_result_when_checkpoint_becomes_unwritable() {
                 .run()
         };
         let report = run(&cost).unwrap();
-        // The run goes on, and says at its end that nothing of it is stored.
+        // The run continues and reports at its end that no checkpoint is stored.
         assert!(report.n_evaluations > 151, "{report}");
         let Termination::NotSaved { reason, ended } = &report.termination else { panic!("{report}") };
         let is_own = matches!(ended.cause(), Cause::Limit | Cause::Search);
@@ -355,14 +359,14 @@ fn run_returns_result_when_checkpoint_becomes_unwritable() {
         assert!(message.contains("; the last state could not be saved: checkpoint"), "{message}");
         assert!(!report.is_success() && report.n_evaluations > 150);
         assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)));
-        // Where there is no place from the start on, nothing is evaluated.
+        // If the folder does not exist from the start, nothing is evaluated.
         let before = calls.load(Ordering::Relaxed);
         assert!(matches!(run(&cost), Err(Error::CheckpointFile { kind: std::io::ErrorKind::NotFound, .. })));
         assert_eq!(calls.load(Ordering::Relaxed), before);
     }
 }
 
-/// A file that an earlier version wrote: Nelder-Mead on Rosenbrock's function, stopped after 8 evaluations.
+/// File of an earlier version: Nelder-Mead on Rosenbrock's function, stopped after 8 evaluations.
 #[test]
 fn rejects_file_of_earlier_format_and_leaves_it_unchanged() {
     let folder = Folder::new("format");
@@ -382,8 +386,9 @@ fn rejects_file_of_earlier_format_and_leaves_it_unchanged() {
     assert_eq!(run(Resume::Require).unwrap().n_evaluations, 20);
 }
 
-/// Files of the present format stay readable: one of each method, written after 60 evaluations,
-/// is continued to the end of the uninterrupted run. `DFO_WRITE_CHECKPOINTS=1` writes them anew, with a new format only.
+/// Files of the current format stay readable. One file per method, written after 60 evaluations, is continued
+/// to the end of the uninterrupted run. `DFO_WRITE_CHECKPOINTS=1` rewrites the files; use it only for a new
+/// format.
 #[test]
 fn files_of_current_format_are_resumed() {
     let folder = Folder::new("present");
@@ -439,7 +444,7 @@ fn stored_identity_can_be_read() {
     assert!(message.contains("no checkpoint"), "{message}");
 }
 
-/// A trace that is limited is so in the file, too.
+/// A limit of the trace also applies to the file.
 #[test]
 fn checkpoint_contains_only_kept_trace() {
     let folder = tempfile::tempdir().unwrap();
@@ -458,7 +463,7 @@ fn checkpoint_contains_only_kept_trace() {
         }
         let whole = optimizer.report().unwrap();
         drop(optimizer);
-        // The simplex and the points that costs are predicted from have 15 kB, the whole trace has 450 kB.
+        // The simplex and the points for cost prediction take 15 kB; the whole trace takes 450 kB.
         let size = std::fs::metadata(&path).unwrap().len();
         assert!(size < if limit == 50 { 50_000 } else { 600_000 }, "{size}");
         let mut resumed = run(Resume::Require, limit);

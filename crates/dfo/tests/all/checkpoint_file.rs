@@ -1,4 +1,4 @@
-//! The file of a checkpoint: what is left of a kill, links, permissions.
+//! Checkpoint files: remains of killed processes, links and permissions.
 #![cfg(unix)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -26,7 +26,7 @@ fn names(folder: &Path) -> Vec<String> {
 #[test]
 fn temporary_files_of_killed_processes_are_removed() {
     let folder = tempfile::tempdir().unwrap();
-    // No process has a number as large as this; process 1 is always there.
+    // No process has such a large id; process 1 always exists.
     let (dead, alive) = (".run.writing-4294967294-Ab3xYz", ".run.writing-1-Ab3xYz");
     let others = [".other.writing-4294967294-Ab3xYz", ".run.writing-notes", ".tmpAb3xYz"];
     for name in others.into_iter().chain([dead, alive]) {
@@ -57,7 +57,7 @@ fn checkpoint_is_written_by_one_run_at_a_time() {
     let messages = refused.into_inner().unwrap();
     let message = "another run of this process is writing to it: wait for its end, or give another path";
     assert!(messages.len() == 3 && messages.iter().all(|text| text.ends_with(message)), "{messages:?}");
-    // One that is driven by hand may be left lying about.
+    // An optimizer driven by hand may be abandoned.
     let left = by_hand().start(&[1.0]).checkpoint(file().resume(Resume::Never)).optimizer().unwrap();
     let mut next = by_hand().start(&[1.0]).checkpoint(file().resume(Resume::Never)).optimizer().unwrap();
     let point = next.ask(1).remove(0);
@@ -71,7 +71,7 @@ fn checkpoint_follows_links_and_keeps_permissions() {
     let folder = tempfile::tempdir().unwrap();
     let (file, link) = (folder.path().join("store/file"), folder.path().join("link"));
     std::fs::create_dir(file.parent().unwrap()).unwrap();
-    // Also where the file is not there yet, by a link to a link.
+    // Also if the file does not exist yet and the path is a link to a link.
     symlink("store/file", folder.path().join("between")).unwrap();
     symlink("between", &link).unwrap();
     run(&link, 10);

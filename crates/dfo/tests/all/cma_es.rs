@@ -1,4 +1,4 @@
-//! CMA-ES: evaluations beside those of pycma, bounds, restarts, ends.
+//! CMA-ES: evaluations compared with pycma, bounds, restarts and ends.
 #![allow(clippy::unwrap_used)]
 
 use crate::common;
@@ -6,7 +6,7 @@ use crate::common;
 use common::rosenbrock;
 use dfo::{AnyMethod, CmaBounds, CmaEs, Minimize, PatternSearch, Report, Restarts, Termination, minimize};
 
-/// A quadratic with condition number 1e6 whose axes are those of a reflection.
+/// Quadratic with condition number 1e6 in reflected axes.
 fn ellipsoid(x: &[f64]) -> f64 {
     let n = x.len() as f64;
     let along: f64 = x.iter().enumerate().map(|(k, x)| (k as f64 + 1.0) * x).sum();
@@ -19,7 +19,7 @@ fn rastrigin(x: &[f64]) -> f64 {
     x.iter().map(|x| 10.0 + (x - 0.7).powi(2) - 10.0 * (std::f64::consts::TAU * (x - 0.7)).cos()).sum()
 }
 
-/// Evaluations until the cost is 1e-6, the median of 25 seeds.
+/// Returns the number of evaluations until the cost is 1e-6, the median of 25 seeds.
 fn median(f: fn(&[f64]) -> f64, x0: &[f64], lag: usize) -> usize {
     let run = |seed| {
         let method = CmaEs::default().sigma(0.5).lag(lag);
@@ -31,7 +31,8 @@ fn median(f: fn(&[f64]) -> f64, x0: &[f64], lag: usize) -> usize {
     counts[12]
 }
 
-/// The medians of pycma 4.5 with the same starts, step size, population and number of seeds (`benches/dfo/cma_es.py`).
+/// Medians of pycma 4.5 with the same starts, step size, population and number of seeds
+/// (`benches/dfo/cma_es.py`).
 #[test]
 fn cma_es_needs_no_more_evaluations_than_pycma() {
     for (name, f, x0, n, theirs) in [
@@ -40,7 +41,8 @@ fn cma_es_needs_no_more_evaluations_than_pycma() {
         ("rosenbrock", rosenbrock, 0.0, 5, PYCMA[2]),
         ("rosenbrock", rosenbrock, 0.0, 10, PYCMA[3]),
     ] {
-        // With a lag so many tenths of them: less than the workers that it keeps busy.
+        // With a lag, the limit is this many tenths of pycma's evaluations, which is less than the number of
+        // workers that it keeps busy.
         for (lag, most) in [(0, 11), (n, 20), (64, 50)] {
             let ours = median(f, &vec![x0; n], lag);
             assert!(10 * ours <= most * theirs, "{name} {n}, lag {lag}: {ours}, pycma {theirs}");
@@ -56,7 +58,7 @@ fn boxed<'a>(f: fn(&[f64]) -> f64, n: usize, options: CmaEs) -> Minimize<'a, Cma
 
 #[test]
 fn cma_es_finds_minima_at_bounds() {
-    // Half of the parameters have their minimum at the upper bound, where the cost goes down towards it.
+    // Half of the parameters have their minimum at the upper bound, towards which the cost decreases.
     let f = |x: &[f64]| {
         let shifted: Vec<f64> = x.iter().map(|x| x - 1.0).collect();
         ellipsoid(&shifted) + x.iter().step_by(2).map(|x| 1.0 - x).sum::<f64>()
@@ -79,9 +81,9 @@ fn restarts_find_the_lowest_of_many_minima() {
     let found = |restarts| (0..10).filter(|seed| run(restarts, *seed).fun <= 1e-6).count();
     let counts = [Restarts::None, Restarts::Ipop, Restarts::Bipop].map(found);
     assert!(counts[0] <= 3 && counts[1] >= 9 && counts[2] >= 9, "{counts:?}");
-    // Without restarts the first minimum ends the run.
+    // Without restarts, the first minimum ends the run.
     assert_eq!(run(Restarts::None, 1).termination, Termination::Converged);
-    // What had converged before a limit ended the run is a success.
+    // A run that converged before a limit ended it is a success.
     let report = boxed(rosenbrock, 3, CmaEs::default().restarts(Restarts::Ipop));
     let report = report.seed(2).max_evaluations(6000).run().unwrap();
     assert!(report.n_evaluations == 6000 && report.fun < 1e-9, "{report}");
@@ -116,9 +118,9 @@ fn runs_without_information_end() {
     assert!(noisy.fun < 2e-3, "{noisy}");
 }
 
-/// Nothing tells that the parameters are as small as 1e-7: both methods look for it before they search.
+/// The start does not show how small the parameters are. Both methods determine the size before they search.
 #[test]
-fn cma_es_finds_parameter_sizes_when_start_is_zero() {
+fn unknown_parameter_sizes_are_found_when_start_is_zero() {
     for size in [1e-9, 1e-7, 1e-5, 1e-2, 1e3] {
         let cost = move |x: &[f64]| rosenbrock(&[x[0] / size, x[1] / size]) + (x[2] - 4.0).powi(2);
         let run =
@@ -130,7 +132,8 @@ fn cma_es_finds_parameter_sizes_when_start_is_zero() {
     }
 }
 
-/// No individual is better than a start near the minimum until a first step that is far too long has become short.
+/// No individual is better than a start near the minimum until the first step, which is far too long, has
+/// been shortened.
 #[test]
 fn good_start_does_not_end_the_search_early() {
     for n in [40, 50] {
@@ -145,7 +148,8 @@ fn good_start_does_not_end_the_search_early() {
     }
 }
 
-/// The default first step is too long for a hundred parameters: the step size from the path needs 12 719 evaluations.
+/// The default first step is too long for a hundred parameters. With the step size from the path, 12 719
+/// evaluations are needed.
 #[test]
 fn first_step_is_shortened_quickly_with_many_parameters() {
     let sphere = |x: &[f64]| x.iter().map(|x| (x - 0.3).powi(2)).sum::<f64>();

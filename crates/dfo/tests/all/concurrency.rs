@@ -1,4 +1,4 @@
-//! Evaluations really run at once, the calling thread stays in charge, and interrupts get through.
+//! Evaluations run concurrently, callbacks run on the calling thread, and interrupts take effect.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::common;
@@ -13,7 +13,7 @@ use std::sync::{Arc, Barrier};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Runs something that would hang if evaluations did not overlap.
+/// Runs a function that would hang if evaluations did not overlap.
 fn within_ten_seconds<T: Send + 'static>(f: impl FnOnce() -> T + Send + 'static) -> T {
     let (sender, receiver) = channel();
     thread::spawn(move || sender.send(f()));
@@ -43,7 +43,7 @@ fn four_points_are_evaluated_at_once_when_worthwhile() {
         let (barrier, ahead) = (Barrier::new(4), AtomicUsize::new(0));
         let cost = with_query(|x: &[f64], e: &Query<'_>| {
             thread::sleep(Duration::from_millis(2));
-            // The first four points after the starting ones: one that is needed, three that may be.
+            // The first four points after the starting ones: one that is needed and three that may be needed.
             if e.id >= 3 && ahead.fetch_add(1, Ordering::Relaxed) < 4 {
                 barrier.wait();
             }
@@ -62,7 +62,7 @@ fn four_points_are_evaluated_at_once_when_worthwhile() {
 
 #[test]
 fn shrink_is_evaluated_at_once() {
-    // Four parameters; everything but the starting vertices and the shrunken ones is bad, so iteration 1 shrinks.
+    // Four parameters. Only the starting vertices and the shrunken ones are good, so iteration 1 shrinks.
     let report = within_ten_seconds(|| {
         let barrier = Barrier::new(4);
         let cost = with_query(|x: &[f64], e: &Query<'_>| {
@@ -111,7 +111,7 @@ fn callbacks_run_regularly_on_the_calling_thread() {
     .run()
     .unwrap();
     assert_eq!(report.n_failed, 0);
-    // 50 ms is promised; the margin is for a machine that is busy with other tests.
+    // The documented limit is 50 ms. The margin is for a machine that runs other tests.
     assert!(
         polls.get() >= 10 && longest.get() < Duration::from_millis(390),
         "{polls:?} calls, longest pause {longest:?}"
@@ -124,7 +124,7 @@ fn interrupted(workers: usize, ready_after: u64) -> (Result<Report, Error>, Dura
     let cost = with_query(|x: &[f64], e: &Query<'_>| {
         started.fetch_add(1, Ordering::Relaxed);
         if e.id < ready_after {
-            // Long enough not to stay on the calling thread.
+            // Long enough to leave the calling thread.
             thread::sleep(Duration::from_millis(25));
             return Outcome::Value(rosenbrock(x));
         }
@@ -153,7 +153,7 @@ fn interrupt_ends_running_evaluations_and_keeps_best() {
             assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)));
             assert_eq!(report.n_evaluations + report.n_speculative, started);
             assert_eq!(report.n_evaluations, report.trace.len());
-            // What was cancelled has not failed.
+            // Cancelled evaluations are not failures.
             assert_eq!((report.n_failed, report.failures), (0, Vec::new()));
             assert!(started <= ready_after as usize + workers && time < Duration::from_secs(5), "{time:?}");
         }
@@ -179,7 +179,7 @@ fn cancel_flag_interrupts_and_is_left_unchanged() {
     assert_eq!((report.termination, report.n_iterations), (Termination::Interrupted, 4));
     assert!(flag.load(Ordering::Relaxed));
 
-    // Nor is it raised where the run itself ends evaluations.
+    // The flag is not set either when the run itself ends evaluations.
     let shared = Arc::new(AtomicBool::new(false));
     let (hanging, seen_raised) = (AtomicBool::new(false), AtomicBool::new(false));
     let error = minimize(with_query(|_: &[f64], e: &Query<'_>| {
@@ -227,7 +227,7 @@ fn cancel_flag_set_during_shutdown_is_not_lost() {
     let report = run().unwrap();
     assert_eq!((report.termination, report.fun), (Termination::Interrupted, rosenbrock(&[-1.2, 1.0])));
     assert!(flag.load(Ordering::Relaxed));
-    // What shares the flag ends, too: nothing hangs any more, only the flag is up.
+    // Other users of the flag also end: without hanging evaluations, the flag alone ends the run.
     hanging.store(false, Ordering::Relaxed);
     let Err(Error::EndedWithoutPoint { termination, found }) = run() else {
         panic!("it ran with the flag up")
@@ -281,7 +281,7 @@ fn abort_starts_no_evaluation_and_keeps_earlier_ones() {
     });
     let report = minimize(cost).start(&[1.0; 7]).workers(2).run().unwrap();
     assert_eq!(report.termination, Termination::Aborted("third".to_owned()));
-    // One point at a time nothing would have been evaluated after the third.
+    // With one point at a time, nothing would have been evaluated after the third point.
     assert_eq!(report.n_evaluations + report.n_speculative, started.load(Ordering::Relaxed));
     assert!(report.n_evaluations == 3 && report.n_speculative <= 1);
     assert_eq!(report.trace.iter().map(|e| e.id).collect::<Vec<_>>(), [0, 1, 2]);
@@ -294,9 +294,9 @@ fn workers_have_large_stacks() {
         let room = std::hint::black_box([f64::from(level); 1024]);
         if level == 0 { 0.0 } else { room[7] * 0.0 + deep(level - 1) }
     }
-    // 1000 levels of 8 KiB: more than the 2 MiB that threads usually get.
+    // 1000 levels of 8 KiB need more than the usual 2 MiB of a thread.
     let cost = |x: &[f64]| {
-        // Long enough not to stay on the calling thread.
+        // Long enough to leave the calling thread.
         thread::sleep(Duration::from_millis(25));
         x[0] * x[0] + deep(1000)
     };

@@ -1,4 +1,5 @@
-//! An objective that gives up above its cutoff has the path, the counts and the result of one that never does.
+//! An objective that stops early above its cutoff gives the same path, counts and result as one that never
+//! does.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::common;
@@ -18,7 +19,7 @@ fn hills(x: &[f64]) -> f64 {
     (0..3).map(|k| t(k).powi(2) + 3.0 * (1.0 - (2.0 * t(k)).cos())).sum::<f64>() + 0.4 * t(0) * t(2)
 }
 
-/// Everything that a run counts and finds.
+/// Returns all counts and results of a run.
 fn counts(r: &Report) -> (Vec<u64>, [usize; 5], Termination, Vec<Vec<u64>>) {
     let bits = |x: &[f64]| x.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
     let counts = [r.n_evaluations, r.n_iterations, r.n_failed, r.n_cached, r.n_batches];

@@ -1,4 +1,4 @@
-//! What differential evolution finds, and that it stays itself.
+//! Differential evolution: solved problems and reproducibility.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::common;
@@ -14,7 +14,7 @@ fn rastrigin(x: &[f64]) -> f64 {
     x.iter().map(|x| x * x + 10.0 - 10.0 * (TAU * x).cos()).sum()
 }
 
-/// A number in [0, 1) from three, for shifts and rotations of test functions.
+/// Maps three numbers to a number in [0, 1), for shifts and rotations of test functions.
 fn hash(a: u64, b: u64, c: u64) -> f64 {
     let mut z = a.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ b.wrapping_mul(0xBF58_476D_1CE4_E5B9) ^ (c << 17);
     for _ in 0..3 {
@@ -25,7 +25,7 @@ fn hash(a: u64, b: u64, c: u64) -> f64 {
     (z >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// An orthogonal matrix: Gram and Schmidt on random rows.
+/// Returns an orthogonal matrix: Gram-Schmidt on random rows.
 fn rotation(n: usize, seed: u64) -> Vec<Vec<f64>> {
     let mut rows: Vec<Vec<f64>> = Vec::new();
     for i in 0..n {
@@ -43,7 +43,7 @@ fn rotation(n: usize, seed: u64) -> Vec<Vec<f64>> {
 
 type Cost = Box<dyn Fn(&[f64]) -> f64 + Sync>;
 
-/// The global set: three functions in 5 and 10 dimensions, each shifted in five ways.
+/// Global test set: three functions in 5 and 10 dimensions, each with five shifts.
 fn global_set() -> Vec<(String, usize, Cost)> {
     let mut set: Vec<(String, usize, Cost)> = Vec::new();
     for n in [5, 10] {
@@ -165,7 +165,7 @@ fn result_is_independent_of_number_of_workers() {
             assert_eq!((many.x, many.fun, many.message), (one.x.clone(), one.fun, one.message.clone()));
         }
         assert_ne!(timeless(&run(minimize(probe), &options, 4).trace), timeless(&one.trace));
-        // A seed that was drawn is reported, and gives the same run again.
+        // A drawn seed is reported and reproduces the run.
         let drawn = minimize(rosenbrock)
             .bounds(&[-2.0; 2], &[2.0; 2])
             .unwrap()

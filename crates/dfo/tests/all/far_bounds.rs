@@ -1,4 +1,4 @@
-//! Finite bounds that stand for "none".
+//! Finite bounds that are far enough to count as no bounds.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::common;
@@ -80,8 +80,8 @@ fn far_bounds_are_respected() {
 }
 
 #[test]
-fn informative_boxes_are_used() {
-    // The same in units a million times as small, with the start at the same place of the box.
+fn path_in_ordinary_box_is_independent_of_units() {
+    // Scales the problem and its start by the same factor.
     let scaled = |s: f64| {
         let cost = move |x: &[f64]| bowl(&[x[0] / s, x[1] / s]);
         minimize(cost).start(&[0.3 * s; 2]).bounds(&[-5.0 * s; 2], &[5.0 * s; 2]).unwrap().run().unwrap()

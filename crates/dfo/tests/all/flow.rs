@@ -1,4 +1,4 @@
-//! Evaluations flow: an evaluator with a clock of its own, whose points take as long as it likes.
+//! Asynchronous evaluation with a simulated clock and arbitrary evaluation times.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 #[path = "../common/clocked.rs"]
@@ -17,7 +17,8 @@ use std::cell::Cell;
 use std::rc::Rc;
 use std::time::Duration;
 
-/// A cost that fails in places, given up above the cutoff, and its residuals where they are wanted.
+/// Answer with a cost that fails at some points and stops early above the cutoff, and with residuals if
+/// requested.
 fn answer_at(x: &[f64], query: &Query<'_>) -> Answer {
     let cost = rosenbrock(x);
     if hash(x).is_multiple_of(13) {
@@ -48,7 +49,7 @@ fn named(name: &str) -> AnyMethod {
     name.parse().unwrap()
 }
 
-/// An evaluator that loses answers: every so many, or all of one point.
+/// Evaluator that loses answers: every `every`-th answer, or all answers to one point.
 struct Lossy<E> {
     inner: E,
     every: usize,
@@ -140,7 +141,7 @@ fn same(report: &Report, serial: &Report, what: &str) {
     assert_eq!(counts(report), counts(serial), "{what}");
 }
 
-/// Methods that look ahead over what is certain.
+/// Methods that look ahead only at certain points.
 fn flowing() -> Vec<(&'static str, AnyMethod)> {
     let searches = Multistart::default().exploration(0.0).sample(30);
     vec![
@@ -233,7 +234,7 @@ fn workers_stay_busy_with_slow_evaluations() {
         assert!(useful >= least, "{name}: {useful}");
         assert!(name == "multistart" || seen.begun.get() < report.n_evaluations + 200, "{name}");
     }
-    // A generation at a time.
+    // One generation at a time.
     let by_generations: AnyMethod = DifferentialEvolution::default().lag(0).into();
     let (_, serial) = run(&by_generations, (5, 5000), 1, 10);
     let (_, seen) = run(&by_generations, (5, 5000), 16, 10);
@@ -274,7 +275,7 @@ fn answers_are_kept_from_the_first_evaluation() {
         for (killed_at, width) in [(1usize, 1), (5, 1), (37, 1), (90, 7)] {
             let path = folder.path().join(format!("{name}-{killed_at}"));
             let checkpoint = || Checkpoint::new(&path).interval(Duration::ZERO);
-            // The program dies in an evaluation: nothing is written any more.
+            // The program dies during an evaluation, so nothing more is written.
             let calls = Cell::new(0);
             let dies = |x: &[f64]| {
                 calls.set(calls.get() + 1);
@@ -288,14 +289,15 @@ fn answers_are_kept_from_the_first_evaluation() {
             let run = described(minimize_by(dying), &named(name), (6, 120)).checkpoint(checkpoint());
             assert!(std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| run.run())).is_err());
 
-            // One worker: nothing is begun ahead of need.
+            // With one worker, no evaluation starts ahead of need.
             let (clocked, seen) = Clocked::new(1, |_| 1.0);
             let run = described(minimize_by(clocked), &named(name), (6, 120));
             let report = run.checkpoint(checkpoint().resume(Resume::Require)).run().unwrap();
             assert_eq!(timeless(&report.trace), timeless(&whole.trace), "{name} {killed_at}");
             assert_eq!(report.termination, Termination::MaxEvaluations);
             let again = seen.begun.get() + killed_at;
-            // The first answer is written at once, others when writing has taken no more than a tenth of the time.
+            // The first answer is written immediately; later ones when writing has taken at most a tenth of
+            // the time.
             assert!(width > 1 || again < 120 + killed_at, "{name} {killed_at}: {again} evaluations in all");
         }
     }

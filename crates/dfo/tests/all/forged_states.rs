@@ -1,5 +1,5 @@
-//! Saved states in which one field was changed: they are refused, or the search goes on inside of its bounds and nothing panics or
-//! hangs.
+//! Saved states with one changed field. They are rejected, or the search continues within its bounds without
+//! a panic or hang.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use ciborium::Value;
@@ -8,13 +8,13 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
 
-/// No single state takes as long, on however slow a machine.
+/// Time limit for a single state, sufficient for slow machines.
 const HANGS: Duration = Duration::from_secs(120);
 
-/// So many rounds are made from a forged state.
+/// Number of rounds from a forged state.
 const ROUNDS: usize = 30;
 
-/// Residuals of a point; `None` where it fails.
+/// Residuals of a point; `None` if it fails.
 type Residuals = fn(&[f64]) -> Option<[f64; 3]>;
 
 fn smooth(x: &[f64]) -> Option<[f64; 3]> {
@@ -65,12 +65,12 @@ fn go_on(method: &mut impl Method, residuals: Residuals, rounds: usize) {
     method.linear_model(&dfo::RunContext::new());
 }
 
-/// The numbers and lists of a state, each as the way that leads to it.
+/// Collects the paths to the numbers and lists of a state.
 fn places(value: &Value, way: &mut Vec<usize>, found: &mut Vec<Vec<usize>>) {
     match value {
         Value::Array(items) => {
             found.push(way.clone());
-            // Of long lists the first, one in the middle and the last.
+            // For long lists: the first, a middle and the last item.
             let n = items.len();
             for k in (0..n).filter(|k| n <= 4 || [0, n / 2, n - 1].contains(k)) {
                 way.push(k);
@@ -106,7 +106,7 @@ fn at<'v>(value: &'v mut Value, way: &[usize], name: &mut String) -> &'v mut Val
     }
 }
 
-/// What a number or a list is replaced with.
+/// Returns replacements for a number or a list.
 fn others(value: &Value) -> Vec<Value> {
     match value {
         Value::Float(_) => {
@@ -122,7 +122,7 @@ fn others(value: &Value) -> Vec<Value> {
     }
 }
 
-/// All forged states of a method after some rounds, with what was changed.
+/// Returns all forged states of a method after some rounds, with a description of the change.
 fn forged(options: &AnyMethod, residuals: Residuals, rounds: usize) -> Vec<(String, Vec<u8>)> {
     let mut method = options.begin(&setup()).unwrap();
     go_on(&mut method, residuals, rounds);

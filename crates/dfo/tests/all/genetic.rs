@@ -1,4 +1,4 @@
-//! What the genetic algorithm finds, and that it stays itself.
+//! Genetic algorithm: solved problems and reproducibility.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::common;
@@ -29,7 +29,7 @@ fn genetic_survives_failing_regions() {
     ] {
         for seed in 0..5 {
             let report = run(&options, seed, 1);
-            // Never worse than the start, and the best that was seen.
+            // The result is never worse than the start, and it is the best point seen.
             assert!(report.fun <= rosenbrock(&[-0.5, 1.0]) && report.n_failed > 0, "{report}");
             assert_eq!(report.trace.best(), Some((&report.x[..], report.fun)));
             assert_eq!(report.trace.get(0).unwrap().x, [-0.5, 1.0]);
@@ -105,7 +105,8 @@ fn best_points_seen_pass_the_tests_on_quadratic() {
     }
 }
 
-/// Neither do copies of one point pass the tests far from the minimum, nor does mutation keep them from passing near it.
+/// Copies of one point do not pass the tests far from the minimum, and mutation does not prevent the tests
+/// from passing near it.
 #[test]
 fn tests_pass_near_minimum_with_many_parameters() {
     for (n, budget) in [(4, 5_000), (8, 20_000), (12, 50_000), (15, 80_000)] {
@@ -129,7 +130,7 @@ fn tests_pass_near_minimum_with_many_parameters() {
     }
 }
 
-/// A few members are too few to say that a search has converged.
+/// A small population is not sufficient evidence of convergence.
 #[test]
 fn small_population_does_not_converge_immediately() {
     for members in [2, 5, 8] {

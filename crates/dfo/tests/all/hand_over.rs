@@ -1,4 +1,4 @@
-//! What `auto` does with costs: quadratic models where they are smooth, Nelder-Mead where kinks or noise show.
+//! Method `auto` for costs: quadratic models if the cost is smooth, Nelder-Mead if it has kinks or noise.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::common;
@@ -43,7 +43,7 @@ fn auto_switches_to_nelder_mead_on_kinks() {
     assert!(model.fun < 1e-5 || !model.is_success() && model.message.contains("kinks"), "{model}");
 }
 
-/// Where `auto` would hand over, the model alone does not claim to have converged.
+/// If `auto` would switch to Nelder-Mead, the model alone does not claim convergence.
 #[test]
 fn quadratic_model_claims_success_only_at_minimum_on_kinks() {
     let sum = |x: &[f64]| x.iter().map(|x| (x - 0.3).abs()).sum::<f64>();
@@ -64,7 +64,7 @@ fn quadratic_model_claims_success_only_at_minimum_on_kinks() {
     }
 }
 
-/// Parameters that start at zero tell no size: it is looked for, then the model searches.
+/// Parameters that start at zero have unknown size. The method determines the size before the model searches.
 #[test]
 fn auto_finds_unknown_sizes() {
     for size in [1e-12, 1e-6, 1.0, 300.0] {
@@ -77,8 +77,8 @@ fn auto_finds_unknown_sizes() {
     }
 }
 
-/// Not fewer of the problems of Moré and Wild with absolute residuals than Nelder-Mead, up to two, with at most 1.2 times
-/// its evaluations.
+/// On the problems of Moré and Wild with absolute residuals, `auto` solves at most two problems fewer than
+/// Nelder-Mead, with at most 1.2 times its evaluations.
 #[test]
 fn auto_matches_nelder_mead_on_kinks() {
     let histories = |method: &AnyMethod, p: &problems::Instance| {
@@ -106,7 +106,7 @@ fn auto_matches_nelder_mead_on_kinks() {
     assert!(own + 2 >= simplex && median <= 1.2 * other, "{own} {median} {simplex} {other}");
 }
 
-/// A run that is aborted after so many evaluations.
+/// A run that is aborted after `limit` evaluations.
 fn set_up(limit: usize) -> Minimize<'static, AnyMethod> {
     let calls = AtomicUsize::new(0);
     let cost = move |x: &[f64], _: &Query<'_>| match calls.fetch_add(1, Ordering::Relaxed) {

@@ -1,4 +1,5 @@
-//! Success is claimed at minima only: after starts next to zero, beside points that fail, far away, and at a limit.
+//! Success is claimed only at minima: for starts close to zero, next to failing points, far away, and at a
+//! limit.
 #![allow(clippy::unwrap_used)]
 
 use dfo::{
@@ -6,7 +7,7 @@ use dfo::{
     Termination, least_squares, minimize,
 };
 
-/// The methods that search from a point.
+/// Methods that search from a point.
 fn local_methods() -> [AnyMethod; 4] {
     [
         AnyMethod::auto(Search::Local),
@@ -48,7 +49,7 @@ fn every_method_finds_the_minimum_when_one_of_two_parameters_starts_next_to_zero
     }
 }
 
-/// A parameter that is as small as its start is found as before.
+/// A parameter as small as its start is also found.
 #[test]
 fn every_method_finds_small_parameters_from_starts_of_their_size() {
     for size in [1e-12, 1e-9, 1e-6] {
@@ -60,13 +61,14 @@ fn every_method_finds_small_parameters_from_starts_of_their_size() {
     }
 }
 
-/// Numbers from 0 to 1.
+/// Returns numbers from 0 to 1.
 fn dice(k: u64) -> f64 {
     let z = k.wrapping_mul(0x9E37_79B9_7F4A_7C15);
     ((z ^ (z >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9) >> 40) as f64 / 16_777_216.0
 }
 
-/// `|x|^2` where `x0 > x1` and all are above 0.1; elsewhere it fails. The infimum is 0.03, in a corner.
+/// `|x|^2` if `x0 > x1` and all parameters are above 0.1; otherwise it fails. The infimum is 0.03, in a
+/// corner.
 #[test]
 fn nelder_mead_claims_success_only_near_minimum_when_neighbours_fail() {
     let cost = |x: &[f64]| {
@@ -87,8 +89,8 @@ fn nelder_mead_claims_success_only_near_minimum_when_neighbours_fail() {
     assert!(wrong.is_empty() && n_found >= 30, "{n_found} found, {wrong:?}");
 }
 
-/// The square of the distance from a point where the cost fails, beyond a slanted plane or outside of a ball.
-/// The infimum is the square of the distance of that point from the border.
+/// Squared distance from a point at which the cost fails, beyond a slanted plane or outside of a ball. The
+/// infimum is the squared distance of that point from the border.
 #[test]
 fn local_methods_claim_success_only_at_minimum_when_it_is_on_failure_border() {
     let (mut n_found, mut n_success) = ([0; 4], 0);
@@ -101,7 +103,7 @@ fn local_methods_claim_success_only_at_minimum_when_it_is_on_failure_border() {
         let length = normal.iter().map(|v| v * v).sum::<f64>().sqrt();
         let is_ball = k % 3 == 0;
         let least = (0.2 + dice(k + 77)).powi(2);
-        // From the centre of the ball of radius 1, or from a point of the plane.
+        // From the centre of the ball of radius 1, or from a point on the plane.
         let beyond = least.sqrt() + if is_ball { 1.0 } else { 0.0 };
         let cost = |x: &[f64]| {
             let along = x.iter().zip(&normal).map(|(x, v)| x * v / length).sum::<f64>();
@@ -125,7 +127,7 @@ fn local_methods_claim_success_only_at_minimum_when_it_is_on_failure_border() {
     assert!(n_found.iter().all(|n| *n >= 28) && n_success >= 110, "{n_found:?} {n_success}");
 }
 
-/// Two dipoles: from this start the parameters run to 1e16, where rounding looks like noise.
+/// Two dipoles: from this start, the parameters diverge to 1e16, where rounding resembles noise.
 #[test]
 fn least_squares_claims_no_success_when_parameters_diverge() {
     let moments = |x: &[f64], out: &mut Vec<f64>| {
@@ -150,7 +152,7 @@ fn least_squares_claims_no_success_when_parameters_diverge() {
     assert!(!report.is_success() || report.fun < 1e-6, "{report}");
 }
 
-/// Only the end of the method's own says that no better minimum is expected.
+/// Only the method's own end means that no better minimum is expected.
 #[test]
 fn global_search_claims_no_success_when_limit_ends_it() {
     let rastrigin =
@@ -168,7 +170,7 @@ fn global_search_claims_no_success_when_limit_ends_it() {
     }
 }
 
-/// Overflow of the exponential ends the simplex that takes over on a steep slope beside it.
+/// Overflow of the exponential ends the simplex search on a steep slope next to the overflow.
 #[test]
 fn least_squares_claims_success_only_at_minimum_when_residuals_overflow() {
     let decay = |x: &[f64], out: &mut Vec<f64>| {

@@ -1,4 +1,4 @@
-//! Least squares: the contracts with residuals, and evaluations on problems of the literature.
+//! Least squares: the contracts with residuals, and evaluations on published problems.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::common;
@@ -18,7 +18,7 @@ use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 
-/// Rosenbrock's function as residuals, with the failing regions.
+/// Rosenbrock's function as residuals, with failing regions.
 fn probe(x: &[f64], out: &mut Vec<f64>) {
     if probe_fails(x) {
         out.push(f64::NAN);
@@ -82,7 +82,7 @@ fn budgets_are_exact_within_rounds() {
 
 #[test]
 fn ask_tell_run_is_identical_after_cancelled_ask() {
-    // So many residuals that the model is made in pieces.
+    // With this many residuals, the model is built in blocks.
     let many = |x: &[f64], out: &mut Vec<f64>| {
         out.extend((0..30_000).map(|i| {
             let t = 1e-4 * f64::from(i);
@@ -164,7 +164,7 @@ fn objective_without_residuals_is_rejected_before_evaluation() {
 
 #[test]
 fn least_squares_continues_after_failing_directions() {
-    // Only three of the five points of the first round have residuals; one direction has none on either side.
+    // Only three of the five points of the first round have residuals. One direction has none on either side.
     let wall = |x: &[f64], out: &mut Vec<f64>| {
         if x[2] == 0.5 && (x[3] == 0.5 || x[0] != 0.5) {
             out.extend([x[0] - 0.7, x[1] - 0.2, 0.0]);
@@ -189,14 +189,15 @@ fn least_squares_continues_after_failing_directions() {
     assert!(report.is_success() && report.fun < 1e-10, "{report}");
 }
 
-/// Shares solved within 25 and within 100 (n + 1), and the median, both of the units of `measure`.
+/// Returns the percentages solved within 25 and within 100 units, and the median of the units.
 fn profile(mut units: Vec<f64>) -> (f64, f64, f64) {
     units.sort_by(f64::total_cmp);
     let share = |most: f64| 100.0 * units.iter().filter(|u| **u <= most).count() as f64 / units.len() as f64;
     (share(25.0), share(f64::MAX), units[units.len() / 2])
 }
 
-/// Evaluations in units of n + 1, or rounds, until the cost without noise is near the best known.
+/// Returns the evaluations in units of n + 1, or the rounds, until the noise-free cost is near the best known
+/// cost.
 fn units(tau: f64, batch: fn(usize) -> usize, in_rounds: bool, noise: Option<u64>) -> Vec<f64> {
     let instances = instances();
     let solve = |p: &problems::Instance| {
@@ -222,7 +223,7 @@ fn units(tau: f64, batch: fn(usize) -> usize, in_rounds: bool, noise: Option<u64
     instances.iter().map(solve).collect()
 }
 
-/// Nearly normal: the sum of twelve uniform numbers.
+/// Returns an approximately normal number: the sum of twelve uniform numbers.
 fn normal(dice: &mut u64) -> f64 {
     let mut next = || {
         *dice = dice.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -240,7 +241,8 @@ fn least_squares_solves_smooth_problems_in_few_evaluations() {
     }
 }
 
-/// Evaluations up to the end by the default tolerances in units of n + 1; SciPy's `least_squares(method="trf")` takes 8.7.
+/// Evaluations until the end with default tolerances, in units of n + 1. SciPy's
+/// `least_squares(method="trf")` needs 8.7.
 #[test]
 fn least_squares_ends_in_few_evaluations() {
     let mut units = Vec::new();
@@ -283,7 +285,7 @@ fn larger_rounds_reduce_their_number() {
     assert!(solved >= 95.0 && median <= 8.0);
 }
 
-/// The plan of rounds takes n + 4 points, also by its name.
+/// The rounds plan uses n + 4 points, also if it is chosen by name.
 #[test]
 fn rounds_plan_is_chosen_by_name() {
     let by_name = |plan: &str| {
@@ -301,7 +303,7 @@ fn rounds_plan_is_chosen_by_name() {
     assert!(format!("{refused:?}").contains("a whole number, 'serial' or 'rounds'"), "{refused:?}");
 }
 
-/// Equal residuals at all points of the model are no minimum.
+/// Equal residuals at all points of the model are not a minimum.
 #[test]
 fn least_squares_leaves_a_plateau() {
     let stairs = |x: &[f64], out: &mut Vec<f64>| out.push((10.0 * rosenbrock(x)).floor() / 10.0);
@@ -318,7 +320,7 @@ fn least_squares_averages_noise_of_a_thousandth() {
     assert!(solved >= 86.0);
 }
 
-/// Parameters of sizes from 1e-6 to 1e6 that start at zero: decays that saturate, and linear ones.
+/// Parameters with sizes from 1e-6 to 1e6 that start at zero: saturating decays and linear models.
 #[test]
 fn least_squares_finds_unknown_sizes() {
     let mut evaluations = Vec::new();
@@ -341,7 +343,7 @@ fn least_squares_finds_unknown_sizes() {
     assert!(evaluations[59] < 150);
 }
 
-/// One parameter does nothing.
+/// One parameter has no effect.
 #[test]
 fn parameter_without_effect_needs_few_evaluations() {
     let model = |x: &[f64], out: &mut Vec<f64>| {
@@ -364,7 +366,7 @@ fn large(x: &[f64], out: &mut Vec<f64>) {
     }));
 }
 
-/// What the method computes itself can be interrupted, and goes on as if it had not been.
+/// The computations of the method can be interrupted and then continue as if they had not been interrupted.
 #[test]
 fn computations_of_the_method_can_be_interrupted() {
     let bounds = Bounds::unbounded(3);
@@ -409,7 +411,7 @@ fn computations_of_the_method_can_be_interrupted() {
     assert!(plain.linear_model(&RunContext::new().asking(&|| true)).is_none());
 }
 
-/// A run that is interrupted while its method computes ends at once, and goes on from there.
+/// A run that is interrupted while its method computes ends immediately and can be continued.
 #[test]
 fn interrupt_between_rounds_ends_the_run() {
     let folder = tempfile::tempdir().unwrap();
@@ -435,7 +437,7 @@ fn chained(x: &[f64], out: &mut Vec<f64>) {
     out.extend(x.windows(2).flat_map(|x| [10.0 * (x[1] - x[0] * x[0]), 1.0 - x[0]]));
 }
 
-/// Many parameters are no reason to stop: the cost falls with the first steps.
+/// Many parameters do not stop the search: the cost decreases with the first steps.
 #[test]
 fn least_squares_reduces_cost_with_hundreds_of_parameters() {
     let n = 610;
@@ -445,7 +447,7 @@ fn least_squares_reduces_cost_with_hundreds_of_parameters() {
     assert!(report.fun < 0.02 * report.trace.iter().next().unwrap().outcome.value().unwrap(), "{report}");
 }
 
-/// A linear problem ends with the step that solves it, although its points make no further model.
+/// A linear problem ends with the step that solves it, although its points do not determine another model.
 #[test]
 fn linear_problem_with_hundreds_of_parameters_ends_at_solution() {
     let n = 600;
@@ -459,7 +461,7 @@ fn linear_problem_with_hundreds_of_parameters_ends_at_solution() {
     assert!(report.is_success() && report.fun < 1e-12, "{report}");
 }
 
-/// The search goes on beside a region that fails, from the best point and not from the start.
+/// The search continues next to a failing region, from the best point instead of the start.
 #[test]
 fn least_squares_follows_border_of_failing_region() {
     let wall = |x: &[f64], out: &mut Vec<f64>| {
@@ -474,7 +476,8 @@ fn least_squares_follows_border_of_failing_region() {
     }
 }
 
-/// What no memory holds is refused once the number of residuals is known: after the start alone, not after all n + 1 points.
+/// Residuals beyond the available memory are rejected as soon as their number is known: after the start
+/// alone, not after all n + 1 points.
 #[test]
 fn residuals_beyond_memory_are_rejected() {
     let setup = Setup::new(Space::new(&vec![1.0; 3000], Bounds::unbounded(3000), &[], &[]).unwrap());
@@ -489,7 +492,7 @@ fn residuals_beyond_memory_are_rejected() {
     assert!(matches!(method.tell(&answers), Err(Error::Memory { .. })));
 }
 
-/// Sums of squares that fall towards infinity: what the cost comes near to on the way is no minimum.
+/// Sums of squares that decrease towards infinity: no limit of the cost on the way is a minimum.
 #[test]
 fn minimum_at_infinity_is_not_reported_as_success() {
     let exponential: fn(&[f64], &mut Vec<f64>) = |x, out| out.push((-x[0]).exp());
@@ -502,14 +505,14 @@ fn minimum_at_infinity_is_not_reported_as_success() {
         let report = minimize(residuals(f)).start(&x0).method(LeastSquares::default()).run().unwrap();
         assert!(report.termination == Termination::Unbounded && !report.is_success(), "{report}");
         assert!(report.message.contains("the minimum lies at infinity"), "{report}");
-        // With a bound there is one.
+        // With a bound, there is a minimum.
         let run = minimize(residuals(f)).start(&x0).bounds(&vec![-1.0; x0.len()], &vec![3.0; x0.len()]);
         let report = run.unwrap().method(LeastSquares::default()).run().unwrap();
         assert!(report.is_success() && report.x[0] == 3.0, "{report}");
     }
 }
 
-/// Roots of any multiplicity are minima, however slow the way to them is.
+/// Roots of any multiplicity are minima, however slow the convergence.
 #[test]
 fn multiple_roots_are_not_reported_as_unbounded() {
     for power in 1..9 {
@@ -519,7 +522,8 @@ fn multiple_roots_are_not_reported_as_unbounded() {
     }
 }
 
-/// Where residuals are rounded the cost is the same around its least value, and no test tells where its minimum lies.
+/// If residuals are rounded, the cost is constant around its smallest value, and no test can locate the
+/// minimum.
 #[test]
 fn rounded_residuals_are_not_reported_as_success_when_rounding_dominates() {
     for digits in [10.0, 1e4] {
@@ -534,7 +538,7 @@ fn rounded_residuals_are_not_reported_as_success_when_rounding_dominates() {
         assert!(report.fun > 0.0 && report.termination == Termination::Noise, "{digits}: {report}");
         assert!(!report.is_success() && report.message.contains("region of equal residuals"), "{report}");
     }
-    // Where a few of the residuals jump within the set, and the others rest, the jumps make a model with a minimum of its own.
+    // If only a few residuals jump within the set, their jumps create a model with a false minimum.
     for k in 0..100 {
         let (slope, start) = (0.3 + 0.017 * f64::from(k), 0.01 * f64::from(k % 7 + 1));
         let at = |x: &[f64], t: f64| (100.0 * (x[0] + x[1] * t)).round() / 100.0;
@@ -549,8 +553,8 @@ fn rounded_residuals_are_not_reported_as_success_when_rounding_dominates() {
     }
 }
 
-/// A sine of a ten-thousandth of a unit in one of three residuals: the model there promises more than ten times
-/// the tolerance for ever, and each step gains a little.
+/// A sine with an amplitude of 1e-4 in one of three residuals. The model always predicts more than ten times
+/// the tolerance, and each step gains little.
 #[test]
 fn fine_noise_does_not_exhaust_the_budget() {
     let fine = |x: &[f64], out: &mut Vec<f64>| {

@@ -1,4 +1,4 @@
-//! What a run on residuals gives back besides its best point: residuals, Jacobian, covariance, and losses.
+//! Results of runs on residuals in addition to the best point: residuals, Jacobian, covariance and losses.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use crate::problems::nist::regressions;
@@ -10,7 +10,7 @@ use nalgebra::DMatrix;
 
 const TIMES: usize = 9;
 
-/// `2 exp(-0.7 t) + 0.3` with small deviations, and one large one.
+/// `2 exp(-0.7 t) + 0.3` with small deviations and one large deviation.
 fn measured(k: usize) -> f64 {
     let t = 0.4 * k as f64;
     2.0 * (-0.7 * t).exp() + 0.3 + 0.01 * (7.0 * t).sin() + if k == 4 { 0.8 } else { 0.0 }
@@ -64,7 +64,7 @@ fn report_contains_plain_residuals_and_jacobian_for_every_loss() {
         assert!((report.fun - cost).abs() < 1e-14 && report.active == [0; 3]);
         let squares: f64 = r.iter().map(|r| r * r).sum();
         assert!((report.sum_of_squares().unwrap() - squares).abs() < 1e-14);
-        // The outlier spoils the fit only where it counts fully.
+        // The outlier affects the fit only with its full weight.
         let near = (report.x[1] - 0.7).abs() < 0.1;
         assert_eq!(near, loss != Loss::Linear, "{loss:?} {:?}", report.x);
         let covariance = report.covariance().unwrap();
@@ -83,7 +83,7 @@ fn every_method_minimises_the_loss_within_the_cutoff() {
     let simplex = minimize(objective).start(&[1.0, 1.0, 0.0]).method(NelderMead::default()).run().unwrap();
     let report = fitted(Loss::Huber);
     assert!((simplex.fun / report.fun - 1.0).abs() < 1e-4, "{simplex} {report}");
-    // Costs alone were asked for.
+    // Only costs were requested.
     assert_eq!((simplex.residuals, simplex.jacobian, simplex.active), (None, None, vec![]));
     let cost = report.fun;
     let at = |cutoff: f64| objective.answer(&report.x, &Query::new(0, 0, cutoff)).outcome;
@@ -131,7 +131,7 @@ fn batch_ask_tell_and_resumed_runs_agree() {
             optimizer.tell(point.id, objective().answer(&point.x, &point.query())).unwrap();
         }
     }
-    // What was told is what it knows: the residuals as they count, without the loss that they have gone through.
+    // The optimizer knows only the residuals it was told, without the loss that was applied to them.
     let told = optimizer.report().unwrap();
     assert!(is_near(&told.x, &report.x, 1e-4), "{told}");
     assert!((told.sum_of_squares().unwrap() / report.fun - 1.0).abs() < 1e-6);
@@ -154,8 +154,8 @@ fn batch_ask_tell_and_resumed_runs_agree() {
     std::fs::remove_dir_all(&folder).unwrap();
 }
 
-/// Lines with noise of a tenth to ten times the scale of the loss: the cost falls to its minimum, which
-/// Newton's method on the scores finds. A model of residuals that a loss has bent would end before it.
+/// Lines with noise of 0.1 to 10 times the scale of the loss. The cost decreases to its minimum, which
+/// Newton's method on the scores finds. A model of transformed residuals would end earlier.
 #[test]
 fn least_squares_reaches_minimum_when_loss_changes_between_points() {
     for (kind, turn) in [(Loss::Huber, 0), (Loss::SoftL1, 1), (Loss::Cauchy, 2)] {
@@ -166,7 +166,7 @@ fn least_squares_reaches_minimum_when_loss_changes_between_points() {
                 let at = 2 * (i + n * (seed + 10 * turn)) + 1;
                 (-2.0 * uniform(at).max(1e-12).ln()).sqrt() * (std::f64::consts::TAU * uniform(at + 1)).cos()
             };
-            // The model is curved, and the data tell its parameters to 1e-5 of them.
+            // The model is nonlinear, and the data determine its parameters to a relative accuracy of 1e-5.
             let at = |x: &[f64], i: usize| 1e4 * x[0] * (x[1] * i as f64 / n as f64).exp();
             let measured: Vec<f64> = (0..n).map(|i| at(&[1.0, 0.7], i) + noise(i)).collect();
             let function = |x: &[f64], out: &mut Vec<f64>| out.extend((0..n).map(|i| at(x, i) - measured[i]));
@@ -184,7 +184,8 @@ fn least_squares_reaches_minimum_when_loss_changes_between_points() {
     }
 }
 
-/// Standard deviations by the closed form of the Jacobian, over those of a report.
+/// Returns the standard deviations from the closed-form Jacobian, divided by the standard deviations of the
+/// report.
 fn ratios<const N: usize>(report: &Report, row: impl Fn(usize) -> [f64; N]) -> [f64; N] {
     let m = report.residuals.as_ref().unwrap().len();
     let j = DMatrix::from_fn(m, N, |i, k| row(i)[k]);
@@ -198,7 +199,7 @@ fn time(k: usize) -> f64 {
     4.0 * k as f64 / 49.0
 }
 
-/// About standard normal.
+/// Returns an approximately standard normal number.
 fn noise(k: usize) -> f64 {
     let dice = |k: usize| ((k * 7919 + 13) % 1009) as f64 / 1009.0 - 0.5;
     (0..6).map(|i| dice(6 * k + i + 1)).sum::<f64>() * 2f64.sqrt()
@@ -287,7 +288,7 @@ fn covariance_is_infinite_for_collinear_columns_at_any_scale() {
     }
 }
 
-/// From a hundred parameters on the Jacobian is that of the interpolation.
+/// From a hundred parameters, the Jacobian comes from the interpolation.
 #[test]
 fn jacobian_of_many_parameters_matches_residuals() {
     let n = 120;
@@ -313,7 +314,7 @@ fn jacobian_of_many_parameters_matches_residuals() {
     assert!(report.is_success() && report.covariance().unwrap().undetermined.is_empty(), "{report}");
 }
 
-/// A line with noise of a tenth of outliers, 300 times: the scatter of the slope is what the covariance says.
+/// 300 lines with noise that includes a tenth of outliers: the scatter of the slope matches the covariance.
 #[test]
 fn covariance_with_loss_matches_scatter_of_estimates() {
     let normal = |k: usize| {
@@ -348,7 +349,8 @@ fn covariance_with_loss_matches_scatter_of_estimates() {
         let scatter = (slopes.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / 299.0).sqrt();
         deviations.sort_by(f64::total_cmp);
         let ratio = deviations[150] / scatter;
-        // Of 300 estimates the scatter has a standard error of 4 %; without the correction the ratios are 0.7 to 1.8.
+        // The scatter of 300 estimates has a standard error of 4 %. Without the correction, the ratios are
+        // 0.7 to 1.8.
         assert!((ratio - 1.0).abs() < 0.15, "{loss:?} {scale}: {ratio}");
     }
 }

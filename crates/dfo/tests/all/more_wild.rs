@@ -1,4 +1,4 @@
-//! Nelder-Mead on the 53 instances of Moré and Wild, and on 16 of the problems in boxes.
+//! Nelder-Mead on the 53 instances of Moré and Wild, and on 16 of their problems in boxes.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::problems;
@@ -105,13 +105,14 @@ fn reference_solver_reaches_best_known_values() {
     assert!(reached >= 45, "{reached}");
 }
 
-/// Evaluations, in units of n + 1, until a run is solved to `tau`; `None` if not within the budget.
+/// Returns the evaluations, in units of n + 1, until a run is solved to `tau`; `None` if it is not solved
+/// within the budget.
 fn solved(costs: impl Iterator<Item = f64>, (first, best): (f64, f64), n: usize, tau: f64) -> Option<f64> {
     let goal = first - (1.0 - tau) * (first - best);
     costs.into_iter().position(|f| f <= goal).map(|k| (k + 1) as f64 / (n + 1) as f64)
 }
 
-/// Share solved (percent) and median of the units, unsolved ones counting as infinite.
+/// Returns the percentage solved and the median of the units; unsolved problems count as infinite.
 fn profile(mut units: Vec<Option<f64>>) -> (f64, f64) {
     let share = 100.0 * units.iter().flatten().count() as f64 / units.len() as f64;
     units.sort_by(|a, b| a.unwrap_or(f64::INFINITY).total_cmp(&b.unwrap_or(f64::INFINITY)));
@@ -152,7 +153,8 @@ fn nelder_mead_solves_smooth_problems_within_budget() {
 fn moving_several_vertices_saves_rounds() {
     let instances = instances();
     let larger: Vec<_> = instances.iter().filter(|p| p.n >= 4).collect();
-    // Median of the rounds to each tau (unsolved counting as infinite), and the share solved to the last one.
+    // Median of the rounds to each tau (unsolved problems count as infinite), and the fraction solved to the
+    // last tau.
     let rounds = |plan: Lookahead| {
         let mut share = 0.0;
         let medians = [1e-1, 1e-3, 1e-5].map(|tau| {
@@ -208,7 +210,7 @@ fn nelder_mead_solves_bounded_problems() {
                     .max_evaluations(200 * (n + 1))
                     .run()
                     .unwrap();
-                // The reference: bounded least squares from three starts, and the best of all.
+                // Reference: the best of bounded least squares from three starts.
                 let f = |x: &[f64]| residuals(number, m, x);
                 let centre: Vec<f64> = lower.iter().zip(&upper).map(|(a, b)| 0.5 * (a + b)).collect();
                 let best = [&x0, &centre, &report.x]

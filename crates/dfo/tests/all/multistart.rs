@@ -1,4 +1,4 @@
-//! Multistart: the minima it finds and counts, with costs and with residuals; its path, its budget, its checkpoints.
+//! Multistart: minima found and counted with costs and residuals, path, budget and checkpoints.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::common;
@@ -27,7 +27,7 @@ fn rastrigin(x: &[f64]) -> f64 {
     x.iter().map(|x| x * x - 10.0 * (std::f64::consts::TAU * x).cos() + 10.0).sum()
 }
 
-/// Which of the four minima were found.
+/// Counts the minima that were found, out of four.
 fn found(report: &Report) -> usize {
     let near = |m: &[f64; 2], x: &[f64]| (m[0] - x[0]).abs() < 1e-3 && (m[1] - x[1]).abs() < 1e-3;
     HIMMELBLAU.iter().filter(|m| report.optima.iter().any(|o| near(m, &o.x) && o.cost < 1e-6)).count()
@@ -66,7 +66,7 @@ fn multistart_succeeds_at_zero_cost() {
     }
 }
 
-/// The start that was given is searched from first, so that what a local search solves is solved here.
+/// The given start is searched from first, so multistart solves every problem that a local search solves.
 #[test]
 fn multistart_searches_from_given_start_first() {
     let run = minimize(cost).start(&[3.5, -1.8]).bounds(&[-5.0; 2], &[5.0; 2]).unwrap();
@@ -98,7 +98,7 @@ fn variants() -> [Multistart; 5] {
     ]
 }
 
-/// Ends, counts and paths are the same for any number of workers, and for a run that was stopped after any evaluation.
+/// Ends, counts and paths are the same for any number of workers, and for a run stopped after any evaluation.
 #[test]
 fn result_is_independent_of_workers_and_interruptions() {
     let folder = tempfile::tempdir().unwrap();
@@ -140,7 +140,7 @@ fn failed_points_start_no_search() {
     let report = minimize(half).bounds(&[0.0; 2], &[1.0; 2]).unwrap().method(Multistart::default());
     let report = report.seed(2).run().unwrap();
     assert!(report.is_success() && report.fun < 1e-8 && report.n_failed > 0, "{report}");
-    // One parameter, none free, and a logarithmic one over twelve powers of ten.
+    // One parameter, no free parameter, and a logarithmic parameter over twelve powers of ten.
     let one = minimize(|x: &[f64]| (x[0] - 0.3).abs()).bounds(&[0.0], &[1.0]).unwrap();
     assert!(one.method(Multistart::default()).seed(2).run().unwrap().fun < 1e-5);
     let fixed = minimize(|x: &[f64]| x[0]).bounds(&[2.0], &[2.0]).unwrap().method(Multistart::default());
@@ -174,7 +174,7 @@ fn bad_options_are_rejected() {
     assert!(matches!(without, Err(Error::NeedsResiduals { .. })));
 }
 
-/// Until the first search has ended, all other points are at most half of the budget.
+/// Until the first search has ended, all other points use at most half of the budget.
 #[test]
 fn first_search_gets_half_of_the_budget() {
     let start = [-1.2, 1.0, -1.2, 1.0];
@@ -192,14 +192,15 @@ fn first_search_gets_half_of_the_budget() {
     let alone = run(Multistart::default().max_starts(1), 10_000);
     let sample = 40;
     let first = alone.n_evaluations - sample;
-    // As many points for the first search as it needs, and no fewer for the rest.
+    // Enough points for the first search, and the same number for the rest.
     let report = run(Multistart::default(), 2 * first + 2);
     assert_eq!(report.optima.iter().map(|optimum| optimum.n_starts).sum::<usize>(), 1, "{report}");
     assert!(report.fun <= alone.fun, "{report}");
 }
 
-/// The batches of more than one point keep two workers busy for 93 % of the time, where all evaluations take as long. For the rest of it,
-/// and beside a search that runs alone, points are evaluated that a search may need next.
+/// With equal evaluation times, batches of more than one point keep two workers busy for 93 % of the time.
+/// The rest of the time, and next to a search that runs alone, workers evaluate points that a search may need
+/// next.
 #[test]
 fn multistart_keeps_two_workers_busy() {
     for (n, f) in [(2, cost as fn(&[f64]) -> f64), (3, rastrigin), (5, rastrigin), (8, rastrigin)] {
@@ -227,7 +228,7 @@ fn multistart_keeps_two_workers_busy() {
     assert!(timeless(&alone.trace) == timeless(&beside.trace), "{beside}");
 }
 
-/// Valleys within a bowl: the points around the best one are one cluster, and lead to many minima.
+/// Valleys within a bowl: the points around the best one form one cluster but lead to many minima.
 #[test]
 fn cluster_with_several_minima_is_searched_repeatedly() {
     let bowl = |x: &[f64], out: &mut Vec<f64>| {
@@ -245,14 +246,15 @@ fn cluster_with_several_minima_is_searched_repeatedly() {
             .run()
             .unwrap()
     };
-    // Success is claimed for the deepest one only.
+    // Success is claimed only for the lowest minimum.
     let reports: Vec<Report> = (0..20).map(run).collect();
     let wrong = reports.iter().filter(|r| r.is_success() && r.fun > 1e-6).count();
     let right = reports.iter().filter(|r| r.fun <= 1e-6).count();
     assert!(wrong == 0 && right >= 15, "{right} found, {wrong} wrong");
 }
 
-/// Steps of the local searches from their starts: those of one seed would be the same for all.
+/// Steps of the local searches from their starts. With one seed, the steps would be the same for all
+/// searches.
 #[test]
 fn local_searches_use_separate_random_numbers() {
     let cost = |x: &[f64]| x.iter().map(|x| (x * x - 1.0).powi(2) + 0.1 * x).sum::<f64>();

@@ -1,4 +1,4 @@
-//! The names by which methods are asked for.
+//! Names of methods.
 #![allow(clippy::unwrap_used)]
 
 use dfo::AnyMethod;

@@ -1,4 +1,4 @@
-//! How far Nelder-Mead gets, and what it costs.
+//! Nelder-Mead: accuracy and number of evaluations.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::common;
@@ -50,7 +50,7 @@ fn adaptive_coefficients_solve_ten_parameters() {
 
 #[test]
 fn nelder_mead_finds_active_bounds() {
-    // The minimum over x1 <= 0.5 lies at (0.5, 0.25) with (1 - 0.5)^2.
+    // The minimum over x1 <= 0.5 is at (0.5, 0.25) with (1 - 0.5)^2.
     for handling in [BoundsHandling::Mirror, BoundsHandling::Clamp, BoundsHandling::Sine] {
         let report = minimize(rosenbrock)
             .start(&[-1.2, 1.0])
@@ -73,7 +73,8 @@ fn nelder_mead_finds_active_bounds() {
     assert!(report.fun < 1e-5, "{report}");
 }
 
-/// McKinnon's function: from this simplex the method goes on contracting to a point that is no minimum.
+/// McKinnon's function: from this simplex, the method contracts repeatedly towards a point that is not a
+/// minimum.
 fn mckinnon(x: &[f64]) -> f64 {
     let (theta, phi) = (6.0, 60.0);
     theta * x[0].powi(2) * if x[0] <= 0.0 { phi } else { 1.0 } + x[1] + x[1] * x[1]
@@ -115,7 +116,7 @@ fn nelder_mead_follows_rotated_kinks_to_minimum() {
     }
 }
 
-/// Smooth costs are taken for what they are: no restart.
+/// Smooth costs are recognised as smooth and cause no restart.
 #[test]
 fn smooth_costs_cause_no_restart() {
     for (n, seed) in (2..=6).flat_map(|n| (0..4).map(move |seed| (n, seed))) {
@@ -133,7 +134,7 @@ fn smooth_costs_cause_no_restart() {
 
 #[test]
 fn simplex_flat_on_bound_is_not_rebuilt() {
-    // The minimum lies in a corner of the box: vertices end on the bounds.
+    // The minimum is in a corner of the box, so vertices end on the bounds.
     for handling in [BoundsHandling::Mirror, BoundsHandling::Clamp] {
         let run = |restarts| {
             minimize(|x: &[f64]| x[0] + 2.0 * x[1] + (x[2] - 0.4).powi(2) + 1.0)
@@ -222,7 +223,7 @@ fn nelder_mead_handles_small_parameters_and_costs() {
 
 #[test]
 fn nelder_mead_stops_at_zero_cost() {
-    // Starts in the minimum, where |f_best| = 0 from the first evaluation on.
+    // Starts at the minimum, where |f_best| = 0 from the first evaluation.
     for x0 in [0.0, 1.0] {
         let report = minimize(move |x: &[f64]| x.iter().map(|v| (v - x0).powi(2)).sum())
             .start(&[x0; 2])
@@ -231,14 +232,14 @@ fn nelder_mead_stops_at_zero_cost() {
         assert!(report.is_success() && report.fun == 0.0 && report.n_evaluations < 400, "{report}");
     }
     let report = minimize(|_: &[f64]| 0.0).start(&[0.5, 0.5]).run().unwrap();
-    // A cost of zero everywhere ends as soon, but says nothing of x.
+    // A cost of zero everywhere ends as early but does not determine x.
     assert!(report.termination == Termination::ConstantCost && report.n_evaluations < 400, "{report}");
 }
 
 #[test]
 fn single_finite_point_is_not_reported_as_success() {
     let lonely = |x: &[f64]| if x == [0.25, 0.5] { Ok(1.0) } else { Err("outside") };
-    // The x test alone passes in the end: the simplex of failures shrinks to the one point.
+    // The x test alone passes at the end, because the simplex of failures shrinks to the single point.
     for (stop, measure) in
         [(StopRule::All, ToleranceMeasure::Relative), (StopRule::Any, ToleranceMeasure::Absolute)]
     {
@@ -253,7 +254,7 @@ fn single_finite_point_is_not_reported_as_success() {
 
 #[test]
 fn success_requires_passed_tests() {
-    // Tolerances that no numbers meet: the simplex ends as a point.
+    // Tolerances that cannot be met: the simplex collapses to a point.
     let bowl = |x: &[f64]| 1.0 + (x[0] - 0.3).abs() + (x[1] - 0.7).abs().sqrt();
     let report = minimize(bowl).start(&[1.0, 1.0]).x_tol(1e-30).f_tol(0.0).run().unwrap();
     let passed = report.tests.unwrap().passed;
@@ -275,7 +276,7 @@ fn success_requires_passed_tests() {
 
 #[test]
 fn either_test_stops_only_after_an_iteration() {
-    // 1e-8 times Rosenbrock: the starting simplex passes the f test as it stands.
+    // 1e-8 times Rosenbrock's function: the starting simplex already passes the f test.
     let run = |stop| {
         minimize(|x: &[f64]| 1e-8 * rosenbrock(x))
             .start(&[-1.2, 1.0])
@@ -342,8 +343,9 @@ fn given_steps_and_vertices_are_evaluated() {
 #[test]
 fn first_iterations_match_hand_calculation() {
     // f = x^2 + y^2 from (4, 3), (5, 3), (4, 4), costs 25, 34, 32. Centroid of the best two: (4, 3.5).
-    // Reflection (3, 4): 25, not below the best, below the second worst: accepted, behind the older 25.
-    // Then the worst is (4, 4); centroid (3.5, 3.5); reflection (3, 3): 18 < 25; expansion (2.5, 2.5): 12.5.
+    // Reflection (3, 4): 25 is not below the best but below the second worst, so it is accepted, after the
+    // older 25. Then the worst is (4, 4); centroid (3.5, 3.5); reflection (3, 3): 18 < 25; expansion (2.5,
+    // 2.5): 12.5.
     let report = minimize(|x: &[f64]| x[0] * x[0] + x[1] * x[1])
         .start(&[4.0, 3.0])
         .method(plan(Lookahead::None).initial_steps(&[1.0, 1.0]))
@@ -358,7 +360,7 @@ fn first_iterations_match_hand_calculation() {
     assert_eq!(cutoffs[3..], [34.0, 32.0, 18.0]);
 }
 
-/// The reflection that a given simplex (best, second, worst) in the unit square leads to.
+/// Returns the reflection of a given simplex (best, second, worst) in the unit square.
 fn reflection(vertices: [[f64; 2]; 3]) -> Vec<f64> {
     let space = Space::new(&vertices[0], Bounds::new(&[0.0; 2], &[1.0; 2]).unwrap(), &[], &[]).unwrap();
     let options = NelderMead::default()
@@ -374,17 +376,19 @@ fn reflection(vertices: [[f64; 2]; 3]) -> Vec<f64> {
 
 #[test]
 fn mirroring_keeps_the_simplex_nondegenerate() {
-    // Unbounded (-0.25, 0.375): mirrored onto the line through the other two, so it goes onto the bound.
+    // Unbounded: (-0.25, 0.375). Its mirror image is on the line through the other two vertices, so the point
+    // moves to the bound.
     assert_eq!(reflection([[0.25, 0.25], [0.25, 0.5], [0.75, 0.375]]), [0.0, 0.375]);
-    // Unbounded (-0.25, 0.25): mirrored onto the best vertex.
+    // Unbounded: (-0.25, 0.25). Its mirror image is the best vertex.
     assert_eq!(reflection([[0.25, 0.25], [0.375, 0.5], [0.875, 0.5]]), [0.0, 0.25]);
-    // An ordinary mirror image stays one.
+    // An ordinary mirror image is kept.
     assert_eq!(reflection([[0.25, 0.25], [0.25, 0.5], [0.625, 0.375]]), [0.125, 0.375]);
 }
 
 #[test]
 fn simplex_clamped_to_one_point_is_not_reported_as_success() {
-    // Starts on a bound and inside of it, minima anywhere: vertices are set onto bounds that others lie on.
+    // Starts on and inside a bound, with arbitrary minima: vertices are clamped to bounds on which others
+    // already are.
     for width in [1.0, 0.5, 2.0, 0.13] {
         for optimum in [0.4f64, 0.01, -0.3, -0.9, -0.9999, 0.95] {
             for lower in [-1.0, -2.3] {

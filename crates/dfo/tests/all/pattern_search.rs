@@ -1,4 +1,4 @@
-//! Pattern search: beside a compass search, where costs have kinks, and its plans.
+//! Pattern search: comparison with a compass search, costs with kinks, and plans.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use crate::common;
@@ -12,8 +12,9 @@ use dfo::{
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-/// The best cost of a compass search (both ways along each axis, the first better point is taken, else half the step) after so
-/// many evaluations, and how many it takes to come to a cost.
+/// Returns the best cost of a compass search within the budget, and the evaluations that it needs to reach a
+/// cost. The search tries both directions along each axis, accepts the first better point and otherwise
+/// halves the step.
 fn compass(f: &dyn Fn(&[f64]) -> f64, x0: &[f64], budget: usize, goal: f64) -> (f64, Option<usize>) {
     let (mut x, mut best) = (x0.to_vec(), f(x0));
     let sizes: Vec<f64> = x0.iter().map(|x| if *x != 0.0 { x.abs() } else { 1.0 }).collect();
@@ -61,7 +62,8 @@ fn valleys_need_fewer_evaluations_than_compass_search() {
     }
 }
 
-/// Sums of absolute residuals of the instances of Moré and Wild, judged on the odd ones (the even ones served for tuning).
+/// Sums of absolute residuals of the instances of Moré and Wild. Only odd instances are judged, because even
+/// ones were used for tuning.
 #[test]
 fn pattern_search_reaches_lower_cost_than_compass_search_on_kinks() {
     let (mut lower, mut total) = (0, 0);
@@ -115,8 +117,8 @@ fn pattern_search_finds_narrow_cones_of_descent() {
 
 type Cost = Box<dyn Fn(&[f64]) -> f64 + Send + Sync>;
 
-/// Where kinks cross, the way down is a cone that becomes narrower with each parameter: along a chain of equal parameters,
-/// along lines that are turned against the axes, between planes.
+/// If kinks cross, the directions of descent form a cone that narrows with each parameter: along a chain of
+/// equal parameters, along rotated lines, and between planes.
 fn crossing_kinks(n: usize) -> [(&'static str, Cost); 3] {
     // The columns of a matrix of cosines are orthogonal.
     let turned = move |x: &[f64], k: usize| -> f64 {
@@ -143,7 +145,7 @@ fn pattern_search_claims_success_only_at_minimum_when_kinks_cross() {
     }
 }
 
-/// The same at bounds: the minimum lies on some of them.
+/// Crossing kinks at bounds: the minimum is on some of the bounds.
 #[test]
 fn pattern_search_follows_kinks_that_cross_at_bounds() {
     for n in [2, 4] {
@@ -156,7 +158,7 @@ fn pattern_search_follows_kinks_that_cross_at_bounds() {
     }
 }
 
-/// A run that is aborted after so many evaluations.
+/// A run that is aborted after `limit` evaluations.
 fn set_up(limit: usize) -> Minimize<'static, PatternSearch> {
     let (_, kinks) = crossing_kinks(3).into_iter().next().unwrap();
     let calls = AtomicUsize::new(0);

@@ -1,4 +1,4 @@
-//! The same path for every plan, any number of workers, with and without cutoffs.
+//! The path is the same for every plan and any number of workers, with and without cutoffs.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::common;
@@ -85,7 +85,8 @@ fn any_number_of_workers_gives_the_same_trace() {
 
 #[test]
 fn short_evaluations_cause_no_speculation() {
-    // What stays on the calling thread depends on how long evaluations take: `evaluation/timing.rs` tests that with stated times.
+    // The duration of evaluations determines which ones stay on the calling thread. `evaluation/timing.rs`
+    // tests this with given times.
     for workers in [1, 2, 4, 9] {
         let report = minimize(common::rosenbrock).start(&[-1.2, 1.0]).workers(workers).run().unwrap();
         assert_eq!((&*report.batch, report.workers, report.n_speculative), ("auto", workers, 0));
@@ -95,7 +96,7 @@ fn short_evaluations_cause_no_speculation() {
 
 #[test]
 fn unused_points_are_never_best() {
-    // One of the unused points, each in turn, is by far the best point ever seen.
+    // Each unused point in turn is by far the best point ever seen.
     let trap = |at: Option<Vec<f64>>| {
         move |x: &[f64]| if at.as_deref() == Some(x) { -1e9 } else { common::rosenbrock(x) }
     };
@@ -107,7 +108,7 @@ fn unused_points_are_never_best() {
     };
     let plain = run(None);
     let mut tried = 0;
-    // A point that was not needed may be met again, and be needed then.
+    // An unneeded point may occur again and then be needed.
     let met_again = |x: &[f64]| plain.trace.iter().any(|o| o.used && o.x == x);
     for e in plain.trace.speculative().filter(|e| !met_again(e.x)) {
         let report = run(Some(e.x.to_vec()));

@@ -1,4 +1,5 @@
-//! What quadratic models must reach: the problems of Moré and Wild, boxes, fits beside Nelder-Mead, failing regions, sizes.
+//! Requirements on quadratic models: the problems of Moré and Wild, boxes, fits compared with Nelder-Mead,
+//! failing regions and sizes.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::common;
@@ -49,8 +50,8 @@ fn fit(fit: &Fit, start: &[f64], boxed: bool, method: AnyMethod) -> Report {
     }
 }
 
-/// As many fits as Nelder-Mead solves, with at most half of its evaluations. Where one of the two ends at another local
-/// minimum of the cost than the other, either may be the lucky one.
+/// Quadratic models solve at least as many fits as Nelder-Mead, with at most half of its evaluations. If the
+/// two methods end at different local minima, either result may be better by chance.
 #[test]
 fn fits_need_half_of_the_evaluations_of_nelder_mead() {
     for boxed in [false, true] {
@@ -100,7 +101,7 @@ fn quadratic_model_avoids_failing_regions() {
         let run = minimize(probe).start(&start).bounds(&[-2.0; 2], &[2.0; 2]).unwrap().method(quadratic());
         let run = run.max_evaluations(2000).run().unwrap();
         assert!(run.fun < 1e-6 && run.n_evaluations < 400, "{start:?}: {run}");
-        // No failed point is asked for again.
+        // No failed point is requested again.
         let mut failed: Vec<_> =
             run.trace.iter().filter(|e| e.outcome.value().is_none()).map(|e| e.x.to_vec()).collect();
         let n = failed.len();
@@ -108,7 +109,7 @@ fn quadratic_model_avoids_failing_regions() {
         failed.dedup();
         assert_eq!(failed.len(), n);
     }
-    // A start next to which almost everything fails, and one that fails itself.
+    // A start surrounded almost entirely by failures, and a start that fails itself.
     let narrow = |x: &[f64]| if (x[0] - x[1]).abs() > 1e-3 { f64::NAN } else { x[0].powi(2) };
     let run = minimize(narrow).start(&[1.0, 1.0]).method(quadratic()).max_evaluations(3000).run().unwrap();
     assert!(run.fun <= 1.0 && run.trace.best() == Some((&run.x[..], run.fun)), "{run}");
@@ -117,7 +118,7 @@ fn quadratic_model_avoids_failing_regions() {
     assert!(run.fun < 1e-8, "{run}");
 }
 
-/// Units of powers of two change no bit of the path.
+/// Units of powers of two do not change any bit of the path.
 #[test]
 fn path_is_independent_of_units() {
     for (number, f) in fits().iter().skip(1).step_by(2).enumerate() {
@@ -168,7 +169,7 @@ fn quadratic_model_handles_single_bounds_and_logarithms() {
     }
 }
 
-/// Noise ends the search by itself, without a success that is none.
+/// Noise ends the search without a false success.
 #[test]
 fn noise_is_not_reported_as_success() {
     for seed in 0..5 {
@@ -205,7 +206,7 @@ fn chained(x: &[f64]) -> f64 {
     x.windows(2).map(|w| 4.0 * (w[0] - w[1] * w[1]).powi(2) + (1.0 - w[1]).powi(2)).sum()
 }
 
-/// Some 10 n evaluations for quadratics, 40 to 60 n for chained Rosenbrock functions.
+/// About 10 n evaluations for quadratics, 40 to 60 n for chained Rosenbrock functions.
 #[test]
 fn evaluations_grow_linearly_with_parameters() {
     let coupled = |x: &[f64]| -> f64 {
@@ -220,7 +221,8 @@ fn evaluations_grow_linearly_with_parameters() {
     }
 }
 
-/// Bounds, failures next to the start and an interruption, with more parameters than the conditions are solved anew for.
+/// Bounds, failures next to the start and an interruption, with too many parameters to solve the conditions
+/// from scratch.
 #[test]
 fn many_parameters_respect_bounds_and_survive_failures_and_interruptions() {
     let n = 24;
@@ -246,7 +248,7 @@ fn many_parameters_respect_bounds_and_survive_failures_and_interruptions() {
     }
 }
 
-/// Equal costs at all points are no convergence: plateaus are left, or the result says so.
+/// Equal costs at all points are not convergence: the search leaves plateaus, or the result reports them.
 #[test]
 fn plateau_is_not_reported_as_convergence() {
     let stairs = |x: &[f64]| (10.0 * rosenbrock(x)).floor() / 10.0;
@@ -259,7 +261,7 @@ fn plateau_is_not_reported_as_convergence() {
     }
 }
 
-/// A start anew that does not lower a cost of zero brings nothing, as with any other cost.
+/// A restart that does not lower a cost of zero ends the search, as with any other cost.
 #[test]
 fn restarts_end_at_zero_cost() {
     let kinked = |x: &[f64]| (x[0] - 1.0).abs() + 10.0 * (x[1] - x[0]).abs();
@@ -267,7 +269,7 @@ fn restarts_end_at_zero_cost() {
     assert!(report.fun == 0.0 && report.n_evaluations < 500, "{report}");
 }
 
-/// At a minimum no step succeeds, which is no sign of noise where the cost is smooth.
+/// At a minimum, no step succeeds. For a smooth cost, this is not a sign of noise.
 #[test]
 fn start_at_minimum_of_smooth_cost_converges() {
     for (n, seed) in (2..=10).flat_map(|n| (0..6).map(move |seed| (n, seed))) {
@@ -288,7 +290,7 @@ fn cost_without_minimum_is_not_reported_as_success() {
         let report = minimize(falls).start(&start).method(QuadraticModel::default()).run().unwrap();
         assert!(!report.is_success() && report.fun < -1e6, "{report}");
     }
-    // A deep minimum is one.
+    // A deep minimum counts as a minimum.
     let deep = |x: &[f64]| 1e30 * ((x[0] - 1.0).powi(2) - 1.0);
     let report = minimize(deep).start(&[3.0]).method(QuadraticModel::default()).run().unwrap();
     assert!(report.is_success() && (report.x[0] - 1.0).abs() < 1e-3, "{report}");
@@ -296,7 +298,8 @@ fn cost_without_minimum_is_not_reported_as_success() {
 
 #[test]
 fn model_wrong_along_last_step_is_not_reported_as_minimum() {
-    // Condition 1e6. By the f test of the model alone these end as converged, 22 and 26 above the minimum.
+    // Condition 1e6. With the f test of the model alone, these runs would end as converged, 22 and 26 above
+    // the minimum.
     for seed in [19, 30] {
         let mut random = Random::new(seed);
         let (rows, minimum) = (random.rotation(15), random.normals(15));

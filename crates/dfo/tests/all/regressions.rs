@@ -1,4 +1,5 @@
-//! Corners that once went wrong: logarithms without bounds, clamping, pools within pools, panics of the function of a context.
+//! Regression tests: logarithms without bounds, clamping, nested pools, and panics of the function of a
+//! context.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -63,7 +64,8 @@ fn panic_of_context_function_ends_the_batch() {
         let ask = || {
             polls.set(polls.get() + 1);
             if polls.get() == 2 {
-                // A panic without its message, which may take long to write while the workers go on.
+                // A panic without a message, because writing a message may take long while the workers
+                // continue.
                 std::panic::resume_unwind(Box::new("out of patience"));
             }
             false

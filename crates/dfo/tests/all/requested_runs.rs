@@ -1,4 +1,4 @@
-//! Runs that are asked for by name.
+//! Runs requested by name.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use dfo::{
@@ -19,7 +19,7 @@ fn asked(json: serde_json::Value) -> Result<RequestedRun, Error> {
     RequestedRun::new(RunOptions::default(), &record(json), 2)
 }
 
-/// The method that is chosen for costs in a box of two parameters.
+/// Returns the method chosen for costs in a box of two parameters.
 fn chosen(json: serde_json::Value) -> Result<(AnyMethod, String), Error> {
     chosen_for(json, false)
 }
@@ -70,7 +70,7 @@ fn options_of_variants_are_set_by_name() {
     assert_eq!((options.selection, options.stall), (Selection::Tournament(3), None));
 }
 
-/// What a run was asked for comes back from its options.
+/// The options of a run reproduce its record.
 #[test]
 fn record_of_a_run_requests_the_same_run() {
     for json in [
@@ -96,7 +96,7 @@ fn record_of_a_run_requests_the_same_run() {
     }
 }
 
-/// Words that Python's functions take have the same meaning in a record.
+/// Python's names of options have the same meaning in a record.
 #[test]
 fn record_accepts_python_option_names() {
     let run = asked(serde_json::json!({ "rng": 7, "workers": 3, "batch": "workers" })).unwrap().options;
@@ -132,7 +132,7 @@ fn chosen_method_receives_given_options() {
     let (method, reason) = chosen(serde_json::json!({ "initial_simplex": [0.1, 0.2] })).unwrap();
     assert_eq!(method, NelderMead::default().initial_steps(&[0.1, 0.2]).into());
     assert_eq!(reason, "the option 'initial_simplex' is one of nelder-mead");
-    // A plan that the chosen method has is its own, and "auto" is that of any.
+    // A plan of the chosen method is applied to it, and "auto" applies to any method.
     let residuals = "the objective gives residuals".to_owned();
     let rounds = AnyMethod::from(LeastSquares::default().rounds());
     for (plan, method) in [

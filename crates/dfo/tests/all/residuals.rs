@@ -1,4 +1,4 @@
-//! A method that asks for residuals gets the same ones wherever they are computed, and after a run was resumed.
+//! A method that requests residuals receives the same residuals from every evaluator and after a resume.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use dfo::{
@@ -8,7 +8,7 @@ use dfo::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Gauss-Newton on a stencil of forward differences; a cost alone is asked for where it goes next.
+/// Gauss-Newton on a stencil of forward differences. At the next point, only a cost is requested.
 #[derive(Debug, Clone, Default)]
 struct Stencils;
 
@@ -17,13 +17,13 @@ struct StencilsState {
     #[serde(with = "bits")]
     x: Vec<f64>,
     cost: Option<f64>,
-    /// Bits of all that was told.
+    /// Bits of all values that the method was told.
     seen: Vec<u64>,
     round: u64,
     n_points: u64,
 }
 
-/// Numbers by their bits, which JSON would round.
+/// Serialises numbers by their bits, which JSON would round.
 mod bits {
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -77,7 +77,7 @@ impl Method for StencilsState {
         }
     }
     fn speculate(&mut self, wanted: usize, _: &dyn AnswersSoFar, batch: &mut Batch) {
-        // Some that come to nothing.
+        // Some points that are never needed.
         for k in 0..wanted.min(2) {
             batch.push(&self.x.iter().map(|x| x - 0.25 * (k + 1) as f64).collect::<Vec<_>>(), f64::INFINITY);
         }
@@ -99,7 +99,7 @@ impl Method for StencilsState {
         }
         let Some(base) = answers.residuals(0) else { return Ok(()) };
         self.cost = answers.outcomes()[0].value();
-        // One coordinate at a time, which is enough to move.
+        // One coordinate at a time is sufficient to make progress.
         for j in 0..n {
             let Some(column) = answers.residuals(j + 1) else { continue };
             let (mut jj, mut jr) = (0.0, 0.0);
@@ -141,7 +141,7 @@ fn described<D>(run: Minimize<'_, dfo::NelderMead, D>) -> Minimize<'_, Stencils,
     run.start(&[1.0, 1.0, 0.0]).method(Stencils)
 }
 
-/// What the last state of the run had seen, through its checkpoint.
+/// Returns the values seen by the last state of the run, from its checkpoint.
 fn seen(path: &std::path::Path) -> Vec<u64> {
     let bytes = std::fs::read(path).unwrap();
     let text = String::from_utf8_lossy(&bytes);
@@ -164,7 +164,7 @@ fn residuals_are_identical_for_every_evaluator_and_after_resume() {
     };
     let serial = with("serial", 1);
     let bits = seen(&file("serial"));
-    // Rounds of residuals: four points of nine residuals and a cost each; rounds of costs: one number.
+    // Rounds of residuals: four points with nine residuals and a cost each. Rounds of costs: one number.
     assert_eq!(bits.len(), 8 * 4 * 10 + 4);
     assert!(serial.fun < 0.2 && serial.is_success(), "{serial}");
     for workers in [2, 5] {
@@ -193,7 +193,7 @@ fn residuals_are_identical_for_every_evaluator_and_after_resume() {
         }
     }
     assert_eq!((optimizer.report().unwrap().x, seen(&file("hand"))), (serial.x.clone(), bits.clone()));
-    // Cut inside of batches, too: what was paid for is not paid again.
+    // Also interrupted within batches: completed evaluations are not repeated.
     for limit in 1..serial.n_evaluations {
         let run = described(minimize(residuals(decay))).checkpoint(Checkpoint::new(file("resumed")));
         let report = run.max_evaluations(limit).run().unwrap();
@@ -217,11 +217,11 @@ fn residuals_in_the_trace_are_not_recomputed() {
     };
     let wanted = || first.trace.iter().filter(|e| !e.residuals.is_empty()).map(known);
     let again = |points: Vec<KnownPoint>| run().known(points).max_evaluations(20).run().unwrap();
-    // Where it starts the residuals are known; where only the cost is, they are asked for.
+    // If residuals are known at the start, they are used. If only the cost is known, residuals are requested.
     assert_eq!(again(wanted().collect()).n_cached, 1);
     let costs = again(wanted().map(|known| KnownPoint { residuals: Vec::new(), ..known }).collect());
     assert_eq!((costs.n_cached, costs.n_failed), (0, 0));
-    // What cannot belong to the others is said.
+    // Inconsistent residuals are reported.
     let mut wrong: Vec<KnownPoint> = wanted().collect();
     wrong.iter_mut().for_each(|known| known.residuals.truncate(5));
     let error = run().known(wrong).max_evaluations(20).run().unwrap_err();
@@ -262,7 +262,7 @@ fn changed_number_of_residuals_is_an_error_for_any_workers() {
     let error = run(1);
     assert_eq!(error.to_string(), "3 residuals at x = [1.1], but 2 at the points before");
     assert!((2..6).all(|workers| run(workers) == error));
-    // By hand, too: the run is over then.
+    // Also with ask/tell: the run is then over.
     let mut optimizer = by_hand().start(&[1.0]).method(LeastSquares::default()).optimizer().unwrap();
     let told = loop {
         let points = optimizer.ask(1);

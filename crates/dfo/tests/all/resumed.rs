@@ -1,4 +1,4 @@
-//! A run that was stopped anywhere is continued to the same bits, and one that is over gives its stored result.
+//! A run that was stopped anywhere continues bit for bit, and a finished run returns its stored result.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use crate::{checkpoint, common};
@@ -14,7 +14,7 @@ use std::time::Duration;
 
 type Model = fn(&[f64], f64) -> f64;
 
-/// Residuals of a model at 20 times, and no more calls than so many.
+/// Residuals of a model at 20 times, with a limited number of calls.
 struct Cut {
     model: Model,
     truth: [f64; 2],
@@ -33,7 +33,7 @@ impl ResidualFunction for Cut {
     }
 }
 
-/// Smooth ones, and those that steps leave without derivatives, which a simplex searches in the end.
+/// Smooth models, and models whose steps have no derivatives, which a simplex finally searches.
 const MODELS: [(&str, Model); 6] = [
     ("line", |x, t| x[0] + x[1] * t),
     ("decay", |x, t| x[0] * (-x[1] * t).exp()),
@@ -43,7 +43,8 @@ const MODELS: [(&str, Model); 6] = [
     ("rounded parameters", |x, _| (x[0] - 0.3).round().hypot((x[1] - 0.66).round())),
 ];
 
-/// Sizes that nothing tells, of parameters that start at zero in no box or a wide one, are found on the way.
+/// Unknown sizes of parameters that start at zero, without a box or in a wide one, are found during the
+/// search.
 #[test]
 fn least_squares_resumes_from_any_evaluation() {
     let folder = Folder::new("least-squares");
@@ -80,7 +81,7 @@ fn least_squares_resumes_from_any_evaluation() {
     }
 }
 
-/// The end of the start points, of a search for sizes and of whole numbers that leave nothing to try among them.
+/// Runs that end at their starting points, during the search for sizes, and without untested integers.
 #[test]
 fn finished_run_returns_its_stored_result() {
     let folder = Folder::new("over");

@@ -1,4 +1,5 @@
-//! What Nelder-Mead must reach on problems that did not tune it: the odd halves of the fits and of the boxes.
+//! Requirements on Nelder-Mead on problems that were not used for tuning: the odd halves of the fits and
+//! boxes.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::problems;
@@ -34,8 +35,8 @@ fn nelder_mead_solves_fits_without_bounds() {
 fn path_is_independent_of_units() {
     for (number, fit) in judging().enumerate() {
         let start = &fit.starts()[number % 3];
-        // Powers of two, so that the products are exact; a negative one turns the axis. No start becomes smaller than 1.5e-8,
-        // where it is a first guess of the size alone.
+        // Powers of two keep the products exact, and a negative one reverses the axis. No start becomes
+        // smaller than 1.5e-8, below which it is only a first guess of the size.
         let units: Vec<f64> =
             (0..start.len()).map(|k| [4.0, -0.125, 2f64.powi(-30)][(k + number) % 3]).collect();
         let run = |units: &[f64]| {
@@ -87,7 +88,7 @@ fn minima_on_bounds_are_found_from_anywhere() {
     );
 }
 
-/// A minimum in a corner costs no more than one inside, and the corner is met within x_tol.
+/// A corner minimum needs no more evaluations than an interior one and is found within x_tol.
 #[test]
 fn corner_minimum_needs_no_more_evaluations_than_interior() {
     for (n, seed) in [(3, 11), (5, 12), (10, 13)] {
@@ -108,7 +109,8 @@ fn corner_minimum_needs_no_more_evaluations_than_interior() {
 
 #[test]
 fn nelder_mead_handles_single_bounds_and_logarithms() {
-    // x0 >= 0 and active, x1 in a logarithmic box and at its end, x2 on a logarithm without bounds, x3 <= 2 and active.
+    // x0 >= 0 and active, x1 in a logarithmic box and at its end, x2 logarithmic without bounds, x3 <= 2 and
+    // active.
     let lower = [0.0, 1e-3, f64::NEG_INFINITY, f64::NEG_INFINITY];
     let upper = [f64::INFINITY, 1e3, f64::INFINITY, 2.0];
     let cost = |x: &[f64]| {
@@ -125,7 +127,7 @@ fn nelder_mead_handles_single_bounds_and_logarithms() {
     }
 }
 
-/// A start that is the best point there is stays the result, also where all of its bounds are active.
+/// If the start is the best point, it is the result, even if all of its bounds are active.
 #[test]
 fn result_is_never_worse_than_start() {
     let cost = |x: &[f64]| x[0] - x[1] + 0.1 * (x[2] - 0.3).abs();
@@ -134,7 +136,7 @@ fn result_is_never_worse_than_start() {
     assert_eq!((report.fun, report.x), (-1.0, start.to_vec()));
 }
 
-/// A minimum of zero takes no more evaluations than its accuracy needs, nor than a minimum of one.
+/// A minimum of zero needs no more evaluations than its accuracy requires, and no more than a minimum of one.
 #[test]
 fn minimum_of_zero_needs_no_extra_evaluations() {
     let rosenbrock = |x: &[f64]| -> f64 {
@@ -163,7 +165,7 @@ fn minimum_of_zero_needs_no_extra_evaluations() {
     }
 }
 
-/// Random numbers from 0 to 1 (Knuth's MMIX constants).
+/// Returns random numbers from 0 to 1 (Knuth's MMIX constants).
 fn random(seed: u64) -> impl FnMut() -> f64 {
     let mut state = seed;
     move || {
@@ -172,7 +174,8 @@ fn random(seed: u64) -> impl FnMut() -> f64 {
     }
 }
 
-/// Parameters of sizes from 1e-6 to 1e6 that all start at zero, or all but one: valleys that are not along the axes.
+/// Parameters with sizes from 1e-6 to 1e6 of which all or all but one start at zero, in valleys that are not
+/// along the axes.
 #[test]
 fn nelder_mead_finds_unknown_sizes() {
     let (mut solved, mut wrong, mut evaluations) = (0, 0, Vec::new());
@@ -210,7 +213,8 @@ fn nelder_mead_finds_unknown_sizes() {
     assert!(solved >= 117 && wrong <= 2 && evaluations[60] <= 450, "{solved}, {wrong}");
 }
 
-/// At the start the second parameter has no effect; where the first has come to its value, it has.
+/// The second parameter has no effect at the start. It has an effect once the first parameter has reached its
+/// value.
 #[test]
 fn parameter_with_later_effect_is_found() {
     for size in [1e-5, 1.0, 1e5] {
@@ -236,7 +240,7 @@ fn report_names_parameter_without_effect() {
     assert!(partly.is_success() && partly.fun < 1e-10, "{partly}");
 }
 
-/// A bound on one side leaves the size as unknown as none.
+/// A bound on one side does not determine the size.
 #[test]
 fn single_bound_does_not_determine_size() {
     for size in [1e-6, 1.0, 1e6] {

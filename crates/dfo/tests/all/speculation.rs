@@ -1,4 +1,4 @@
-//! How many rounds Nelder-Mead needs where several points are evaluated at once, counted without a clock.
+//! Number of rounds that Nelder-Mead needs if several points are evaluated at once, counted without a clock.
 #![allow(clippy::unwrap_used)]
 
 use crate::problems::calibration;
@@ -27,7 +27,8 @@ fn problems() -> Vec<Problem> {
     all
 }
 
-/// Rounds to the target: evaluations that `workers` make at once take as long as one. None: it is not reached.
+/// Returns the rounds to the target, or `None` if it is not reached. `workers` simultaneous evaluations count
+/// as one round.
 fn rounds((start, cost): &Problem, batch: Lookahead, workers: usize, target: f64) -> Option<usize> {
     let count = Cell::new(0);
     let evaluate = |view: &BatchView<'_>| {
@@ -39,9 +40,9 @@ fn rounds((start, cost): &Problem, batch: Lookahead, workers: usize, target: f64
     (report.fun <= target).then_some(count.get())
 }
 
-/// Lee and Wiswall's method needs 0.63 to 0.38 of the serial rounds here (2 to 19 workers, target 1e-2), 0.67 to 0.39
-/// (1e-6); that is what points ahead of need are to beat. They may be twice as many as the path's at most, which is what
-/// bounds the gain of 19.
+/// Lee and Wiswall's method needs 0.63 to 0.38 of the serial rounds here (2 to 19 workers, target 1e-2), and
+/// 0.67 to 0.39 (1e-6). Speculative points must need fewer. Their number is at most twice the number of
+/// points of the path, which limits the gain with 19 workers.
 #[test]
 fn every_number_of_workers_saves_rounds() {
     for (share, bars) in [(1e-2, [0.63, 0.5, 0.4, 0.36, 0.33]), (1e-6, [0.61, 0.5, 0.4, 0.36, 0.35])] {

@@ -10,7 +10,7 @@ use dfo::{
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Every method with a plan that does not depend on the workers.
+/// Every method, with a plan that does not depend on the workers.
 fn methods() -> Vec<AnyMethod> {
     let mut all: Vec<AnyMethod> = methods_for_costs();
     for method in &mut all {
@@ -29,7 +29,7 @@ fn limits(target: Option<f64>) -> Limits {
     Limits { max_evaluations: Some(300), target, ..Limits::default() }
 }
 
-/// The run, and how often the objective was called.
+/// Returns the report and the number of calls of the objective.
 fn run(method: &AnyMethod, target: Option<f64>, workers: usize, file: Option<Checkpoint>) -> (Report, usize) {
     let calls = AtomicUsize::new(0);
     let cost = |x: &[f64]| {
@@ -42,7 +42,7 @@ fn run(method: &AnyMethod, target: Option<f64>, workers: usize, file: Option<Che
     (report, calls.into_inner())
 }
 
-/// Places of evaluations that are better than all before, with their costs; some of them.
+/// Returns indices and costs of some of the evaluations that are better than all earlier ones.
 fn records(trace: &Trace) -> Vec<(usize, f64)> {
     let mut best = f64::INFINITY;
     let mut records = Vec::new();
@@ -69,7 +69,7 @@ fn path_ends_with_evaluation_that_reaches_target() {
                     timeless(trace).into_iter().map(|e| (e.0, e.1, e.2, e.3, e.4)).take(place + 1).collect()
                 };
                 assert_eq!(path(&report.trace), path(&whole.trace));
-                // Some plans look ahead with one worker, too.
+                // Some plans also look ahead with one worker.
                 if workers == 1 && whole.n_speculative == 0 {
                     assert_eq!(report.n_speculative, 0, "{report}");
                 }

@@ -1,4 +1,4 @@
-//! Ends that teach nothing are no successes, and ends at whole numbers are.
+//! Ends without information are not successes, and ends at integer minima are.
 #![allow(clippy::unwrap_used)]
 
 use crate::common;
@@ -24,7 +24,7 @@ fn constant_cost_is_not_reported_as_success() {
         }
         assert_eq!(run().workers(3).run().unwrap().termination, report.termination, "{name}");
     }
-    // A cost that has changed, be it at one point, is no constant.
+    // A cost that differs at a single point is not constant.
     let mut first = true;
     let flat = |_: &[f64]| Outcome::Value(if std::mem::take(&mut first) { 8.0 } else { 7.5 });
     let mut flat = flat;

@@ -1,4 +1,5 @@
-//! Boxes from just wide enough to absurdly wide: those that tell nothing of a parameter's size change no answer.
+//! Boxes from moderately to extremely wide. Boxes that do not determine the size of a parameter do not change
+//! the result.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use dfo::{
@@ -8,7 +9,8 @@ use dfo::{
 
 const UPPER: [f64; 11] = [2.002, 2.1, 3.0, 10.0, 99.0, 101.0, 1e3, 1e5, 1e7, 1e9, 1e12];
 
-/// The decay `exp(-k t)`, measured with k = 2 and a deviation that no k explains, times the size of an offset in units of its own.
+/// Decay `exp(-k t)`, measured with k = 2 and a deviation that no k explains, times the size of an offset in
+/// its own unit.
 fn decay(x: &[f64], out: &mut Vec<f64>) {
     out.extend((0..51).map(|i| {
         let t = 0.1 * f64::from(i);
@@ -79,7 +81,7 @@ fn parameters_with_different_bounds_do_not_affect_each_other() {
     }
 }
 
-/// Also where the best value lies at a bound that is more than 100 times as far as the start.
+/// Also if the best value is at a bound more than 100 times as far as the start.
 #[test]
 fn local_methods_reach_and_respect_far_bound() {
     for method in local() {
@@ -92,7 +94,7 @@ fn local_methods_reach_and_respect_far_bound() {
     }
 }
 
-/// A method that samples its box searches all of it, and ends with the x test in units of the parameter.
+/// A method that samples its box searches all of it and ends with the x test in units of the parameter.
 #[test]
 fn differential_evolution_resolves_parameter_in_wide_box() {
     for upper in [10.0, 1e3, 1e5] {

@@ -1,5 +1,5 @@
-//! The same x, cost, counts and iterations for any number of workers, under every stop but time: what is evaluated ahead of
-//! need means nothing before the path comes to it.
+//! Point, cost, counts and iterations are the same for any number of workers and every stop except time
+//! limits. Points evaluated ahead of need have no effect until the path reaches them.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::common;
@@ -19,7 +19,8 @@ const PLANS: [Lookahead; 6] = [
     Lookahead::Workers,
 ];
 
-/// A cost that fails in some regions, aborts in others and panics in others, after `how`, and makes use of its cutoff.
+/// Cost that fails in some regions, aborts in others and panics in others, depending on `how`, and that uses
+/// its cutoff.
 fn cost(how: u64) -> impl Fn(&[f64], &Query<'_>) -> Outcome + Sync {
     move |x, e| {
         let cell = (x[0] * 37.0).floor() + 3.0 * (x[1] * 41.0).floor();
@@ -96,7 +97,7 @@ fn result_is_independent_of_number_of_workers() {
     }
 }
 
-/// An abort at a point that is only evaluated ahead ends nothing.
+/// An abort at a point that is only evaluated ahead of need does not end the run.
 #[test]
 fn abort_counts_only_when_path_reaches_it() {
     let path = minimize(rosenbrock).start(&[-1.2, 1.0]).max_evaluations(60).run().unwrap();
@@ -127,12 +128,12 @@ fn more_workers_need_fewer_rounds() {
         let all: Vec<usize> = [1, 2, 3, 4, 6, 8, 12, 20].iter().map(|w| rounds(n, *w)).collect();
         println!("{n} parameters, rounds with 1, 2, 3, 4, 6, 8, 12, 20 workers: {all:?}");
         assert!(all[1] * 5 < all[0] * 4, "{all:?}");
-        // What may be evaluated in vain is bounded: from eight workers on there is little to gain, or to lose.
+        // The number of unneeded evaluations is limited, so more than eight workers change little.
         assert!(all[3] * 5 < all[0] * 3 && all[5] < all[3] && 10 * all[7] <= 11 * all[5], "{all:?}");
     }
 }
 
-/// A start that an earlier run left on a bound is no start for a barrier.
+/// A point of an earlier run on a bound is not a valid start for a barrier.
 #[test]
 fn barrier_accepts_warm_start_with_point_on_bound() {
     let slope = |x: &[f64]| x[0] + (x[1] - 0.5).powi(2);

@@ -1,4 +1,4 @@
-//! Workers on a clock of their own: evaluations take as long as one likes, and no time passes meanwhile.
+//! Workers on a simulated clock: evaluations take arbitrary simulated times but no real time.
 
 use dfo::{Answer, CutoffUse, Evaluator, Outcome, Polled, Query, Wait};
 use std::cell::Cell;
@@ -14,28 +14,28 @@ pub fn hash(x: &[f64]) -> u64 {
     x.iter().fold(7, mix).wrapping_mul(0xBF58_476D_1CE4_E5B9) >> 33
 }
 
-/// One in so many points takes ten times as long.
+/// Lets one in `every` points take ten times as long.
 pub fn one_in(every: u64) -> impl Fn(&[f64]) -> f64 + Copy {
     move |x| if hash(x).is_multiple_of(every) { 10.0 } else { 1.0 }
 }
 
-/// What is seen from outside.
+/// Observed quantities.
 #[derive(Default)]
 pub struct Seen {
-    /// The clock, the time that points took in all, how many began.
+    /// Clock, total time of all points, and number of started points.
     pub now: Cell<f64>,
     pub busy: Cell<f64>,
     pub begun: Cell<usize>,
 }
 
-/// Workers on a clock of their own: what ends first answers first.
+/// Workers on a simulated clock. The evaluation that ends first answers first.
 pub struct Clocked<L> {
     width: usize,
     length: L,
     pub answer: fn(&[f64], &Query<'_>) -> Answer,
     pub cutoff_use: CutoffUse,
     waiting: VecDeque<(Query<'static>, Vec<f64>)>,
-    /// When it ends, when it began, the point.
+    /// End time, start time, query and point.
     running: Vec<(f64, f64, Query<'static>, Vec<f64>)>,
     cancelled: Vec<u64>,
     seen: Rc<Seen>,

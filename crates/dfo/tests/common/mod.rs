@@ -7,7 +7,7 @@ use dfo::{
 };
 use std::ops::ControlFlow;
 
-/// All methods for objectives without residuals, with their default options.
+/// Returns all methods for objectives without residuals, with default options.
 pub fn methods_for_costs() -> Vec<AnyMethod> {
     let all = AnyMethod::NAMES.iter().map(|name| name.parse::<AnyMethod>().unwrap());
     all.filter(|method| !method.needs_residuals()).collect()
@@ -62,7 +62,7 @@ impl Problem {
     }
 }
 
-/// Costs with everything that plans and cutoffs could stumble over: failures, ties, plateaus, bounds.
+/// Costs with features that could break plans and cutoffs: failures, ties, plateaus and bounds.
 pub fn problems() -> Vec<Problem> {
     let p = |name, f, x0: &[f64]| Problem { name, f, x0: x0.to_vec(), bounds: None };
     let b = |name, f, x0: &[f64], lo: &[f64], hi: &[f64]| Problem {
@@ -90,7 +90,7 @@ pub fn problems() -> Vec<Problem> {
     ]
 }
 
-/// An objective that makes the most of its cutoff: it never gives a value above it.
+/// Objective that uses its cutoff as much as possible: it never returns a value above it.
 pub fn cutting(f: fn(&[f64]) -> f64) -> WithQuery<impl Fn(&[f64], &dfo::Query<'_>) -> Outcome + Sync> {
     with_query(move |x: &[f64], e: &dfo::Query<'_>| {
         let v = f(x);
@@ -98,7 +98,7 @@ pub fn cutting(f: fn(&[f64]) -> f64) -> WithQuery<impl Fn(&[f64], &dfo::Query<'_
     })
 }
 
-/// Runs and keeps the simplex of every iteration.
+/// Runs a minimisation and records the simplex of every iteration.
 pub fn run_with_path(m: Minimize<'_, NelderMead>) -> Result<(Report, Vec<Simplex>), Error> {
     let path = std::cell::RefCell::new(Vec::new());
     let report = m
@@ -110,7 +110,7 @@ pub fn run_with_path(m: Minimize<'_, NelderMead>) -> Result<(Report, Vec<Simplex
     Ok((report, path.into_inner()))
 }
 
-/// What of a trace must be the same for any number of workers: everything but the clock.
+/// Returns the part of a trace that must be the same for any number of workers: everything except times.
 pub fn timeless(trace: &Trace) -> Vec<(Vec<u64>, Outcome, u64, u64, u64, bool)> {
     trace
         .iter()
@@ -128,7 +128,7 @@ pub fn plan(plan: Lookahead) -> NelderMead {
 pub const PLANS: [Lookahead; 4] =
     [Lookahead::None, Lookahead::Points(2), Lookahead::Points(4), Lookahead::Points(20)];
 
-/// Keeps panics that a test makes on purpose (their text begins with "on purpose") out of the output.
+/// Hides intentional panics (their message begins with "on purpose") from the output.
 pub fn quiet_panics_on_purpose() {
     static ONCE: std::sync::Once = std::sync::Once::new();
     fn text(payload: &(dyn std::any::Any + Send)) -> &str {

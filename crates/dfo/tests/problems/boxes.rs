@@ -1,7 +1,7 @@
-//! Problems whose minimum lies on a bound, and some where it does not: quadratics on boxes, the problems of Hock and
-//! Schittkowski (Test Examples for Nonlinear Programming Codes, Springer, 1981) that have bounds and no other
-//! constraints, Rosenbrock's function in boxes. Even seeds tune (`benches/simplex.rs`), odd ones judge
-//! (`tests/all/simplex_quality.rs`).
+//! Problems with minima on bounds, and some with interior minima. They are quadratics on boxes, Rosenbrock's
+//! function in boxes, and the bound-constrained problems of Hock and Schittkowski (Test Examples for
+//! Nonlinear Programming Codes, Springer, 1981). Even seeds are for tuning (`benches/simplex.rs`), odd seeds
+//! for judging (`tests/all/simplex_quality.rs`).
 
 use super::solve::least_squares;
 use super::{residuals, start};
@@ -19,7 +19,7 @@ pub struct Boxed {
 }
 
 impl Boxed {
-    /// Three starts: the usual one, and two corners of the box (where it has them).
+    /// Returns three starts: the usual start and two corners of the box, as far as its bounds are finite.
     pub fn starts(&self) -> [Vec<f64>; 3] {
         let corner = |bounds: &[f64]| {
             bounds.iter().zip(&self.start).map(|(b, x)| if b.is_finite() { *b } else { *x }).collect()
@@ -28,7 +28,7 @@ impl Boxed {
     }
 }
 
-/// Uniform numbers: the generator of Lehmer, good enough for matrices.
+/// Uniform numbers from a Lehmer generator, sufficient for matrices.
 struct Dice(u64);
 
 impl Dice {
@@ -38,7 +38,7 @@ impl Dice {
     }
 }
 
-/// Orthonormal rows.
+/// Returns orthonormal rows.
 fn rotation(n: usize, dice: &mut Dice) -> Vec<Vec<f64>> {
     let mut rows: Vec<Vec<f64>> = Vec::new();
     while rows.len() < n {
@@ -56,19 +56,20 @@ fn rotation(n: usize, dice: &mut Dice) -> Vec<Vec<f64>> {
     rows
 }
 
-/// Where the minimum of a quadratic lies.
+/// Position of the minimum of a quadratic.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Place {
     Interior,
-    /// Half of the coordinates on a bound.
+    /// Half of the coordinates are on a bound.
     Face,
-    /// All of them.
+    /// All coordinates are on a bound.
     Corner,
-    /// All of them, and the slope is zero in half of them.
+    /// All coordinates are on a bound, and the slope is zero in half of them.
     Degenerate,
 }
 
-/// `0.5 d'Hd + g'd` with `d = (x - x*) / width`; `H` has this condition, `g` points out of the box.
+/// `0.5 d'Hd + g'd` with `d = (x - x*) / width`. `H` has the given condition number, and `g` points out of
+/// the box.
 pub fn quadratic(n: usize, place: Place, condition: f64, seed: u64) -> Boxed {
     let mut dice = Dice(1_000_003 * (seed + 1) + 17 * n as u64 + place as u64);
     (0..10).for_each(|_| {
@@ -116,7 +117,7 @@ pub fn quadratic(n: usize, place: Place, condition: f64, seed: u64) -> Boxed {
     Boxed { name, cost: Box::new(cost), start, lower, upper, best: 0.0 }
 }
 
-/// Rosenbrock's chain in a box around which some coordinates of its minimum lie.
+/// Rosenbrock's chain in a box that excludes some coordinates of its minimum.
 pub fn rosenbrock(n: usize, low: f64, high: f64, start: f64) -> Boxed {
     let r = |x: &[f64]| -> Vec<f64> {
         x.windows(2).flat_map(|w| [10.0 * (w[1] - w[0] * w[0]), 1.0 - w[0]]).collect()
@@ -148,7 +149,7 @@ fn named(
     Boxed { name, cost: Box::new(cost), start, lower: lower.to_vec(), upper: upper.to_vec(), best }
 }
 
-/// Problems 1 to 5, 25, 38, 45 and 110; starts outside are moved onto the bound.
+/// Problems 1 to 5, 25, 38, 45 and 110. Starts outside the box are moved to the bound.
 pub fn hock_schittkowski() -> Vec<Boxed> {
     const INF: f64 = f64::INFINITY;
     let rosen = |x: &[f64]| 100.0 * (x[1] - x[0] * x[0]).powi(2) + (1.0 - x[0]).powi(2);
@@ -186,7 +187,7 @@ pub fn hock_schittkowski() -> Vec<Boxed> {
     ]
 }
 
-/// The problems of one half; those of Hock and Schittkowski only judge.
+/// Returns the problems of one half. The problems of Hock and Schittkowski are only for judging.
 pub fn boxes(judging: bool) -> Vec<Boxed> {
     let mut all = Vec::new();
     for seed in 0..6 {
@@ -219,7 +220,7 @@ pub fn boxes(judging: bool) -> Vec<Boxed> {
     all
 }
 
-/// Problems of Moré and Wild that are solved in boxes: number, parameters, residuals.
+/// Problems of Moré and Wild that are solved in boxes: number, parameters and residuals.
 pub const BOUNDED: [(usize, usize, usize); 16] = [
     (4, 2, 2),
     (5, 3, 3),
@@ -239,7 +240,8 @@ pub const BOUNDED: [(usize, usize, usize); 16] = [
     (11, 6, 31),
 ];
 
-/// The box around start and minimum; `active` cuts every other coordinate before the minimum.
+/// Returns the box around start and minimum. If `active`, the box excludes the minimum of every other
+/// coordinate.
 pub fn bounded_box(number: usize, n: usize, m: usize, active: bool) -> (Vec<f64>, Vec<f64>) {
     let x0 = start(number, n);
     let free = (vec![f64::NEG_INFINITY; n], vec![f64::INFINITY; n]);

@@ -1,10 +1,11 @@
-//! Fits of models of one engineering field or another, without bounds and without noise: closed curves and ordinary
-//! differential equations, parameters of sizes from 1e-6 to 1e6, three starts each. Even numbers tune the constants of
-//! the simplex (`benches/simplex.rs`), odd ones judge them (`tests/all/simplex_quality.rs`).
+//! Fits of engineering models without bounds and without noise: closed-form curves and ordinary differential
+//! equations. Parameters have sizes from 1e-6 to 1e6, and each fit has three starts. Even numbers are for
+//! tuning the constants of the simplex (`benches/simplex.rs`), odd numbers for judging them
+//! (`tests/all/simplex_quality.rs`).
 
 type Model = Box<dyn Fn(&[f64]) -> Vec<f64> + Send + Sync>;
 
-/// One model with the parameters that made its data.
+/// A model with the parameters that generated its data.
 pub struct Fit {
     pub name: &'static str,
     pub truth: Vec<f64>,
@@ -13,7 +14,7 @@ pub struct Fit {
 }
 
 impl Fit {
-    /// The sum of squares, in units of that of the data about their mean.
+    /// Returns the sum of squares relative to the sum of squares of the data about their mean.
     pub fn cost(&self, p: &[f64]) -> f64 {
         let mean = self.data.iter().sum::<f64>() / self.data.len() as f64;
         let scale: f64 = self.data.iter().map(|y| (y - mean).powi(2)).sum();
@@ -21,14 +22,15 @@ impl Fit {
         sum / scale
     }
 
-    /// Its residuals, in the same unit.
+    /// Returns the residuals in the same scaling as the cost.
     pub fn residuals(&self, p: &[f64]) -> Vec<f64> {
         let mean = self.data.iter().sum::<f64>() / self.data.len() as f64;
         let scale: f64 = self.data.iter().map(|y| (y - mean).powi(2)).sum::<f64>().sqrt();
         (self.model)(p).iter().zip(&self.data).map(|(a, b)| (a - b) / scale).collect()
     }
 
-    /// Three starts: too high and too low in turn, by factors up to 2.5; and all too low, all too high by less.
+    /// Returns three starts: alternately too high and too low by factors up to 2.5, all too low, and all too
+    /// high by smaller factors.
     pub fn starts(&self) -> [Vec<f64>; 3] {
         let by = |factors: [f64; 4]| {
             self.truth.iter().zip(factors.into_iter().cycle()).map(|(p, f)| p * f).collect()
@@ -42,14 +44,15 @@ fn fit(name: &'static str, truth: &[f64], model: impl Fn(&[f64]) -> Vec<f64> + S
     Fit { name, truth: truth.to_vec(), model: Box::new(model), data }
 }
 
-/// A formula at 40 places.
+/// A formula evaluated at 40 points.
 fn curve(name: &'static str, truth: &[f64], (from, to): (f64, f64), f: fn(&[f64], f64) -> f64) -> Fit {
     fit(name, truth, move |p| (0..40).map(|i| f(p, from + (to - from) * f64::from(i) / 39.0)).collect())
 }
 
 type Rhs<const N: usize> = fn(&[f64], f64, &[f64; N]) -> [f64; N];
 
-/// All states of a system at 40 times, by 20 classical Runge-Kutta steps each, each state divided by its `unit`.
+/// All states of a system at 40 times, by 20 classical Runge-Kutta steps each. Each state is divided by its
+/// `unit`.
 fn system<const N: usize>(
     name: &'static str,
     truth: &[f64],
@@ -76,7 +79,7 @@ fn system<const N: usize>(
     })
 }
 
-/// All of them.
+/// Returns all fits.
 pub fn fits() -> Vec<Fit> {
     vec![
         curve("logistic growth", &[1e6, 1e-2, 400.0], (0.0, 1000.0), |p, t| {

@@ -1,6 +1,6 @@
-//! The 22 functions of Moré and Wild (SIAM J. Optim. 20, 2009) as residual vectors, from the published formulas:
-//! Moré, Garbow and Hillstrom (ACM Trans. Math. Softw. 7, 1981) for 1 to 18, CUTEr for Bdqrtic, Cube, Mancino and
-//! Heart8.
+//! The 22 functions of Moré and Wild (SIAM J. Optim. 20, 2009) as residual vectors, from the published
+//! formulas. Sources: Moré, Garbow and Hillstrom (ACM Trans. Math. Softw. 7, 1981) for 1 to 18; CUTEr for
+//! Bdqrtic, Cube, Mancino and Heart8.
 #![allow(dead_code, unreachable_pub, clippy::unwrap_used)]
 
 pub mod boxes;
@@ -9,7 +9,8 @@ pub mod nist;
 pub mod rotated;
 pub mod solve;
 
-/// An instance: number of the function, parameters, residuals, exponent of the start's scale, best known sum of squares.
+/// An instance: number of the function, parameters, residuals, exponent of the scale of the start, and best
+/// known sum of squares.
 #[derive(Debug, Clone, Copy)]
 pub struct Instance {
     pub number: usize,
@@ -29,8 +30,9 @@ impl Instance {
     }
 }
 
-/// The 53 instances: number of the problem, parameters, residuals, and the powers of ten by which the standard start is
-/// multiplied (J. J. Moré and S. M. Wild, SIAM J. Optim. 20 (2009) 172, section 4.1: their benchmark set, problem by problem).
+/// The 53 instances: number of the problem, parameters, residuals, and the powers of ten that multiply the
+/// standard start (J. J. Moré and S. M. Wild, SIAM J. Optim. 20 (2009) 172, section 4.1: their benchmark set,
+/// problem by problem).
 const INSTANCES: [(usize, usize, usize, &[i32]); 37] = [
     (1, 9, 45, &[0, 1]),
     (2, 7, 35, &[0, 1]),
@@ -71,8 +73,9 @@ const INSTANCES: [(usize, usize, usize, &[i32]); 37] = [
     (22, 8, 8, &[0, 1]),
 ];
 
-/// The smallest sum of squares: zero where a root is known (J. J. Moré, B. S. Garbow and K. E. Hillstrom, ACM Trans. Math.
-/// Softw. 7 (1981) 17), else the least of `least_squares` from 60 starts.
+/// Returns the smallest sum of squares. It is zero if a root is known (J. J. Moré, B. S. Garbow and K. E.
+/// Hillstrom, ACM Trans. Math. Softw. 7 (1981) 17), otherwise the smallest result of `least_squares` from 60
+/// starts.
 fn smallest(number: usize, n: usize) -> f64 {
     match (number, n) {
         (1, _) => 36.0,
@@ -99,7 +102,7 @@ fn smallest(number: usize, n: usize) -> f64 {
     }
 }
 
-/// The instances with the smallest sums of squares.
+/// Returns the instances with their smallest sums of squares.
 pub fn instances() -> Vec<Instance> {
     let each = |&(number, n, m, scales): &(usize, usize, usize, &'static [i32])| {
         scales.iter().map(move |&scale| Instance { number, n, m, scale, best: smallest(number, n) })
@@ -107,7 +110,7 @@ pub fn instances() -> Vec<Instance> {
     INSTANCES.iter().flat_map(each).collect()
 }
 
-/// The standard start.
+/// Returns the standard start.
 pub fn start(number: usize, n: usize) -> Vec<f64> {
     match number {
         1..=3 | 8 | 19 => vec![1.0; n],
@@ -160,7 +163,7 @@ const OSBORNE_2: [f64; 65] = [
     0.428, 0.292, 0.162, 0.098, 0.054,
 ];
 
-/// The residual vector of a function; its length is `m`.
+/// Returns the residual vector of a function; its length is `m`.
 pub fn residuals(number: usize, m: usize, x: &[f64]) -> Vec<f64> {
     let n = x.len();
     let each = |f: &dyn Fn(usize, f64) -> f64| -> Vec<f64> { (1..=m).map(|i| f(i, i as f64)).collect() };
@@ -170,7 +173,7 @@ pub fn residuals(number: usize, m: usize, x: &[f64]) -> Vec<f64> {
             let shift = 2.0 * x.iter().sum::<f64>() / m as f64 + 1.0;
             each(&|i, _| if i <= n { x[i - 1] - shift } else { -shift })
         }
-        // Linear, rank 1; and with zero columns and rows.
+        // Linear, rank 1; also with zero columns and rows.
         2 | 3 => {
             let weighted = |j: usize| (j + 1) as f64 * x[j];
             let sum: f64 =

@@ -1,6 +1,7 @@
-//! The nonlinear regressions of the Statistical Reference Datasets (NIST StRD, https://www.itl.nist.gov/div898/strd/): 27 models,
-//! two starts each. `data/nist_strd.txt` has four lines for each: name, numbers per row and certified sum of squares; the first
-//! start; the second one; the rows, y before x.
+//! Nonlinear regressions of the Statistical Reference Datasets (NIST StRD,
+//! https://www.itl.nist.gov/div898/strd/): 27 models with two starts each. `data/nist_strd.txt` has four
+//! lines per model: name, numbers per row and certified sum of squares; first start; second start; rows, with
+//! y before x.
 
 use std::f64::consts::{PI, TAU};
 
@@ -8,13 +9,13 @@ use std::f64::consts::{PI, TAU};
 pub struct Regression {
     pub name: &'static str,
     pub starts: [Vec<f64>; 2],
-    /// The certified sum of squares.
+    /// Certified sum of squares.
     pub best: f64,
     rows: Vec<Vec<f64>>,
 }
 
 impl Regression {
-    /// Measured minus modelled.
+    /// Returns measured minus modelled values.
     pub fn residuals(&self, p: &[f64]) -> Vec<f64> {
         let each = |row: &Vec<f64>| match self.name {
             "Nelson" => row[0].ln() - (p[0] - p[1] * row[1] * (-p[2] * row[2]).exp()),
@@ -32,7 +33,7 @@ fn polynomial(p: &[f64], x: f64) -> f64 {
     p.iter().rev().fold(0.0, |sum, p| sum * x + p)
 }
 
-/// A polynomial divided by another one that is 1 at zero.
+/// Returns a polynomial divided by another polynomial that is 1 at zero.
 fn ratio(p: &[f64], split: usize, x: f64) -> f64 {
     polynomial(&p[..split], x) / (1.0 + x * polynomial(&p[split..], x))
 }
@@ -66,7 +67,7 @@ fn model(name: &str, p: &[f64], x: f64) -> f64 {
     }
 }
 
-/// All of them.
+/// Returns all regressions.
 pub fn regressions() -> Vec<Regression> {
     let lines: Vec<&'static str> = include_str!("../data/nist_strd.txt").lines().collect();
     let numbers = |line: &str| line.split(' ').map(|v| v.parse().unwrap()).collect::<Vec<f64>>();

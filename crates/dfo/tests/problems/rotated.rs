@@ -1,4 +1,4 @@
-//! Smooth and piecewise linear functions in rotated axes, with their minimum, 0, at a point of one's choice.
+//! Smooth and piecewise linear functions in rotated axes, with a minimum of 0 at a chosen point.
 
 /// Random numbers (Steele, Lea and Flood, OOPSLA 2014: SplitMix64).
 pub struct Random(u64);
@@ -8,7 +8,7 @@ impl Random {
         Self(seed)
     }
 
-    /// Uniform in (0, 1).
+    /// Returns a uniform number in (0, 1).
     pub fn uniform(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -24,7 +24,7 @@ impl Random {
         (0..n).map(|_| self.normal()).collect()
     }
 
-    /// Rows that are orthonormal.
+    /// Returns orthonormal rows.
     pub fn rotation(&mut self, n: usize) -> Vec<Vec<f64>> {
         let mut rows: Vec<Vec<f64>> = Vec::new();
         while rows.len() < n {
@@ -46,7 +46,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// A function, and the place of its minimum.
+/// A function and the position of its minimum.
 pub struct Rotated {
     pub name: &'static str,
     pub minimum: Vec<f64>,
@@ -65,7 +65,7 @@ fn weighted(z: &[f64], f: impl Fn(f64) -> f64) -> f64 {
     z.iter().enumerate().map(|(k, z)| (1.0 + k as f64) * f(*z)).sum()
 }
 
-/// exp(z) - 1 - z without cancellation.
+/// Returns exp(z) - 1 - z without cancellation.
 fn exponential(z: f64) -> f64 {
     if z.abs() < 1e-2 {
         z * z * (0.5 + z * (1.0 / 6.0 + z * (1.0 / 24.0 + z / 120.0)))
@@ -80,7 +80,7 @@ fn rosenbrock(z: &[f64]) -> f64 {
 
 type Function = (&'static str, fn(&[f64]) -> f64);
 
-/// Smooth functions of `n` parameters.
+/// Returns smooth functions of `n` parameters.
 pub fn smooth(n: usize, seed: u64) -> Vec<Rotated> {
     let functions: [Function; 8] = [
         ("ellipsoid", |z| weighted(z, |z| z * z)),
@@ -106,8 +106,8 @@ fn largest(z: &[f64]) -> f64 {
     z.iter().fold(f64::NEG_INFINITY, |most, z| most.max(*z))
 }
 
-/// Piecewise linear functions of `n` parameters: sum and largest of absolute values along rotated axes of
-/// unlike slopes, the same of more terms than parameters, and the largest of linear functions.
+/// Returns piecewise linear functions of `n` parameters: sum and maximum of absolute values along rotated
+/// axes with different slopes, both also with more terms than parameters, and the maximum of linear functions.
 pub fn piecewise_linear(n: usize, seed: u64) -> Vec<Rotated> {
     let sum = |z: &[f64]| z.iter().map(|z| z.abs()).sum();
     let most = |z: &[f64]| z.iter().fold(0.0f64, |most, z| most.max(z.abs()));
@@ -117,7 +117,7 @@ pub fn piecewise_linear(n: usize, seed: u64) -> Vec<Rotated> {
     let scaled = |(row, slope): (&Vec<f64>, &f64)| row.iter().map(|v| v * slope).collect();
     let axes: Vec<Vec<f64>> = axes.iter().zip(&slopes).map(scaled).collect();
     let many: Vec<Vec<f64>> = (0..2 * n).map(|_| random.normals(n)).collect();
-    // The last of the linear functions falls where the others rise together.
+    // The last linear function decreases in directions in which the others increase together.
     let mut planes: Vec<Vec<f64>> = (0..n).map(|_| random.normals(n)).collect();
     planes.push((0..n).map(|k| -planes.iter().map(|row| row[k]).sum::<f64>()).collect());
     let minimum: Vec<f64> = random.normals(n).iter().map(|r| 2.0 + r).collect();

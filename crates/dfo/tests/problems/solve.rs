@@ -1,8 +1,8 @@
-//! A least-squares solver to check the problems and to find the reference minima of bounded ones: Levenberg-Marquardt
-//! on the free variables, projected onto the box, with differences for the derivatives. Reliable, not fast.
+//! Least-squares solver to check the problems and to find reference minima of bounded ones: projected
+//! Levenberg-Marquardt on the free variables, with finite-difference derivatives. Reliable but slow.
 #![allow(dead_code, unreachable_pub)]
 
-/// Minimises the sum of squares in a box from a start; returns the point and the sum.
+/// Minimises the sum of squares in a box from a start. Returns the point and the sum.
 pub fn least_squares(
     residuals: &dyn Fn(&[f64]) -> Vec<f64>,
     start: &[f64],
@@ -34,7 +34,7 @@ pub fn least_squares(
         }
         let gradient: Vec<f64> =
             (0..n).map(|k| jacobian.iter().zip(&r).map(|(row, r)| row[k] * r).sum()).collect();
-        // At a bound, only what points inward is free.
+        // At a bound, only variables whose descent direction points inward are free.
         let free: Vec<usize> = (0..n)
             .filter(|&k| !(x[k] <= lower[k] && gradient[k] > 0.0 || x[k] >= upper[k] && gradient[k] < 0.0))
             .collect();
@@ -72,7 +72,7 @@ pub fn least_squares(
     (x, f)
 }
 
-/// Solves a symmetric positive system by elimination with pivoting.
+/// Solves a symmetric positive definite system by elimination with pivoting.
 fn gauss(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Vec<f64> {
     let n = b.len();
     for step in 0..n {

@@ -1,4 +1,4 @@
-//! Files and streams that a command reads and writes: none is lost, none is taken for another.
+//! Files and streams that a command reads and writes: none is lost or confused with another.
 
 use crate::fit::PROBLEM;
 use crate::support::{Folder, Ran, json};
@@ -98,7 +98,7 @@ fn short_form_supports_time_column_and_inputs() {
     let ran = folder.run(fit);
     assert!(ran.err.contains("driven by the columns of the same names: u1, u2"), "{ran:?}");
     ran.good();
-    // Times of the clock.
+    // Absolute clock times.
     let later: String = (0..6).map(|k| format!("{},5.5,5.5,{k}\n", 1_700_000_000 + 10 * k)).collect();
     folder.write("run.csv", &format!("time,u1,u2,qt.x1\n{later}"));
     let message = folder.run(&format!("{fit} --quiet")).wrong_input();
@@ -165,7 +165,7 @@ fn unwritable_output_is_reported_before_the_work() {
         assert!(ran.code == 2 && ran.out.is_empty(), "{result}: {ran:?}");
         assert!(ran.err.starts_with(&format!("error: cannot write {place}: ")), "{ran:?}");
     }
-    // A value of an option that no fit can have.
+    // Option values that are never valid.
     for option in ["workers=0", "max_failed=2"] {
         let ran = folder.run(&format!("{fit} -O {option}"));
         assert_eq!(ran.code, 2, "{ran:?}");

@@ -1,8 +1,8 @@
-//! `fit`, `check` and `resume`: the file, the short form, what is wrong in them, the outcomes.
+//! `fit`, `check` and `resume`: the problem file, the short form, mistakes in them, and outcomes.
 
 use crate::support::{Folder, json};
 
-/// A decay and its problem file, with lines that are added to it.
+/// Folder with a decay and its problem file, to which lines are added.
 fn decay(more: &str) -> Folder {
     let folder = Folder::with_model("dahlquist");
     folder.record_decay();
@@ -38,7 +38,7 @@ fn short_form_and_file_give_the_same_fit() {
     for field in ["parameters", "cost", "n_evaluations", "message"] {
         assert_eq!(short[field], from_file[field], "{field}");
     }
-    // A name alone is that of the column, too; bounds may be left out.
+    // A single name is also the name of the column, and bounds are optional.
     let open = folder.run("fit model.fmu run.csv --output x --parameter k=1 --json").good();
     assert!((fitted(&open) - 2.0).abs() < 1e-4, "{open}");
 }
@@ -76,7 +76,7 @@ fn command_line_options_take_precedence() {
     );
 }
 
-/// The decay recorded in another unit: 300 K more.
+/// Records the decay in another unit: 300 K more.
 fn in_another_unit(folder: &Folder) {
     let rows: Vec<String> = folder.read("run.csv").lines().skip(1).map(str::to_owned).collect();
     let shifted = rows.iter().map(|row| {
@@ -125,7 +125,7 @@ fn fit_worse_than_a_constant_exits_with_3_and_reports_the_reason() {
     );
     let shown = folder.run("fit problem.toml").out;
     assert!(shown.contains("The fit converged, but its result is not to be used: RMS"), "{shown}");
-    // One that was ended before is no success in any case; a good one has no reason against it.
+    // A fit that was ended early is never a success. A good fit has no reason against it.
     assert_eq!(folder.run("fit problem.toml -O method=nelder-mead -O max_evaluations=2 --json").code, 1);
     let good = decay("");
     assert_eq!(json(&good.run("fit problem.toml --json").good())["usable"], true);
@@ -135,19 +135,19 @@ fn fit_worse_than_a_constant_exits_with_3_and_reports_the_reason() {
 fn problem_reads_start_values_from_exported_fit() {
     let folder = decay("");
     folder.run("fit problem.toml --save decay.fit --report decay.ssv --quiet").good();
-    // It has k, which is the start of nothing here, since it is fitted.
+    // The file contains k, which is ignored because k is fitted.
     let with_set = PROBLEM.replace("data = ", "start_values = \"decay.ssv\"\ndata = ");
     folder.write("again.toml", &with_set);
     let again = json(&folder.run("fit again.toml --json").good());
     assert_eq!(again["parameters"], json(&folder.run("fit problem.toml --json").good())["parameters"]);
-    // Where x(0) is fitted, k of the file is that of the model: 2.
+    // If x(0) is fitted, k from the file is the parameter of the model: 2.
     let of_start = with_set.replace("name = \"k\"", "name = \"x\"");
     folder.write("start.toml", &of_start);
     let start = fitted(&folder.run("fit start.toml --json").good());
     assert!((start - 1.0).abs() < 1e-4, "{start}");
     folder.write("none.toml", &with_set.replace("decay.ssv", "none.ssv"));
     assert!(folder.run("fit none.toml").wrong_input().contains("none.ssv"));
-    // A file that is read is not written.
+    // A file that is read is not overwritten.
     assert!(folder.run("fit again.toml --report decay.ssv").wrong_input().contains("decay.ssv"));
 }
 
@@ -167,7 +167,7 @@ fn units_missing_in_the_model_can_be_given() {
     folder.write("problem.toml", &(PROBLEM.to_owned() + "[settings]\nunits = { x = \"m\" }\n"));
     let by_file = json(&folder.run("fit problem.toml --json").good());
     assert_eq!(by_file["parameters"], by_argument["parameters"]);
-    // Those of the file hold beside those of the command line.
+    // Units from the file and from the command line apply together.
     let both = json(&folder.run("fit problem.toml --unit k=1/s --json").good());
     assert_eq!(both["parameters"], by_argument["parameters"]);
     for (unit, expected) in
@@ -176,7 +176,7 @@ fn units_missing_in_the_model_can_be_given() {
         let message = folder.run(&format!("fit problem.toml --unit {unit}")).wrong_input();
         assert!(message.contains(expected), "{unit}: {message}");
     }
-    // init proposes it.
+    // `init` proposes the unit.
     folder.run("init model.fmu run.csv other.toml").good();
     assert!(
         folder.read("other.toml").contains("# units = { \"x\" = \"mm\" }"),
@@ -185,7 +185,7 @@ fn units_missing_in_the_model_can_be_given() {
     );
 }
 
-/// Words of Python and of other tools mean the same in files and on the command line.
+/// Names from Python and other tools have the same meaning in files and on the command line.
 #[test]
 fn option_names_match_python() {
     let folder = decay("[settings]\nsolver = \"CVode\"\n[fit]\nrng = 1\nworkers = -1\nbatch = \"serial\"\n");
@@ -200,7 +200,7 @@ fn option_names_match_python() {
     assert_eq!(result["problem"]["settings"]["isolation"], "none", "{result}");
 }
 
-/// Programs that ask for JSON read what is wrong with their arguments there.
+/// Programs that request JSON also receive argument errors as JSON.
 #[test]
 fn wrong_arguments_are_reported_as_json() {
     let folder = decay("");
@@ -357,7 +357,7 @@ fn check_exits_with_1_only_for_errors() {
         "{document}"
     );
     assert!(folder.run("check problem.toml --no-run").good().lines().count() >= 1);
-    // At this start value the simulation fails.
+    // At this start value, the simulation fails.
     folder.write(
         "bad.toml",
         &PROBLEM

@@ -1,4 +1,4 @@
-//! Help, wrong arguments, completions.
+//! Help, wrong arguments and completions.
 
 use crate::support::Folder;
 

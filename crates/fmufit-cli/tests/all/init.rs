@@ -1,4 +1,4 @@
-//! `init`: what it finds, and the way from a model and a recording to a report.
+//! `init`: matching, and the steps from a model and a recording to a report.
 
 use crate::support::{Folder, json};
 
@@ -17,7 +17,7 @@ fn init_leads_to_correct_fit_and_report() {
     assert!(k["name"] == "k" && (k["value"].as_f64().unwrap() - 2.0).abs() < 1e-4, "{result}");
     assert_eq!(result["success"], true);
     assert!(folder.read("decay.html").contains("<svg"));
-    // The saved fit has the same numbers.
+    // The saved fit contains the same numbers.
     for (file, expected) in [
         ("a.html", "<!DOCTYPE html>"),
         ("a.csv", "name,value"),
@@ -47,7 +47,7 @@ fn init_reports_unmatched_columns_and_variables() {
             && text.matches("\n[[parameters]]").count() == 1,
         "{text}"
     );
-    // Blanks and signs do not count, and a unit belongs to none of it.
+    // Spaces and punctuation are ignored, and a unit is not part of the name.
     folder.write("blank.csv", "time,armJoint phi [deg]\n0,0\n1,0.1\n2,0.2\n");
     folder.run("init model.fmu blank.csv blank.toml --parameter armFriction").good();
     let text = folder.read("blank.toml");
@@ -77,7 +77,7 @@ fn named_variable_is_matched_only_once() {
 #[test]
 fn parameters_without_effect_are_listed_in_one_comment() {
     let folder = Folder::with_model("bouncing_ball");
-    // Before the first bounce at 0.45 s only gravity moves the ball.
+    // Before the first bounce at 0.45 s, only gravity affects the ball.
     folder.run("simulate model.fmu --final-time 0.3 --interval 0.02 --output run.csv").good();
     folder.run("init model.fmu run.csv").good();
     let text = folder.read("problem.toml");

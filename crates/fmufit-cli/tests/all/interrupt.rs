@@ -13,10 +13,10 @@ fn interrupt(child: &Child, signal: Signal) {
     kill_process(pid, signal).unwrap();
 }
 
-/// A fit that goes on for hours.
+/// A fit that runs for hours.
 const ENDLESS: &str = "fit problem.toml --json --save furuta.fit -O method=de -O x_tol=0 -O f_tol=0 -O max_evaluations=1000000000";
 
-/// Ctrl-C, and how the system or another program asks this one to end.
+/// Ctrl-C, and the signal with which the system or another program ends this one.
 #[test]
 fn interrupted_fit_ends_with_best_point() {
     [Signal::INT, Signal::TERM].into_iter().for_each(ends_with_the_best_point);
@@ -32,17 +32,17 @@ fn ends_with_the_best_point(signal: Signal) {
     let checkpointed = format!("{ENDLESS} --checkpoint furuta.ckpt");
     let result = interrupted(&folder, &checkpointed, signal);
     folder.run("report furuta.fit furuta.csv").good();
-    // What it knew is in the checkpoint.
+    // The checkpoint contains the state at the interrupt.
     let further = interrupted(&folder, &checkpointed.replace("fit problem", "resume problem"), signal);
     let [n, n_further] = [&result, &further].map(|result| result["n_evaluations"].as_u64().unwrap());
     let [cost, cost_further] = [&result, &further].map(|result| result["cost"].as_f64().unwrap());
     assert!(n_further >= n && cost_further <= cost, "{n} {n_further} {cost} {cost_further}");
 }
 
-/// The result of a fit that is ended by a signal once it has evaluated something.
+/// Returns the result of a fit that a signal ends after its first evaluations.
 fn interrupted(folder: &Folder, arguments: &str, signal: Signal) -> Value {
     let mut child = folder.command(arguments).spawn().unwrap();
-    // Until it has evaluated something.
+    // Waits for the first evaluations.
     let mut lines = BufReader::new(child.stderr.take().unwrap());
     let mut line = String::new();
     while !line.contains("evaluations") {
@@ -62,7 +62,8 @@ fn interrupted(folder: &Folder, arguments: &str, signal: Signal) -> Value {
     result
 }
 
-/// The page of a fit: its address is printed, its button ends the fit as Ctrl-C does; without a terminal the program does not wait.
+/// The page of a fit: its address is printed, and its button ends the fit like Ctrl-C. Without a terminal,
+/// the program does not wait.
 #[test]
 fn page_button_ends_the_fit_with_best_point() {
     let folder = Folder::with_model("furuta");
@@ -102,7 +103,7 @@ fn interrupted_simulation_has_no_result() {
     let arguments =
         "simulate model.fmu --final-time 1e9 --interval 1e8 --solver rk4 --step-size 1e-4 --output run.csv";
     let child = folder.command(arguments).spawn().unwrap();
-    // Once it handles the signal.
+    // Waits until the program handles the signal.
     let status = format!("/proc/{}/status", child.id());
     let is_watched = || {
         let text = std::fs::read_to_string(&status).unwrap();

@@ -1,9 +1,9 @@
-//! Validation by JSON schemas of draft 7 (json-schema.org, draft-handrews-json-schema-validation-01): the
-//! keywords that `fmufit schema` writes. Any other is an error, so that none is overlooked.
+//! Validator for JSON schemas of draft 7 (json-schema.org, draft-handrews-json-schema-validation-01). It
+//! supports the keywords that `fmufit schema` writes. Any other keyword is an error, so none is overlooked.
 
 use serde_json::{Map, Value};
 
-/// A schema, with the definitions that it refers to.
+/// A schema with the definitions that it refers to.
 pub(crate) struct Schema(Value);
 
 impl Schema {
@@ -11,7 +11,7 @@ impl Schema {
         Self(schema)
     }
 
-    /// What is wrong with a document, each with its place; empty: it is valid.
+    /// Returns the errors of a document with their locations; empty if the document is valid.
     pub(crate) fn errors(&self, document: &Value) -> Vec<String> {
         let mut errors = Vec::new();
         self.check(&self.0, document, "", &mut errors);
@@ -108,7 +108,7 @@ impl Schema {
     }
 }
 
-/// Whether a text matches an expression `^(...|...)$` of single characters and sets of them.
+/// True if a text matches an expression `^(...|...)$` of single characters and character sets.
 fn matches(pattern: &str, text: &str) -> bool {
     let pattern = pattern.strip_prefix("^(").and_then(|rest| rest.strip_suffix(")$")).unwrap();
     pattern.split('|').any(|word| {

@@ -1,4 +1,4 @@
-//! The command line as a program: what it prints and writes, and its exit codes.
+//! The command line as a program: output, written files and exit codes.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod files;

@@ -1,8 +1,8 @@
-//! Commands about one model: info, validate, simulate, build.
+//! Commands for a single model: info, validate, simulate, build.
 
 use crate::support::{Folder, holds_only, json};
 
-/// The columns of a CSV table, by name.
+/// Returns a column of a CSV table by name.
 fn column(table: &str, name: &str) -> Vec<f64> {
     let mut lines = table.lines();
     let at =
@@ -46,7 +46,7 @@ fn validate_runs_a_model_and_reports_violations() {
     );
     let document = json(&folder.run("validate model.fmu --json").good());
     assert_eq!((&document["is_simulated"], &document["quirks"]), (&true.into(), &serde_json::json!([])));
-    // What is no FMU cannot be validated.
+    // A file that is not an FMU cannot be validated.
     folder.write("broken.fmu", "not an archive");
     assert!(folder.run("validate broken.fmu").wrong_input().contains("broken.fmu"));
     assert!(folder.run("validate none.fmu").wrong_input().contains("none.fmu"));
@@ -69,7 +69,7 @@ fn simulate_reads_start_values_from_ssp_parameter_sets() {
     let by_file = folder.run(&format!("simulate model.fmu --set @set.ssv {options}")).good();
     let by_name = folder.run(&format!("simulate model.fmu --set k=2 --set x=3 {options}")).good();
     assert_eq!(by_file, by_name);
-    // What is named goes before what is in the file.
+    // Individual values take precedence over values from the file.
     let both = folder.run(&format!("simulate model.fmu --set @set.ssv --set k=1 {options}")).good();
     assert_eq!(both, folder.run(&format!("simulate model.fmu --set k=1 --set x=3 {options}")).good());
     for (text, expected) in [
@@ -107,7 +107,7 @@ fn simulate_writes_the_solution_of_the_model() {
     for (time, x) in column(&table, "time").into_iter().zip(column(&table, "x")) {
         assert!((x - (-2.0 * time).exp()).abs() < 1e-6, "{table}");
     }
-    // In this process there are the same bits; a plot is one SVG document.
+    // In-process simulation gives bit-for-bit the same table; a plot is one SVG document.
     let arguments = "simulate model.fmu --set k=2 --final-time 1 --interval 0.25 --in-process --output own.csv --plot own.svg";
     assert_eq!(folder.run(arguments).good(), "");
     assert_eq!(folder.read("own.csv"), table);
@@ -145,7 +145,7 @@ fn warning_names_inputs_without_a_column() {
         folder.write("in.csv", &format!("{header}0,2,3\n20,2,3\n"));
         folder.run(&format!("{simulate} {more}"))
     };
-    // The case of a name may differ, where one column can be meant.
+    // The case of a name may differ if it identifies one column.
     let ran = run("time,U1 [V],u2\n", "");
     assert!(!ran.err.contains("no column"), "{ran:?}");
     let table = ran.good();
@@ -208,7 +208,7 @@ fn warning_names_invalid_library_when_sources_replace_it() {
         ran.code == 0 && ran.err.contains(&format!("{named} is no library for this platform")),
         "{ran:?}"
     );
-    // One that is left out is none that could be wrong.
+    // A missing library cannot be invalid.
     std::fs::remove_dir_all(place).unwrap();
     assert_eq!(folder.run("simulate decay --final-time 1 --interval 1").err, "");
 }

@@ -1,4 +1,5 @@
-//! The JSON schema of problem files: what the program takes, it takes, and it refuses the same unknown names.
+//! JSON schema of problem files: the schema accepts what the program accepts and rejects the same unknown
+//! names.
 
 use crate::fit::PROBLEM;
 use crate::json_schema::Schema;
@@ -21,7 +22,7 @@ fn problem_files_follow_their_schema() {
     folder.run("init model.fmu run.csv written.toml").good();
     let written = folder.read("written.toml");
     assert!(written.starts_with("#:schema problem.schema.json\n"), "{written}");
-    // What init writes as comments is taken, too.
+    // The commented options that `init` writes are also valid.
     let options: String = written.split_once("[settings]").unwrap().1.replace("\n# ", "\n");
     let uncommented = format!("{PROBLEM}[settings]{options}");
     let whole = format!(
@@ -30,7 +31,7 @@ fn problem_files_follow_their_schema() {
          [settings]\nsolver = \"rk4\"\nstep_size = 0.01\ntimeout = 2\n[fit]\nmethod = \"de-classic\"\nweight = [0.5, 0.9]\nmax_evaluations = 60\n\
          [[stages]]\nparameters = [\"k\"]\nmethod = \"nm\"\ninitial_simplex = [0.1]\nbatch = 2\nmax_evaluations = 50\n"
     );
-    // That of the documentation.
+    // The example of the documentation.
     let page = include_str!("../../../../docs/command-line.md");
     let documented = page.split_once("```toml title=\"tank.toml\"\n").unwrap().1.split_once("```").unwrap().0;
     for text in [PROBLEM, &written, &uncommented, &whole, documented] {
@@ -88,7 +89,7 @@ fn results_follow_their_schemas() {
         let document = json(&folder.run(arguments).out);
         let errors = schema.errors(&document);
         assert!(errors.is_empty(), "{arguments}: {errors:?}\n{document}");
-        // It says something: there are fields that may not be left out.
+        // The schema is informative: some fields are required.
         let is_needed = |name: &String| {
             let mut less = document.clone();
             less.as_object_mut().unwrap().remove(name);

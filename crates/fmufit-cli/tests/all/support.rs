@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use tempfile::TempDir;
 
-/// A folder of its own.
+/// A temporary folder.
 pub(crate) struct Folder(TempDir);
 
 /// Outcome of a command.
@@ -21,13 +21,13 @@ impl Ran {
         Self { code: output.status.code().unwrap(), out: text(output.stdout), err: text(output.stderr) }
     }
 
-    /// The standard output of a success.
+    /// Returns the standard output of a successful command.
     pub(crate) fn good(self) -> String {
         assert_eq!(self.code, 0, "{self:?}");
         self.out
     }
 
-    /// The only line of the standard error stream of a command that could not be carried out.
+    /// Returns the only line on the standard error stream of a command that rejected its input.
     pub(crate) fn wrong_input(self) -> String {
         assert_eq!((self.code, self.out.as_str()), (2, ""), "{self:?}");
         let message = self.err.strip_prefix("error: ").unwrap_or_else(|| panic!("{self:?}"));
@@ -41,7 +41,7 @@ impl Folder {
         Self(tempfile::tempdir().unwrap())
     }
 
-    /// With a bundled model as `model.fmu`.
+    /// Creates a folder with a bundled model as `model.fmu`.
     pub(crate) fn with_model(name: &str) -> Self {
         let folder = Self::new();
         std::fs::copy(example_models::example_fmu(name).unwrap(), folder.path("model.fmu")).unwrap();
@@ -60,7 +60,7 @@ impl Folder {
         std::fs::read_to_string(self.path(name)).unwrap()
     }
 
-    /// The program with arguments, which are separated by spaces, in this folder.
+    /// Returns the program with arguments, which are separated by spaces, in this folder.
     pub(crate) fn command(&self, arguments: &str) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_fmufit"));
         command.args(arguments.split_whitespace()).current_dir(self.0.path());
@@ -72,18 +72,18 @@ impl Folder {
         Ran::of(self.command(arguments).output().unwrap())
     }
 
-    /// The decay x' = -2 x from 1, by the model itself, as `run.csv`.
+    /// Records the decay x' = -2 x from 1 with the model itself, as `run.csv`.
     pub(crate) fn record_decay(&self) {
         self.run("simulate model.fmu --set k=2 --final-time 2 --interval 0.05 --output run.csv").good();
     }
 }
 
-/// A JSON document.
+/// Parses a JSON document.
 pub(crate) fn json(text: &str) -> serde_json::Value {
     serde_json::from_str(text).unwrap_or_else(|e| panic!("{e}: {text}"))
 }
 
-/// True for a folder in which there is nothing else.
+/// True if the folder contains only these names.
 pub(crate) fn holds_only(folder: &Path, names: &[&str]) -> bool {
     let mut found: Vec<String> =
         std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
