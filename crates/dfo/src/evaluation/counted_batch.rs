@@ -207,8 +207,8 @@ impl CountedBatch {
         matches!(answer.outcome, Outcome::Abort(_)) || self.is_target(answer, self.work.cutoff(k))
     }
 
-    /// Returns the index of the last point of the batch that belongs to the path and the reason, if the path
-    /// ends within the batch. `answers` are the answers to `work`.
+    /// Returns where and why the path ends within the batch: the index of its last point, and the reason.
+    /// `None` if the path does not end in the batch. `answers` are the answers to `work`.
     pub(crate) fn last<'a>(&'a self, answers: &'a [Answer]) -> Option<(usize, Last<'a>)> {
         let mut new = answers.iter().enumerate();
         self.sources.iter().enumerate().find_map(|(k, source)| {

@@ -77,7 +77,7 @@ pub trait Evaluator {
         false
     }
 
-    /// Returns if evaluations stop early above their cutoff.
+    /// Returns the use of cutoffs: evaluations may stop early above them.
     fn cutoff_use(&self) -> CutoffUse {
         CutoffUse::Unknown
     }

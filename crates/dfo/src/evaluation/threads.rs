@@ -20,8 +20,8 @@ pub(crate) const MOST_WORKERS: usize = 1 << 15;
 /// Stack size of a worker thread in bytes. Compiled models put large arrays on the stack.
 const STACK_SIZE: usize = 16 << 20;
 
-/// Time during which only the calling thread evaluates the first points, to measure if handing over
-/// evaluations is worthwhile.
+/// Time during which only the calling thread evaluates the first points, to measure whether handing
+/// over evaluations is worthwhile.
 const TRIAL: Duration = Duration::from_micros(100);
 
 thread_local! {

@@ -1,5 +1,5 @@
-//! Measured durations of evaluations and of handing them to other threads. They determine if handing over is
-//! worthwhile.
+//! Measured durations of evaluations and of handing them to other threads. They determine whether handing
+//! over is worthwhile.
 
 use std::collections::VecDeque;
 use std::time::Duration;

@@ -7,9 +7,9 @@ use base::RunContext;
 use nalgebra::{DMatrix, RowDVector};
 use serde::{Deserialize, Serialize};
 
-/// Relative rank tolerance. The columns of the Jacobian are scaled to length one. Pivots smaller than this
-/// fraction of the largest pivot count as zero, because a finite-difference Jacobian is not more accurate
-/// (square root of the rounding unit).
+/// Relative rank tolerance: the square root of the rounding unit. The columns of the Jacobian are scaled to
+/// length one. Pivots smaller than this fraction of the largest pivot count as zero, because a
+/// finite-difference Jacobian is not more accurate.
 const RANK_TOLERANCE: f64 = 1.5e-8;
 
 /// A parameter counts as at its bound if its distance from the bound is within this fraction of its size.

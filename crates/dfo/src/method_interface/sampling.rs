@@ -13,8 +13,8 @@ use serde::{Deserialize, Serialize};
 pub enum Sampling {
     /// Independent and uniform points.
     Uniform,
-    /// Latin hypercube: the range of each parameter is divided into as many intervals as there are points,
-    /// and each interval is used once (McKay, Beckman and Conover 1979).
+    /// Latin hypercube (McKay, Beckman and Conover 1979). The range of each parameter is divided into as many
+    /// intervals as there are points, and each interval is used once.
     #[default]
     LatinHypercube,
     /// Sobol sequence with a random digital shift, for at most 40 parameters.

@@ -228,8 +228,8 @@ impl<M: Method> Drive<M> {
         }
     }
 
-    /// Asks the method. Returns true if a run by hand must ask again later, because the method has no points
-    /// yet and the caller does not wait longer.
+    /// Asks the method. Returns true if a run by hand must ask again later: the method has no points yet, and
+    /// the caller does not wait longer.
     fn ask(&mut self, around: &mut Around<'_, '_, '_>) -> Result<bool, Error> {
         let cause = Cell::new(None);
         let is_over = || {

@@ -308,7 +308,7 @@ impl<'a, M, D> Minimize<'a, M, D> {
         self
     }
 
-    /// Sets if both tests must pass (default) or either one.
+    /// Sets the stop rule: both tests must pass (default), or either one.
     pub fn stop(mut self, stop: StopRule) -> Self {
         self.description.options.tolerances.stop = stop;
         self
@@ -375,8 +375,8 @@ impl<'a, M, D> Minimize<'a, M, D> {
         self
     }
 
-    /// Keeps only the last `evaluations` entries in the trace. During the run, the trace may contain up to
-    /// twice as many.
+    /// Keeps only the last `evaluations` entries in the trace. During the run, the trace may contain twice as
+    /// many, or 64 more if that is larger.
     pub fn trace_limit(mut self, evaluations: usize) -> Self {
         self.description.options.trace_limit = Some(evaluations);
         self
@@ -426,15 +426,15 @@ impl<'a, M> Minimize<'a, M> {
         self
     }
 
-    /// Declares if a function of [`minimize_batches`] stops early above cutoffs. If it does, every cost above
-    /// its cutoff counts as abandoned, whichever code evaluates the point.
+    /// Declares whether a function of [`minimize_batches`] stops early above cutoffs. If it does, every cost
+    /// above its cutoff counts as abandoned, whichever code evaluates the point.
     pub fn cutoff_use(mut self, cutoff_use: CutoffUse) -> Self {
         self.driver.cutoff_use = cutoff_use;
         self
     }
 
-    /// Declares if your [`Evaluator`] provides residuals. If it does, a method that is chosen for the problem
-    /// may request them.
+    /// Declares whether your [`Evaluator`] provides residuals. If it does, a method that is chosen for the
+    /// problem may request them.
     pub fn with_residuals(mut self, has_residuals: bool) -> Self {
         self.driver.has_residuals = has_residuals;
         self
@@ -459,8 +459,9 @@ impl<M: MethodOptions> Minimize<'_, M> {
     /// Runs the minimisation.
     ///
     /// # Errors
-    /// Returns an error if options are unusable, if the objective failed at every starting point, or if the
-    /// run ended before any point had a finite cost. Every other end returns a [`Report`].
+    /// Returns an error if options are unusable, or if the objective failed at every starting point. Also
+    /// returns an error if the run ended before any point had a finite cost. Every other end returns a
+    /// [`Report`].
     pub fn run(mut self) -> Result<Report, Error> {
         let ByRun { mut source, context, mut observer, has_residuals, cutoff_use, loss, spent } = self.driver;
         if let Source::Evaluator(evaluator) = &source {
@@ -469,7 +470,7 @@ impl<M: MethodOptions> Minimize<'_, M> {
         if let Some(checkpoint) = self.description.options.checkpoint.as_mut().filter(|_| !loss.is_linear()) {
             checkpoint.tags.push(("loss".to_owned(), loss.to_string()));
         }
-        // The first answer of a batch function shows if it has residuals.
+        // The first answer of a batch function shows whether it has residuals.
         let (has_residuals, may_have_some) = match &source {
             Source::Objective(objective) => (objective.has_residuals(), objective.has_residuals()),
             Source::Batches(_) | Source::Evaluator(_) => (has_residuals, true),

@@ -175,9 +175,9 @@ impl Report {
     /// `s^2 (J' J)^-1` with `s^2 = r' r / (m - n)`, over the free parameters that are not at a bound. `None`
     /// without residuals or Jacobian.
     ///
-    /// With a loss, the covariance is the covariance of the M-estimator. Then r are the scores of the
-    /// residuals, divided by the slope of their mean and multiplied by the square root of the small-sample
-    /// correction ([`MeanScore`]).
+    /// With a loss, the result is the covariance of the M-estimator. The residuals r are then replaced with
+    /// their scores, divided by the slope of the mean score. They are multiplied by the square root of the
+    /// correction for small samples ([`MeanScore`]).
     pub fn covariance(&self) -> Option<Covariance> {
         self.covariance_unless(&RunContext::new())
     }

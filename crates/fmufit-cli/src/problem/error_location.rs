@@ -35,8 +35,8 @@ impl Lines {
     }
 }
 
-/// Returns the path of the part of a value that a message names: a field or string in quotes, or a field at
-/// the start of the message; otherwise a file name, which is unquoted and followed by a colon.
+/// Returns the path of the part of a value that a message names. The name is a field or string in quotes, or
+/// a field at the start of the message. Otherwise, it is a file name, unquoted and followed by a colon.
 pub(super) fn named_in(message: &str, value: &Value, path: &str) -> Option<String> {
     let is_quoted =
         |name: &str| ["'", "\""].iter().any(|quote| message.contains(&format!("{quote}{name}{quote}")));

@@ -6,9 +6,10 @@ use serde::{Deserialize, Serialize};
 
 /// Lower and upper bounds per parameter. An infinite bound means no bound. Equal bounds fix the parameter.
 ///
-/// A box does not determine the size of a parameter if it is more than 100 times as wide as the parameter is
-/// large (the given size, otherwise |x0|). Methods that start from a point ignore bounds beyond 1e10 times
-/// that size, except that points stay within them. Methods that sample a box search all of it.
+/// A box does not determine the size of a parameter if it is more than 100 times as wide as the given size,
+/// or as |x0| if no size is given. Methods that start from a point ignore bounds that are far away: at least
+/// 1e10 times the largest of 1, |x0| and the given size. Points still stay within such bounds. Methods that
+/// sample a box search all of it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Bounds {
     lower: Vec<f64>,
@@ -19,8 +20,8 @@ impl Bounds {
     /// Creates bounds in the user's units.
     ///
     /// # Errors
-    /// Returns an error if the lengths differ, a bound is NaN, a lower bound is +inf, an upper bound is -inf,
-    /// or a lower bound is above the upper bound.
+    /// Returns an error if the lengths differ, or if a bound is NaN. Also returns an error if a lower bound
+    /// is +inf or above the upper bound, or if an upper bound is -inf.
     pub fn new(lower: &[f64], upper: &[f64]) -> Result<Self, Error> {
         if lower.len() != upper.len() {
             return Err(Error::Length { what: "upper bounds", expected: lower.len(), got: upper.len() });

@@ -247,8 +247,8 @@ impl Space {
     ///
     /// # Errors
     /// Returns an error if the number of kinds is not the number of parameters. For a discrete parameter,
-    /// returns an error if its start value is not an integer, if there is no integer between its bounds, or
-    /// if its bounds exceed 2^53, beyond which integers are not represented exactly.
+    /// returns an error if its start value is not an integer, or if there is no integer between its bounds.
+    /// Also returns an error if its bounds exceed 2^53, beyond which integers are not represented exactly.
     pub fn with_kinds(mut self, kinds: &[ParameterKind]) -> Result<Self, Error> {
         if kinds.len() != self.n() {
             return Err(Error::Length { what: "kinds", expected: self.n(), got: kinds.len() });

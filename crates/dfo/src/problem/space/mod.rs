@@ -3,12 +3,13 @@
 //! In the public interface, points are always in the user's units and order. Methods see *working
 //! coordinates*, one per free parameter. On a linear scale, the coordinate is `x` itself, bit for bit, so
 //! tolerances in x remain tolerances in x. On a logarithmic scale, it is `ln x`. The typical size of a
-//! coordinate is the user's value, otherwise the width of a finite box that is not too wide, otherwise |x0|,
-//! otherwise 1; see [`typical_size`].
+//! coordinate is the user's value if given. Otherwise, it is the width of a finite box that is not too wide,
+//! then |x0|, then 1; see [`typical_size`].
 //!
-//! Searches that start from a point (all except those that sample a box) ignore finite bounds at least 1e10
-//! times as far as the largest of 1, |x0| and the given size. The coordinates are then those of a parameter
-//! without bounds. Still, no point outside these bounds is evaluated.
+//! Searches that start from a point (all except those that sample a box) ignore finite bounds that are far
+//! away. A bound is far if it is at least 1e10 times the largest of 1, |x0| and the given size. The
+//! coordinates are then those of a parameter without bounds. Still, no point outside these bounds is
+//! evaluated.
 
 mod angles;
 mod bounds;
