@@ -27,7 +27,7 @@ struct PointDetails {
 }
 
 impl<'a> BatchView<'a> {
-    /// Number of points.
+    /// Returns the number of points.
     pub fn len(&self) -> usize {
         self.queries.len()
     }
@@ -37,17 +37,17 @@ impl<'a> BatchView<'a> {
         self.queries.is_empty()
     }
 
-    /// Number of parameters.
+    /// Returns the number of parameters.
     pub fn n(&self) -> usize {
         self.n
     }
 
-    /// Point `k` in the user's units.
+    /// Returns point `k` in the user's units.
     pub fn point(&self, k: usize) -> &'a [f64] {
         &self.points[k * self.n..(k + 1) * self.n]
     }
 
-    /// All points, row by row.
+    /// Returns all points, row by row.
     pub fn as_flat(&self) -> &'a [f64] {
         self.points
     }

@@ -90,7 +90,7 @@ impl Evaluator for ByHand {
         self.workers
     }
 
-    /// The user receives whole plans, however many points can be evaluated at once.
+    /// Returns the whole plan, however many points the user can evaluate at once.
     fn room(&self, plan: usize) -> usize {
         plan
     }

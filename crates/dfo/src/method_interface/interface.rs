@@ -42,7 +42,7 @@ impl Batch {
         Self::default()
     }
 
-    /// For methods: empties the batch, sets its numbers and requests costs. `n` is the length of the points.
+    /// Empties the batch, sets its numbers and requests costs; for methods. `n` is the length of the points.
     pub fn start(&mut self, n: usize, index: u64, first_id: u64) {
         self.want = Want::Cost;
         self.n = n;
@@ -54,28 +54,28 @@ impl Batch {
         self.n_certain = 0;
     }
 
-    /// For methods that look ahead: marks all points so far as certain. The path will reach certain points
+    /// Marks all points so far as certain; for methods that look ahead. The path will reach certain points
     /// unless the run ends first.
     pub fn all_certain(&mut self) {
         self.n_certain = self.len();
     }
 
-    /// Number of points evaluated ahead of need that the path will reach.
+    /// Returns the number of points ahead of need that the path will reach.
     pub(crate) fn n_certain(&self) -> usize {
         self.n_certain
     }
 
-    /// For methods: sets the kind of values requested for all points. With residuals there are no cutoffs.
+    /// Sets the kind of values requested for all points; for methods. With residuals there are no cutoffs.
     pub fn set_want(&mut self, want: Want) {
         self.want = want;
     }
 
-    /// Kind of values requested for all points.
+    /// Returns the kind of values requested for all points.
     pub fn want(&self) -> Want {
         self.want
     }
 
-    /// For methods: adds a point (user's units) with its cutoff (`f64::INFINITY` for none).
+    /// Adds a point (user's units) with its cutoff (`f64::INFINITY` for none); for methods.
     pub fn push(&mut self, x: &[f64], cutoff: f64) {
         debug_assert_eq!(x.len(), self.n, "a batch holds points of one length");
         self.push_with_id(x, cutoff, self.first_id + self.cutoffs.len() as u64);
@@ -88,7 +88,7 @@ impl Batch {
         self.ids.push(id);
     }
 
-    /// For a method that wraps another method: renumbers the points.
+    /// Renumbers the points; for a method that wraps another method.
     pub(crate) fn renumber(&mut self, index: u64, first_id: u64) {
         (self.index, self.first_id) = (index, first_id + self.first_id);
         self.ids.iter_mut().for_each(|id| *id += first_id);
@@ -109,12 +109,12 @@ impl Batch {
         self.ids.binary_search(&id).ok()
     }
 
-    /// For a method that wraps another method: replaces the cutoff of point `k`.
+    /// Replaces the cutoff of point `k`; for a method that wraps another method.
     pub(crate) fn set_cutoff(&mut self, k: usize, cutoff: f64) {
         self.cutoffs[k] = cutoff;
     }
 
-    /// Number of points.
+    /// Returns the number of points.
     pub fn len(&self) -> usize {
         self.cutoffs.len()
     }
@@ -124,32 +124,32 @@ impl Batch {
         self.cutoffs.is_empty()
     }
 
-    /// Length of each point.
+    /// Returns the length of each point.
     pub fn n(&self) -> usize {
         self.n
     }
 
-    /// Index of the batch, counted over the run.
+    /// Returns the index of the batch, counted over the run.
     pub fn index(&self) -> u64 {
         self.index
     }
 
-    /// Id of point `k`, counted over the run.
+    /// Returns the id of point `k`, counted over the run.
     pub fn id(&self, k: usize) -> u64 {
         self.ids[k]
     }
 
-    /// Point `k` in the user's units.
+    /// Returns point `k` in the user's units.
     pub fn point(&self, k: usize) -> &[f64] {
         &self.points[k * self.n..(k + 1) * self.n]
     }
 
-    /// Cutoff of point `k`; infinite if there is none.
+    /// Returns the cutoff of point `k`; infinite if there is none.
     pub fn cutoff(&self, k: usize) -> f64 {
         self.cutoffs[k]
     }
 
-    /// All points, stored one after the other.
+    /// Returns all points, one after the other.
     pub fn as_flat(&self) -> &[f64] {
         &self.points
     }
@@ -656,7 +656,7 @@ pub(crate) fn restored<S: DeserializeOwned>(state: &[u8], sound: impl Fn(&S) -> 
 }
 
 impl<'a> SimplexView<'a> {
-    /// Number of vertices.
+    /// Returns the number of vertices.
     pub fn len(&self) -> usize {
         self.order.len()
     }

@@ -228,7 +228,7 @@ impl PartialEq for Answers {
 }
 
 impl Answers {
-    /// Number of points.
+    /// Returns the number of points.
     pub fn len(&self) -> usize {
         self.outcomes.len()
     }

@@ -120,7 +120,7 @@ impl<M: Method> Drive<M> {
         }
     }
 
-    /// Duration of the run in seconds, including the time before it was resumed.
+    /// Returns the duration of the run in seconds, including the time before it was resumed.
     pub(crate) fn elapsed(&self) -> f64 {
         self.before + self.start.elapsed().as_secs_f64()
     }

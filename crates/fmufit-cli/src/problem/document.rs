@@ -54,7 +54,7 @@ impl Reader<'_> {
         table.iter().map(field).collect()
     }
 
-    /// The columns of outputs keep the order in which they are written, because residuals use that order.
+    /// Reads a value. Outputs keep the order in which they are written, because residuals use that order.
     fn value(&mut self, value: &Spanned<DeValue<'_>>, path: &str) -> Result<Value, (usize, String)> {
         let line = (self.line_at)(value.span().start);
         let bad = |message: &str| (line, format!("{path}: {message}"));

@@ -48,8 +48,8 @@ pub(crate) struct ProblemRecord {
 const OF_EXPERIMENTS: [&str; 8] =
     ["data", "time", "outputs", "inputs", "weights", "windows", "start_time", "start_values"];
 
-/// Schema of the parameters: at least one, each with a name, and with a start value unless it is tied to
-/// another parameter.
+/// Returns the schema of the parameters: at least one, each with a name, and with a start value unless it is
+/// tied to another parameter.
 fn parameters_schema(generator: &mut SchemaGenerator) -> Schema {
     let has_value = json_schema!({
         "required": ["name"],

@@ -45,7 +45,7 @@ impl Bounds {
         Self { lower: vec![f64::NEG_INFINITY; n], upper: vec![f64::INFINITY; n] }
     }
 
-    /// Number of parameters.
+    /// Returns the number of parameters.
     pub fn len(&self) -> usize {
         self.lower.len()
     }
