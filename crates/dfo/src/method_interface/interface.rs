@@ -560,8 +560,8 @@ pub struct MethodDetails<'a> {
     pub operation: Option<Operation>,
     /// Tolerance tests after the last complete iteration.
     pub tests: Option<ToleranceTests>,
-    /// True if the tests have passed and the method continues to search for other minima. Ending at a limit
-    /// is then a success.
+    /// True if the tests have passed but the method continues its search. An end at a limit is then a
+    /// success.
     pub settled: bool,
     /// Name of the batch plan in use.
     pub plan: &'static str,

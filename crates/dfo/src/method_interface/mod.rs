@@ -1,4 +1,4 @@
-//! The interface of the methods and their common tools: tolerances, sampling, random numbers, linear model.
+//! Interface of the methods and their shared tools: tolerances, sampling, random numbers and linear model.
 
 pub(crate) mod interface;
 pub(crate) mod linear_model;
