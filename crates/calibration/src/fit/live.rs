@@ -1,4 +1,4 @@
-//! A fit while it runs, as other threads see it.
+//! State of a running fit for other threads.
 
 use crate::fit::output_fit::KeptResiduals;
 use crate::problem::residual_layout::ResidualLayout;
@@ -7,42 +7,42 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-/// Most evaluations whose costs are kept: half of them go where there are more.
+/// Maximum number of recorded costs. If it is reached, about half of them are dropped.
 const MOST_COSTS: usize = 4096;
 
-/// Most failed points that are kept with what happened there, and most reasons that are counted.
+/// Maximum numbers of recorded failed points and of counted failure reasons.
 const MOST_FAILED: usize = 10;
 const MOST_REASONS: usize = 50;
 
-/// What a fit says of itself while it runs, see [`FitOptions::live`](crate::FitOptions::live). It costs no
-/// simulation: residuals at the best point are those that the search has computed.
+/// State of a fit while it runs, see [`FitOptions::live`](crate::FitOptions::live). It requires no extra
+/// simulations: the search has already computed the residuals at the best point.
 #[derive(Debug, Default)]
 pub struct LiveFit {
     known: Mutex<LiveState>,
-    /// The evaluations under way.
+    /// Evaluations in progress.
     running: Mutex<Vec<RunningPoint>>,
 }
 
-/// What is known of a fit that runs.
+/// Snapshot of a running fit.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct LiveState {
     pub(crate) n_iterations: usize,
     pub(crate) n_evaluations: usize,
     pub(crate) n_failed: usize,
-    /// The best point and its cost.
+    /// Best point and its cost.
     pub(crate) best: Option<(Vec<f64>, f64)>,
-    /// Numbers of evaluations and their costs; where there are many, the improvements and some of the others.
+    /// Evaluation numbers and their costs. If there are many, only the improvements and a part of the others.
     pub(crate) costs: Vec<(f64, f64)>,
-    /// How often evaluations failed for which reason.
+    /// Failure reasons and the number of evaluations that failed for each.
     pub(crate) failures: Vec<(String, usize)>,
-    /// The last points that failed, and why.
+    /// Last points that failed, newest first, with the reasons.
     pub(crate) failed: VecDeque<(Vec<f64>, String)>,
     search: Option<LiveSearch>,
-    /// Iterations of the searches before this one.
+    /// Number of iterations of the previous searches.
     before: usize,
 }
 
-/// The search that runs.
+/// Current search.
 #[derive(Debug, Clone)]
 struct LiveSearch {
     layout: ResidualLayout,
@@ -50,14 +50,14 @@ struct LiveSearch {
     kept: Arc<Mutex<KeptResiduals>>,
 }
 
-/// Residuals of a search, without weights and loss: at its start and at the best point so far.
+/// Residuals of a search without weights and loss, at its start and at the best point so far.
 pub(crate) struct LiveResiduals {
     pub(crate) layout: ResidualLayout,
     pub(crate) at_start: Option<Vec<f64>>,
     pub(crate) at_best: Vec<f64>,
 }
 
-/// An evaluation that is under way.
+/// Evaluation in progress.
 #[derive(Debug, Clone)]
 pub(crate) struct RunningPoint {
     id: u64,
@@ -65,19 +65,19 @@ pub(crate) struct RunningPoint {
     pub(crate) x: Vec<f64>,
 }
 
-/// An evaluation that is under way until this is dropped.
+/// Guard of an evaluation in progress, which ends when the guard is dropped.
 pub(crate) struct Running<'a> {
     live: &'a LiveFit,
     id: u64,
 }
 
-/// A lock; a poisoned one is no reason to fail where what it guards is whole at every instant.
+/// Locks a mutex and ignores poisoning: the data are consistent at all times.
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl LiveFit {
-    /// Begins a search, whose residuals are kept there.
+    /// Begins a search that stores its residuals in `kept`.
     pub(crate) fn begin(&self, layout: &ResidualLayout, loss: RobustLoss, kept: &Arc<Mutex<KeptResiduals>>) {
         let mut known = lock(&self.known);
         known.search = Some(LiveSearch { layout: layout.clone(), loss, kept: Arc::clone(kept) });
@@ -85,7 +85,7 @@ impl LiveFit {
         lock(&self.running).clear();
     }
 
-    /// Notes an iteration of the search.
+    /// Records an iteration of the search.
     pub(crate) fn note(&self, progress: &Progress<'_>) {
         let mut known = lock(&self.known);
         known.n_iterations = known.before + progress.n_iterations;
@@ -102,28 +102,28 @@ impl LiveFit {
         }
     }
 
-    /// Notes an evaluation that begins.
+    /// Records the start of an evaluation.
     pub(crate) fn add(&self, id: u64, x: &[f64]) {
         lock(&self.running).push(RunningPoint { id, since: Instant::now(), x: x.to_vec() });
     }
 
-    /// Notes that an evaluation has ended.
+    /// Records the end of an evaluation.
     pub(crate) fn remove(&self, id: u64) {
         lock(&self.running).retain(|running| running.id != id);
     }
 
-    /// Notes an evaluation that begins, and ends with what is returned.
+    /// Records the start of an evaluation. Dropping the returned guard records its end.
     pub(crate) fn running(&self, id: u64, x: &[f64]) -> Running<'_> {
         self.add(id, x);
         Running { live: self, id }
     }
 
-    /// What is known now.
+    /// Returns a snapshot of the state.
     pub(crate) fn state(&self) -> LiveState {
         lock(&self.known).clone()
     }
 
-    /// The evaluations under way, the longest first.
+    /// Returns the evaluations in progress, longest first.
     pub(crate) fn under_way(&self) -> Vec<RunningPoint> {
         let mut running = lock(&self.running).clone();
         running.sort_by_key(|running| running.since);
@@ -148,7 +148,7 @@ impl LiveState {
                 best = best.min(cost);
                 k += 1;
                 n_better += usize::from(is_better);
-                // Of the improvements themselves where they are many.
+                // If there are many improvements, drop every second one.
                 if is_better { n_better < MOST_COSTS / 4 || n_better % 2 == 0 } else { k % 2 == 0 }
             };
             self.costs.retain(|(_, cost)| is_kept(*cost));
@@ -168,11 +168,11 @@ impl LiveState {
         self.failed.push_front((x.to_vec(), reason.to_owned()));
     }
 
-    /// The residuals of the search that runs; `None` before any simulation has succeeded, and while the best
-    /// point is one of before.
+    /// Returns the residuals of the current search. Returns `None` before the first successful simulation and
+    /// while the best point comes from an earlier search.
     pub(crate) fn residuals(&self) -> Option<LiveResiduals> {
         let LiveSearch { layout, loss, kept } = self.search.as_ref()?;
-        // As short as can be: the search waits for this lock.
+        // Hold the lock briefly because the search waits for it.
         let (at_start, at_best) = {
             let kept = lock(kept);
             let at_best = match &self.best {

@@ -1,4 +1,4 @@
-//! The fit of one stage, several stages, phases and results.
+//! Fits in one stage or several stages, their phases and their results.
 
 pub(crate) mod live;
 pub(crate) mod one_stage;

@@ -13,50 +13,51 @@ use serde::{Deserialize, Serialize};
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct OutputFit {
-    /// The experiment.
+    /// Name of the experiment.
     pub experiment: String,
-    /// The variable of the model.
+    /// Variable of the model.
     pub variable: String,
-    /// The column that measured it.
+    /// Column of the measurements.
     pub column: String,
-    /// The unit of the variable, where the model states it.
+    /// Unit of the variable, if the model declares one.
     pub unit: Option<String>,
     /// Number of measurements that count.
     pub n: usize,
-    /// Root of the mean squared difference between simulation and measurement, without weights, in the unit
-    /// of the variable.
+    /// Root of the mean squared difference between simulation and measurement, without weights. It has the
+    /// unit of the variable.
     pub rms: f64,
-    /// The same at the start; `None` if the simulation failed there.
+    /// RMS at the start; `None` if the simulation failed there.
     pub start_rms: Option<f64>,
-    /// Fit percentage: `100 (1 - |simulated - measured| / |measured - mean|)`; NaN where the measurements do
-    /// not vary.
+    /// Fit percentage: `100 (1 - |simulated - measured| / |measured - mean|)`; NaN if the measurements do not
+    /// vary.
     pub fit_percent: f64,
 }
 
-/// Residuals that the run of a fit has computed, as they counted: at its start, and at the point of the
+/// Residuals, with weights and loss, that the search of a fit computed at its start and at the point of the
 /// lowest cost.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct KeptResiduals {
     start: Vec<f64>,
     at_start: Option<Vec<f64>>,
     best: Option<PointResiduals>,
-    /// The cost at the best point.
+    /// Cost at the best point.
     cost: f64,
 }
 
 impl KeptResiduals {
-    /// Those at the start, where they are known before the run.
+    /// Creates the record, with the residuals at the start if they are known before the run.
     pub(crate) fn new(start: &[f64], at_start: Option<Vec<f64>>) -> Self {
         Self { start: start.to_vec(), at_start, ..Self::default() }
     }
 
-    /// The same, with those of a point.
+    /// Replaces the best point by `x` with these residuals.
     pub(crate) fn with(self, x: &[f64], residuals: Option<&[f64]>) -> Self {
         let best = residuals.map(|r| PointResiduals { x: x.to_vec(), residuals: r.to_vec() });
         Self { best, ..self }
     }
 
-    /// The same by the weights of another layout of the same measurements; of residuals without a loss.
+    /// Converts the weights of one layout to the weights of another layout of the same measurements. The
+    /// residuals must not include a loss.
     pub(crate) fn reweighed(mut self, from: &ResidualLayout, to: &ResidualLayout) -> Self {
         if from != to {
             let best = self.best.as_mut().map(|best| &mut best.residuals);
@@ -65,29 +66,29 @@ impl KeptResiduals {
         self
     }
 
-    /// Those at the start.
+    /// Returns the residuals at the start.
     pub(crate) fn at_start(&self) -> Option<&[f64]> {
         self.at_start.as_deref()
     }
 
-    /// Those at the point of the lowest cost, or else at the start.
+    /// Returns the residuals at the point of the lowest cost, otherwise the residuals at the start.
     pub(crate) fn at_best(&self) -> Option<&[f64]> {
         self.best.as_ref().map(|best| best.residuals.as_slice()).or(self.at_start())
     }
 
-    /// Those at the point of the lowest cost; nothing while a lower one than that is known from before, as in
-    /// a search that was resumed.
+    /// Returns the residuals at the point of the lowest cost. Returns `None` if an earlier search found a
+    /// lower cost than this point, as in a resumed search.
     pub(crate) fn at_best_within(&self, cost: f64) -> Option<&[f64]> {
         self.best.as_ref().filter(|_| self.cost <= cost).map(|best| best.residuals.as_slice())
     }
 
-    /// Those at `x`, if they are known: at the point of the lowest cost, and at the start.
+    /// Returns the residuals at `x` if `x` is the point of the lowest cost or the start.
     pub(crate) fn at(&self, x: &[f64]) -> Option<&[f64]> {
         let best = self.best.as_ref().filter(|best| best.x == x).map(|best| best.residuals.as_slice());
         best.or_else(|| self.at_start().filter(|_| x == self.start))
     }
 
-    /// Notes an evaluation that has a cost.
+    /// Records an evaluation that returned a cost.
     pub(crate) fn note(&mut self, x: &[f64], cost: f64, residuals: &[f64]) {
         if self.at_start.is_none() && x == self.start {
             self.at_start = Some(residuals.to_vec());
@@ -103,7 +104,7 @@ impl KeptResiduals {
         self.cost = cost;
     }
 
-    /// Those at a point, without the loss.
+    /// Returns the residuals at a point without the loss.
     fn plain(&self, x: &[f64], loss: RobustLoss) -> Option<PointResiduals> {
         let mut residuals = self.at(x)?.to_vec();
         loss.inverse_all(&mut residuals);
@@ -111,8 +112,8 @@ impl KeptResiduals {
     }
 }
 
-/// The residuals at the start of a fit and at its result, without a loss, where they are known. None at the
-/// start where there are none at the result.
+/// Residuals at the start of a fit and at its result, without a loss. If the residuals at the result are
+/// unknown, the residuals at the start are also `None`.
 #[derive(Debug)]
 pub(crate) struct EndResiduals {
     pub(crate) start: Option<PointResiduals>,
@@ -120,8 +121,8 @@ pub(crate) struct EndResiduals {
 }
 
 impl Calibration {
-    /// The residuals at the start of a fit and at `x`: those that are known, else from simulations, as long
-    /// as it is not cancelled.
+    /// Returns the residuals at the start of a fit and at `x`. Simulates the points that are not known,
+    /// unless the run is over.
     pub(crate) fn end_residuals(
         &self,
         x: &[f64],
@@ -142,8 +143,8 @@ impl Calibration {
         EndResiduals { start: end.as_ref().and_then(|_| at(&known.start)), end }
     }
 
-    /// Quality of fit of each output at a point, with the RMS at the start of the fit, from the residuals
-    /// without a loss.
+    /// Returns the quality of fit of each output at a point and its RMS at the start, from residuals without
+    /// a loss.
     pub(crate) fn output_fits(&self, end: &PointResiduals, start: Option<&PointResiduals>) -> Vec<OutputFit> {
         let of_output = |series: &OutputResiduals| {
             let rms = |at: &PointResiduals| {
@@ -168,7 +169,7 @@ impl Calibration {
     }
 }
 
-/// Root of the mean squared distance from the mean; NaN where all values are the same.
+/// Returns the root of the mean squared distance from the mean, or NaN if all values are equal.
 fn deviation(values: &[f64]) -> f64 {
     if values.windows(2).all(|pair| pair[0] == pair[1]) {
         return f64::NAN;
@@ -189,7 +190,7 @@ mod tests {
             kept.note(&[x], cost, &[residual]);
         }
         assert_eq!([1.0, 0.5, 0.7].map(|x| kept.at(&[x])), [Some([3.0].as_slice()), Some(&[-1.0]), None]);
-        // Of a search that was resumed with a cost of 0.5 they are not those of the best point.
+        // A search resumed with a cost of 0.5 has a better point than these residuals.
         assert_eq!([1.0, 0.5].map(|cost| kept.at_best_within(cost)), [Some([-1.0].as_slice()), None]);
     }
 

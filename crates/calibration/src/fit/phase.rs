@@ -1,4 +1,4 @@
-//! The phases of a fit, and what each takes.
+//! Phases of a fit and their cost.
 
 use crate::loaded::effort::Effort;
 use ode::{Seconds, Stats};
@@ -12,24 +12,25 @@ use std::time::{Duration, Instant};
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum FitPhase {
-    /// It is tested how the model's instances can be reused.
+    /// Tests how the instances of the model can be reused.
     ModelTest,
-    /// The start is looked at.
+    /// Checks the problem at the start values.
     Preflight,
-    /// The search itself.
+    /// Searches for the best point.
     Search,
-    /// The result is looked at: bounds and parameters without effect, the accuracy of its simulation, what
-    /// one more step would gain, and what may not be meant as it was given.
+    /// Checks the result. Looks for parameters at a bound or without effect, and repeats the check of the
+    /// problem. Also estimates the accuracy of the simulation and the gain of one more step.
     Checks,
-    /// The best point is evaluated again in a fresh process, while the phases after this one last, so that
-    /// its time does not count here. That is a [check](ode::Checks).
+    /// Evaluates the best point again in a fresh process. This phase runs in parallel with the phases after
+    /// it, so its time is not counted here. The evaluation is a [check](ode::Checks).
     FreshProcess,
-    /// The standard errors are found: two simulations for each parameter.
+    /// Estimates the standard errors, with two simulations for each parameter.
     Uncertainty,
 }
 
 impl FitPhase {
-    /// All in the order of the type, each with its key and what it is called while it lasts.
+    /// All phases in the order of their definition, each with its key and the name to show while it is
+    /// active.
     const ALL: [(Self, &'static str, &'static str); 6] = [
         (Self::ModelTest, "model_test", "testing the model"),
         (Self::Preflight, "preflight", "looking at the start"),
@@ -39,23 +40,23 @@ impl FitPhase {
         (Self::Uncertainty, "uncertainty", "standard errors"),
     ];
 
-    /// The phase as a key.
+    /// Returns the key of the phase.
     pub fn key(self) -> &'static str {
         Self::ALL[self as usize].1
     }
 
-    /// Name of the phase, for messages while it lasts.
+    /// Returns the name of the phase, for messages while it is active.
     pub fn name(self) -> &'static str {
         Self::ALL[self as usize].2
     }
 }
 
-/// The phase that a fit is in, to be read from any thread.
+/// Current phase of a fit, readable from any thread.
 #[derive(Debug, Default)]
 pub struct CurrentPhase(AtomicU8);
 
 impl CurrentPhase {
-    /// The phase; the first before the fit has begun.
+    /// Returns the current phase, or the first phase if the fit has not begun.
     pub fn get(&self) -> FitPhase {
         FitPhase::ALL[usize::from(self.0.load(Ordering::Relaxed)).min(FitPhase::ALL.len() - 1)].0
     }
@@ -65,33 +66,33 @@ impl CurrentPhase {
     }
 }
 
-/// What a phase of a fit took.
+/// Cost of one phase of a fit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct PhaseCost {
     /// The phase.
     pub phase: FitPhase,
-    /// What it took.
+    /// Simulations and time of the phase.
     pub taken: Effort,
 }
 
-/// The phases of a fit one after the other, with what they take.
+/// Phases of a fit in order, with their cost.
 #[derive(Debug)]
 pub(crate) struct Phases {
     told: Arc<CurrentPhase>,
     taken: [Effort; FitPhase::ALL.len()],
-    /// The phase that lasts, from when on, and what was taken before.
+    /// Active phase, the time at which it began, and the effort before it.
     now: (FitPhase, Instant, Effort),
 }
 
 impl Phases {
-    /// It is to be told the phase.
+    /// Creates the record of the phases. `told` is updated when a phase begins.
     pub(crate) fn new(told: Arc<CurrentPhase>) -> Self {
         let now = (told.get(), Instant::now(), Effort::default());
         Self { told, taken: Default::default(), now }
     }
 
-    /// Ends a phase and begins this one. `stats`: of all simulations of the fit so far.
+    /// Ends a phase and begins this one. `stats` counts all simulations of the fit so far.
     pub(crate) fn enter(&mut self, phase: FitPhase, stats: &Stats) {
         let (last, since, before) = self.now;
         let mut own = Effort::of(stats, since.elapsed());
@@ -101,21 +102,21 @@ impl Phases {
         self.begin(phase, stats);
     }
 
-    /// Begins a phase where what was before counts elsewhere.
+    /// Begins a phase when the effort before it is counted elsewhere.
     pub(crate) fn begin(&mut self, phase: FitPhase, stats: &Stats) {
         self.now = (phase, Instant::now(), Effort::of(stats, Duration::ZERO));
-        // That lasts while others do.
+        // This phase runs in parallel with the phases after it.
         if phase != FitPhase::FreshProcess {
             self.told.set(phase);
         }
     }
 
-    /// Who is told the phase.
+    /// Returns the shared record of the current phase.
     pub(crate) fn told(&self) -> Arc<CurrentPhase> {
         Arc::clone(&self.told)
     }
 
-    /// Adds what a part of a phase took to another one.
+    /// Moves part of the cost of one phase to another phase.
     pub(crate) fn move_part(&mut self, part: Effort, from: FitPhase, to: FitPhase) {
         self.taken[to as usize] += part;
         let whole = &mut self.taken[from as usize];
@@ -124,12 +125,12 @@ impl Phases {
         whole.seconds = Seconds::new((whole.seconds.get() - part.seconds.get()).max(0.0));
     }
 
-    /// Adds what parts of a fit took.
+    /// Adds the cost of parts of a fit.
     pub(crate) fn add(&mut self, costs: &[PhaseCost]) {
         costs.iter().for_each(|cost| self.taken[cost.phase as usize] += cost.taken);
     }
 
-    /// The phases that there were. `stats`: as for [`enter`](Self::enter).
+    /// Returns the cost of all phases that occurred. `stats` is as for [`enter`](Self::enter).
     pub(crate) fn costs(&mut self, stats: &Stats) -> Vec<PhaseCost> {
         self.enter(self.now.0, stats);
         let all = FitPhase::ALL.iter().zip(self.taken);

@@ -1,4 +1,4 @@
-//! JSON schemas of the options of a fit and of a stage: their own, and those of the run.
+//! JSON schemas of the options of a fit and of a stage, including the options of the run.
 
 use crate::fit::one_stage::FitRecord;
 use crate::fit::several_stages::StageRecord;
@@ -6,17 +6,17 @@ use dfo::RequestedRun;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde_json::Value as Json;
 
-/// The schema of the options of a fit.
+/// Returns the schema of the options of a fit.
 pub fn fit_schema(generator: &mut SchemaGenerator) -> Schema {
     with_run(FitRecord::json_schema(generator), generator)
 }
 
-/// The schema of the options of a stage.
+/// Returns the schema of the options of a stage.
 fn stage_schema(generator: &mut SchemaGenerator) -> Schema {
     with_run(StageRecord::json_schema(generator), generator)
 }
 
-/// The schema of the options of several stages.
+/// Returns the schema of the options of several stages.
 pub fn stages_schema(generator: &mut SchemaGenerator) -> Schema {
     json_schema!({ "type": "array", "items": stage_schema(generator) })
 }

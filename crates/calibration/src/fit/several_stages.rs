@@ -1,5 +1,5 @@
-//! Fits in stages: each frees some of the parameters, holds the others, and starts from the result of the
-//! last.
+//! Fits in stages. Each stage frees some of the parameters, fixes the others, and starts from the result of
+//! the previous stage.
 
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
@@ -32,19 +32,19 @@ use std::time::Duration;
 /// ```
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Stage {
-    /// The parameters that it frees, by name: all values of a [local](crate::Parameter::local) one (`T0`), or
-    /// one of them (`T0[run1]`). The others stay where they are.
+    /// Names of the free parameters. `T0` frees all values of a [local](crate::Parameter::local) parameter,
+    /// and `T0[run1]` frees one of them. The other parameters keep their values.
     pub parameters: Vec<String>,
-    /// Only measurements in these count in this stage, in all experiments, in s; none: those that count in
-    /// the calibration.
+    /// Windows in s that select the measurements of this stage, in all experiments. If empty, the stage uses
+    /// the measurements that count in the calibration.
     pub windows: Vec<(f64, f64)>,
-    /// The method; default: that of the fit.
+    /// Method of the stage; default: the method of the fit.
     pub method: Option<AnyMethod>,
-    /// Why it was chosen, where the user left it open.
+    /// Reason for the choice of the method if the user did not choose one.
     pub method_reason: Option<String>,
-    /// Limits of this stage; those of the fit hold for all stages together.
+    /// Limits of this stage. The limits of the fit apply to all stages together.
     pub limits: Limits,
-    /// When the tests of this stage pass; default: as in the fit.
+    /// Tolerances of the termination tests of this stage; default: the tolerances of the fit.
     pub tolerances: Option<Tolerances>,
 }
 
@@ -54,28 +54,28 @@ impl Stage {
         Self { parameters: parameters.into_iter().map(Into::into).collect(), ..Self::default() }
     }
 
-    /// Only measurements in `[from, to]`, and in other windows given so, count in this stage.
+    /// Adds a window. Only measurements in `[from, to]` and in the other windows count in this stage.
     #[must_use]
     pub fn window(mut self, from: f64, to: f64) -> Self {
         self.windows.push((from, to));
         self
     }
 
-    /// A method of its own.
+    /// Sets the method of this stage.
     #[must_use]
     pub fn method(mut self, method: impl Into<AnyMethod>) -> Self {
         self.method = Some(method.into());
         self
     }
 
-    /// Limits of its own.
+    /// Sets the limits of this stage.
     #[must_use]
     pub fn limits(mut self, limits: Limits) -> Self {
         self.limits = limits;
         self
     }
 
-    /// Tolerances of its own.
+    /// Sets the tolerances of this stage.
     #[must_use]
     pub fn tolerances(mut self, tolerances: Tolerances) -> Self {
         self.tolerances = Some(tolerances);
@@ -84,11 +84,12 @@ impl Stage {
 }
 
 impl Stage {
-    /// A stage of a fit of `n` parameters as a record asks for it: `parameters`, `windows`, and the options
-    /// of its run. `workers` are those of the fit, for the batch plan of so many.
+    /// Creates a stage of a fit of `n` parameters from a record. The record contains `parameters`, `windows`
+    /// and the options of the run. `workers` is the number of workers of the fit, which determines the batch
+    /// plan.
     ///
     /// # Errors
-    /// An option that there is not, or a value that it cannot have.
+    /// Returns an error if an option does not exist or its value is invalid.
     pub fn from_record(record: Record, n: usize, workers: Option<usize>) -> Result<Self, dfo::Error> {
         let (own, of_run) = read_part::<StageRecord>(record, "option of a stage")?;
         let default = RunOptions { workers, ..FitOptions::default_run() };
@@ -98,10 +99,10 @@ impl Stage {
         Ok(Self { parameters, windows, method, limits: run.limits, tolerances, method_reason: None })
     }
 
-    /// The names of all options that a record of a stage may have.
+    /// Returns the names of all options that a record of a stage may contain.
     ///
     /// # Errors
-    /// The options of a method cannot be serialised.
+    /// Returns an error if the options of a method cannot be serialised.
     pub fn option_names() -> Result<BTreeSet<String>, dfo::Error> {
         let mut names = RequestedRun::option_names()?;
         names.extend(field_names::<StageRecord>()?);
@@ -109,18 +110,18 @@ impl Stage {
     }
 }
 
-/// The options of a stage by name, beside those of its run.
+/// Options of a stage by name, without the options of its run.
 #[derive(Debug, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct StageRecord {
-    /// The parameters that it frees.
+    /// Names of the free parameters.
     parameters: Vec<String>,
-    /// Only measurements in one of these windows count, each from and to, in s.
+    /// Windows in s, each with its start and end. Only measurements in one of these windows count.
     windows: Vec<(f64, f64)>,
 }
 
-/// The smaller of two limits.
+/// Returns the smaller of two limits.
 fn least<T: PartialOrd>(a: Option<T>, b: Option<T>) -> Option<T> {
     match (a, b) {
         (Some(a), Some(b)) => Some(if b < a { b } else { a }),
@@ -128,7 +129,7 @@ fn least<T: PartialOrd>(a: Option<T>, b: Option<T>) -> Option<T> {
     }
 }
 
-/// Part of the limits of a fit that its first stages have left.
+/// Limits of a fit that remain after its first stages.
 #[derive(Debug, Clone, Copy)]
 struct Left {
     spent: UsedLimits,
@@ -151,7 +152,7 @@ impl Left {
         Self { spent, limits }
     }
 
-    /// The limit of which nothing is left.
+    /// Returns the limit that is used up.
     fn reached(&self) -> Option<Termination> {
         match (self.limits.max_evaluations, self.limits.max_iterations, self.limits.max_time) {
             (Some(0), ..) => Some(Termination::MaxEvaluations),
@@ -161,10 +162,11 @@ impl Left {
         }
     }
 
-    /// The run of a stage, and the stage's own limit of time where that is the shorter one.
+    /// Returns the run of a stage. Also returns the stage's own time limit if it is shorter than the time
+    /// left.
     fn run(&self, run: &RunOptions<AnyMethod>, stage: &Stage) -> (RunOptions<AnyMethod>, Option<Duration>) {
         let mut own = run.clone();
-        // The limit that ends the stage is the one that its message names.
+        // The message of the stage names the limit that ends the stage.
         let of_stage =
             stage.limits.max_time.filter(|limit| self.limits.max_time.is_none_or(|time| *limit < time));
         if let Some(method) = &stage.method {
@@ -176,30 +178,30 @@ impl Left {
             max_evaluations: least(stage.limits.max_evaluations, self.limits.max_evaluations),
             max_iterations: least(stage.limits.max_iterations, self.limits.max_iterations),
             max_time: of_stage.or(run.limits.max_time),
-            // What a target says of one window says nothing of another.
+            // A target for the whole fit does not apply to a single window.
             target: stage.limits.target.or(run.limits.target.filter(|_| stage.windows.is_empty())),
         };
         (own, of_stage)
     }
 }
 
-/// Stages that were made.
+/// Completed stages.
 #[derive(Default)]
 struct Done {
     fits: Vec<Fit>,
-    /// The residuals at the start of the first and at the end of the last one, as they counted.
+    /// Residuals at the start of the first stage and at the end of the last stage, with weights and loss.
     at_start: Option<Vec<f64>>,
     at_end: Option<Vec<f64>>,
-    /// Why the next stage was not made.
+    /// Reason why the next stage did not run.
     ended: Option<Termination>,
 }
 
-/// An error of a stage, by its number from 0.
+/// Wraps an error of a stage, which is numbered from 0.
 fn in_stage(k: usize) -> impl Fn(CalibrationError) -> CalibrationError {
     move |source| CalibrationError::Stage { number: k + 1, source: Box::new(source) }
 }
 
-/// Parameters that ended at a bound or had no effect in the last stage that freed them.
+/// Returns the parameters that ended at a bound or had no effect in the last stage that freed them.
 fn stuck_in_all(fits: &[Fit], freed: &[Vec<usize>]) -> StuckParameters {
     let mut all = StuckParameters::default();
     for (fit, freed) in fits.iter().zip(freed) {
@@ -214,11 +216,12 @@ fn stuck_in_all(fits: &[Fit], freed: &[Vec<usize>]) -> StuckParameters {
     all
 }
 
-/// The report of the last stage, with what all took; its trace is that of the last stages with one window.
+/// Returns the report of the last stage with the counts of all stages. Its trace joins the trailing stages
+/// that have the same windows.
 fn report_of_all(stages: &[Stage], fits: &[Fit], ended: Option<&Termination>) -> Report {
     let (n, last) = (fits.len(), &fits[fits.len() - 1]);
     let mut report = last.report.clone();
-    // Each takes what other stages hold as known.
+    // The Jacobian of a stage treats the parameters of other stages as known.
     (report.jacobian, report.active) = (None, Vec::new());
     let of_stage = |k: usize, message: &str| format!("stage {} of {}: {message}", k + 1, stages.len());
     report.message = of_stage(n - 1, &report.message);
@@ -245,25 +248,29 @@ fn report_of_all(stages: &[Stage], fits: &[Fit], ended: Option<&Termination>) ->
 }
 
 impl Calibration {
-    /// Fits in stages. Each frees its parameters, from where the last stage left them, and holds the others;
-    /// those that no stage frees stay at the start.
+    /// Fits in stages. Each stage frees its parameters, fixes the others, and starts from the result of the
+    /// previous stage. Parameters that no stage frees keep their start values.
     ///
-    /// Limits of the fit (evaluations, iterations, time, target) hold for all stages together, and so do an
-    /// interrupt and an observer that ends the fit; a stage may have limits of its own, at which the next one
-    /// begins. The result is that of the last stage, with the evaluations, simulations and the trace of all;
-    /// it is a success if all stages were one, and [`Fit::stages`] has the fit of each. A stage with a window
-    /// of its own sees other costs: then those of the result are computed once more, on the measurements of
-    /// the calibration, and its trace is that of the last stages with one window. A checkpoint has one file
-    /// per stage: `fit.ckpt.stage1`, `fit.ckpt.stage2` and so on.
+    /// The limits of the fit (evaluations, iterations, time, target) apply to all stages together. An
+    /// interrupt or an observer can also end the whole fit. A stage may have separate limits; if it reaches
+    /// one of them, the next stage begins.
     ///
-    /// The covariance of a method at the end of a stage ([`dfo::Report::covariance`]) is conditional: it
-    /// takes the held parameters as known, and so does the [uncertainty](Fit::uncertainty) of a stage. So the
-    /// result has no Jacobian in its report, only the stages have; its uncertainty is found with all
-    /// parameters that any stage freed.
+    /// The result is the result of the last stage, with the evaluations, simulations and the trace of all
+    /// stages. It is a success if all stages succeeded. [`Fit::stages`] contains the fit of each stage. A
+    /// stage with its own window minimises a different cost. In this case, the costs of the result are
+    /// computed again on the measurements of the calibration. The trace then contains only the last stages
+    /// that share one window.
+    ///
+    /// A checkpoint has one file per stage: `fit.ckpt.stage1`, `fit.ckpt.stage2` and so on.
+    ///
+    /// The covariance of a method at the end of a stage ([`dfo::Report::covariance`]) is conditional because
+    /// it treats the fixed parameters as known. The [uncertainty](Fit::uncertainty) of a stage is also
+    /// conditional. The report of the result therefore contains no Jacobian; only the reports of the stages
+    /// do. The uncertainty of the result covers all parameters that any stage freed.
     ///
     /// # Errors
-    /// As [`Calibration::fit`]; no stages, stages without parameters, names that are no parameters or those
-    /// of fixed ones.
+    /// Returns the errors of [`Calibration::fit`]. Also returns an error if there are no stages, a stage has
+    /// no parameters, a name is not a parameter, or a named parameter is fixed.
     pub fn fit_stages<'a>(
         &self,
         stages: &[Stage],
@@ -303,7 +310,7 @@ impl Calibration {
         Ok(fit)
     }
 
-    /// The stages one after the other, each from where the last one ended.
+    /// Runs the stages in order, each from the end of the previous stage.
     fn in_turn(
         &self,
         stages: &[Stage],
@@ -350,7 +357,7 @@ impl Calibration {
             let (mut fit, kept) =
                 match windowed[k].as_ref().unwrap_or(self).fit_and_keep(options, Some(within)) {
                     Ok(fitted) => fitted,
-                    // The results of the stages before are not lost.
+                    // Keep the results of the earlier stages.
                     Err(error) => match ended_by(&error).filter(|_| k > 0) {
                         Some(termination) => {
                             done.ended = Some(termination);
@@ -359,7 +366,7 @@ impl Calibration {
                         None => return Err(in_stage(k)(error)),
                     },
                 };
-            // It had no time for a single evaluation.
+            // The stage had no time for a single evaluation.
             if k > 0 && fit.cost.is_nan() && job.context.is_late() {
                 done.ended = Some(fit.report.termination);
                 break;
@@ -373,7 +380,7 @@ impl Calibration {
             done.at_end = kept.at(&fit.x).map(<[f64]>::to_vec);
             let own = StageRecord { parameters: stage.parameters.clone(), windows: stage.windows.clone() };
             let names = Stage::option_names()?;
-            // The others are those of the whole fit.
+            // The other options belong to the whole fit.
             fit.options.retain(|name, _| names.contains(name));
             if let Value::Record(own) = Value::of(&own)? {
                 fit.options.extend(own);
@@ -386,8 +393,8 @@ impl Calibration {
         Ok(done)
     }
 
-    /// The stages as one search, with the weights of the last one. The cost at the start and at the end is
-    /// computed again where the first or the last stage saw another one.
+    /// Combines the stages into one search, with the weights of the last stage. Computes the cost at the
+    /// start and at the end again if the first or the last stage minimised a different cost.
     fn all_in_one(
         &self,
         stages: &[Stage],
@@ -442,11 +449,11 @@ impl Calibration {
         Ok(FinalSearch { own: weighed, searched, noise: last.noise.clone(), tolerance: None })
     }
 
-    /// Refuses what [`fit`](Self::fit) would refuse, or [`fit_stages`](Self::fit_stages) with stages, before
-    /// anything is simulated: for those who begin something before a fit.
+    /// Checks the arguments of [`fit`](Self::fit), or of [`fit_stages`](Self::fit_stages) if there are
+    /// stages, without a simulation. Use it before costly preparations for a fit.
     ///
     /// # Errors
-    /// As these.
+    /// Returns the errors that these functions return for invalid arguments.
     pub fn check_fit<'a>(
         &self,
         stages: Option<&[Stage]>,
@@ -459,7 +466,7 @@ impl Calibration {
         }
     }
 
-    /// The entries of `x` that each stage frees.
+    /// Returns the entries of `x` that each stage frees.
     fn all_checked(&self, stages: &[Stage], job: &Job<'_>) -> Result<Vec<Vec<usize>>, CalibrationError> {
         if stages.is_empty() {
             return Err(CalibrationError::Setup("stages: there are none".to_owned()));
@@ -468,7 +475,7 @@ impl Calibration {
         freed.map(|(k, stage)| self.checked(stage, job).map_err(in_stage(k))).collect()
     }
 
-    /// The entries of `x` that a stage frees, once it is sure that its method can fit them.
+    /// Returns the entries of `x` that a stage frees, after checking that its method can fit them.
     fn checked(&self, stage: &Stage, job: &Job<'_>) -> Result<Vec<usize>, CalibrationError> {
         let freed = self.freed(stage, &job.held)?;
         let held: Vec<usize> = (0..job.start.len()).filter(|i| !freed.contains(i)).collect();
@@ -478,7 +485,7 @@ impl Calibration {
         Ok(freed)
     }
 
-    /// The entries of `x` that a stage frees.
+    /// Returns the entries of `x` that a stage frees.
     fn freed(&self, stage: &Stage, held: &[usize]) -> Result<Vec<usize>, CalibrationError> {
         let setup = |message: String| Err(CalibrationError::Setup(message));
         if stage.parameters.is_empty() {
@@ -503,7 +510,7 @@ impl Calibration {
         Ok(freed)
     }
 
-    /// The entries of `x` that a name stands for: one, or all of a local parameter.
+    /// Returns the entries of `x` with this name: one entry, or all entries of a local parameter.
     pub(crate) fn entries_of(&self, name: &str) -> Vec<usize> {
         let is_local = self.problem().parameters.iter().any(|p| p.is_local() && p.name() == name);
         let is_it =
@@ -513,7 +520,7 @@ impl Calibration {
     }
 }
 
-/// True for the suffix of the name of a local parameter in an experiment.
+/// Returns true if the string is the experiment suffix of the name of a local parameter.
 fn is_in_experiment(rest: &str) -> bool {
     rest.starts_with('[') && rest.ends_with(']')
 }

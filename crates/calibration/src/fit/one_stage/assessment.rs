@@ -1,4 +1,4 @@
-//! Judgement of the result of a search: findings, the quality of fit of each output, and the uncertainty.
+//! Assessment of the result of a search: findings, quality of fit of each output, and uncertainty.
 
 use super::misfit;
 use super::noise::{self, FitNoise};
@@ -23,18 +23,18 @@ use base::RunContext;
 use dfo::{Cause, RobustLoss, Termination, ToleranceMeasure};
 use ode::Stats;
 
-/// Simulations with so many right-hand sides together are made one after the other: they take about as long
-/// as to start a process and threads, 1 to 2 ms (`benches/whole_fits.md`).
+/// Below this total number of right-hand sides, simulations run sequentially. They take about as long as
+/// starting a process and threads, 1 to 2 ms (`benches/whole_fits.md`).
 const FEW_RIGHT_HAND_SIDES: u64 = 20_000;
 
-/// What is said of a fit whose search has ended by itself, and what follows it has been ended.
+/// Finding about a fit that was interrupted after its search had ended normally.
 const ENDED_EARLY: &str =
     "what follows the search was ended before it was complete: findings and standard errors may be missing";
 
 impl Calibration {
-    /// The fit of which the searches are made, with the residuals that they have computed, by the weights of
-    /// this calibration. `own`: that with the weights and the tolerance of the fit; `stats`: what the
-    /// searches took; `budget`: what may be simulated besides.
+    /// Returns the fit for completed searches. Also returns their residuals with the weights of this
+    /// calibration. `own` is the calibration with the weights and the tolerance of the fit. `stats` counts
+    /// the simulations of the searches, and `budget` limits further simulations.
     pub(crate) fn judged(
         &self,
         own: &Self,
@@ -52,7 +52,7 @@ impl Calibration {
             ends.end.as_ref().map_or_else(Vec::new, |end| own.output_fits(end, ends.start.as_ref()));
         job.enter(FitPhase::Uncertainty, &stats);
         let uncertainty = own.uncertainty_of_fit(job, &made.searched, &ends, &mut budget, &mut stats);
-        // The search has ended by itself; what follows it has not.
+        // The search ended normally, but the steps after it did not.
         if context.is_cancelled() && report.termination != Termination::Interrupted {
             findings.push(
                 Finding::warning("fit", ENDED_EARLY, "fit again, or resume from the checkpoint")
@@ -66,7 +66,7 @@ impl Calibration {
         let is_estimated = made.noise.as_ref().is_some_and(|noise| noise.estimated().is_some());
         let mut rms = |x: &[f64], cost: f64| match residuals.at(x) {
             _ if objective.is_sum_of_squares() && !is_estimated => Some(self.rms(x, cost)),
-            // Of another cost, or by other weights, the residuals have to be known.
+            // With another cost or other weights, the residuals must be known.
             Some(known) => Some(self.rms_of(known, own.residual_layout())),
             None => {
                 let found = own.cost_and_residuals(x, objective, *loss, context, &mut stats);
@@ -75,7 +75,7 @@ impl Calibration {
         };
         let (rms, start_rms) = match job.loss.is_linear() {
             true => (rms(&report.x, report.fun), start_cost.and_then(|cost| rms(start, cost))),
-            // What residuals count with the loss is no difference.
+            // The cost with a loss does not determine the differences.
             false => {
                 let plain = |at: &Option<PointResiduals>| {
                     at.as_ref().map(|at| self.rms_of(&at.residuals, own.residual_layout()))
@@ -137,7 +137,7 @@ impl Calibration {
         (fit, residuals.reweighed(&kept_by, self.residual_layout()))
     }
 
-    /// Findings of the search and of the problem at its result; each is listed once.
+    /// Returns the findings of the search and of the problem at its result, without duplicates.
     fn findings_of_search(
         &self,
         job: &Job<'_>,
@@ -177,8 +177,8 @@ impl Calibration {
         once
     }
 
-    /// Residuals that contradict the noise that the weights state: that priors are weighed with, or of a sum
-    /// of squares that has come to its end.
+    /// Returns findings about residuals that contradict the noise stated by the weights. This applies to fits
+    /// with priors and to sums of squares whose search has converged.
     fn contradictions_of_stated_noise(
         &self,
         job: &Job<'_>,
@@ -198,7 +198,8 @@ impl Calibration {
         }
     }
 
-    /// Findings where there is no uncertainty: why, if it was requested, and those that need none.
+    /// Returns the findings of a fit without uncertainty: the reason if it was requested, and findings that
+    /// do not require it.
     fn findings_without_uncertainty(
         &self,
         job: &Job<'_>,
@@ -217,13 +218,13 @@ impl Calibration {
         if let Some(end) = end.filter(|_| budget.allows(Extra::Accuracy, self.price_of_accurate())) {
             found.extend(self.large_step_after_fit(end, &job.context, stats));
         }
-        // Of a search that was ended the residuals show something that other values take away.
+        // If a search was interrupted, other values could remove the pattern in the residuals.
         let is_at_end = searched.report.termination.cause() == Cause::Search;
         let at_end = ends.end.as_ref().filter(|_| job.is_whole && is_at_end);
         if let Some(end) = at_end.filter(|end| !self.is_within_tolerance(sum_of_squares(&end.residuals))) {
             let names = self.problem().experiment_names();
             let checks = ResidualCheck::all(self.residual_layout(), &names, &end.residuals, &job.context);
-            // A search whose time is up has no findings.
+            // A run whose time has expired has no findings.
             let checks = checks.unwrap_or_default();
             let has_loss = !job.loss.is_linear() || matches!(job.objective, CostKind::Named(NamedCost::Mae));
             found.extend(ResidualCheck::all_findings(&checks, has_loss, false));
@@ -231,15 +232,16 @@ impl Calibration {
         found
     }
 
-    /// The root of the mean squared residual of the measurements by the weights of this calibration, as they
-    /// count, from residuals by other weights.
+    /// Returns the root of the mean squared residual of the measurements with the weights of this
+    /// calibration. `residuals` have the weights of another layout.
     pub(crate) fn rms_of(&self, residuals: &[f64], weights: &ResidualLayout) -> f64 {
         let own = self.residual_layout().reweighed(residuals, weights);
         let n = self.n_measurements();
         (sum_of_squares(&own[..n]) / n as f64).sqrt()
     }
 
-    /// The cost at `x` and the residuals there, as they count; `None` where the simulation fails.
+    /// Returns the cost and the residuals, with weights and loss, at `x`. Returns `None` if the simulation
+    /// fails.
     pub(crate) fn cost_and_residuals(
         &self,
         x: &[f64],
@@ -254,7 +256,8 @@ impl Calibration {
         Some((outcome.value()?, residuals))
     }
 
-    /// Uncertainty of the result of a search; `None` where it cannot be estimated, or is not requested.
+    /// Returns the uncertainty of the result of a search. Returns `None` if it cannot be estimated or is not
+    /// requested.
     fn uncertainty_of_fit(
         &self,
         job: &Job<'_>,
@@ -268,7 +271,7 @@ impl Calibration {
         if !report.termination.cause().allows_evaluations() || job.context.is_over() {
             return None;
         }
-        // Two for each parameter.
+        // Two simulations for each parameter.
         let n_simulations = (2 * self.parameters().len() * self.problem().experiments.len()) as u64;
         let work = stats.right_hand_sides / stats.runs.max(1) * n_simulations;
         let is_little = work < FEW_RIGHT_HAND_SIDES && stats.right_hand_sides > 0;
@@ -279,7 +282,7 @@ impl Calibration {
         let criterion = UncertaintyOptions { loss: job.loss, is_likelihood, ..options.clone() }.criterion();
         let at_bound = stuck.at_bound.iter().map(|(index, _)| *index);
         let held = at_bound.filter(|index| !stuck.without_effect.contains(index));
-        // Those of a stage with a window of its own are others.
+        // The residuals of a stage with a separate window have another length.
         let of_report = report.residuals.as_deref().filter(|r| r.len() == self.n_residuals());
         let known = KnownPoint {
             residuals: of_report.or(ends.end.as_ref().map(|end| end.residuals.as_slice())),
@@ -292,7 +295,7 @@ impl Calibration {
             },
             criterion,
         };
-        // Of several stages the last word has the accuracy at the end of all.
+        // For several stages, the assessment after the last stage includes the accuracy.
         if job.is_part {
             *budget = Budget::after(0);
         }
@@ -306,7 +309,7 @@ impl Calibration {
         drop(phases);
         match uncertainty {
             Ok(mut uncertainty) => {
-                // Whoever gives a target wants no minimum.
+                // A user who sets a target does not request a minimum.
                 if *report.termination.ended() == Termination::Target {
                     uncertainty.findings.retain(|finding| finding.subject != SEARCH);
                 }

@@ -1,4 +1,4 @@
-//! Outputs that the simulation of a fit reproduces worse than a constant would.
+//! Outputs that the fit reproduces worse than a constant would.
 
 use crate::cost::residual::sum_of_squares;
 use crate::findings::finding::{Finding, Origin, Severity};
@@ -7,20 +7,20 @@ use crate::loaded::calibration::Calibration;
 use crate::problem::residual_layout::OutputResiduals;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// Residuals that are larger than the deviation of the measurements by this factor are worse than a constant;
+/// Minimum ratio of residuals to the deviation of the measurements for a fit worse than a constant.
 const WORSE: f64 = 1.1;
-/// and by so many standard deviations of the sum of their squares, more than chance.
+/// Minimum excess of the sum of squares, in standard deviations, for a significant result.
 const DEVIATIONS: f64 = 4.0;
-/// The probability below which it is no chance.
+/// Significance level.
 const CHANCE: f64 = 1e-3;
 
-/// Residuals below this part of the size of the measurements are rounding.
+/// Residuals below this part of the size of the measurements are due to rounding.
 const ROUNDING: f64 = 1e-10;
 
-/// An output whose residuals make up less than this part of the cost has not decided the fit.
+/// An output whose residuals contribute less than this part of the cost does not determine the fit.
 const SHARE: f64 = 0.1;
 
-/// Sums over measurements `y` and differences `d`, simulated minus measured.
+/// Sums over measurements `y` and differences `d` (simulated minus measured).
 #[derive(Debug, Clone, Copy, Default)]
 struct Sums {
     n: f64,
@@ -39,7 +39,7 @@ impl Sums {
         })
     }
 
-    /// Those of both together (Chan, Golub and LeVeque, Am. Stat. 37, 1983, equation 1.5).
+    /// Combines the sums of two sets (Chan, Golub and LeVeque, Am. Stat. 37, 1983, equation 1.5).
     fn with(self, other: Self) -> Self {
         let n = self.n + other.n;
         if n == 0.0 {
@@ -54,16 +54,16 @@ impl Sums {
         }
     }
 
-    /// True if the mean is a better simulation of measurements that vary.
+    /// Returns true if the measurements vary and their mean is a better simulation.
     fn is_worse_than_a_constant(self) -> bool {
         let is_rounding = self.differences <= (ROUNDING * self.mean).powi(2) * self.n;
         self.about_mean > 0.0 && !is_rounding && self.differences > WORSE * WORSE * self.about_mean
     }
 
-    /// An upper limit of the probability that the mean is so much better by chance. Where there is nothing
-    /// but noise about a right simulation, the ratio of the sums is 1 + chi2(1) / chi2(n - 1). That exceeds r
-    /// with a probability below the one of 1 + chi2(2) / chi2(n - 1), which is r^(-(n - 1) / 2): few rows are
-    /// often far from their mean together.
+    /// Returns an upper bound of the probability that the mean is this much better by chance. If a correct
+    /// simulation differs from the measurements only by noise, the ratio of the sums is 1 + chi2(1) / chi2(n
+    /// - 1). The probability that it exceeds r is below the probability for 1 + chi2(2) / chi2(n - 1), which
+    ///   is r^(-(n - 1) / 2). A few rows are often all far from their mean.
     fn chance(self) -> f64 {
         self.ratio().powf(0.5 - 0.5 * self.n).min(1.0)
     }
@@ -72,13 +72,13 @@ impl Sums {
         self.differences / self.about_mean
     }
 
-    /// True if it is by more than chance.
+    /// Returns true if the misfit is significant.
     fn is_no_chance(self) -> bool {
         self.ratio() > 1.0 + DEVIATIONS * (2.0 / self.n).sqrt() && self.chance() < CHANCE
     }
 }
 
-/// True if several outputs vary, and all of these are worse than a constant by more than chance: their
+/// Returns true if several outputs vary and all of these are significantly worse than a constant. Their
 /// probabilities are combined by Fisher's method (Statistical Methods for Research Workers, 1932, section
 /// 21.1).
 fn are_all_worse(outputs: &[Sums]) -> bool {
@@ -89,14 +89,15 @@ fn are_all_worse(outputs: &[Sums]) -> bool {
     n > 1 && varying().all(|sums| sums.is_worse_than_a_constant()) && chance < CHANCE
 }
 
-/// Outputs that are worse than a constant, by the residuals of a fit. Errors where that is so over all
-/// experiments (a recording at rest has little that a simulation could explain), no chance in so few rows,
-/// and the output counts in the cost; or where it is so of all outputs together.
+/// Returns findings about outputs that are worse than a constant, from the residuals of a fit. A finding is
+/// an error if the misfit over all experiments is significant and the output contributes to the cost. A
+/// single recording at rest contains little for a simulation to explain. It is also an error if the misfit of
+/// all outputs together is significant.
 pub(super) fn findings(calibration: &Calibration, residuals: &[f64]) -> Vec<Finding> {
     let layout = calibration.residual_layout();
     let names = calibration.problem().experiment_names();
     let cost = sum_of_squares(&residuals[..layout.n_measurements()]);
-    // Of each variable the sums over all experiments.
+    // Sums of each variable over all experiments.
     let mut of_variables: Vec<(&str, Sums)> = Vec::new();
     for output in &layout.outputs {
         let own = Sums::of(output, residuals);
@@ -147,7 +148,7 @@ pub(super) fn findings(calibration: &Calibration, residuals: &[f64]) -> Vec<Find
 mod tests {
     use super::*;
 
-    /// 1, 2, 3, 4 about the mean 2.5: 5.
+    /// The values 1, 2, 3, 4 have the sum of squares 5 about their mean 2.5.
     #[test]
     fn sums_are_those_of_all_values() {
         let one = |y: f64, d: f64| Sums { n: 1.0, mean: y, about_mean: 0.0, differences: d * d };
@@ -155,27 +156,28 @@ mod tests {
         let all = a.with(b);
         assert_eq!((all.n, all.mean, all.about_mean, all.differences), (4.0, 2.5, 5.0, 5.5));
         assert!(!all.is_worse_than_a_constant());
-        // Four values with twice the deviation: by chance, perhaps.
+        // Four values with twice the deviation may occur by chance.
         let few = Sums { differences: 20.0, ..all };
         assert!(few.is_worse_than_a_constant() && !few.is_no_chance());
-        // 40 times as many, far off, but as it may be by rounding.
+        // A set of 40 times as many values is significant unless the misfit may be due to rounding.
         let many = Sums { n: 160.0, about_mean: 200.0, differences: 1600.0, ..all };
         assert!(many.is_worse_than_a_constant() && many.is_no_chance());
         assert!(!Sums { mean: 1e12, ..many }.is_worse_than_a_constant());
         assert!(!Sums { about_mean: 0.0, ..many }.is_worse_than_a_constant());
     }
 
-    /// Alpha-pinene from a start at zero: five outputs of eight rows at 3.6, 1.5, 141, 74 and 3.9 times the
-    /// squares about their means.
+    /// Alpha-pinene from a start at zero: the squares of five outputs of eight rows are 3.6, 1.5, 141, 74 and
+    /// 3.9 times the squares about their means.
     #[test]
     fn outputs_are_judged_together_when_all_are_worse_than_a_constant() {
         let sums = |ratio: f64| Sums { n: 8.0, mean: 1.0, about_mean: 1.0, differences: ratio };
         let all = [3.6, 1.5, 141.0, 74.0, 3.9].map(sums);
         assert!(!all[0].is_no_chance() && are_all_worse(&all));
-        // One that is reproduced, and two that may be chance together: 0.33 and 0.2, by Fisher's test 0.25.
+        // The first set contains a reproduced output. The outputs of the second set may both be chance: 0.33
+        // and 0.2, or 0.25 by Fisher's method.
         assert!(!are_all_worse(&[sums(0.1), all[2]]));
         assert!(!are_all_worse(&[sums(1.37), sums(1.58)]));
-        // A constant output does not count, and a single one has a test of its own.
+        // A constant output does not count, and a single output has a separate test.
         let constant = Sums { about_mean: 0.0, ..all[0] };
         assert!(are_all_worse(&[constant, all[2], all[3]]) && !are_all_worse(&[constant, all[2]]));
         let clear = Sums { n: 100.0, ..sums(1.3) };

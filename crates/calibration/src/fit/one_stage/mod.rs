@@ -1,4 +1,4 @@
-//! The fit: what is asked for, the search, and the uncertainty of its result; parameters with names come out.
+//! Fit of one stage: options, search, and uncertainty of the result.
 
 mod assessment;
 mod misfit;
@@ -32,7 +32,7 @@ use ode::Stats;
 pub(crate) use search::{Job, SearchResult, UsedLimits};
 use std::convert::Infallible;
 
-/// Finding about a model that needs a process for each simulation.
+/// Finding about a model that requires a separate process for each simulation.
 const HIDDEN_STATE: &str = "the model keeps a state outside of its instances, which no variable shows: each evaluation has a process of its own";
 
 /// Finding about a fit that could not restart.
@@ -46,19 +46,20 @@ fn finding_about_fmu(sentence: &str) -> Finding {
 impl Calibration {
     /// Fits the parameters.
     ///
-    /// Simulations run on threads of their own where they are long enough for that; the calling thread
-    /// observes and polls. Evaluations that can no longer matter are given up early (see
-    /// [`dfo::Outcome::Above`]); this changes no decision.
+    /// Simulations that are long enough run on separate threads, while the calling thread observes and polls.
+    /// Evaluations that can no longer matter are stopped early (see [`dfo::Outcome::Above`]), which does not
+    /// change any decision.
     ///
     /// # Errors
-    /// Options that cannot be used, simulations that fail at every starting point, a run ended before any
-    /// point had a cost. Every other end, early ones included, is a [`Fit`] with the best point seen.
+    /// Returns an error if the options are invalid, if simulations fail at every starting point, or if the
+    /// run ended before any point had a cost. In all other cases, including an early end, returns a [`Fit`]
+    /// with the best point found.
     pub fn fit<'a>(&self, options: impl Into<FitOptions<'a>>) -> Result<Fit, CalibrationError> {
         self.fit_and_keep(options.into(), None).map(|(fit, _)| fit)
     }
 
-    /// The same, with the residuals that the run has computed, by the weights of this calibration; within a
-    /// time that has begun already, or begins now.
+    /// Fits the parameters and also returns the residuals that the run computed, with the weights of this
+    /// calibration. `within` is the context of a run that has already begun; `None` begins a new run.
     pub(crate) fn fit_and_keep(
         &self,
         options: FitOptions<'_>,
@@ -81,7 +82,7 @@ impl Calibration {
                 Err(error) if !job.context.is_cancelled() => FinalSearch::of(self.start_alone(&job, error)?),
                 made => made?,
             };
-            // Each has a process of its own: nothing is to be done.
+            // Each evaluation had a separate process, so no action is needed.
             let handled = || Finding::new(Severity::Note, "FMU", HIDDEN_STATE, "").of(Origin::Search);
             made.searched.raised.extend(is_apart.then(handled));
             job.enter(FitPhase::FreshProcess, &stats);

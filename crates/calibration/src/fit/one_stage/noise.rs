@@ -1,7 +1,7 @@
-//! Noise of the measurements: stated by their weights, or estimated with the parameters.
+//! Noise of the measurements, either stated by their weights or estimated with the parameters.
 //!
-//! A prior counts in units of its own standard deviation, so the measurements have to count in units of
-//! theirs. Where their weights do not say so, fits take turns with estimates of the noise.
+//! A prior is measured in units of its standard deviation, so the measurements must be measured in units of
+//! theirs. If their weights do not define these units, the fit alternates with estimates of the noise.
 
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
@@ -17,40 +17,40 @@ use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Where the noise of the measurements is taken from, see [`FitOptions::noise`](crate::FitOptions::noise).
+/// Source of the noise of the measurements, see [`FitOptions::noise`](crate::FitOptions::noise).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum NoiseRule {
-    /// As [`Estimated`](Self::Estimated) for outputs whose weights state no noise (1, or the inverse of a
-    /// scale), in a fit of the sum of squares with priors and without a robust loss; else as
-    /// [`Stated`](Self::Stated).
+    /// Acts as [`Estimated`](Self::Estimated) in a fit of the sum of squares with priors and without a robust
+    /// loss, for outputs whose weights do not state the noise (weights of 1 or inverse scales). Otherwise
+    /// acts as [`Stated`](Self::Stated).
     #[default]
     Auto,
-    /// Weights are 1 over the standard deviation of the noise, also a weight of 1.
+    /// Weights are 1 over the standard deviation of the noise, including weights of 1.
     Stated,
-    /// Estimated for all outputs. Weights are relative: the standard deviation of a measurement is that of
-    /// its output over its weight. The fit minimises the sum of squares without a robust loss, with priors or
-    /// without.
+    /// Estimates the noise of all outputs. Weights are relative: the standard deviation of a measurement is
+    /// the standard deviation of its output divided by its weight. The fit minimises the sum of squares
+    /// without a robust loss, with or without priors.
     Estimated,
 }
 
-/// Where a fit has the noise of the measurements from.
+/// Source of the noise of the measurements in a fit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum FitNoise {
-    /// The weights: 1 over its standard deviation.
+    /// Weights state the noise: each is 1 over the standard deviation.
     Stated,
-    /// It was estimated. The fit's own weights are then those over the estimates, and its cost, residuals,
-    /// derivatives and covariance are those with its own weights.
+    /// The noise was estimated. The weights of the fit are then divided by the estimates. They apply to its
+    /// cost, residuals, derivatives and covariance.
     Estimated(EstimatedNoise),
 }
 
 impl FitNoise {
-    /// The estimates, where there are such.
+    /// Returns the estimates, if there are any.
     pub fn estimated(&self) -> Option<&EstimatedNoise> {
         match self {
             Self::Stated => None,
@@ -59,7 +59,7 @@ impl FitNoise {
     }
 }
 
-/// In words: where it is from, and how large it is.
+/// Describes the source and the size of the noise.
 impl fmt::Display for FitNoise {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self::Estimated(EstimatedNoise { outputs, n_rounds, .. }) = self else {
@@ -74,26 +74,30 @@ impl fmt::Display for FitNoise {
     }
 }
 
-/// The noise of the measurements, estimated with the parameters of a fit.
+/// Noise of the measurements, estimated with the parameters of a fit.
 ///
-/// The first estimate is that of the differences between neighbouring measurements: the median size of `y_i`
-/// less the line through its two neighbours, or the cubic through four, whichever leaves less of the signal
-/// (pseudo-residuals: Gasser, Sroka and Jennen-Steinmetz, Biometrika 73, 1986). Each fit then has the weights
-/// over the last estimate, and its residuals give the next one: with N of an output, the mean of their
-/// squares is `s^2 (N - h)`, h being the sum of the diagonal of `J (J'J)^-1 J'` over them, where J has the
-/// rows of the priors, too (the equation of the evidence: MacKay, Neural Computation 4, 1992, page 426). It
-/// ends when no estimate changes by more than 1 %.
+/// The first estimate uses the differences between neighbouring measurements. It is the median size of `y_i`
+/// minus the line through its two neighbours, or minus the cubic through four neighbours. The smaller result
+/// is used because it contains less of the signal (pseudo-residuals: Gasser, Sroka and Jennen-Steinmetz,
+/// Biometrika 73, 1986).
+///
+/// Each fit then uses the weights divided by the last estimate, and its residuals determine the next
+/// estimate. The sum of the squares of the N residuals of an output is set to `s^2 (N - h)`. Here h is the
+/// sum of the diagonal of `J (J'J)^-1 J'` over these residuals, and J includes the rows of the priors
+/// (evidence equation: MacKay, Neural Computation 4, 1992, page 426). The fits end when no estimate changes
+/// by more than 1 %.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct EstimatedNoise {
-    /// Per variable of the model, over all of its recordings, in the order of the residual vector.
+    /// Noise of each variable of the model, over all of its recordings, in the order of the residual vector.
     pub outputs: Vec<OutputNoise>,
-    /// Fits that were made.
+    /// Number of fits.
     pub n_rounds: usize,
     /// True if the residuals of the last fit confirm its noise to 1 %.
     pub is_settled: bool,
-    /// True if the noise of all outputs is estimated; else of those whose weights state none.
+    /// True if the noise of all outputs is estimated. Otherwise only for outputs whose weights do not state
+    /// it.
     pub is_of_all: bool,
 }
 
@@ -102,28 +106,28 @@ pub struct EstimatedNoise {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct OutputNoise {
-    /// The variable.
+    /// Name of the variable.
     pub variable: String,
-    /// The standard deviation of a measurement, in the unit of the variable; where its weights state
-    /// something, times the weight.
+    /// Standard deviation of a measurement in the unit of the variable. If the weights are relative, the
+    /// standard deviation times the weight.
     pub sd: f64,
     /// True if the noise is that of the residuals; else it is that of the differences between neighbouring
     /// measurements: there are too few residuals, or the search was ended.
     pub is_of_residuals: bool,
 }
 
-/// Estimates that differ by less than this part of them are the same.
+/// Estimates that differ by less than this fraction are considered equal.
 const SETTLED: f64 = 0.01;
 
-/// So many fits are made at most: of a prior that counts as much as the measurements about five are needed.
+/// Maximum number of fits. A prior with the same weight as the measurements requires about five.
 pub(super) const MOST_ROUNDS: usize = 10;
 
-/// With fewer degrees of freedom residuals say too little of the noise.
+/// Minimum degrees of freedom for an estimate from the residuals.
 const FEWEST: f64 = 2.0;
 
 impl EstimatedNoise {
-    /// The first estimate, from the differences between neighbouring measurements; `None`: there is nothing
-    /// to estimate.
+    /// Returns the first estimate, from the differences between neighbouring measurements. Returns `None` if
+    /// there is nothing to estimate.
     pub(super) fn first(calibration: &Calibration, rule: NoiseRule) -> Option<Self> {
         let mut own = Self {
             outputs: Vec::new(),
@@ -146,11 +150,11 @@ impl EstimatedNoise {
             let size = root_mean_square(&same().flat_map(weighted).collect::<Vec<f64>>());
             let spread = root_mean_square(&same().flat_map(|o| centered(&weighted(o))).collect::<Vec<f64>>());
             let whole = root_mean_square(&distances(1));
-            // What is left of the signal makes it larger, of the line or of the cubic.
+            // The remaining signal increases both estimates, so the smaller one is used.
             let of = |n| median(&mut distances(n)) / MEDIAN_DEVIATION;
             let found = of(1).min(of(2));
             let least = calibration.relative_tolerance() * size;
-            // Of a signal that is constant but for jumps the median is zero; of one value nothing is known.
+            // The median is zero for a constant signal with jumps. A single value gives no estimate.
             let sd = [found, whole, spread, size].into_iter().find(|sd| *sd > least && sd.is_finite());
             let sd = sd.unwrap_or(if least > 0.0 { least } else { 1.0 });
             own.outputs.push(OutputNoise { variable: output.variable.clone(), sd, is_of_residuals: false });
@@ -158,8 +162,7 @@ impl EstimatedNoise {
         (!own.outputs.is_empty()).then_some(own)
     }
 
-    /// The next estimate, from the residuals of a fit with this one, and how much each of them is fitted (see
-    /// [`leverages`]).
+    /// Returns the next estimate from the residuals of a fit with this estimate and their [`leverages`].
     pub(super) fn next(&self, calibration: &Calibration, residuals: &[f64], leverages: &[f64]) -> Self {
         let (problem, layout) = (calibration.problem(), calibration.residual_layout());
         let mut next = self.clone();
@@ -184,34 +187,36 @@ impl EstimatedNoise {
         next
     }
 
-    /// True if this differs from another estimate of the same outputs by no more than the tolerance that ends
-    /// the rounds.
+    /// Returns true if the two estimates of the same outputs differ by at most the tolerance that ends the
+    /// rounds.
     pub(super) fn is_close(&self, other: &Self) -> bool {
         let mut pairs = self.outputs.iter().zip(&other.outputs);
         pairs.all(|(a, b)| (a.sd / b.sd).ln().abs() <= SETTLED)
     }
 
-    /// True if the estimate applies to an output.
+    /// Returns true if the estimate applies to an output.
     fn is_of(&self, problem: &Problem, output: &OutputResiduals) -> bool {
         self.is_of_all || !weight(problem, output).states_noise()
     }
 
-    /// The standard deviation by which the weights of a variable are divided, unless they state the noise.
+    /// Returns the standard deviation that divides the weights of a variable. Returns `None` if the weights
+    /// state the noise.
     fn sd(&self, variable: &str, weight: &Weight) -> Option<f64> {
         let known = self.outputs.iter().find(|known| known.variable == variable);
         known.filter(|_| self.is_of_all || !weight.states_noise()).map(|known| known.sd)
     }
 
-    /// The standard deviation that it gives residuals of an output, by the weights of the problem.
+    /// Returns the estimated standard deviation of the residuals of an output, with the weights of the
+    /// problem.
     pub(super) fn of_weighted(&self, problem: &Problem, output: &OutputResiduals) -> f64 {
         let sd = self.sd(&output.variable, weight(problem, output)).unwrap_or(0.0);
         sd * output.weights[0] / base(problem, output, 0)
     }
 
-    /// A problem with the weights of the fit.
+    /// Replaces the weights of a problem by the weights of the fit.
     ///
     /// # Errors
-    /// A column of weights that there is not.
+    /// Returns an error if a column of weights does not exist.
     pub(super) fn weigh(&self, problem: &mut Problem) -> Result<(), CalibrationError> {
         for experiment in &mut problem.experiments {
             for output in &mut experiment.outputs {
@@ -228,7 +233,7 @@ impl EstimatedNoise {
         Ok(())
     }
 
-    /// The layout of a problem with the weights of the fit.
+    /// Replaces the weights of a layout by the weights of the fit.
     pub(super) fn weigh_layout(&self, problem: &Problem, layout: &mut ResidualLayout) {
         for output in &mut layout.outputs {
             if let Some(sd) = self.sd(&output.variable, weight(problem, output)) {
@@ -237,7 +242,7 @@ impl EstimatedNoise {
         }
     }
 
-    /// Findings about the estimate, beyond the numbers.
+    /// Returns the findings about the estimate.
     pub(super) fn findings(&self) -> Vec<Finding> {
         let open = self.outputs.iter().filter(|noise| !noise.is_of_residuals);
         let mut found: Vec<Finding> = open
@@ -264,11 +269,13 @@ impl EstimatedNoise {
     }
 }
 
-/// Residuals this many times as large or as small as the stated noise contradict it, of so many or more.
+/// Factor by which residuals contradict the stated noise, in either direction, and minimum number of
+/// residuals.
 const CONTRADICTS_STATED: (f64, usize) = (2.0, 10);
 
-/// Contradictions of the residuals of a fit to the noise that its weights state. `has_priors`: the weight of
-/// the priors depends on it; else nothing does, as the standard errors are those of the residuals.
+/// Returns findings about residuals of a fit that contradict the noise stated by its weights. `has_priors`:
+/// the weight of the priors depends on the noise. Without priors, nothing depends on it because the standard
+/// errors use the residuals.
 pub(super) fn contradictions_of_stated(
     calibration: &Calibration,
     residuals: &[f64],
@@ -277,7 +284,7 @@ pub(super) fn contradictions_of_stated(
     let (problem, layout) = (calibration.problem(), calibration.residual_layout());
     let (factor, fewest) = CONTRADICTS_STATED;
     let of = |output: &OutputResiduals| {
-        // Weights of 0 and 1 choose measurements.
+        // Weights of 0 and 1 only select measurements.
         let is_stated = weight(problem, output).states_noise()
             && (has_priors || output.weights.iter().any(|w| *w != 0.0 && *w != 1.0));
         let n = output.weights.iter().filter(|weight| **weight != 0.0).count();
@@ -313,8 +320,8 @@ pub(super) fn contradictions_of_stated(
     layout.outputs.iter().filter_map(of).collect()
 }
 
-/// Leverage of each residual: the diagonal of the projection onto the changes that the parameters make, from
-/// the m x n Jacobian of all residuals.
+/// Returns the leverage of each residual: the diagonal of the projection onto the column space of the m x n
+/// Jacobian of all residuals.
 pub(super) fn leverages(
     jacobian: &[f64],
     n: usize,
@@ -326,7 +333,7 @@ pub(super) fn leverages(
     let m = jacobian.len() / n;
     let mut columns = DMatrix::from_row_slice(m, n, jacobian);
     for mut column in columns.column_iter_mut() {
-        // Without regard to units.
+        // Scale each column to make the rank independent of units.
         let length = column.norm();
         column.iter_mut().for_each(|c| *c = if length > 0.0 { *c / length } else { 0.0 });
     }
@@ -344,7 +351,7 @@ fn weight<'a>(problem: &'a Problem, output: &OutputResiduals) -> &'a Weight {
     &problem.experiments[output.experiment].outputs[output.output].weight
 }
 
-/// The weight of a measurement as far as it states something of the noise.
+/// Returns the weight of a measurement as far as it describes the noise.
 fn base(problem: &Problem, output: &OutputResiduals, k: usize) -> f64 {
     match weight(problem, output) {
         Weight::Inverse(_) => 1.0,
@@ -352,14 +359,14 @@ fn base(problem: &Problem, output: &OutputResiduals, k: usize) -> f64 {
     }
 }
 
-/// The size of each measurement less the polynomial through so many neighbours on each side of it, over the
-/// standard deviation that noise of `1 / base` leaves of that.
+/// Returns the size of each measurement minus the polynomial through `on_side` neighbours on each side. The
+/// result is divided by the standard deviation that noise of `1 / base` would cause.
 fn pseudo_residuals(problem: &Problem, output: &OutputResiduals, on_side: usize) -> Vec<f64> {
     let (times, y) = (&output.times, &output.measured);
     let variance = |k: usize| base(problem, output, k).powi(-2);
     let of_middle = |i: usize| {
         let neighbours = || (i - on_side..=i + on_side).filter(|k| *k != i);
-        // Lagrange's polynomials at the middle.
+        // Lagrange polynomials at the middle point.
         let part = |k: usize| {
             let others = neighbours().filter(|j| *j != k);
             others.map(|j| (times[i] - times[j]) / (times[k] - times[j])).product::<f64>()
@@ -391,12 +398,13 @@ mod tests {
 
     #[test]
     fn leverages_are_the_diagonal_of_the_projection() {
-        // A line at t = 0, 1, 2, 3 with its slope in another unit: 0.7, 0.3, 0.3, 0.7.
+        // A line at t = 0, 1, 2, 3 with its slope in another unit has the leverages 0.7, 0.3, 0.3, 0.7.
         let line = [1.0, 0.0, 1.0, 1e6, 1.0, 2e6, 1.0, 3e6];
         for (got, expected) in leverages_of(&line, 2).iter().zip([0.7, 0.3, 0.3, 0.7]) {
             assert!((got - expected).abs() < 1e-12, "{got}");
         }
-        // The same column twice counts once, and a parameter without effect does not; fewer residuals than parameters are all fitted.
+        // A duplicated column counts once, and a parameter without effect does not count. If there are fewer
+        // residuals than parameters, all leverages are 1.
         let twice = [1.0, 1.0, 0.0, 1.0, 1.0, 0.0];
         assert!(leverages_of(&twice, 3).iter().all(|h| (h - 0.5).abs() < 1e-12));
         assert!((leverages_of(&[1.0, 2.0], 2)[0] - 1.0).abs() < 1e-12);

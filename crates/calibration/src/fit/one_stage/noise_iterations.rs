@@ -1,4 +1,4 @@
-//! The searches of a fit: one, or several that take turns with estimates of the noise.
+//! Searches of a fit: one search, or several that alternate with estimates of the noise.
 
 use super::noise::{EstimatedNoise, FitNoise, MOST_ROUNDS, NoiseRule, leverages};
 use super::search::{Job, SearchResult, UsedLimits, start_cost_in};
@@ -17,9 +17,10 @@ use crate::problem::parameter::Parameter;
 use dfo::{Cause, Checkpoint, Report, Resume, Termination};
 use ode::Stats;
 
-/// The last search of a fit, and what it was made with.
+/// Last search of a fit, with its calibration, noise and tolerance.
 pub(crate) struct FinalSearch {
-    /// The calibration with the fit's own weights and tolerance; `None`: it is the one that was asked.
+    /// Calibration with the weights and the tolerance of the fit. `None` if both are those of the original
+    /// calibration.
     pub(crate) own: Option<Calibration>,
     pub(crate) searched: SearchResult,
     pub(crate) noise: Option<FitNoise>,
@@ -27,12 +28,12 @@ pub(crate) struct FinalSearch {
 }
 
 impl FinalSearch {
-    /// A search with the weights and the tolerance of the calibration that was asked.
+    /// Creates the result of a search with the weights and the tolerance of the original calibration.
     pub(crate) fn of(searched: SearchResult) -> Self {
         Self { own: None, searched, noise: None, tolerance: None }
     }
 
-    /// What may still be simulated besides the search.
+    /// Returns the budget of simulations after the search.
     pub(crate) fn budget(&self) -> Budget {
         let SearchResult { report, stuck, .. } = &self.searched;
         let mut budget = Budget::after(report.n_evaluations);
@@ -40,7 +41,7 @@ impl FinalSearch {
         budget
     }
 
-    /// The result of the search, and the residuals there, if they are known.
+    /// Returns the result of the search, with its residuals if they are known.
     pub(super) fn best(&self, n_residuals: usize) -> BestPoint {
         let SearchResult { report, residuals, .. } = &self.searched;
         BestPoint {
@@ -52,8 +53,9 @@ impl FinalSearch {
     }
 }
 
-/// The checkpoint of a part of a fit that has several: the file of the fit with `.stage2`, `.round2` and so
-/// on appended. Later parts of a file that is required may not have begun.
+/// Returns the checkpoint of one part of a fit with several parts. The file name is the name for the fit with
+/// `.stage2`, `.round2` and so on appended. For later parts, [`Resume::Require`] becomes [`Resume::Auto`]
+/// because they may not have begun.
 pub(crate) fn checkpoint_of(fit: &Checkpoint, part: &str, is_first: bool) -> Checkpoint {
     let mut path = fit.path.clone().into_os_string();
     path.push(part);
@@ -63,7 +65,7 @@ pub(crate) fn checkpoint_of(fit: &Checkpoint, part: &str, is_first: bool) -> Che
     own
 }
 
-/// Termination of a fit whose last part has found nothing; `None`: it is an error.
+/// Returns the termination of a fit whose last part found nothing. Returns `None` if it is an error.
 pub(crate) fn ended_by(error: &CalibrationError) -> Option<Termination> {
     match error {
         CalibrationError::Cancelled => Some(Termination::Interrupted),
@@ -75,7 +77,7 @@ pub(crate) fn ended_by(error: &CalibrationError) -> Option<Termination> {
     }
 }
 
-/// Adds what an earlier part of a fit took to the report of a later one.
+/// Adds the counts of an earlier part of a fit to the report of a later one.
 pub(crate) fn add_earlier(report: &mut Report, before: &Report) {
     report.n_evaluations += before.n_evaluations;
     report.n_iterations += before.n_iterations;
@@ -94,19 +96,20 @@ pub(crate) fn add_earlier(report: &mut Report, before: &Report) {
     report.failures.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
 }
 
-/// Searches that take turns with estimates of the noise.
+/// State of searches that alternate with estimates of the noise.
 struct Turns {
     noise: EstimatedNoise,
-    /// The search before, and what it was made with.
+    /// Previous search and its calibration.
     last: Option<(Calibration, SearchResult)>,
     raised: Vec<Finding>,
-    /// The residuals at the start of the fit, by the weights of the calibration that was asked.
+    /// Residuals at the start of the fit, with the weights of the original calibration.
     at_start: Option<Vec<f64>>,
 }
 
 impl Turns {
-    /// The search before one that has found nothing, ended by that: what it has found is not lost. `None`:
-    /// there is none, or it is an error.
+    /// Returns the previous search if the current one found nothing, so that its result is not lost. Its
+    /// termination becomes the termination of the current search. Returns `None` if there is no previous
+    /// search or the error is not a termination.
     fn before(&mut self, error: &CalibrationError, job: &Job<'_>) -> Option<(Calibration, SearchResult)> {
         let termination = ended_by(error)?;
         let (own, mut before) = self.last.take()?;
@@ -116,7 +119,7 @@ impl Turns {
         Some((own, before))
     }
 
-    /// Adds what the search before took and found to a search.
+    /// Adds the counts and the findings of the previous search to a search.
     fn add_to(&mut self, searched: &mut SearchResult) {
         if let Some((_, before)) = self.last.take() {
             let report = &mut searched.report;
@@ -133,7 +136,7 @@ impl Turns {
         self.raised.append(&mut searched.raised);
     }
 
-    /// True if the next estimate is the same, so that no search has to follow.
+    /// Returns true if the next estimate equals the current one, so that no further search is needed.
     fn is_settled_by(&mut self, next: &EstimatedNoise) -> bool {
         self.noise.is_settled = next.is_close(&self.noise);
         for (own, next) in self.noise.outputs.iter_mut().zip(&next.outputs) {
@@ -144,7 +147,7 @@ impl Turns {
 }
 
 impl Job<'_> {
-    /// The limit that the searches so far have used up.
+    /// Returns the limit that the searches so far have used up.
     fn exhausted(&self) -> Option<Termination> {
         let is_spent = |most: Option<usize>, n: usize| most.is_some_and(|most| n >= most);
         match () {
@@ -159,13 +162,13 @@ impl Job<'_> {
         }
     }
 
-    /// Makes this the job of the round that follows a search.
+    /// Changes this job to the round that follows a search.
     fn go_on_from(&mut self, searched: &SearchResult, checkpoint: Option<&Checkpoint>, round: usize) {
         self.start.clone_from(&searched.report.x);
         self.wants_preflight = false;
         self.run.tolerances = searched.tolerances;
         self.run.seed = self.run.seed.or(searched.report.seed);
-        // Points of other weights would only say where to start.
+        // Costs with other weights would only affect the start.
         self.run.known.clear();
         self.run.checkpoint = checkpoint.map(|checkpoint| {
             let own = checkpoint_of(checkpoint, &format!(".round{round}"), false);
@@ -174,21 +177,22 @@ impl Job<'_> {
     }
 }
 
-/// Notes that a fit was ended before its noise was known.
+/// Records that a fit ended before its noise was known.
 fn end_early(report: &mut Report, termination: Termination) {
     report.message += &format!("; the fit ended before its noise was known to 1 %: {termination}");
     report.termination = termination;
 }
 
 impl Calibration {
-    /// The same measurements with other weights or another tolerance: what it warned of is said once.
+    /// Derives a calibration with other weights or another tolerance. Warnings of this calibration are not
+    /// repeated.
     fn derived_for_fit(&self, problem: Problem) -> Result<Self, CalibrationError> {
         let mut own = self.derived(problem)?;
         own.keep_warnings(self);
         Ok(own)
     }
 
-    /// With another relative tolerance; `None`: it has that one.
+    /// Returns a copy with another relative tolerance. Returns `None` if this calibration already uses it.
     pub(crate) fn with_tolerance(
         &self,
         chosen: Option<&ChosenTolerance>,
@@ -202,7 +206,8 @@ impl Calibration {
         derived.transpose()
     }
 
-    /// With the weights of a fit of which the noise was estimated; `None`: its weights are those of the fit.
+    /// Returns a copy with the weights of a fit whose noise was estimated. Returns `None` if the noise was
+    /// not estimated.
     pub(crate) fn with_noise(&self, noise: Option<&FitNoise>) -> Result<Option<Self>, CalibrationError> {
         let derived = noise.and_then(FitNoise::estimated).map(|noise| {
             let mut problem = self.problem().clone();
@@ -212,14 +217,15 @@ impl Calibration {
         derived.transpose()
     }
 
-    /// With the weights and the tolerance of a fit; `None`: it has both.
+    /// Returns a copy with the weights and the tolerance of a fit. Returns `None` if this calibration already
+    /// has both.
     pub(crate) fn of_fit(&self, fit: &super::Fit) -> Result<Option<Self>, CalibrationError> {
         let tolerant = self.with_tolerance(fit.tolerance.as_ref())?;
         let weighed = tolerant.as_ref().unwrap_or(self).with_noise(fit.noise.as_ref())?;
         Ok(weighed.or(tolerant))
     }
 
-    /// All searches of a fit, with what comes before them.
+    /// Runs all searches of a fit, including the steps before them.
     pub(super) fn made(&self, job: &mut Job<'_>, stats: &mut Stats) -> Result<FinalSearch, CalibrationError> {
         let tolerance = if job.is_part { None } else { self.choose_tolerance(job) };
         let tolerant = self.with_tolerance(tolerance.as_ref())?;
@@ -249,7 +255,7 @@ impl Calibration {
         !self.residual_layout().priors.is_empty()
     }
 
-    /// Searches that take turns with estimates of the noise.
+    /// Runs searches that alternate with estimates of the noise.
     fn take_turns(
         &self,
         noise: EstimatedNoise,
@@ -276,7 +282,7 @@ impl Calibration {
                 },
             };
             turns.add_to(&mut searched);
-            // What estimates the noise belongs to the search.
+            // The estimate of the noise counts as part of the search.
             job.enter(FitPhase::Search, stats);
             let (x, known) = (&searched.report.x, &searched.residuals);
             let ends = own.end_residuals(x, known, job.loss, &job.context, stats);
@@ -319,8 +325,8 @@ impl Calibration {
         Ok(FinalSearch { own: Some(own), searched, noise: Some(FitNoise::Estimated(noise)), tolerance: None })
     }
 
-    /// Leverages of the residuals at the end of a search; `None`: it was interrupted meanwhile, or
-    /// simulations fail.
+    /// Returns the leverages of the residuals at the end of a search. Returns `None` if the run was
+    /// interrupted or simulations fail.
     fn leverages_at(
         &self,
         searched: &SearchResult,
@@ -335,9 +341,10 @@ impl Calibration {
         }
     }
 
-    /// Derivatives of the residuals at the end of a search, m x n: those that it had, else of one step of
-    /// each parameter. They say how many of the residuals are fitted, for which the length of a step does not
-    /// matter. `None`: the search was interrupted meanwhile, or simulations fail.
+    /// Returns the derivatives of the residuals at the end of a search, m x n. Uses the Jacobian of the
+    /// search if available, otherwise one step of each parameter. They only determine the number of fitted
+    /// residuals, so the step size does not matter. Returns `None` if the run was interrupted or simulations
+    /// fail.
     fn jacobian_at(
         &self,
         searched: &SearchResult,
@@ -385,8 +392,8 @@ impl Calibration {
         Ok(Some(jacobian))
     }
 
-    /// Finding for priors that count beside measurements whose noise nothing states, and which the fit does
-    /// not estimate.
+    /// Returns a finding if priors are combined with measurements whose noise is neither stated nor
+    /// estimated.
     pub(super) fn unstated_noise(&self, job: &Job<'_>, noise: Option<&FitNoise>) -> Option<Finding> {
         let is_unknown = job.noise == NoiseRule::Auto && noise == Some(&FitNoise::Stated);
         let unstated = crate::check::unstated_noise(self.problem()).filter(|_| is_unknown)?;

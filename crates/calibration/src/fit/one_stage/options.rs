@@ -19,64 +19,73 @@ use std::ops::ControlFlow;
 use std::rc::Rc;
 use std::sync::Arc;
 
-/// Called after each iteration; `Break` ends the fit.
+/// Called after each iteration. `Break` ends the fit.
 pub type FitObserver<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
 
 /// Options of a fit.
 pub struct FitOptions<'a> {
-    /// The method, tolerances, limits, workers (default: all cores), checkpoint and so on. The time limit
-    /// holds for the whole fit, from the search to the standard errors: where it is over before
-    /// any evaluation has ended, the result is the start, with a cost of NaN. Model, data, parameters and
-    /// settings of the calibration identify the fit's problem: a checkpoint of another one is refused, and
-    /// points that are known from another one are evaluated again.
+    /// Method, tolerances, limits, workers (default: all cores), checkpoint and other options of the
+    /// optimiser.
+    ///
+    /// The time limit applies to the whole fit, from the search to the standard errors. If it expires before
+    /// the end of the first evaluation, the result is the start with a cost of NaN.
+    ///
+    /// Model, data, parameters and settings of the calibration identify the problem of the fit. A checkpoint
+    /// of another problem is rejected, and known points of another problem are evaluated again.
     pub run: RunOptions<AnyMethod>,
-    /// Where to start; default: the parameters' start values.
+    /// Start point; default: the start values of the parameters.
     pub start: Option<Vec<f64>>,
-    /// Parameters, by number, that stay at the start as if they were fixed; default: none.
+    /// Indices of parameters to fix at the start; default: none.
     pub held: Vec<usize>,
-    /// True to give up a simulation when its cost can no longer matter; default: true. Changes no decision,
-    /// only the work.
+    /// True to stop a simulation when its cost can no longer matter; default: true. It changes only the work
+    /// and no decision.
     pub cutoffs: bool,
-    /// Cost that is minimised; default: the sum of the squared residuals.
+    /// Cost to minimise; default: the sum of the squared residuals.
     pub objective: CostKind,
-    /// Loss function: the contribution of a residual to the cost; default: its square. With another loss
-    /// [`Fit::cost`](crate::Fit::cost) is the sum of these contributions, also where the method sees costs
-    /// alone.
+    /// Loss function, which maps a residual to its contribution to the cost; default: the square. With
+    /// another loss, [`Fit::cost`](crate::Fit::cost) is the sum of these contributions, even if the method
+    /// uses only costs.
     pub loss: RobustLoss,
-    /// Where the noise of the measurements is taken from, beside which [priors](crate::Prior) count; default:
-    /// it is estimated with the parameters where there are priors and the weights do not state it. See
-    /// [`EstimatedNoise`](crate::EstimatedNoise) for how: the search is made several times, each from where
-    /// the last one ended, and the limits hold for all together. A checkpoint has a file for each:
-    /// `fit.ckpt`, `fit.ckpt.round2` and so on.
+    /// Source of the noise of the measurements, which determines the weight of the [priors](crate::Prior).
+    /// Default: the noise is estimated with the parameters if there are priors and the weights do not state
+    /// it.
+    ///
+    /// [`EstimatedNoise`](crate::EstimatedNoise) describes the estimate. It requires several searches, each
+    /// from the result of the previous one. The limits apply to all searches together. A checkpoint has one
+    /// file for each search: `fit.ckpt`, `fit.ckpt.round2` and so on.
     pub noise: NoiseRule,
-    /// The start is looked at first, see [`Calibration::preflight`](crate::Calibration::preflight); `f_tol`
-    /// below the noise of the simulations is raised to it, with a word in the message. Default: no.
+    /// True to check the start before the search, see
+    /// [`Calibration::preflight`](crate::Calibration::preflight). An `f_tol` below the noise of the
+    /// simulations is raised to this noise, and a finding reports the change. Default: false.
     pub preflight: bool,
-    /// Options of the uncertainty, which is estimated after the run: standard errors, correlation, parameters
-    /// that the data do not determine. Takes at least two simulations for each parameter and one that is more
-    /// accurate, in parallel; they are none of the run's evaluations, are not made after an interrupt or when
-    /// the time is up, and are part of `stats`. `None`: it is not estimated. Its loss is that of the fit.
+    /// Options of the uncertainty, which is estimated after the run: standard errors, correlation, and
+    /// parameters that the data do not determine. `None` skips the estimate. The loss of these options is
+    /// replaced by the loss of the fit.
+    ///
+    /// The estimate requires at least two simulations for each parameter and one more accurate simulation,
+    /// all in parallel. They do not count as evaluations of the run but are part of `stats`. They are skipped
+    /// after an interrupt or when the time limit has expired.
     pub uncertainty: Option<UncertaintyOptions>,
     /// Called after each iteration, on the calling thread.
     pub observer: Option<Box<FitObserver<'a>>>,
-    /// Who may interrupt the fit: within a step of the simulations that are running. Its function is called
-    /// on the calling thread at least every 50 ms. The time limit is that of [`run`](Self::run), or of the
-    /// context, if that ends sooner.
+    /// Context that can interrupt the fit, within one step of the running simulations. Its function is called
+    /// on the calling thread at least every 50 ms. The fit uses the time limit of [`run`](Self::run) or of
+    /// the context, whichever ends sooner.
     pub context: RunContext<'a>,
-    /// Who makes the simulations of the search; default: workers of this machine, as many as
-    /// [`run`](Self::run) says. What comes before and after the search is simulated here.
+    /// Executor of the simulations of the search. Default: workers on this machine, with the number of
+    /// workers of [`run`](Self::run). Simulations before and after the search always run on this machine.
     pub engine: Option<Rc<RefCell<dyn SimulationExecutor>>>,
-    /// Where the fit says what it does.
+    /// Current phase of the fit, which the fit updates.
     pub phase: Arc<CurrentPhase>,
-    /// Where the search keeps what others see of it while it runs; default: nowhere.
+    /// Shared state of the running search for other threads; default: none.
     pub live: Option<Arc<LiveFit>>,
 }
 
 impl FitOptions<'_> {
-    /// The run of a fit by default: the method for residuals that [`AnyMethod::chosen_for`] chooses,
-    /// tolerances of 1e-4 each, `x_tol` in units of the parameters' sizes and `f_tol` as a fraction of the
-    /// cost, for a cost made of simulations is seldom smooth below that; all else as [`dfo::minimize`] has
-    /// it.
+    /// Returns the default run of a fit. [`AnyMethod::chosen_for`] chooses a method for residuals. Both
+    /// tolerances are 1e-4, because the cost of simulations is seldom smooth below that. `x_tol` is in units
+    /// of the sizes of the parameters, and `f_tol` is a fraction of the cost. The other options are the
+    /// defaults of [`dfo::minimize`].
     pub fn default_run() -> RunOptions<AnyMethod> {
         let tolerances =
             Tolerances { x_tol: 1e-4, f_tol: 1e-4, measure: ToleranceMeasure::Relative, stop: StopRule::All };
@@ -85,21 +94,21 @@ impl FitOptions<'_> {
 }
 
 impl FitOptions<'_> {
-    /// The names of all options that a record of a fit may have.
+    /// Returns the names of all options that a record of a fit may contain.
     ///
     /// # Errors
-    /// The options of a method cannot be serialised.
+    /// Returns an error if the options of a method cannot be serialised.
     pub fn option_names() -> Result<BTreeSet<String>, dfo::Error> {
         let mut names = RequestedRun::option_names()?;
         names.extend(field_names::<FitRecord>()?);
         Ok(names)
     }
 
-    /// A fit of `n` parameters as a record asks for it: the options of a [`FitRecord`], and those of its run.
-    /// What it does not say is as by default.
+    /// Creates the options of a fit of `n` parameters from a record, which contains the options of a
+    /// [`FitRecord`] and of the run. Missing options have their default values.
     ///
     /// # Errors
-    /// An option that there is not, or a value that it cannot have.
+    /// Returns an error if an option does not exist or its value is invalid.
     pub fn from_record(record: Record, n: usize) -> Result<Self, dfo::Error> {
         let (own, of_run) = read_part::<FitRecord>(record, "option of a fit")?;
         let mut options = Self {
@@ -124,11 +133,11 @@ impl FitOptions<'_> {
         Ok(options)
     }
 
-    /// The record that asks for these options, as [`from_record`](Self::from_record) reads it: with all that
-    /// holds, also by default. A function of the user's as the objective has its name there.
+    /// Returns the record of these options, which [`from_record`](Self::from_record) can read. The record
+    /// also contains the default values. A user-defined objective appears with its name.
     ///
     /// # Errors
-    /// The options of the method cannot be serialised.
+    /// Returns an error if the options of the method cannot be serialised.
     pub fn record(&self) -> Result<Record, dfo::Error> {
         let own = FitRecord {
             objective: Some(self.objective.name().to_owned()),
@@ -140,7 +149,7 @@ impl FitOptions<'_> {
         };
         let mut record = RequestedRun::record(&self.run)?;
         if let Value::Record(own) = Value::of(&own)? {
-            // Without an estimator there is no uncertainty, which is not the default.
+            // "No estimator" skips the uncertainty, which is not the default.
             let said = |name: &str, value: &Value| name == "covariance" || *value != Value::Nothing;
             record.extend(own.into_iter().filter(|(name, value)| said(name, value)));
         }
@@ -148,22 +157,22 @@ impl FitOptions<'_> {
     }
 }
 
-/// The options of a fit by name, beside those of its run.
+/// Options of a fit by name, without the options of its run.
 #[derive(Debug, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct FitRecord {
-    /// Cost that is minimised.
+    /// Cost to minimise.
     #[cfg_attr(feature = "schema", schemars(schema_with = "crate::problem::schema::objective"))]
     objective: Option<String>,
-    /// Loss function: the contribution of a residual to the cost.
+    /// Loss function, which maps a residual to its contribution to the cost.
     loss: Option<Loss>,
-    /// Size of the residuals from which on the loss differs from the square.
+    /// Size of a residual above which the loss differs from the square.
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     f_scale: Option<f64>,
-    /// Where the noise of the measurements is taken from.
+    /// Source of the noise of the measurements.
     noise: NoiseRule,
-    /// The start is looked at first.
+    /// True to check the start before the search.
     preflight: bool,
     /// Estimator of the covariance; none: the uncertainty is not estimated.
     #[serde(deserialize_with = "said")]
@@ -171,7 +180,7 @@ pub struct FitRecord {
     covariance: Option<Option<Estimator>>,
 }
 
-/// A value that is said, `None` too.
+/// Deserializes a value that is present, even if it is `None`.
 fn said<'de, T: Deserialize<'de>, D: Deserializer<'de>>(deserializer: D) -> Result<Option<T>, D::Error> {
     T::deserialize(deserializer).map(Some)
 }

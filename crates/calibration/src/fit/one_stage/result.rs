@@ -16,123 +16,126 @@ use dfo::{Record, Report, Termination};
 use ode::{Method, Stats};
 use serde::{Deserialize, Serialize};
 
-/// Stages after which a step in all parameters takes away more than this part of the cost have not fitted
-/// them.
+/// Maximum part of the cost that one more step in all parameters may remove after a successful fit in stages.
 const MUCH_OF_COST: f64 = 0.25;
 
-/// The result of a fit. `Display` prints a summary.
+/// Result of a fit. `Display` prints a summary.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Fit {
-    /// Fitted values, one per parameter, user's order and units; fixed ones included.
+    /// Fitted values of all parameters, including fixed ones, in the user's order and units.
     pub x: Vec<f64>,
     /// Names of the parameters, in the same order.
     pub names: Vec<String>,
     /// Names of the parameters in reports and figures, in the same order (see
-    /// [`Parameter::display_name`](crate::Parameter::display_name)); empty: the same as `names`.
+    /// [`Parameter::display_name`](crate::Parameter::display_name)). If empty, use `names`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub shown_names: Vec<String>,
-    /// Values of the parameters that are tied to others, by name.
+    /// Names and values of the parameters that are tied to others.
     pub tied: Vec<(String, f64)>,
-    /// Where the fit started.
+    /// Start values of the parameters.
     pub start: Vec<f64>,
     /// Units of the parameters, where they are known, in the same order.
     pub units: Vec<Option<String>>,
-    /// Lower and upper bounds of the parameters, in the same order; both the same where one is fixed.
+    /// Lower and upper bounds of the parameters in the same order. Both are equal for a fixed parameter.
     pub bounds: Vec<(f64, f64)>,
     /// Name of the model.
     pub model: String,
-    /// Why the FMU ran in this process, where one of its own was asked for (see
+    /// Reason why the FMU ran in this process although a separate process was requested (see
     /// [`Calibration::isolation`](crate::Calibration::isolation)).
     #[serde(default)]
     pub in_this_process: Option<String>,
     /// Number of measurements that count.
     pub n_measurements: usize,
-    /// Cost there: the sum of the squared weighted residuals, by the weights of the [noise](Self::noise)
-    /// where that was estimated; with a loss, of what they count.
+    /// Cost at the result: the sum of the squared weighted residuals. If the [noise](Self::noise) was
+    /// estimated, it determines the weights. With a loss, the cost is the sum of the contributions by the
+    /// loss.
     pub cost: f64,
-    /// Root of the mean squared weighted residual of the measurements there, by the weights of the
-    /// calibration, before a loss.
+    /// Root of the mean squared weighted residual of the measurements at the result. Uses the weights of the
+    /// calibration and no loss.
     pub rms: f64,
     /// Name of the cost, see [`CostKind::name`](crate::CostKind::name).
     pub objective: String,
-    /// The options that were asked for, by the names that users write (see
-    /// [`FitOptions::record`](crate::FitOptions::record)); of a stage with its `parameters` and `windows`.
+    /// Requested options, with the names that users write (see
+    /// [`FitOptions::record`](crate::FitOptions::record)). The options of a stage include its `parameters`
+    /// and `windows`.
     pub options: Record,
     /// Where the noise of the measurements was taken from, beside which priors count; `None`: nothing
     /// depended on it (no priors, or a cost that is no sum of squares), or there was no time for a search.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise: Option<FitNoise>,
-    /// The relative tolerance that was chosen for the simulations; `None`: it was given, or that of the
-    /// calibration.
+    /// Relative tolerance that was chosen for the simulations. `None` if the user specified it, or if the fit
+    /// used the tolerance of the calibration.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tolerance: Option<ChosenTolerance>,
     /// Cost at the start, if the simulation did not fail there.
     pub start_cost: Option<f64>,
     /// RMS at the start, if the simulation did not fail there.
     pub start_rms: Option<f64>,
-    /// The fit of each stage, see [`Calibration::fit_stages`](crate::Calibration::fit_stages); empty if there
-    /// were none.
+    /// Fits of the stages, see [`Calibration::fit_stages`](crate::Calibration::fit_stages). Empty if there
+    /// were no stages.
     pub stages: Vec<Fit>,
-    /// Parameters that ended at a bound, by number: the best values may lie beyond.
+    /// Parameters that ended at a bound, by index. Their best values may be beyond the bound.
     pub at_bound: Vec<(usize, BoundSide)>,
-    /// Parameters that did not change the cost (by more than the relative tolerance of the simulations), by
-    /// number: their values say nothing.
+    /// Parameters, by index, that did not change the cost by more than the relative tolerance of the
+    /// simulations. Their values are meaningless.
     pub without_effect: Vec<usize>,
-    /// Simulations made after the run to find out about both: at the bound, for each parameter that ended as
-    /// near to it as `x_tol`; with the parameter moved, for each that an evaluation has shown not to change
-    /// the cost, and without standard errors, which show it, for each that none has shown to change it (those
-    /// of a first simplex show it, because they differ in one parameter alone). They are none of the run's
-    /// evaluations, which its budget counts, are not made after an interrupt or when the time is up, and are
-    /// part of `stats`.
+    /// Number of simulations after the run to detect parameters at a bound or without effect.
+    ///
+    /// A parameter that ended within `x_tol` of a bound requires a simulation at the bound. A parameter that
+    /// did not change the cost in an evaluation requires a simulation with the parameter moved. Without
+    /// standard errors, which show the effect, each parameter whose effect no evaluation has shown also
+    /// requires one. A first simplex shows the effects, because its points differ in one parameter only.
+    ///
+    /// The simulations are part of `stats` but do not count as evaluations of the run. They are skipped after
+    /// an interrupt or when the time limit has expired.
     pub n_checks: usize,
-    /// What was not looked at after the search because the search was short: all that is simulated besides
-    /// the search and the standard errors takes at most a quarter of the evaluations of the search, and
-    /// no more than four simulations of the result. Empty: nothing was skipped.
+    /// Checks that were skipped because the search was short. The simulations other than the search and the
+    /// standard errors are limited to a quarter of the evaluations of the search and to four simulations of
+    /// the result. Empty if nothing was skipped.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub skipped: Vec<String>,
-    /// Quality of fit of each output, in the order of the residual vector; empty where the run was ended from
-    /// outside.
+    /// Quality of fit of each output, in the order of the residual vector. Empty if the run was interrupted.
     pub outputs: Vec<OutputFit>,
-    /// Result of the preflight, where it was requested.
+    /// Result of the preflight, if it was requested.
     pub preflight: Option<Preflight>,
-    /// Findings of a [check](crate::Calibration::check) of the problem beyond notes, evaluated again with the
-    /// fitted values (only where the uncertainty is requested), and findings about the run. [`Fit::findings`]
-    /// has all.
+    /// Findings about the run, and findings of a [check](crate::Calibration::check) of the problem with the
+    /// fitted values. The check is made only if the uncertainty is requested, and its notes are omitted.
+    /// [`Fit::findings`] returns all findings.
     pub setup_findings: Vec<Finding>,
-    /// Uncertainty of the fit; `None` where it was not requested, or the run was ended from outside.
+    /// Uncertainty of the fit. `None` if it was not requested or the run was interrupted.
     pub uncertainty: Option<Uncertainty>,
-    /// Statistics of all simulations of the fit: right-hand sides, steps, events, seconds (added up over all
-    /// workers), from the search to the standard errors. Those that
-    /// failed or were given up count, those of a resumed fit from before do not. The best point evaluated
-    /// again, in a fresh process and in those used, is among the [checks](Stats::checks).
+    /// Statistics of all simulations of the fit, from the search to the standard errors: right-hand sides,
+    /// steps, events, and seconds summed over all workers. Failed and stopped simulations count. Simulations
+    /// before a resume do not count. The repeated evaluations of the best point, in a fresh process and in
+    /// used processes, are among the [checks](Stats::checks).
     pub stats: Stats,
-    /// What its phases took: the simulations that `stats` counts, and wall-clock time.
+    /// Cost of the phases: the simulations that `stats` counts, and wall-clock time.
     #[serde(default)]
     pub phases: Vec<PhaseCost>,
-    /// The integration method of all simulations.
+    /// Integration method of all simulations.
     pub solver: Method,
-    /// Report of the optimiser: counts, reason to end, trace.
+    /// Report of the optimiser: counts, termination reason, trace.
     pub report: Report,
 }
 
 impl Fit {
-    /// True if the search was a success (see [`Report::is_success`](dfo::Report::is_success)) and no step
-    /// from its result gains more, as the uncertainty has found out; after several stages: no step that gains
-    /// more than a quarter of the cost.
+    /// Returns true if the search succeeded (see [`Report::is_success`](dfo::Report::is_success)) and the
+    /// uncertainty found no step that lowers the cost further. After several stages, returns true if no step
+    /// removes more than a quarter of the cost.
     pub fn is_success(&self) -> bool {
         let most = if self.stages.is_empty() { 0.0 } else { MUCH_OF_COST };
         self.report.is_success() && self.left_to_gain() <= most
     }
 
-    /// The part of the cost that a step of least squares from the result takes away, where that is more than
+    /// Returns the part of the cost that one step of least squares from the result removes, if it exceeds the
     /// noise.
     fn left_to_gain(&self) -> f64 {
         self.uncertainty.as_ref().map_or(0.0, |uncertainty| uncertainty.left_to_gain)
     }
 
-    /// Says so in the report if the search has ended before its minimum. Not for stages: these hold what
-    /// others have freed.
+    /// Marks the report as not converged if the search ended before its minimum. Not for stages, because
+    /// their fixed parameters are free in other stages.
     pub(crate) fn note_end_before_minimum(&mut self) {
         let left = self.left_to_gain();
         if left > 0.0 && matches!(self.report.termination, Termination::Converged | Termination::Noise) {
@@ -145,13 +148,13 @@ impl Fit {
         }
     }
 
-    /// True if each of several stages may be at its minimum, and all parameters together are not.
+    /// Returns true if each stage may be at its minimum but all parameters together are not.
     pub(crate) fn is_conditional(&self) -> bool {
         !self.stages.is_empty() && self.left_to_gain() > 0.0
     }
 
-    /// Meaning of each entry of the residual vector of this fit, with the weights that the fit had: those of
-    /// the calibration, or those over the [noise](Fit::noise) that was estimated.
+    /// Returns the meaning of each entry of the residual vector of this fit, with the weights that the fit
+    /// used. These are the weights of the calibration, or the weights from the estimated [noise](Fit::noise).
     pub fn residual_layout(&self, calibration: &Calibration) -> ResidualLayout {
         let mut layout = calibration.residual_layout().clone();
         if let Some(noise) = self.noise.as_ref().and_then(FitNoise::estimated) {
@@ -160,23 +163,25 @@ impl Fit {
         layout
     }
 
-    /// Names of the parameters in reports and figures.
+    /// Returns the names of the parameters in reports and figures.
     pub fn shown_names(&self) -> &[String] {
         if self.shown_names.is_empty() { &self.names } else { &self.shown_names }
     }
 
-    /// True if no finding is an error: the values may be used, with what the warnings say about them.
+    /// Returns true if no finding is an error. The values are usable within the limits that the warnings
+    /// describe.
     pub fn is_usable(&self) -> bool {
         self.findings().iter().all(|finding| finding.severity != Severity::Error)
     }
 
-    /// Findings about the fit, those that explain others first, notes last: findings of a check, parameters
-    /// at a bound or that the data do not determine, properties of the residuals.
+    /// Returns the findings about the fit: findings of a check, parameters that are at a bound or not
+    /// determined by the data, and properties of the residuals. Findings that explain others come first,
+    /// notes last.
     pub fn findings(&self) -> Vec<Finding> {
         self.findings_with(&self.names)
     }
 
-    /// The same with other names of the parameters.
+    /// Returns the findings with other names of the parameters.
     pub(crate) fn findings_with(&self, names: &[String]) -> Vec<Finding> {
         let at_bound = |(i, side): &(usize, BoundSide)| {
             let bound = match side {
@@ -208,7 +213,7 @@ impl Fit {
         all
     }
 
-    /// Minima of a search from several starts that has ended before it could say that these are all.
+    /// Returns a finding if a search from several starts ended before it had found all minima.
     fn open_minima(&self) -> Option<Finding> {
         let optima = &self.report.optima;
         let best = optima
@@ -231,7 +236,7 @@ impl Fit {
         Some(Finding::note("search", sentence, remedy).of(Origin::Search))
     }
 
-    /// Answers that the executor lost.
+    /// Returns a finding about answers that the executor lost.
     fn lost_answers(&self) -> Option<Finding> {
         let n = self.report.n_lost;
         let sentence = format!(
@@ -240,8 +245,8 @@ impl Fit {
         (n > 0).then(|| Finding::note("executor", sentence, "").of(Origin::Search))
     }
 
-    /// The RMS over that at the start, on the same measurements; `None` if the simulation failed at the
-    /// start.
+    /// Returns the RMS relative to the RMS at the start, on the same measurements. Returns `None` if the
+    /// simulation failed at the start.
     pub fn scaled_rms(&self) -> Option<f64> {
         self.start_rms.map(|start| self.rms / start)
     }

@@ -1,4 +1,4 @@
-//! The search for the best point, with what comes before it.
+//! Search for the best point, and the steps before it.
 
 use super::noise::NoiseRule;
 use super::options::{FitObserver, FitOptions};
@@ -33,14 +33,14 @@ use std::sync::{Arc, Mutex};
 use std::thread::available_parallelism;
 use std::time::Duration;
 
-/// The objective of one fit, which adds up what its simulations take.
+/// Objective of one fit, which adds up the cost of its simulations.
 struct Counted<'a> {
     calibration: &'a Calibration,
     cutoffs: bool,
     kind: &'a CostKind,
     loss: RobustLoss,
     start: &'a [f64],
-    /// The residuals there, as they count, where they are known already.
+    /// Residuals at the start, with weights and loss, if they are already known.
     at_start: Option<Vec<f64>>,
     stats: Mutex<Stats>,
     kept: Arc<Mutex<KeptResiduals>>,
@@ -48,7 +48,7 @@ struct Counted<'a> {
 }
 
 impl Counted<'_> {
-    /// The query to the simulations: they always give residuals.
+    /// Returns the query for the simulations, which always requests residuals.
     fn asked<'q>(&self, query: &Query<'q>) -> Query<'q> {
         let mut query = *query;
         query.want = Want::Residuals;
@@ -58,7 +58,7 @@ impl Counted<'_> {
         query
     }
 
-    /// The answer at the start, where it is known; whether it is.
+    /// Fills in the answer at the start if it is known. Returns true if it is.
     fn know(&self, x: &[f64], answer: &mut Answer) -> bool {
         let Some(residuals) = self.at_start.as_ref().filter(|_| x == self.start) else { return false };
         answer.residuals.clone_from(residuals);
@@ -70,11 +70,11 @@ impl Counted<'_> {
         *lock(&self.stats) += stats;
     }
 
-    /// Makes of the residuals at a point what is minimised.
+    /// Converts the residuals at a point to the quantity to minimise.
     fn finish(&self, x: &[f64], wanted: Want, answer: &mut Answer) {
         let mut own = Vec::new();
         if let Some(sum) = answer.outcome.value() {
-            // A function of the user's may take its time.
+            // No lock is held here because a user-defined function may be slow.
             let layout = self.calibration.residual_layout();
             answer.outcome = self.kind.outcome(layout, sum, &answer.residuals, &mut own);
             if let Some(cost) = answer.outcome.value() {
@@ -114,12 +114,12 @@ impl Objective for Counted<'_> {
     }
 }
 
-/// A fit's simulations on an engine.
+/// Evaluator of a fit whose simulations run on an executor.
 struct OnEngine<'a, 'e> {
     counted: &'a Counted<'a>,
     engine: &'a mut (dyn SimulationExecutor + 'e),
     under_way: HashMap<u64, (Vec<f64>, Want)>,
-    /// Points whose answer is known.
+    /// Points with known answers.
     known: VecDeque<(u64, Answer)>,
 }
 
@@ -184,7 +184,7 @@ impl UsedLimits {
         Self { n_evaluations, n_iterations, seconds }
     }
 
-    /// The progress of a fit, of which a later search is this far.
+    /// Returns the progress of the whole fit, given the progress of a later search.
     pub(crate) fn before<'p>(&self, progress: &Progress<'p>) -> Progress<'p> {
         let mut whole = *progress;
         whole.n_evaluations += self.n_evaluations;
@@ -194,10 +194,10 @@ impl UsedLimits {
     }
 }
 
-/// Options of a fit, checked, with its clock.
+/// Checked options of a fit, with its clock.
 pub(crate) struct Job<'a> {
     pub(crate) run: RunOptions<AnyMethod>,
-    /// The options that were asked for, by name.
+    /// Requested options by name.
     pub(crate) asked: Record,
     pub(crate) start: Vec<f64>,
     pub(crate) held: Vec<usize>,
@@ -211,15 +211,16 @@ pub(crate) struct Job<'a> {
     pub(crate) engine: Option<Rc<RefCell<dyn SimulationExecutor>>>,
     pub(crate) phases: RefCell<Phases>,
     pub(crate) live: Option<Arc<LiveFit>>,
-    /// Who may end it, and its time.
+    /// Context that can interrupt the fit, with its time limit.
     pub(crate) context: RunContext<'a>,
-    /// True if it is a part of a fit, which has chosen the tolerance.
+    /// True if it is part of a fit that has already chosen the tolerance.
     pub(crate) is_part: bool,
-    /// True if nothing is held but what no stage frees, so that the problem can be judged by its result.
+    /// True if only the parameters that no stage frees are fixed, so that the result can be used to check the
+    /// problem.
     pub(crate) is_whole: bool,
-    /// Of the limits, by searches before.
+    /// Part of the limits that earlier searches have used.
     pub(crate) spent: UsedLimits,
-    /// The residuals at the start, as they count, where they were known before the search.
+    /// Residuals at the start, with weights and loss, if they were known before the search.
     pub(crate) at_start: RefCell<Option<Vec<f64>>>,
 }
 
@@ -259,7 +260,7 @@ impl<'a> Job<'a> {
             held: options.held,
             cutoffs: options.cutoffs && options.objective.is_sum_of_squares(),
             objective: options.objective,
-            // Outliers are those of measurements.
+            // The loss applies to outliers of measurements, not to priors.
             loss: options.loss.sparing(calibration.residual_layout().priors.len()),
             noise: options.noise,
             wants_preflight: options.preflight,
@@ -277,8 +278,8 @@ impl<'a> Job<'a> {
 }
 
 impl Job<'_> {
-    /// Makes it one that has not begun, where each evaluation has a process of its own. What was stored, here
-    /// or by an earlier fit, may depend on what ran before.
+    /// Resets the job for a restart with a separate process for each evaluation. Stored results, of this fit
+    /// or of an earlier one, are ignored because they may depend on previous evaluations.
     pub(super) fn begin_anew(&mut self, run: RunOptions<AnyMethod>, wants_preflight: bool) {
         (self.run, self.wants_preflight) = (run, wants_preflight);
         self.run.checkpoint = self.run.checkpoint.take().map(|checkpoint| checkpoint.resume(Resume::Never));
@@ -286,17 +287,17 @@ impl Job<'_> {
         self.spent = UsedLimits::default();
     }
 
-    /// True if standard errors are asked for, and the objective has some.
+    /// Returns true if standard errors are requested and the objective supports them.
     pub(crate) fn has_uncertainty(&self) -> bool {
         self.uncertainty.is_some() && self.objective.has_uncertainty()
     }
 
-    /// Begins a phase. `stats`: of all simulations of the fit so far.
+    /// Begins a phase. `stats` counts all simulations of the fit so far.
     pub(crate) fn enter(&self, phase: FitPhase, stats: &Stats) {
         self.phases.borrow_mut().enter(phase, stats);
     }
 
-    /// True if the problem is checked again at the result.
+    /// Returns true if the problem is checked again at the result.
     pub(super) fn is_checked(&self) -> bool {
         self.is_whole && self.uncertainty.is_some()
     }
@@ -307,16 +308,16 @@ pub(crate) struct SearchResult {
     pub(crate) report: Report,
     pub(crate) stuck: StuckParameters,
     pub(crate) residuals: KeptResiduals,
-    /// The cost at the start, if an evaluation of the fit has found it.
+    /// Cost at the start, if an evaluation of the fit computed it.
     pub(crate) start_cost: Option<f64>,
     pub(crate) preflight: Option<Preflight>,
-    /// Those that held.
+    /// Tolerances that the search used.
     pub(crate) tolerances: Tolerances,
-    /// Findings of the search, about its tolerances and the noise.
+    /// Findings of the search about its tolerances and the noise.
     pub(crate) raised: Vec<Finding>,
 }
 
-/// Raises the relative `f_tol` of a run to the noise of the simulations, where that is larger.
+/// Raises the relative `f_tol` of a run to the noise of the simulations if the noise is larger.
 fn raise_f_tol(tolerances: &mut Tolerances, preflight: &Preflight) -> Option<Finding> {
     let is_larger = preflight.f_tol_above_noise(tolerances.f_tol) > tolerances.f_tol;
     (tolerances.measure == ToleranceMeasure::Relative && is_larger).then(|| {
@@ -327,14 +328,14 @@ fn raise_f_tol(tolerances: &mut Tolerances, preflight: &Preflight) -> Option<Fin
     })
 }
 
-/// The start's own cost, if a run has found it.
+/// Returns the cost at the start if a run computed it.
 pub(super) fn start_cost_in(report: &Report, start: &[f64]) -> Option<f64> {
     let of_trace = report.trace.iter().find(|e| e.x == start).and_then(|e| e.outcome.value());
     of_trace.or_else(|| Some(report.fun).filter(|fun| report.trace.is_empty() && fun.is_finite()))
 }
 
 impl Calibration {
-    /// The search for the best point, with what comes before it.
+    /// Searches for the best point, after the preparation and the preflight.
     pub(super) fn search(&self, job: &Job<'_>, stats: &mut Stats) -> Result<SearchResult, CalibrationError> {
         let Job { start, context, .. } = job;
         let mut at_start = None;
@@ -352,7 +353,7 @@ impl Calibration {
             preflight.iter().filter_map(|found| raise_f_tol(&mut run.tolerances, found)).collect();
         job.enter(FitPhase::Search, stats);
         if let Some(known) = &at_start {
-            // It is the first evaluation of the search.
+            // This simulation is the first evaluation of the search.
             let effort = Effort::of(
                 &known.stats,
                 Duration::try_from_secs_f64(known.stats.seconds.get()).unwrap_or_default(),
@@ -384,8 +385,8 @@ impl Calibration {
         })
     }
 
-    /// The options of the optimiser for a search: with the identity of its problem, and what earlier searches
-    /// have left of the limits.
+    /// Returns the options of the optimiser for a search, with the identity of its problem and the limits
+    /// that earlier searches have left.
     fn run_of_search(&self, job: &Job<'_>) -> RunOptions<AnyMethod> {
         let mut run = job.run.clone();
         let mut problem = self.problem_hash();
@@ -406,7 +407,8 @@ impl Calibration {
         run
     }
 
-    /// One run of the optimiser. `at_start`: the residuals at the start, as they count, where they are known.
+    /// Runs the optimiser once. `at_start`: the residuals at the start, with weights and loss, if they are
+    /// known.
     fn run_once(
         &self,
         job: &Job<'_>,
@@ -423,7 +425,7 @@ impl Calibration {
         };
         let transforms: Vec<Scale> = parameters.iter().map(Parameter::scale_kind).collect();
         let mut kinds: Vec<ParameterKind> = parameters.iter().map(Parameter::value_kind).collect();
-        // What is held can have any value, and does not choose the method.
+        // Fixed parameters can have any value and must not affect the choice of the method.
         held.iter().for_each(|&i| kinds[i] = ParameterKind::Continuous);
         let sizes: Vec<Option<f64>> = parameters.iter().map(|p| self.given_size(p)).collect();
         let kept = Arc::new(Mutex::new(KeptResiduals::new(start, at_start.clone())));
@@ -477,7 +479,7 @@ impl Calibration {
             error => self.name_parameter(error),
         });
         *stats += *lock(&counted.stats);
-        // Whoever looks at the fit still sees them.
+        // Other threads can still read the residuals of a live fit.
         let residuals = match live {
             Some(_) => lock(&kept).clone(),
             None => std::mem::take(&mut *lock(&kept)),
@@ -485,10 +487,10 @@ impl Calibration {
         Ok((outcome?, residuals))
     }
 
-    /// The start as the result of a search that had no time for a single evaluation.
+    /// Returns the start as the result of a search that had no time for a single evaluation.
     ///
     /// # Errors
-    /// The error that ended the search, unless it is that.
+    /// Returns the error that ended the search if the cause was not the time limit.
     pub(super) fn start_alone(
         &self,
         job: &Job<'_>,
@@ -534,7 +536,7 @@ impl Calibration {
         })
     }
 
-    /// Chooses the method of a run in which these entries of `x` are held, where the choice is open.
+    /// Chooses the method of a run if the choice is open. `held` contains the fixed entries of `x`.
     pub(crate) fn choose_method(
         &self,
         run: &mut RunOptions<AnyMethod>,
@@ -552,7 +554,7 @@ impl Calibration {
         let class = ProblemClass {
             lower: &all.clone().map(|i| bound(i, Parameter::lower)).collect::<Vec<_>>(),
             upper: &all.clone().map(|i| bound(i, Parameter::upper)).collect::<Vec<_>>(),
-            // What is held can have any value, and does not choose the method.
+            // Fixed parameters can have any value and must not affect the choice of the method.
             kinds: &all.filter(is_free).map(|i| self.parameters()[i].value_kind()).collect::<Vec<_>>(),
             residuals: objective.has_residuals(),
             search: Search::Local,
@@ -560,8 +562,8 @@ impl Calibration {
         run.choose(&class).map_err(|error| self.name_parameter(error))
     }
 
-    /// The optimiser knows parameters by number, the user by name; and of a failure what the model has
-    /// returned, not what it logs where it is asked to.
+    /// Replaces the index of a parameter in an error by its name. Replaces a failure reason from a worker
+    /// process by its explanation.
     fn name_parameter(&self, mut source: dfo::Error) -> CalibrationError {
         if let (dfo::Error::AllStartsFailed(found), Ok(remote)) = (&mut source, &self.evaluator().remote) {
             found.failures.iter_mut().for_each(|(reason, _)| remote.explain_reason(reason));
@@ -575,7 +577,7 @@ impl Calibration {
         }
     }
 
-    /// Checks a start given for this fit as the parameters' own starts were checked.
+    /// Checks a start for this fit by the rules for the start values of the parameters.
     fn check_start(&self, start: &[f64]) -> Result<(), CalibrationError> {
         self.check_length(start)?;
         for (parameter, value) in self.parameters().iter().zip(start) {

@@ -1,23 +1,23 @@
-//! A fit whose simulations are made elsewhere: by an executor, on other machines.
+//! Fits whose simulations run elsewhere, in an executor or on other machines.
 
 use crate::loaded::calibration::Calibration;
 use dfo::{Answer, Evaluator, Query, RobustLoss};
 use ode::Stats;
 
-/// Simulates the points of a fit, wherever it likes: each as [`Calibration::answer_counted`] does with the
-/// same calibration, for residuals.
+/// Simulates the points of a fit at any place. Each answer must equal the answer of
+/// [`Calibration::answer_counted`] for residuals with the same calibration.
 pub trait SimulationExecutor: Evaluator {
-    /// The points from here on are of this calibration, which has chosen its solver: that of the fit, or the
-    /// same with other weights or tolerances. What is robust counts by this loss.
+    /// Sets the calibration and the robust loss of the following points. The calibration has chosen its
+    /// solver. It is the calibration of the fit, or a copy with other weights or tolerances.
     fn begin(&mut self, calibration: &Calibration, loss: RobustLoss);
 
-    /// Statistics of the simulations whose answers have come since the last call.
+    /// Returns the statistics of the simulations that were answered since the last call.
     fn take_stats(&mut self) -> Stats;
 }
 
 impl Calibration {
-    /// Answer of an [`SimulationExecutor`] to a query: outcome, and residuals as they count by this loss; the
-    /// statistics of the simulations are added to `stats`. The residuals of a query for costs are left out.
+    /// Answers a query for a [`SimulationExecutor`], with the outcome and the residuals after this loss. Adds
+    /// the statistics of the simulations to `stats`. Omits the residuals if the query requests only the cost.
     pub fn answer_counted(
         &self,
         x: &[f64],

@@ -1,4 +1,4 @@
-//! The relative tolerance of a fit's simulations: small enough for its `f_tol`.
+//! Choice of the relative tolerance of the simulations of a fit, small enough for its `f_tol`.
 
 use super::noise::{EstimatedNoise, NoiseRule};
 use super::search::Job;
@@ -10,43 +10,46 @@ use dfo::{RobustLoss, ToleranceMeasure};
 use fmi::InterfaceKind;
 use serde::{Deserialize, Serialize};
 
-/// The relative tolerance that was chosen for the simulations of a fit, where it was not given.
+/// Relative tolerance that was chosen for the simulations of a fit if the user did not specify one.
 ///
-/// Residuals of simulations with a tolerance T are supposed to be off by T times the measurements: by the
-/// norm `d`. Near the best values, where the N residuals are noise of the size s, that makes the cost
-/// uncertain by `2 d / (N s) + d^2 / (N s^2)` of itself (error and noise are independent). The tolerance is
-/// the first of T, T / 10, T / 100 and so on for which that is below 0.3 `f_tol`; T is that of the
-/// calibration (that of the model, but at most 1e-6). s is estimated from the differences between
-/// neighbouring measurements. Where `f_tol` is 100 times the tolerance of the model or more, T is used.
-/// Nothing is simulated for that; the [uncertainty](super::Fit::uncertainty) of the fit compares with a
-/// simulation of higher accuracy.
+/// Simulations with a tolerance T are assumed to change the residuals by T times the measurements, with the
+/// norm `d`. Near the best values, the N residuals are noise of size s. The cost then has the relative
+/// uncertainty `2 d / (N s) + d^2 / (N s^2)`, because error and noise are independent.
+///
+/// T is the tolerance of the calibration, which is the tolerance of the model but at most 1e-6. The chosen
+/// tolerance is the first of T, T / 10, T / 100 and so on whose uncertainty is below 0.3 `f_tol`. The noise s
+/// is estimated from the differences between neighbouring measurements. If `f_tol` is at least 100 times the
+/// tolerance of the model, T is used.
+///
+/// The choice requires no simulation. The [uncertainty](super::Fit::uncertainty) of the fit compares the
+/// result with a more accurate simulation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct ChosenTolerance {
-    /// The tolerance of the fit's simulations.
+    /// Tolerance of the simulations of the fit.
     pub used: f64,
-    /// That of the model, or the default.
+    /// Tolerance of the model, or the default.
     pub stated: f64,
-    /// Relative uncertainty of the cost near the best values that is expected with T; `None`: it was not
-    /// estimated.
+    /// Expected relative uncertainty of the cost near the best values with the tolerance T of the
+    /// calibration. `None` if it was not estimated.
     pub noise: Option<f64>,
 }
 
-/// The cost may be uncertain by this part of `f_tol`: the error of one point is not that of another.
+/// Maximum uncertainty of the cost as a part of `f_tol`. The errors of different points differ.
 const SHARE: f64 = 0.3;
 
-/// With a tolerance below this part of `f_tol` the cost is smooth enough.
+/// With a tolerance below this part of `f_tol`, the cost is smooth enough.
 const SMALL_ENOUGH: f64 = 0.01;
 
-/// It is not chosen smaller than this.
+/// Smallest tolerance that is chosen.
 const SMALLEST: f64 = 1e-9;
 
-/// Measurements are supposed to have noise of this part of their size, or more.
+/// Minimum noise that measurements are assumed to have, relative to their size.
 const LEAST_NOISE: f64 = 1e-4;
 
 impl ChosenTolerance {
-    /// Finding about the tolerance where it is smaller than that of the model.
+    /// Returns a finding if the tolerance is smaller than the tolerance of the model.
     pub(crate) fn finding(&self) -> Option<Finding> {
         let [used, stated] = [self.used, self.stated].map(Number);
         let sentence = format!(
@@ -58,8 +61,8 @@ impl ChosenTolerance {
 }
 
 impl Calibration {
-    /// Chooses the tolerance of a fit. `None`: it was given, a co-simulation has its own, the step is fixed,
-    /// or `f_tol` is zero.
+    /// Chooses the tolerance of a fit. Returns `None` if the tolerance is given, a co-simulation has its own,
+    /// the step is fixed, or `f_tol` is zero.
     pub(crate) fn choose_tolerance(&self, job: &Job<'_>) -> Option<ChosenTolerance> {
         let (loss, tolerances) = (job.loss, &job.run.tolerances);
         let stated = self.fmu().description().default_experiment.tolerance.filter(|t| *t > 0.0 && *t < 1.0);
@@ -73,7 +76,7 @@ impl Calibration {
         let stated = stated.unwrap_or(first);
         let chosen = ChosenTolerance { used: first, stated, noise: None };
         let is_relative = tolerances.measure == ToleranceMeasure::Relative;
-        // But for the rounding of a product.
+        // Allow for the rounding of the product.
         if is_relative && stated <= SMALL_ENOUGH * tolerances.f_tol * (1.0 + 1e-9) {
             return Some(chosen);
         }
@@ -92,8 +95,8 @@ impl Calibration {
         Some(ChosenTolerance { used: part(tenths), noise: Some(uncertain(first)), ..chosen })
     }
 
-    /// The sum of the squared residuals that noise leaves, by the differences between neighbouring
-    /// measurements.
+    /// Returns the expected sum of the squared residuals due to noise, from the differences between
+    /// neighbouring measurements.
     fn squares_of_noise(&self, loss: RobustLoss) -> f64 {
         let Some(noise) = EstimatedNoise::first(self, NoiseRule::Estimated) else { return 0.0 };
         let of = |output: &OutputResiduals| {
