@@ -1,4 +1,4 @@
-//! An hour that is missing or doubled in times without a zone: clocks change to summer time and back.
+//! Detection of a missing or doubled hour in times without a zone, due to daylight saving time.
 
 use super::series::sampling_interval;
 use jiff::Timestamp;
@@ -6,30 +6,30 @@ use jiff::tz::TimeZone;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// In s.
+/// Length of an hour in s.
 const HOUR: f64 = 3600.0;
 
-/// In s.
+/// Length of a day in s.
 pub(super) const DAY: f64 = 24.0 * HOUR;
 
-/// Clocks change in the first hours of a day: the hour that is missing or doubled begins at one of these.
+/// Hours of a day at which the missing or doubled hour may begin.
 const HOURS: std::ops::RangeInclusive<i64> = 0..=3;
 
-/// Clocks change to summer time once a year; in s.
+/// Minimum time between two changes in the same direction, in s. Clocks change to summer time once a year.
 const LEAST_APART: f64 = 200.0 * DAY;
 
-/// Largest deviation of a distance from the usual one plus or minus an hour: half the usual one, within these
-/// limits, in s.
+/// Limits of the tolerance in s. The tolerance is half the sampling interval. It applies to the deviation of
+/// a spacing from the sampling interval plus or minus an hour.
 const TOLERANCE: (f64, f64) = (2.0, 300.0);
 
-/// Between two rows the clock was moved by an hour, as it seems.
+/// Probable change of the clock by an hour between two rows.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ClockChange {
-    /// The local time of the row before.
+    /// Local time of the row before the change.
     pub from: String,
-    /// The local time of the row after.
+    /// Local time of the row after the change.
     pub to: String,
-    /// An hour is there twice; else it is missing.
+    /// True if an hour is doubled; false if it is missing.
     pub is_doubled: bool,
 }
 
@@ -45,18 +45,18 @@ impl fmt::Display for ClockChange {
     }
 }
 
-/// Finds an hour that is missing or doubled in times without a zone, in s, of which the first is `start` in s
-/// since 1970: one distance is by an hour longer or shorter than the usual one, in the first hours of a day.
+/// Finds a missing or doubled hour in times in s without a zone. `start` is the first time in s since 1970.
+/// One row spacing must be an hour longer or shorter than the sampling interval, in the first hours of a day.
 ///
 /// # Errors
-/// The row that comes before the one above it, because an hour is doubled.
+/// Returns the row whose time is before the previous row, because an hour is doubled.
 pub fn clock_change(start: f64, times: &[f64]) -> Result<Option<ClockChange>, (usize, ClockChange)> {
     let Some(usual) = sampling_interval(times) else { return Ok(None) };
     let tolerance = (usual / 2.0).clamp(TOLERANCE.0, TOLERANCE.1);
     let change = |row: usize| {
         let excess = times[row] - times[row - 1] - usual;
         let is_doubled = excess < 0.0;
-        // The first whole hours that the clock passes without the change.
+        // Range of full hours that the clock would pass without the change.
         let before = start + times[row - 1];
         let first = (before / HOUR).floor() as i64 + 1;
         let last = ((before + usual + tolerance) / HOUR).floor() as i64;
@@ -75,7 +75,7 @@ pub fn clock_change(start: f64, times: &[f64]) -> Result<Option<ClockChange>, (u
         if times[row] < times[row - 1] {
             return Err((row, change));
         }
-        // What happens more often is something else.
+        // More frequent changes have another cause.
         if times[row] - last < LEAST_APART
             && first.as_ref().is_some_and(|(_, c)| c.is_doubled == change.is_doubled)
         {
@@ -87,7 +87,7 @@ pub fn clock_change(start: f64, times: &[f64]) -> Result<Option<ClockChange>, (u
     Ok(first.map(|(_, change)| change))
 }
 
-/// A local time in s since 1970 as ISO 8601 has it.
+/// Returns a local time in s since 1970 in ISO 8601 format.
 fn local(seconds: f64) -> String {
     let time = Timestamp::from_nanosecond((seconds * 1e9).round() as i128);
     time.map_or_else(|_| format!("{seconds} s"), |time| time.to_zoned(TimeZone::UTC).datetime().to_string())
@@ -97,7 +97,7 @@ fn local(seconds: f64) -> String {
 mod tests {
     use super::*;
 
-    /// Times from 2024-03-31T00:00:00 on, with a jump of the clock at a time of day.
+    /// Returns times from 2024-03-31T00:00:00, with a jump of the clock at a time of day.
     fn rows(interval: f64, jump: (f64, f64)) -> Vec<f64> {
         let all = (0..(6.0 * HOUR / interval) as u32).map(|k| interval * f64::from(k));
         all.map(|t| if t >= jump.0 { t + jump.1 } else { t }).collect()
@@ -126,7 +126,7 @@ mod tests {
             assert_eq!(clock_change(START, &rows(interval, jump)), Ok(None), "{jump:?}");
         }
         assert_eq!(clock_change(START, &rows(60.0, (2.0 * HOUR, 0.0))), Ok(None));
-        // Every night.
+        // The jump occurs every night.
         let nights: Vec<f64> = (0..3)
             .flat_map(|day| rows(60.0, (2.0 * HOUR, HOUR)).into_iter().map(move |t| t + f64::from(day) * DAY))
             .collect();

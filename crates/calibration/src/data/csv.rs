@@ -1,4 +1,4 @@
-//! CSV files as tables, as spreadsheets and data loggers write them.
+//! Reader for CSV files from spreadsheets and data loggers.
 
 use super::csv_records::{MOST_COLUMNS, Records, decode};
 use super::dates::{DateError, date_seconds};
@@ -13,23 +13,23 @@ use std::borrow::Cow;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Spellings of a missing value in a CSV file; compared without regard to case.
+/// Spellings of a missing value in a CSV file, compared without regard to case.
 const MISSING: [&str; 5] = ["", "nan", "na", "n/a", "null"];
 
-/// A longer name of a column, in bytes, is something else.
+/// Maximum length of a column name in bytes.
 const LONGEST_NAME: usize = 1000;
 
-/// After so many rows it is asked whether reading is to end.
+/// Number of rows between two checks for cancellation.
 const ROWS_PER_LOOK: usize = 4096;
 
-/// Columns of a CSV file to read, and the context that ends the reading.
+/// Columns to read from a CSV file, and the context that can end the reading.
 #[derive(Clone, Copy)]
 pub struct CsvRequest<'a> {
-    /// Name of the column of times; `None`: `time`, in any case.
+    /// Name of the time column. `None` selects `time`, in any case.
     pub time: Option<&'a str>,
     /// The columns that are kept beside the times; of the others only the names. `None`: all.
     pub columns: Option<&'a [String]>,
-    /// Asked every few thousand rows; reading ends when it says so.
+    /// Context that can end the reading. It is checked every few thousand rows.
     pub context: RunContext<'a>,
 }
 
@@ -40,42 +40,47 @@ impl Default for CsvRequest<'_> {
 }
 
 impl Data {
-    /// Reads a CSV file with a header line, which a line of units may follow. The delimiter is the one of
-    /// comma, semicolon and tab that stands most often in the header (a first line `sep=;`, as spreadsheets
-    /// write it, names it); one more at the end of each row is no column, nor are columns without a name at
-    /// the end of the header. Where it is no comma, numbers may have decimal commas, all of them: where some
-    /// have commas and others points, one of the two separates thousands. The times are those of the column
-    /// `time` (in any case), in s or in the unit that follows in brackets or parentheses: s, ms, us, ns, min,
-    /// h, d (`time [ms]`); dates (of ISO 8601, or as `31.05.2024 13:45:10`) and times of day become s since
-    /// the first row; `00:01` wants a name such as `time [mm:ss]` or `time [hh:mm]` where it can be either.
-    /// Empty cells, `NaN` and `NA` are missing values. Columns of text are kept aside: only using one is an
-    /// error, and so is using one with two different units, in its name and in the line of units. Lines that
-    /// begin with `#` are comments.
+    /// Reads a CSV file with a header line, which may be followed by a line of units. Lines that begin with
+    /// `#` are comments.
     ///
-    /// The memory that reading takes is at most 8 times the size of the file.
+    /// - Delimiter: comma, semicolon or tab, whichever occurs most often in the header. A first line `sep=;`
+    ///   sets it, as spreadsheets write it. One additional delimiter at the end of each row is ignored, and
+    ///   so are columns without a name at the end of the header.
+    /// - Numbers: decimal commas are supported if the delimiter is not a comma. A file that mixes commas and
+    ///   points is ambiguous because one of them may separate thousands. Using such a column is an error.
+    /// - Times: the column `time` (in any case), in s or in the unit that follows in brackets or parentheses:
+    ///   s, ms, us, ns, min, h, d (`time [ms]`). Dates (ISO 8601, or as `31.05.2024 13:45:10`) and times of
+    ///   day are converted to s since the first row. If `00:01` is ambiguous, the name must include the
+    ///   format, as in `time [mm:ss]` or `time [hh:mm]`.
+    /// - Missing values: empty cells, `NaN` and `NA`.
+    /// - Text columns are kept separately, and using one is an error. Using a column whose name and line of
+    ///   units declare different units is also an error.
+    ///
+    /// Reading requires at most 8 times the size of the file in memory.
     ///
     /// # Errors
-    /// The file cannot be read, has no column of times (the message lists those there are), no rows, rows of
-    /// different length, more than 65536 columns, or times that are missing or not ascending; each error
-    /// names the line. [`CalibrationError::DataFile`] of the kind [`io::ErrorKind::OutOfMemory`] where there
-    /// is no memory for it.
+    /// Returns an error if the file cannot be read, has no time column (the message lists the columns), has
+    /// no rows, has rows of different length, or has more than 65536 columns. Missing or non-ascending times
+    /// are also an error. Each error reports the line. If there is not enough memory, returns
+    /// [`CalibrationError::DataFile`] with the kind [`io::ErrorKind::OutOfMemory`].
     pub fn from_csv(path: impl AsRef<Path>) -> Result<Self, CalibrationError> {
         Self::read_csv(path, CsvRequest::default())
     }
 
-    /// As [`from_csv`](Self::from_csv), with the times in the column `time`, whatever it is called.
+    /// Reads a CSV file as [`from_csv`](Self::from_csv) does, with the times in the column `time` of any
+    /// name.
     ///
     /// # Errors
-    /// As [`from_csv`](Self::from_csv).
+    /// Returns the errors of [`from_csv`](Self::from_csv).
     pub fn from_csv_with_time(path: impl AsRef<Path>, time: &str) -> Result<Self, CalibrationError> {
         Self::read_csv(path, CsvRequest { time: Some(time), ..CsvRequest::default() })
     }
 
-    /// As [`from_csv`](Self::from_csv), what is asked for.
+    /// Reads the requested columns of a CSV file as [`from_csv`](Self::from_csv) does.
     ///
     /// # Errors
-    /// As [`from_csv`](Self::from_csv), and [`CalibrationError::Cancelled`]. That a column which is asked for
-    /// is not there, is said where it is used.
+    /// Returns the errors of [`from_csv`](Self::from_csv) and [`CalibrationError::Cancelled`]. A requested
+    /// column that does not exist causes an error only when it is used.
     pub fn read_csv(path: impl AsRef<Path>, request: CsvRequest<'_>) -> Result<Self, CalibrationError> {
         let path = path.as_ref();
         let text = base::files::read_regular(path)
@@ -85,19 +90,19 @@ impl Data {
         Ok(data)
     }
 
-    /// As [`from_csv`](Self::from_csv), from the text itself; `source` names it in errors, `time` the column
-    /// of times.
+    /// Reads CSV text as [`from_csv`](Self::from_csv) does. `source` is its name in errors, and `time` is the
+    /// name of the time column.
     ///
     /// # Errors
-    /// As [`from_csv`](Self::from_csv).
+    /// Returns the errors of [`from_csv`](Self::from_csv).
     pub fn from_csv_text(text: &[u8], source: &str, time: Option<&str>) -> Result<Self, CalibrationError> {
         Self::read_csv_text(text, source, CsvRequest { time, ..CsvRequest::default() })
     }
 
-    /// As [`read_csv`](Self::read_csv), from the text itself; `source_name` names it in errors.
+    /// Reads CSV text as [`read_csv`](Self::read_csv) does. `source_name` is its name in errors.
     ///
     /// # Errors
-    /// As [`read_csv`](Self::read_csv).
+    /// Returns the errors of [`read_csv`](Self::read_csv).
     pub fn read_csv_text(
         text: &[u8],
         source_name: &str,
@@ -117,7 +122,7 @@ impl Data {
             })?;
         let at = time_column.index;
         let mut is_kept = kept(&names, at, request.columns);
-        // A row has at least a byte per column.
+        // A row requires at least one byte per column.
         let (first_row, lines) = (records.clone(), records.n_lines());
         let most_rows = lines.min(records.rest().len() / names.len() + 1);
         let mut columns: Vec<Column> = names.iter().map(|n| Column::new(n.clone(), Vec::new())).collect();
@@ -130,7 +135,7 @@ impl Data {
             if n_rows % ROWS_PER_LOOK == 0 && request.context.is_over() {
                 return Err(CalibrationError::Cancelled);
             }
-            // A delimiter at the end of a row or of the header makes an empty cell that belongs to no column.
+            // A delimiter at the end of a row or of the header creates an empty cell without a column.
             if cells.len() > expected || len < names.len() {
                 return Err(bad(uneven(line, len, expected, delimiter)));
             }
@@ -149,7 +154,8 @@ impl Data {
             n_rows += 1;
             for (k, column) in columns.iter_mut().enumerate() {
                 let cell = cells.get(k).map_or("", |cell: &Cow<'_, str>| cell);
-                // Where commas separate, no number has one, and other columns say nothing about those that are kept.
+                // If commas are delimiters, numbers contain no commas, so the columns that are not kept need
+                // no check.
                 if is_kept[k] {
                     let value = column.note(cell, line, delimiter);
                     values[k].push(value);
@@ -163,7 +169,7 @@ impl Data {
         if n_rows == 0 {
             return Err(bad("there are no rows".to_owned()));
         }
-        // What is kept on request is used.
+        // Explicitly requested columns are used later, so check them now.
         let is_used = |k: &usize| *k == at || (is_kept[*k] && request.columns.is_some());
         let mixed = |k: usize| mixed_decimal_signs(&columns, &columns[k]);
         if let Some(message) = (0..columns.len()).filter(is_used).find_map(mixed) {
@@ -205,7 +211,7 @@ impl Data {
     }
 }
 
-/// The names in the header, and the number of cells of a row.
+/// Returns the names in the header and the number of cells per row.
 fn names_of(records: &mut Records<'_>, delimiter: u8) -> Result<(Vec<String>, usize), String> {
     let (names, expected, line) = header(records)?;
     match names.iter().all(|name| number(name, delimiter).is_some()) {
@@ -220,12 +226,12 @@ fn no_memory(source_name: &str) -> CalibrationError {
     CalibrationError::DataFile { path: PathBuf::from(source_name), source }
 }
 
-/// True for each column whose numbers are kept: the times, and those that are asked for.
+/// Returns true for each column whose numbers are kept: the times and the requested columns.
 fn kept(names: &[String], at: usize, asked: Option<&[String]>) -> Vec<bool> {
     let mut is_kept = vec![asked.is_none(); names.len()];
     is_kept[at] = true;
     for name in asked.unwrap_or_default() {
-        // One that is not there, or twice, is refused where it is used.
+        // Missing or ambiguous names cause an error when they are used.
         if let Ok(index) = find_column(names.iter().map(String::as_str), name) {
             is_kept[index] = true;
         }
@@ -233,7 +239,7 @@ fn kept(names: &[String], at: usize, asked: Option<&[String]>) -> Vec<bool> {
     is_kept
 }
 
-/// Message about a line with another number of cells than the header has.
+/// Returns the message about a line whose number of cells differs from the header.
 fn uneven(line: usize, len: usize, expected: usize, delimiter: u8) -> String {
     let hint = match delimiter {
         b',' if len == 2 * expected => {
@@ -244,7 +250,8 @@ fn uneven(line: usize, len: usize, expected: usize, delimiter: u8) -> String {
     format!("line {line} has {len} cells, the header has {expected}{hint}")
 }
 
-/// The names of the columns up to the last that has one, the number of cells of the header, and its line.
+/// Returns the names of the columns up to the last named one, the number of cells of the header, and its
+/// line.
 fn header(records: &mut Records<'_>) -> Result<(Vec<String>, usize, usize), String> {
     let mut names = Vec::new();
     let (line, expected) = records.next(&mut names).unwrap_or_default();
@@ -260,8 +267,8 @@ fn header(records: &mut Records<'_>) -> Result<(Vec<String>, usize, usize), Stri
     Ok((names.into_iter().map(Cow::into_owned).collect(), expected, line))
 }
 
-/// The units of the columns, where the first line below the header has no values: the cell of the times is a
-/// unit of time or empty, and no other is a number, but for the unit 1.
+/// Returns the units of the columns if the first line below the header contains units. In this case, the time
+/// cell is a unit of time or empty, and no other cell is a number except the unit 1.
 fn line_of_units(record: &[Cow<'_, str>], time: usize) -> Option<Vec<Option<String>>> {
     let bare = |cell: &Cow<'_, str>| {
         let inner = |(open, close)| cell.strip_prefix(open)?.strip_suffix(close).map(str::trim);
@@ -281,9 +288,9 @@ fn line_of_units(record: &[Cow<'_, str>], time: usize) -> Option<Vec<Option<Stri
     (is_of_time && !cells.iter().any(is_number)).then(|| cells.into_iter().map(stated).collect())
 }
 
-/// The number in a cell, NaN for a missing one, `None` for a text.
+/// Returns the number in a cell, NaN for a missing value, or `None` for text.
 fn number(cell: &str, delimiter: u8) -> Option<f64> {
-    // A decimal comma is safe to read where the comma does not separate.
+    // A decimal comma is unambiguous if the comma is not the delimiter.
     let with_comma = || {
         (delimiter != b',' && cell.contains(',')).then(|| cell.replacen(',', ".", 1).parse().ok()).flatten()
     };
@@ -292,8 +299,8 @@ fn number(cell: &str, delimiter: u8) -> Option<f64> {
 }
 
 impl Column {
-    /// The value of a cell, NaN where it has none. The first text and the first numbers with a comma and with
-    /// a point are kept.
+    /// Returns the value of a cell, or NaN if it has none. Records the first text and the first numbers with
+    /// a comma and with a point.
     fn note(&mut self, cell: &str, line: usize, delimiter: u8) -> f64 {
         let number = number(cell, delimiter);
         let is_known = self.point.is_some() && (delimiter == b',' || self.comma.is_some());
@@ -361,7 +368,7 @@ mod tests {
         }
         let e = csv("time;y\n0.5;1,234\n1;2\n").unwrap_err().to_string();
         assert!(e.contains("'0.5' in column 'time', line 2, a point"), "{e}");
-        // Whole numbers, texts and columns without either have no sign.
+        // Integers, text, and columns without any sign do not decide about the decimal sign.
         let d = csv("time;y;n;note\n0;1,5;7;v1.2\n1;2;8;a.b\n").unwrap();
         assert_eq!((d.column("y").unwrap(), d.column("n").unwrap()), (&[1.5, 2.0][..], &[7.0, 8.0][..]));
     }
@@ -405,7 +412,7 @@ mod tests {
             (d.time(), d.unit("y"), d.column("y").unwrap()),
             (&[0.0, 1.0][..], Some("mm"), &[1.0, 2.0][..])
         );
-        // A row without a number is no line of units for that.
+        // A row without numbers is not always a line of units.
         let d = csv("time,y\n0,\n1,2\n").unwrap();
         assert_eq!((d.time().len(), d.unit("y")), (2, None));
     }
@@ -426,7 +433,7 @@ mod tests {
             assert!(message.contains(expected), "{message}");
         }
         assert!(d.check_units("p").is_ok() && d.column("T").is_ok());
-        // Spellings of the same unit, brackets that hold no unit, and a dash below.
+        // Spellings of one unit, brackets that do not contain a unit, and a dash in the line of units.
         let d = csv("time [s],P [J/s],E (kW.h),f [Hz],T [raw],x [mm]\nseconds,W,kWh,1/s,K,-\n0,1,2,3,4,5\n")
             .unwrap();
         for column in ["P", "E", "f", "T", "x"] {
@@ -450,7 +457,7 @@ mod tests {
         }
     }
 
-    /// Only these columns.
+    /// Reads only these columns.
     fn some(text: &str, columns: &[&str]) -> Result<Data, CalibrationError> {
         let columns: Vec<String> = columns.iter().map(|name| (*name).to_owned()).collect();
         let request = CsvRequest { columns: Some(&columns), ..CsvRequest::default() };
@@ -459,7 +466,7 @@ mod tests {
 
     #[test]
     fn columns_without_a_name_take_no_memory() {
-        // As a table it would have 4e9 cells.
+        // A full table would have 4e9 cells.
         let rows: String = (0..20_000).map(|k| format!("{k},1\n")).collect();
         let d = csv(&format!("time,y{}\n{rows}", ",".repeat(200_000))).unwrap();
         assert_eq!((d.names().collect::<Vec<_>>(), d.time().len()), (vec!["y"], 20_000));
@@ -484,7 +491,7 @@ mod tests {
         );
         assert!(message("a").contains("column 'a' was left out"));
         assert!(message("y").contains("several columns are called 'y'"));
-        // Another column may show what a comma means.
+        // Another column may show the meaning of a comma.
         let text = "time;y;z\n0;1,234;1\n1;2,5;2.5\n";
         let e = some(text, &["y"]).unwrap_err().to_string();
         assert!(e.contains("has a comma and '2.5' in column 'z', line 3, a point"), "{e}");

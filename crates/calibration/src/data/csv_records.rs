@@ -1,23 +1,23 @@
-//! Records of a CSV text: its encoding, its delimiter, cells, quotes and comments.
+//! Records of a CSV text: encoding, delimiter, cells, quotes and comments.
 
 use std::borrow::Cow;
 
-/// A header with more columns is that of something else. Each takes some 200 bytes beside its values.
+/// Maximum number of columns. Each requires some 200 bytes in addition to its values.
 pub(super) const MOST_COLUMNS: usize = 1 << 16;
 
-/// The records of a table from a line on. Blank lines and comments are none.
+/// Records of a table from a given line. Blank lines and comments are skipped.
 #[derive(Clone)]
 pub(super) struct Records<'t> {
     text: &'t str,
-    /// Where the next record begins.
+    /// Position of the next record.
     at: usize,
-    /// The line in which it begins, from 1.
+    /// Line of the next record, counted from 1.
     line: usize,
     delimiter: u8,
 }
 
 impl<'t> Records<'t> {
-    /// Those of a text, and their delimiter.
+    /// Creates the records of a text and returns them with their delimiter.
     pub(super) fn new(text: &'t str) -> (Self, u8) {
         let mut records = Self { text, at: 0, line: 1, delimiter: b',' };
         records.skip();
@@ -37,12 +37,12 @@ impl<'t> Records<'t> {
         &self.text[self.at..]
     }
 
-    /// Number of lines that are left.
+    /// Returns the number of remaining lines.
     pub(super) fn n_lines(&self) -> usize {
         self.rest().bytes().filter(|byte| matches!(byte, b'\n' | b'\r')).count() + 1
     }
 
-    /// Goes to the next line that is neither blank nor a comment.
+    /// Skips blank lines and comments.
     fn skip(&mut self) {
         let bytes = self.text.as_bytes();
         loop {
@@ -65,16 +65,16 @@ impl<'t> Records<'t> {
         }
     }
 
-    /// Goes over the end of a line.
+    /// Skips the end of a line.
     fn end_line(&mut self) {
         let rest = &self.text.as_bytes()[self.at..];
         self.at += if rest.starts_with(b"\r\n") { 2 } else { usize::from(!rest.is_empty()) };
         self.line += 1;
     }
 
-    /// The cells of the next record, without spaces around them, up to the last that is not empty; of more
-    /// than [`MOST_COLUMNS`] one more than these. The line in which it begins, and how many there are; `None`
-    /// at the end.
+    /// Reads the cells of the next record, without surrounding spaces, up to the last non-empty cell. If
+    /// there are more than [`MOST_COLUMNS`], one additional cell is kept. Returns the line where the record
+    /// begins and the number of its cells, or `None` at the end.
     pub(super) fn next(&mut self, cells: &mut Vec<Cow<'t, str>>) -> Option<(usize, usize)> {
         cells.clear();
         self.skip();
@@ -107,14 +107,15 @@ impl<'t> Records<'t> {
         }
     }
 
-    /// The bytes until the next delimiter or end of a line.
+    /// Returns the number of bytes until the next delimiter or line end.
     fn to_end_of_cell(&self) -> usize {
         let rest = &self.text.as_bytes()[self.at..];
         let is_end = |byte: &u8| *byte == self.delimiter || matches!(byte, b'\n' | b'\r');
         rest.iter().position(is_end).unwrap_or(rest.len())
     }
 
-    /// A cell in quotes, in which two quotes are one, with what stands behind it. Lines may end in it.
+    /// Reads a quoted cell, in which two quotes denote one, and the text after it. The cell may contain line
+    /// ends.
     fn quoted(&mut self) -> Cow<'t, str> {
         let mut cell = String::new();
         loop {
@@ -138,15 +139,15 @@ impl<'t> Records<'t> {
     }
 }
 
-/// Without white space around it.
+/// Returns the cell without surrounding white space.
 fn trimmed(cell: &str) -> &str {
     let is_plain = |byte: Option<&u8>| byte.is_none_or(|byte| (b'!'..=b'~').contains(byte));
     let bytes = cell.as_bytes();
     if is_plain(bytes.first()) && is_plain(bytes.last()) { cell } else { cell.trim() }
 }
 
-/// UTF-8, UTF-16 with a byte order mark, else Windows-1252 (which reads Latin 1 too): what spreadsheets
-/// write.
+/// Decodes UTF-8, UTF-16 with a byte order mark, or otherwise Windows-1252, which includes Latin 1.
+/// Spreadsheets write these encodings.
 pub(super) fn decode(text: &[u8]) -> Cow<'_, str> {
     let (encoding, skip) = encoding_rs::Encoding::for_bom(text).unwrap_or_else(|| {
         let utf8 = std::str::from_utf8(text).is_ok();
@@ -165,6 +166,6 @@ fn delimiter(header: &str) -> u8 {
             *count += 1;
         }
     }
-    // Of equals the first.
+    // In a tie, the first one wins.
     counts.into_iter().rev().max_by_key(|c| c.1).map_or(b',', |c| c.0)
 }

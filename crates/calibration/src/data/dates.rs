@@ -1,4 +1,4 @@
-//! Dates and times of day as times in s since the first of them.
+//! Conversion of dates and times of day to times in s since the first one.
 
 use base::RunContext;
 use jiff::Timestamp;
@@ -9,15 +9,16 @@ use super::clock_change::{ClockChange, clock_change};
 use super::time_column::PairUnit;
 use crate::findings::shown_text::shortened;
 
-/// After so many cells it is asked whether reading is to end.
+/// Number of cells between two checks for cancellation.
 const CELLS_PER_LOOK: usize = 4096;
 
-/// Formats beside those of ISO 8601; what comes after the seconds is a fraction of them.
+/// Formats in addition to ISO 8601. Text after the seconds is their fraction.
 const DATES: [&str; 5] =
     ["%d.%m.%Y %H:%M:%S%.f", "%d.%m.%Y %H:%M", "%d.%m.%Y", "%Y/%m/%d %H:%M:%S%.f", "%Y/%m/%d %H:%M"];
 const TIME_OF_DAY: &str = "%H:%M:%S%.f";
 
-/// Minutes and seconds where one of the first numbers is no hour of a day; `None` where it can be either.
+/// Returns minutes and seconds if one of the first numbers is not an hour of a day or a cell has a fraction.
+/// Returns `None` if the cells are ambiguous.
 fn pair_of(cells: &[impl AsRef<str>]) -> Option<PairUnit> {
     let cells = || cells.iter().map(AsRef::as_ref);
     let first = |cell: &str| cell.trim().split_once(':').and_then(|(first, _)| first.parse::<u32>().ok());
@@ -28,31 +29,32 @@ fn pair_of(cells: &[impl AsRef<str>]) -> Option<PairUnit> {
 /// Notation of the times of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Form {
-    /// With a zone: an instant.
+    /// Instant with a time zone.
     Instant,
-    /// Without: days have 24 h.
+    /// Date without a time zone; days have 24 h.
     Date,
     TimeOfDay,
     /// Two numbers with a colon between them: hours and minutes, or minutes and seconds.
     Pair,
 }
 
-/// Why there are no times.
+/// Reason why the times cannot be converted.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum DateError {
-    /// Index of a cell, counted from 0, and what is wrong with it.
+    /// Index of an invalid cell, counted from 0, and the problem.
     Cell(usize, String),
-    /// Reading was ended.
+    /// The conversion was cancelled.
     Cancelled,
 }
 
-/// The times in s since the first, and an hour that is missing in those without a zone. All are written as
-/// the first is: as dates, dates with a zone, or times of day. Two numbers (`10:02`) are what `pair` says,
-/// else minutes and seconds where they can be nothing else. Ends with the context.
+/// Returns the times in s since the first one. Also returns a missing hour in times without a zone. All cells
+/// must have the format of the first one: a date, a date with a zone, or a time of day. `pair` specifies the
+/// meaning of two numbers (`10:02`). Without `pair`, they are minutes and seconds if they cannot be anything
+/// else. The context can end the conversion.
 ///
-/// # Errors
-/// The index of a cell that is none, and what is wrong with it; two numbers that may be hours and minutes or
-/// minutes and seconds; an hour that is doubled. [`DateError::Cancelled`].
+/// Returns the index of an invalid cell and the problem. Two numbers that may be hours and minutes or minutes
+/// and seconds are an error, and so is a doubled hour. Also returns [`DateError::Cancelled`]. minutes and
+/// seconds; an hour that is doubled. [`DateError::Cancelled`].
 pub fn date_seconds(
     cells: &[impl AsRef<str>],
     pair: Option<PairUnit>,
@@ -79,7 +81,7 @@ pub fn date_seconds(
             );
             return Err(DateError::Cell(row, text));
         }
-        // Whole numbers until here: times of equal distance stay so.
+        // Subtract integers so that equal spacing stays exact.
         seconds.push((nanoseconds - start) as f64 / 1e9);
     }
     let change = match first {
@@ -102,7 +104,7 @@ fn parse(cell: &str, pair: Option<PairUnit>) -> Option<(Form, i128)> {
             parsed.to_datetime().ok().or_else(|| parsed.to_date().ok().map(DateTime::from))
         })
     };
-    // Digits alone are a number.
+    // Digits alone are a number, not a date.
     if cell.contains(['-', ':', '.', '/'])
         && let Some(date) = iso().or_else(other)
     {
@@ -116,7 +118,7 @@ fn parse(cell: &str, pair: Option<PairUnit>) -> Option<(Form, i128)> {
     }
 }
 
-/// `12:34` and `12:34.5` in nanoseconds.
+/// Converts `12:34` or `12:34.5` to nanoseconds.
 fn two_numbers(cell: &str, pair: Option<PairUnit>) -> Option<i128> {
     let (first, second) = cell.split_once(':')?;
     let is_plain = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
@@ -202,7 +204,7 @@ mod tests {
         let doubled = found(&days(["02:00", "02:30", "02:00", "02:30", "03:00"])).unwrap_err();
         let DateError::Cell(2, message) = doubled else { panic!("{doubled:?}") };
         assert!(message.contains("an hour is doubled") && message.contains("02:00:00+02:00"), "{message}");
-        // Times with a zone need no guess.
+        // No change is assumed for times with a zone.
         let zoned: Vec<String> = days(["01:00", "01:30", "03:00", "03:30", "04:00"]).map(|t| t + "Z").into();
         assert_eq!(found(&zoned).unwrap().1, None);
         assert_eq!(

@@ -1,4 +1,4 @@
-//! Recordings: tables from CSV files and from memory, their column of times and its unit.
+//! Recordings: tables from CSV files and from memory, with their time column and units.
 
 mod clock_change;
 mod csv;

@@ -1,4 +1,4 @@
-//! Values of variables from files of System Structure Parameter Values (SSP standard 1.0, section 6), `.ssv`.
+//! Parameter values from files of System Structure Parameter Values (SSP standard 1.0, section 6), `.ssv`.
 
 use crate::data::{Unit, UnitConversion, UnitError};
 use crate::error::CalibrationError;
@@ -10,10 +10,10 @@ use serde::{Deserialize, Serialize};
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
-/// The values of an SSP parameter file.
+/// Values of an SSP parameter file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ParameterSet {
-    /// The file, for messages.
+    /// File name for messages.
     source: String,
     parameters: Vec<SetParameter>,
     /// Units that the file defines, by name.
@@ -21,25 +21,26 @@ pub struct ParameterSet {
     units: HashMap<String, Unit>,
 }
 
-/// A value of a file.
+/// Value in a parameter file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct SetParameter {
     name: String,
     value: Value,
-    /// The value is the name of an item of an enumeration.
+    /// True if the value is the name of an enumeration item.
     is_item: bool,
-    /// Its unit; `None`: that of the variable.
+    /// Unit of the value; `None`: the unit of the variable.
     unit: Option<String>,
 }
 
-/// Depth of elements; the format has five.
+/// Maximum depth of elements; the format has five levels.
 const DEEPEST: usize = 64;
 
 impl ParameterSet {
-    /// Reads a file.
+    /// Reads a parameter file.
     ///
     /// # Errors
-    /// [`CalibrationError::DataFile`]: it cannot be read; [`CalibrationError::Data`]: it is no parameter set.
+    /// Returns [`CalibrationError::DataFile`] if the file cannot be read, or [`CalibrationError::Data`] if it
+    /// is not a parameter set.
     pub fn read(path: impl AsRef<Path>) -> Result<Self, CalibrationError> {
         let path = path.as_ref();
         let bytes = base::files::read_regular(path)
@@ -47,10 +48,10 @@ impl ParameterSet {
         Self::parse(&bytes, &path.display().to_string())
     }
 
-    /// Reads the text of a file; `source` names it in errors.
+    /// Parses the text of a parameter file. `source` is its name in errors.
     ///
     /// # Errors
-    /// [`CalibrationError::Data`]: it is no parameter set.
+    /// Returns [`CalibrationError::Data`] if the text is not a parameter set.
     pub fn parse(text: &[u8], source: &str) -> Result<Self, CalibrationError> {
         let bad = |message: String| CalibrationError::Data { source_name: source.to_owned(), message };
         if text.starts_with(b"PK\x03\x04") {
@@ -63,11 +64,12 @@ impl ParameterSet {
         Ok(Self { source: source.to_owned(), parameters, units })
     }
 
-    /// The values for a model, in its units. A unit is what the file defines under its name, else what the
-    /// model does, else what it is known for.
+    /// Returns the values for a model, converted to its units. Unit definitions of the file take precedence
+    /// over definitions of the model, and these over built-in units.
     ///
     /// # Errors
-    /// The model has no such variable, or it has another type; a unit of another quantity, or not known.
+    /// Returns an error if the model has no such variable, the type of the variable differs, or a unit is
+    /// unknown or measures another quantity.
     pub fn values(&self, model: &ModelDescription) -> Result<Vec<(String, Value)>, CalibrationError> {
         self.parameters.iter().map(|own| Ok((own.name.clone(), self.value(own, model)?))).collect()
     }
@@ -88,7 +90,7 @@ impl ParameterSet {
                 let own = self.units.get(unit.trim());
                 match UnitConversion::from_defined(unit, own, variable, model) {
                     Ok(conversion) => Ok(Value::Real(conversion.apply(*number))),
-                    // Models without units are mostly in those of the SI.
+                    // Models without units mostly use SI units.
                     Err(UnitError::NotStated { .. })
                         if own
                             .copied()
@@ -105,19 +107,19 @@ impl ParameterSet {
     }
 }
 
-/// The number of an item.
+/// Returns the number of an enumeration item.
 fn item_of(model: &ModelDescription, variable: &Variable, name: &str) -> Option<Value> {
     let types = variable.declared_type.as_ref().filter(|_| variable.kind == VariableKind::Enumeration);
     let of = model.type_definitions.iter().find(|known| Some(&known.name) == types)?;
     of.items.iter().find(|item| item.name == name).map(|item| Value::Integer(i128::from(item.value)))
 }
 
-/// The parameters of a document and the units that it defines, or what is wrong with it.
+/// Returns the parameters and the unit definitions of a document, or a message about invalid content.
 fn content(text: &str) -> Result<(Vec<SetParameter>, HashMap<String, Unit>), String> {
     let mut reader = Reader::from_str(text);
     reader.config_mut().expand_empty_elements = true;
     let (mut found, mut depth) = (Vec::new(), 0_usize);
-    // The name of the parameter that is open, which stands in <Parameters> of the outermost element.
+    // Name of the open parameter, a child of <Parameters> in the outermost element.
     let mut open: Option<String> = None;
     let (mut units, mut open_unit) = (HashMap::new(), None);
     loop {
@@ -189,7 +191,7 @@ fn content(text: &str) -> Result<(Vec<SetParameter>, HashMap<String, Unit>), Str
     }
 }
 
-/// A unit by the attributes of its base unit (as in FMI 2.0, section 2.2.2).
+/// Returns a unit from the attributes of its base unit (as in FMI 2.0, section 2.2.2).
 fn defined_unit(start: &BytesStart<'_>) -> Result<Unit, String> {
     let mut base = BaseUnit::default();
     for attribute in start.attributes() {
@@ -219,7 +221,7 @@ fn defined_unit(start: &BytesStart<'_>) -> Result<Unit, String> {
         .ok_or_else(|| format!("factor {}, offset {} are not those of a unit", base.factor, base.offset))
 }
 
-/// A parameter by the element of its type; the types of version 2.0 too.
+/// Returns a parameter from the element of its type, including the types of version 2.0.
 fn one(name: String, kind: &str, start: &BytesStart<'_>) -> Result<SetParameter, String> {
     let text = attribute(start, "value")?.ok_or_else(|| format!("'{name}' has no value"))?;
     let bad = || format!("'{name}' = '{text}' is no {kind}");
@@ -241,7 +243,7 @@ fn one(name: String, kind: &str, start: &BytesStart<'_>) -> Result<SetParameter,
     Ok(SetParameter { name, value, is_item: kind == "Enumeration", unit: attribute(start, "unit")? })
 }
 
-/// An attribute of an element.
+/// Returns an attribute of an element.
 fn attribute(start: &BytesStart<'_>, name: &str) -> Result<Option<String>, String> {
     let attribute = start.try_get_attribute(name).map_err(|error| error.to_string())?;
     let text =
@@ -308,14 +310,15 @@ mod tests {
         let furlong = unit("furlong", "m=\"1\" factor=\"201.168\"");
         assert_eq!(read("furlong", &furlong, Some("m")), Ok(603.504));
         assert_eq!(read("furlong", &furlong, Some("km")), Ok(0.603504));
-        // Its own definition, not the one that the name is known for; of one name on both sides, too.
+        // The definition of the file takes precedence over the known unit, even if both names are equal.
         let hand = unit("mm", "m=\"1\" factor=\"0.002\"");
         assert_eq!(read("mm", &hand, Some("m")), Ok(0.006));
         assert_eq!(read("mm", &hand, Some("mm")), Ok(6.0));
         assert_eq!(read("mm", &unit("mm", "m=\"1\" factor=\"0.001\""), Some("mm")), Ok(3.0));
         let warm = unit("warm", "K=\"1\" offset=\"270\"");
         assert_eq!(read("warm", &warm, Some("K")), Ok(273.0));
-        // A name that is known here alone is the same on both sides; without a unit of the model it must be coherent.
+        // A name that only the file defines denotes one unit on both sides. If the model has no unit, the
+        // unit must be coherent.
         assert_eq!(read("furlong", &furlong, Some("furlong")), Ok(3.0));
         assert_eq!(read("thing", &unit("thing", "kg=\"1\""), None), Ok(3.0));
         for (name, defined, of_variable, expected) in [

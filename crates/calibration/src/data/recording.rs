@@ -1,4 +1,4 @@
-//! A table of recorded series over one column of times: irregular times, missing values.
+//! Table of recorded series with a time column, irregular times and missing values.
 
 use super::clock_change::{ClockChange, DAY};
 use super::series::{Series, sampling_interval};
@@ -12,97 +12,99 @@ use std::io::Read;
 use std::ops::Range;
 use std::path::Path;
 
-/// A table of recorded series over one time column.
+/// Table of recorded series with one time column.
 ///
-/// Times ascend; a time may stand twice (an input jumps there), never three times. A missing value is NaN.
+/// Times ascend. A time may occur twice if an input jumps there, but not three times. A missing value is NaN.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Data {
     pub(super) source: String,
     pub(super) time_name: String,
     pub(super) time: Series,
     pub(super) columns: Vec<Column>,
-    /// Names of columns that were left out.
+    /// Names of columns that were not read.
     pub(super) left_out: Vec<String>,
-    /// The times were dates or durations: they have no other unit.
+    /// True if the times were dates or durations, so that they have no other unit.
     #[serde(default)]
     has_dates: bool,
-    /// The first of them, as it stands in the file.
+    /// First date as text in the file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     first_date: Option<String>,
-    /// An hour that is missing in times without a zone.
+    /// Missing hour in times without a zone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     clock_change: Option<ClockChange>,
-    /// The rows are means over intervals of this length in s.
+    /// Length of the intervals in s if the rows are means over intervals.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) resampled: Option<f64>,
-    /// What said in which rows measurements count: a column, or a value for each row.
+    /// Source of the mask of measurements: a column, or a value for each row.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     mask: Option<String>,
-    /// SHA-256 of the file that it was read from.
+    /// SHA-256 of the source file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) file_hash: Option<String>,
 }
 
-/// What a table is, without its numbers.
+/// Description of a table without its numbers.
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct DataSummary<'d> {
-    /// Where it comes from.
+    /// Origin of the table.
     pub(crate) source: &'d str,
-    /// SHA-256 of the file that it was read from.
+    /// SHA-256 of the source file.
     pub(crate) file_sha256: Option<&'d str>,
-    /// SHA-256 of the names and values that are compared, after mask and means.
+    /// SHA-256 of the compared names and values, after the mask and the means.
     pub(crate) fingerprint: String,
     pub(crate) n_rows: usize,
-    /// The column of times, and its first and last value in s.
+    /// Name of the time column. `from` and `to` are its first and last value in s.
     pub(crate) time: &'d str,
     pub(crate) from: Option<f64>,
     pub(crate) to: Option<f64>,
     pub(crate) columns: Vec<&'d str>,
-    /// What said in which rows measurements count.
+    /// Source of the mask of measurements.
     pub(crate) mask: Option<&'d str>,
-    /// The interval over which means were taken, in s.
+    /// Length of the intervals of the means in s.
     pub(crate) resample: Option<f64>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Column {
     pub(super) name: String,
-    /// The unit of the values, where it is not the one in the name: from a line of units, or converted to.
+    /// Unit of the values if it differs from the unit in the name. It comes from a line of units or a
+    /// conversion.
     pub(super) unit: Option<String>,
-    /// The line of units, if the unit in it is another one than that in the name.
+    /// Unit in the line of units if it contradicts the unit in the name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     contradicting: Option<Cell>,
     pub(super) values: Series,
-    /// How the values were converted, and the unit that they had.
+    /// Conversion of the values, and their original unit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     converted: Option<(UnitConversion, Option<String>)>,
-    /// The first cell that is no number.
+    /// First cell that is not a number.
     pub(super) text: Option<Cell>,
-    /// The first numbers with a comma and with a point.
+    /// First numbers with a comma and with a point.
     pub(super) comma: Option<Cell>,
     pub(super) point: Option<Cell>,
 }
 
-/// Values so many usual distances apart are not joined by a line.
+/// Maximum gap for interpolation, in sampling intervals.
 const WIDEST_GAP: f64 = 10.0;
 
-/// So many bytes of a file are hashed between two looks at the context: 1 ms.
+/// Number of bytes that are hashed between two checks for cancellation (1 ms).
 const HASHED_AT_ONCE: usize = 1 << 20;
 
-/// A hash in hexadecimal.
+/// Returns a hash in hexadecimal.
 pub(super) fn hex(hasher: Sha256) -> String {
     hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// A cell of a file: its line, counted from 1, and its text.
+/// Cell of a file: its line, counted from 1, and its text.
 type Cell = (usize, String);
 
 impl Data {
-    /// A table from columns in memory, one of which holds the times: the column `time` as in a
-    /// [CSV file](Self::from_csv), or the one that is named here.
+    /// Creates a table from columns in memory. The time column is `time` as in a [CSV file](Self::from_csv),
+    /// or the column with the given name.
     ///
     /// # Errors
-    /// No column of times, columns of different length, times that are not finite or not ascending.
+    /// Returns an error if there is no time column, the columns differ in length, or times are not finite or
+    /// not ascending.
     pub fn from_table<S: Into<Series>>(
         columns: impl IntoIterator<Item = (String, S)>,
         time: Option<&str>,
@@ -118,33 +120,33 @@ impl Data {
         Self::new("data".to_owned(), name, times, columns, |row| format!("row {row}"))
     }
 
-    /// Checks what a table is checked for when it is made: what comes from a file may be something else.
+    /// Repeats the checks of the constructor, because deserialized data may be invalid.
     pub(crate) fn check(&self) -> Result<(), CalibrationError> {
         let Self { source, time_name, time, columns, .. } = self.clone();
         Self::new(source, time_name, time, columns, |row| format!("row {row}")).map(|_| ())
     }
 
-    /// Names of columns that the recording has, and this table has not: a [warning](crate::SetupWarning) may
-    /// concern them.
+    /// Adds the names of columns of the recording that this table does not contain. A
+    /// [warning](crate::SetupWarning) may refer to them.
     #[must_use]
     pub fn left_out(mut self, names: impl IntoIterator<Item = String>) -> Self {
         self.left_out.extend(names);
         self
     }
 
-    /// An hour that is missing in the times, which are those of a clock without a zone: a
-    /// [warning](crate::SetupWarning) says so.
+    /// Sets the missing hour in the times of a clock without a zone, which a [warning](crate::SetupWarning)
+    /// reports.
     #[must_use]
     pub fn with_clock_change(mut self, change: Option<ClockChange>) -> Self {
         self.clock_change = change;
         self
     }
 
-    /// Where the table was read from, if that was no [CSV file](Self::read_csv): the path is its
-    /// [source](Self::source), and a record of a fit has the hash of the file as it is now.
+    /// Sets the file that the table was read from, if it was not a [CSV file](Self::read_csv). The path
+    /// becomes its [source](Self::source), and a record of a fit contains the current hash of the file.
     ///
     /// # Errors
-    /// [`CalibrationError::DataFile`]: the file cannot be read; [`CalibrationError::Cancelled`].
+    /// Returns [`CalibrationError::DataFile`] if the file cannot be read, or [`CalibrationError::Cancelled`].
     pub fn of_file(mut self, path: &Path, context: &RunContext<'_>) -> Result<Self, CalibrationError> {
         let unread = |source| CalibrationError::DataFile { path: path.to_owned(), source };
         let mut file = base::files::open_regular(path).map_err(unread)?;
@@ -162,18 +164,18 @@ impl Data {
         Ok(self)
     }
 
-    /// The times were dates or durations, of which the unit is known.
+    /// Sets whether the times were dates or durations, whose unit is known.
     #[must_use]
     pub fn with_dates(self, has_dates: bool) -> Self {
         Self { has_dates, ..self }
     }
 
-    /// True if the times were dates or durations.
+    /// Returns true if the times were dates or durations.
     pub(crate) fn has_dates(&self) -> bool {
         self.has_dates
     }
 
-    /// The first date, as it stands in the file.
+    /// Sets the first date as text in the file.
     #[must_use]
     pub(super) fn with_first_date(self, first_date: Option<String>) -> Self {
         Self { first_date, ..self }
@@ -183,25 +185,25 @@ impl Data {
         self.first_date.as_deref()
     }
 
-    /// An hour that is missing in the times.
+    /// Returns the missing hour in the times.
     pub(crate) fn clock_change(&self) -> Option<&ClockChange> {
         self.clock_change.as_ref()
     }
 
-    /// Names of all columns beside the time, those left out last.
+    /// Returns the names of all columns except the time. Columns that were not read come last.
     pub fn all_names(&self) -> impl Iterator<Item = &str> + Clone {
         self.names().chain(self.left_out.iter().map(String::as_str))
     }
 
-    /// The distance of the times: the median.
+    /// Returns the median spacing of the times.
     pub(crate) fn sampling_interval(&self) -> Option<f64> {
         sampling_interval(&self.time)
     }
 
-    /// A table from columns in memory; all as long as `time`.
+    /// Creates a table from columns in memory, all with the length of `time`.
     ///
     /// # Errors
-    /// Columns of another length, times that are not finite or not ascending.
+    /// Returns an error if the columns differ in length, or if times are not finite or not ascending.
     pub fn from_columns(
         time: Vec<f64>,
         columns: impl IntoIterator<Item = (String, Vec<f64>)>,
@@ -237,7 +239,7 @@ impl Data {
                 return bad(format!("time {} at {} is not finite", Number(*t), place(i)));
             }
             if i > 0 && *t < time[i - 1] {
-                // Back by nearly a day.
+                // The time goes back by nearly a day.
                 let hint = match time[i - 1] - t {
                     back if (0.5..=1.0).contains(&(back / DAY)) => {
                         ". Where a clock passed midnight, write the date with each time, or add 24 h from there on"
@@ -270,12 +272,12 @@ impl Data {
         })
     }
 
-    /// Where the table comes from, as errors name it.
+    /// Returns the source of the table, as shown in errors.
     pub fn source(&self) -> &str {
         &self.source
     }
 
-    /// A hash of the names and values: of the content, wherever it came from.
+    /// Returns a hash of the names and values, independent of their source.
     pub(crate) fn hash(&self) -> String {
         let mut hasher = Sha256::new();
         let columns = self.columns.iter().map(|c| (&c.name, c.unit.as_deref(), &c.values));
@@ -290,7 +292,7 @@ impl Data {
         hex(hasher)
     }
 
-    /// What it is, without its numbers.
+    /// Returns a description without the numbers.
     pub(crate) fn summary(&self) -> DataSummary<'_> {
         DataSummary {
             source: &self.source,
@@ -306,30 +308,32 @@ impl Data {
         }
     }
 
-    /// The times.
+    /// Returns the times.
     pub fn time(&self) -> &[f64] {
         &self.time
     }
 
-    /// The times as they are shared.
+    /// Returns the shared times.
     pub(crate) fn time_series(&self) -> &Series {
         &self.time
     }
 
-    /// Names of the columns beside the time, in their order.
+    /// Returns the names of the columns except the time, in their order.
     pub fn names(&self) -> impl Iterator<Item = &str> + Clone {
         self.columns.iter().map(|c| c.name.as_str())
     }
 
-    /// A column by name, with NaN for missing values. Its unit may be left out: `phi` finds `phi [deg]`.
+    /// Returns a column by name, with NaN for missing values. The unit may be omitted: `phi` finds `phi
+    /// [deg]`.
     ///
     /// # Errors
-    /// No such column (the message lists those there are), a cell that is no number, an infinite value.
+    /// Returns an error if there is no such column (the message lists the columns), a cell is not a number,
+    /// or a value is infinite.
     pub fn column(&self, name: &str) -> Result<&[f64], CalibrationError> {
         self.series(name).map(|values| &values[..])
     }
 
-    /// As [`column`](Self::column), as it is shared.
+    /// Returns the shared values of a [`column`](Self::column).
     pub(crate) fn series(&self, name: &str) -> Result<&Series, CalibrationError> {
         let bad = |message: String| CalibrationError::Data { source_name: self.source.clone(), message };
         let Some(index) = self.position(name)? else { return Ok(&self.time) };
@@ -353,7 +357,7 @@ impl Data {
         Ok(&column.values)
     }
 
-    /// Position of a column; `None`: it is that of the times.
+    /// Returns the index of a column, or `None` for the time column.
     fn position(&self, name: &str) -> Result<Option<usize>, CalibrationError> {
         if name == self.time_name {
             return Ok(None);
@@ -366,39 +370,40 @@ impl Data {
         Err(CalibrationError::Data { source_name: self.source.clone(), message })
     }
 
-    /// The unit of a column, where it is stated: behind its name in brackets or parentheses, or in a line of
-    /// units; after [`Calibration::from_problem`](crate::Calibration::from_problem) that of the variable
-    /// which it was converted to.
+    /// Returns the unit of a column, if it is declared in brackets or parentheses after its name or in a line
+    /// of units. After [`Calibration::from_problem`](crate::Calibration::from_problem), it is the unit of the
+    /// variable to which the column was converted.
     pub fn unit(&self, column: &str) -> Option<&str> {
         let column = &self.columns[self.position(column).ok()??];
         column.unit.as_deref().or_else(|| parts(&column.name).1)
     }
 
-    /// The name of a column with its unit in brackets where that stands beside the name, from a line of
-    /// units.
+    /// Returns the name of a column. If the unit comes from a line of units, it is appended in brackets.
     pub fn name_with_unit(&self, column: &str) -> Option<String> {
         let column = &self.columns[self.position(column).ok()??];
         let name = || parts(&column.name).0;
         Some(column.unit.as_ref().map_or_else(|| column.name.clone(), |unit| format!("{} [{unit}]", name())))
     }
 
-    /// The unit of a column that does not stand in its name: from a line of units, or converted to.
+    /// Returns the unit of a column if it is not part of its name: from a line of units, or after a
+    /// conversion.
     pub(crate) fn unit_beside_name(&self, column: &str) -> Option<&str> {
         self.columns[self.position(column).ok()??].unit.as_deref()
     }
 
-    /// Refuses a column with one unit in its name and another one in the line of units.
+    /// Returns an error if the name of a column and the line of units declare different units.
     pub(crate) fn check_units(&self, column: &str) -> Result<(), CalibrationError> {
         let Some(index) = self.position(column)? else { return Ok(()) };
         let bad = |message| CalibrationError::Data { source_name: self.source.clone(), message };
         self.columns[index].contradiction().map_or(Ok(()), |message| Err(bad(message)))
     }
 
-    /// Takes the values of these columns as missing in the rows where `keep` is false. Inputs are not meant:
-    /// they go on between the rows that are left.
+    /// Marks the values of these columns as missing in the rows where `keep` is false. Do not use it for
+    /// inputs, which are interpolated between the remaining rows.
     ///
     /// # Errors
-    /// No such column; `keep` has another length than the table, or is false throughout.
+    /// Returns an error if there is no such column, or if `keep` differs in length from the table or is false
+    /// throughout.
     pub fn masked(mut self, columns: &[&str], keep: &[bool]) -> Result<Self, CalibrationError> {
         let bad = |message: String| CalibrationError::Data { source_name: self.source.clone(), message };
         if keep.len() != self.time.len() {
@@ -421,10 +426,11 @@ impl Data {
         Ok(self)
     }
 
-    /// As [`masked`](Self::masked); rows count where the column `by` is neither 0 nor missing.
+    /// Masks columns as [`masked`](Self::masked) does. A row counts if the column `by` is neither 0 nor
+    /// missing.
     ///
     /// # Errors
-    /// As [`masked`](Self::masked), and as [`column`](Self::column).
+    /// Returns the errors of [`masked`](Self::masked) and [`column`](Self::column).
     pub fn masked_by(self, columns: &[&str], by: &str) -> Result<Self, CalibrationError> {
         let keep: Vec<bool> = self.column(by)?.iter().map(|v| !v.is_nan() && *v != 0.0).collect();
         let mut masked = self.masked(columns, &keep)?;
@@ -432,12 +438,12 @@ impl Data {
         Ok(masked)
     }
 
-    /// The name of a column in full, with its unit if it has one there.
+    /// Returns the full name of a column, including a unit that is part of it.
     pub(crate) fn full_name(&self, column: &str) -> Option<&str> {
         Some(&self.columns[self.position(column).ok()??].name)
     }
 
-    /// Converts a column; the unit of its values is `unit` from then on.
+    /// Converts a column to `unit`.
     pub(crate) fn convert(&mut self, column: &str, conversion: UnitConversion, unit: &str) {
         if let Ok(Some(index)) = self.position(column) {
             let column = &mut self.columns[index];
@@ -448,7 +454,7 @@ impl Data {
         }
     }
 
-    /// A value of a column as it was before its conversion, but for rounding, and the unit that it had then.
+    /// Returns a value of a column before its conversion, up to rounding, and its original unit.
     pub(crate) fn as_given(&self, column: &str, value: f64) -> (f64, &str) {
         let converted = self.position(column).ok().flatten().and_then(|k| self.columns[k].converted.as_ref());
         match converted {
@@ -460,11 +466,12 @@ impl Data {
         }
     }
 
-    /// The value of a column at a time, linear between the known values on both sides, which lie no farther
-    /// apart than `WIDEST_GAP` usual distances of its known values.
+    /// Returns the value of a column at a time, by linear interpolation between the known values on both
+    /// sides. They must be at most `WIDEST_GAP` sampling intervals of the known values apart.
     ///
     /// # Errors
-    /// As [`column`](Self::column); no known value at this time, or on one side of it.
+    /// Returns the errors of [`column`](Self::column). Also returns an error if the time is outside the known
+    /// values or in a wider gap.
     pub(crate) fn value_at(&self, column: &str, time: f64) -> Result<f64, CalibrationError> {
         let values = self.column(column)?;
         let known: Vec<(f64, f64)> =
@@ -495,13 +502,14 @@ impl Data {
         Ok(v0 + (v1 - v0) * (time - t0) / (t1 - t0))
     }
 
-    /// A column that was measured: at least one value in these rows, and no time with two of them.
+    /// Returns a measured column, which has at least one value in these rows and at most one value per time.
     ///
     /// # Errors
-    /// As [`column`](Self::column), all values missing, two values at one time.
+    /// Returns the errors of [`column`](Self::column). Also returns an error if all values are missing or a
+    /// time has two values.
     ///
     /// # Panics
-    /// If `rows` reaches beyond the table.
+    /// Panics if `rows` exceeds the table.
     pub(crate) fn measured(&self, name: &str, rows: Range<usize>) -> Result<&Series, CalibrationError> {
         let series = self.series(name)?;
         let values = &series[rows.clone()];
@@ -547,7 +555,7 @@ impl Column {
         }
     }
 
-    /// Takes the unit that a line of units states; a dash there leaves the one in the name.
+    /// Sets the unit from a line of units. A dash keeps the unit in the name.
     pub(super) fn state_unit(&mut self, unit: Option<String>, line: usize) {
         let named = parts(&self.name).1;
         let unit = unit.filter(|unit| unit != "-" || named.is_none());
@@ -556,7 +564,7 @@ impl Column {
         self.unit = unit;
     }
 
-    /// Message about two units, one in the name and one in the line of units.
+    /// Returns the message about different units in the name and in the line of units.
     pub(super) fn contradiction(&self) -> Option<String> {
         let ((line, below), named) = (self.contradicting.as_ref()?, parts(&self.name).1?);
         Some(format!(
@@ -566,8 +574,8 @@ impl Column {
     }
 }
 
-/// Why the numbers of a column are ambiguous: some in the file have a comma, others a point, and one of the
-/// two may separate thousands.
+/// Returns the reason why the numbers of a column are ambiguous. In this case, some numbers of the file
+/// contain a comma and others a point, and one of them may separate thousands.
 pub(super) fn mixed_decimal_signs(all: &[Column], column: &Column) -> Option<String> {
     let first = |mark: fn(&Column) -> Option<&Cell>| {
         let own = std::iter::once(column).chain(all.iter().filter(|c| c.text.is_none()));

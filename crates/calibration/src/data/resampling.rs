@@ -1,4 +1,4 @@
-//! Means over intervals in place of the rows of a recording.
+//! Replacement of the rows of a recording by means over intervals.
 
 use super::recording::Data;
 use crate::error::CalibrationError;
@@ -6,15 +6,18 @@ use base::Number;
 use std::ops::Range;
 
 impl Data {
-    /// Replaces the rows by means over intervals of this length in s, which begin with the first time. Each
-    /// mean is placed at the mean of the times of its values, so means keep a slope. Columns with values in
-    /// the same rows of an interval share a row; missing values are NaN. `means(k)`: how column `k` is
-    /// reduced. Returns the table and, per column, the roots of the sums of the squared weights of its means,
-    /// as averaging n measurements divides their error by the root of n; empty for columns without weights.
+    /// Replaces the rows by means over intervals of this length in s, which begin at the first time. The time
+    /// of each mean is the mean time of its values, so that slopes are preserved. Columns with values in the
+    /// same rows of an interval share a row. Missing values are NaN. `means(k)` specifies the reduction of
+    /// column `k`.
+    ///
+    /// Returns the table and the weights of the means for each column. A weight is the root of the sum of the
+    /// squared weights, because averaging n measurements divides their error by the root of n. The weights
+    /// are empty for columns without weights.
     ///
     /// # Errors
-    /// The interval is not positive, or shorter than the distance of the times: values between rows are not
-    /// invented.
+    /// Returns an error if the interval is not positive, or is shorter than the row spacing. Values between
+    /// rows are not interpolated.
     pub(crate) fn resampled<'w>(
         mut self,
         interval: f64,
@@ -39,14 +42,14 @@ impl Data {
         let columns: Vec<ColumnMeans<'_>> = (self.columns.iter().enumerate())
             .map(|(k, column)| ColumnMeans { values: &column.values, means: means(k) })
             .collect();
-        // Times that fall on a limit up to rounding belong to the interval that begins there.
+        // Times on a limit, up to rounding, belong to the interval that begins there.
         let number = |time: f64| ((time - start + tolerance) / interval).floor();
         let (mut time, mut reduced) = (Vec::new(), vec![(Vec::new(), Vec::new()); columns.len()]);
         let mut first = 0;
         for times in self.time.chunk_by(|a, b| number(*a) == number(*b)) {
             let rows = first..first + times.len();
             first = rows.end;
-            // The means of the interval in ascending order of time, with their columns.
+            // Means of the interval in ascending order of time, with their columns.
             let mut found: Vec<(f64, usize, Mean)> = Vec::new();
             for (k, column) in columns.iter().enumerate() {
                 column.reduce(&self.time, rows.clone(), |at, mean| found.push((at, k, mean)));
@@ -55,7 +58,7 @@ impl Data {
                 time.push(mean(&self.time, &rows.collect::<Vec<_>>(), |_| 1.0));
             }
             found.sort_by(|a, b| a.0.total_cmp(&b.0));
-            // Times of means that differ by rounding are one row; a column has one value in it.
+            // Means whose times differ only by rounding share a row, but a column has one value per row.
             let mut begin = f64::NEG_INFINITY;
             for (at, k, Mean { value, weight }) in found {
                 if at - begin > tolerance || reduced[k].0.len() == time.len() {
@@ -83,32 +86,32 @@ impl Data {
     }
 }
 
-/// How the values of a column become those of an interval.
+/// Reduction of the values of a column in an interval.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Means<'w> {
-    /// Their mean.
+    /// Mean of the values.
     Plain,
-    /// Their mean with the squares of these weights of the rows; rows with the weight 0 do not count.
+    /// Mean weighted with the squares of these row weights. Rows with weight 0 do not count.
     Weighted(&'w [f64]),
-    /// The first value and every value that differs from the one before it, at their own times: values that
-    /// are held have no mean.
+    /// First value and each value that differs from its predecessor, at their original times. Values that are
+    /// held constant between rows have no meaningful mean.
     Held,
 }
 
-/// A value in the place of several, and the root of the sum of its squared weights.
+/// Value that replaces several values, and the root of the sum of their squared weights.
 struct Mean {
     value: f64,
     weight: f64,
 }
 
-/// A column and how it is reduced.
+/// Column and its reduction.
 struct ColumnMeans<'a> {
     values: &'a [f64],
     means: Means<'a>,
 }
 
 impl ColumnMeans<'_> {
-    /// Hands over the values of an interval with their times.
+    /// Passes the values of an interval with their times to `put`.
     fn reduce(&self, time: &[f64], rows: Range<usize>, mut put: impl FnMut(f64, Mean)) {
         let known = |row: &usize| !self.values[*row].is_nan();
         match self.means {
@@ -117,7 +120,7 @@ impl ColumnMeans<'_> {
                 let is_end = rows.end == time.len();
                 let end = rows.clone().rev().find(known).filter(|_| is_end);
                 for row in rows.filter(known) {
-                    // The last row of the table says how far the recording reaches.
+                    // The last row of the table defines the end of the recording.
                     if last != Some(self.values[row]) || Some(row) == end {
                         put(time[row], Mean { value: self.values[row], weight: 0.0 });
                     }
@@ -135,7 +138,7 @@ impl ColumnMeans<'_> {
             }
             Means::Weighted(weights) => {
                 let known: Vec<usize> = rows.filter(known).filter(|row| weights[*row] != 0.0).collect();
-                // Squares of the ratios to the largest do not overflow.
+                // Squares of ratios to the largest weight do not overflow.
                 let largest = known.iter().map(|row| weights[*row]).fold(0.0, f64::max);
                 let square = |row: usize| (weights[row] / largest).powi(2);
                 if !known.is_empty() {
@@ -150,8 +153,8 @@ impl ColumnMeans<'_> {
     }
 }
 
-/// The weighted mean of these rows, at least one: of the differences from the first, of which large numbers
-/// (times since 1970) lose no digits.
+/// Returns the weighted mean of at least one row. It averages the differences from the first value, so that
+/// large numbers, such as times since 1970, lose no digits.
 fn mean(values: &[f64], rows: &[usize], weight: impl Fn(usize) -> f64) -> f64 {
     let first = values[rows[0]];
     let total: f64 = rows.iter().map(|row| weight(*row)).sum();
@@ -172,7 +175,7 @@ mod tests {
         Ok(data.resampled(interval, |_| Means::Plain)?.0)
     }
 
-    /// Rows every 0.1 s, from 0 and in seconds since 1970, of which the last digit is 2.4e-7 s.
+    /// Rows every 0.1 s, from 0 and from a time in seconds since 1970, whose last digit is 2.4e-7 s.
     #[test]
     fn resampling_is_the_same_when_times_are_large() {
         for start in [0.0, 1.7e9] {
@@ -188,8 +191,8 @@ mod tests {
         }
     }
 
-    /// Two rows with weights 1 and 3: the mean with their squares is (0 + 9 * 1) / 10, its weight the root
-    /// of 10.
+    /// For two rows with weights 1 and 3, the weighted mean is (0 + 9 * 1) / 10 and its weight is the root of
+    /// 10.
     #[test]
     fn weighted_means_have_the_root_of_the_sum_of_squares_when_rows_are_averaged() {
         let y = vec![0.0, 1.0, 5.0, f64::NAN, 7.0, 2.0];
@@ -211,7 +214,7 @@ mod tests {
                 "{t} {y} {w}"
             );
         }
-        // Held: where it begins in an interval, where it changes, and at the end.
+        // A held value appears at the beginning of an interval, at a change, and at the end.
         let held: Vec<(f64, f64)> = (means.time().iter().zip(means.column("u").unwrap()))
             .filter(|(_, u)| !u.is_nan())
             .map(|(t, u)| (*t, *u))
@@ -222,7 +225,7 @@ mod tests {
 
     #[test]
     fn resampled_columns_keep_their_own_times() {
-        // y = 1 + 2 t, known in every third row, and z in every row.
+        // y = 1 + 2 t is known in every third row, and z in every row.
         let time: Vec<f64> = (0..60).map(|k| 0.1 * f64::from(k)).collect();
         let line: Vec<f64> = time.iter().map(|t| 1.0 + 2.0 * t).collect();
         let y = line.iter().enumerate().map(|(k, v)| if k % 3 == 2 { *v } else { f64::NAN }).collect();

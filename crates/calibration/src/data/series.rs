@@ -1,4 +1,4 @@
-//! Numbers that recordings, problems and their copies share.
+//! Numbers shared by recordings, problems and their copies.
 
 use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -6,17 +6,17 @@ use std::fmt;
 use std::ops::Deref;
 use std::sync::Arc;
 
-/// A series of numbers. Copies share the memory until one of them is changed.
+/// Series of numbers. Copies share the memory until one of them is modified.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Series(Arc<[f64]>);
 
 impl Series {
-    /// The numbers, to be changed: those of this copy alone.
+    /// Returns the numbers for modification in this copy only.
     pub(crate) fn to_mut(&mut self) -> &mut [f64] {
         Arc::make_mut(&mut self.0)
     }
 
-    /// The numbers as they are shared.
+    /// Returns the shared numbers.
     pub(crate) fn shared(&self) -> Arc<[f64]> {
         Arc::clone(&self.0)
     }
@@ -48,7 +48,7 @@ impl FromIterator<f64> for Series {
     }
 }
 
-/// The distance of ascending times from each other: the median, without times that stand twice.
+/// Returns the median spacing of ascending times, without repeated times.
 pub(crate) fn sampling_interval(times: &[f64]) -> Option<f64> {
     let mut distances: Vec<f64> =
         times.windows(2).map(|pair| pair[1] - pair[0]).filter(|d| *d > 0.0).collect();
@@ -65,7 +65,8 @@ impl<'a> IntoIterator for &'a Series {
     }
 }
 
-/// A list of numbers in texts; elsewhere their bytes, little-endian, of which there are fewer.
+/// Serializes a list of numbers in text formats, and little-endian bytes, which are smaller, in binary
+/// formats.
 impl Serialize for Series {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         if serializer.is_human_readable() {
@@ -84,7 +85,7 @@ impl<'de> Deserialize<'de> for Series {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         match deserializer.is_human_readable() {
             true => deserializer.deserialize_seq(Numbers),
-            // Files of before have lists here, too.
+            // Files of earlier versions also contain lists here.
             false => deserializer.deserialize_byte_buf(Numbers),
         }
     }

@@ -1,26 +1,27 @@
-//! Selection of the column of a table that holds the times, and its unit.
+//! Selection of the time column of a table, and its unit.
 
 use super::units::{Unit, UnitConversion, UnitError};
 use crate::findings::shown_text::shortened;
 
-/// Names beyond these are counted only.
+/// Maximum number of names in a message. Further names are only counted.
 pub(crate) const MOST_LISTED: usize = 20;
 
-/// The column that holds the times, and their unit.
+/// Time column and its unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TimeColumn {
-    /// Position among the columns.
+    /// Index of the column.
     pub index: usize,
-    /// Length of its unit in s: numerator and denominator.
+    /// Length of the unit in s, as numerator and denominator.
     pub unit: (f64, f64),
 }
 
 impl TimeColumn {
-    /// Finds it by name: the one that is called `named`, or, where nothing is named, `time` in any case. A
+    /// Finds the time column by name. It is the column `named`, or `time` in any case if no name is given. A
     /// unit may follow in brackets or parentheses: `time [ms]`, `Time (min)`.
     ///
     /// # Errors
-    /// There is none, there are several, or its unit is unknown; the message lists the columns.
+    /// Returns an error if there is no or more than one such column, or its unit is unknown. The message
+    /// lists the columns.
     pub fn find<'a>(
         names: impl Iterator<Item = &'a str> + Clone,
         named: Option<&str>,
@@ -35,7 +36,7 @@ impl TimeColumn {
         };
         let mut candidates = found(&is_stem);
         if named.is_some() {
-            // What the user names in full is meant, whatever else there is.
+            // An exact match of the full name takes precedence.
             let whole = found(&|name| name == wanted);
             candidates = if whole.is_empty() { candidates } else { whole };
         }
@@ -58,13 +59,13 @@ impl TimeColumn {
         }
     }
 
-    /// A time of the column in s.
+    /// Converts a time of the column to s.
     pub fn seconds(&self, time: f64) -> f64 {
         time * self.unit.0 / self.unit.1
     }
 }
 
-/// Units of the two numbers of `00:01`, as stated behind the name of the column: `time [mm:ss]`.
+/// Units of the two numbers in `00:01`, declared after the name of the column: `time [mm:ss]`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PairUnit {
     /// Hours and minutes.
@@ -74,7 +75,7 @@ pub enum PairUnit {
 }
 
 impl PairUnit {
-    /// That of a name: `hh:mm` or `mm:ss`, in any case.
+    /// Returns the units for `hh:mm` or `mm:ss`, in any case.
     pub fn named(name: &str) -> Option<Self> {
         match name.to_lowercase().as_str() {
             "hh:mm" | "h:mm" => Some(Self::HoursMinutes),
@@ -83,7 +84,7 @@ impl PairUnit {
         }
     }
 
-    /// That behind the name of a column, in brackets or parentheses.
+    /// Returns the units in brackets or parentheses after the name of a column.
     pub fn of_column(name: &str) -> Option<Self> {
         parts(name).1.and_then(Self::named)
     }
@@ -104,7 +105,7 @@ pub(crate) fn parts(name: &str) -> (&str, Option<&str>) {
     (stem.trim_end(), (!is_number || unit == "1").then_some(unit))
 }
 
-/// Where the bracket or parenthesis opens that closes at the end of a name.
+/// Returns the position of the bracket or parenthesis that matches the one at the end of a name.
 fn opening(name: &str) -> Option<usize> {
     let (open, close) = [('[', ']'), ('(', ')')].into_iter().find(|(_, close)| name.ends_with(*close))?;
     let mut depth = 0;
@@ -114,11 +115,11 @@ fn opening(name: &str) -> Option<usize> {
     })
 }
 
-/// Position of the column that is called so: in full, or without the unit that follows in brackets or
+/// Returns the index of the column with this name, either in full or without the unit in brackets or
 /// parentheses.
 ///
 /// # Errors
-/// There is none, or several; the message lists the columns.
+/// Returns an error if there is no or more than one such column. The message lists the columns.
 pub fn find_column<'a>(names: impl Iterator<Item = &'a str> + Clone, wanted: &str) -> Result<usize, String> {
     let found = |is: &dyn Fn(&str) -> bool| {
         names.clone().enumerate().filter(|(_, name)| is(name)).collect::<Vec<_>>()
@@ -143,12 +144,12 @@ pub fn find_column<'a>(names: impl Iterator<Item = &'a str> + Clone, wanted: &st
     }
 }
 
-/// The length in s of the unit of time that the name of a column states; 1 where it states none.
+/// Returns the length in s of the time unit in the name of a column, or 1 if there is none.
 fn unit(name: &str) -> Result<(f64, f64), String> {
     parts(name).1.map_or(Ok((1.0, 1.0)), |given| time_unit(name, given))
 }
 
-/// The length in s of a unit of time.
+/// Returns the length of a time unit in s.
 pub(super) fn time_unit(name: &str, given: &str) -> Result<(f64, f64), String> {
     if PairUnit::named(given).is_some() {
         return Ok((1.0, 1.0));
@@ -162,7 +163,7 @@ pub(super) fn time_unit(name: &str, given: &str) -> Result<(f64, f64), String> {
     })
 }
 
-/// True if two names are both those of units, and these are not the same.
+/// Returns true if both names are known units and the units differ.
 pub(super) fn is_contradiction(one: &str, other: &str) -> bool {
     match (PairUnit::named(one), PairUnit::named(other)) {
         (Some(one), Some(other)) => one != other,
@@ -180,7 +181,7 @@ pub(super) fn is_contradiction(one: &str, other: &str) -> bool {
     }
 }
 
-/// Names in quotes, not too many of them.
+/// Returns the quoted names, up to a maximum number.
 pub(crate) fn listed<'a>(names: impl Iterator<Item = &'a str> + Clone) -> String {
     let shown =
         names.clone().take(MOST_LISTED).map(|n| format!("'{}'", shortened(n))).collect::<Vec<_>>().join(", ");

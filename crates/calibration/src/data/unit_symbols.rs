@@ -1,4 +1,4 @@
-//! Symbols of units with prefixes, and words for them.
+//! Symbols of units with prefixes, and words for units.
 
 use std::f64::consts::PI;
 
@@ -30,10 +30,10 @@ const CHARGE: Exponents = [0, 0, 1, 1, 0, 0, 0, 0];
 const VOLTAGE: Exponents = [1, 2, -3, -1, 0, 0, 0, 0];
 const FLUX: Exponents = [1, 2, -2, -1, 0, 0, 0, 0];
 
-/// Symbol (compared exactly: s is not S), whether prefixes may stand before it, exponents, and `base =
-/// value * numerator / denominator + offset`. Values: BIPM, The International System of Units (9th edition,
-/// 2019), tables 4, 7 and 8; NIST Special Publication 811 (2008), appendix B.8, for those that are not of the
-/// SI.
+/// Symbol (case-sensitive because s differs from S), a flag that is true if prefixes are permitted,
+/// exponents, and `base = value * numerator / denominator + offset`. Values: BIPM, The International System
+/// of Units (9th edition, 2019), tables 4, 7 and 8. Values of units outside the SI: NIST Special Publication
+/// 811 (2008), appendix B.8.
 type Symbol = (&'static str, bool, Exponents, (f64, f64), f64);
 
 const SYMBOLS: &[Symbol] = &[
@@ -134,7 +134,7 @@ const WORDS: &[(&[&str], &str)] = &[
     (&["kelvin"], "K"),
     (&["celsius", "oc"], "degC"),
     (&["fahrenheit", "of"], "degF"),
-    // revolutions per minute, as German loggers write them
+    // Revolutions per minute, as German loggers write them.
     (&["u/min", "upm"], "rpm"),
     (&["degree", "degrees"], "deg"),
     (&["radian", "radians"], "rad"),
@@ -158,8 +158,8 @@ const PREFIXES: [(&str, i32); 22] = [
     ("m", -3), ("u", -6), ("\u{b5}", -6), ("\u{3bc}", -6), ("n", -9), ("p", -12), ("f", -15), ("a", -18), ("z", -21), ("y", -24),
 ];
 
-/// Exponents, numerator and denominator of the factor, and offset of a symbol, with a prefix or without, or
-/// of a word.
+/// Returns the exponents, the numerator and denominator of the factor, and the offset. `name` is a symbol,
+/// with or without a prefix, or a word.
 pub(super) fn find(name: &str) -> Option<Meaning> {
     let find = |name: &str| SYMBOLS.iter().find(|(symbol, ..)| *symbol == name).copied();
     let prefixed = || {
@@ -185,8 +185,8 @@ pub(super) fn find(name: &str) -> Option<Meaning> {
         .or_else(|| in_another_case(name))
 }
 
-/// A symbol, with a prefix or without, that differs in case alone, where all such mean one unit: `RPM`, but
-/// not `MM` (mm or Mm).
+/// Returns a symbol, with or without a prefix, that differs only in case, if all such symbols denote one
+/// unit. It accepts `RPM` but not `MM` (mm or Mm).
 fn in_another_case(name: &str) -> Option<Meaning> {
     let lower = name.to_lowercase();
     let is_symbol = |symbol: &str| symbol.len() > 1 && symbol.to_lowercase() == lower;
@@ -195,7 +195,7 @@ fn in_another_case(name: &str) -> Option<Meaning> {
     found.all(|other| other == first).then_some(first)
 }
 
-/// The symbol or word that differs least from a name, in one letter or two neighbours at most.
+/// Returns the symbol or word that differs from a name by one letter or by two exchanged neighbours.
 pub(super) fn nearest(name: &str) -> Option<String> {
     let name = name.to_lowercase();
     let words = WORDS.iter().flat_map(|(words, _)| words.iter().map(|word| (*word).to_owned()));
@@ -203,7 +203,8 @@ pub(super) fn nearest(name: &str) -> Option<String> {
     SYMBOLS.iter().map(|symbol| symbol.0.to_owned()).chain(words).find(is_near)
 }
 
-/// True if one letter is replaced, missing or added, or two neighbours are exchanged (Damerau, CACM 7, 1964).
+/// Returns true if one letter is replaced, missing or added, or two neighbours are exchanged (Damerau, CACM
+/// 7, 1964).
 fn differs_little(a: &str, b: &str) -> bool {
     let (a, b): (Vec<char>, Vec<char>) = (a.chars().collect(), b.chars().collect());
     let (a, b) = if a.len() <= b.len() { (a, b) } else { (b, a) };
@@ -220,7 +221,7 @@ fn differs_little(a: &str, b: &str) -> bool {
     }
 }
 
-/// All symbols, with prefixes and without.
+/// Returns all symbols, with and without prefixes.
 fn spellings() -> impl Iterator<Item = String> {
     let prefixed = |symbol: &'static Symbol| {
         let prefixes = PREFIXES.iter().filter(|_| symbol.1).map(|(prefix, _)| *prefix);
@@ -232,7 +233,7 @@ fn spellings() -> impl Iterator<Item = String> {
 /// Exponents, numerator and denominator of the factor, and offset.
 type Meaning = (Exponents, (f64, f64), f64);
 
-/// A fraction of whole numbers in lowest terms; others as they are.
+/// Reduces a fraction of integers to lowest terms. Returns other fractions unchanged.
 pub(super) fn reduced(fraction: (f64, f64)) -> (f64, f64) {
     const EXACT: f64 = 9_007_199_254_740_992.0;
     let (mut n, mut d) = fraction;

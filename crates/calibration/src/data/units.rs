@@ -1,5 +1,5 @@
-//! Units of measurement by their names: exponents of the SI base units, factor and offset; conversion into
-//! the unit of a variable.
+//! Units of measurement: exponents of the SI base units, factor and offset, and conversion to the unit of a
+//! variable.
 
 use super::unit_symbols::{
     self, ACCELERATION, ANGULAR_SPEED, Exponents, FREQUENCY, NONE, SYMBOLS_OF_BASE, TEMPERATURE, TIME,
@@ -11,9 +11,9 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 use std::fmt;
 
-/// A unit of measurement: `base value = value * numerator / denominator + offset`, the base value in SI base
-/// units and radians. Factors are fractions, so that from mm to m a value is divided by 1000, without another
-/// rounding.
+/// Unit of measurement: `base value = value * numerator / denominator + offset`. The base value is in SI base
+/// units and radians. Factors are fractions so that a conversion from mm to m divides by 1000, without
+/// further rounding.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Unit {
     exponents: Exponents,
@@ -22,51 +22,51 @@ pub struct Unit {
     offset: f64,
 }
 
-/// Conversion of values in one unit to another: `value * factor.0 / factor.1 + offset`.
+/// Conversion of values from one unit to another: `value * factor.0 / factor.1 + offset`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct UnitConversion {
     /// Numerator and denominator of the factor.
     pub factor: (f64, f64),
-    /// The offset, in the unit that values are converted to.
+    /// Offset in the target unit.
     pub offset: f64,
 }
 
-/// Why there is no conversion.
+/// Reason why a conversion is impossible.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum UnitError {
-    /// A name that is no unit, as far as known here.
+    /// The name is not a known unit.
     #[error("'{name}' is no unit that is known here{hint}")]
     Unknown {
-        /// The name.
+        /// Unknown name.
         name: String,
-        /// Hint at the intended unit; empty, or beginning with a semicolon.
+        /// Hint at the intended unit; either empty or beginning with a semicolon.
         hint: String,
     },
-    /// Units of different quantities.
+    /// The units measure different quantities.
     #[error("'{from}' ({from_dimension}) cannot be converted to '{to}' ({to_dimension}){hint}")]
     Dimension {
-        /// The unit that is given.
+        /// Given unit.
         from: String,
-        /// Base units that it consists of.
+        /// Base units of the given unit.
         from_dimension: String,
-        /// The unit that is wanted.
+        /// Target unit.
         to: String,
-        /// Base units that it consists of.
+        /// Base units of the target unit.
         to_dimension: String,
-        /// Hint at the intended unit; empty, or beginning with a semicolon.
+        /// Hint at the intended unit; either empty or beginning with a semicolon.
         hint: String,
     },
-    /// The model states no unit for the variable.
+    /// The model declares no unit for the variable.
     #[error("the model states no unit for '{variable}'")]
     NotStated {
-        /// The variable.
+        /// Name of the variable.
         variable: String,
     },
 }
 
 impl UnitConversion {
-    /// The conversion that changes nothing.
+    /// Identity conversion.
     pub const IDENTITY: Self = Self { factor: (1.0, 1.0), offset: 0.0 };
 
     /// Converts a value.
@@ -79,22 +79,23 @@ impl UnitConversion {
         (value - self.offset) * self.factor.1 / self.factor.0
     }
 
-    /// Converts a difference of two values: the offset does not count.
+    /// Converts a difference of two values, without the offset.
     pub fn apply_to_difference(&self, difference: f64) -> f64 {
         difference * self.factor.0 / self.factor.1
     }
 
-    /// True if the conversion changes nothing.
+    /// Returns true if the conversion does not change values.
     pub fn is_identity(&self) -> bool {
         *self == Self::IDENTITY
     }
 
-    /// From a unit given by its name to that of a variable, in which its values, bounds and start value are.
-    /// What the model defines counts first: the display units of the variable's unit, and the units of the
-    /// description by their names.
+    /// Returns the conversion from a named unit to the unit of a variable, which applies to its values,
+    /// bounds and start value. Definitions of the model take precedence: the display units of the variable's
+    /// unit, and the units of the model description with these names.
     ///
     /// # Errors
-    /// [`UnitError::NotStated`], [`UnitError::Unknown`] (of either unit) or [`UnitError::Dimension`].
+    /// Returns [`UnitError::NotStated`], [`UnitError::Unknown`] (for either unit) or
+    /// [`UnitError::Dimension`].
     pub fn to_variable(
         from: &str,
         variable: &Variable,
@@ -103,7 +104,8 @@ impl UnitConversion {
         Self::from_defined(from, None, variable, description)
     }
 
-    /// As [`to_variable`](Self::to_variable), from a unit that is defined elsewhere than in the model.
+    /// Returns the conversion as [`to_variable`](Self::to_variable) does, from a unit that is defined outside
+    /// the model.
     pub(super) fn from_defined(
         from: &str,
         own: Option<&Unit>,
@@ -132,7 +134,7 @@ impl UnitConversion {
             None => Unit::parse(name),
         };
         let target = match (unit(to), own) {
-            // What is known of neither by its name is the same under the same name.
+            // An unknown name on both sides denotes one unit.
             (Err(_), Some(_)) if from == to => return Ok(Self::IDENTITY),
             (target, _) => target?,
         };
@@ -143,10 +145,10 @@ impl UnitConversion {
         }
     }
 
-    /// Between two units given by their names.
+    /// Returns the conversion between two named units.
     ///
     /// # Errors
-    /// [`UnitError::Unknown`] (of either unit) or [`UnitError::Dimension`].
+    /// Returns [`UnitError::Unknown`] (for either unit) or [`UnitError::Dimension`].
     pub fn between(from: &str, to: &str) -> Result<Self, UnitError> {
         Unit::conversion(from, Unit::parse(from)?, to, Unit::parse(to)?)
     }
@@ -158,18 +160,18 @@ impl Unit {
         Self { exponents: [kg, m, s, a, k, mol, cd, rad], numerator: factor, denominator: 1.0, offset }
     }
 
-    /// A unit by its definition, where that is one.
+    /// Returns a unit from its definition, if the definition is valid.
     pub(super) fn defined(base: &BaseUnit) -> Option<Self> {
         Some(Self::of_base(base)).filter(|unit| unit.is_usable() && unit.offset.is_finite())
     }
 
-    /// Parses a name: symbols of the SI with prefixes and common ones beside it (`mm`, `bar`, `degC`, `rpm`,
-    /// `kWh`, `%`), products (`N.m`, `kg*m2`, `kg m2`) and quotients (`W/K`, `J/(kg.K)`) of their powers
-    /// (`m2`, `m^2`, `s-1`), and words for the simple ones (`seconds`, in any case). `degC` is a temperature
-    /// alone, and a difference of temperatures in a product.
+    /// Parses the name of a unit. Supported are SI symbols with prefixes, other common symbols (`mm`, `bar`,
+    /// `degC`, `rpm`, `kWh`, `%`), and words for simple units (`seconds`, in any case). Products (`N.m`,
+    /// `kg*m2`, `kg m2`) and quotients (`W/K`, `J/(kg.K)`) may contain powers (`m2`, `m^2`, `s-1`). `degC`
+    /// alone is a temperature; in a product, it is a temperature difference.
     ///
     /// # Errors
-    /// [`UnitError::Unknown`].
+    /// Returns [`UnitError::Unknown`] if the name is not a unit.
     pub fn parse(name: &str) -> Result<Self, UnitError> {
         let name = name.trim();
         let unknown = |hint: &str| UnitError::Unknown { name: shortened(name), hint: hint.to_owned() };
@@ -189,12 +191,12 @@ impl Unit {
         }
     }
 
-    /// Length in s, as numerator and denominator, if it is a unit of time and of nothing else.
+    /// Returns the length in s, as numerator and denominator, if the unit is a pure unit of time.
     pub(crate) fn time_factor(&self) -> Option<(f64, f64)> {
         (self.exponents == TIME && self.offset == 0.0).then_some((self.numerator, self.denominator))
     }
 
-    /// True if the unit is a product of base units, without a factor.
+    /// Returns true if the unit is a product of base units without a factor.
     pub(crate) fn is_coherent(&self) -> bool {
         self.numerator == self.denominator && self.offset == 0.0
     }
@@ -204,8 +206,8 @@ impl Unit {
         factor.is_finite() && factor > 0.0
     }
 
-    /// Between two units with their names. Radians are pure numbers where it is no frequency: a frequency has
-    /// cycles, of which an angular speed has 2 pi radians each.
+    /// Returns the conversion between two units with names. Radians are pure numbers, except in frequencies:
+    /// a frequency counts cycles, and an angular speed has 2 pi radians per cycle.
     fn conversion(from: &str, unit: Self, to: &str, target: Self) -> Result<UnitConversion, UnitError> {
         let plain = |u: &Self| {
             let mut exponents = u.exponents;
@@ -243,7 +245,7 @@ impl Unit {
         Ok(UnitConversion { factor: reduced(factor), offset })
     }
 
-    /// The base units it consists of.
+    /// Returns the base units of the unit.
     fn dimension(&self) -> String {
         let power = |(symbol, exponent): (&&str, &i32)| match exponent {
             0 => None,
@@ -254,7 +256,7 @@ impl Unit {
         if powers.is_empty() { "a pure number".to_owned() } else { powers.join(".") }
     }
 
-    /// The product with a power of another unit; offsets do not count in it.
+    /// Returns the product with a power of another unit, without offsets.
     fn times(self, other: Self, power: i32) -> Self {
         let mut exponents = self.exponents;
         for (own, others) in exponents.iter_mut().zip(other.exponents) {
@@ -276,7 +278,7 @@ impl fmt::Display for UnitConversion {
     }
 }
 
-/// A symbol, with a prefix or without, or a word.
+/// Returns the unit of a symbol, with or without a prefix, or of a word.
 fn known(name: &str) -> Option<Unit> {
     let (exponents, (numerator, denominator), offset) = unit_symbols::find(name)?;
     Some(Unit { exponents, numerator, denominator, offset })
@@ -295,7 +297,7 @@ fn hint(name: &str) -> String {
     }
 }
 
-/// A name that an error can show: of a long one the beginning.
+/// Returns the name for an error message, truncated if it is long.
 fn shortened(name: &str) -> String {
     match name.char_indices().nth(LONGEST_SHOWN) {
         Some((end, _)) => format!("{}...", &name[..end]),
@@ -303,19 +305,19 @@ fn shortened(name: &str) -> String {
     }
 }
 
-/// So many characters of a name an error shows.
+/// Maximum number of characters of a name in an error message.
 const LONGEST_SHOWN: usize = 60;
 
-/// Parentheses may be nested so deep; those of real units are not nested.
+/// Maximum nesting of parentheses. Real units need no nesting.
 const DEEPEST: usize = 16;
 
 const PRODUCT: [char; 5] = ['.', '*', '\u{b7}', '\u{22c5}', '\u{d7}'];
 
-/// Reads `factor { product-sign factor } [ "/" factor { "/" factor } ]`, where a factor is a number, a symbol
-/// with an exponent or an expression in parentheses.
+/// Parser of `factor { product-sign factor } [ "/" factor { "/" factor } ]`. A factor is a number, a symbol
+/// with an exponent, or an expression in parentheses.
 struct Parser<'a> {
     rest: &'a str,
-    /// Number of open parentheses; beyond `DEEPEST` once that was exceeded.
+    /// Number of open parentheses. It stays above `DEEPEST` after exceeding it.
     depth: usize,
 }
 
@@ -338,7 +340,7 @@ impl Parser<'_> {
         while let Some(rest) = self.rest.strip_prefix('/') {
             self.rest = rest.trim_start();
             unit = unit.times(self.factor()?, -1);
-            // What comes after a space is told apart from a product in an error.
+            // Keep other spaces so that the error can suggest parentheses for a product.
             if self.rest.trim_start().starts_with(['/', ')']) {
                 self.rest = self.rest.trim_start();
             }
@@ -376,7 +378,7 @@ impl Parser<'_> {
         Some(Unit::ONE.times(factor, power))
     }
 
-    /// A number with a decimal point and an exponent, as in `1e-6 m2`.
+    /// Parses a number with a decimal point and an exponent, as in `1e-6 m2`.
     fn number(&mut self) -> Option<Unit> {
         let longest = (1..=self.rest.len().min(24)).rev().filter(|&end| self.rest.is_char_boundary(end));
         let is_number = |text: &str| text.ends_with(|c: char| c.is_ascii_digit());
@@ -387,7 +389,8 @@ impl Parser<'_> {
         Some(Unit { numerator: value, ..Unit::ONE })
     }
 
-    /// The exponent that follows, 1 where there is none; `None` if it is too large or no whole number.
+    /// Parses the following exponent, or returns 1 if there is none. Returns `None` if the exponent is out of
+    /// range or not an integer.
     fn power(&mut self) -> Option<i32> {
         let marked = self.rest.strip_prefix('^').or_else(|| self.rest.strip_prefix("**"));
         if let Some(rest) = marked {
@@ -414,7 +417,7 @@ impl Parser<'_> {
     }
 }
 
-/// The digit or sign that a raised one stands for.
+/// Returns the digit or sign of a superscript character.
 fn superscript(c: char) -> Option<char> {
     Some(match c {
         '\u{2070}' => '0',
@@ -488,7 +491,7 @@ mod tests {
             assert!((found - expected).abs() <= 3e-7 * expected.abs(), "{value} {from} = {found} {to}");
             assert!((conversion.invert(found) - value).abs() <= 1e-13 * value.abs(), "{from} to {to}");
         }
-        // As a user would divide.
+        // The result equals a direct division.
         assert_eq!(UnitConversion::between("cm", "m").unwrap().apply(6.27155), 6.27155 / 100.0);
         assert_eq!(UnitConversion::between("mbar", "Pa").unwrap().apply(1013.3), 1013.3 * 100.0);
         assert_eq!(UnitConversion::between("degC", "K").unwrap().apply_to_difference(3.0), 3.0);
@@ -544,7 +547,7 @@ mod tests {
         ] {
             assert_eq!(Unit::parse(name).ok(), Unit::parse(expected).ok(), "{name}");
         }
-        // mm and Mm, mN and MN
+        // mm and Mm, mN and MN are ambiguous.
         assert!(Unit::parse("MM").is_err() && Unit::parse("mn").is_err());
         let message = Unit::parse("rmp").unwrap_err().to_string();
         assert!(message.contains("'rpm'?"), "{message}");

@@ -1,4 +1,4 @@
-//! Prediction bands: how uncertain the parameters of a fit leave what the model predicts.
+//! Prediction bands: uncertainty of model predictions due to the uncertainty of the parameters.
 
 use crate::cost::parallel;
 use crate::error::CalibrationError;
@@ -16,28 +16,28 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use serde::{Deserialize, Serialize};
 use std::thread::available_parallelism;
 
-/// Steps along a principal axis of the covariance are one standard error, but at least this part of a
-/// parameter somewhere: below, the noise of the simulations would count.
+/// Minimum relative change of at least one parameter for a step along a principal axis. Steps are otherwise
+/// one standard error. With smaller steps, the noise of the simulations would dominate.
 const SHORTEST: f64 = 1e-4;
 
-/// A side on which the bounds leave less than this part of a step is left out.
+/// A side is skipped if the bounds leave less than this part of a step.
 const TOO_NARROW: f64 = 0.25;
 
-/// A principal axis with less than this part of the largest variance is rounding.
+/// Principal axes with less than this part of the largest variance are due to rounding.
 const ROUNDING: f64 = 1e-12;
 
 /// Options of a prediction band.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BandOptions {
-    /// Times of the predictions in s, ascending; default: those of the measurements.
+    /// Times of the predictions in s, ascending; default: the times of the measurements.
     pub times: Option<Vec<f64>>,
-    /// The probability that an interval shall hold; default 0.95.
+    /// Coverage probability of an interval; default 0.95.
     pub level: f64,
     /// True to correct for autocorrelated residuals, as [`Uncertainty::covariance`] does; default: true.
     pub is_corrected: bool,
-    /// Only these outputs; default: all that are compared.
+    /// Names of the outputs; default: all compared outputs.
     pub outputs: Option<Vec<String>>,
-    /// Simulations that run at once; default: all cores. The result does not depend on it.
+    /// Number of parallel simulations; default: all cores. The result does not depend on it.
     pub workers: Option<usize>,
 }
 
@@ -47,49 +47,50 @@ impl Default for BandOptions {
     }
 }
 
-/// The prediction of one output of one experiment, with its uncertainty at each time. `Level` is pointwise,
-/// not of the whole curve.
+/// Prediction of one output of one experiment, with its uncertainty at each time. The level is pointwise, not
+/// simultaneous for the whole curve.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct PredictionBand {
-    /// The experiment.
+    /// Name of the experiment.
     pub experiment: String,
-    /// The variable of the model.
+    /// Variable of the model.
     pub variable: String,
-    /// Its unit, where the model states it.
+    /// Unit of the variable, if the model declares one.
     pub unit: Option<String>,
-    /// Times, in s.
+    /// Times in s.
     #[serde(rename = "time")]
     pub times: Vec<f64>,
-    /// The prediction.
+    /// Predicted values.
     #[serde(rename = "value")]
     pub values: Vec<f64>,
-    /// Standard error of the prediction: what the uncertainty of the parameters makes of it.
+    /// Standard errors of the prediction due to the uncertainty of the parameters.
     #[serde(rename = "standard_error")]
     pub standard_errors: Vec<f64>,
-    /// Standard deviation of the noise of a measurement at each time: that of the residuals over the weight
-    /// of the measurement, between measurements along straight lines. NaN where all weights are zero.
+    /// Standard deviation of the noise of a measurement at each time: the standard deviation of the residuals
+    /// divided by the weight of the measurement. It is interpolated linearly between measurements. NaN if all
+    /// weights are zero.
     pub noise: Vec<f64>,
-    /// The interval of the model's output: lower end.
+    /// Lower ends of the intervals of the model output.
     pub lower: Vec<f64>,
-    /// Upper end.
+    /// Upper ends of the intervals of the model output.
     pub upper: Vec<f64>,
-    /// The interval of a new measurement, which has noise: lower end.
+    /// Lower ends of the intervals of a new measurement, which contains noise.
     pub measured_lower: Vec<f64>,
-    /// Upper end.
+    /// Upper ends of the intervals of a new measurement.
     pub measured_upper: Vec<f64>,
 }
 
-/// A step along a principal axis, forward and backward as parts of one standard error.
+/// Step along a principal axis. `forward` and `backward` are parts of one standard error.
 struct Step {
     direction: DVector<f64>,
-    /// The axis over the root of its variance.
+    /// Axis divided by the root of its variance.
     axis: DVector<f64>,
     forward: f64,
     backward: f64,
 }
 
-/// The errors of a fit along the principal axes of its parameters, then of the measured initial states.
+/// Errors of a fit along the principal axes of its parameters, followed by the measured initial states.
 struct AxisErrors<'a> {
     joint: &'a JointErrors,
     covariance: DMatrix<f64>,
@@ -98,10 +99,11 @@ struct AxisErrors<'a> {
 }
 
 impl<'a> AxisErrors<'a> {
-    /// `errors`: the standard errors; `steps` along the axes of the correlation.
+    /// Creates the errors from the standard errors `errors` and the `steps` along the axes of the
+    /// correlation.
     fn new(joint: &'a JointErrors, errors: &[f64], steps: &[Step], level: f64) -> Self {
         let (n, k) = (errors.len(), joint.starts.len());
-        // The inverse of the axes, scaled by standard errors.
+        // Inverse of the axes, scaled by the standard errors.
         let mut inverse = DMatrix::zeros(steps.len() + k, n + k);
         for (a, step) in steps.iter().enumerate() {
             (0..n).filter(|i| step.axis[*i] != 0.0).for_each(|i| inverse[(a, i)] = step.axis[i] / errors[i]);
@@ -112,7 +114,7 @@ impl<'a> AxisErrors<'a> {
         Self { covariance: along(&joint.covariance), slopes, joint, level }
     }
 
-    /// Variance of a prediction, from its changes along the axes and by the starts.
+    /// Returns the variance of a prediction from its changes along the axes and with the initial states.
     fn variance(&self, changes: &DVector<f64>) -> VarianceEstimate {
         let of = |matrix: &DMatrix<f64>| changes.dot(&(matrix * changes));
         VarianceEstimate {
@@ -121,7 +123,7 @@ impl<'a> AxisErrors<'a> {
         }
     }
 
-    /// Half the width of an interval.
+    /// Returns half the width of an interval.
     fn width(&self, variance: &VarianceEstimate) -> Result<f64, CalibrationError> {
         if variance.value == 0.0 {
             return Ok(0.0);
@@ -131,7 +133,7 @@ impl<'a> AxisErrors<'a> {
     }
 }
 
-/// The uncertainty of a fit from which bands can be computed.
+/// Returns the uncertainty of a fit if bands can be computed from it.
 fn usable_uncertainty(fit: &Fit, is_corrected: bool) -> Result<Uncertainty, CalibrationError> {
     let setup = |message: String| Err(CalibrationError::Setup(message));
     let Some(uncertainty) = &fit.uncertainty else {
@@ -164,19 +166,23 @@ fn usable_uncertainty(fit: &Fit, is_corrected: bool) -> Result<Uncertainty, Cali
 }
 
 impl Calibration {
-    /// Predicts the outputs at the parameters of a fit, with the uncertainty that the covariance of the
-    /// parameters and of measured initial states leaves (delta method; Seber and Wild, Nonlinear Regression,
-    /// 1989, section 5.1): the variance of an output y is `J C J'`, with J the derivatives of y with respect
-    /// to both. They are differences over one standard error along each principal axis of the
-    /// [covariance](Uncertainty::covariance), and of each start, from two simulations each. A new measurement
-    /// has the variance of the noise on top, by its [weight](PredictionBand::noise). Intervals are by
-    /// Student's t with the degrees of freedom of the variance at each time (Satterthwaite, Biometrics
-    /// Bulletin 2, 1946). Autocorrelated residuals are in the covariance.
+    /// Predicts the outputs at the parameters of a fit. Their uncertainty follows from the covariance of the
+    /// parameters and of measured initial states (delta method; Seber and Wild, Nonlinear Regression, 1989,
+    /// section 5.1). The variance of an output y is `J C J'`, with J the derivatives of y with respect to
+    /// both.
+    ///
+    /// The derivatives are differences over one standard error along each principal axis of the
+    /// [covariance](Uncertainty::covariance), and along each initial state, from two simulations each. The
+    /// variance of a new measurement also includes the noise, according to its
+    /// [weight](PredictionBand::noise). Intervals use Student's t with the degrees of freedom of the variance
+    /// at each time (Satterthwaite, Biometrics Bulletin 2, 1946). The covariance accounts for autocorrelated
+    /// residuals.
     ///
     /// # Errors
-    /// A fit without [uncertainty](Fit::uncertainty), without degrees of freedom, or with parameters that the
-    /// data do not determine; a level that does not lie between 0 and 1, an output that is not compared,
-    /// times that cannot be used; simulations that fail; [`CalibrationError::Cancelled`].
+    /// Returns an error if the fit has no [uncertainty](Fit::uncertainty), no degrees of freedom, or
+    /// parameters that the data do not determine. The level must be between 0 and 1, the outputs must be
+    /// compared, and the times must be valid. Also returns an error if a simulation fails, or
+    /// [`CalibrationError::Cancelled`].
     pub fn prediction_bands(
         &self,
         fit: &Fit,
@@ -195,7 +201,7 @@ impl Calibration {
             return Err(CalibrationError::Setup(format!("there is no output '{name}'; there are: {known}")));
         }
         self.prepare()?;
-        // Short simulations may end before anybody asks again.
+        // Short simulations may end before the next check for cancellation.
         if context.is_over() {
             return Err(CalibrationError::Cancelled);
         }
@@ -257,7 +263,7 @@ impl Calibration {
         outputs.map(band).collect()
     }
 
-    /// Derivatives of the outputs of the experiment of each measured initial state with respect to the state.
+    /// Returns the derivatives of the outputs of each experiment with respect to its measured initial states.
     fn changes_by_starts(
         &self,
         fit: &Fit,
@@ -289,7 +295,7 @@ impl Calibration {
         joint.starts.iter().enumerate().map(of).collect()
     }
 
-    /// The experiments simulated at the parameters of a fit, and at both ends of each step.
+    /// Simulates the experiments at the parameters of a fit and at both ends of each step.
     fn simulated_beside(
         &self,
         fit: &Fit,
@@ -327,8 +333,8 @@ impl Calibration {
         Ok(found)
     }
 
-    /// Steps of one standard error along the principal axes of the correlation, in the coordinates of the
-    /// search, as far as the bounds let them go.
+    /// Returns steps of one standard error along the principal axes of the correlation, in the coordinates of
+    /// the search. The bounds limit the steps.
     fn principal_steps(&self, fit: &Fit, uncertainty: &Uncertainty) -> Vec<Step> {
         let n = fit.x.len();
         let errors: Vec<f64> = uncertainty.errors_of_search().collect();
@@ -377,8 +383,8 @@ impl Calibration {
     }
 }
 
-/// Standard deviations of the noise of measurements of an output at these times, from the variance of its
-/// residuals.
+/// Returns the standard deviations of the noise of measurements of an output at these times, from the
+/// variance of its residuals.
 fn noise_at(times: &[f64], output: &OutputResiduals, residual_variance: f64) -> Vec<f64> {
     let known: Vec<(f64, f64)> = output
         .times

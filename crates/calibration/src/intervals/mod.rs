@@ -1,4 +1,4 @@
-//! Profiles of the cost and bands of the predictions.
+//! Profile likelihoods and prediction bands.
 
 pub(crate) mod bands;
 pub(crate) mod profile;

@@ -1,4 +1,4 @@
-//! Profile likelihood: how the cost rises as one parameter is held away from its best value and the others
+//! Profile likelihood: rise of the cost when one parameter is fixed away from its best value and the others
 //! are fitted again.
 
 mod refit;
@@ -31,18 +31,18 @@ use walk::{Origin, walk};
 /// Options of [`Calibration::profile`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct ProfileOptions {
-    /// The parameters, by number; default: all that were fitted.
+    /// Indices of the parameters; default: all fitted parameters.
     pub parameters: Option<Vec<usize>>,
-    /// The level of the intervals; default 0.95.
+    /// Confidence level of the intervals; default 0.95.
     pub level: f64,
     /// True to correct for autocorrelated residuals, as [`Uncertainty::covariance`] does; default: true.
     pub is_corrected: bool,
-    /// Points on each side of the optimum before a side that has not crossed the threshold is said to be
-    /// open; default 20. Refits that find the crossing come on top.
+    /// Maximum number of points on each side of the optimum; default 20. A side that has not crossed the
+    /// threshold by then is open. Refits that locate the crossing are not counted.
     pub max_points: usize,
-    /// Sides that are walked at once; default: all cores. The result does not depend on it.
+    /// Number of sides that run in parallel; default: all cores. The result does not depend on it.
     pub workers: Option<usize>,
-    /// A file that keeps the sides that are complete, and from which a profile is continued.
+    /// File that stores the completed sides and allows a profile to resume.
     pub checkpoint: Option<PathBuf>,
 }
 
@@ -60,32 +60,43 @@ impl Default for ProfileOptions {
 }
 
 impl Calibration {
-    /// The profile likelihoods of parameters of a fit, and their confidence intervals: unlike those of
-    /// [`Uncertainty::confidence_intervals`](crate::Uncertainty::confidence_intervals) they need not be
-    /// symmetric, and they are open where the data do not bound a parameter.
+    /// Computes profile likelihoods of the parameters of a fit and their confidence intervals. The intervals
+    /// of [`Uncertainty::confidence_intervals`](crate::Uncertainty::confidence_intervals) are symmetric, but
+    /// these intervals need not be. They are open if the data do not bound a parameter.
     ///
-    /// Each parameter is held at values farther and farther from the optimum, and the others are fitted again
-    /// by least squares. The statistic is the rise of the cost that the fit minimised, with its weights and
-    /// loss, in units in which it is the square of the distance in standard errors where the cost is
-    /// quadratic: with one variance `s^2` for all residuals the rise over `s^2`; with variances of each
-    /// output, a robust loss, or autocorrelated residuals the rise times the parameter's entry of the inverse
-    /// of half the second derivatives over its variance in [`Uncertainty::covariance`] (Rotnitzky and Jewell,
-    /// Biometrika 77, 1990; Pace, Salvan and Sartori, Statistica Sinica 21, 2011). An interval ends where the
-    /// statistic is the quantile of F with 1 and N - p degrees of freedom, the square of that of Student's t
-    /// (with those of the [variance of each parameter](Uncertainty::effective_degrees_of_freedom); Bates and
-    /// Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1; Raue et al.,
-    /// Bioinformatics 25, 2009, with the quantile of chi-square, its limit for many measurements). It is
-    /// about the optimum of the cost, which is found more accurately first. For a linear model the interval
-    /// is that of the covariance.
+    /// Each parameter is fixed at values farther and farther from the optimum, and the others are fitted
+    /// again by least squares. The statistic is the rise of the cost that the fit minimised, with its weights
+    /// and loss. It is scaled so that, for a quadratic cost, it is the square of the distance in standard
+    /// errors:
     ///
-    /// The sides of the parameters run in parallel. The context is looked at on the calling thread; after the
-    /// optimum is found, an interrupt leaves what is there in hand ([`Profile::is_interrupted`]).
+    /// - With one variance `s^2` for all residuals, it is the rise divided by `s^2`.
+    /// - With separate variances of the outputs, a robust loss, or autocorrelated residuals, it is the rise
+    ///   times a factor. The numerator is the parameter's entry of the inverse of half the second
+    ///   derivatives. The denominator is its variance in [`Uncertainty::covariance`] (Rotnitzky and Jewell,
+    ///   Biometrika 77, 1990; Pace, Salvan and Sartori, Statistica Sinica 21, 2011).
+    ///
+    /// An interval ends where the statistic reaches the quantile of F with 1 and N - p degrees of freedom,
+    /// the square of the quantile of Student's t. The degrees of freedom are those of the [variance of each
+    /// parameter](Uncertainty::effective_degrees_of_freedom) (Bates and Watts, Nonlinear Regression Analysis
+    /// and Its Applications, 1988, section 6.1). Raue et al. (Bioinformatics 25, 2009) use the quantile of
+    /// chi-square, its limit for many measurements.
+    ///
+    /// The intervals refer to the optimum of the cost, which is located more accurately first. For a linear
+    /// model, the interval equals the interval from the covariance.
+    ///
+    /// The sides of the parameters run in parallel. The context is checked on the calling thread. After the
+    /// optimum is found, an interrupt returns the points computed so far ([`Profile::is_interrupted`]).
     ///
     /// # Errors
-    /// Parameters that there are not, or that were not fitted; a level that does not lie between 0 and 1; a
-    /// fit of something else than a sum of squares; residuals that are all zero, or no more of them than
-    /// parameters; no optimum; a file of another problem, or that cannot be read or written;
-    /// [`CalibrationError::Cancelled`] before there is an optimum.
+    /// Returns an error in these cases:
+    ///
+    /// - A parameter does not exist or was not fitted.
+    /// - The level is not between 0 and 1.
+    /// - The fit did not minimise a sum of squares.
+    /// - All residuals are zero, or there are no more residuals than parameters.
+    /// - No optimum is found.
+    /// - The file belongs to another problem, or cannot be read or written.
+    /// - The run is cancelled before the optimum is found ([`CalibrationError::Cancelled`]).
     pub fn profile(
         &self,
         fit: &Fit,
@@ -97,7 +108,7 @@ impl Calibration {
         self.of_fit(fit)?.as_ref().unwrap_or(self).own_profile(fit, options, context)
     }
 
-    /// The same with the weights and the tolerance of the fit.
+    /// Computes the profile with the weights and the tolerance of the fit.
     fn own_profile(
         &self,
         fit: &Fit,
@@ -151,7 +162,7 @@ impl Calibration {
         let per_rise = |i: usize| -> Result<f64, CalibrationError> {
             let own = check_level(options.level, uncertainty.effective_degrees_of_freedom[i])?;
             let found = curvature[i] / uncertainty.covariance[i * n + i] * threshold / (own * own);
-            // Of one that is not determined, or at its bound, nothing else is known.
+            // For an undetermined parameter, or one at its bound, no other scale is available.
             let is_known = found > 0.0 && found.is_finite();
             Ok(if is_known { found } else { degrees_of_freedom / optimum.cost })
         };
@@ -205,7 +216,8 @@ impl Calibration {
         })
     }
 
-    /// Parameters that the fit took as known, by number: not those that it found at a bound.
+    /// Returns the indices of the fixed parameters of the fit, without the parameters that the fit found at a
+    /// bound.
     fn held_in(&self, fit: &Fit) -> Vec<usize> {
         let is_at_bound = |i: usize, p: &Parameter| {
             let at = inner(p, fit.x[i]);
@@ -222,7 +234,7 @@ impl Calibration {
         self.parameters().iter().enumerate().filter(is_held).map(|(i, _)| i).collect()
     }
 
-    /// Hash of everything that the sides of profiles depend on except their parameter.
+    /// Returns a hash of everything that the sides of profiles depend on, except their parameter.
     fn profile_hash(&self, fit: &Fit, statistic: &str, options: &ProfileOptions) -> String {
         let bounds: Vec<_> =
             self.parameters().iter().map(|p| (p.lower(), p.upper(), p.scale_kind())).collect();
@@ -233,7 +245,7 @@ impl Calibration {
     }
 }
 
-/// The parameters of a fit whose profiles are wanted, by number.
+/// Returns the indices of the parameters whose profiles are requested.
 fn profiled(fit: &Fit, held: &[usize], options: &ProfileOptions) -> Result<Vec<usize>, CalibrationError> {
     let setup = |message: String| Err(CalibrationError::Setup(message));
     if fit.objective != CostKind::default().name() {
@@ -268,7 +280,8 @@ fn profiled(fit: &Fit, held: &[usize], options: &ProfileOptions) -> Result<Vec<u
     Ok(asked)
 }
 
-/// The sides of all parameters, lower and upper in turn: those that were saved, the others in parallel.
+/// Returns the sides of all parameters, alternating lower and upper. Reads the saved sides and computes the
+/// others in parallel.
 fn sides_of(
     refits: &Refits<'_>,
     origins: &[Origin<'_>],
@@ -280,7 +293,7 @@ fn sides_of(
     let side_of = |s: usize| if s.is_multiple_of(2) { BoundSide::Lower } else { BoundSide::Upper };
     let task = |s: usize, context: &RunContext<'_>| {
         let (origin, side) = (&origins[s / 2], side_of(s));
-        // A poisoned lock is no reason to fail: the list is whole at every instant.
+        // Ignore a poisoned lock: the list is consistent at all times.
         let lock = || saved.lock().unwrap_or_else(|e| e.into_inner());
         if let Some(side) = lock().of(origin.index, side) {
             return side.clone();
@@ -296,15 +309,15 @@ fn sides_of(
     walked.map(|(s, side)| side.unwrap_or_else(|| not_begun(s))).collect()
 }
 
-/// The standard error of a parameter in the coordinate of the search, where it is known.
+/// Returns the standard error of a parameter in the coordinates of the search, if it is known.
 fn step_of(uncertainty: Option<&Uncertainty>, i: usize) -> Option<f64> {
     let uncertainty = uncertainty?;
     let error = uncertainty.standard_errors[i] / if uncertainty.is_log[i] { uncertainty.x[i] } else { 1.0 };
     (error > 0.0 && error.is_finite()).then_some(error)
 }
 
-/// Direction in which the best values of all parameters change with one of them, in the coordinates of the
-/// search: the covariances over its variance.
+/// Returns the direction in which the best values of all parameters change with one of them, in the
+/// coordinates of the search. It is the covariances divided by the variance of that parameter.
 fn direction(uncertainty: &Uncertainty, i: usize) -> Vec<f64> {
     let n = uncertainty.x.len();
     let scale = |k: usize| if uncertainty.is_log[k] { uncertainty.x[k] } else { 1.0 };

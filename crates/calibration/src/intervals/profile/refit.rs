@@ -1,4 +1,4 @@
-//! Fits of the other parameters, one parameter held.
+//! Fits of the other parameters with one parameter fixed.
 
 use crate::error::CalibrationError;
 use crate::loaded::calibration::Calibration;
@@ -11,38 +11,38 @@ use dfo::{
 use ode::Stats;
 use std::sync::Mutex;
 
-/// The first radius of a refit, and where it ends, in standard errors: the statistic is quadratic in them, so
-/// that the second leaves an error of 1e-4 in it.
+/// Initial radius and final tolerance of a refit, in standard errors. The statistic is quadratic in them, so
+/// the tolerance leaves an error of 1e-4 in the statistic.
 const RADIUS: f64 = 0.3;
 const X_TOL: f64 = 0.01;
 
-/// The cost is as accurate as this part of the threshold.
+/// Accuracy of the cost, as a part of the threshold.
 pub(super) const F_TOL: f64 = 1e-4;
 
-/// Evaluations of a refit for each parameter: least squares needs about 5.
+/// Maximum number of evaluations of a refit per parameter. Least squares requires about 5.
 const EVALUATIONS: usize = 60;
 
-/// Makes refits of a calibration.
+/// Refits of a calibration.
 pub(super) struct Refits<'a> {
     pub(super) calibration: &'a Calibration,
-    /// Loss function: the contribution of a residual to the cost.
+    /// Loss function, which maps a residual to its contribution to the cost.
     pub(super) loss: RobustLoss,
-    /// Parameters that are never fitted.
+    /// Parameters that are always fixed.
     pub(super) held: &'a [usize],
-    /// Steps that matter, in the coordinates of the search: standard errors, where they are known.
+    /// Typical steps in the coordinates of the search: standard errors, if they are known.
     pub(super) sizes: Vec<f64>,
-    /// Differences of the cost that count as none, relative to it.
+    /// Relative differences of the cost below this value count as zero.
     pub(super) f_tol: f64,
     pub(super) stats: Mutex<Stats>,
 }
 
-/// The best values of a refit, and the cost there.
+/// Best values of a refit, and their cost.
 pub(super) struct Refitted {
     pub(super) x: Vec<f64>,
     pub(super) cost: f64,
 }
 
-/// Why there is no refit.
+/// Reason why a refit failed.
 pub(super) enum NoFit {
     Cancelled,
     Failed(String),
@@ -65,10 +65,11 @@ impl Objective for Refits<'_> {
 }
 
 impl Refits<'_> {
-    /// The minimum of the cost itself.
+    /// Returns the unconstrained minimum of the cost.
     ///
     /// # Errors
-    /// There is none, or it is zero; [`CalibrationError::Cancelled`].
+    /// Returns an error if no minimum is found or its cost is zero. Also returns
+    /// [`CalibrationError::Cancelled`].
     pub(super) fn optimum(
         &self,
         start: &[f64],
@@ -87,7 +88,7 @@ impl Refits<'_> {
         }
     }
 
-    /// The best values, with one parameter held where `start` has it.
+    /// Returns the best values with one parameter fixed at its value in `start`.
     pub(super) fn refit(
         &self,
         start: &[f64],

@@ -1,4 +1,4 @@
-//! The numbers of a profile likelihood, and how they are printed.
+//! Results of a profile likelihood, and their display.
 
 use crate::findings::shown_text::{digits, visible_line};
 use crate::uncertainty::stuck_parameters::BoundSide;
@@ -7,15 +7,15 @@ use ode::Stats;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// One point of a profile: a parameter held at a value, the others fitted again.
+/// Point of a profile, with one parameter fixed and the others fitted again.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ProfilePoint {
-    /// Where the parameter was held, in the user's units.
+    /// Value of the fixed parameter in the user's units.
     pub value: f64,
-    /// The rise of the cost from the optimum, as the square of a distance in standard errors; see
+    /// Rise of the cost from the optimum, as the square of a distance in standard errors; see
     /// [`Calibration::profile`](crate::Calibration::profile).
     pub statistic: f64,
-    /// All parameters there.
+    /// Values of all parameters at this point.
     pub x: Vec<f64>,
 }
 
@@ -23,27 +23,27 @@ pub struct ProfilePoint {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum ProfileEnd {
-    /// The statistic crosses the threshold at this value: an end of the interval.
+    /// The statistic crosses the threshold at this value, which is an end of the interval.
     Crossed(f64),
-    /// The parameter reaches its bound, at this value, below the threshold: the interval is open.
+    /// The parameter reaches its bound at this value, below the threshold. The interval is open.
     AtBound(f64),
-    /// The points are used up, at this value, below the threshold: the interval is open.
+    /// The maximum number of points is reached at this value, below the threshold. The interval is open.
     PointLimit(f64),
-    /// The simulation, or the fit of the others, failed at this value: the interval is open.
+    /// The simulation or the fit of the other parameters failed at this value. The interval is open.
     Failed {
-        /// Where the parameter was held.
+        /// Value of the fixed parameter.
         at: f64,
-        /// Why.
+        /// Reason for the failure.
         message: String,
     },
-    /// The cost is lower at this value than at the optimum, so that this was none.
+    /// The cost at this value is below the cost at the presumed optimum.
     LowerCost(f64),
-    /// It was interrupted.
+    /// The computation was interrupted.
     Interrupted,
 }
 
 impl ProfileEnd {
-    /// The end of the interval; `None`: it is open.
+    /// Returns the end of the interval, or `None` if it is open.
     pub fn value(&self) -> Option<f64> {
         match self {
             Self::Crossed(value) => Some(*value),
@@ -51,7 +51,7 @@ impl ProfileEnd {
         }
     }
 
-    /// Why the interval is open on this side, in words; `None`: it is not.
+    /// Returns the reason why the interval is open on this side, or `None` if it is not.
     pub fn why_open(&self, side: BoundSide) -> Option<String> {
         let (bound, toward) = match side {
             BoundSide::Lower => ("lower", "smaller"),
@@ -73,17 +73,17 @@ impl ProfileEnd {
     }
 }
 
-/// The profile of one parameter.
+/// Profile of one parameter.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct ParameterProfile {
     /// Index of the parameter, counted from 0.
     pub parameter: usize,
-    /// Its name.
+    /// Name of the parameter.
     pub name: String,
-    /// Its value at the optimum.
+    /// Value of the parameter at the optimum.
     pub optimum: f64,
-    /// The points, by ascending value, the optimum among them.
+    /// Points in ascending order of the value, including the optimum.
     pub points: Vec<ProfilePoint>,
     /// End of the profile below the optimum.
     pub lower: ProfileEnd,
@@ -92,12 +92,12 @@ pub struct ParameterProfile {
 }
 
 impl ParameterProfile {
-    /// The confidence interval, without an end (infinite) where it is open.
+    /// Returns the confidence interval. Open ends are infinite.
     pub fn interval(&self) -> (f64, f64) {
         (self.lower.value().unwrap_or(f64::NEG_INFINITY), self.upper.value().unwrap_or(f64::INFINITY))
     }
 
-    /// Why the interval is open, in words; empty if it is not.
+    /// Returns the reason why the interval is open, or an empty string if it is not.
     pub fn message(&self) -> String {
         let ends = [(&self.lower, BoundSide::Lower), (&self.upper, BoundSide::Upper)];
         ends.iter().filter_map(|(end, side)| end.why_open(*side)).collect::<Vec<_>>().join("; ")
@@ -108,27 +108,28 @@ impl ParameterProfile {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Profile {
-    /// The level of the intervals.
+    /// Confidence level of the intervals.
     pub level: f64,
-    /// They end where the statistic is this.
+    /// Statistic at which the intervals end.
     pub threshold: f64,
     /// As those of [`Uncertainty`](crate::Uncertainty::degrees_of_freedom). The statistic of a parameter
     /// whose variance has others is scaled, so that one threshold is that of all.
     pub degrees_of_freedom: f64,
-    /// The optimum of the cost, about which the intervals are: that of the fit, found more accurately.
+    /// Optimum of the cost and center of the intervals. It is the optimum of the fit, located more
+    /// accurately.
     pub x: Vec<f64>,
-    /// The cost there, as the fit has it.
+    /// Cost at the optimum, by the definition of the fit.
     pub cost: f64,
-    /// The profiles, in the order in which they were asked for.
+    /// Profiles in the order of the request.
     pub parameters: Vec<ParameterProfile>,
-    /// True if the computation was interrupted: some sides are not complete.
+    /// True if the computation was interrupted and some sides are incomplete.
     pub is_interrupted: bool,
-    /// True if residuals of an output are autocorrelated: the intervals are corrected for that, as those of
+    /// True if residuals of an output are autocorrelated. The intervals are then corrected as in
     /// [`Uncertainty`](crate::Uncertainty).
     pub is_autocorrelated: bool,
-    /// Points that were simulated, those of a file that was continued included.
+    /// Number of simulated points, including the points of a resumed file.
     pub n_simulations: usize,
-    /// Statistics of the simulations, without those of a file that was continued.
+    /// Statistics of the simulations, without those of a resumed file.
     pub stats: Stats,
 }
 
@@ -160,7 +161,7 @@ impl fmt::Display for Profile {
     }
 }
 
-/// A number with six digits: ends of narrow intervals differ in the last ones.
+/// Rounds a number to six digits because the ends of narrow intervals differ only in the last digits.
 fn six(value: f64) -> Number {
     Number(format!("{value:.5e}").parse().unwrap_or(value))
 }

@@ -1,4 +1,4 @@
-//! The file of a profile likelihood: the sides that are complete, and what they belong to.
+//! File of a profile likelihood, with the completed sides and the identity of the problem.
 
 use super::result::{ProfileEnd, ProfilePoint};
 use crate::error::CalibrationError;
@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
-/// Format name in such a file.
+/// Format name in the file.
 const FORMAT: &str = "fmufit profile 1";
 
 /// One side of a profile.
@@ -17,24 +17,24 @@ const FORMAT: &str = "fmufit profile 1";
 pub(super) struct Side {
     pub(super) parameter: usize,
     pub(super) side: BoundSide,
-    /// From the optimum outwards, without it.
+    /// Points from the optimum outwards, without the optimum.
     pub(super) points: Vec<ProfilePoint>,
     pub(super) end: ProfileEnd,
     pub(super) n_simulations: usize,
 }
 
 impl Side {
-    /// One that is not begun.
+    /// Creates a side without points.
     pub(super) fn new(parameter: usize, side: BoundSide) -> Self {
         Self { parameter, side, points: Vec::new(), end: ProfileEnd::Interrupted, n_simulations: 0 }
     }
 }
 
-/// Sides that are complete.
+/// Completed sides.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct SavedSides {
     format: String,
-    /// Hash of all that they depend on.
+    /// Hash of everything that the sides depend on.
     problem: String,
     pub(super) sides: Vec<Side>,
     #[serde(skip)]
@@ -42,8 +42,8 @@ pub(super) struct SavedSides {
 }
 
 impl SavedSides {
-    /// Those of the file, if there is one; it is written at once, so that a path that cannot be written is
-    /// found before the work.
+    /// Reads the sides from the file, if it exists. Writes the file immediately so that an invalid path is
+    /// detected before the computation.
     pub(super) fn open(path: Option<&Path>, problem: String, n: usize) -> Result<Self, CalibrationError> {
         let mut own =
             Self { format: FORMAT.to_owned(), problem, sides: Vec::new(), path: path.map(Path::to_owned) };
@@ -81,7 +81,8 @@ impl SavedSides {
         self.sides.iter().find(|own| (own.parameter, own.side) == (parameter, side))
     }
 
-    /// Adds one that is complete. A file that can no longer be written is no reason to lose the rest.
+    /// Adds a completed side. A failure to write the file only causes a warning, so that the other results
+    /// are not lost.
     pub(super) fn add(&mut self, side: Side) {
         self.sides.push(side);
         if let Err(error) = self.write() {

@@ -1,4 +1,5 @@
-//! One side of a profile: from the optimum outwards in steps, the other parameters fitted again at each.
+//! One side of a profile, which proceeds outwards from the optimum and fits the other parameters again at
+//! each step.
 
 use super::refit::{NoFit, Refits, Refitted};
 use super::result::{ProfileEnd, ProfilePoint};
@@ -7,67 +8,67 @@ use crate::problem::parameter::{Parameter, inner, outer};
 use crate::uncertainty::stuck_parameters::{AT, BoundSide};
 use base::RunContext;
 
-/// By how much a step may grow, and shrink.
+/// Smallest and largest ratio of a step to the previous step.
 const GROWTH: (f64, f64) = (0.1, 3.0);
 
-/// The statistic grows by this part of the threshold per step.
+/// Target growth of the statistic per step, as a part of the threshold.
 const PER_STEP: f64 = 0.25;
 
-/// The first point, which shows how the cost begins to rise, is at this part of it.
+/// Target statistic of the first point, as a part of the threshold. This point shows the initial rise of the
+/// cost.
 const FIRST: f64 = 0.05;
 
-/// A statistic below zero by this part of the threshold is that of another minimum, not noise.
+/// A statistic below zero by more than this part of the threshold indicates another minimum, not noise.
 const BELOW: f64 = 0.05;
 
-/// The crossing is known where the statistic is this near to the threshold, as a part of it.
+/// Relative accuracy of the statistic at the crossing.
 const CROSSING: f64 = 1e-3;
 
-/// ... or lies between two points that are this near to each other, as a part of their distance from the
-/// optimum.
+/// Maximum distance of the two points that enclose the crossing, relative to their distance from the optimum.
 const WIDTH: f64 = 1e-3;
 
-/// Refits that look for the crossing between two points: two, unless the statistic is no parabola there, for
-/// another parameter has come to its bound.
+/// Maximum number of refits that locate the crossing between two points. Two suffice unless the statistic is
+/// not a parabola there because another parameter reached its bound.
 const REFINEMENTS: usize = 16;
 
-/// After a failure a shorter step is made, so often.
+/// Maximum number of shorter steps after failures.
 const RETRIES: usize = 3;
 
-/// From where the walk goes.
+/// Starting point and options of a walk.
 pub(super) struct Origin<'a> {
-    /// The parameter, by number.
+    /// Index of the parameter.
     pub(super) index: usize,
     pub(super) x: &'a [f64],
     pub(super) cost: f64,
     pub(super) threshold: f64,
-    /// The statistic that a rise of the cost by one is.
+    /// Statistic per unit rise of the cost.
     pub(super) per_rise: f64,
     pub(super) max_points: usize,
-    /// The first step that makes the statistic one, in the coordinates of the search, and the changes of all
-    /// parameters with the parameter, there.
+    /// Step that raises the statistic to one, in the coordinates of the search. `direction` contains the
+    /// changes of all parameters relative to the change of this parameter.
     pub(super) standard_error: f64,
     pub(super) direction: Vec<f64>,
 }
 
-/// A point in the coordinates of the search.
+/// Point in the coordinates of the search.
 struct Place {
     u: Vec<f64>,
-    /// Root of the statistic.
+    /// Square root of the statistic.
     root: f64,
 }
 
-/// A walk along one side of a parameter.
+/// Walk along one side of a parameter.
 struct Walk<'a> {
     refits: &'a Refits<'a>,
     origin: &'a Origin<'a>,
     context: &'a RunContext<'a>,
-    /// 1 towards the upper bound, -1 towards the lower one.
+    /// 1 towards the upper bound, -1 towards the lower bound.
     sign: f64,
     bound: f64,
     done: Side,
 }
 
-/// Walks, until the statistic crosses the threshold or the side is found to be open.
+/// Walks until the statistic crosses the threshold or the side is open.
 pub(super) fn walk(
     refits: &Refits<'_>,
     side: BoundSide,
@@ -95,7 +96,7 @@ impl Walk<'_> {
         &self.parameters()[self.origin.index]
     }
 
-    /// The bound, in the coordinate of the search.
+    /// Returns the bound in the coordinates of the search.
     fn limit(&self) -> f64 {
         inner(self.parameter(), self.bound)
     }
@@ -105,7 +106,7 @@ impl Walk<'_> {
         (self.limit() - u) * self.sign <= AT * size
     }
 
-    /// A refit with the parameter at `u`, the others from where their slopes lead.
+    /// Refits with the parameter at `u`. The other parameters start from a linear prediction by their slopes.
     fn at(&mut self, u: f64, from: &Place, slopes: &[f64]) -> Result<Place, ProfileEnd> {
         let Origin { index, cost, per_rise, threshold, .. } = *self.origin;
         let along = |(p, (value, slope)): (&Parameter, (&f64, &f64))| {
@@ -158,7 +159,7 @@ impl Walk<'_> {
             }
             let (rise, length) = (next.root - last.root, ((next.u[index] - last.u[index]) * sign).max(0.0));
             let target = (next.root * next.root + PER_STEP * threshold).sqrt();
-            // A little beyond the threshold rather than just below it.
+            // Aim slightly beyond the threshold rather than just below it.
             let target = if target > 0.95 * goal { 1.02 * goal } else { target };
             let asked = if rise > 0.0 { (target - next.root) * length / rise } else { f64::INFINITY };
             let by = next.u[index] - last.u[index];
@@ -169,11 +170,11 @@ impl Walk<'_> {
         }
     }
 
-    /// Finds where the statistic crosses the threshold between two points.
+    /// Finds the point between two others at which the statistic crosses the threshold.
     fn crossing(&mut self, mut low: Place, mut high: Place, slopes: &[f64]) -> ProfileEnd {
         let (index, goal) = (self.origin.index, self.origin.threshold.sqrt());
         let center = inner(self.parameter(), self.origin.x[index]);
-        // The statistic is about quadratic, so its root is about linear.
+        // The statistic is nearly quadratic, so its root is nearly linear.
         let linear = |low: &Place, high: &Place| {
             let part = (goal - low.root) / (high.root - low.root);
             low.u[index] + part * (high.u[index] - low.u[index])
@@ -184,13 +185,13 @@ impl Walk<'_> {
             if 2.0 * nearest <= CROSSING * goal || width <= WIDTH * (high.u[index] - center).abs() {
                 break;
             }
-            // Of a kink the line knows nothing.
+            // Linear interpolation fails at a kink.
             let is_bent = high.root > 2.0 * goal || n % 3 == 2;
             let u = if is_bent { 0.5 * (low.u[index] + high.u[index]) } else { linear(&low, &high) };
             match self.at(u, &low, slopes) {
                 Ok(found) if found.root >= goal => high = found,
                 Ok(found) => low = found,
-                // Without a refinement the crossing is less accurate.
+                // A failed refinement only makes the crossing less accurate.
                 Err(ProfileEnd::Failed { .. }) => break,
                 Err(other) => return other,
             }
