@@ -1,5 +1,5 @@
-//! Checks of an evaluation at the start values: measurements in another unit, swapped, or far from the
-//! simulation from the start.
+//! Checks of an evaluation at the start values: measurements that are in another unit, swapped, or far from
+//! the simulation from the beginning.
 
 use super::experiment_subject::ExperimentSubject;
 use super::simulated_outputs::{Outputs, Place, Series, range, rounded, size, size_of_difference};
@@ -10,22 +10,22 @@ use crate::problem::experiment::InitialState;
 use crate::problem::parameter::Parameter;
 use base::Number;
 
-/// Measured and simulated values that differ in size by less than this are left to the parameters.
+/// Differences in size below this ratio are attributed to the parameters.
 const LARGE: f64 = 30.0;
 
 /// 0 degC in K.
 const ZERO_CELSIUS: f64 = 273.15;
 
-/// The findings of all experiments at the start, judged again where there is a result of a fit: what holds an
-/// output or its initial value off may have been fitted. Another unit, or swapped columns, parameters make up
-/// for by values that mean nothing: such a doubt stays if the parameters have moved as far as that takes, or
-/// the result has it, too.
+/// Returns the findings of all experiments at the start, updated with the result of a fit if there is one.
+/// The fit may have removed an offset of an output or of its initial value. Parameters can also compensate
+/// for another unit or swapped columns, with meaningless values. Such a doubt remains if the parameters have
+/// moved far enough to compensate, or if it also exists at the result.
 pub(super) fn findings(subjects: &[ExperimentSubject<'_>], outputs: &Outputs<'_>) -> Vec<Finding> {
     let mut findings = Vec::new();
     for (one, last) in outputs.at_start.iter().zip(outputs.last()) {
         let subject = &subjects[one.of.experiment];
         let stays = |factor: f64| outputs.may_have_taken(factor) || unit(last, subject).is_some();
-        // In another unit everything else is off, too.
+        // A wrong unit also causes the other findings.
         let found = unit(one, subject).filter(|(_, factor)| stays(*factor)).map(|(finding, _)| finding);
         let found = found
             .or_else(|| held(last, subject, outputs.place()))
@@ -36,8 +36,9 @@ pub(super) fn findings(subjects: &[ExperimentSubject<'_>], outputs: &Outputs<'_>
     findings
 }
 
-/// Measurements whose range and size are both some other multiple of those of the simulation, with the
-/// factor; or that are 273.15 away, which a parameter may make up for at any size.
+/// Returns a finding and a factor if range and size of the measurements are the same multiple of the
+/// simulated ones. Also returns a finding if they differ by 273.15, which a parameter may compensate for at
+/// any size.
 fn unit(series: &Series<'_>, subject: &ExperimentSubject<'_>) -> Option<(Finding, f64)> {
     let (measured, simulated) = (&series.of.measured, &series.simulated);
     let unit = declared(subject.description, &series.of.variable).and_then(|v| v.unit.as_deref());
@@ -72,7 +73,8 @@ fn unit(series: &Series<'_>, subject: &ExperimentSubject<'_>) -> Option<(Finding
             return finding(sentence, 1.0);
         }
     }
-    // Neither ratio is that of the parameters alone, if both are so large: a gain that is wrong by so much is worth the same words.
+    // If both ratios are so large, parameters alone are an unlikely cause. A gain that is this wrong deserves
+    // the same finding.
     let ratio = (m / s, range_m / range_s);
     let is_large = |r: f64| !(1.0 / LARGE..=LARGE).contains(&r);
     if range_s > 0.0
@@ -94,7 +96,7 @@ fn unit(series: &Series<'_>, subject: &ExperimentSubject<'_>) -> Option<(Finding
     None
 }
 
-/// Outputs that stay where they start in the simulation, but not in the recording.
+/// Returns a finding if an output is constant in the simulation but not in the recording.
 fn held(series: &Series<'_>, subject: &ExperimentSubject<'_>, place: Place) -> Option<Finding> {
     let (measured, simulated) = (&series.of.measured, &series.simulated);
     let is_held = simulated.len() > 2 && range(simulated) <= 1e-12 * size(simulated.iter().copied());
@@ -111,8 +113,8 @@ fn held(series: &Series<'_>, subject: &ExperimentSubject<'_>, place: Place) -> O
     })
 }
 
-/// Outputs that start far from their first measurement: by a quarter of the range, and by ten times the
-/// noise. Of a state whose initial value is fitted the start value says nothing.
+/// Returns a finding if an output starts far from its first measurement: by a quarter of the range, and by
+/// ten times the noise. The start value of a state with a fitted initial value is irrelevant.
 fn initial(series: &Series<'_>, subject: &ExperimentSubject<'_>, place: Place) -> Option<Finding> {
     let is_fitted = |(state, initial): &(String, InitialState)| {
         *state == series.of.variable && matches!(initial, InitialState::Fitted(_))
@@ -143,7 +145,8 @@ fn initial(series: &Series<'_>, subject: &ExperimentSubject<'_>, place: Place) -
     })
 }
 
-/// Two outputs of one experiment that are much closer to each other's simulation than to their own.
+/// Returns findings about two outputs of one experiment that are much closer to each other's simulation than
+/// to their own.
 fn swapped(series: &[Series<'_>], subjects: &[ExperimentSubject<'_>]) -> Vec<Finding> {
     let mut findings = Vec::new();
     for (i, a) in series.iter().enumerate() {
@@ -154,7 +157,7 @@ fn swapped(series: &[Series<'_>], subjects: &[ExperimentSubject<'_>]) -> Vec<Fin
             let off = |one: &Series<'_>, other: &Series<'_>| {
                 size_of_difference(&one.of.measured, other.simulated.iter().copied()).powi(2)
             };
-            // Relative to what each varies, so that two outputs of different size count the same.
+            // Scale by the range so that outputs of different size have equal weight.
             let scale = |s: &Series<'_>| range(&s.of.measured).powi(2);
             let (of_a, of_b) = (scale(a), scale(b));
             let own = off(a, a) / of_a + off(b, b) / of_b;

@@ -1,18 +1,18 @@
-//! Checks of the values of a recording: columns that are constant, or hold placeholders.
+//! Checks of the values of a recording: constant columns, and placeholders.
 
 use super::experiment_subject::ExperimentSubject;
 use super::simulated_outputs::rounded;
 use crate::findings::finding::Finding;
 use base::Number;
 
-/// Values that loggers write where they have none.
+/// Values that loggers write if they have no measurement.
 const PLACEHOLDERS: [f64; 12] =
     [99.9, 999.0, 9999.0, 99999.0, 999_999.0, 9999.9, 32767.0, 65535.0, 1e20, 1e30, 1e31, 1e37];
 
-/// A placeholder lies so many ranges of the other values away from them.
+/// Minimum distance of a placeholder from the other values, in ranges of the other values.
 const OUTSIDE: f64 = 2.0;
 
-/// Measured columns that are constant, and columns in use that hold placeholders.
+/// Returns findings about constant measured columns, and used columns with placeholders.
 pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
     let ExperimentSubject { prefix, experiment, .. } = subject;
     let mut findings = Vec::new();
@@ -30,7 +30,7 @@ pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
     }
     for (variable, column) in experiment.columns_in_use() {
         let Ok(values) = experiment.data.column(&column) else { continue };
-        // Loggers write them before anything is converted.
+        // Loggers write placeholders before any conversion.
         let given: Vec<f64> = values.iter().map(|v| experiment.data.as_given(&column, *v).0).collect();
         if let Some((value, n, rest)) = placeholder(&given) {
             let unit = experiment.data.as_given(&column, 0.0).1;
@@ -51,13 +51,12 @@ pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
     findings
 }
 
-/// The smallest and the largest value.
+/// Returns the smallest and the largest value.
 fn extent(values: impl Iterator<Item = f64>) -> (f64, f64) {
     values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)))
 }
 
-/// A value far outside of the others that loggers write for none, how often it is there, and the range of the
-/// others.
+/// Returns a placeholder value far outside of the other values, its count, and the range of the other values.
 fn placeholder(values: &[f64]) -> Option<(f64, usize, (f64, f64))> {
     let known = || values.iter().copied().filter(|v| !v.is_nan());
     let (lowest, highest) = extent(known());
@@ -82,7 +81,7 @@ mod tests {
             with[30] = value;
             assert_eq!(placeholder(&with), Some((value, 1, (300.0, 300.0 + 6.0 / 7.0))));
         }
-        // A value of a signal that goes there.
+        // The signal itself reaches this value.
         assert_eq!(placeholder(&(0..1000).map(f64::from).collect::<Vec<f64>>()), None);
     }
 }

@@ -1,4 +1,4 @@
-//! An experiment as a check looks at it.
+//! Experiment as the subject of a check.
 
 use crate::data::UnitConversion;
 use crate::problem::column_units::declared;
@@ -6,24 +6,24 @@ use crate::problem::experiment::Experiment;
 use crate::problem::parameter::Parameter;
 use fmi::ModelDescription;
 
-/// An experiment that is looked at.
+/// Experiment as the subject of a check.
 pub(super) struct ExperimentSubject<'a> {
-    /// Prefix of its findings: its name and a colon, where there are several.
+    /// Prefix of its findings: its name and a colon if there are several experiments, otherwise empty.
     pub(super) prefix: String,
     pub(super) experiment: &'a Experiment,
     pub(super) description: &'a ModelDescription,
-    /// The parameters of the fit.
+    /// Parameters of the fit.
     pub(super) parameters: &'a [Parameter],
-    /// Where its simulation starts, in s.
+    /// Start time of the simulation in s.
     pub(super) start_time: f64,
 }
 
-/// Units that are taken as examples, the usual ones of each quantity.
+/// Common units of various quantities, used as examples.
 const EXAMPLES: [&str; 16] =
     ["mm", "degC", "K", "deg", "rpm", "bar", "km/h", "ms", "g", "cm2", "l", "l/min", "kg/h", "kW", "%", "Hz"];
 
 impl ExperimentSubject<'_> {
-    /// Durations of the recording and of the experiment that the model suggests, in s.
+    /// Returns the durations in s of the recording and of the default experiment of the model.
     pub(super) fn durations(&self) -> Option<(f64, f64)> {
         let suggested = &self.description.default_experiment;
         let asked = suggested.stop_time? - suggested.start_time.unwrap_or(0.0);
@@ -31,8 +31,8 @@ impl ExperimentSubject<'_> {
         (asked > 0.0).then(|| (time[time.len() - 1] - time[0], asked))
     }
 
-    /// A unit that values of a variable may be recorded in, other than its own; `None` where the model states
-    /// none, or an unknown one.
+    /// Returns another unit in which values of a variable may be recorded. Returns `None` if the model
+    /// declares no unit or an unknown one.
     pub(super) fn example_unit(&self, variable: &str) -> Option<String> {
         let variable = declared(self.description, variable)?;
         let own = variable.unit.as_deref()?;

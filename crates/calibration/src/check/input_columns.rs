@@ -1,5 +1,5 @@
-//! Checks of the columns that drive inputs: all zero, missing for long, beyond the range of the model or in
-//! degC for K.
+//! Checks of the columns that drive inputs: all zero, long gaps, outside of the range of the model, or in
+//! degC instead of K.
 
 use super::experiment_subject::ExperimentSubject;
 use super::parameters::{GivenRange, beside_the_model};
@@ -10,12 +10,13 @@ use crate::problem::column_units::declared;
 use base::Number;
 use fmi::description::{Variability, Variable};
 
-/// So many of the sampling intervals of an input without a value are a gap,
+/// Minimum length of a gap in an input, in sampling intervals.
 const LONG_GAP: f64 = 3.0;
-/// unless it has a value in fewer rows than this part of them: that is recorded when it changes.
+/// An input with values in fewer than this part of the rows is recorded only when it changes, so gaps are
+/// permitted.
 const SPARSE: f64 = 0.5;
 
-/// Values beyond the range of the model by less than this part of their own range are noise of a sensor.
+/// Values beyond the range of the model by less than this part of their own range are sensor noise.
 const NOISE: f64 = 0.05;
 
 /// Rows of an input that have a value.
@@ -24,8 +25,8 @@ struct Rows {
     values: Vec<f64>,
 }
 
-/// The findings about all columns that drive inputs. Constants, steps, ramps, pulses, and inputs at a limit,
-/// which actuators have, are as good as others.
+/// Returns the findings about all columns that drive inputs. Constants, steps, ramps, pulses, and inputs at a
+/// limit of an actuator are accepted.
 pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
     let ExperimentSubject { prefix, experiment, .. } = subject;
     let mut findings = Vec::new();
@@ -62,7 +63,7 @@ pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
     findings
 }
 
-/// The variable of an input, and the rows of its column that have a value, if they are three at least.
+/// Returns the variable of an input and the rows of its column with a value, if there are at least three.
 fn driving<'s>(subject: &ExperimentSubject<'s>, input: &str, column: &str) -> Option<(&'s Variable, Rows)> {
     let data = &subject.experiment.data;
     let known = data.time().iter().zip(data.column(column).ok()?).filter(|(_, v)| !v.is_nan());
@@ -71,7 +72,7 @@ fn driving<'s>(subject: &ExperimentSubject<'s>, input: &str, column: &str) -> Op
     (values.len() >= 3).then_some((variable, Rows { times, values }))
 }
 
-/// Those of them about inputs without a value for long.
+/// Returns the findings about long gaps in inputs.
 pub(super) fn gaps(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
     let of = |(input, column): (&str, &str)| {
         let (variable, rows) = driving(subject, input, column)?;
@@ -97,7 +98,8 @@ impl Rows {
         (lowest.is_finite() && highest.is_finite()).then_some((lowest, highest))
     }
 
-    /// An input that is zero throughout: it may be meant where that is the value of the model, too.
+    /// Returns a finding if an input is always zero. It may be intended if the model's own value is also
+    /// zero.
     fn all_zero(&self, name: &str, variable: &Variable) -> Option<Finding> {
         let own = match variable.start {
             Some(fmi::Value::Real(own)) => own,
@@ -113,8 +115,8 @@ impl Rows {
         })
     }
 
-    /// Rows of the recording without a value, for long. `is_continuous`: the input is linear there, others
-    /// keep their value.
+    /// Returns the sentence and the remedy for long gaps in the recording. `is_continuous`: the input is
+    /// interpolated linearly there; other inputs keep their value.
     fn gap(&self, time: &[f64], is_continuous: bool) -> Option<(String, &'static str)> {
         let interval = sampling_interval(&self.times)?;
         let is_sparse = (self.times.len() as f64) < SPARSE * time.len() as f64;
@@ -188,7 +190,7 @@ mod tests {
                 .0
                 .ends_with("held there, which nobody measured")
         );
-        // Its ends may be equal: what it was between them is as little known.
+        // Both ends of a gap may be equal, but the values between them are still unknown.
         let square = |k: usize| f64::from(u8::from((k / 40).is_multiple_of(2)));
         let kept = || (0..400).filter(|k| !(100..260).contains(k) && !(300..310).contains(k));
         let square =
@@ -198,10 +200,10 @@ mod tests {
             said.contains("(8.05 s), elsewhere one every 0.05 s, and in 1 more such gaps, 8.6 s in all"),
             "{said}"
         );
-        // The recording itself has no rows there.
+        // The recording itself has no rows in the gap.
         let gap = without(150..250);
         assert!(gap.gap(&gap.times, true).is_none());
-        // every tenth row has a value
+        // Every tenth row has a value.
         let tenth = || (0..400).step_by(10);
         let slow =
             Rows { times: tenth().map(|k| all.times[k]).collect(), values: tenth().map(sine).collect() };

@@ -1,4 +1,4 @@
-//! Check of a setup before a fit: what model, recordings and parameters say against each other.
+//! Check of a setup before a fit: consistency of model, recordings and parameters.
 
 mod at_start;
 mod columns;
@@ -26,24 +26,29 @@ use ode::Stats;
 use simulated_outputs::{Evaluations, Outputs, Place};
 
 impl Calibration {
-    /// Looks for what does not fit, and says what to do about it: with one evaluation at the parameters'
-    /// start values, and another with half the step where that is fixed, or half the communication step of a
-    /// co-simulation.
+    /// Looks for inconsistencies and returns findings with remedies. Requires one evaluation at the start
+    /// values of the parameters. A fixed step or a co-simulation requires a second evaluation, with half the
+    /// step or communication step.
     ///
-    /// Looked at are the times (unit, start), the recorded values (constant, placeholders, units, initial
-    /// values, columns that are swapped), inputs that nothing drives, or whose column is all zero, missing
-    /// for long or in another unit, values, ranges and start values that the model states for its
-    /// parameters, and how accurate the simulations are. What cannot be evaluated at all is refused when the
-    /// calibration is built.
+    /// The check covers these items:
+    ///
+    /// - Times: unit and start.
+    /// - Recorded values: constants, placeholders, units, initial values, and swapped columns.
+    /// - Inputs: inputs without a source, and columns that are all zero, have long gaps, or have another
+    ///   unit.
+    /// - Parameters: values, ranges and start values declared by the model.
+    /// - Accuracy of the simulations.
+    ///
+    /// A setup that cannot be evaluated at all is rejected when the calibration is built.
     pub fn check(&self) -> Check {
         self.check_with(&CheckOptions::default(), &RunContext::new()).unwrap_or_default()
     }
 
-    /// As [`check`](Self::check), as it is asked for; ends with the context.
+    /// Checks the setup as [`check`](Self::check) does, with options. The context can end the check.
     ///
     /// # Errors
-    /// [`CalibrationError::Cancelled`] alone: a simulation that fails is a finding, and so is the end of the
-    /// time.
+    /// Returns only [`CalibrationError::Cancelled`]. A failed simulation and an expired time limit are
+    /// findings.
     pub fn check_with(
         &self,
         options: &CheckOptions,
@@ -72,7 +77,7 @@ impl Calibration {
         Ok(Check { findings, n_evaluations: evaluations.n })
     }
 
-    /// Adds the findings from simulations at the start values, as far as the time goes.
+    /// Adds the findings from simulations at the start values, within the time limit.
     fn findings_of_simulations(
         &self,
         subjects: &[ExperimentSubject<'_>],
@@ -101,8 +106,8 @@ impl Calibration {
         Ok(())
     }
 
-    /// Findings of a check beyond notes, evaluated again at the result of a fit: a doubt that the fitted
-    /// values have removed is left out. Nothing is simulated.
+    /// Returns the findings of a check at the result of a fit, without notes. Doubts that the fitted values
+    /// resolved are omitted. Requires no simulation.
     pub(crate) fn check_after_fit(
         &self,
         start: Option<&PointResiduals>,
@@ -115,20 +120,21 @@ impl Calibration {
             doubts.extend(at_start::findings(&subjects, &Outputs::new(self, start, Some(end))));
         }
         doubts.retain(|finding| finding.severity != Severity::Note);
-        // Notes of the construction say how the data were read.
+        // Notes of the construction describe how the data were read, so keep them.
         doubts.extend(model::construction_warnings(self.warnings()));
         doubts
     }
 
-    /// Findings beyond notes that need no simulation.
+    /// Returns the findings that require no simulation, without notes.
     pub(crate) fn check_of_setup(&self, x: &[f64]) -> Vec<Finding> {
         let mut doubts = self.findings_of_description_and_data(&self.subjects(), x);
         doubts.retain(|finding| finding.severity != Severity::Note);
         doubts
     }
 
-    /// A fixed step that is too large at the result of a fit whose uncertainty, which compares with half of
-    /// it, is not known; or the communication step of a co-simulation.
+    /// Returns a finding if the fixed step or the communication step of a co-simulation is too large at the
+    /// result of a fit. For fixed steps, use it if the uncertainty, which also compares with half the step,
+    /// is not available.
     pub(crate) fn large_step_after_fit(
         &self,
         end: &PointResiduals,
@@ -141,12 +147,12 @@ impl Calibration {
         found.ok().flatten()
     }
 
-    /// Columns in use that state no unit, where the model states one, in sentences.
+    /// Returns sentences about used columns that declare no unit although the model declares one.
     pub fn columns_without_unit(&self) -> Vec<String> {
         self.subjects().iter().flat_map(model::units).map(|finding| finding.advice()).collect()
     }
 
-    /// Inputs without a value for long.
+    /// Returns the findings about long gaps in inputs.
     pub(crate) fn gaps_of_inputs(&self) -> Vec<Finding> {
         self.subjects().iter().flat_map(input_columns::gaps).collect()
     }
@@ -165,13 +171,13 @@ impl Calibration {
         names.into_iter().enumerate().map(subject).collect()
     }
 
-    /// Start values that had no effect in the simulations so far.
+    /// Returns findings about start values that had no effect in the simulations so far.
     fn ineffective_start_values(&self, subjects: &[ExperimentSubject<'_>]) -> Vec<Finding> {
         let of = |subject| model::start_values(self.fmu(), self.is_co_simulation(), subject);
         subjects.iter().flat_map(of).collect()
     }
 
-    /// Findings that need no simulation.
+    /// Returns the findings that require no simulation.
     fn findings_of_description_and_data(
         &self,
         subjects: &[ExperimentSubject<'_>],

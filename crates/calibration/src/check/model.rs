@@ -1,4 +1,4 @@
-//! Checks of the inputs and units in the description of the model, and the warnings of the setup.
+//! Checks of the inputs and units in the model description, and warnings of the setup.
 
 use super::experiment_subject::ExperimentSubject;
 use crate::findings::finding::{Finding, Severity};
@@ -9,14 +9,14 @@ use crate::problem::warning::SetupWarning;
 use fmi::Fmu;
 use fmi::description::{Causality, Variable};
 
-/// Warnings from the construction of the calibration, as findings.
+/// Converts warnings from the construction of the calibration to findings.
 pub(super) fn construction_warnings(warnings: &[SetupWarning]) -> Vec<Finding> {
     let finding = |warning: &SetupWarning| Finding::new(warning.severity(), "setup", warning.to_string(), "");
     warnings.iter().map(finding).collect()
 }
 
-/// Start values that had no effect in a simulation; also numbers for initial states where these are start
-/// values, in co-simulation.
+/// Returns findings about start values that had no effect in a simulation. In co-simulation, numbers for
+/// initial states are also start values.
 pub(super) fn start_values(
     fmu: &Fmu,
     is_co_simulation: bool,
@@ -35,7 +35,7 @@ pub(super) fn start_values(
     numbers.chain(starts).filter_map(finding).collect()
 }
 
-/// Priors beside measurements whose noise no weight states.
+/// Returns a finding if priors are combined with measurements whose weights do not state their noise.
 pub(crate) fn unstated_noise(problem: &Problem) -> Option<Finding> {
     let fitted = problem.experiments.iter().flat_map(|e| &e.initial_states).filter_map(|(state, initial)| {
         let InitialState::Fitted(parameter) = initial else { return None };
@@ -63,7 +63,7 @@ pub(crate) fn unstated_noise(problem: &Problem) -> Option<Finding> {
     ))
 }
 
-/// Inputs that nothing drives.
+/// Returns findings about inputs without a source.
 pub(super) fn inputs(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
     let ExperimentSubject { prefix, experiment, description, .. } = subject;
     let reference = |v: &Variable| (v.kind, v.value_reference);
@@ -94,7 +94,8 @@ pub(super) fn inputs(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
     description.variables.iter().filter(is_open).map(finding).collect()
 }
 
-/// Columns that state no unit where the model states one: they are taken as they are.
+/// Returns a finding about columns that declare no unit although the model declares one. They are used
+/// unconverted.
 pub(super) fn units(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
     let ExperimentSubject { prefix, experiment, description, .. } = subject;
     let mut columns: Vec<String> = Vec::new();

@@ -9,8 +9,8 @@ use std::time::Duration;
 pub struct CheckOptions {
     /// True to simulate at the start values; default: true.
     pub simulate: bool,
-    /// Wall-clock limit of the whole check, as of a fit; what was found until then is the result, with a
-    /// finding that says so. Default: none.
+    /// Wall-clock limit of the whole check; default: none. If it expires, the result contains the findings so
+    /// far and a finding about the limit.
     pub max_time: Option<Duration>,
 }
 
@@ -21,7 +21,7 @@ impl Default for CheckOptions {
 }
 
 impl CheckOptions {
-    /// Finding that says that the time limit has ended the check.
+    /// Returns the finding that the time limit ended the check.
     pub(super) fn out_of_time(&self, is_start_known: bool) -> Finding {
         let limit = Number(self.max_time.unwrap_or_default().as_secs_f64());
         let until = match is_start_known {

@@ -1,5 +1,4 @@
-//! Parameters and values that are given, beside what the model states for them: ranges and its own start
-//! values.
+//! Checks of parameters and given values against the model: ranges and its own start values.
 
 use super::experiment_subject::ExperimentSubject;
 use super::simulated_outputs::rounded;
@@ -13,13 +12,14 @@ use base::Number;
 use fmi::description::Variable;
 use fmi::{ModelDescription, Value};
 
-/// A value this many times as large or as small as the model's own is in another unit.
+/// Minimum ratio to the model's own value that indicates another unit.
 const UNLIKE: f64 = 1e3;
 
-/// A temperature in K above the first, beside one below the second, is one beside degC.
+/// A temperature above the first limit is in K, and one below the second is in degC.
 const KELVIN: (f64, f64) = (200.0, 150.0);
 
-/// Start value that the model states for a variable, where it indicates its size: finite and not zero.
+/// Returns the start value that the model declares for a variable if it indicates its size: finite and not
+/// zero.
 fn own_start(variable: &Variable) -> Option<f64> {
     match variable.start {
         Some(Value::Real(start)) if start != 0.0 && start.is_finite() => Some(start),
@@ -27,20 +27,20 @@ fn own_start(variable: &Variable) -> Option<f64> {
     }
 }
 
-/// Ratio of the larger of two numbers to the smaller, by magnitude; infinite for numbers of unlike sign.
+/// Returns the ratio of the larger to the smaller magnitude. Returns infinity for numbers of different sign.
 fn factor(a: f64, b: f64) -> f64 {
     if a * b > 0.0 { (a / b).abs().max((b / a).abs()) } else { f64::INFINITY }
 }
 
-/// A conversion of the values of a parameter to those of its variable.
+/// Returns the conversion of the values of a parameter to the values of its variable.
 fn conversion(parameter: &Parameter, variable: &Variable, description: &ModelDescription) -> UnitConversion {
     let given = parameter.given_unit().filter(|_| !parameter.is_tied());
     let conversion = given.and_then(|unit| UnitConversion::to_variable(unit, variable, description).ok());
     conversion.unwrap_or(UnitConversion::IDENTITY)
 }
 
-/// Parameters whose start and values (of a result) are far from the model's own start values: in another
-/// unit, most likely.
+/// Returns findings about parameters whose start and value are far from the model's own start values. The
+/// most likely cause is another unit.
 pub(super) fn far_from_own_start(
     parameters: &[Parameter],
     values: &[f64],
@@ -66,16 +66,17 @@ pub(super) fn far_from_own_start(
     parameters.iter().zip(values).filter_map(of).collect()
 }
 
-/// Values that are given for a variable.
+/// Range of values given for a variable.
 #[derive(Clone, Copy)]
 pub(super) struct GivenRange {
     pub(super) lowest: f64,
     pub(super) highest: f64,
-    /// True for one value, which is compared with the model's own: a signal may start anywhere.
+    /// True for a single value, which is compared with the model's own value. A signal may start anywhere.
     pub(super) is_constant: bool,
 }
 
-/// What the model states that values do not go with: its range, its own start value; `None` if they do.
+/// Returns the declaration of the model that the values contradict: its range or its own start value. Returns
+/// `None` if they agree.
 pub(super) fn beside_the_model(variable: &Variable, given: GivenRange) -> Option<String> {
     let GivenRange { lowest, highest, is_constant } = given;
     let is_below = variable.min.is_some_and(|min| lowest < min);
@@ -92,11 +93,11 @@ pub(super) fn beside_the_model(variable: &Variable, given: GivenRange) -> Option
     (is_far || is_celsius).then(|| format!("the model's own is {}{hint}", Number(own)))
 }
 
-/// Start values and constant inputs of an experiment that lie outside of the model's range, or far from its
-/// own start value.
+/// Returns findings about start values and constant inputs of an experiment that are outside of the model's
+/// range or far from its own start value.
 pub(super) fn given_values(subject: &ExperimentSubject<'_>, parameters: &[Parameter]) -> Vec<Finding> {
     let ExperimentSubject { prefix, experiment, description, .. } = subject;
-    // Those of local parameters are in the unit of the parameter.
+    // Start values of local parameters are in the unit of the parameter.
     let is_constant = |(name, _): &&(String, Value)| !Experiment::is_start_of_local(name, parameters);
     let starts = experiment.start_values.iter().filter(is_constant).filter_map(|(name, value)| match value {
         Value::Real(value) => Some((name, "start value", *value)),
@@ -121,13 +122,13 @@ pub(super) fn given_values(subject: &ExperimentSubject<'_>, parameters: &[Parame
     starts.chain(constants).filter_map(of).collect()
 }
 
-/// Parameters whose start or bounds lie beyond the range that the model states.
+/// Returns findings about parameters whose start or bounds are outside of the range that the model declares.
 pub(super) fn ranges(parameters: &[Parameter], description: &ModelDescription) -> Vec<Finding> {
     let mut findings = Vec::new();
     for parameter in parameters {
         let first = parameter.variable_names().first();
         let Some(variable) = first.and_then(|name| declared(description, name)) else { continue };
-        // The model's range in the unit of the parameter.
+        // Range of the model in the unit of the parameter.
         let own = |value| conversion(parameter, variable, description).invert(value);
         let (min, max) = (variable.min.map(own), variable.max.map(own));
         let (low, high) = (min.unwrap_or(f64::NEG_INFINITY), max.unwrap_or(f64::INFINITY));

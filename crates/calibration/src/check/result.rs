@@ -4,19 +4,19 @@ use crate::findings::finding::{Finding, Severity, counts, sort, table};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Findings of a check, the most severe first, notes last. Its `Display` is a table.
+/// Findings of a check: errors and warnings first, notes last. `Display` prints a table.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct Check {
-    /// The findings.
+    /// Findings of the check.
     pub findings: Vec<Finding>,
-    /// Evaluations that were made for it, each a simulation of every experiment.
+    /// Number of evaluations for the check, each with one simulation of every experiment.
     pub n_evaluations: usize,
 }
 
 impl Check {
-    /// The same with other findings, those of a preflight.
+    /// Adds other findings, such as the findings of a preflight, without duplicates.
     #[must_use]
     pub fn with(mut self, others: &[Finding]) -> Self {
         let others = others.iter().filter(|finding| !self.findings.contains(finding));

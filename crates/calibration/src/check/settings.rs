@@ -1,4 +1,4 @@
-//! Checks of the simulation settings: a step that is too large, or too small.
+//! Checks of the simulation settings: a step that is too large or too small.
 
 use super::simulated_outputs::{Evaluations, Place, all_series, rounded, size, size_of_difference};
 use crate::cost::accuracy::Accuracy;
@@ -9,21 +9,21 @@ use crate::loaded::calibration::Calibration;
 use base::Number;
 use dfo::RobustLoss;
 
-/// Half the step may change an output by this part of what the measurements vary by.
+/// Maximum change of an output by half the step, as a part of the standard deviation of the measurements.
 const STEP_ERROR: f64 = 0.01;
 
-/// More than a million steps of one length in a simulation.
+/// Returns a finding if a simulation requires more than a million steps of equal length.
 pub(super) fn many_steps(calibration: &Calibration) -> Option<Finding> {
     let sentence = calibration.evaluator().simulations.iter().find_map(|s| s.pool.plan().many_steps())?;
     Some(Finding::warning("step", sentence, "set a larger step_size"))
 }
 
-/// A fixed step, or the communication step of a co-simulation, that is too large: half of it changes an
-/// output by more than counts, of a co-simulation that was fitted by more than its residuals. One evaluation,
-/// where there is such a step.
+/// Returns a finding if the fixed step, or the communication step of a co-simulation, is too large. This is
+/// the case if half the step changes an output significantly or, for a fitted co-simulation, by more than its
+/// residuals. Requires one evaluation if there is such a step.
 ///
 /// # Errors
-/// [`CalibrationError::Cancelled`].
+/// Returns [`CalibrationError::Cancelled`].
 pub(super) fn large_step(
     calibration: &Calibration,
     at: &PointResiduals,
@@ -50,7 +50,8 @@ pub(super) fn large_step(
         let (limit, beside) = match is_co_simulation && place == Place::Fitted {
             true => {
                 let left = size_of_difference(measured, whole.simulated.iter().copied());
-                // Of residuals that are all error of the simulations the model's tolerance is the measure.
+                // If the residuals consist only of simulation errors, the tolerance of the model determines
+                // the limit.
                 let least = 10.0 * calibration.relative_tolerance() * size(measured.iter().copied());
                 (left.max(least), format!("its residuals have an RMS of {}", Number(rounded(left))))
             }

@@ -1,4 +1,4 @@
-//! The outputs of a calibration as they were measured and simulated at some values of the parameters.
+//! Measured and simulated outputs of a calibration at given values of the parameters.
 
 use super::experiment_subject::ExperimentSubject;
 use crate::cost::residual::PointResiduals;
@@ -8,14 +8,14 @@ use base::RunContext;
 use ode::Stats;
 use std::fmt;
 
-/// Evaluations that are made: how many, and what they take.
+/// Number and cost of the evaluations.
 pub(super) struct Evaluations<'a> {
     pub(super) context: RunContext<'a>,
     pub(super) n: usize,
     pub(super) stats: Stats,
 }
 
-/// Where the parameters are as they are looked at.
+/// Point at which the problem is checked.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Place {
     Start,
@@ -31,13 +31,13 @@ impl fmt::Display for Place {
     }
 }
 
-/// An output as it was measured and simulated.
+/// Output with its measured and simulated values.
 pub(super) struct Series<'a> {
     pub(super) of: &'a OutputResiduals,
     pub(super) simulated: Vec<f64>,
 }
 
-/// The outputs of all experiments at the start, and at the result of a fit where there is one.
+/// Outputs of all experiments at the start, and at the result of a fit if there is one.
 pub(super) struct Outputs<'a> {
     pub(super) at_start: Vec<Series<'a>>,
     pub(super) fitted: Option<Vec<Series<'a>>>,
@@ -55,7 +55,7 @@ impl<'a> Outputs<'a> {
         Self { at_start: series(at_start), fitted: fitted.map(series), x }
     }
 
-    /// At the result where there is one.
+    /// Returns the outputs at the result if there is one, otherwise at the start.
     pub(super) fn last(&self) -> &[Series<'a>] {
         self.fitted.as_ref().unwrap_or(&self.at_start)
     }
@@ -64,8 +64,8 @@ impl<'a> Outputs<'a> {
         if self.fitted.is_some() { Place::Fitted } else { Place::Start }
     }
 
-    /// True without a fit, or if the fit has moved a parameter as far as a factor in the data requires: by
-    /// half of it on a logarithmic scale, or from zero or through it.
+    /// Returns true if there is no fit, or if the fit moved a parameter as far as a factor in the data
+    /// requires. This means by half of the factor on a logarithmic scale, from zero, or to another sign.
     pub(super) fn may_have_taken(&self, factor: f64) -> bool {
         let (start, Some(x)) = self.x else { return true };
         let has = |(from, to): (&f64, &f64)| {
@@ -95,7 +95,7 @@ pub(super) fn range(values: &[f64]) -> f64 {
     high - low
 }
 
-/// Root of the mean square.
+/// Returns the root of the mean square.
 pub(super) fn size(values: impl ExactSizeIterator<Item = f64>) -> f64 {
     let n = values.len() as f64;
     (values.map(|v| v * v).sum::<f64>() / n).sqrt()
@@ -106,12 +106,12 @@ pub(super) fn size_of_difference(measured: &[f64], simulated: impl Iterator<Item
     size(differences.into_iter())
 }
 
-/// A number with three digits.
+/// Rounds a number to three digits.
 pub(super) fn rounded(value: f64) -> f64 {
     with_digits(3, value)
 }
 
-/// A time with as many digits as tell rows apart.
+/// Rounds a time to as many digits as distinguish rows.
 pub(super) fn rounded_time(value: f64) -> f64 {
     with_digits(9, value)
 }
@@ -121,7 +121,7 @@ fn with_digits(digits: i32, value: f64) -> f64 {
         return value;
     }
     let exponent = digits - 1 - value.abs().log10().floor() as i32;
-    // A power of ten with a negative exponent is none exactly.
+    // A power of ten with a negative exponent is not exact.
     let ten = 10f64.powi(exponent.abs());
     let rounded = if exponent >= 0 { (value * ten).round() / ten } else { (value / ten).round() * ten };
     if rounded.is_finite() { rounded } else { value }

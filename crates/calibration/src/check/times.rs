@@ -6,7 +6,7 @@ use crate::data::sampling_interval;
 use crate::findings::finding::Finding;
 use base::Number;
 
-/// The unit in which a recording is exactly as long as the experiment that the model suggests in s.
+/// Returns the unit in which the recording is as long as the default experiment of the model in s.
 fn unit_by_duration(subject: &ExperimentSubject<'_>) -> Option<&'static str> {
     if subject.experiment.data.has_dates() {
         return None;
@@ -15,11 +15,11 @@ fn unit_by_duration(subject: &ExperimentSubject<'_>) -> Option<&'static str> {
     let interval = sampling_interval(subject.experiment.data.time())?;
     let units = [(1e3, "ms"), (1e6, "us"), (1.0 / 60.0, "min"), (1.0 / 3600.0, "h")];
     let unit = units.into_iter().find(|(factor, _)| (duration / asked / factor - 1.0).abs() < 0.02);
-    // Of ms and us a row is at least one.
+    // A row spacing in ms or us is at least one.
     unit.filter(|(factor, _)| *factor < 1.0 || interval >= 0.5).map(|(_, unit)| unit)
 }
 
-/// Times far from the start of the simulation, or in another unit than s.
+/// Returns findings about times that are far from the start of the simulation, or in another unit than s.
 pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
     let ExperimentSubject { prefix, experiment, start_time, .. } = subject;
     let (data, mut findings) = (&experiment.data, Vec::new());

@@ -1,4 +1,4 @@
-//! Why there is no cost at a point.
+//! Reasons why a point has no cost.
 
 use crate::error::CalibrationError;
 use dfo::FailureKind;
@@ -8,26 +8,26 @@ use fmi::platform::without_private_folders;
 use ode::{ErrorKind, NotFinite};
 use serde::{Deserialize, Serialize};
 
-/// Why there is no cost at a point.
+/// Reason why a point has no cost.
 pub(crate) enum CostFailure {
     /// The cost is strictly above the cutoff.
     Above,
-    /// The run is being ended.
+    /// The run was interrupted.
     Cancelled,
-    /// No simulation can be made any more, here or at other points.
+    /// No further simulation is possible, at this or any other point.
     Over(Box<FmiError>),
-    /// The simulation failed: its kind, a reason that is the same for all failures of that sort, one with all
-    /// details, and the error of the model, if it is one.
+    /// The simulation failed. `reason` is equal for all failures of this kind, and `message` contains all
+    /// details. `source` is the error of the model, if it is one.
     Failed { kind: FailureKind, reason: String, message: String, source: Option<Box<FmiError>> },
 }
 
 impl CostFailure {
-    /// A failure that is not one of the model.
+    /// Creates a failure that is not an error of the model.
     pub(crate) fn failed(kind: FailureKind, reason: String) -> Self {
         Self::Failed { kind, message: reason.clone(), reason, source: None }
     }
 
-    /// The same with the name of the experiment.
+    /// Adds the name of the experiment to the failure.
     pub(crate) fn in_experiment(mut self, name: &str) -> Self {
         if let Self::Failed { reason, message, .. } = &mut self {
             *reason = format!("{name}: {reason}");
@@ -36,10 +36,10 @@ impl CostFailure {
         self
     }
 
-    /// The reason and all details of a failure at this point.
+    /// Returns the reason and all details of a failure at this point.
     ///
     /// # Errors
-    /// What ends the work, not at this point alone. (Nothing is above an infinite cutoff.)
+    /// Returns the error that ends the work at all points. (No cost is above an infinite cutoff.)
     pub(crate) fn of_point(self) -> Result<PointFailure, CalibrationError> {
         match self {
             Self::Failed { message, source, .. } => Ok(PointFailure { message, source }),
@@ -48,8 +48,8 @@ impl CostFailure {
         }
     }
 
-    /// Why a worker process has given no answer: such an error is none of a simulation, unless the process
-    /// has ended in one.
+    /// Returns the failure of a worker process that did not answer. Errors end the work, unless the process
+    /// ended during a simulation.
     pub(crate) fn of_worker(error: FmiError) -> Self {
         match error {
             FmiError::WorkerEnded(_) | FmiError::Cancelled => error.into(),
@@ -58,13 +58,13 @@ impl CostFailure {
     }
 }
 
-/// Why a simulation failed.
+/// Reason why a simulation failed.
 pub(crate) struct PointFailure {
     pub(crate) message: String,
     pub(crate) source: Option<Box<FmiError>>,
 }
 
-/// A [`CostFailure`] on its way from a worker process.
+/// Serializable [`CostFailure`] from a worker process.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) enum ReportedCostFailure {
     Above,
@@ -74,7 +74,7 @@ pub(crate) enum ReportedCostFailure {
 }
 
 impl ReportedCostFailure {
-    /// True if it concerns the process or its files rather than the point.
+    /// Returns true if the failure concerns the process or its files rather than the point.
     pub(crate) fn is_of_process(&self) -> bool {
         match self {
             Self::Over(told) => told.is_of_process(),
@@ -111,7 +111,7 @@ impl From<ReportedCostFailure> for CostFailure {
     }
 }
 
-/// Sorts a failed simulation: its kind, and a reason that is the same for all failures of that sort.
+/// Classifies a failed simulation by kind and by a reason that is equal for all failures of this kind.
 impl From<FmiError> for CostFailure {
     fn from(error: FmiError) -> Self {
         match error {
@@ -156,7 +156,7 @@ impl From<FmiError> for CostFailure {
     }
 }
 
-/// A failed call without the time at which it happened, with the first line the FMU logged about it.
+/// Returns the reason of a failed call without its time, with the first line that the FMU logged about it.
 fn call_reason(error: &FmiError) -> String {
     match error {
         FmiError::Call(failure) => {

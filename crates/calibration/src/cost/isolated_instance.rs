@@ -1,4 +1,4 @@
-//! An instance that is driven call by call, in a worker process of its own or in this process.
+//! Instance that is controlled call by call, in a separate worker process or in this process.
 
 use crate::cost::process::{Job, unsaid, with_hint, workers_of};
 use crate::problem::definition::ModelFile;
@@ -13,19 +13,19 @@ const INTERRUPTED: &str = "the instance was freed when a call into it was interr
 const FORKED: &str =
     "the instance belongs to the process that this one was forked from: make one in each process";
 
-/// Limit of the wait for an instance that is freed because nobody uses it any more.
+/// Maximum wait for an unused instance to be freed.
 const LONGEST_END: Duration = Duration::from_secs(1);
 
-/// An instance that is driven call by call, in a worker process of its own or in this process.
+/// Instance that is controlled call by call, in a separate worker process or in this process.
 #[derive(Debug)]
 pub struct IsolatedInstance {
     fmu: Fmu,
     place: Place,
-    /// Frames of the last call: their memory is used again.
+    /// Frames of the last call, whose memory is reused.
     frames: (Frame, Frame),
 }
 
-/// Place where the instance lives.
+/// Location of the instance.
 #[derive(Debug)]
 enum Place {
     Worker(Box<PinnedProcess>),
@@ -33,20 +33,20 @@ enum Place {
 }
 
 impl IsolatedInstance {
-    /// Makes an instance in this process. **This loads the library and runs its code.**
+    /// Creates an instance in this process. **This loads the library and runs its code.**
     ///
     /// # Errors
-    /// As [`Fmu::instantiate`].
+    /// Returns the errors of [`Fmu::instantiate`].
     pub fn here(fmu: &Fmu, kind: InterfaceKind, options: &InstanceOptions) -> Result<Self, FmiError> {
         let place = Place::Here(DrivenInstance::new(fmu, kind, options)?);
         Ok(Self { fmu: fmu.clone(), place, frames: Default::default() })
     }
 
-    /// Makes an instance in a worker process of its own.
+    /// Creates an instance in a separate worker process.
     ///
     /// # Errors
-    /// As [`here`](Self::here) and [`ModelProcess::new`](crate::ModelProcess::new);
-    /// [`FmiError::WorkerEnded`]; [`FmiError::Cancelled`].
+    /// Returns the errors of [`here`](Self::here) and [`ModelProcess::new`](crate::ModelProcess::new),
+    /// [`FmiError::WorkerEnded`] and [`FmiError::Cancelled`].
     pub fn in_worker(
         fmu: &Fmu,
         kind: InterfaceKind,
@@ -69,12 +69,13 @@ impl IsolatedInstance {
         }
     }
 
-    /// As [`DrivenInstance::call`], with the same bits. The context ends the process of a call that does not
-    /// return.
+    /// Calls the instance as [`DrivenInstance::call`] does, with bit-for-bit identical results. The context
+    /// can end the process of a call that does not return.
     ///
     /// # Errors
-    /// As [`DrivenInstance::call`]; [`FmiError::WorkerEnded`]: the instance is lost then, and each later call
-    /// is [`FmiError::Freed`]; [`FmiError::Cancelled`].
+    /// Returns the errors of [`DrivenInstance::call`]. Returns [`FmiError::WorkerEnded`] if the process
+    /// ended. The instance is then lost, and each later call returns [`FmiError::Freed`]. Also returns
+    /// [`FmiError::Cancelled`].
     pub fn call(
         &mut self,
         call: InstanceCall,
@@ -88,12 +89,12 @@ impl IsolatedInstance {
         }
     }
 
-    /// Frees the instance after a call that was interrupted; its process ends.
+    /// Frees the instance after an interrupted call and ends its process.
     pub fn interrupt(&mut self) {
         self.free(INTERRUPTED);
     }
 
-    /// Frees the instance and ends its process. A crash while it is freed is logged.
+    /// Frees the instance and ends its process. A crash during this is logged.
     pub fn close(&mut self, context: &RunContext<'_>) {
         self.close_within(None, context);
     }
@@ -114,7 +115,7 @@ impl IsolatedInstance {
         self.place = Place::Here(DrivenInstance::freed(reason));
     }
 
-    /// Sends a job to the process; the instance is lost where that ends.
+    /// Sends a job to the process. The instance is lost if the process ends.
     fn ask(
         &mut self,
         job: &Job,

@@ -1,4 +1,4 @@
-//! A problem with its model loaded: residuals and cost at any point.
+//! Problem with its model loaded, for residuals and cost at any point.
 
 use crate::cost::failure::CostFailure;
 use crate::cost::process::Remote;
@@ -21,30 +21,31 @@ use fmi::{FmiError, Fmu, Simulator};
 use ode::{Report, Stats};
 use std::sync::OnceLock;
 
-/// Makes a simulation with a simulator that is lent to it.
+/// Function that simulates with a borrowed simulator.
 pub(crate) type RunOn<'a> = dyn FnMut(&mut Simulator) -> Result<Report, FmiError> + 'a;
 
-/// A checked problem and its model.
+/// Checked problem and its model.
 #[derive(Debug)]
 pub(crate) struct LoadedProblem {
     pub(crate) fmu: Fmu,
     pub(crate) problem: Problem,
-    /// One per entry of `x`.
+    /// Parameters, one per entry of `x`.
     pub(crate) parameters: Vec<Parameter>,
     pub(crate) simulations: Vec<Simulation>,
     pub(crate) n_residuals: usize,
     pub(crate) layout: ResidualLayout,
     pub(crate) warnings: Vec<SetupWarning>,
-    /// The values that are tied, by name.
+    /// Names and values of tied parameters.
     pub(crate) tied: Vec<(String, Affine)>,
-    /// Processes in which the model runs, or why it runs in this one (`None`: that was asked for).
+    /// Processes in which the model runs, or the reason why it runs in this one. The reason is `None` if the
+    /// user requested it.
     pub(crate) remote: Result<Remote, Option<String>>,
-    /// The error after which no simulation can be made any more.
+    /// Error after which no further simulation is possible.
     pub(crate) over: OnceLock<ReportedError>,
 }
 
 impl LoadedProblem {
-    /// Looks everything up and checks it; loads the model, but simulates nothing yet. `lender`: of the
+    /// Resolves and checks a problem. Loads the model but simulates nothing yet. `lender` lends its
     /// processes.
     pub(crate) fn new(
         fmu: Fmu,
@@ -72,7 +73,7 @@ impl LoadedProblem {
                     })
                     .map_err(|error| problem.error_in(k, error))?;
                 for warning in in_doubt.into_iter().map(|warning| problem.warning_in(k, warning)) {
-                    // A setting that is ignored is the same in all experiments.
+                    // Report a setting that is ignored in all experiments only once.
                     if !warnings.contains(&warning) {
                         warnings.push(warning);
                     }
@@ -110,18 +111,18 @@ impl LoadedProblem {
         })
     }
 
-    /// Start values of all entries of `x`.
+    /// Returns the start values of all entries of `x`.
     pub(crate) fn start(&self) -> Vec<f64> {
         self.parameters.iter().map(Parameter::start).collect()
     }
 
-    /// The cost at `x`: the sum of the squares of the residuals, which go to `out`, from its first to its
-    /// last. What the simulations take is added to `stats` (of those that could not be started nothing).
-    /// `lend` hands a simulator of an experiment to what runs it. Ends where the cost is above the cutoff,
-    /// and when it is cancelled.
+    /// Returns the cost at `x`: the sum of the squares of the residuals, from the first to the last. Writes
+    /// the residuals to `out`. Adds the statistics of the simulations to `stats`, without simulations that
+    /// could not start. `lend` passes a simulator of an experiment to the function that runs it. The
+    /// evaluation ends if the cost exceeds the cutoff or the context is cancelled.
     ///
     /// # Panics
-    /// `x` or `out` have another length than there are parameters and residuals.
+    /// Panics if the length of `x` or `out` differs from the number of parameters or residuals.
     pub(crate) fn evaluate(
         &self,
         x: &[f64],
@@ -141,8 +142,9 @@ impl LoadedProblem {
         stats: &mut Stats,
         lend: &mut impl FnMut(usize, &mut RunOn<'_>) -> Result<Result<Report, FmiError>, CostFailure>,
     ) -> Result<f64, CostFailure> {
-        // The running sum is in the order of time, the cost in that of the residuals. The sums of n numbers above 0 in two orders
-        // differ by less than 2 n units of rounding (Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 4.2).
+        // The running sum is in the order of time, the cost in the order of the residuals. The sums of n
+        // positive numbers in two orders differ by less than 2 n units of rounding (Higham, Accuracy and
+        // Stability of Numerical Algorithms, 2002, section 4.2).
         let running =
             CostRule { cutoff: rule.cutoff * (1.0 + 2.0 * self.n_residuals as f64 * f64::EPSILON), ..rule };
         let (mut rest, priors) = out.split_at_mut(self.layout.n_measurements());
@@ -171,8 +173,8 @@ impl LoadedProblem {
         if cost > rule.cutoff { Err(CostFailure::Above) } else { Ok(cost) }
     }
 
-    /// The residuals of the priors, and the sum of their squares: a loss is that of measurements, which may
-    /// have outliers.
+    /// Computes the residuals of the priors and returns the sum of their squares. No loss is applied, because
+    /// only measurements have outliers.
     pub(crate) fn prior_residuals(&self, x: &[f64], out: &mut [f64]) -> Result<f64, CostFailure> {
         for (PriorResidual { parameter, prior, .. }, out) in self.layout.priors.iter().zip(&mut *out) {
             *out = prior.residual(x[*parameter]);
@@ -185,7 +187,7 @@ impl LoadedProblem {
         Ok(sum_of_squares(out))
     }
 
-    /// The running sum after the simulation of an experiment.
+    /// Returns the running sum after the simulation of an experiment.
     fn running_sum(
         &self,
         k: usize,
@@ -218,7 +220,7 @@ impl LoadedProblem {
     }
 }
 
-/// Layout of the residual vector.
+/// Returns the layout of the residual vector.
 fn layout(problem: &Problem, simulations: &[Simulation], elements: &[Element]) -> ResidualLayout {
     let mut layout = ResidualLayout::default();
     for (k, (experiment, simulation)) in problem.experiments.iter().zip(simulations).enumerate() {
@@ -238,7 +240,7 @@ fn layout(problem: &Problem, simulations: &[Simulation], elements: &[Element]) -
             layout.outputs.push(residuals);
         }
     }
-    // That of a parameter that is fixed says nothing.
+    // The prior of a fixed parameter has no effect.
     let free = elements.iter().map(|e| &e.parameter).enumerate().filter(|(_, p)| p.lower() < p.upper());
     let priors = free.filter_map(|(i, p)| p.known_prior().map(|prior| (i, *prior)));
     let n = layout.n_measurements();

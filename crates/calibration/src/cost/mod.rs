@@ -1,4 +1,4 @@
-//! Residuals and cost of a problem: simulations in this process or in worker processes.
+//! Residuals and cost of a problem, from simulations in this process or in worker processes.
 
 pub(crate) mod accuracy;
 pub(crate) mod failure;

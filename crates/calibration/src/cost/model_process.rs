@@ -1,4 +1,4 @@
-//! A model of which single simulations are made in worker processes, and values asked for.
+//! Model for single simulations in worker processes, and for queries of values.
 
 use crate::cost::process::{Job, ProcessChoice, Processes, wrong};
 use crate::problem::definition::ModelFile;
@@ -6,33 +6,34 @@ use base::RunContext;
 use fmi::worker::{AnswerLimits, Frame, WorkerLimits};
 use fmi::{FmiError, Fmu, InterfaceChoice, SimulateOptions, Trajectory, Value};
 
-/// A model that is simulated in processes of its own.
+/// Model that is simulated in separate processes.
 #[derive(Debug)]
 pub struct ModelProcess {
     processes: Processes,
 }
 
 impl ModelProcess {
-    /// Limits of its processes.
+    /// Returns the limits of the processes.
     pub fn limits(&self) -> &WorkerLimits {
         self.processes.workers.limits()
     }
 
-    /// Nothing is loaded yet.
+    /// Prepares the processes of a model.
     ///
     /// # Errors
-    /// The file of the model cannot be read any more; [`FmiError::NoWorker`]: this program cannot start
-    /// processes for it; [`FmiError::NoSandbox`]: not confined ones.
+    /// Returns an error if the file of the model cannot be read. Returns [`FmiError::NoWorker`] if this
+    /// program cannot start processes for it, or [`FmiError::NoSandbox`] if it cannot start confined ones.
     pub fn new(fmu: &Fmu, limits: WorkerLimits) -> Result<Self, FmiError> {
         let open = Job::Open(ModelFile::of(fmu)?, Box::new(fmu.options().clone()));
         Ok(Self { processes: Processes::new(fmu, limits, open, None)? })
     }
 
-    /// As [`Fmu::simulate_with`], with the same bits. The context ends it. The second simulation is also made
-    /// in a new process, at the same time; where that gives others, each one has a new process from then on.
+    /// Simulates the model as [`Fmu::simulate_with`] does, with bit-for-bit identical results. The context
+    /// can end the simulation. Some answers of used processes are compared with answers of fresh processes.
+    /// If they differ, the next simulations use a new instance, or a new process if that is not sufficient.
     ///
     /// # Errors
-    /// As [`Fmu::simulate`]; [`FmiError::WorkerEnded`]; [`FmiError::Cancelled`].
+    /// Returns the errors of [`Fmu::simulate`], [`FmiError::WorkerEnded`] and [`FmiError::Cancelled`].
     pub fn simulate(
         &self,
         options: &SimulateOptions,
@@ -44,11 +45,11 @@ impl ModelProcess {
         self.processes.trajectory(&job, limits, None, context)
     }
 
-    /// Values of variables at the end of a simulation: of the last one if it had these options, else it is
-    /// made again.
+    /// Returns the values of variables at the end of a simulation. Repeats the simulation unless the last one
+    /// had the same options.
     ///
     /// # Errors
-    /// As [`simulate`](Self::simulate); unknown names.
+    /// Returns the errors of [`simulate`](Self::simulate), and an error for unknown names.
     pub fn final_values(
         &self,
         options: &SimulateOptions,
@@ -58,10 +59,11 @@ impl ModelProcess {
         self.values(Job::FinalValues(Box::new(options.clone()), names.to_vec()), names.len(), context)
     }
 
-    /// Values of variables after the initialization with these values set.
+    /// Returns the values of variables after an initialization with these values set.
     ///
     /// # Errors
-    /// As [`Session::get`](fmi::Session::get); [`FmiError::WorkerEnded`]; [`FmiError::Cancelled`].
+    /// Returns the errors of [`Session::get`](fmi::Session::get), [`FmiError::WorkerEnded`] and
+    /// [`FmiError::Cancelled`].
     pub fn initial_values(
         &self,
         kind: InterfaceChoice,

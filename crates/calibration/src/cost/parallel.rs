@@ -1,4 +1,4 @@
-//! The same task for many items, on threads of its own; a task beside another one.
+//! Parallel execution of a task for many items, and of a task next to other work.
 
 use base::RunContext;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -6,15 +6,16 @@ use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::thread::Builder;
 use std::time::Duration;
 
-/// Stack of a thread: compiled models put large arrays there.
+/// Stack size of a thread. Compiled models store large arrays on the stack.
 const STACK_SIZE: usize = 16 << 20;
 
 /// Interval between two checks of the context by the calling thread.
 const POLL: Duration = Duration::from_millis(20);
 
-/// Results of `task` for the numbers below `n`, in their order, on up to `workers` threads; on the calling
-/// thread where one is enough or none can be started. The calling thread looks at the context; a task has one
-/// of its own that ends with it, and is not begun after that. `None`: not begun, or it panicked.
+/// Returns the results of `task` for the numbers below `n`, in their order. Runs up to `workers` threads, or
+/// the calling thread if one is enough or no thread can be started. The calling thread checks the context.
+/// The context of each task ends with it, and no further task begins after that. The result is `None` if the
+/// task did not begin or panicked.
 pub(crate) fn map<T: Send>(
     n: usize,
     workers: usize,
@@ -57,7 +58,7 @@ pub(crate) fn map<T: Send>(
                 }
             }
             for thread in threads {
-                // Its results were received; that of a task that panicked is missing.
+                // The results were already received. The result of a task that panicked is missing.
                 let _ = thread.join();
             }
         });
@@ -71,8 +72,8 @@ pub(crate) fn map<T: Send>(
     results
 }
 
-/// Does `work` on the calling thread and `task` on one of its own, whose context ends with the calling
-/// thread's, or when the work has failed. `None`: it panicked.
+/// Runs `work` on the calling thread and `task` on another thread. The context of the task ends with the
+/// calling thread's context, or when the work fails. The result of the task is `None` if it panicked.
 pub(crate) fn beside<T: Send, U, E>(
     context: &RunContext<'_>,
     task: impl FnOnce(&RunContext<'_>) -> T + Send,

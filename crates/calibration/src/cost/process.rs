@@ -1,4 +1,4 @@
-//! Simulations in worker processes: what a worker is asked for, and its answers.
+//! Simulations in worker processes: the requests to a worker, and its answers.
 
 use crate::cost::accuracy::Accuracy;
 use crate::cost::failure::{CostFailure, ReportedCostFailure};
@@ -36,31 +36,32 @@ pub(crate) struct Loaded {
 /// Request to a worker.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) enum Job {
-    /// To load a problem and its model, which the other jobs are of.
+    /// Load a problem and its model, to which the evaluations refer.
     Load(Box<Loaded>),
-    /// To open a model, which the next four jobs are of.
+    /// Open a model, to which the next four jobs refer.
     Open(ModelFile, Box<OpenOptions>),
-    /// A simulation of the model.
+    /// Simulate the model.
     Simulate(Box<SimulateOptions>),
-    /// Values of variables at the end of a simulation, which is made if it was not the last one.
+    /// Return values of variables at the end of a simulation. Repeat the simulation unless it was the last
+    /// one.
     FinalValues(Box<SimulateOptions>, Vec<String>),
-    /// Values of variables after the initialization with some values set.
+    /// Return values of variables after an initialization with some values set.
     InitialValues { kind: InterfaceChoice, set: Vec<(String, Value)>, names: Vec<String> },
-    /// An instance that is driven by hand, of which the next job is.
+    /// Create an instance that is controlled call by call, to which the next job refers.
     NewInstance(InterfaceKind, Box<InstanceOptions>),
-    /// A call of the instance; its vector is the numbers of the frame, and so is that of the answer.
+    /// Call the instance. The numbers of the frames contain the vectors of the call and of the answer.
     Instance(InstanceCall),
-    /// The cost and the residuals at a point.
+    /// Compute the cost and the residuals at a point.
     Evaluate {
         x: Vec<f64>,
         loss: RobustLoss,
         cutoff: f64,
-        /// Where it is not that of the problem.
+        /// Accuracy, if it differs from the accuracy of the problem.
         accuracy: Option<Accuracy>,
     },
-    /// The compared outputs of an experiment.
+    /// Return the compared outputs of an experiment.
     Experiment { experiment: usize, x: Vec<f64>, times: Option<Vec<f64>> },
-    /// Variables of the model in an experiment.
+    /// Return variables of the model in an experiment.
     Variables { experiment: usize, x: Vec<f64>, times: Option<Vec<f64>>, variables: Vec<String> },
 }
 
@@ -86,7 +87,7 @@ impl Job {
         }
     }
 
-    /// Has the model log, where a model is opened.
+    /// Switches the log of the model on if the job opens a model.
     fn switch_log_on(&mut self) {
         match self {
             Self::Load(loaded) => loaded.options.logging.asked = true,
@@ -96,22 +97,22 @@ impl Job {
     }
 }
 
-/// An evaluation; its residuals are the numbers of the frame.
+/// Result of an evaluation. The numbers of the frame are its residuals.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Evaluated {
     pub(crate) cost: Result<f64, ReportedCostFailure>,
     pub(crate) stats: Stats,
 }
 
-/// How a point is evaluated.
+/// Settings of the evaluation of a point.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Evaluation {
-    /// Where it is not that of the problem.
+    /// Accuracy, if it differs from the accuracy of the problem.
     pub(crate) accuracy: Option<Accuracy>,
     pub(crate) process: ProcessChoice,
 }
 
-/// The best point of a search, and what processes have answered there.
+/// Best point of a search, with its residuals and its cost.
 pub(crate) struct BestPoint {
     pub(crate) x: Vec<f64>,
     pub(crate) n_residuals: usize,
@@ -129,10 +130,10 @@ pub(crate) enum ProcessChoice {
     /// Any. After an answer of one that was asked before, the first question of all is asked again and
     /// compared, until one comparison agrees. In searches, which compare the best point at their end.
     ComparedFirst,
-    /// Any. After the first comparison that agrees, the first, second, fourth, eighth ... of the next answers
-    /// are followed by one, too.
+    /// Any process. After the first comparison that agrees, the first, second, fourth, eighth ... of the next
+    /// answers are also followed by a comparison.
     Compared,
-    /// A new one.
+    /// A new process.
     Fresh,
 }
 
@@ -140,27 +141,27 @@ pub(crate) enum ProcessChoice {
 pub(crate) const NOT_REPRODUCED: &str =
     "two runs of the same simulation in fresh processes differ: no result can be reproduced";
 
-/// Introduces the messages that a model logs when a failed request is repeated with logging.
+/// Introduction of the messages that a model logs when a failed request is repeated with logging.
 const LOG_ON: &str = "repeated with the log of the model switched on";
 
-/// Worker processes that have loaded the same.
+/// Worker processes that have loaded one problem or model.
 #[derive(Debug)]
 pub(super) struct Processes {
     fmu: Fmu,
     pub(super) workers: Arc<Workers>,
     load: Load,
-    /// The same with the log of the model switched on.
+    /// Load job with the log of the model switched on.
     logging: Load,
-    /// Reasons of failures without a message of the model that were repeated with its log switched on, and
-    /// the messages with it.
+    /// Reasons of failures without a message of the model that were repeated with its log switched on, with
+    /// the logged messages.
     explained: Mutex<BTreeMap<String, Option<String>>>,
     comparisons: Comparisons,
-    /// Frames that were used before.
+    /// Frames for reuse.
     frames: Mutex<Vec<(Frame, Frame)>>,
 }
 
 impl Processes {
-    /// Nothing is loaded yet.
+    /// Prepares the processes for this load job.
     pub(super) fn new(
         fmu: &Fmu,
         limits: WorkerLimits,
@@ -192,7 +193,7 @@ impl Processes {
         })
     }
 
-    /// Asks a worker, and has `accept` read its answer, which leaves its numbers in the frame.
+    /// Sends a request to a worker. `accept` reads its answer and leaves the numbers in the frame.
     pub(super) fn ask<T>(
         &self,
         job: &Job,
@@ -228,8 +229,9 @@ impl Processes {
         accepted
     }
 
-    /// The failure of a request that was repeated with the log of the model switched on, because the model
-    /// had not said why a call failed; `None` where it had, or still does not.
+    /// Repeats a failed request with the log of the model switched on if the model did not report the reason
+    /// of the failure. Returns the failure with the logged messages, or `None` if the model had reported a
+    /// reason or still does not.
     fn explain(
         &self,
         told: &ReportedError,
@@ -261,9 +263,9 @@ impl Processes {
         Ok(accepted)
     }
 
-    /// Asks a worker. If it was asked something before, the first question of all is asked again, and the
-    /// answer compared with that of a fresh process. If they differ, the model is brought back in another way
-    /// from now on, and a fresh process answers.
+    /// Sends a request to a worker. If a used process answers, repeats the first question of all and compares
+    /// the answer with the answer of a fresh process. If they differ, switches to the next way of resetting
+    /// the model and answers from a fresh process.
     fn ask_compared<T>(
         &self,
         job: &Job,
@@ -315,15 +317,15 @@ impl Processes {
         self.call(question, answer, accept, AskedProcess::Fresh)
     }
 
-    /// The bits of the answer to the first question, asked again during another one.
+    /// Repeats the first question during another one and returns the bits of the answer.
     fn bits(&self, first: &FirstQuestion, whom: AskedProcess, during: &Question<'_>) -> Option<Vec<u64>> {
         let (asked, limits, mut answer) = (&first.asked, first.limits, Frame::default());
         let question = Question { asked, limits, is_repetition: true, ..*during };
         bits_of(&self.call(&question, &mut answer, &mut |_| Ok(()), whom), &answer)
     }
 
-    /// Brings the model back in another way from now on, for answers of processes that were asked before
-    /// differ from those of fresh ones.
+    /// Switches to the next way of resetting the model, because answers of used processes differ from answers
+    /// of fresh processes.
     fn give_up(&self, reuse: Reuse) {
         self.workers.forget(&self.load);
         if self.comparisons.has_passed(reuse) {
@@ -333,7 +335,7 @@ impl Processes {
     }
 }
 
-/// The first question of all, and the answer of a process that was asked nothing before.
+/// First question of all, and the answer of an unused process.
 #[derive(Debug, Clone)]
 struct FirstQuestion {
     asked: Frame,
@@ -341,22 +343,23 @@ struct FirstQuestion {
     /// The question without the values of parameters. A question of another shape becomes the first one,
     /// because the first one may take longer.
     shape: Frame,
-    /// Number of changes of the surroundings until then.
+    /// Number of changes of the environment before the question.
     n_changes: u64,
     bits: Vec<u64>,
 }
 
-/// What comparisons of used processes with fresh ones have shown.
+/// Results of comparisons of used with fresh processes.
 #[derive(Debug, Default)]
 struct Comparisons {
-    /// One more than the number of the way that has passed one.
+    /// Index of the way of resetting that has passed a comparison, plus one.
     passed: AtomicU8,
     first: Mutex<Option<FirstQuestion>>,
-    /// Answers of used processes since then.
+    /// Number of answers of used processes since that comparison.
     n_accepted: AtomicU64,
-    /// Times that answers differed after a way had passed: earlier answers may be wrong.
+    /// Number of differences found after a way of resetting had passed a comparison. Earlier answers may be
+    /// wrong.
     n_late: AtomicU64,
-    /// Answers of fresh processes differ from each other.
+    /// True if answers of fresh processes differ from each other.
     is_random: AtomicBool,
 }
 
@@ -371,7 +374,7 @@ impl Comparisons {
         }
     }
 
-    /// True if the next answer is to be compared.
+    /// Returns true if the next answer must be compared.
     fn is_due(&self, reuse: Reuse, process: ProcessChoice) -> bool {
         if self.is_random.load(Ordering::Relaxed) {
             return false;
@@ -384,7 +387,8 @@ impl Comparisons {
     }
 }
 
-/// The bits of an answer, none of a failed simulation; `None` if the question was not answered.
+/// Returns the bits of an answer, which are empty for a failed simulation. Returns `None` if the question was
+/// not answered.
 fn bits_of<T>(told: &Result<T, FmiError>, answer: &Frame) -> Option<Vec<u64>> {
     match told {
         Ok(_) => Some(answer.numbers.iter().map(|number| number.to_bits()).collect()),
@@ -394,7 +398,7 @@ fn bits_of<T>(told: &Result<T, FmiError>, answer: &Frame) -> Option<Vec<u64>> {
 }
 
 impl Processes {
-    /// A recorded simulation, with this number of columns where that is known.
+    /// Returns a recorded simulation. `n_columns` is the expected number of columns, if known.
     pub(super) fn trajectory(
         &self,
         job: &Job,
@@ -409,7 +413,7 @@ impl Processes {
                 None => Ok(trajectory),
             }
         };
-        // A function of the user may change from call to call: what it drives is simulated once.
+        // A user-defined function may change between calls, so its simulation is not repeated.
         let is_driven = matches!(job, Job::Simulate(options) if options.has_input_functions());
         let process = if is_driven { ProcessChoice::Any } else { ProcessChoice::Compared };
         self.ask(job, process, limits, context, &mut accept).map_err(|error| {
@@ -430,19 +434,19 @@ impl Drop for Processes {
     }
 }
 
-/// The worker processes of a calibration.
+/// Worker processes of a calibration.
 #[derive(Debug)]
 pub(crate) struct Remote {
     processes: Processes,
-    /// The limit of a single simulation.
+    /// Time limit of a single simulation.
     run_limit: Option<Duration>,
-    /// Simulations of an evaluation.
+    /// Number of simulations per evaluation.
     n_experiments: u32,
 }
 
 impl Remote {
-    /// The processes for a problem, those of another one where they are lent; or why its model runs in this
-    /// one; `None`: that was asked for.
+    /// Returns the processes for a problem, shared with `lender` if possible. The error is the reason why the
+    /// model runs in this process. It is `None` if the user requested it.
     pub(crate) fn of(fmu: &Fmu, problem: &Problem, lender: Option<&Self>) -> Result<Self, Option<String>> {
         let settings = &problem.settings;
         if settings.isolation == Isolation::None || fmu.is_absent() {
@@ -464,19 +468,19 @@ impl Remote {
         Ok(Self { processes, run_limit, n_experiments })
     }
 
-    /// Number of times that a process was found to have given wrong answers after a comparison had passed.
+    /// Returns the number of times that a process gave wrong answers after a comparison had passed.
     pub(crate) fn n_late(&self) -> u64 {
         self.processes.comparisons.n_late.load(Ordering::Relaxed)
     }
 
-    /// True if answers of fresh processes differ from each other.
+    /// Returns true if answers of fresh processes differ from each other.
     pub(crate) fn is_random(&self) -> bool {
         self.processes.comparisons.is_random.load(Ordering::Relaxed)
     }
 
     /// Evaluates the best point of a search in a fresh process and in at most `most_used` processes that the
-    /// search has used, and compares the answers. If they differ, the model is brought back in another way
-    /// from now on. Returns what that takes.
+    /// search has used, and compares the answers. If they differ, switches to the next way of resetting the
+    /// model. Returns the statistics of these simulations.
     pub(crate) fn compare_best(
         &self,
         best: &BestPoint,
@@ -519,12 +523,12 @@ impl Remote {
         stats.into_inner().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Begins work in which all processes have the working folder and the environment variables of its begin.
+    /// Fixes the working folder and the environment variables of all processes until the guard is dropped.
     pub(crate) fn hold(&self) -> Held {
         self.processes.workers.hold()
     }
 
-    /// Has a process started that will be needed for a fit: beside that which searches, or at its end.
+    /// Starts a process that a fit will need in addition to the searching process, or at its end.
     pub(crate) fn prepare_second(&self) {
         self.processes.workers.prepare_second(&self.processes.load);
     }
@@ -533,7 +537,7 @@ impl Remote {
         AnswerLimits { run: self.run_limit, runs, size }
     }
 
-    /// The cost at a point, its residuals into `out`; see
+    /// Returns the cost at a point and writes its residuals to `out`; see
     /// [`LoadedProblem::evaluate`](crate::cost::loaded_problem::LoadedProblem::evaluate).
     pub(crate) fn evaluate(
         &self,
@@ -554,13 +558,13 @@ impl Remote {
             }
             Ok((cost, stats))
         };
-        // A run that a cutoff has ended may be made again without it.
+        // A simulation that a cutoff has ended may be repeated without the cutoff.
         let runs = if cutoff.is_finite() { self.n_experiments.saturating_mul(2) } else { self.n_experiments };
         let limits = self.limits(runs, FrameSize::of_numbers(n as u64));
         let mut evaluated = self.processes.ask(&job, process, limits, &context, &mut accept);
         if process != ProcessChoice::Fresh && matches!(&evaluated, Ok((Err(told), _)) if told.is_of_process())
         {
-            // A process that was used before may have lost what it needs.
+            // A used process may have lost resources that it needs.
             let again = self.processes.ask(&job, ProcessChoice::Fresh, limits, &context, &mut accept);
             if let Ok((Ok(cost), stats)) = again {
                 evaluated = Ok((Ok(cost), stats));
@@ -571,8 +575,8 @@ impl Remote {
         cost.map_err(|failure| self.explained(failure, &job, process, limits, &context).into())
     }
 
-    /// A failure with the reason of the model. In a search all failures have the reason that they would have
-    /// in any other order: there the model's is logged, once for each reason.
+    /// Returns a failure with the reason of the model. In a search, the reasons must not depend on the order
+    /// of the evaluations, so the message of the model is only logged, once for each reason.
     fn explained(
         &self,
         failure: ReportedCostFailure,
@@ -613,7 +617,7 @@ impl Remote {
         }
     }
 
-    /// Adds to the reason of failures what the model has logged about one of them.
+    /// Adds the message that the model logged about one of the failures to their reason.
     pub(crate) fn explain_reason(&self, reason: &mut String) {
         let known = self.processes.explained.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(Some(message)) = known.get(reason) {
@@ -621,7 +625,7 @@ impl Remote {
         }
     }
 
-    /// A recorded simulation, with so many columns where that is known.
+    /// Returns a recorded simulation. `n_columns` is the expected number of columns, if known.
     pub(crate) fn trajectory(
         &self,
         job: &Job,
@@ -637,7 +641,7 @@ impl Remote {
     }
 }
 
-/// The error with what may be the cause of the end of a process of this model.
+/// Adds a possible cause to the error if a process of this model has ended.
 pub(crate) fn with_hint(fmu: &Fmu, error: FmiError) -> FmiError {
     match error {
         FmiError::WorkerEnded(mut end) => {
@@ -648,7 +652,7 @@ pub(crate) fn with_hint(fmu: &Fmu, error: FmiError) -> FmiError {
     }
 }
 
-/// The set of worker processes of a model.
+/// Returns the worker processes of a model.
 pub(crate) fn workers_of(fmu: &Fmu, limits: WorkerLimits) -> Result<Arc<Workers>, FmiError> {
     if limits.sandbox {
         check_sandbox()?;
@@ -665,8 +669,8 @@ pub(crate) fn unsaid(error: io::Error) -> FmiError {
     FmiError::BadSetting(error.to_string())
 }
 
-/// Reads an evaluation with so many residuals and this cutoff. The cost is that of its residuals, for the
-/// worker may have made it up.
+/// Reads an evaluation with `n` residuals and this cutoff. Checks that the cost matches the residuals,
+/// because a faulty worker may return any cost.
 fn evaluated(answer: &Frame, n: usize, cutoff: f64) -> io::Result<Evaluated> {
     let evaluated: Evaluated = answer.head()?;
     let numbers = &answer.numbers;
@@ -682,7 +686,7 @@ fn evaluated(answer: &Frame, n: usize, cutoff: f64) -> io::Result<Evaluated> {
     Ok(evaluated)
 }
 
-/// Puts a trajectory into a frame: its rows are the numbers.
+/// Writes a trajectory to a frame. Its rows become the numbers.
 pub(crate) fn put_trajectory(mut trajectory: Trajectory, answer: &mut Frame) -> io::Result<()> {
     answer.numbers.append(&mut trajectory.time);
     trajectory.columns.iter_mut().for_each(|column| answer.numbers.append(column));
@@ -714,7 +718,7 @@ fn trajectory_of(answer: &mut Frame) -> io::Result<Trajectory> {
     }
 }
 
-/// An answer with contents that it cannot have.
+/// Returns an error for an answer with invalid contents.
 pub(super) fn wrong(what: String) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, what)
 }

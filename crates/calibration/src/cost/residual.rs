@@ -1,4 +1,5 @@
-//! Simulated against measured, sample by sample while the simulation runs; no trajectory is stored.
+//! Comparison of simulated with measured values, sample by sample during the simulation. No trajectory is
+//! stored.
 
 use crate::data::Series;
 use crate::problem::measurements::Counted;
@@ -8,29 +9,29 @@ use dfo::RobustLoss;
 use ode::{Observer, Sample};
 use std::ops::ControlFlow;
 
-/// Measurements that the simulation of an experiment is compared with, in the order of its residuals: output
-/// by output, each in the order of time.
+/// Measurements to compare with the simulation of an experiment, in the order of its residuals: output by
+/// output, each in the order of time.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Comparison {
     outputs: Vec<Counted>,
-    /// Where the residuals of each output begin, and where those of the last end.
+    /// Index of the first residual of each output, followed by the end of the last output.
     begins: Vec<usize>,
 }
 
-/// A point and its residuals.
+/// Point and its residuals.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct PointResiduals {
     pub(crate) x: Vec<f64>,
     pub(crate) residuals: Vec<f64>,
 }
 
-/// At which times the simulation is sampled, and which measurements each sample is compared with.
+/// Sample times of the simulation, and the measurements that each sample is compared with.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct Schedule {
-    /// Ascending, each once.
+    /// Sample times, ascending and without duplicates.
     pub(crate) times: Series,
-    /// Per output, the sample that each of its measurements is compared with, ascending; none: each has its
-    /// own.
+    /// Index of the sample for each measurement of each output, ascending. If empty, measurement `k` uses
+    /// sample `k`.
     samples: Vec<Vec<u32>>,
 }
 
@@ -43,13 +44,13 @@ impl Comparison {
         Self { begins: std::iter::once(0).chain(begins).collect(), outputs: outputs.to_vec() }
     }
 
-    /// Number of residuals.
+    /// Returns the number of residuals.
     pub(crate) fn n_residuals(&self) -> usize {
         self.begins[self.outputs.len()]
     }
 
-    /// The samples of outputs that are late by these delays, of which none is before the start of the
-    /// simulation; times within rounding are one.
+    /// Returns the samples for outputs with these delays. No sample is before the start of the simulation.
+    /// Times that differ only by rounding share a sample.
     pub(crate) fn schedule(&self, delays: impl Fn(usize) -> f64, start: f64) -> Schedule {
         let delays: Vec<f64> = (0..self.outputs.len()).map(delays).collect();
         let time = |output: usize, time: f64| (time - delays[output]).max(start);
@@ -69,7 +70,7 @@ impl Comparison {
         let mut samples: Vec<Vec<u32>> =
             self.outputs.iter().map(|o| Vec::with_capacity(o.times.len())).collect();
         let mut times: Vec<f64> = Vec::new();
-        // The earliest of the measurements that are left.
+        // Select the earliest of the remaining measurements.
         while let Some((now, output)) = (self.outputs.iter().enumerate())
             .filter_map(|(k, o)| Some((time(k, *o.times.get(next[k])?), k)))
             .min_by(|a, b| a.0.total_cmp(&b.0))
@@ -83,14 +84,14 @@ impl Comparison {
         Schedule { times: times.into(), samples }
     }
 
-    /// Outputs that are only sampled, all at these times.
+    /// Creates a comparison whose outputs are only sampled, all at these times.
     pub(crate) fn at_times(times: &[f64], n_outputs: usize) -> Self {
         let none: Series = vec![f64::NAN; times.len()].into();
         let output = Counted { times: times.to_vec().into(), values: none.clone(), weights: none };
         Self::new(&vec![output; n_outputs])
     }
 
-    /// Per output, its values where it is compared, from columns of samples.
+    /// Returns the values of each output at its measurements, from columns of samples.
     pub(crate) fn gather(&self, schedule: &Schedule, columns: &[Vec<f64>]) -> Vec<Vec<f64>> {
         let of_output = |(k, output): (usize, &Counted)| {
             (0..output.times.len()).map(|row| columns[k][schedule.sample_of(k, row)]).collect()
@@ -98,7 +99,7 @@ impl Comparison {
         self.outputs.iter().enumerate().map(of_output).collect()
     }
 
-    /// Layout of the residual vector, output by output, from position `offset` on.
+    /// Returns the layout of the residual vector, output by output, starting at position `offset`.
     pub(crate) fn layout(&self, offset: usize) -> Vec<OutputResiduals> {
         let of_output = |(output, counted): (usize, &Counted)| OutputResiduals {
             experiment: 0,
@@ -116,7 +117,7 @@ impl Comparison {
 }
 
 impl Schedule {
-    /// The sample that a measurement of an output is compared with.
+    /// Returns the index of the sample that a measurement of an output is compared with.
     fn sample_of(&self, output: usize, row: usize) -> usize {
         self.samples.get(output).map_or(row, |samples| samples[row] as usize)
     }
@@ -125,54 +126,54 @@ impl Schedule {
 /// Loss function of the residuals, and the conditions that end an evaluation.
 #[derive(Clone, Copy)]
 pub(crate) struct CostRule<'a> {
-    /// Residuals are what it makes of the plain ones.
+    /// Loss function that transforms the residuals.
     pub(crate) loss: RobustLoss,
-    /// The simulation ends when the sum is strictly above this.
+    /// The simulation ends if the sum is strictly above this value.
     pub(crate) cutoff: f64,
-    /// Asked before every step.
+    /// Context that is checked before every step.
     pub(crate) context: RunContext<'a>,
 }
 
 impl<'a> CostRule<'a> {
-    /// The whole cost.
+    /// Returns the rule for the whole cost, without a cutoff.
     pub(crate) fn whole(loss: RobustLoss, context: &RunContext<'a>) -> Self {
         Self { loss, cutoff: f64::INFINITY, context: *context }
     }
 }
 
-/// The cost that residuals make: the sum of their squares from the first to the last, by which it has the
-/// same bits wherever it is computed.
+/// Returns the cost of residuals: the sum of their squares from the first to the last. The order makes the
+/// cost bit-for-bit identical wherever it is computed.
 pub(crate) fn sum_of_squares(residuals: &[f64]) -> f64 {
     residuals.iter().fold(0.0, |sum, residual| sum + residual * residual)
 }
 
-/// Takes the residuals from a simulation as it delivers the samples, and adds up their squares (time by time,
-/// output by output within a time), which says when the cost is sure to be above a cutoff.
+/// Computes the residuals from the samples of a simulation and adds up their squares, time by time and output
+/// by output within a time. The sum shows as soon as the cost must exceed a cutoff.
 pub(crate) struct Accumulator<'a> {
     comparison: &'a Comparison,
     schedule: &'a Schedule,
-    /// Offset that is added to each output.
+    /// Offset added to each output.
     offsets: &'a [f64],
     rule: CostRule<'a>,
-    /// The sum so far; starts with what earlier experiments have left.
+    /// Sum so far, which starts with the sum of earlier experiments.
     pub(crate) sum: f64,
-    /// Samples seen.
+    /// Number of samples received.
     seen: usize,
-    /// Per output, the first measurement that is not compared yet.
+    /// First measurement of each output that is not yet compared.
     next: Vec<usize>,
-    /// Where the residuals go.
+    /// Destination of the residuals.
     out: &'a mut [f64],
     pub(crate) stop: Option<StopReason>,
 }
 
-/// Why the accumulator ended the simulation.
+/// Reason why the accumulator ended the simulation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum StopReason {
     /// The partial sum is strictly above the cutoff.
     AboveCutoff,
-    /// A simulated value, or the sum, is not finite; the output counted from 0.
+    /// A simulated value or the sum is not finite. The index of the output is counted from 0.
     NotFinite(usize),
-    /// The run is being ended from outside.
+    /// The run was interrupted.
     Cancelled,
 }
 
@@ -189,12 +190,12 @@ impl<'a> Accumulator<'a> {
         Self { comparison, schedule, offsets, rule, sum, seen: 0, next, out, stop: None }
     }
 
-    /// True if every requested time has been delivered.
+    /// Returns true if every requested time has been delivered.
     pub(crate) fn is_complete(&self) -> bool {
         self.seen == self.schedule.times.len()
     }
 
-    /// The time of the measurement of an output that was compared last.
+    /// Returns the time of the last compared measurement of an output.
     pub(crate) fn last_time(&self, output: usize) -> Option<f64> {
         self.comparison.outputs[output].times.get(self.next[output].checked_sub(1)?).copied()
     }
@@ -238,15 +239,15 @@ impl Observer for Accumulator<'_> {
     }
 }
 
-/// Weighted sum of squared errors between measured and simulated series, as the paper's tool computes it: the
-/// simulation has its own time grid and is interpolated linearly to the measured times; where a time stands
-/// there twice (an event), the mean of both values counts. `y_*` hold one row per quantity; `w` (one per
-/// quantity, default 1) multiplies the squared errors. Times outside of the simulated span take its end
-/// values.
+/// Returns the weighted sum of squared errors between measured and simulated series, as the tool of the paper
+/// computes it. The simulation has its own time grid and is interpolated linearly at the measured times. If a
+/// time occurs twice in it (an event), the mean of both values counts. `y_*` contain one row per quantity.
+/// `w` (one per quantity, default 1) multiplies the squared errors. Times outside of the simulated span use
+/// its end values.
 ///
 /// # Errors
-/// Lengths that do not fit, simulated times that do not ascend, nothing simulated; the message names the
-/// numbers.
+/// Returns an error if lengths differ, simulated times do not ascend, or nothing is simulated. The message
+/// contains the numbers.
 pub fn quad_err(
     t_meas: &[f64],
     y_meas: &[&[f64]],
@@ -286,7 +287,7 @@ pub fn quad_err(
     Ok(total)
 }
 
-/// Linear interpolation; the mean of all values where `t` stands in `times`; end values outside.
+/// Interpolates linearly. Returns the mean of all values if `t` occurs in `times`, and end values outside.
 fn interpolate(times: &[f64], values: &[f64], t: f64) -> f64 {
     let first = times.partition_point(|s| *s < t);
     let after = first + times[first..].partition_point(|s| *s <= t);
@@ -350,7 +351,7 @@ mod tests {
             measured(&[(0.7, 4.0), (1.0, 5.0)]),
         ]);
         let schedule = c.schedule(|output| [0.4, 0.1][output], 0.0);
-        // 1 - 0.4 and 0.7 - 0.1 are one up to rounding.
+        // 1 - 0.4 and 0.7 - 0.1 are equal up to rounding.
         assert_eq!(schedule.times.len(), 4);
         assert_eq!(schedule.samples, [vec![0, 1, 3], vec![1, 2]], "{:?}", schedule.times);
     }
@@ -378,7 +379,7 @@ mod tests {
         assert_eq!(e, 1.0 + 0.0 + 1.0);
         let e = quad_err(&[0.5], &[&[0.0], &[0.0]], &t_sim, &[&y, &y], Some(&[2.0, 3.0])).unwrap();
         assert_eq!(e, 2.0 + 3.0);
-        // beyond the ends: the end values; at an event: the mean of both sides
+        // Beyond the ends, the end values count. At an event, the mean of both sides counts.
         let e = quad_err(&[-1.0, 4.0], &[&[1.0, 1.0]], &[0.0, 1.0], &[&[0.0, 3.0]], None).unwrap();
         assert_eq!(e, 1.0 + 4.0);
         let e = quad_err(&[1.0], &[&[0.0]], &[0.0, 1.0, 1.0, 2.0], &[&[0.0, 2.0, 4.0, 4.0]], None).unwrap();

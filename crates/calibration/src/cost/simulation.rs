@@ -26,25 +26,25 @@ use std::sync::Arc;
 /// Simulation of an experiment and its comparison with measurements.
 #[derive(Debug)]
 pub(crate) struct Simulation {
-    /// The name of the experiment.
+    /// Name of the experiment.
     pub(crate) name: String,
-    /// Simulators with the method that the settings name.
+    /// Simulators with the method of the settings.
     pub(crate) pool: SharedSimulator,
-    /// The same at the parameters' start values, without the times of the rows.
+    /// Options at the start values of the parameters, without the row times.
     pub(crate) options: SimulateOptions,
     pub(crate) comparison: Comparison,
-    /// That of the start values.
+    /// Schedule at the start values.
     schedule: Schedule,
-    /// At which something was measured.
+    /// Times of the measurements.
     times: Series,
     signals: Vec<Signal>,
     assigned: Assignments,
-    /// Delays of outputs, or delays or offsets of inputs, follow `x`.
+    /// True if delays of outputs, or delays or offsets of inputs, depend on `x`.
     is_shifted_by_x: bool,
 }
 
 impl Simulation {
-    /// The simulation of an experiment, and what is in doubt about it.
+    /// Creates the simulation of an experiment and returns it with warnings.
     pub(crate) fn new(
         fmu: &Fmu,
         name: String,
@@ -91,7 +91,7 @@ impl Simulation {
         };
         let schedule = comparison.schedule(|output| assigned.outputs[output].0.in_model(&start), start_time);
         let is_late = schedule.times != times;
-        // What follows from the distance of the rows follows from that of the measurements.
+        // Row spacing settings depend on the spacing of the measurements.
         let mut plan = SimulationPlan::new(
             fmu,
             &SimulateOptions {
@@ -123,17 +123,18 @@ impl Simulation {
         Ok((simulation, warnings))
     }
 
-    /// The values of its parameters at `x`.
+    /// Returns the values of the parameters of the model at `x`.
     pub(crate) fn values<'x>(&self, x: &'x [f64]) -> Cow<'x, [f64]> {
         values(&self.assigned, x)
     }
 
-    /// The variables that it sets and their values at `x`, in the units of the model.
+    /// Returns the variables that the simulation sets and their values at `x`, in the units of the model.
     pub(crate) fn named_values(&self, x: &[f64]) -> impl Iterator<Item = (&str, f64)> {
         self.assigned.variables.iter().map(|(name, of)| (name.as_str(), of.in_model(x)))
     }
 
-    /// Lets an experiment that gets other windows start when and where this one does.
+    /// Sets the start time and the initial values of this simulation in an experiment that receives other
+    /// windows.
     pub(crate) fn keep_start(&self, experiment: &mut Experiment) {
         experiment.start_time = experiment.start_time.or(experiment.warm_up.and(self.options.start_time));
         for (state, initial) in &mut experiment.initial_states {
@@ -146,7 +147,7 @@ impl Simulation {
         }
     }
 
-    /// The value of a measured initial state at `x`.
+    /// Returns the value of a measured initial state at `x`.
     pub(crate) fn measured_start(&self, state: &str, x: &[f64]) -> Option<f64> {
         match self.options.start_values.iter().find(|(name, _)| name == state) {
             Some((_, Value::Real(value))) => Some(*value),
@@ -154,19 +155,20 @@ impl Simulation {
         }
     }
 
-    /// True if it starts at this time of the measurements of an output, counted from 0, or later.
+    /// Returns true if the simulation starts at this time of a measurement of an output or later. Outputs are
+    /// counted from 0.
     pub(crate) fn starts_at(&self, output: usize, time: f64) -> bool {
         let (delay, _) = self.assigned.outputs[output];
         let start = self.options.start_time.unwrap_or_default();
         delay.is_constant() && time - delay.in_model(&[]) <= start + base::time_tolerance(start, time)
     }
 
-    /// Offset that is added to each output at `x`.
+    /// Returns the offset that is added to each output at `x`.
     pub(crate) fn output_offsets(&self, x: &[f64]) -> Vec<f64> {
         self.assigned.outputs.iter().map(|(_, offset)| offset.in_model(x)).collect()
     }
 
-    /// When the outputs are sampled at `x`.
+    /// Returns the sample times of the outputs at `x`.
     pub(crate) fn schedule(&self, x: &[f64]) -> Cow<'_, Schedule> {
         match self.is_shifted_by_x {
             false => Cow::Borrowed(&self.schedule),
@@ -179,21 +181,21 @@ impl Simulation {
         comparison.schedule(|output| self.assigned.outputs[output].0.in_model(x), start)
     }
 
-    /// The options at the parameters' start values, by which others are made.
+    /// Returns the options at the start values of the parameters, as a template for other options.
     pub(crate) fn options_at_start(&self) -> SimulateOptions {
         SimulateOptions { times: Some(self.schedule.times.to_vec()), ..self.options.clone() }
     }
 
-    /// Times at which a simulation shows its response without other steps than in the fit: about `n` at equal
-    /// distances; of a co-simulation, where a row is a communication point, about `n` of those that it has
-    /// anyway. The measured times are among them.
+    /// Returns times that show the response of a simulation without additional steps. These are about `n`
+    /// equidistant times and the measured times. In a co-simulation, a row is a communication point, so about
+    /// `n` of its existing points are returned.
     pub(crate) fn curve_times(&self, n: usize) -> Vec<f64> {
         let plan = self.pool.plan();
         let (start, end) = (plan.start_time(), plan.final_time());
         let is_late = self.is_shifted_by_x || self.schedule.times != self.times;
         let spacing = match plan.kind() {
             InterfaceKind::ModelExchange => Some((end - start) / (n - 1) as f64),
-            // Samples of late outputs are at other times than the points.
+            // Samples of late outputs are not at communication points.
             InterfaceKind::CoSimulation => plan.regular_communication_step().filter(|_| !is_late),
         };
         let tolerance = base::time_tolerance(start, end);
@@ -208,7 +210,7 @@ impl Simulation {
         times
     }
 
-    /// The options at `x`, with these rows.
+    /// Returns the options at `x`, with these rows.
     fn options_at(&self, x: &[f64], times: &[f64]) -> SimulateOptions {
         let last = times.last().copied();
         SimulateOptions {
@@ -219,7 +221,7 @@ impl Simulation {
         }
     }
 
-    /// Simulates at `x` with one of its simulators.
+    /// Simulates at `x` with one of the simulators.
     pub(crate) fn run(
         &self,
         simulator: &mut Simulator,
@@ -234,8 +236,9 @@ impl Simulation {
         simulator.run(&self.values(x), observer)
     }
 
-    /// Options to record these variables of the model at `x`, as they are, at the measured times or those
-    /// given; without the values of [`named_values`](Self::named_values).
+    /// Returns the options to record these variables of the model at `x`, without delays and offsets. The
+    /// rows are the measured times or `times`. The values of [`named_values`](Self::named_values) are not
+    /// included.
     pub(crate) fn recording(
         &self,
         x: &[f64],
@@ -251,8 +254,7 @@ impl Simulation {
         }
     }
 
-    /// The compared outputs at `x` as they are compared, late and with their offsets, at the measured times
-    /// or those given.
+    /// Returns the compared outputs at `x`, with their delays and offsets, at the measured times or `times`.
     pub(crate) fn trajectory(
         &self,
         fmu: &Fmu,
@@ -264,7 +266,7 @@ impl Simulation {
         let times = times.unwrap_or(&self.times);
         let is_late = self.assigned.outputs.iter().any(|(delay, _)| delay.in_model(x) != 0.0);
         if let Some(given) = given {
-            // Those at which a late output is sampled are sorted and begin at the start, and the last ends the run.
+            // Sample times of late outputs are sorted and begin at the start, and the last one ends the run.
             check_times(given, self.options.start_time.unwrap_or_default())?;
         }
         let rows = Comparison::at_times(times, self.assigned.outputs.len());
@@ -290,9 +292,10 @@ impl Simulation {
     }
 }
 
-/// The variables that have their values when the simulation starts, whatever the initialization computes:
-/// initial states, and what is fitted and no parameter of the model. A co-simulation cannot set them after
-/// the initialization, so a number for one is a start value there.
+/// Returns the variables that have given values at the start of the simulation, independent of the
+/// initialization. These are initial states, and fitted variables that are not parameters of the model. A
+/// co-simulation cannot set them after the initialization, so a number for an initial state is a start value
+/// there.
 fn initial_states(
     experiment: &Experiment,
     fitted: &[String],
@@ -303,7 +306,7 @@ fn initial_states(
         kind == InterfaceKind::ModelExchange || !matches!(initial, InitialState::Value(_))
     };
     let is_state = |name: &&String| {
-        // An element of an array has no name of its own.
+        // An element of an array has no declaration of its own.
         let array = name.split('[').next().unwrap_or_default();
         let variable = description.variable(name).or_else(|| description.variable(array));
         variable.is_some_and(|v| matches!(v.causality, Causality::Local | Causality::Output))
@@ -315,7 +318,7 @@ fn initial_states(
     names
 }
 
-/// Refuses times of rows that no simulation has.
+/// Returns an error if the row times are invalid for a simulation.
 fn check_times(times: &[f64], start: f64) -> Result<(), FmiError> {
     let bad = |message: String| Err(FmiError::BadSetting(message));
     for (i, time) in times.iter().enumerate() {
@@ -348,7 +351,7 @@ fn inputs(signals: &[Signal], shifts: impl Iterator<Item = Shift>) -> Option<Inp
     (!signals.is_empty()).then(|| signals.iter().zip(shifts).fold(Inputs::new(), add))
 }
 
-/// The lowest and the highest value of a number within the bounds of its parameter.
+/// Returns the lowest and the highest value of a quantity within the bounds of its parameter.
 fn range(of: &Affine, elements: &[Element]) -> (f64, f64) {
     let at = |bound: fn(&Parameter) -> f64| {
         let value = of.entry.map_or(0.0, |entry| bound(&elements[entry].parameter));
@@ -358,7 +361,7 @@ fn range(of: &Affine, elements: &[Element]) -> (f64, f64) {
     (one.min(other), one.max(other))
 }
 
-/// Where a simulation ends: at the last measurement, or at its last sample where outputs may be early.
+/// Returns the end time of a simulation: the last measurement, or the last sample if outputs may be early.
 fn final_time(
     measurements: &Measurements,
     assigned: &Assignments,

@@ -27,7 +27,8 @@ const ROWS_PER_LOOK: usize = 4096;
 pub struct CsvRequest<'a> {
     /// Name of the time column. `None` selects `time`, in any case.
     pub time: Option<&'a str>,
-    /// The columns that are kept beside the times; of the others only the names. `None`: all.
+    /// Columns to keep in addition to the times. Only the names of the other columns are kept. `None` keeps
+    /// all columns.
     pub columns: Option<&'a [String]>,
     /// Context that can end the reading. It is checked every few thousand rows.
     pub context: RunContext<'a>,
@@ -52,7 +53,7 @@ impl Data {
     ///   s, ms, us, ns, min, h, d (`time [ms]`). Dates (ISO 8601, or as `31.05.2024 13:45:10`) and times of
     ///   day are converted to s since the first row. If `00:01` is ambiguous, the name must include the
     ///   format, as in `time [mm:ss]` or `time [hh:mm]`.
-    /// - Missing values: empty cells, `NaN` and `NA`.
+    /// - Missing values: empty cells, `NaN`, `NA`, `N/A` and `null`, in any case.
     /// - Text columns are kept separately, and using one is an error. Using a column whose name and line of
     ///   units declare different units is also an error.
     ///

@@ -156,7 +156,7 @@ pub(super) fn decode(text: &[u8]) -> Cow<'_, str> {
     encoding.decode_without_bom_handling(&text[skip..]).0
 }
 
-/// The one of comma, semicolon and tab that stands most often in the header, outside of quotes.
+/// Returns the most frequent of comma, semicolon and tab in the header, outside of quotes.
 fn delimiter(header: &str) -> u8 {
     let mut quoted = false;
     let mut counts = [(b',', 0), (b';', 0), (b'\t', 0)];

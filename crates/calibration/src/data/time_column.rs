@@ -90,9 +90,9 @@ impl PairUnit {
     }
 }
 
-/// Name and unit of a column: what stands in brackets or parentheses at its end. Numbers without a space
-/// before them are indices (`x[1]`, `z(2)`) and belong to the name, those after a space (`ch (3)`) tell
-/// columns apart; none is a unit but 1, that of pure numbers. `der(x)` is a derivative.
+/// Splits the name of a column into name and unit, which is in brackets or parentheses at its end. Numbers
+/// without a preceding space are indices (`x[1]`, `z(2)`) and belong to the name. Numbers after a space (`ch
+/// (3)`) distinguish columns and are not units, except 1, the unit of pure numbers. `der(x)` is a derivative.
 pub(crate) fn parts(name: &str) -> (&str, Option<&str>) {
     let name = name.trim();
     let Some(open) = opening(name) else { return (name, None) };

@@ -1,5 +1,4 @@
-//! Functions of all files that a fit is exported to: the check that it belongs to the calibration, and the
-//! writing.
+//! Helper functions for all exported files: check of the fit, and writing.
 
 use crate::error::CalibrationError;
 use crate::fit::one_stage::Fit;
@@ -9,7 +8,7 @@ use fmi::platform::fill_atomically;
 use std::io::Write;
 use std::path::Path;
 
-/// Refuses a fit of something else.
+/// Returns an error if the fit does not belong to the calibration.
 pub(super) fn check_belongs(fit: &Fit, calibration: &Calibration) -> Result<(), CalibrationError> {
     let names: Vec<&str> = calibration.parameters().iter().map(|p| p.name()).collect();
     let lists = [names.join(", "), fit.names.join(", ")];
@@ -20,7 +19,7 @@ pub(super) fn check_belongs(fit: &Fit, calibration: &Calibration) -> Result<(), 
     Ok(())
 }
 
-/// Writes a file in one step; not over the model.
+/// Writes a file atomically. Does not overwrite the model.
 pub(super) fn write(path: &Path, calibration: &Calibration, bytes: &[u8]) -> Result<(), CalibrationError> {
     check_path(path, calibration)?;
     let fill = |mut file: &std::fs::File, _: &Path| {
@@ -29,7 +28,7 @@ pub(super) fn write(path: &Path, calibration: &Calibration, bytes: &[u8]) -> Res
     fill_atomically(path, fill)
 }
 
-/// Refuses to write over the model.
+/// Returns an error if the path is the model.
 pub(super) fn check_path(path: &Path, calibration: &Calibration) -> Result<(), CalibrationError> {
     let model = calibration.fmu().path();
     match (path.canonicalize(), model.canonicalize()) {
@@ -43,7 +42,7 @@ pub(super) fn check_path(path: &Path, calibration: &Calibration) -> Result<(), C
     }
 }
 
-/// Refuses a path with another suffix: other tools tell files by it.
+/// Returns an error if the path has another suffix, because other tools identify files by it.
 pub(super) fn check_suffix(path: &Path, suffix: &str) -> Result<(), CalibrationError> {
     let is_it = path.extension().is_some_and(|found| found.eq_ignore_ascii_case(suffix));
     if is_it && !path.is_dir() {

@@ -1,4 +1,4 @@
-//! A copy of the FMU that starts with the fitted values.
+//! Copy of the FMU whose start values are the fitted values.
 
 use super::files::{check_belongs, check_path, check_suffix};
 use crate::cost::model_process::ModelProcess;
@@ -13,24 +13,25 @@ use std::fs::File;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-/// The copy may differ from the fit by so many times the relative tolerance of the simulations, as a part of
-/// the largest value of an output: it is the same library with the same values, which are only set in another
-/// way.
+/// Maximum difference between copy and fit, as a multiple of the relative tolerance of the simulations. It is
+/// relative to the largest value of an output. Both run the same library with the same values, which are only
+/// set in different ways.
 const CLOSE: f64 = 10.0;
 
-/// Result of [`Fit::export_fmu`]: the files that it has written.
+/// Files written by [`Fit::export_fmu`].
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct FmuExport {
-    /// The copy; `None` where it is not as fitted.
+    /// Path of the copy. `None` if it does not reproduce the fit.
     pub fmu: Option<PathBuf>,
-    /// The values as an SSP parameter file, where the copy alone is not as fitted.
+    /// Path of the SSP parameter file with the values. It is written if the copy alone does not reproduce the
+    /// fit.
     pub ssv: Option<PathBuf>,
-    /// Why, in a sentence.
+    /// Reason for the parameter file, in a sentence.
     pub warning: Option<String>,
 }
 
-/// Why the copy was not written.
+/// Reason why the copy was not written.
 enum Unwritten {
     Ignored(String),
     Failed(CalibrationError),
@@ -43,22 +44,24 @@ impl From<FmiError> for Unwritten {
 }
 
 impl Fit {
-    /// Writes a copy of the FMU with the fitted values as start values in its description, and nothing else
-    /// changed ([`Fmu::write_with_start_values`]), simulates it as it is, and compares it with the fit.
+    /// Writes a copy of the FMU with the fitted values as start values in its description. Nothing else is
+    /// changed ([`Fmu::write_with_start_values`]). Simulates the copy without setting any values and compares
+    /// it with the fit.
     ///
-    /// **Many libraries ignore the start values of the description**: theirs are compiled in, and the FMI
-    /// standard leaves it to the importing tool to set those of the description. Where the copy, simulated
-    /// without setting anything, is not as fitted, the values are written as an SSP parameter file beside it,
-    /// `path` with the suffix `.ssv`, and no copy; with `keep` the copy as well, for tools that set the start
-    /// values of the description.
+    /// **Many libraries ignore the start values of the description**: their own values are compiled in, and
+    /// the FMI standard expects the importing tool to set the start values of the description. If the copy
+    /// does not reproduce the fit without setting values, an SSP parameter file replaces it: `path` with the
+    /// suffix `.ssv`. With `keep`, the copy is also written, for tools that set the start values of the
+    /// description.
     ///
-    /// `experiment`: whose values, where there are [local](crate::Parameter::local) parameters. Values that
-    /// were given as [start values](crate::Experiment::start_value) of experiments are no part of the fit and
-    /// not written. Simulations end with the context; they are made where those of the fit are.
+    /// `experiment` selects the experiment of the values if there are [local](crate::Parameter::local)
+    /// parameters. [Start values](crate::Experiment::start_value) of experiments are not part of the fit and
+    /// are not written. The context can end the simulations, which run in the same processes as the
+    /// simulations of the fit.
     ///
     /// # Errors
-    /// As [`Calibration::variable_values`]; [`CalibrationError::Setup`] for a name that does not end in
-    /// `.fmu`, or for the model itself; those of simulating and writing.
+    /// Returns the errors of [`Calibration::variable_values`]. Returns [`CalibrationError::Setup`] if the
+    /// name does not end in `.fmu` or is the model itself. Also returns the errors of simulating and writing.
     pub fn export_fmu(
         &self,
         calibration: &Calibration,
@@ -121,8 +124,8 @@ impl Fit {
         Ok(FmuExport { fmu, ssv: Some(ssv), warning: Some(warning) })
     }
 
-    /// Difference between the copy, simulated as it is, and the fit in an experiment, in words; `None` if
-    /// there is none.
+    /// Returns the difference between the copy, simulated without setting values, and the fit in an
+    /// experiment. Returns `None` if there is none.
     fn difference(
         &self,
         calibration: &Calibration,
@@ -135,7 +138,7 @@ impl Fit {
         let fitted = calibration.simulate_variables(k, &self.x, None, &outputs, context)?;
         let simulation = &calibration.evaluator().simulations[k];
         let mut options = simulation.recording(&self.x, None, &outputs);
-        // The copy has fitted values as its start values only.
+        // The fitted values are the start values of the copy.
         options.initial_states.retain(|state| options.start_values.iter().any(|(name, _)| name == state));
         let copied = if calibration.evaluator().remote.is_ok() {
             let limits = calibration.problem().settings.worker_limits();
@@ -157,7 +160,7 @@ impl Fit {
     }
 }
 
-/// The largest difference of two trajectories, if one is larger than this part of the largest value of its
+/// Returns the largest difference of two trajectories if it exceeds this part of the largest value of its
 /// column.
 fn largest_difference(fitted: &Trajectory, copied: &Trajectory, close: f64) -> Option<String> {
     if fitted.time.len() != copied.time.len() {
@@ -170,7 +173,7 @@ fn largest_difference(fitted: &Trajectory, copied: &Trajectory, close: f64) -> O
         gaps.max_by(|(_, a), (_, b)| a.total_cmp(b)).map(|(row, gap)| (name, row, gap, size))
     });
     let (name, row, gap, size) = largest.max_by(|a, b| a.2.total_cmp(&b.2))?;
-    // Also where it is no number.
+    // Also report NaN.
     (gap.is_nan() || gap > close).then(|| {
         let [gap, time] = [gap * size, fitted.time[row]].map(|x| Number((x * 1e4).round() / 1e4));
         format!("'{name}' by {gap} at t = {time}")

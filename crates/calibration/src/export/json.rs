@@ -1,5 +1,4 @@
-//! The numbers of a fit as JSON for other programs: valid JSON, in which null stands for what is no finite
-//! number.
+//! Export of the numbers of a fit as valid JSON for other programs. Numbers that are not finite are null.
 
 use super::files::check_belongs;
 use super::tables::unit_of;
@@ -14,12 +13,13 @@ use serde_json::Value as Json;
 use std::collections::BTreeMap;
 
 impl Fit {
-    /// Results of the fit as JSON: parameters with errors, start, bounds and units, those that are tied last;
-    /// cost and RMS; quality of fit of each output; uncertainty of the fit; its method and settings. Neither
-    /// the trace nor the recordings: [`Fit::save`] keeps all. Numbers that are not finite are null.
+    /// Returns the results of the fit as JSON. They contain the parameters with errors, start, bounds and
+    /// units (tied parameters last), cost and RMS, the quality of fit of each output, the uncertainty, and
+    /// the method and settings. The trace and the recordings are not included; [`Fit::save`] stores
+    /// everything. Numbers that are not finite are null.
     ///
     /// # Errors
-    /// [`CalibrationError::Setup`] if it is no fit of this calibration.
+    /// Returns [`CalibrationError::Setup`] if the fit does not belong to this calibration.
     pub fn to_json(&self, calibration: &Calibration) -> Result<String, CalibrationError> {
         check_belongs(self, calibration)?;
         let failed = |e: serde_json::Error| CalibrationError::Setup(format!("no JSON can be made: {e}"));
@@ -29,13 +29,13 @@ impl Fit {
     fn json(&self, calibration: &Calibration) -> Result<FitDocument<'_>, serde_json::Error> {
         let mut uncertainty = serde_json::to_value(&self.uncertainty)?;
         if let Some(fields) = uncertainty.as_object_mut() {
-            // As long as the recordings.
+            // These arrays are as long as the recordings.
             fields.remove("jacobian");
             fields.remove("residuals");
-            // What predictions are made of.
+            // These fields are only needed for predictions.
             fields.remove("joint");
             fields.remove("uncorrected_joint");
-            // Those of the fit have them.
+            // The findings of the fit include these findings.
             fields.remove("findings");
             fields.insert("verdict".to_owned(), self.uncertainty.as_ref().map(Uncertainty::verdict).into());
         }
@@ -117,10 +117,10 @@ impl Fit {
 #[derive(Debug, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(title = "Fit of fmufit"))]
 pub struct FitDocument<'f> {
-    /// The program and its version.
+    /// Program and version that wrote the document.
     written_by: &'static str,
     model: FitModel,
-    /// Those of the search, then those that are tied to others.
+    /// Parameters of the search, followed by tied parameters.
     parameters: Vec<FitParameter>,
     cost: f64,
     /// Root of the mean squared residual.
@@ -130,49 +130,49 @@ pub struct FitDocument<'f> {
     /// Quality of fit of each output.
     outputs: &'f [OutputFit],
     noise: Option<&'f FitNoise>,
-    /// How a relative tolerance was chosen, where none was given.
+    /// Choice of the relative tolerance, if the user did not specify one.
     tolerance: Option<ChosenTolerance>,
-    /// That of the simulations.
+    /// Relative tolerance of the simulations.
     relative_tolerance: Option<f64>,
-    /// What was fitted: model, parameters, experiments with what their recordings are, settings of the
-    /// simulations.
+    /// Fitted problem: model, parameters, experiments with descriptions of their recordings, and settings of
+    /// the simulations.
     #[cfg_attr(feature = "schema", schemars(with = "BTreeMap<String, Json>"))]
     problem: Json,
-    /// How: the options of the fit, as in the table `[fit]` of a problem file.
+    /// Options of the fit, as in the table `[fit]` of a problem file.
     #[cfg_attr(feature = "schema", schemars(schema_with = "crate::fit::schema::fit_schema"))]
     fit_options: Json,
-    /// The options of its stages, as in the tables `[[stages]]`.
+    /// Options of the stages, as in the tables `[[stages]]`.
     #[cfg_attr(feature = "schema", schemars(schema_with = "crate::fit::schema::stages_schema"))]
     stages: Vec<Json>,
-    /// Uncertainty of the parameters, where it was estimated, with a verdict in a sentence.
+    /// Uncertainty of the parameters, if it was estimated, with a verdict in a sentence.
     #[cfg_attr(feature = "schema", schemars(with = "Option<BTreeMap<String, Json>>"))]
     uncertainty: Json,
-    /// How the search ended.
+    /// True if the search succeeded.
     success: bool,
-    /// No finding is an error: the values may be used, with what the warnings say about them.
+    /// True if no finding is an error. The values are usable within the limits that the warnings describe.
     usable: bool,
-    /// Why the search ended, in a word.
+    /// Reason for the termination, as a key.
     termination: &'f str,
-    /// The same in a sentence.
+    /// Reason for the termination, as a sentence.
     message: &'f str,
     findings: Vec<Finding>,
     method: &'f str,
-    /// Options of the method, as texts.
+    /// Options of the method as strings.
     options: BTreeMap<&'f str, &'f str>,
     solver: &'f str,
     n_evaluations: usize,
     n_iterations: usize,
     n_failed: usize,
-    /// Answers that the executor lost; their points were evaluated again.
+    /// Number of answers that the executor lost. Their points were evaluated again.
     n_lost: usize,
     seconds: f64,
     seed: Option<u64>,
-    /// Counted work of the simulations.
+    /// Work counters of the simulations.
     #[cfg_attr(feature = "schema", schemars(with = "BTreeMap<String, Json>"))]
     stats: Json,
 }
 
-/// The model of a fit.
+/// Model of a fit.
 #[derive(Debug, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 struct FitModel {
@@ -181,7 +181,7 @@ struct FitModel {
     sha256: String,
 }
 
-/// A parameter of a fit.
+/// Parameter of a fit.
 #[derive(Debug, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 struct FitParameter {
@@ -190,10 +190,10 @@ struct FitParameter {
     standard_error: Option<f64>,
     start: f64,
     unit: Option<String>,
-    /// Only of those that are not tied.
+    /// Fields of parameters that are not tied.
     #[serde(flatten)]
     free: Option<FreeParameter>,
-    /// The parameter that it follows.
+    /// Name of the parameter that this parameter is tied to.
     #[serde(skip_serializing_if = "Option::is_none")]
     tied_to: Option<String>,
 }
@@ -204,7 +204,7 @@ struct FreeParameter {
     lower: f64,
     upper: f64,
     fixed: bool,
-    /// The bound that it lies at: `lower`, `upper`.
+    /// Bound at which the parameter ended: `lower` or `upper`.
     at_bound: Option<&'static str>,
     without_effect: bool,
 }

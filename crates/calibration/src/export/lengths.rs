@@ -1,11 +1,11 @@
-//! Checks of the lengths of the parts of a fit that comes from a file against each other.
+//! Consistency checks of the lengths of the parts of a loaded fit.
 
 use crate::fit::one_stage::Fit;
 use crate::uncertainty::preflight::Preflight;
 use crate::uncertainty::result::Uncertainty;
 
-/// Refuses a fit of which parts have other lengths than its parameters and residuals ask for; the message
-/// names the first one.
+/// Returns an error if a part of a fit has a length that does not match its parameters and residuals. The
+/// message contains the name of the first such part.
 pub(super) fn check_lengths(fit: &Fit) -> Result<(), String> {
     check_fit(fit, "fit")
 }
@@ -45,11 +45,11 @@ fn check_fit(fit: &Fit, place: &str) -> Result<(), String> {
 }
 
 impl Uncertainty {
-    /// Refuses one that comes from elsewhere and of which parts have other lengths than its parameters and
-    /// residuals ask for.
+    /// Returns an error if a part of a loaded uncertainty has a length that does not match its parameters and
+    /// residuals.
     ///
     /// # Errors
-    /// The message names the first of them.
+    /// Returns a message with the name of the first such part.
     pub fn check_lengths(&self) -> Result<(), String> {
         check_uncertainty(self, self.x.len(), "uncertainty")
     }

@@ -1,4 +1,4 @@
-//! Handing a fit on: to a file that is read back, to tables, to other programs.
+//! Export of a fit to a file that can be loaded again, to tables, and to other programs.
 
 mod files;
 mod fmu;

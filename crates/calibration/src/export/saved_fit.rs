@@ -1,8 +1,8 @@
-//! A fit in a file: the result, the problem with its recordings, and the description of the model.
+//! File of a fit: the result, the problem with its recordings, and the description of the model.
 //!
-//! A sequence of CBOR items (RFC 8949, RFC 8742): a header with the hash of what follows; the fit, its
-//! problem and the options of the model; `modelDescription.xml`, by which the fit can be shown where the
-//! model is not at hand.
+//! The file is a sequence of CBOR items (RFC 8949, RFC 8742). The first is a header with the hash of the
+//! other items. Then follow the fit, its problem and the options of the model. The last is
+//! `modelDescription.xml`, which allows the fit to be displayed without the model.
 
 use super::files::{check_belongs, write};
 use super::lengths::check_lengths;
@@ -20,7 +20,7 @@ use std::path::Path;
 /// Format name in the file.
 const FORMAT: &str = "fmufit fit";
 
-/// The format that this version reads and writes. It changes with everything that a file holds.
+/// Format version that this version of the code reads and writes. It changes with any change of the contents.
 const FORMAT_VERSION: u64 = 5;
 
 /// First item of a file.
@@ -29,11 +29,11 @@ struct Header {
     format: String,
     format_version: u64,
     written_by: String,
-    /// SHA-256 of the items that follow.
+    /// SHA-256 of the items after the header.
     hash: String,
 }
 
-/// A fit that was read from a file, and what it is a fit of.
+/// Fit that was read from a file, with its problem.
 ///
 /// ```
 /// # use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, SavedFit};
@@ -56,33 +56,33 @@ struct Header {
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct SavedFit {
-    /// The result.
+    /// Result of the fit.
     pub fit: Fit,
-    /// Problem that was fitted: model, recordings and parameters.
+    /// Fitted problem: model, recordings and parameters.
     pub problem: Problem,
-    /// The version of the code that wrote the file.
+    /// Version of the code that wrote the file.
     pub written_by: String,
-    /// Options that the model was opened with.
+    /// Options used to open the model.
     pub open_options: OpenOptions,
     description: Vec<u8>,
 }
 
 impl Fit {
-    /// Writes the fit and what it is a fit of to a file, in one step: with the recordings by value and the
-    /// model by its place, the hash of its content and its description. All numbers keep their bits. See
+    /// Writes the fit and its problem to a file atomically. The file contains the recordings by value, and
+    /// the path, content hash and description of the model. All numbers are stored bit for bit. See
     /// [`SavedFit`].
     ///
     /// # Errors
-    /// [`CalibrationError::Setup`] if it is no fit of this calibration; [`FmiError::Io`] for what the system
-    /// refuses.
+    /// Returns [`CalibrationError::Setup`] if the fit does not belong to this calibration, or
+    /// [`FmiError::Io`] if the file cannot be written.
     pub fn save(&self, calibration: &Calibration, path: impl AsRef<Path>) -> Result<(), CalibrationError> {
         write(path.as_ref(), calibration, &self.to_bytes(calibration)?)
     }
 
-    /// The bytes of the file that [`save`](Self::save) writes. The same fit gives the same bytes.
+    /// Returns the bytes of the file that [`save`](Self::save) writes. Equal fits give equal bytes.
     ///
     /// # Errors
-    /// As [`save`](Self::save).
+    /// Returns the errors of [`save`](Self::save).
     pub fn to_bytes(&self, calibration: &Calibration) -> Result<Vec<u8>, CalibrationError> {
         check_belongs(self, calibration)?;
         let fmu = calibration.fmu();
@@ -93,21 +93,21 @@ impl Fit {
 }
 
 impl SavedFit {
-    /// Reads a file that [`Fit::save`] has written. The model is not opened.
+    /// Reads a file written by [`Fit::save`]. The model is not opened.
     ///
     /// # Errors
-    /// [`FmiError::Io`]; [`CalibrationError::SavedFit`] for a file that is cut, damaged, of another kind or
-    /// of another format.
+    /// Returns [`FmiError::Io`] if the file cannot be read. Returns [`CalibrationError::SavedFit`] if it is
+    /// truncated, damaged, of another kind or of another format.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, CalibrationError> {
         let path = path.as_ref();
         let bytes = base::files::read_regular(path).map_err(FmiError::io("read", path))?;
         Self::from_bytes(&bytes, &path.display().to_string())
     }
 
-    /// The same from the bytes of a file; `name` stands in errors.
+    /// Reads a fit from the bytes of a file. `name` is its name in errors.
     ///
     /// # Errors
-    /// As [`load`](Self::load).
+    /// Returns the errors of [`load`](Self::load).
     pub fn from_bytes(bytes: &[u8], name: &str) -> Result<Self, CalibrationError> {
         let bad = |message: String| CalibrationError::SavedFit { name: name.to_owned(), message };
         let read = || -> Result<Self, String> {
@@ -127,26 +127,27 @@ impl SavedFit {
         read().map_err(bad)
     }
 
-    /// Refuses parts that do not fit together.
+    /// Returns an error if the parts are inconsistent.
     fn check(&self) -> Result<(), String> {
         check_lengths(&self.fit)?;
         self.problem.experiments.iter().try_for_each(|e| e.data().check()).map_err(|e| e.to_string())
     }
 
-    /// The calibration with its model, where that is at its place with the content it had. Else one without:
-    /// it shows all that it is made of, and what simulates fails with [`FmiError::Absent`], which names the
-    /// file and the hash of its content.
+    /// Returns the calibration with its model if the file still exists with the original content. Otherwise
+    /// returns a calibration without a model. It shows all settings and data, but simulations fail with
+    /// [`FmiError::Absent`], which contains the path and the content hash of the file.
     ///
     /// # Errors
-    /// As [`Calibration::from_problem`].
+    /// Returns the errors of [`Calibration::from_problem`].
     pub fn calibration(&self) -> Result<Calibration, CalibrationError> {
         self.calibration_from(Fmu::open_with(&self.problem.model.path, &self.open_options))
     }
 
-    /// As [`calibration`](Self::calibration), with the outcome of opening the model's file.
+    /// Returns the calibration as [`calibration`](Self::calibration) does, given the outcome of opening the
+    /// model.
     ///
     /// # Errors
-    /// As [`calibration`](Self::calibration).
+    /// Returns the errors of [`calibration`](Self::calibration).
     pub fn calibration_from(&self, opened: Result<Fmu, FmiError>) -> Result<Calibration, CalibrationError> {
         let ModelFile { path, content_hash } = &self.problem.model;
         let present = opened.and_then(|fmu| fmu.content_hash().map(str::to_owned).map(|hash| (fmu, hash)));
@@ -164,10 +165,11 @@ impl SavedFit {
         self.calibration_with(Fmu::absent(path, description, hash, reason, &self.open_options)?)
     }
 
-    /// The calibration with a model of the same content at another place.
+    /// Returns the calibration with a model of equal content at another path.
     ///
     /// # Errors
-    /// [`CalibrationError::OtherModel`]: the model has another content. As [`Calibration::from_problem`].
+    /// Returns [`CalibrationError::OtherModel`] if the model has another content. Also returns the errors of
+    /// [`Calibration::from_problem`].
     pub fn calibration_with(&self, fmu: Fmu) -> Result<Calibration, CalibrationError> {
         self.problem.model.check(&fmu)?;
         let problem = Problem { model: ModelFile::of(&fmu)?, ..self.problem.clone() };
@@ -177,7 +179,7 @@ impl SavedFit {
     }
 }
 
-/// The bytes of a file.
+/// Returns the bytes of a file.
 fn to_bytes<T: Serialize>(written_by: &str, parts: &T, description: Vec<u8>) -> Result<Vec<u8>, String> {
     let failed = |e: ciborium::ser::Error<std::io::Error>| e.to_string();
     let mut rest = Vec::new();
@@ -191,8 +193,8 @@ fn to_bytes<T: Serialize>(written_by: &str, parts: &T, description: Vec<u8>) -> 
     Ok(bytes)
 }
 
-/// The header of a file, and what follows; refuses other kinds of files, other formats than this version
-/// knows, and what is damaged.
+/// Returns the header of a file and the remaining bytes. Returns an error if the file has another kind or
+/// format, or is damaged.
 fn header(mut bytes: &[u8]) -> Result<(Header, &[u8]), String> {
     let found = item::<Header>(&mut bytes).ok().filter(|header| header.format == FORMAT);
     let header = found.ok_or("this is no saved fit")?;
@@ -210,7 +212,7 @@ fn header(mut bytes: &[u8]) -> Result<(Header, &[u8]), String> {
     }
 }
 
-/// The next item.
+/// Reads the next item.
 fn item<T: DeserializeOwned>(bytes: &mut &[u8]) -> Result<T, String> {
     ciborium::from_reader(bytes).map_err(|error| match error {
         ciborium::de::Error::Semantic(_, what) => what,

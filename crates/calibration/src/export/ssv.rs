@@ -1,4 +1,5 @@
-//! Parameter values for other tools: System Structure Parameter Values 1.0 (SSP standard 1.0, section 6).
+//! Export of parameter values for other tools: System Structure Parameter Values 1.0 (SSP standard 1.0,
+//! section 6).
 
 use super::files::{check_belongs, check_suffix, write};
 use crate::error::CalibrationError;
@@ -9,17 +10,17 @@ use quick_xml::escape;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The namespaces of the format.
+/// Namespaces of the format.
 const VALUES: &str = "http://ssp-standard.org/SSP1/SystemStructureParameterValues";
 const COMMON: &str = "http://ssp-standard.org/SSP1/SystemStructureCommon";
 
 impl Fit {
-    /// Writes the values of the variables that the parameters set as an SSP parameter file, `.ssv`; with
-    /// [local](crate::Parameter::local) parameters those of the experiment named.
+    /// Writes the values of the variables that the parameters set to an SSP parameter file, `.ssv`. If there
+    /// are [local](crate::Parameter::local) parameters, `experiment` selects their values.
     ///
     /// # Errors
-    /// As [`ssv`](Self::ssv); [`CalibrationError::Setup`] for a name that does not end in `.ssv`;
-    /// [`fmi::FmiError::Io`].
+    /// Returns the errors of [`ssv`](Self::ssv). Returns [`CalibrationError::Setup`] if the name does not end
+    /// in `.ssv`, or [`fmi::FmiError::Io`].
     pub fn export_ssv(
         &self,
         calibration: &Calibration,
@@ -30,11 +31,12 @@ impl Fit {
         write(path.as_ref(), calibration, self.ssv(calibration, experiment)?.as_bytes())
     }
 
-    /// The text of that file: the values in the units of the model, the units that have a definition in the
-    /// model, and what the fit was as a description.
+    /// Returns the text of an SSP parameter file. It contains the values in the units of the model, the units
+    /// that the model defines, and a description of the fit.
     ///
     /// # Errors
-    /// As [`Calibration::variable_values`]; [`CalibrationError::Setup`] if it is no fit of this calibration.
+    /// Returns the errors of [`Calibration::variable_values`]. Returns [`CalibrationError::Setup`] if the fit
+    /// does not belong to this calibration.
     pub fn ssv(
         &self,
         calibration: &Calibration,
@@ -104,8 +106,9 @@ impl Fit {
     }
 }
 
-/// A text as the value of an attribute: line breaks and tabulators by their numbers, which a reader would
-/// take for spaces (XML 1.0, section 3.3.3); characters that XML cannot hold as they are shown (section 2.2).
+/// Escapes text for an attribute value. Line breaks and tabulators become character references, because a
+/// reader would convert them to spaces (XML 1.0, section 3.3.3). Characters that XML does not permit (section
+/// 2.2) become visible escapes.
 fn escape(text: &str) -> String {
     let is_no_character = |c: char| matches!(c, '\u{0}'..='\u{8}' | '\u{b}' | '\u{c}' | '\u{e}'..='\u{1f}' | '\u{fffe}' | '\u{ffff}');
     let held = |c: char| match c {
@@ -116,7 +119,7 @@ fn escape(text: &str) -> String {
     escape::escape(&held).replace('\t', "&#9;").replace('\n', "&#10;").replace('\r', "&#13;")
 }
 
-/// Base units, factor and offset of a unit, as attributes; defaults are left out.
+/// Returns the base units, factor and offset of a unit as attributes, without defaults.
 fn attributes(base: &BaseUnit) -> String {
     let BaseUnit { kg, m, s, a, k, mol, cd, rad, factor, offset } = *base;
     let exponents =

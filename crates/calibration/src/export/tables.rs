@@ -1,4 +1,4 @@
-//! A fit as tables: comma-separated values (RFC 4180) for spreadsheets and other programs.
+//! Export of a fit as tables: comma-separated values (RFC 4180) for spreadsheets and other programs.
 
 use super::files::{check_belongs, write};
 use crate::error::CalibrationError;
@@ -10,31 +10,32 @@ use base::RunContext;
 use dfo::Outcome;
 use std::path::Path;
 
-/// Kind of table of a fit. Names of the model and of the recordings stand as they are: a spreadsheet takes a
-/// cell that begins with `=`, `+`, `-` or `@` for a formula, so import tables of models that you do not trust
-/// as text. All numbers have the digits that stand for the same number when they are read again; missing ones
-/// are empty.
+/// Kind of table of a fit. Names of the model and of the recordings are not escaped. A spreadsheet interprets
+/// a cell that begins with `=`, `+`, `-` or `@` as a formula, so import tables of untrusted models as text.
+/// Numbers have enough digits to be read back exactly. Missing numbers are empty.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Table {
-    /// A row for each entry of `x`: name, value, standard errors where the fit has them, start, bounds, unit,
-    /// the bound that it ended at; then one for each parameter that is tied: name, value, standard errors and
-    /// start that follow from those of the other one, unit, and to which it is tied.
+    /// A row for each entry of `x`: name, value, standard errors (if the fit has them), start, bounds, unit,
+    /// and the bound at which it ended. Then a row for each tied parameter: name, unit, the parameter that it
+    /// is tied to, and the value, standard errors and start that follow from that parameter.
     #[default]
     Parameters,
-    /// A row for each measurement that counts: experiment, variable, column, unit, time in s, measured,
-    /// simulated, weight, residual.
+    /// A row for each measurement that counts: experiment, variable, column, unit, time in s, measured value,
+    /// simulated value, weight, residual.
     Trajectories,
-    /// A row for each evaluation: number, batch, whether the method went through it, cost, the value that it
-    /// is known to exceed where it was given up, seconds, why it failed, and the values of the parameters.
+    /// A row for each evaluation: number, batch, a flag that is true if the method used it, cost, the lower
+    /// bound of the cost if the evaluation was stopped early, seconds, the reason for a failure, and the
+    /// values of the parameters.
     Trace,
 }
 
 impl Fit {
-    /// A table of the fit as text. Simulations, for the trajectories, end with the context.
+    /// Returns a table of the fit as text. The context can end the simulations for the trajectories.
     ///
     /// # Errors
-    /// [`CalibrationError::Setup`] if it is no fit of this calibration; those of simulating.
+    /// Returns [`CalibrationError::Setup`] if the fit does not belong to this calibration. Also returns the
+    /// errors of simulating.
     pub fn csv(
         &self,
         calibration: &Calibration,
@@ -55,10 +56,10 @@ impl Fit {
         String::from_utf8(bytes).map_err(|e| failed(&e))
     }
 
-    /// Writes a table to a file, in one step.
+    /// Writes a table to a file atomically.
     ///
     /// # Errors
-    /// As [`csv`](Self::csv); [`fmi::FmiError::Io`].
+    /// Returns the errors of [`csv`](Self::csv) and [`fmi::FmiError::Io`].
     pub fn write_csv(
         &self,
         calibration: &Calibration,
@@ -189,14 +190,13 @@ impl Fit {
     }
 }
 
-/// A parameter that is tied to another one, `factor * p + offset`, which is `to` in the list of those that
-/// were fitted.
+/// Parameter that is tied to another one, `factor * p + offset`. `to` is the name of the fitted parameter.
 pub(super) struct Tied {
     pub(super) name: String,
     pub(super) to: String,
     pub(super) value: f64,
     pub(super) start: f64,
-    /// That of the other one times the size of the factor.
+    /// Standard error of the other parameter times the magnitude of the factor.
     pub(super) standard_error: Option<f64>,
     pub(super) uncorrected_error: Option<f64>,
     pub(super) unit: Option<String>,
@@ -210,7 +210,7 @@ impl Fit {
             let entry = of.entry?;
             let error = |errors: &[f64]| errors.get(entry).map(|error| error * of.factor.abs());
             let uncertainty = self.uncertainty.as_ref();
-            // Of what follows a local one the name has that of the experiment behind it.
+            // The name of a parameter that follows a local one ends with its experiment.
             let is_it = |p: &&Parameter| {
                 p.is_tied()
                     && name
@@ -233,7 +233,7 @@ impl Fit {
     }
 }
 
-/// The unit of the values of a parameter, where it is known.
+/// Returns the unit of the values of a parameter, if it is known.
 pub(super) fn unit_of(parameter: &Parameter, calibration: &Calibration) -> Option<String> {
     let of_variable = || {
         let variable = calibration.fmu().description().variable(parameter.variable()?)?;
@@ -242,7 +242,7 @@ pub(super) fn unit_of(parameter: &Parameter, calibration: &Calibration) -> Optio
     parameter.given_unit().map(str::to_owned).or_else(of_variable)
 }
 
-/// The shortest text that stands for the same number.
+/// Returns the shortest text that represents the number exactly.
 fn number(value: f64) -> String {
     match value {
         value if value.is_nan() => String::new(),

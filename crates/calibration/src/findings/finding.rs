@@ -1,4 +1,4 @@
-//! Findings about a setup or a fit: sentences with a subject, a severity, and a remedy.
+//! Findings about a setup or a fit: sentences with a subject, a severity and a remedy.
 
 use crate::findings::shown_text::visible_line;
 use serde::{Deserialize, Serialize};
@@ -10,16 +10,16 @@ use std::fmt;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Severity {
-    /// Nothing can be fitted as it is, or the result of a fit is not to be used.
+    /// The setup cannot be fitted, or the result of the fit should not be used.
     Error,
-    /// It is likely not what is meant, or a value is not to be relied on.
+    /// The setup is probably not intended, or a value is unreliable.
     Warning,
-    /// Good to know.
+    /// The finding is informative.
     Note,
 }
 
 impl Severity {
-    /// In lower case.
+    /// Returns the name in lower case.
     pub fn name(self) -> &'static str {
         match self {
             Self::Error => "error",
@@ -29,22 +29,22 @@ impl Severity {
     }
 }
 
-/// What a finding is about, in the order in which findings explain each other: a wrong unit leaves a
-/// parameter at its bound, and both leave residuals that last.
+/// Subject area of a finding. Areas are ordered by cause: a wrong unit can leave a parameter at its bound,
+/// and both can leave systematic residuals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Origin {
-    /// The model, a recording, a unit, a setting.
+    /// Model, recording, unit or setting.
     #[default]
     Problem,
-    /// The parameters: where they ended, which of them the data determine, how the search ended.
+    /// Parameters and search: final values, identifiability, and termination.
     Search,
     /// Residuals and standard errors.
     Residuals,
 }
 
-/// Something that a check has found, or that is to be said of the result of a fit.
+/// Finding of a check or about the result of a fit.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
@@ -57,7 +57,7 @@ pub struct Finding {
     pub sentence: String,
     /// Remedy; may be empty.
     pub remedy: String,
-    /// What the finding is about.
+    /// Subject area of the finding.
     #[serde(default)]
     pub origin: Origin,
 }
@@ -77,7 +77,7 @@ impl Finding {
         Self { severity, subject, sentence, remedy, origin: Origin::Problem }
     }
 
-    /// The same with another origin.
+    /// Returns the finding with another origin.
     pub(crate) fn of(self, origin: Origin) -> Self {
         Self { origin, ..self }
     }
@@ -98,7 +98,7 @@ impl Finding {
         Self::new(Severity::Note, subject, sentence, remedy)
     }
 
-    /// The sentence, after its subject where it does not name that itself.
+    /// Returns the sentence, preceded by the subject if the sentence does not contain it.
     pub fn text(&self) -> String {
         match self.subject.is_empty() || self.sentence.contains(&self.subject) {
             true => self.sentence.clone(),
@@ -106,7 +106,7 @@ impl Finding {
         }
     }
 
-    /// The same, and what to do about it.
+    /// Returns the text and the remedy.
     pub fn advice(&self) -> String {
         if self.remedy.is_empty() { self.text() } else { format!("{}; {}", self.text(), self.remedy) }
     }
@@ -118,12 +118,13 @@ impl fmt::Display for Finding {
     }
 }
 
-/// Puts findings that explain others before these, errors before warnings within one origin, and notes last.
+/// Sorts findings so that causes come before consequences, errors before warnings within one origin, and
+/// notes last.
 pub(crate) fn sort(findings: &mut [Finding]) {
     findings.sort_by_key(|finding| (finding.severity == Severity::Note, finding.origin, finding.severity));
 }
 
-/// "1 error, 2 warnings"; empty if there are none.
+/// Returns the counts, such as "1 error, 2 warnings". Returns an empty string if there are no findings.
 pub(crate) fn counts(findings: &[Finding]) -> String {
     let n = |severity| findings.iter().filter(|finding| finding.severity == severity).count();
     [Severity::Error, Severity::Warning, Severity::Note]
@@ -135,7 +136,7 @@ pub(crate) fn counts(findings: &[Finding]) -> String {
         .join(", ")
 }
 
-/// A line for each, and below it what to do; each begins with a line break.
+/// Returns a line for each finding, with the remedy below it. Each line begins with a line break.
 pub(crate) fn table(findings: &[Finding]) -> String {
     let lines = |finding: &Finding| {
         let remedy = match finding.remedy.as_str() {

@@ -1,4 +1,4 @@
-//! Findings of checks and fits, and how names from elsewhere are shown.
+//! Findings of checks and fits, and the display of external names.
 
 pub(crate) mod finding;
 pub(crate) mod shown_text;

@@ -1,13 +1,13 @@
-//! Texts of files, and numbers, as messages show them: nothing in them moves a cursor, or changes the
-//! direction of what is read, and they are not long.
+//! Safe display of external text and numbers in messages. The text is short, and it cannot move the cursor or
+//! change the text direction.
 
 use base::Number;
 use fmi::FmiError;
 use std::borrow::Cow;
 use std::error::Error;
 
-/// True for a character that is not shown, but changes those that are: control characters, separators of
-/// lines, and characters that set the direction of text (Unicode Standard Annex 9, section 2).
+/// Returns true for an invisible character that changes the display of others: control characters, line
+/// separators, and characters that set the text direction (Unicode Standard Annex 9, section 2).
 fn is_hidden(c: char) -> bool {
     c.is_control()
         || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
@@ -24,20 +24,20 @@ fn escaped(text: &str, is_hidden: impl Fn(char) -> bool) -> Cow<'_, str> {
     Cow::Owned(shown)
 }
 
-/// Returns a text of several lines with hidden characters as their numbers, `\u{1b}` for an escape: terminals
-/// act on them. Line breaks and tabulators stay. Names in it must have passed through
-/// [`visible_line`] before, because they may hold these, too.
+/// Returns a text of several lines with hidden characters escaped, such as `\u{1b}` for an escape, because
+/// terminals interpret them. Line breaks and tabulators are kept. Pass names in the text through
+/// [`visible_line`] first, because they may also contain line breaks and tabulators.
 pub fn visible(text: &str) -> Cow<'_, str> {
     escaped(text, |c| is_hidden(c) && c != '\n' && c != '\t')
 }
 
-/// Returns a name or another text of one line with all hidden characters as their numbers, `\u{a}` for a line
-/// break: variables, columns, units and descriptions may hold any.
+/// Returns a name or another text of one line with all hidden characters escaped, such as `\u{a}` for a line
+/// break. Variables, columns, units and descriptions may contain any character.
 pub fn visible_line(text: &str) -> Cow<'_, str> {
     escaped(text, is_hidden)
 }
 
-/// Returns the message of an error on one line; only the output of a compiler keeps its lines.
+/// Returns the message of an error on one line. Only compiler output keeps its lines.
 pub fn visible_error(error: &(dyn Error + 'static)) -> String {
     let message = error.to_string();
     let mut cause = Some(error);
@@ -50,10 +50,10 @@ pub fn visible_error(error: &(dyn Error + 'static)) -> String {
     visible_line(&message).into_owned()
 }
 
-/// So many characters of a text are shown.
+/// Maximum number of characters of a text in a message.
 const LONGEST_SHOWN: usize = 60;
 
-/// The text, or its beginning and its length.
+/// Returns the text, or its beginning and its length if it is long.
 pub(crate) fn shortened(text: &str) -> Cow<'_, str> {
     match text.char_indices().nth(LONGEST_SHOWN) {
         Some((end, _)) => Cow::Owned(format!("{}... ({} bytes)", &text[..end], text.len())),
@@ -61,7 +61,7 @@ pub(crate) fn shortened(text: &str) -> Cow<'_, str> {
     }
 }
 
-/// A number with four digits.
+/// Rounds a number to four digits.
 pub(crate) fn digits(value: f64) -> Number {
     Number(format!("{value:.3e}").parse().unwrap_or(value))
 }

@@ -49,7 +49,7 @@ pub struct Stage {
 }
 
 impl Stage {
-    /// Frees these parameters.
+    /// Creates a stage that frees these parameters.
     pub fn new<S: Into<String>>(parameters: impl IntoIterator<Item = S>) -> Self {
         Self { parameters: parameters.into_iter().map(Into::into).collect(), ..Self::default() }
     }

@@ -180,9 +180,9 @@ impl Calibration {
     ///
     /// # Errors
     /// Returns an error if the fit has no [uncertainty](Fit::uncertainty), no degrees of freedom, or
-    /// parameters that the data do not determine. The level must be between 0 and 1, the outputs must be
-    /// compared, and the times must be valid. Also returns an error if a simulation fails, or
-    /// [`CalibrationError::Cancelled`].
+    /// parameters that the data do not determine. Also returns an error if the level is not between 0 and 1,
+    /// an output is not compared, the times are invalid, or a simulation fails. Returns
+    /// [`CalibrationError::Cancelled`] if the context ends the computation.
     pub fn prediction_bands(
         &self,
         fit: &Fit,

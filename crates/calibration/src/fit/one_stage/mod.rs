@@ -90,8 +90,9 @@ impl Calibration {
             let own = own.as_ref().unwrap_or(self);
             let best = made.best(own.n_residuals());
             let mut budget = made.budget();
-            // Taken without a comparison, too, and with room left for an accurate simulation of the result: neither a
-            // process nor the number of workers decides what else is simulated.
+            // Reserve this evaluation even if no comparison follows, and reserve an accurate simulation of
+            // the result. Otherwise processes or the number of workers would decide about the other
+            // simulations.
             let has_room = budget.take(1.0);
             let reserved = if job.has_uncertainty() { own.price_of_accurate() } else { 0.0 };
             let most_used = budget.left_beside(reserved);

@@ -111,8 +111,8 @@ pub struct OutputNoise {
     /// Standard deviation of a measurement in the unit of the variable. If the weights are relative, the
     /// standard deviation times the weight.
     pub sd: f64,
-    /// True if the noise is that of the residuals; else it is that of the differences between neighbouring
-    /// measurements: there are too few residuals, or the search was ended.
+    /// True if the noise was estimated from the residuals. Otherwise it was estimated from the differences
+    /// between neighbouring measurements, because there are too few residuals or the search was interrupted.
     pub is_of_residuals: bool,
 }
 

@@ -35,7 +35,7 @@ pub struct Fit {
     pub tied: Vec<(String, f64)>,
     /// Start values of the parameters.
     pub start: Vec<f64>,
-    /// Units of the parameters, where they are known, in the same order.
+    /// Units of the parameters in the same order, if they are known.
     pub units: Vec<Option<String>>,
     /// Lower and upper bounds of the parameters in the same order. Both are equal for a fixed parameter.
     pub bounds: Vec<(f64, f64)>,
@@ -60,8 +60,9 @@ pub struct Fit {
     /// [`FitOptions::record`](crate::FitOptions::record)). The options of a stage include its `parameters`
     /// and `windows`.
     pub options: Record,
-    /// Where the noise of the measurements was taken from, beside which priors count; `None`: nothing
-    /// depended on it (no priors, or a cost that is no sum of squares), or there was no time for a search.
+    /// Source of the noise of the measurements, which determines the weight of the priors. `None` if nothing
+    /// depended on the noise (no priors, or the cost is not a sum of squares) or there was no time for a
+    /// search.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise: Option<FitNoise>,
     /// Relative tolerance that was chosen for the simulations. `None` if the user specified it, or if the fit

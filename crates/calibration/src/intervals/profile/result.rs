@@ -112,8 +112,9 @@ pub struct Profile {
     pub level: f64,
     /// Statistic at which the intervals end.
     pub threshold: f64,
-    /// As those of [`Uncertainty`](crate::Uncertainty::degrees_of_freedom). The statistic of a parameter
-    /// whose variance has others is scaled, so that one threshold is that of all.
+    /// Degrees of freedom, as in [`Uncertainty`](crate::Uncertainty::degrees_of_freedom). If the variance of
+    /// a parameter has other degrees of freedom, its statistic is scaled so that one threshold applies to all
+    /// parameters.
     pub degrees_of_freedom: f64,
     /// Optimum of the cost and center of the intervals. It is the optimum of the fit, located more
     /// accurately.
