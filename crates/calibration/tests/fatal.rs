@@ -12,7 +12,7 @@ use fmi::Fmu;
 use support::{calibration, costs, faulty, fit};
 
 #[test]
-fn fatal_costs_no_more_than_an_error() {
+fn fatal_status_fails_only_one_evaluation() {
     let (error, fatal) = (faulty(&["ERROR_ABOVE=2.2"]), faulty(&["FATAL_ABOVE=2.2", "SHARED_GLOBALS"]));
     let expected = fit(&calibration(Fmu::open(error.path()).unwrap()), 1, 200);
     assert!((expected.x[0] - 1.7).abs() < 1e-2, "{:?}", expected.x);
@@ -31,7 +31,7 @@ fn fatal_costs_no_more_than_an_error() {
 /// Copies run out: the fit ends with the best point it has seen, and says why.
 #[cfg(target_env = "gnu")]
 #[test]
-fn a_fit_that_has_no_copy_left_ends_with_its_best_point() {
+fn fit_returns_its_best_point_when_library_copies_run_out() {
     let folder = faulty(&["FATAL_ABOVE=2.2", "LARGE_TLS=400"]);
     let calibration = calibration(Fmu::open(folder.path()).unwrap());
     let fit = fit(&calibration, 2, 200);
@@ -48,7 +48,7 @@ fn a_fit_that_has_no_copy_left_ends_with_its_best_point() {
 
 /// The library ends the process when two threads are in it at once, and keeps its parameter in a static variable.
 #[test]
-fn workers_go_one_at_a_time() {
+fn workers_use_a_shared_library_one_at_a_time() {
     let folder = faulty(&["DIES_WITH_TWO", "SHARED_GLOBALS"]);
     let alone = fit(&calibration(Fmu::open(folder.path()).unwrap()), 1, 100);
     let together = fit(&calibration(Fmu::open(folder.path()).unwrap()), 4, 100);
@@ -57,7 +57,7 @@ fn workers_go_one_at_a_time() {
 
 /// An instance that cannot be ended costs its loaded library, and no evaluation.
 #[test]
-fn fatal_at_the_end_of_a_run_changes_no_cost() {
+fn fatal_status_at_the_end_of_a_run_changes_no_cost() {
     let honest = faulty(&[]);
     let expected = fit(&calibration(Fmu::open(honest.path()).unwrap()), 1, 60);
     for (status, workers) in [("fmi2Fatal", 1), ("fmi2Fatal", 3), ("fmi2Error", 2)] {
@@ -70,7 +70,7 @@ fn fatal_at_the_end_of_a_run_changes_no_cost() {
 
 /// An instance of a session and the simulators of a fit do not get in each other's way, whatever the flag says.
 #[test]
-fn a_model_that_was_simulated_can_be_calibrated() {
+fn calibration_works_after_a_simulation_of_the_model() {
     let folder = faulty(&["STATIC_PARAMETERS"]);
     let description = folder.path().join("modelDescription.xml");
     let xml = std::fs::read_to_string(&description).unwrap();

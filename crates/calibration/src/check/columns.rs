@@ -73,7 +73,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn placeholders_lie_outside() {
+    fn placeholders_are_detected_outside_the_other_values() {
         let noisy: Vec<f64> = (0..200).map(|k| 300.0 + f64::from(k % 7) / 7.0).collect();
         assert_eq!(placeholder(&noisy), None);
         for value in [9999.0, -999.0, 1e30] {

@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_of_an_input_is_one_where_the_recording_goes_on() {
+    fn input_gap_is_reported_when_the_recording_continues() {
         let all = rows(400, sine);
         let without = |left_out: std::ops::Range<usize>| {
             let kept = || (0..400).filter(|k| !left_out.contains(k));

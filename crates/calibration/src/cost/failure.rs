@@ -174,7 +174,7 @@ mod tests {
     use ode::{Evaluated, SimulationError, Stats};
 
     #[test]
-    fn failures_of_the_machine_are_not_outcomes_of_a_point() {
+    fn machine_failures_are_not_point_failures() {
         let source = std::io::Error::from_raw_os_error(27);
         let io = FmiError::Io { action: "write", path: "model.so".into(), source };
         let no_worker = FmiError::NoWorker { reason: "no memory".to_owned() };
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn a_model_that_cannot_be_evaluated_at_its_start_says_what_is_not_finite() {
+    fn failure_reports_the_quantity_that_is_not_finite() {
         let (what, name) = (Evaluated::Derivative, Some("T".to_owned()));
         let error = SimulationError {
             kind: ErrorKind::DiscardedAtRestart,

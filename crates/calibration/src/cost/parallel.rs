@@ -102,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn results_are_in_the_order_of_the_items() {
+    fn map_returns_results_in_item_order() {
         for workers in [1, 3, 100] {
             let squares = map(20, workers, &RunContext::new(), &|k, _| k * k);
             assert_eq!(squares, (0..20).map(|k| Some(k * k)).collect::<Vec<_>>());
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_begins_after_the_end_and_tasks_are_told_of_it() {
+    fn map_begins_no_task_and_ends_running_ones_after_cancellation() {
         for workers in [1, 2] {
             let asked = std::cell::Cell::new(0);
             let cancelled = || {
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn a_panic_costs_one_result() {
+    fn map_loses_one_result_when_a_task_panics() {
         let results = map(4, 2, &RunContext::new(), &|k, _| {
             assert_ne!(k, 2);
             k

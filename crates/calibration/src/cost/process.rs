@@ -123,12 +123,12 @@ pub(crate) struct BestPoint {
 /// Process that answers a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum ProcessChoice {
-    /// Any that has loaded the problem.
+    /// Any process that has loaded the problem.
     Any,
-    /// Of those that have loaded the problem and are idle, the one that was asked longest ago.
+    /// The process that has been idle longest among the processes that have loaded the problem.
     LongestIdle,
-    /// Any. After an answer of one that was asked before, the first question of all is asked again and
-    /// compared, until one comparison agrees. In searches, which compare the best point at their end.
+    /// Any process. If a used process answers, the first question of all is repeated and compared, until one
+    /// comparison agrees. Use it in searches, which compare the best point at their end.
     ComparedFirst,
     /// Any process. After the first comparison that agrees, the first, second, fourth, eighth ... of the next
     /// answers are also followed by a comparison.
@@ -453,7 +453,7 @@ impl Remote {
             return Err(None);
         }
         let limits = settings.worker_limits();
-        // Where it is now, in this process no further process is started.
+        // The worker must not start further processes, so the model runs in the worker itself.
         let model = ModelFile::of(fmu).map_err(|error| Some(error.to_string()))?;
         let settings = SimulationSettings { isolation: Isolation::None, sandbox: false, ..settings.clone() };
         let n_experiments = problem.experiments.len().try_into().unwrap_or(u32::MAX);
@@ -728,7 +728,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn evaluation_whose_cost_is_not_that_of_its_residuals_is_refused() {
+    fn evaluation_is_rejected_when_cost_and_residuals_differ() {
         let answer = |cost: f64, residuals: &[f64]| {
             let mut frame = Frame::of(&Evaluated { cost: Ok(cost), stats: Stats::default() }).unwrap();
             frame.numbers = residuals.to_vec();

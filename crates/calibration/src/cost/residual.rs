@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn the_vector_is_ordered_output_by_output() {
+    fn residual_vector_is_ordered_output_by_output() {
         let mut second = measured(&[(0.0, 10.0), (1.0, 20.0)]);
         second.weights = vec![2.0; 2].into();
         let c = Comparison::new(&[measured(&[(0.0, 1.0), (1.0, 2.0), (3.0, 3.0)]), second]);
@@ -345,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn late_outputs_are_sampled_earlier_but_not_before_the_start() {
+    fn schedule_samples_late_outputs_earlier_but_not_before_the_start() {
         let c = Comparison::new(&[
             measured(&[(0.0, 1.0), (1.0, 2.0), (3.0, 3.0)]),
             measured(&[(0.7, 4.0), (1.0, 5.0)]),
@@ -357,7 +357,7 @@ mod tests {
     }
 
     #[test]
-    fn stops_strictly_above_the_cutoff_and_at_nan() {
+    fn accumulator_stops_strictly_above_the_cutoff_and_at_nan() {
         let c = Comparison::new(&[measured(&[(0.0, 0.0), (1.0, 0.0)])]);
         let schedule = c.schedule(|_| 0.0, 0.0);
         let [mut first, mut second] = [[0.0; 2]; 2];
@@ -387,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn quad_err_names_what_does_not_fit() {
+    fn quad_err_reports_inconsistent_lengths() {
         for (e, expected) in [
             (quad_err(&[0.0], &[&[0.0]], &[0.0], &[], None), "1 measured quantities against 0"),
             (quad_err(&[0.0], &[&[0.0]], &[], &[&[]], None), "no simulated times"),

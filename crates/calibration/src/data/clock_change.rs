@@ -107,7 +107,7 @@ mod tests {
     const START: f64 = 1_711_843_200.0;
 
     #[test]
-    fn an_hour_that_is_missing_or_doubled_is_found() {
+    fn clock_change_finds_missing_and_doubled_hours() {
         for (interval, at) in [(60.0, 2.0), (1.0, 1.0), (900.0, 3.0), (3600.0, 2.0), (0.5, 2.0)] {
             let change = clock_change(START, &rows(interval, (at * HOUR, HOUR))).unwrap().unwrap();
             let to = format!("2024-03-31T{:02}:00:00", at + 1.0);
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn other_gaps_are_none() {
+    fn clock_change_ignores_other_gaps() {
         for (interval, jump) in
             [(60.0, (4.5 * HOUR, HOUR)), (60.0, (5.0 * HOUR, HOUR)), (60.0, (2.0 * HOUR, 2.0 * HOUR))]
         {

@@ -328,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn reads_irregular_times_missing_values_and_text_aside() {
+    fn csv_reads_irregular_times_missing_values_and_text_columns() {
         let d = csv("time, a ,\"b,c\",note\n0,1,2,ok\n0.5,,4,bad\n0.7,NaN,1e-3,\n").unwrap();
         assert_eq!(d.time(), [0.0, 0.5, 0.7]);
         assert_eq!(d.names().collect::<Vec<_>>(), ["a", "b,c", "note"]);
@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn time_may_stand_anywhere_and_semicolons_allow_decimal_commas() {
+    fn csv_accepts_time_in_any_column_and_decimal_commas_with_semicolons() {
         let d = csv("y;Time\n1,5;0\n2;0,25\n").unwrap();
         assert_eq!(d.time(), [0.0, 0.25]);
         assert_eq!(d.column("y").unwrap(), [1.5, 2.0]);
@@ -358,7 +358,7 @@ mod tests {
     }
 
     #[test]
-    fn commas_and_points_in_one_file_are_refused_where_they_are_used() {
+    fn csv_rejects_mixed_decimal_signs_when_the_column_is_used() {
         for (text, column) in [
             ("time;y\n0;1,234\n1;2.345\n", "y"),
             ("time;y;z\n0;1,234;1\n1;2,5;2.5\n", "y"),
@@ -375,7 +375,7 @@ mod tests {
     }
 
     #[test]
-    fn a_delimiter_at_the_end_of_a_row_is_no_column() {
+    fn csv_ignores_a_delimiter_at_the_end_of_a_row() {
         for text in
             ["time;y\n0;1;\n1;2;\n", "time;y;\n0;1;\n1;2;\n", "time;y;\n0;1\n1;2\n", "time;y\n0;1;;\n1;2\n"]
         {
@@ -387,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn what_spreadsheets_write_is_read() {
+    fn csv_reads_spreadsheet_files() {
         let d = csv("time,y,,\r\n0,1,,\r\n1,2,,\r\n").unwrap();
         assert_eq!(d.column("y").unwrap(), [1.0, 2.0]);
         assert!(d.column("").unwrap_err().to_string().contains("there is no column ''; there are: 'y'"));
@@ -398,7 +398,7 @@ mod tests {
     }
 
     #[test]
-    fn a_second_line_may_hold_units() {
+    fn csv_reads_units_from_the_second_line() {
         for text in [
             "time;phi;T;s;z\nms;deg;[degC];1;\n0;1,5;20;0;1\n500;2,5;21;0;1\n",
             "time,phi [deg],T,s,z\n[ms],,(degC),-,\n0,1.5,20,0,1\n500,2.5,21,0,1\n",
@@ -419,7 +419,7 @@ mod tests {
     }
 
     #[test]
-    fn a_column_with_two_units_is_refused_where_it_is_used() {
+    fn csv_rejects_a_column_with_two_units_when_it_is_used() {
         let message = csv("time [min],y\nms,K\n0,1\n1,2\n").unwrap_err().to_string();
         assert!(
             message.contains("test.csv")
@@ -444,7 +444,7 @@ mod tests {
     }
 
     #[test]
-    fn dates_count_from_the_first() {
+    fn csv_converts_dates_to_seconds_since_the_first() {
         for text in [
             "time,y\n2024-05-31T23:59:59.5,1\n2024-06-01T00:00:00.5,2\n",
             "time;y\n31.05.2024 23:59:59,5;1\n01.06.2024 00:00:00,5;2\n",
@@ -466,7 +466,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_without_a_name_take_no_memory() {
+    fn csv_allocates_no_memory_for_columns_without_a_name() {
         // A full table would have 4e9 cells.
         let rows: String = (0..20_000).map(|k| format!("{k},1\n")).collect();
         let d = csv(&format!("time,y{}\n{rows}", ",".repeat(200_000))).unwrap();
@@ -478,7 +478,7 @@ mod tests {
     }
 
     #[test]
-    fn only_columns_that_are_asked_for_are_kept() {
+    fn csv_keeps_only_requested_columns() {
         let d = some("time,a,y [mm],y [m]\n0,1,2,soon\n1,3,4,5\n", &["y [mm]", "b"]).unwrap();
         assert_eq!(
             (d.names().collect::<Vec<_>>(), d.column("y [mm]").unwrap()),
@@ -500,7 +500,7 @@ mod tests {
     }
 
     #[test]
-    fn long_cells_are_shortened_and_reading_ends_when_asked() {
+    fn csv_shortens_long_cells_in_errors_and_stops_when_cancelled() {
         let long = "x".repeat(1 << 20);
         for text in [
             format!("time,y\n0,{long}\n"),
@@ -520,7 +520,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_in_quotes_may_hold_delimiters_quotes_and_lines() {
+    fn csv_reads_delimiters_quotes_and_line_ends_in_quoted_cells() {
         let d =
             csv("time,\"a \"\"b\"\", c\",\"two\nlines\",\ty\n0,\"1\",x, 2 \r\n# c\n1,3,\"y\n\",4\n").unwrap();
         assert_eq!(d.names().collect::<Vec<_>>(), ["a \"b\", c", "two\nlines", "y"]);
@@ -533,7 +533,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_tables_say_where() {
+    fn csv_errors_report_the_line() {
         for (text, expected) in [
             ("", "no rows"),
             ("time,y\n", "no rows"),
@@ -561,7 +561,7 @@ mod tests {
     }
 
     #[test]
-    fn a_time_may_stand_twice_for_inputs_but_not_for_measurements() {
+    fn csv_accepts_repeated_times_for_inputs_but_not_for_measurements() {
         let d = csv("time,u,y\n0,1,5\n1,1,6\n1,2,\n2,2,7\n").unwrap();
         assert!(d.measured("y", 0..4).is_ok());
         assert!(d.measured("u", 2..4).is_ok());

@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn times_count_from_the_first() {
+    fn date_seconds_counts_from_the_first_cell() {
         for cells in [
             ["2024-05-31T23:59:59", "2024-05-31T23:59:59.5", "2024-06-01T00:00:01"],
             ["2024-05-31 23:59:59", "2024-05-31 23:59:59.500", "2024-06-01 00:00:01.0"],
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_was_changed_is_said() {
+    fn date_seconds_reports_a_clock_change() {
         let days = |hours: [&str; 5]| hours.map(|hour| format!("2024-10-27 {hour}"));
         let found = |cells: &[String]| date_seconds(cells, None, &RunContext::new());
         let (times, change) = found(&days(["01:00", "01:30", "03:00", "03:30", "04:00"])).unwrap();
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_date_is_named() {
+    fn date_seconds_reports_invalid_cells() {
         for (cells, expected) in [
             (&["2024-05-31", "soon"][..], (1, "'soon' is neither a number nor a date: dates are")),
             (&["05/31/2024 10:00:00"], (0, "which of them is the month")),

@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn values_have_their_types_and_units() {
+    fn parameter_set_reads_types_and_units() {
         let text = r#"<?xml version="1.0"?>
 <ssv:ParameterSet xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues" version="1.0" name="a">
   <ssv:Parameters>
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn units_of_the_file_count() {
+    fn parameter_set_uses_units_defined_in_the_file() {
         let text = |unit: &str, defined: &str| {
             format!(
                 "<ParameterSet><Parameters><Parameter name=\"k\"><Real value=\"3\" unit=\"{unit}\"/></Parameter>\
@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_none_is_named() {
+    fn parameter_set_errors_report_the_cause() {
         let set =
             |inside: &str| format!("<ParameterSet>\n<Parameters>\n{inside}</Parameters></ParameterSet>");
         for (text, expected) in [

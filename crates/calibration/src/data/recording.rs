@@ -603,7 +603,7 @@ mod tests {
     }
 
     #[test]
-    fn masks_take_values_away() {
+    fn masks_remove_values() {
         let bits = |v: &[f64]| v.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
         let keep = [true, true, false, true, false, true, true];
         let one = table().masked(&["y"], &keep).unwrap();

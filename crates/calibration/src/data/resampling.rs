@@ -177,7 +177,7 @@ mod tests {
 
     /// Rows every 0.1 s, from 0 and from a time in seconds since 1970, whose last digit is 2.4e-7 s.
     #[test]
-    fn resampling_is_the_same_when_times_are_large() {
+    fn resampling_is_accurate_when_times_are_large() {
         for start in [0.0, 1.7e9] {
             let time: Vec<f64> = (0..2000).map(|k| start + 0.1 * f64::from(k)).collect();
             let y = time.iter().map(|t| t - start).collect();
@@ -194,7 +194,7 @@ mod tests {
     /// For two rows with weights 1 and 3, the weighted mean is (0 + 9 * 1) / 10 and its weight is the root of
     /// 10.
     #[test]
-    fn weighted_means_have_the_root_of_the_sum_of_squares_when_rows_are_averaged() {
+    fn resampling_combines_weights_by_root_sum_of_squares() {
         let y = vec![0.0, 1.0, 5.0, f64::NAN, 7.0, 2.0];
         let columns = [("y".to_owned(), y.clone()), ("u".to_owned(), vec![0.0, 1.0, 1.0, 0.0, 0.0, 0.0])];
         let data = Data::from_columns(vec![0.0, 1.0, 2.0, 3.0, 4.0, 5.0], columns).unwrap();
@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn resampled_columns_keep_their_own_times() {
+    fn resampling_keeps_separate_times_of_columns() {
         // y = 1 + 2 t is known in every third row, and z in every row.
         let time: Vec<f64> = (0..60).map(|k| 0.1 * f64::from(k)).collect();
         let line: Vec<f64> = time.iter().map(|t| 1.0 + 2.0 * t).collect();
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn resampling_takes_means() {
+    fn resampling_computes_means() {
         let data = plain(table(), 0.3).unwrap();
         let near =
             |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12) && a.len() == b.len();

@@ -121,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_keep_their_bits_in_few_bytes_and_lists_of_before_are_read() {
+    fn series_serializes_compactly_bit_for_bit_and_reads_old_lists() {
         let series = Series::from(vec![1.5, -0.0, f64::NAN, 1e-310, f64::INFINITY]);
         let bits = |series: &Series| series.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
         let (mut bytes, mut list) = (Vec::new(), Vec::new());

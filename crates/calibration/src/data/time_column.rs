@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn the_column_is_called_time_or_is_named() {
+    fn time_column_is_found_by_default_or_given_name() {
         assert_eq!(find(&["y", "TIME"], None), Ok((1, 3.0)));
         assert_eq!(find(&["y", "Time", "time"], Some("time")), Ok((2, 3.0)));
         assert_eq!(find(&["time", "t"], Some("t")), Ok((1, 3.0)));
@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn units_are_converted() {
+    fn time_column_converts_units() {
         for (name, expected) in [
             ("time [s]", 3.0),
             ("Time(ms)", 3.0 / 1e3),
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_in_brackets_is_a_unit_or_an_index() {
+    fn column_name_splits_into_name_and_unit_or_index() {
         for (name, expected) in [
             ("phi [deg]", ("phi", Some("deg"))),
             ("phi[deg]", ("phi", Some("deg"))),

@@ -435,7 +435,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_are_converted_between_units_of_one_quantity() {
+    fn conversion_between_units_of_one_quantity_is_accurate() {
         for (value, from, to, expected) in [
             (5.0, "mm", "m", 0.005),
             (6.27155, "cm", "m", 6.27155 / 100.0),
@@ -498,7 +498,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_named() {
+    fn unit_errors_report_dimensions_and_hints() {
         for (from, to, expected) in [
             ("mm", "s", "'mm' (m) cannot be converted to 's' (s)"),
             ("Pa", "K", "'Pa' (kg.m-1.s-2) cannot be converted to 'K' (K)"),
@@ -535,7 +535,7 @@ mod tests {
     }
 
     #[test]
-    fn spellings_count_without_regard_to_case_where_they_are_unique() {
+    fn parse_ignores_case_when_the_spelling_is_unique() {
         for (name, expected) in [
             ("RPM", "rpm"),
             ("DEGC", "degC"),
@@ -554,7 +554,7 @@ mod tests {
     }
 
     #[test]
-    fn nested_parentheses_end_somewhere() {
+    fn parse_limits_nesting_of_parentheses() {
         assert!(Unit::parse(&format!("{}m{}", "(".repeat(16), ")".repeat(16))).is_ok());
         for n in [17, 100_000] {
             for name in ["(".repeat(n), format!("{}m{}", "(".repeat(n), ")".repeat(n))] {

@@ -136,7 +136,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn attributes_hold_any_name() {
+    fn escape_makes_any_name_a_valid_attribute() {
         let escaped = escape("a\u{1b}[2J\u{0}\n\t<\"k\">\u{ffff}");
         assert_eq!(escaped, "a\\u{1b}[2J\\u{0}&#10;&#9;&lt;&quot;k&quot;&gt;\\u{ffff}");
         let xml = format!("<a name=\"{escaped}\"/>");

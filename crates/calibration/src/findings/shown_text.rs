@@ -71,14 +71,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_moves_the_cursor_or_the_direction_is_shown_by_its_number() {
+    fn visible_escapes_characters_that_move_the_cursor_or_set_the_direction() {
         assert!(matches!(visible("k in \u{b5}m\n\tz \u{5d0}"), Cow::Borrowed(_)));
         assert_eq!(visible("a\u{1b}[2Jb\r\u{202e}c\u{9b}"), "a\\u{1b}[2Jb\\u{d}\\u{202e}c\\u{9b}");
         assert_eq!(visible_line("a\nb\tc\u{2028}"), "a\\u{a}b\\u{9}c\\u{2028}");
     }
 
     #[test]
-    fn long_texts_are_cut_between_characters() {
+    fn shortened_cuts_long_text_between_characters() {
         assert_eq!(shortened("abc"), "abc");
         let long = "\u{e4}".repeat(70);
         assert_eq!(shortened(&long), format!("{}... (140 bytes)", "\u{e4}".repeat(60)));

@@ -194,7 +194,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn many_costs_are_thinned_and_no_improvement_of_few_is_lost() {
+    fn live_costs_are_thinned_but_keep_rare_improvements() {
         let mut state = LiveState::default();
         for k in 1..=100_000_usize {
             state.n_evaluations = k;
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn reasons_are_counted_and_the_last_failed_points_kept() {
+    fn live_state_counts_failure_reasons_and_keeps_last_failed_points() {
         let mut state = LiveState::default();
         (0..200).for_each(|k| state.add_failed(&[f64::from(k)], &format!("reason {}", k % 70)));
         assert_eq!(
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn an_evaluation_is_under_way_until_it_ends() {
+    fn evaluation_is_in_progress_until_its_guard_is_dropped() {
         let live = LiveFit::default();
         let first = live.running(1, &[1.0]);
         let second = live.running(2, &[2.0]);

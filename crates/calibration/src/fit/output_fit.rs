@@ -184,7 +184,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn residuals_of_the_best_point_and_of_the_start_are_kept() {
+    fn kept_residuals_store_the_best_point_and_the_start() {
         let mut kept = KeptResiduals::new(&[1.0], None);
         for (x, cost, residual) in [(2.0, 4.0, 2.0), (1.0, 9.0, 3.0), (0.5, 1.0, -1.0), (0.7, 2.0, 1.0)] {
             kept.note(&[x], cost, &[residual]);
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn constant_values_have_no_deviation_to_compare_with() {
+    fn deviation_is_nan_when_values_are_constant() {
         assert!(deviation(&[0.1; 7]).is_nan());
         assert_eq!(deviation(&[1.0, 3.0]), 1.0);
     }

@@ -146,7 +146,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_phase_is_read_as_it_was_set() {
+    fn current_phase_returns_every_phase_that_was_set() {
         let current = CurrentPhase::default();
         for (phase, key, _) in FitPhase::ALL {
             current.set(phase);

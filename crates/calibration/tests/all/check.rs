@@ -77,7 +77,7 @@ fn said(check: &Check) -> Vec<String> {
 }
 
 #[test]
-fn mistakes_are_named() {
+fn check_reports_mistakes() {
     let scaled = |name: &str, by: f64, plus: f64| {
         let (time, mut columns) = tank_recording();
         let column = columns.iter_mut().find(|(column, _)| column == name).unwrap();
@@ -150,7 +150,7 @@ fn mistakes_are_named() {
 }
 
 #[test]
-fn temperatures_in_degrees_celsius_are_named_with_their_unit() {
+fn check_reports_temperatures_in_degrees_celsius() {
     let time: Vec<f64> = (0..60).map(|k| 2.0 * f64::from(k)).collect();
     // Near 30 degC, where the ratio to the simulation is about that of rpm and rad/s.
     let start = ["T_in", "T1", "T2", "Tw1", "Tw2"].map(|name| (name.to_owned(), 305.0.into()));
@@ -183,7 +183,7 @@ fn temperatures_in_degrees_celsius_are_named_with_their_unit() {
 }
 
 #[test]
-fn sound_setups_have_notes_only() {
+fn check_returns_only_notes_for_correct_setups() {
     let (time, columns) = tank_recording();
     let check = tank(time, columns, with_u2).build().unwrap().check();
     assert!(check.is_ok() && said(&check).is_empty(), "{check}");
@@ -226,7 +226,7 @@ fn sound_setups_have_notes_only() {
 }
 
 #[test]
-fn a_simulation_that_fails_is_a_finding() {
+fn check_reports_a_failed_simulation() {
     let t: Vec<f64> = (0..20).map(|k| 0.1 * f64::from(k)).collect();
     let x = t.iter().map(|t| (-2.0 * t).exp()).collect();
     let experiment = Experiment::new(Data::from_columns(t, [("x".to_owned(), x)]).unwrap()).output("x", "x");
@@ -266,7 +266,7 @@ fn fast_decay(errors: [f64; 2]) -> Calibration {
 
 /// The start value of a state that is fitted is no mistake; one that is given is.
 #[test]
-fn the_start_of_a_fitted_state_is_not_compared_with_the_first_measurement() {
+fn check_ignores_the_start_value_of_a_fitted_state() {
     let t: Vec<f64> = (0..61).map(|k| 0.05 * f64::from(k)).collect();
     let x = t.iter().enumerate().map(|(k, t)| 0.9 * (-2.0 * t).exp() + 1e-3 * noise(k)).collect();
     let data = Data::from_columns(t, [("x".to_owned(), x)]).unwrap();
@@ -283,7 +283,7 @@ fn the_start_of_a_fitted_state_is_not_compared_with_the_first_measurement() {
 }
 
 #[test]
-fn what_a_check_says_of_the_start_is_judged_again_after_the_fit() {
+fn check_findings_are_updated_after_the_fit() {
     let calibration = fast_decay([0.02, 0.02]);
     let said = "the simulation starts at -7.5";
     assert!(calibration.check().to_string().contains(said), "{}", calibration.check());
@@ -294,7 +294,7 @@ fn what_a_check_says_of_the_start_is_judged_again_after_the_fit() {
 
 /// Rows of an input cut the steps of a fixed-step method: half of what is really taken is compared.
 #[test]
-fn a_fixed_step_is_halved_where_the_rows_of_an_input_cut_it() {
+fn fixed_step_is_halved_when_input_rows_shorten_it() {
     let time: Vec<f64> = (0..41).map(|k| 15.0 * f64::from(k)).collect();
     let u1: Vec<f64> = (0..41).map(|k| 5.0 + 2.0 * noise(k)).collect();
     let options = SimulateOptions {
@@ -329,7 +329,7 @@ fn a_fixed_step_is_halved_where_the_rows_of_an_input_cut_it() {
 }
 
 #[test]
-fn a_simulation_of_more_than_a_million_steps_is_named_before_it_runs() {
+fn check_reports_more_than_a_million_steps_before_the_simulation() {
     let findings = |step: f64| {
         let columns = [("x1".to_owned(), vec![0.06, 0.061, 0.062])];
         let experiment = Experiment::new(Data::from_columns(vec![0.0, 10.0, 20.0], columns).unwrap())
@@ -349,7 +349,7 @@ fn a_simulation_of_more_than_a_million_steps_is_named_before_it_runs() {
 
 /// Columns that drive inputs are looked at as those that are measured.
 #[test]
-fn mistakes_in_columns_of_inputs_are_named() {
+fn check_reports_mistakes_in_input_columns() {
     let with_u1 = |name: &'static str, u1: &dyn Fn(f64) -> f64| {
         let time: Vec<f64> = (0..601).map(|k| 0.1 * f64::from(k)).collect();
         let columns = vec![
@@ -395,7 +395,7 @@ fn mistakes_in_columns_of_inputs_are_named() {
 }
 
 #[test]
-fn an_input_in_degrees_celsius_for_kelvin_is_named() {
+fn check_reports_an_input_in_degrees_celsius() {
     let time: Vec<f64> = (0..60).map(|k| 2.0 * f64::from(k)).collect();
     for (zero, is_said) in [(0.0, true), (273.15, false)] {
         let inlet = time.iter().map(|t| zero + 20.0 + 0.1 * t).collect();

@@ -10,7 +10,7 @@ use fmi::Fmu;
 use fmi::RunSettings;
 
 #[test]
-fn a_decay_is_fitted_in_every_version() {
+fn co_simulation_is_fitted_in_every_fmi_version() {
     // x' = -k x, recorded at four instants of a decay with k = 2
     let t = vec![0.0, 0.513, 1.0, 1.5];
     let x: Vec<f64> = t.iter().map(|t: &f64| (-2.0 * t).exp()).collect();
@@ -41,7 +41,7 @@ fn stepping(defines: &[&str]) -> tempfile::TempDir {
 
 /// With one step of Euler's method from point to point, another step would be another curve.
 #[test]
-fn curves_meet_the_simulated_measurements_when_results_depend_on_the_communication_step() {
+fn curves_match_measurements_when_results_depend_on_the_communication_step() {
     for step in [None, Some(0.25)] {
         let folder = stepping(&["ONE_EULER_STEP"]);
         let t: Vec<f64> = vec![0.3, 0.5, 1.1, 2.0];
@@ -68,7 +68,7 @@ fn curves_meet_the_simulated_measurements_when_results_depend_on_the_communicati
 
 /// Results that depend on the communication step: one step of Euler's method is made from one point to the next.
 #[test]
-fn a_communication_step_that_changes_the_results_is_named() {
+fn communication_step_is_reported_when_it_changes_the_results() {
     // A search that is long enough for two more simulations.
     let long = || RunOptions { method: NelderMead::default().into(), ..FitOptions::default_run() };
     let said = |defines: &[&str], step: f64, noise: f64| {

@@ -60,7 +60,7 @@ fn covered(n: u64, estimator: Estimator) -> [u64; 3] {
 }
 
 #[test]
-fn the_intervals_of_forty_recordings_hold_the_truth() {
+fn intervals_of_forty_recordings_contain_the_true_values() {
     for count in covered(40, Estimator::Sandwich) {
         // 38 are expected; fewer than 34 of 40 have a probability of 1 in 100.
         assert!((34..=40).contains(&count), "{count} of 40");
@@ -70,7 +70,7 @@ fn the_intervals_of_forty_recordings_hold_the_truth() {
 /// Run with `cargo test -p fmufit-calibration --test all coverage -- --ignored --nocapture`.
 #[test]
 #[ignore = "takes a minute"]
-fn the_intervals_of_two_hundred_recordings_hold_the_truth() {
+fn intervals_of_two_hundred_recordings_contain_the_true_values() {
     for estimator in [Estimator::Sandwich, Estimator::Pooled] {
         let counts = covered(200, estimator);
         println!("{}: {counts:?} of 200", estimator.name());
@@ -287,7 +287,7 @@ fn check(n: u64, (least, most, correlated): (f64, f64, f64), is_chosen: impl Fn(
 }
 
 #[test]
-fn intervals_profiles_and_bands_hold_the_truth() {
+fn intervals_profiles_and_bands_contain_the_true_values() {
     // Of 60 sets 57 are expected; fewer than 51 have a probability of 1 in 100.
     check(60, (0.85, 1.0, 0.82), |study| study.loss.is_none_or(|(_, scale)| scale > 1.0));
 }
@@ -295,7 +295,7 @@ fn intervals_profiles_and_bands_hold_the_truth() {
 /// Run with `cargo test -p fmufit-calibration --test all coverage -- --ignored --nocapture`.
 #[test]
 #[ignore = "takes minutes"]
-fn intervals_profiles_and_bands_hold_the_truth_in_three_hundred_sets_each() {
+fn intervals_profiles_and_bands_contain_the_true_values_in_three_hundred_sets() {
     // Of 300 sets 285 are expected with a standard deviation of 3.8: three of them to either side.
     check(300, (0.912, 0.988, 0.88), |_| true);
 }

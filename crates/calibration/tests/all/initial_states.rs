@@ -39,7 +39,7 @@ fn k() -> Parameter {
 }
 
 #[test]
-fn it_is_the_recording_where_the_simulation_starts_whatever_counts() {
+fn measured_state_is_read_at_the_start_of_the_simulation() {
     let decay = || recording(|t| (-K * t).exp());
     let experiment = || Experiment::new(decay()).output("x", "x");
     let weights = |k: usize| if k < 20 { 0.0 } else { 1.0 };
@@ -60,7 +60,7 @@ fn it_is_the_recording_where_the_simulation_starts_whatever_counts() {
 }
 
 #[test]
-fn offset_and_delay_of_the_output_are_taken_away() {
+fn measured_state_is_corrected_for_offset_and_delay() {
     let offset = recording(|t| (-K * t).exp() + 0.3);
     let experiment = Experiment::new(offset).output("x", "x");
     let x = fitted(experiment, &[k(), Parameter::new("bias", 0.0).offset_of("x").bounds(-1.0, 1.0)]).unwrap();
@@ -73,7 +73,7 @@ fn offset_and_delay_of_the_output_are_taken_away() {
 }
 
 #[test]
-fn where_nothing_was_measured_it_is_refused() {
+fn measured_state_is_rejected_when_no_measurement_exists() {
     let keep: Vec<bool> = (0..51).map(|k| k >= 10).collect();
     let masked = recording(|t| (-K * t).exp()).masked(&["x"], &keep).unwrap();
     let message = fitted(Experiment::new(masked).output("x", "x"), &[k()]).unwrap_err().to_string();
@@ -95,7 +95,7 @@ fn where_nothing_was_measured_it_is_refused() {
 
 /// The noise of the measurement that the simulation starts from moves all of it: standard errors count it.
 #[test]
-fn standard_errors_count_the_noise_of_a_measured_start() {
+fn standard_errors_include_the_noise_of_a_measured_start() {
     let mut state = 3_u64;
     let mut uniform = || {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -198,7 +198,7 @@ fn state_without_effect_is_an_error_or_a_finding() {
 /// `x' = -k x` from a measured start: the errors of k and of the curve are those of the delta method, with every
 /// form of the cost that is least squares in the end.
 #[test]
-fn a_measured_start_has_the_errors_of_the_delta_method_with_every_objective() {
+fn measured_start_has_delta_method_errors_with_every_objective() {
     let n = 21;
     let t: Vec<f64> = (0..n).map(|i| 0.1 * f64::from(i)).collect();
     // Looks like chance: the phases of a sine that are far apart.

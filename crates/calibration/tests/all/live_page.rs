@@ -61,7 +61,7 @@ fn asked(host: &str, method: &str, path: &str, headers: &str) -> (String, String
 }
 
 #[test]
-fn only_who_knows_the_address_gets_anything() {
+fn page_is_served_only_to_clients_with_the_token() {
     let page = LivePage::start(&decay()).unwrap();
     let (host, path) = place(&page);
     assert!(host.starts_with("127.0.0.1:") && path.len() > 32, "{}", page.url());
@@ -129,7 +129,7 @@ fn only_who_knows_the_address_gets_anything() {
 }
 
 #[test]
-fn the_button_ends_the_fit_with_the_best_point_whatever_other_clients_do() {
+fn stop_button_ends_the_fit_with_the_best_point() {
     let calibration = slow_decay();
     let page = LivePage::start(&calibration).unwrap();
     let (host, path) = place(&page);
@@ -184,7 +184,7 @@ fn the_button_ends_the_fit_with_the_best_point_whatever_other_clients_do() {
 }
 
 #[test]
-fn clients_that_send_nothing_lock_nobody_out() {
+fn page_responds_when_other_clients_send_nothing() {
     let page = LivePage::start(&decay()).unwrap();
     let (host, path) = place(&page);
     let own = format!("Host: {host}\r\n");
@@ -198,7 +198,7 @@ fn clients_that_send_nothing_lock_nobody_out() {
 
 /// Costs, path and simulations of a fit that is looked at are those of one that is not.
 #[test]
-fn a_fit_that_is_looked_at_has_the_same_bits_and_simulations() {
+fn live_page_changes_no_result_of_a_fit() {
     let fitted = |page: Option<(&LivePage, &str, &str)>| -> (Fit, usize) {
         let calibration = decay();
         let mut n_seen = 0;
@@ -231,7 +231,7 @@ fn a_fit_that_is_looked_at_has_the_same_bits_and_simulations() {
 }
 
 #[test]
-fn failed_points_are_shown_with_their_reasons() {
+fn page_shows_failed_points_with_their_reasons() {
     let fmu = fmi::Fmu::open(example_models::example_fmu("dahlquist").unwrap()).unwrap();
     let t: Vec<f64> = (0..11).map(f64::from).collect();
     let x = t.iter().map(|t| (-2.0 * t).exp()).collect();
@@ -257,7 +257,7 @@ fn failed_points_are_shown_with_their_reasons() {
 }
 
 #[test]
-fn a_fit_that_fails_says_why_to_who_looks_at_it() {
+fn page_shows_the_error_of_a_failed_fit() {
     let calibration = decay();
     let page = LivePage::start(&calibration).unwrap();
     let (host, path) = place(&page);

@@ -10,7 +10,7 @@ use std::sync::PoisonError;
 
 /// A cost does not depend on what was computed before, also outside of fits.
 #[test]
-fn a_state_that_no_variable_shows_is_found_outside_of_fits() {
+fn hidden_state_is_detected_outside_of_fits() {
     // A run with k above 1.2 stays in a static variable.
     let folder = faulty(&["SHARED_GLOBALS", "REMEMBERS=1.2"]);
     let points = [1.0, 1.5, 2.0];
@@ -39,7 +39,7 @@ fn a_state_that_no_variable_shows_is_found_outside_of_fits() {
 /// Runs with k above 2.2 stay in a static variable, which no short run near the start shows: with each method
 /// the result is that of a model without such a state, and says so.
 #[test]
-fn a_fit_of_a_model_with_a_state_that_no_variable_shows_is_right() {
+fn fit_is_correct_when_the_model_has_hidden_state() {
     let (sound, folder) = (faulty(&[]), faulty(&["SHARED_GLOBALS", "REMEMBERS=2.2"]));
     let methods: [AnyMethod; 4] = [
         DifferentialEvolution::default().into(),
@@ -83,7 +83,7 @@ const HIDDEN: &str = "the model keeps a state outside of its instances";
 
 /// A calibration meets nothing of what another one of the same opened model has run.
 #[test]
-fn a_calibration_has_processes_of_its_own() {
+fn calibrations_use_separate_processes() {
     let folder = faulty(&["SHARED_GLOBALS", "REMEMBERS=1.2"]);
     let fmu = open(&folder);
     let apart = || decay(fmu.clone(), settings(Isolation::Process));
@@ -99,7 +99,7 @@ fn a_calibration_has_processes_of_its_own() {
 
 /// A state that comes after many simulations is seen soon after that.
 #[test]
-fn a_late_state_that_no_variable_shows_is_found_outside_of_fits() {
+fn late_hidden_state_is_detected_outside_of_fits() {
     let folder = faulty(&["SHARED_GLOBALS", "REMEMBERS=2.2"]);
     let (calibration, context) = (decay(open(&folder), settings(Isolation::Process)), RunContext::new());
     let expected = calibration.residuals(&[1.0], &context).unwrap();
@@ -115,7 +115,7 @@ fn a_late_state_that_no_variable_shows_is_found_outside_of_fits() {
 
 #[test]
 #[ignore = "takes long"]
-fn twenty_thousand_runs_with_a_state_that_no_variable_shows() {
+fn hidden_state_is_detected_in_twenty_thousand_runs() {
     let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let folder = faulty(&["SHARED_GLOBALS", "REMEMBERS=1.2"]);
     let calibration = decay(open(&folder), settings(Isolation::Process));

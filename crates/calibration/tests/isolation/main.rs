@@ -59,7 +59,7 @@ fn open(folder: &tempfile::TempDir) -> Fmu {
 }
 
 #[test]
-fn the_bits_are_the_same_in_this_process_and_in_others() {
+fn results_are_bit_identical_in_this_and_other_processes() {
     let folder = faulty(&[]);
     let alone = decay(open(&folder), settings(Isolation::None));
     let expected = fit(&alone, 1, 100);
@@ -88,7 +88,7 @@ fn the_bits_are_the_same_in_this_process_and_in_others() {
 
 /// The best point is evaluated again in a fresh process, which is no evaluation of the path; after a short search it is not.
 #[test]
-fn the_best_point_made_again_is_counted_beside_the_path() {
+fn repeated_best_point_is_counted_separately_from_evaluations() {
     let folder = faulty(&[]);
     let calibration = decay(open(&folder), settings(Isolation::Process));
     let few = fit(&calibration, 1, 3);
@@ -111,7 +111,7 @@ const DEATHS: [(&str, &str); 5] = [
 ];
 
 #[test]
-fn a_death_costs_one_evaluation() {
+fn crashed_worker_fails_only_one_evaluation() {
     for (fault, said) in DEATHS {
         let folder = faulty(&["FAULT_ABOVE=2.2", &format!("FAULT={fault}")]);
         let calibration = decay(open(&folder), settings(Isolation::Process));
@@ -128,7 +128,7 @@ fn a_death_costs_one_evaluation() {
 }
 
 #[test]
-fn a_hang_is_ended_soon_after_its_limit() {
+fn hanging_worker_ends_soon_after_the_time_limit() {
     let folder = faulty(&["FAULT_ABOVE=2.2", "FAULT=hang()"]);
     let timeout = Some(Duration::from_millis(300));
     let calibration = decay(open(&folder), with_limit(timeout));
@@ -147,7 +147,7 @@ fn a_hang_is_ended_soon_after_its_limit() {
 
 /// The rows are complete: the call is left out from then on, and named once.
 #[test]
-fn a_call_at_the_end_of_a_run_that_ends_the_process_costs_no_evaluation() {
+fn crash_at_the_end_of_a_run_fails_no_evaluation() {
     let hang = ["FAULT_ABOVE=0", "FAULT=hang()", "FAULT_AT_END"];
     for (faults, function) in [
         (&["AT_TERMINATE=abort()"][..], "fmi2Terminate"),
@@ -177,7 +177,7 @@ fn a_call_at_the_end_of_a_run_that_ends_the_process_costs_no_evaluation() {
 }
 
 #[test]
-fn a_model_that_crashes_before_its_rows_are_complete_fails() {
+fn simulation_fails_when_the_model_crashes_before_its_last_row() {
     let folder = faulty(&["AT_INITIALIZE=abort()", "AT_FREE=abort()"]);
     let calibration = decay(open(&folder), settings(Isolation::Process));
     let error = calibration.cost(&[1.0], &RunContext::new()).unwrap_err().to_string();
@@ -272,19 +272,19 @@ fn killed_and_resumed(moments: u64) {
 }
 
 #[test]
-fn a_program_that_is_killed_leaves_nothing_and_can_go_on() {
+fn killed_program_leaves_no_processes_and_resumes() {
     killed_and_resumed(3);
 }
 
 #[test]
 #[ignore = "takes long"]
-fn fifty_programs_that_are_killed_leave_nothing_and_can_go_on() {
+fn fifty_killed_programs_leave_no_processes_and_resume() {
     killed_and_resumed(50);
 }
 
 /// What an FMU does to its process does not reach this one: memory, output without end.
 #[test]
-fn limits_hold() {
+fn worker_limits_are_enforced() {
     let folder = faulty(&["FAULT_ABOVE=2.2", "FAULT=fill_memory()"]);
     let limited = SimulationSettings { memory_limit: Some(1 << 30), ..settings(Isolation::Process) };
     let calibration = decay(open(&folder), limited);
@@ -306,7 +306,7 @@ fn limits_hold() {
 }
 
 #[test]
-fn a_model_with_late_variables_has_the_bits_of_one_in_this_process() {
+fn late_variables_are_bit_identical_in_other_processes() {
     let folder = faulty(&["STALE_OUTPUTS"]);
     let alone = decay(open(&folder), settings(Isolation::None));
     let apart = decay(open(&folder), settings(Isolation::Process));
@@ -323,7 +323,7 @@ fn a_model_with_late_variables_has_the_bits_of_one_in_this_process() {
 
 /// A fit that ends beside values at which the model crashes, with the minimum among them, says so and is no success.
 #[test]
-fn a_fit_that_ends_beside_crashes_is_no_success() {
+fn fit_is_not_a_success_when_it_ends_next_to_crashes() {
     let folder = faulty(&["FAULT_ABOVE=1.5", "FAULT=abort()"]);
     let fit = decay(open(&folder), settings(Isolation::Process)).fit(FitOptions::default()).unwrap();
     assert!(fit.report.n_failed > 0 && fit.x[0] <= 1.5 && !fit.is_success(), "{fit}");
@@ -334,7 +334,7 @@ fn a_fit_that_ends_beside_crashes_is_no_success() {
 
 /// What an FMU does to its process in one evaluation, the next ones do not meet.
 #[test]
-fn other_evaluations_are_those_of_a_sound_model() {
+fn other_evaluations_are_unaffected_by_a_fault() {
     let sound = faulty(&[]);
     let sound = decay(open(&sound), settings(Isolation::Process));
     for fault in ["copy_itself()", "remove_folder()", "leave_orphan()"] {
@@ -387,7 +387,7 @@ fn daemons_end_with_their_worker() {
 
 /// The copy of a model that a fit writes is simulated where the model is.
 #[test]
-fn a_copy_of_the_model_runs_in_a_process_of_its_own() {
+fn exported_copy_runs_in_a_separate_process() {
     let work = tempfile::tempdir().unwrap();
     let here = format!("FAULT=if (getpid() == {}) exit(3)", std::process::id());
     let folder = faulty(&["FAULT_ABOVE=0", &here]);
@@ -400,7 +400,7 @@ fn a_copy_of_the_model_runs_in_a_process_of_its_own() {
 }
 
 #[test]
-fn a_leak_does_not_grow_for_ever() {
+fn leaking_model_has_bounded_memory() {
     let folder = faulty(&["LEAKS=(64 << 20)"]);
     let calibration = decay(open(&folder), settings(Isolation::Process));
     let found = fit(&calibration, 1, 60);
@@ -418,7 +418,7 @@ static ALONE: Mutex<()> = Mutex::new(());
 
 #[test]
 #[ignore = "takes long"]
-fn twenty_thousand_runs_that_leak_a_megabyte_each() {
+fn leaking_model_has_bounded_memory_in_twenty_thousand_runs() {
     let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let folder = faulty(&["LEAKS=(1 << 20)"]);
     let limited = SimulationSettings { memory_limit: Some(1 << 30), ..settings(Isolation::Process) };
@@ -481,7 +481,7 @@ fn left_behind() -> Vec<String> {
 /// Fit, profile, validation and report end with the optimum or an error that says why, and leave nothing.
 #[test]
 #[ignore = "takes long"]
-fn a_zoo_of_faults() {
+fn fits_end_cleanly_for_many_kinds_of_faults() {
     let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     for (name, fault) in ZOO {
         for bound in [4.755, 2.55] {
@@ -553,7 +553,7 @@ fn a_template_that_is_killed() {
 }
 
 #[test]
-fn the_end_of_a_worker_without_its_template_is_explained() {
+fn worker_end_is_explained_when_its_template_was_killed() {
     let (model, temporary) =
         (faulty(&["FAULT_ABOVE=2.2", "FAULT=raise(SIGSEGV)"]), tempfile::tempdir().unwrap());
     let work = tempfile::tempdir().unwrap();
@@ -565,7 +565,7 @@ fn the_end_of_a_worker_without_its_template_is_explained() {
 }
 
 #[test]
-fn a_stated_share_of_failures_ends_a_fit() {
+fn fit_ends_at_the_given_share_of_failures() {
     let folder = faulty(&["FAULT_ABOVE=2.2", "FAULT=raise(SIGSEGV)"]);
     let run = RunOptions {
         method: DifferentialEvolution::default().into(),

@@ -24,7 +24,7 @@ fn attacking(attack: &str, outside: &Path, port: u16) -> tempfile::TempDir {
 /// Handlers of signals in every thread, threads, forked processes, functions of the end of threads, the program
 /// and the library: from each of these a model reaches what its user reaches, and nothing in a sandbox.
 #[test]
-fn sandbox_confines_all_places_from_which_a_model_runs() {
+fn sandbox_confines_all_code_of_a_model() {
     let outside = tempfile::tempdir().unwrap();
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     listener.set_nonblocking(true).unwrap();
@@ -60,7 +60,7 @@ fn sandbox_confines_all_places_from_which_a_model_runs() {
 }
 
 #[test]
-fn sandbox_refuses_calls_that_no_model_needs() {
+fn sandbox_blocks_unneeded_system_calls() {
     let Some(confined) = sandbox() else { return };
     let outside = tempfile::tempdir().unwrap();
     std::fs::write(outside.path().join("own"), "kept").unwrap();
@@ -79,7 +79,7 @@ fn sandbox_refuses_calls_that_no_model_needs() {
 
 /// The bits of a fit are the same, and nothing is left of its processes.
 #[test]
-fn sandbox_changes_no_bit_of_a_fit() {
+fn sandbox_gives_bit_identical_fits() {
     let Some(confined) = sandbox() else { return };
     let folder = faulty(&[]);
     let expected = fit(&decay(open(&folder), settings(Isolation::Process)), 2, 60);
@@ -89,7 +89,7 @@ fn sandbox_changes_no_bit_of_a_fit() {
 }
 
 #[test]
-fn sandbox_that_nothing_confines_is_an_error_before_the_run() {
+fn sandbox_is_rejected_before_the_run_when_the_model_is_not_confined() {
     let folder = faulty(&[]);
     launch();
     let settings = SimulationSettings { sandbox: true, ..settings(Isolation::None) };
@@ -106,7 +106,7 @@ fn sandbox_that_nothing_confines_is_an_error_before_the_run() {
 
 /// What a worker claims does not move the clock of its parent, or make it read without end.
 #[test]
-fn false_claims_of_a_worker_do_not_hold_its_parent_up() {
+fn parent_is_not_delayed_by_false_claims_of_a_worker() {
     let outside = tempfile::tempdir().unwrap();
     let cases = [
         ("claim_runs()", "no answer within the time limit"),

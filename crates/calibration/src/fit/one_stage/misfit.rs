@@ -150,7 +150,7 @@ mod tests {
 
     /// The values 1, 2, 3, 4 have the sum of squares 5 about their mean 2.5.
     #[test]
-    fn sums_are_those_of_all_values() {
+    fn sums_combine_to_the_sums_of_all_values() {
         let one = |y: f64, d: f64| Sums { n: 1.0, mean: y, about_mean: 0.0, differences: d * d };
         let [a, b] = [one(1.0, 0.5).with(one(2.0, 0.5)), one(3.0, 1.0).with(one(4.0, 2.0))];
         let all = a.with(b);
@@ -169,7 +169,7 @@ mod tests {
     /// Alpha-pinene from a start at zero: the squares of five outputs of eight rows are 3.6, 1.5, 141, 74 and
     /// 3.9 times the squares about their means.
     #[test]
-    fn outputs_are_judged_together_when_all_are_worse_than_a_constant() {
+    fn misfit_is_combined_when_all_outputs_are_worse_than_a_constant() {
         let sums = |ratio: f64| Sums { n: 8.0, mean: 1.0, about_mean: 1.0, differences: ratio };
         let all = [3.6, 1.5, 141.0, 74.0, 3.9].map(sums);
         assert!(!all[0].is_no_chance() && are_all_worse(&all));
