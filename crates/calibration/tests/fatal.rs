@@ -1,5 +1,5 @@
-//! FMUs that answer `Fatal` at some values of the parameters: the loaded copy of their library is abandoned, the evaluation has
-//! failed, and the next one is as if nothing had happened.
+//! FMUs that return `Fatal` at some values of the parameters. The loaded copy of the library is abandoned,
+//! the evaluation fails, and the next evaluation is unaffected.
 
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used)]
@@ -18,7 +18,7 @@ fn fatal_status_fails_only_one_evaluation() {
     assert!((expected.x[0] - 1.7).abs() < 1e-2, "{:?}", expected.x);
     assert!(expected.report.n_failed > 20, "{}", expected.report.n_failed);
     for workers in [1, 3] {
-        // Each time by another who opens it.
+        // Open the FMU again for each number of workers.
         let calibration = calibration(Fmu::open(fatal.path()).unwrap());
         let found = fit(&calibration, workers, 200);
         assert_eq!(costs(&found), costs(&expected), "{workers}");
@@ -28,7 +28,7 @@ fn fatal_status_fails_only_one_evaluation() {
     }
 }
 
-/// Copies run out: the fit ends with the best point it has seen, and says why.
+/// If the library copies run out, the fit ends with its best point and reports the reason.
 #[cfg(target_env = "gnu")]
 #[test]
 fn fit_returns_its_best_point_when_library_copies_run_out() {
@@ -46,7 +46,7 @@ fn fit_returns_its_best_point_when_library_copies_run_out() {
     assert!(error.contains("static TLS"), "{error}");
 }
 
-/// The library ends the process when two threads are in it at once, and keeps its parameter in a static variable.
+/// The library ends the process if two threads use it at once, and stores its parameter in a static variable.
 #[test]
 fn workers_use_a_shared_library_one_at_a_time() {
     let folder = faulty(&["DIES_WITH_TWO", "SHARED_GLOBALS"]);
@@ -55,7 +55,7 @@ fn workers_use_a_shared_library_one_at_a_time() {
     assert_eq!(costs(&together), costs(&alone));
 }
 
-/// An instance that cannot be ended costs its loaded library, and no evaluation.
+/// An instance that cannot be terminated makes its loaded library unusable but fails no evaluation.
 #[test]
 fn fatal_status_at_the_end_of_a_run_changes_no_cost() {
     let honest = faulty(&[]);
@@ -68,7 +68,8 @@ fn fatal_status_at_the_end_of_a_run_changes_no_cost() {
     }
 }
 
-/// An instance of a session and the simulators of a fit do not get in each other's way, whatever the flag says.
+/// The instance of a session and the simulators of a fit are independent, even if the model declares that it can
+/// only be instantiated once per process.
 #[test]
 fn calibration_works_after_a_simulation_of_the_model() {
     let folder = faulty(&["STATIC_PARAMETERS"]);

@@ -1,4 +1,4 @@
-//! What a check says of setups with one mistake each, and that it says nothing of sound ones.
+//! Findings of a check for setups with one mistake each, and the absence of findings for correct setups.
 
 #![allow(clippy::unwrap_used)]
 
@@ -20,12 +20,13 @@ fn open(model: &str) -> Fmu {
     Fmu::open(example_fmu(model).unwrap()).unwrap()
 }
 
-/// A pseudo-random number from -1 to 1.
+/// Returns a pseudo-random number from -1 to 1.
 fn noise(k: usize) -> f64 {
     2.0 * ((12.9898 * (k as f64 + 1.0)).sin() * 43_758.547).fract().abs() - 1.0
 }
 
-/// The tank at other outlets than its nominal ones, with noise: times, voltages, levels in m.
+/// Returns a recording of the tank with noise, with outlets other than the nominal ones: times, voltages,
+/// levels in m.
 fn tank_recording() -> (Vec<f64>, Columns) {
     let time: Vec<f64> = (0..61).map(f64::from).collect();
     let u1: Vec<f64> = time.iter().map(|t| if *t < 20.0 { 5.0 } else { 6.0 }).collect();
@@ -137,7 +138,7 @@ fn check_reports_mistakes() {
             "parameter 'qt.A1': lower bound -1, but the model states a range",
         ),
     ] {
-        // What cannot be evaluated is refused with the same words.
+        // Setups that cannot be evaluated are rejected with the message of the finding.
         let calibration = match builder.build() {
             Ok(calibration) => calibration,
             Err(error) if error.to_string().contains(expected) => continue,
@@ -152,7 +153,7 @@ fn check_reports_mistakes() {
 #[test]
 fn check_reports_temperatures_in_degrees_celsius() {
     let time: Vec<f64> = (0..60).map(|k| 2.0 * f64::from(k)).collect();
-    // Near 30 degC, where the ratio to the simulation is about that of rpm and rad/s.
+    // Values near 30 degC, whose ratio to the simulation is similar to the ratio of rpm to rad/s.
     let start = ["T_in", "T1", "T2", "Tw1", "Tw2"].map(|name| (name.to_owned(), 305.0.into()));
     let options = SimulateOptions {
         times: Some(time.clone()),
@@ -242,7 +243,8 @@ fn check_reports_a_failed_simulation() {
     assert!(calibration.check_with(&CheckOptions::default(), &RunContext::new().asking(&|| true)).is_err());
 }
 
-/// A decay with k = 20 and x(0) = 0.9, its value and its derivative measured with these errors; k and x(0) from 15 and 0.5.
+/// Returns a calibration to a decay with k = 20 and x(0) = 0.9, from a start at 15 and 0.5. Its value and its
+/// derivative are measured with these errors.
 fn fast_decay(errors: [f64; 2]) -> Calibration {
     let t: Vec<f64> = (0..61).map(|k| f64::from(k) / 200.0).collect();
     let x = |t: f64| 0.9 * (-20.0 * t).exp();
@@ -264,7 +266,7 @@ fn fast_decay(errors: [f64; 2]) -> Calibration {
         .unwrap()
 }
 
-/// The start value of a state that is fitted is no mistake; one that is given is.
+/// The start value of a fitted state is accepted, but a wrong given value is a mistake.
 #[test]
 fn check_ignores_the_start_value_of_a_fitted_state() {
     let t: Vec<f64> = (0..61).map(|k| 0.05 * f64::from(k)).collect();
@@ -292,7 +294,7 @@ fn check_findings_are_updated_after_the_fit() {
     assert!(!fit.report.message.contains("measurement"), "{}", fit.report.message);
 }
 
-/// Rows of an input cut the steps of a fixed-step method: half of what is really taken is compared.
+/// Rows of an input shorten the steps of a fixed-step method. The comparison halves the actual steps.
 #[test]
 fn fixed_step_is_halved_when_input_rows_shorten_it() {
     let time: Vec<f64> = (0..41).map(|k| 15.0 * f64::from(k)).collect();
@@ -321,7 +323,7 @@ fn fixed_step_is_halved_when_input_rows_shorten_it() {
     };
     let (is_named, of_rows) = said_with(15.0);
     assert!(is_named && of_rows > 1e-3);
-    // The same steps, cut at the rows.
+    // These steps are also shortened to the row spacing.
     for step in [30.0, 60.0] {
         assert_eq!(said_with(step), (true, of_rows), "step {step}");
     }
@@ -347,7 +349,7 @@ fn check_reports_more_than_a_million_steps_before_the_simulation() {
     assert!(!findings(1e-3).contains("steps"), "{}", findings(1e-3));
 }
 
-/// Columns that drive inputs are looked at as those that are measured.
+/// Columns that drive inputs are checked in the same way as measured columns.
 #[test]
 fn check_reports_mistakes_in_input_columns() {
     let with_u1 = |name: &'static str, u1: &dyn Fn(f64) -> f64| {

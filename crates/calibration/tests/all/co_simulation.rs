@@ -1,4 +1,4 @@
-//! A model that integrates itself is calibrated like any other.
+//! Calibration of co-simulation models.
 
 #![allow(clippy::unwrap_used)]
 
@@ -11,7 +11,7 @@ use fmi::RunSettings;
 
 #[test]
 fn co_simulation_is_fitted_in_every_fmi_version() {
-    // x' = -k x, recorded at four instants of a decay with k = 2
+    // x' = -k x, recorded at four times of a decay with k = 2.
     let t = vec![0.0, 0.513, 1.0, 1.5];
     let x: Vec<f64> = t.iter().map(|t: &f64| (-2.0 * t).exp()).collect();
     for kind in ExampleKind::ALL {
@@ -27,7 +27,7 @@ fn co_simulation_is_fitted_in_every_fmi_version() {
     }
 }
 
-/// The test model, which steps itself.
+/// Returns the test model as a co-simulation.
 fn stepping(defines: &[&str]) -> tempfile::TempDir {
     let folder = faulty(defines);
     let description = folder.path().join("modelDescription.xml");
@@ -39,7 +39,7 @@ fn stepping(defines: &[&str]) -> tempfile::TempDir {
     folder
 }
 
-/// With one step of Euler's method from point to point, another step would be another curve.
+/// The model makes one step of Euler's method per communication step, so another step would change the curve.
 #[test]
 fn curves_match_measurements_when_results_depend_on_the_communication_step() {
     for step in [None, Some(0.25)] {
@@ -66,10 +66,10 @@ fn curves_match_measurements_when_results_depend_on_the_communication_step() {
     }
 }
 
-/// Results that depend on the communication step: one step of Euler's method is made from one point to the next.
+/// The results depend on the communication step because the model makes one step of Euler's method per step.
 #[test]
 fn communication_step_is_reported_when_it_changes_the_results() {
-    // A search that is long enough for two more simulations.
+    // A search that is long enough to allow two more simulations.
     let long = || RunOptions { method: NelderMead::default().into(), ..FitOptions::default_run() };
     let said = |defines: &[&str], step: f64, noise: f64| {
         let folder = stepping(defines);

@@ -1,5 +1,5 @@
-//! How often confidence intervals hold the truth: synthetic recordings of the van der Pol oscillator, with noise of another size on each
-//! output; `mu` and both initial states are fitted.
+//! Coverage of confidence intervals for synthetic recordings of the van der Pol oscillator. The noise of the
+//! two outputs differs in size. `mu` and both initial states are fitted.
 
 #![allow(clippy::print_stdout, clippy::unwrap_used)]
 
@@ -15,7 +15,8 @@ use fmi::RunSettings;
 const TRUTH: [f64; 3] = [1.5, 2.0, 0.5];
 const DEVIATIONS: [f64; 2] = [0.05, 0.3];
 
-/// Normally distributed numbers: uniform ones by a linear congruential generator (Knuth's MMIX), turned by Box and Muller.
+/// Returns a generator of normally distributed numbers: uniform numbers from a linear congruential generator
+/// (Knuth's MMIX), transformed by the method of Box and Muller.
 fn normal(seed: u64) -> impl FnMut() -> f64 {
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     let mut uniform = move || {
@@ -39,7 +40,7 @@ fn calibration(columns: [Vec<f64>; 2]) -> Calibration {
         .unwrap()
 }
 
-/// How many of so many recordings have the truth in the interval of each parameter.
+/// Returns the number of recordings, of `n`, whose interval contains the true value of each parameter.
 fn covered(n: u64, estimator: Estimator) -> [u64; 3] {
     let exact = calibration([vec![0.0; 100], vec![0.0; 100]])
         .simulate(&TRUTH, None, &RunContext::new())
@@ -62,7 +63,7 @@ fn covered(n: u64, estimator: Estimator) -> [u64; 3] {
 #[test]
 fn intervals_of_forty_recordings_contain_the_true_values() {
     for count in covered(40, Estimator::Sandwich) {
-        // 38 are expected; fewer than 34 of 40 have a probability of 1 in 100.
+        // The expected number is 38. Fewer than 34 of 40 have a probability of 1 in 100.
         assert!((34..=40).contains(&count), "{count} of 40");
     }
 }
@@ -80,27 +81,27 @@ fn intervals_of_two_hundred_recordings_contain_the_true_values() {
     }
 }
 
-/// The errors of a synthetic recording.
+/// Errors of a synthetic recording.
 #[derive(Clone, Copy)]
 enum Errors {
     White,
-    /// Of first order, stationary, with this autocorrelation.
+    /// Stationary first-order autoregressive errors with this autocorrelation.
     Autoregressive(f64),
-    /// Three in twenty lie ten standard deviations off, to either side.
+    /// Three in twenty values are ten standard deviations off, in either direction.
     Outliers,
 }
 
-/// What a coverage is measured of: x' = -k x from x0 with an error of `deviation`, or a line whose values and slope are measured with
-/// errors of unlike size.
+/// Problem whose coverage is measured: x' = -k x from x0 with an error of `deviation`, or a line. The values
+/// and the slope of the line are measured with errors of different size.
 #[derive(Clone, Copy)]
 struct Study {
     errors: Errors,
     deviation: f64,
-    /// The loss with its scale in standard deviations of the errors.
+    /// Loss, with its scale in standard deviations of the errors.
     loss: Option<(Loss, f64)>,
     scale: Scale,
     has_prior: bool,
-    /// Beside a prior: whether the weights state the noise; else it is estimated.
+    /// With a prior, true if the weights state the noise. Otherwise it is estimated.
     is_stated: bool,
     is_line: bool,
     objective: Option<NamedCost>,
@@ -117,7 +118,7 @@ const PLAIN: Study = Study {
     objective: None,
 };
 
-/// How often intervals, profiles and bands held the truth.
+/// Number of intervals, profiles and bands that contain the true values.
 #[derive(Debug, Default)]
 struct Held {
     intervals: [u32; 2],
@@ -145,7 +146,7 @@ impl Study {
                 last
             }
             Errors::Outliers => match (normal(), normal()) {
-                // A normally distributed number lies beyond 1.4395 with a probability of 0.15.
+                // A normally distributed number exceeds 1.4395 in magnitude with a probability of 0.15.
                 (e, other) if other.abs() > 1.4395 => e + 10.0_f64.copysign(other),
                 (e, _) => e,
             },
@@ -249,7 +250,7 @@ fn studies() -> Vec<(&'static str, Study)> {
     ];
     for (name, kind, scale) in losses {
         let loss = Some((kind, scale));
-        // A narrow loss has many minima where there are outliers: where a fit ends says nothing of its errors.
+        // With outliers, a narrow loss has many minima, so the result of a fit does not represent its errors.
         if scale >= 1.0 {
             studies.push((name, Study { errors: Errors::Outliers, loss, ..PLAIN }));
         }
@@ -270,7 +271,7 @@ fn check(n: u64, (least, most, correlated): (f64, f64, f64), is_chosen: impl Fn(
         let is_narrow = study.loss.is_some_and(|(_, scale)| scale < 1.0);
         let range = match (is_correlated, is_narrow) {
             (true, _) => correlated..=1.0,
-            // Its cost is flat far from the optimum: profiles are wider than a parabola is.
+            // The cost is flat far from the optimum, so profiles are wider than for a parabola.
             (false, true) => least..=1.0,
             (false, false) => least..=most,
         };
@@ -288,7 +289,7 @@ fn check(n: u64, (least, most, correlated): (f64, f64, f64), is_chosen: impl Fn(
 
 #[test]
 fn intervals_profiles_and_bands_contain_the_true_values() {
-    // Of 60 sets 57 are expected; fewer than 51 have a probability of 1 in 100.
+    // The expected number is 57 of 60 sets. Fewer than 51 have a probability of 1 in 100.
     check(60, (0.85, 1.0, 0.82), |study| study.loss.is_none_or(|(_, scale)| scale > 1.0));
 }
 
@@ -296,6 +297,7 @@ fn intervals_profiles_and_bands_contain_the_true_values() {
 #[test]
 #[ignore = "takes minutes"]
 fn intervals_profiles_and_bands_contain_the_true_values_in_three_hundred_sets() {
-    // Of 300 sets 285 are expected with a standard deviation of 3.8: three of them to either side.
+    // The expected number is 285 of 300 sets, with a standard deviation of 3.8. The limits are three
+    // deviations away.
     check(300, (0.912, 0.988, 0.88), |_| true);
 }

@@ -1,4 +1,4 @@
-//! States at the start that are taken from the recording: `x' = -k x` with k = 2 and x(0) = 1, of which a fit has to find k.
+//! Initial states from the recording: `x' = -k x` with k = 2 and x(0) = 1. The fit must find k.
 
 #![allow(clippy::unwrap_used)]
 
@@ -65,7 +65,7 @@ fn measured_state_is_corrected_for_offset_and_delay() {
     let experiment = Experiment::new(offset).output("x", "x");
     let x = fitted(experiment, &[k(), Parameter::new("bias", 0.0).offset_of("x").bounds(-1.0, 1.0)]).unwrap();
     assert!((x[0] - K).abs() < 1e-4 && (x[1] - 0.3).abs() < 1e-4, "{x:?}");
-    // Measured at t is what the model had at t - 0.2.
+    // The measurement at t is the model value at t - 0.2.
     let late = recording(|t| (-K * (t - 0.2)).exp());
     let experiment = Experiment::new(late).output("x", "x").delay("x", 0.2).window(0.2, 5.0);
     let x = fitted(experiment, &[k()]).unwrap();
@@ -93,7 +93,8 @@ fn measured_state_is_rejected_when_no_measurement_exists() {
     assert!(message.contains("the delay of its output is fitted"), "{message}");
 }
 
-/// The noise of the measurement that the simulation starts from moves all of it: standard errors count it.
+/// The noise of the measurement at the start changes the whole simulation. The standard errors must include
+/// it.
 #[test]
 fn standard_errors_include_the_noise_of_a_measured_start() {
     let mut state = 3_u64;
@@ -118,14 +119,14 @@ fn standard_errors_include_the_noise_of_a_measured_start() {
         offsets += u32::from(uncertainty.verdict().iter().any(|text| text.contains("an offset")));
         squares += ((fit.x[0] - K) / uncertainty.standard_errors[0]).powi(2);
     }
-    // Of 60 the mean square is 1 +- 0.18; without the noise of the start it is 1.9.
+    // For 60 fits, the mean square is 1 +- 0.18. Without the noise of the start, it would be 1.9.
     let mean = squares / f64::from(n);
     assert!((0.55..1.5).contains(&mean), "{mean}");
-    // Nor is what it leaves an offset.
+    // The effect of the noise is not reported as an offset.
     assert!(offsets == 0, "{offsets}");
 }
 
-/// x' = -k x, whose state is 3 after the initialization, whatever it is given.
+/// Returns x' = -k x whose state is 3 after the initialization, independent of the given value.
 fn computing(is_co_simulation: bool) -> tempfile::TempDir {
     let folder = faulty(&["COMPUTES_X=3"]);
     let path = folder.path().join("modelDescription.xml");
@@ -142,7 +143,7 @@ fn computing(is_co_simulation: bool) -> tempfile::TempDir {
     folder
 }
 
-/// The calibration of `k` to a decay from 2 with k = 0.7.
+/// Returns the calibration of `k` to a decay from 2 with k = 0.7.
 fn calibration_of(
     folder: &tempfile::TempDir,
     complete: impl FnOnce(Experiment) -> Experiment,
@@ -195,13 +196,13 @@ fn state_without_effect_is_an_error_or_a_finding() {
     }
 }
 
-/// `x' = -k x` from a measured start: the errors of k and of the curve are those of the delta method, with every
-/// form of the cost that is least squares in the end.
+/// `x' = -k x` from a measured start. The errors of k and of the curve must equal the errors of the delta
+/// method, with every cost that is equivalent to least squares.
 #[test]
 fn measured_start_has_delta_method_errors_with_every_objective() {
     let n = 21;
     let t: Vec<f64> = (0..n).map(|i| 0.1 * f64::from(i)).collect();
-    // Looks like chance: the phases of a sine that are far apart.
+    // The noise appears random because it samples distant phases of a sine.
     let noise = |i: usize| 0.02 * (((i as f64 * 12.9898).sin() * 43758.5453).abs().fract() - 0.5);
     let x: Vec<f64> = t.iter().enumerate().map(|(i, t)| (-K * t).exp() + noise(i)).collect();
     let wide = RobustLoss::new(Loss::Huber, 1e6).unwrap();
@@ -225,13 +226,14 @@ fn measured_start_has_delta_method_errors_with_every_objective() {
         let uncertainty = fit.uncertainty.as_ref().unwrap();
         assert_eq!(uncertainty.autocorrelations, [0.0]);
         assert_eq!(uncertainty.degrees_of_freedom, f64::from(n) - 2.0);
-        // With j the derivative by k, c that by the start, and e the residuals: the step is -j'(e + c e_0) / j'j.
+        // Let j be the derivative with respect to k, c with respect to the start, and e the residuals. The
+        // step is -j'(e + c e_0) / j'j.
         let (k, x0) = (fit.x[0], x[0]);
         let curve: Vec<[f64; 3]> =
             t.iter().map(|t| (-k * t).exp()).zip(&t).map(|(c, t)| [-t * x0 * c, c, x0 * c]).collect();
         let dot = |a: usize, b: usize| curve[1..].iter().map(|row| row[a] * row[b]).sum::<f64>();
         let (jj, jc, cc) = (dot(0, 0), dot(0, 1), dot(1, 1));
-        // The variance is that of a fit of k and of the start to all n measurements.
+        // The variance equals the variance of a fit of k and the start to all n measurements.
         let r: Vec<f64> = curve[1..].iter().zip(&x[1..]).map(|(row, x)| row[2] - x).collect();
         let with = |a: usize| curve[1..].iter().zip(&r).map(|(row, r)| row[a] * r).sum::<f64>();
         let (jr, cr, of_start) = (with(0), with(1), cc + 1.0);

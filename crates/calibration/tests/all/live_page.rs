@@ -1,4 +1,4 @@
-//! The page of a fit that runs, by its requests: who gets it, what it shows, how it ends the fit, and what clients cannot do to it.
+//! Requests to the page of a running fit: access, contents, ending the fit, and resistance to other clients.
 
 use calibration::{Calibration, Data, Experiment, Fit, FitOptions, LivePage, Parameter, RunContext};
 use dfo::{DifferentialEvolution, Limits, RunOptions, Termination, Tolerances};
@@ -12,7 +12,7 @@ fn decay() -> Calibration {
     decay_by(RunSettings::default())
 }
 
-/// With simulations that take so long that a fit does not end by itself meanwhile.
+/// Returns a calibration with slow simulations, so that a fit does not end by itself during the test.
 fn slow_decay() -> Calibration {
     decay_by(RunSettings { method: Method::Rk4, step_size: Some(1e-5), ..RunSettings::default() })
 }
@@ -29,7 +29,7 @@ fn decay_by(settings: RunSettings) -> Calibration {
         .unwrap()
 }
 
-/// Options of a fit that ends when it is told to.
+/// Returns the options of a fit that ends only on request.
 fn endless<'a>() -> FitOptions<'a> {
     let tolerances = Tolerances { x_tol: 0.0, f_tol: 0.0, ..FitOptions::default_run().tolerances };
     let limits = Limits { max_evaluations: Some(1_000_000_000), ..Limits::default() };
@@ -38,17 +38,17 @@ fn endless<'a>() -> FitOptions<'a> {
         .into()
 }
 
-/// The address of a page: of its server, and its path.
+/// Returns the host and the path of a page.
 fn place(page: &LivePage) -> (String, String) {
     let url = page.url();
     let (host, path) = url.strip_prefix("http://").unwrap().split_once('/').unwrap();
     (host.to_owned(), format!("/{path}"))
 }
 
-/// Status line and whole text of the answer to these bytes.
+/// Sends these bytes and returns the status line and the whole text of the answer.
 fn sent(host: &str, bytes: &[u8]) -> (String, String) {
     let mut stream = TcpStream::connect(host).unwrap();
-    // A server that has read enough answers and closes.
+    // A server that has read enough answers and closes the connection early.
     let _ = stream.write_all(bytes);
     let mut answer = Vec::new();
     let _ = stream.read_to_end(&mut answer);
@@ -70,7 +70,7 @@ fn page_is_served_only_to_clients_with_the_token() {
     let good = asked(&host, "GET", &path, &own);
     assert!(good.0 == "HTTP/1.1 200 OK" && good.1.contains("rate &lt;of&gt; decay"), "{}", good.1);
     assert!(good.1.contains("Content-Security-Policy: default-src 'none'"), "{}", good.1);
-    // Nothing on it is to come from elsewhere.
+    // The page must not load anything from other hosts.
     let elsewhere = good.1.replace("http://www.w3.org/2000/svg", "");
     assert!(
         !["http:", "https:", "//", "@import", "url("].iter().any(|text| elsewhere.contains(text)),
@@ -89,7 +89,7 @@ fn page_is_served_only_to_clients_with_the_token() {
         ("GET", &format!("{path}../"), own.clone(), "404"),
         ("GET", &format!("{path}state?x"), own.clone(), "404"),
         ("GET", &format!("http://{host}{path}"), own.clone(), "404"),
-        // Sites whose names lead to this address.
+        // Sites whose names resolve to this address.
         ("GET", &path, format!("Host: rebound.example:{port}\r\n"), "403"),
         ("GET", &path, "Host: 127.0.0.1\r\n".to_owned(), "403"),
         ("GET", &path, String::new(), "403"),
@@ -117,10 +117,10 @@ fn page_is_served_only_to_clients_with_the_token() {
     let (line, text) = asked(&host, "HEAD", &path, &own);
     assert!(line.contains(" 200 ") && text.ends_with("\r\n\r\n"), "{text}");
     assert!(!page.is_stop_asked() && !page.is_closed());
-    // Before there is a report nobody closes it.
+    // Without a report, a request cannot close the page.
     assert!(asked(&host, "POST", &format!("{path}close"), &own).0.contains(" 303 ") && !page.is_closed());
     drop(page);
-    // The thread that listens ends by itself.
+    // The listening thread ends by itself.
     let is_refused = |_| {
         std::thread::sleep(std::time::Duration::from_millis(20));
         TcpStream::connect(&host).is_err()
@@ -135,7 +135,7 @@ fn stop_button_ends_the_fit_with_the_best_point() {
     let (host, path) = place(&page);
     let own = format!("Host: {host}\r\n");
     let state = || asked(&host, "GET", &format!("{path}state"), &own).1;
-    // They send nothing, a part of a request, or take no answer.
+    // These clients send nothing, send a part of a request, or do not read the answer.
     let hanging: Vec<TcpStream> = (0..12)
         .map(|k| {
             let mut stream = TcpStream::connect(&host).unwrap();
@@ -157,7 +157,7 @@ fn stop_button_ends_the_fit_with_the_best_point() {
             seen = state();
         }
         assert!(seen.contains("now searching: iteration ") && seen.contains("0.1 to 10"), "{seen}");
-        // Measured and simulated below each other with the residuals, and the costs.
+        // The page shows measured and simulated values with the residuals below, and the costs.
         assert!(seen.matches("role=\"img\"").count() == 2 && seen.contains("residual"), "{seen}");
         let (line, text) =
             asked(&host, "POST", &format!("{path}stop"), &format!("{own}Content-Length: 0\r\n"));
@@ -168,7 +168,8 @@ fn stop_button_ends_the_fit_with_the_best_point() {
     let costs = fit.report.trace.iter().filter_map(|entry| Some((entry.outcome.value()?, entry.x)));
     let best = costs.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
     assert_eq!((fit.cost, fit.x.as_slice()), best);
-    // It is its report from now on, for which nothing is simulated: a context that is over would end that.
+    // The page now shows the report, which requires no simulation. A context that is over would end a
+    // simulation.
     let is_over = || true;
     page.show_report(&calibration, &fit, &RunContext::new().asking(&is_over)).unwrap();
     assert!(state().starts_with("HTTP/1.1 205 "));
@@ -189,14 +190,14 @@ fn page_responds_when_other_clients_send_nothing() {
     let (host, path) = place(&page);
     let own = format!("Host: {host}\r\n");
     let hanging: Vec<TcpStream> = (0..32).map(|_| TcpStream::connect(&host).unwrap()).collect();
-    // The owner is served as soon as they have been silent for a while, though all of them stay.
+    // The owner is served after a short timeout of the silent clients, although all of them stay connected.
     while !asked(&host, "GET", &path, &own).0.contains(" 200 ") {
         std::thread::yield_now();
     }
     drop(hanging);
 }
 
-/// Costs, path and simulations of a fit that is looked at are those of one that is not.
+/// Costs, evaluated points and simulations are equal with and without a viewer.
 #[test]
 fn live_page_changes_no_result_of_a_fit() {
     let fitted = |page: Option<(&LivePage, &str, &str)>| -> (Fit, usize) {
@@ -237,7 +238,7 @@ fn page_shows_failed_points_with_their_reasons() {
     let x = t.iter().map(|t| (-2.0 * t).exp()).collect();
     let calibration = Calibration::builder(fmu)
         .experiment(Experiment::new(Data::from_columns(t, [("x".to_owned(), x)]).unwrap()).output("x", "x"))
-        // Below zero it grows: e^1000 is no number.
+        // Below zero, the solution grows, and e^1000 overflows.
         .parameter(Parameter::new("k", 1.0).bounds(-100.0, 100.0))
         .build()
         .unwrap();
@@ -262,7 +263,7 @@ fn page_shows_the_error_of_a_failed_fit() {
     let page = LivePage::start(&calibration).unwrap();
     let (host, path) = place(&page);
     let host_line = format!("Host: {host}\r\n");
-    // Nobody has looked: nothing is waited for.
+    // No client has connected, so there is no wait.
     page.show_error("no <reason>");
     let (status, text) = asked(&host, "GET", &path, &host_line);
     assert!(status.contains("200") && text.contains("no &lt;reason&gt;"), "{text}");

@@ -1,4 +1,4 @@
-//! Models that keep a state which no variable shows: each result is that of a fresh process.
+//! Models with hidden state that no variable shows. Each result must equal the result of a fresh process.
 
 use crate::support::faulty;
 use crate::{ALONE, decay, open, own_size, settings};
@@ -8,10 +8,10 @@ use fmi::worker::{Isolation, WorkerLimits};
 use fmi::{Fmu, Reuse, SimulateOptions};
 use std::sync::PoisonError;
 
-/// A cost does not depend on what was computed before, also outside of fits.
+/// A cost does not depend on previous computations, including outside of fits.
 #[test]
 fn hidden_state_is_detected_outside_of_fits() {
-    // A run with k above 1.2 stays in a static variable.
+    // A run with k above 1.2 changes a static variable.
     let folder = faulty(&["SHARED_GLOBALS", "REMEMBERS=1.2"]);
     let points = [1.0, 1.5, 2.0];
     let alone: Vec<_> = points
@@ -36,8 +36,8 @@ fn hidden_state_is_detected_outside_of_fits() {
     }
 }
 
-/// Runs with k above 2.2 stay in a static variable, which no short run near the start shows: with each method
-/// the result is that of a model without such a state, and says so.
+/// Runs with k above 2.2 change a static variable, but short runs near the start do not. With each method,
+/// the result equals the result of a model without hidden state, and a finding reports the state.
 #[test]
 fn fit_is_correct_when_the_model_has_hidden_state() {
     let (sound, folder) = (faulty(&[]), faulty(&["SHARED_GLOBALS", "REMEMBERS=2.2"]));
@@ -64,9 +64,9 @@ fn fit_is_correct_when_the_model_has_hidden_state() {
             let found = fitted(fmu.clone());
             let name = &*found.report.method;
             let says_so = |fit: &Fit| fit.findings().iter().any(|finding| finding.sentence.contains(HIDDEN));
-            // From 1 on, a method need not come to such values.
+            // From a start of 1, a method may never reach such values.
             assert!(start < 2.2 || says_so(&found), "{name} {start}: {:?}", found.findings());
-            // In the processes of another calibration of the same model, too.
+            // The processes of another calibration of the same model give the same result.
             let again = fitted(fmu.clone());
             assert_eq!((&again.x, again.cost), (&found.x, found.cost), "{name} {start}");
             assert!(start < 2.2 || says_so(&again), "{name} {start}");
@@ -81,7 +81,7 @@ fn fit_is_correct_when_the_model_has_hidden_state() {
 
 const HIDDEN: &str = "the model keeps a state outside of its instances";
 
-/// A calibration meets nothing of what another one of the same opened model has run.
+/// A calibration is unaffected by runs of another calibration of the same opened model.
 #[test]
 fn calibrations_use_separate_processes() {
     let folder = faulty(&["SHARED_GLOBALS", "REMEMBERS=1.2"]);
@@ -97,7 +97,7 @@ fn calibrations_use_separate_processes() {
     assert_eq!(apart().residuals(&[1.0], &context).unwrap(), expected);
 }
 
-/// A state that comes after many simulations is seen soon after that.
+/// Hidden state that appears after many simulations is detected soon after that.
 #[test]
 fn late_hidden_state_is_detected_outside_of_fits() {
     let folder = faulty(&["SHARED_GLOBALS", "REMEMBERS=2.2"]);

@@ -1,4 +1,5 @@
-//! FMUs in processes of their own: same bits, deaths as outcomes, nothing left behind.
+//! FMUs in separate processes: bit-for-bit identical results, crashes as outcomes, and no remaining
+//! processes.
 
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used)]
@@ -22,7 +23,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use support::{costs, faulty, fit};
 
-/// Has workers started by the program for that.
+/// Sets the program that starts workers.
 fn launch() {
     Launcher::of(env!("CARGO_BIN_EXE_fmufit-worker")).set();
 }
@@ -31,7 +32,7 @@ fn settings(isolation: Isolation) -> SimulationSettings {
     SimulationSettings { isolation, ..SimulationSettings::default() }
 }
 
-/// Settings with a time limit.
+/// Returns settings with a time limit.
 fn with_limit(timeout: Option<Duration>) -> SimulationSettings {
     SimulationSettings {
         isolation: Isolation::Process,
@@ -39,7 +40,7 @@ fn with_limit(timeout: Option<Duration>) -> SimulationSettings {
     }
 }
 
-/// A fit of y = exp(-1.7 t), which the model follows at k = 1.7.
+/// Returns a calibration to y = exp(-1.7 t), which the model matches at k = 1.7.
 fn decay(fmu: Fmu, settings: SimulationSettings) -> Calibration {
     launch();
     let t: Vec<f64> = (0..=20).map(|i| 0.05 * f64::from(i)).collect();
@@ -86,7 +87,8 @@ fn results_are_bit_identical_in_this_and_other_processes() {
     }
 }
 
-/// The best point is evaluated again in a fresh process, which is no evaluation of the path; after a short search it is not.
+/// The best point is evaluated again in a fresh process, which is not counted as an evaluation. This is
+/// skipped after a short search.
 #[test]
 fn repeated_best_point_is_counted_separately_from_evaluations() {
     let folder = faulty(&[]);
@@ -101,7 +103,7 @@ fn repeated_best_point_is_counted_separately_from_evaluations() {
     assert!(found.stats.seconds.get() > checks.seconds.get() && checks.seconds.get() > 0.0);
 }
 
-/// What happens, from k = 2.2 on, and what is said of it.
+/// Faults above k = 2.2, and the expected messages.
 const DEATHS: [(&str, &str); 5] = [
     ("raise(SIGSEGV)", "segmentation fault in fmi2GetDerivatives"),
     ("abort()", "abort in fmi2GetDerivatives"),
@@ -135,7 +137,7 @@ fn hanging_worker_ends_soon_after_the_time_limit() {
     assert!(calibration.cost(&[1.0], &RunContext::new()).is_ok());
     let error = calibration.cost(&[3.0], &RunContext::new()).unwrap_err().to_string();
     assert!(error.contains("no answer within the time limit in fmi2GetDerivatives"), "{error}");
-    // Without a limit it is ended with what it is part of.
+    // Without a time limit, the hanging simulation ends with the fit that it belongs to.
     let calibration = decay(open(&folder), settings(Isolation::Process));
     let limits = Limits { max_time: Some(Duration::from_secs(2)), ..Limits::default() };
     let run = RunOptions { limits, workers: Some(1), ..FitOptions::default_run() };
@@ -145,7 +147,7 @@ fn hanging_worker_ends_soon_after_the_time_limit() {
     assert!(calibration.cost(&[3.0], &short).is_err());
 }
 
-/// The rows are complete: the call is left out from then on, and named once.
+/// The rows are complete, so the call is omitted from then on and reported once.
 #[test]
 fn crash_at_the_end_of_a_run_fails_no_evaluation() {
     let hang = ["FAULT_ABOVE=0", "FAULT=hang()", "FAULT_AT_END"];
@@ -159,7 +161,7 @@ fn crash_at_the_end_of_a_run_fails_no_evaluation() {
         let folder = faulty(faults);
         let sound = faulty(&[]);
         let expected = decay(open(&sound), settings(Isolation::None));
-        // A hang shows by the limit alone.
+        // A hang is only detected by the time limit.
         let timeout = (faults.len() == hang.len()).then_some(Duration::from_millis(300));
         let calibration = decay(open(&folder), with_limit(timeout));
         for k in [1.0, 3.0, 1.5] {
@@ -184,7 +186,7 @@ fn simulation_fails_when_the_model_crashes_before_its_last_row() {
     assert!(error.contains("abort in fmi2ExitInitializationMode"), "{error}");
 }
 
-/// The processes that were started with this folder for temporary files somewhere in their environment.
+/// Returns the processes whose environment contains this temporary folder.
 fn processes_of(folder: &Path) -> Vec<String> {
     let place = folder.to_str().unwrap();
     let has_place = |pid: &String| {
@@ -197,7 +199,7 @@ fn processes_of(folder: &Path) -> Vec<String> {
     names.filter(is_number).filter(has_place).collect()
 }
 
-/// Runs this test program again, for one of its tests, with a folder of its own for temporary files.
+/// Returns a command that runs one test of this test program with a separate temporary folder.
 fn another_program(test: &str, temporary: &Path, work: &Path) -> Command {
     let mut command = Command::new(std::env::current_exe().unwrap());
     command.args(["--exact", test, "--ignored"]).env("TMPDIR", temporary).env("WORK", work);
@@ -205,7 +207,7 @@ fn another_program(test: &str, temporary: &Path, work: &Path) -> Command {
     command
 }
 
-/// A fit of some 0.4 s with a checkpoint; not a test by itself.
+/// Runs a fit of some 0.4 s with a checkpoint. Other tests run this function.
 #[test]
 #[ignore = "run by other tests"]
 fn a_fit_with_a_checkpoint() {
@@ -239,7 +241,8 @@ fn is_gone_soon(folder: &Path) {
     }
 }
 
-/// Kills the program at so many moments; afterwards nothing is left of its workers, and the fit goes on to the same bits.
+/// Kills the program at `moments` different times. Afterwards no worker remains, and the resumed fit is
+/// bit-for-bit identical.
 fn killed_and_resumed(moments: u64) {
     let (model, temporary) = (faulty(&["SLOW=50"]), tempfile::tempdir().unwrap());
     let run = |work: &Path| {
@@ -255,7 +258,7 @@ fn killed_and_resumed(moments: u64) {
     for moment in 0..moments {
         let work = tempfile::tempdir().unwrap();
         let mut child = run(work.path()).spawn().unwrap();
-        // Spread over the run, in no order of its phases.
+        // Spread the times over the run, in an order independent of its phases.
         std::thread::sleep(took.mul_f64(((moment * 37) % moments) as f64 / moments as f64));
         child.kill().unwrap();
         child.wait().unwrap();
@@ -282,7 +285,7 @@ fn fifty_killed_programs_leave_no_processes_and_resume() {
     killed_and_resumed(50);
 }
 
-/// What an FMU does to its process does not reach this one: memory, output without end.
+/// Faults of an FMU in its process, such as excessive memory or endless output, do not affect this process.
 #[test]
 fn worker_limits_are_enforced() {
     let folder = faulty(&["FAULT_ABOVE=2.2", "FAULT=fill_memory()"]);
@@ -321,7 +324,7 @@ fn late_variables_are_bit_identical_in_other_processes() {
     assert_eq!(costs(&found), costs(&expected));
 }
 
-/// A fit that ends beside values at which the model crashes, with the minimum among them, says so and is no success.
+/// A fit that ends next to crashes of the model, near its minimum, reports this and is not a success.
 #[test]
 fn fit_is_not_a_success_when_it_ends_next_to_crashes() {
     let folder = faulty(&["FAULT_ABOVE=1.5", "FAULT=abort()"]);
@@ -332,7 +335,7 @@ fn fit_is_not_a_success_when_it_ends_next_to_crashes() {
     assert!(text.contains("the cost falls towards values that cannot be simulated"), "{text}");
 }
 
-/// What an FMU does to its process in one evaluation, the next ones do not meet.
+/// A fault of an FMU in one evaluation does not affect the next evaluations.
 #[test]
 fn other_evaluations_are_unaffected_by_a_fault() {
     let sound = faulty(&[]);
@@ -350,7 +353,7 @@ fn other_evaluations_are_unaffected_by_a_fault() {
                 assert!(error.contains("exit(3) in fmi2GetDerivatives"), "{error}");
             }
         }
-        // Nobody waits for what the processes have left behind.
+        // The fit does not wait for processes that the FMU left running.
         assert!(
             fault != "leave_orphan()" || began.elapsed() < Duration::from_secs(4),
             "{:?}",
@@ -359,7 +362,7 @@ fn other_evaluations_are_unaffected_by_a_fault() {
     }
 }
 
-/// Processes that the FMU has started end with the worker, also where they have left its session and the program is killed.
+/// Processes started by the FMU end with the worker, even if they left its session or the program is killed.
 #[test]
 fn daemons_end_with_their_worker() {
     let (model, temporary) =
@@ -372,7 +375,7 @@ fn daemons_end_with_their_worker() {
         let work = tempfile::tempdir().unwrap();
         let mut child = run(work.path()).spawn().unwrap();
         let began = Instant::now();
-        // The program, its worker and at least one daemon.
+        // Program, worker and at least one daemon.
         while processes_of(temporary.path()).len() < 3 {
             assert!(began.elapsed() < Duration::from_secs(20));
             std::thread::sleep(Duration::from_millis(2));
@@ -385,7 +388,7 @@ fn daemons_end_with_their_worker() {
     }
 }
 
-/// The copy of a model that a fit writes is simulated where the model is.
+/// The exported copy of a model is simulated in the same kind of process as the model.
 #[test]
 fn exported_copy_runs_in_a_separate_process() {
     let work = tempfile::tempdir().unwrap();
@@ -395,7 +398,7 @@ fn exported_copy_runs_in_a_separate_process() {
     let found = fit(&calibration, 1, 20);
     let copy = work.path().join("copy.fmu");
     let written = found.export_fmu(&calibration, &copy, None, false, &RunContext::new()).unwrap();
-    // The start values of this model are in its library.
+    // The start values of this model are compiled into its library.
     assert!(written.warning.is_some_and(|warning| warning.contains("'y' by ")) && written.ssv.is_some());
 }
 
@@ -407,13 +410,13 @@ fn leaking_model_has_bounded_memory() {
     assert!((found.x[0] - 1.7).abs() < 0.1, "{:?}", found.x);
 }
 
-/// Bytes that this process has in memory.
+/// Returns the resident memory of this process in bytes.
 fn own_size() -> u64 {
     let text = std::fs::read_to_string("/proc/self/statm").unwrap();
     text.split(' ').nth(1).unwrap().parse::<u64>().unwrap() * 4096
 }
 
-/// Held by tests that look at the size of this process or at all of its workers.
+/// Lock for tests that check the size of this process or all of its workers.
 static ALONE: Mutex<()> = Mutex::new(());
 
 #[test]
@@ -435,7 +438,7 @@ fn leaking_model_has_bounded_memory_in_twenty_thousand_runs() {
     assert!((found.x[0] - 1.7).abs() < 0.1, "{:?}", found.x);
 }
 
-/// Faults in C, each for points above a bound.
+/// Faults in C for points above a bound.
 const ZOO: [(&str, &str); 25] = [
     ("handles SIGINT", "signal(SIGINT, SIG_IGN)"),
     ("handles SIGSEGV and hangs", "(signal(SIGSEGV, (void (*)(int))hang), raise(SIGSEGV))"),
@@ -467,7 +470,7 @@ const ZOO: [(&str, &str); 25] = [
     ("goes elsewhere", "(void)!chdir(\"/\")"),
 ];
 
-/// What is left of this process's workers: processes and folders.
+/// Returns remaining processes and folders of the workers of this process.
 fn left_behind() -> Vec<String> {
     let own = std::process::id();
     let prefix = format!("fmufit-worker-{own}-");
@@ -478,7 +481,7 @@ fn left_behind() -> Vec<String> {
     left
 }
 
-/// Fit, profile, validation and report end with the optimum or an error that says why, and leave nothing.
+/// Fit, profile, validation and report end with the optimum or an error with a reason. No process remains.
 #[test]
 #[ignore = "takes long"]
 fn fits_end_cleanly_for_many_kinds_of_faults() {
@@ -505,7 +508,7 @@ fn fits_end_cleanly_for_many_kinds_of_faults() {
                 validation.map(drop).map_err(|error| error.to_string()),
                 began.elapsed().as_secs_f64()
             );
-            // The points of a fit were evaluated.
+            // The fit has evaluated its points, so the report must succeed.
             calibration.report(&found, folder.path().join("report.html"), &context).unwrap();
             drop(calibration);
             assert_eq!(left_behind(), [""; 0], "{name}");
@@ -513,7 +516,7 @@ fn fits_end_cleanly_for_many_kinds_of_faults() {
     }
 }
 
-/// Lines that the libraries have logged.
+/// Lines logged by the libraries.
 static SAID: Mutex<Vec<String>> = Mutex::new(Vec::new());
 
 struct Listener;
@@ -530,7 +533,8 @@ impl log::Log for Listener {
     fn flush(&self) {}
 }
 
-/// Where the process is killed that workers are copied from, what becomes of a worker is said, and a fit goes on; not a test by itself.
+/// Kills the process from which workers are copied. The end of a worker is then still reported, and a fit
+/// continues. Other tests run this function.
 #[test]
 #[ignore = "run by other tests"]
 fn a_template_that_is_killed() {

@@ -1,4 +1,4 @@
-//! What a model in a sandbox cannot reach, and what a worker cannot claim.
+//! Restrictions of a model in a sandbox, and validation of the answers of a worker.
 
 use crate::support::{costs, faulty, fit};
 use crate::{decay, launch, open, settings, with_limit};
@@ -9,20 +9,22 @@ use std::net::TcpListener;
 use std::path::Path;
 use std::time::Duration;
 
-/// The settings of a sandbox; none where the kernel has no Landlock.
+/// Returns the settings of a sandbox, or `None` if the kernel does not support Landlock.
 fn sandbox() -> Option<SimulationSettings> {
     check_sandbox().ok().map(|()| SimulationSettings { sandbox: true, ..settings(Isolation::Process) })
 }
 
-/// A model that does this at k above 2.2, with a folder and a port of this machine to reach.
+/// Returns a model that executes `attack` at k above 2.2, with a folder and a port of this machine as
+/// targets.
 fn attacking(attack: &str, outside: &Path, port: u16) -> tempfile::TempDir {
     let (fault, port) = (format!("FAULT={attack}"), format!("PORT={port}"));
     let outside = format!("OUTSIDE=\"{}\"", outside.display());
     faulty(&["_GNU_SOURCE", "ATTACKS", "FAULT_ABOVE=2.2", &fault, &outside, &port])
 }
 
-/// Handlers of signals in every thread, threads, forked processes, functions of the end of threads, the program
-/// and the library: from each of these a model reaches what its user reaches, and nothing in a sandbox.
+/// The model runs code in signal handlers of every thread, threads, forked processes, thread destructors, the
+/// program and the library. Without a sandbox, each of them can access everything that the user can access.
+/// In a sandbox, none of them can.
 #[test]
 fn sandbox_confines_all_code_of_a_model() {
     let outside = tempfile::tempdir().unwrap();
@@ -77,7 +79,7 @@ fn sandbox_blocks_unneeded_system_calls() {
     assert_eq!(std::fs::read_dir(outside.path()).unwrap().count(), 1);
 }
 
-/// The bits of a fit are the same, and nothing is left of its processes.
+/// The fit is bit-for-bit identical, and none of its processes remains.
 #[test]
 fn sandbox_gives_bit_identical_fits() {
     let Some(confined) = sandbox() else { return };
@@ -104,7 +106,7 @@ fn sandbox_is_rejected_before_the_run_when_the_model_is_not_confined() {
     assert!(error.contains(expected) && !error.contains("runs it in this one"), "{error}");
 }
 
-/// What a worker claims does not move the clock of its parent, or make it read without end.
+/// False claims of a worker cannot change the clock of its parent or make the parent read endlessly.
 #[test]
 fn parent_is_not_delayed_by_false_claims_of_a_worker() {
     let outside = tempfile::tempdir().unwrap();
@@ -120,7 +122,7 @@ fn parent_is_not_delayed_by_false_claims_of_a_worker() {
     for (attack, expected) in cases {
         let folder = attacking(attack, outside.path(), 9);
         let calibration = decay(open(&folder), with_limit(Some(Duration::from_millis(500))));
-        // Without an end of its own, it would be ended with the context.
+        // Without its time limit, the call would end with the context.
         let context = RunContext::new().within(Some(Duration::from_secs(20)));
         let error = calibration.cost(&[3.0], &context).unwrap_err().to_string();
         assert!(error.contains(expected) && error.contains("k = 3"), "{attack}: {error}");
