@@ -68,8 +68,8 @@ fn fatal_status_at_the_end_of_a_run_changes_no_cost() {
     }
 }
 
-/// The instance of a session and the simulators of a fit are independent, even if the model declares that it can
-/// only be instantiated once per process.
+/// The instance of a session and the simulators of a fit are independent. The model declares that it can only be
+/// instantiated once per process.
 #[test]
 fn calibration_works_after_a_simulation_of_the_model() {
     let folder = faulty(&["STATIC_PARAMETERS"]);

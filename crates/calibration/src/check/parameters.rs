@@ -93,8 +93,8 @@ pub(super) fn beside_the_model(variable: &Variable, given: GivenRange) -> Option
     (is_far || is_celsius).then(|| format!("the model's own is {}{hint}", Number(own)))
 }
 
-/// Returns findings about start values and constant inputs of an experiment that are outside of the model's
-/// range or far from its own start value.
+/// Returns findings about start values and constant inputs of an experiment. They are reported if they are
+/// outside of the model's range or far from its own start value.
 pub(super) fn given_values(subject: &ExperimentSubject<'_>, parameters: &[Parameter]) -> Vec<Finding> {
     let ExperimentSubject { prefix, experiment, description, .. } = subject;
     // Start values of local parameters are in the unit of the parameter.

@@ -36,22 +36,22 @@ pub(crate) struct Loaded {
 /// Request to a worker.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) enum Job {
-    /// Load a problem and its model, to which the evaluations refer.
+    /// Loads a problem and its model, to which the evaluations refer.
     Load(Box<Loaded>),
-    /// Open a model, to which the next four jobs refer.
+    /// Opens a model, to which the next four jobs refer.
     Open(ModelFile, Box<OpenOptions>),
-    /// Simulate the model.
+    /// Simulates the model.
     Simulate(Box<SimulateOptions>),
-    /// Return values of variables at the end of a simulation. Repeat the simulation unless it was the last
-    /// one.
+    /// Returns values of variables at the end of a simulation. The simulation is repeated unless it was the
+    /// last one.
     FinalValues(Box<SimulateOptions>, Vec<String>),
-    /// Return values of variables after an initialization with some values set.
+    /// Returns values of variables after an initialization with some values set.
     InitialValues { kind: InterfaceChoice, set: Vec<(String, Value)>, names: Vec<String> },
-    /// Create an instance that is controlled call by call, to which the next job refers.
+    /// Creates an instance that is controlled call by call, to which the next job refers.
     NewInstance(InterfaceKind, Box<InstanceOptions>),
-    /// Call the instance. The numbers of the frames contain the vectors of the call and of the answer.
+    /// Calls the instance. The numbers of the frames contain the vectors of the call and of the answer.
     Instance(InstanceCall),
-    /// Compute the cost and the residuals at a point.
+    /// Computes the cost and the residuals at a point.
     Evaluate {
         x: Vec<f64>,
         loss: RobustLoss,
@@ -59,9 +59,9 @@ pub(crate) enum Job {
         /// Accuracy, if it differs from the accuracy of the problem.
         accuracy: Option<Accuracy>,
     },
-    /// Return the compared outputs of an experiment.
+    /// Returns the compared outputs of an experiment.
     Experiment { experiment: usize, x: Vec<f64>, times: Option<Vec<f64>> },
-    /// Return variables of the model in an experiment.
+    /// Returns variables of the model in an experiment.
     Variables { experiment: usize, x: Vec<f64>, times: Option<Vec<f64>>, variables: Vec<String> },
 }
 
@@ -478,8 +478,8 @@ impl Remote {
         self.processes.comparisons.is_random.load(Ordering::Relaxed)
     }
 
-    /// Evaluates the best point of a search in a fresh process and in at most `most_used` processes that the
-    /// search has used, and compares the answers. If they differ, switches to the next way of resetting the
+    /// Evaluates the best point of a search again and compares the answers. Uses a fresh process and at most
+    /// `most_used` processes of the search. If the answers differ, switches to the next way of resetting the
     /// model. Returns the statistics of these simulations.
     pub(crate) fn compare_best(
         &self,
@@ -576,7 +576,7 @@ impl Remote {
     }
 
     /// Returns a failure with the reason of the model. In a search, the reasons must not depend on the order
-    /// of the evaluations, so the message of the model is only logged, once for each reason.
+    /// of the evaluations. The message of the model is therefore only logged, once for each reason.
     fn explained(
         &self,
         failure: ReportedCostFailure,

@@ -65,11 +65,11 @@ impl ParameterSet {
     }
 
     /// Returns the values for a model, converted to its units. Unit definitions of the file take precedence
-    /// over definitions of the model, and these over built-in units.
+    /// over definitions of the model. Definitions of the model take precedence over built-in units.
     ///
     /// # Errors
-    /// Returns an error if the model has no such variable, the type of the variable differs, or a unit is
-    /// unknown or measures another quantity.
+    /// Returns an error if the model has no such variable or the type of the variable differs. A unit that is
+    /// unknown or measures another quantity is also an error.
     pub fn values(&self, model: &ModelDescription) -> Result<Vec<(String, Value)>, CalibrationError> {
         self.parameters.iter().map(|own| Ok((own.name.clone(), self.value(own, model)?))).collect()
     }

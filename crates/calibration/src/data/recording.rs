@@ -323,12 +323,12 @@ impl Data {
         self.columns.iter().map(|c| c.name.as_str())
     }
 
-    /// Returns a column by name, with NaN for missing values. The unit may be omitted: `phi` finds `phi
-    /// [deg]`.
+    /// Returns a column by name, with NaN for missing values. The name may omit the unit, so `phi` finds
+    /// `phi [deg]`.
     ///
     /// # Errors
-    /// Returns an error if there is no such column (the message lists the columns), a cell is not a number,
-    /// or a value is infinite.
+    /// Returns an error if there is no such column, a cell is not a number, or a value is infinite. If there
+    /// is no such column, the message lists the columns.
     pub fn column(&self, name: &str) -> Result<&[f64], CalibrationError> {
         self.series(name).map(|values| &values[..])
     }

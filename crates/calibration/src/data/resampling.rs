@@ -191,8 +191,7 @@ mod tests {
         }
     }
 
-    /// For two rows with weights 1 and 3, the weighted mean is (0 + 9 * 1) / 10 and its weight is the root of
-    /// 10.
+    /// Two rows with weights 1 and 3 have the weighted mean (0 + 9 * 1) / 10. Its weight is the root of 10.
     #[test]
     fn resampling_combines_weights_by_root_sum_of_squares() {
         let y = vec![0.0, 1.0, 5.0, f64::NAN, 7.0, 2.0];

@@ -30,10 +30,11 @@ const CHARGE: Exponents = [0, 0, 1, 1, 0, 0, 0, 0];
 const VOLTAGE: Exponents = [1, 2, -3, -1, 0, 0, 0, 0];
 const FLUX: Exponents = [1, 2, -2, -1, 0, 0, 0, 0];
 
-/// Symbol (case-sensitive because s differs from S), a flag that is true if prefixes are permitted,
-/// exponents, and `base = value * numerator / denominator + offset`. Values: BIPM, The International System
-/// of Units (9th edition, 2019), tables 4, 7 and 8. Values of units outside the SI: NIST Special Publication
-/// 811 (2008), appendix B.8.
+/// Symbol, prefix flag, exponents, fraction and offset: `base = value * numerator / denominator + offset`.
+/// The symbol is case-sensitive because s differs from S. The flag is true if prefixes are permitted.
+///
+/// Values: BIPM, The International System of Units (9th edition, 2019), tables 4, 7 and 8. Values of units
+/// outside the SI: NIST Special Publication 811 (2008), appendix B.8.
 type Symbol = (&'static str, bool, Exponents, (f64, f64), f64);
 
 const SYMBOLS: &[Symbol] = &[

@@ -22,7 +22,7 @@ const CLOSE: f64 = 10.0;
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct FmuExport {
-    /// Path of the copy. `None` if it does not reproduce the fit.
+    /// Path of the copy. `None` if it was not written because it does not reproduce the fit.
     pub fmu: Option<PathBuf>,
     /// Path of the SSP parameter file with the values. It is written if the copy alone does not reproduce the
     /// fit.

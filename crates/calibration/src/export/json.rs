@@ -13,10 +13,16 @@ use serde_json::Value as Json;
 use std::collections::BTreeMap;
 
 impl Fit {
-    /// Returns the results of the fit as JSON. They contain the parameters with errors, start, bounds and
-    /// units (tied parameters last), cost and RMS, the quality of fit of each output, the uncertainty, and
-    /// the method and settings. The trace and the recordings are not included; [`Fit::save`] stores
-    /// everything. Numbers that are not finite are null.
+    /// Returns the results of the fit as JSON:
+    ///
+    /// - parameters with errors, start, bounds and units (tied parameters last),
+    /// - cost and RMS,
+    /// - quality of fit of each output,
+    /// - uncertainty,
+    /// - method and settings.
+    ///
+    /// The trace and the recordings are not included; [`Fit::save`] stores everything. Numbers that are not
+    /// finite are null.
     ///
     /// # Errors
     /// Returns [`CalibrationError::Setup`] if the fit does not belong to this calibration.

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 pub enum FitPhase {
     /// Tests how the instances of the model can be reused.
     ModelTest,
-    /// Checks the problem at the start values.
+    /// Runs the preflight at the start values.
     Preflight,
     /// Searches for the best point.
     Search,
@@ -70,7 +70,7 @@ impl CurrentPhase {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct PhaseCost {
-    /// The phase.
+    /// Phase of the fit.
     pub phase: FitPhase,
     /// Simulations and time of the phase.
     pub taken: Effort,

@@ -217,7 +217,7 @@ fn stuck_in_all(fits: &[Fit], freed: &[Vec<usize>]) -> StuckParameters {
 }
 
 /// Returns the report of the last stage with the counts of all stages. Its trace joins the trailing stages
-/// that have the same windows.
+/// that have the same windows and the same noise.
 fn report_of_all(stages: &[Stage], fits: &[Fit], ended: Option<&Termination>) -> Report {
     let (n, last) = (fits.len(), &fits[fits.len() - 1]);
     let mut report = last.report.clone();

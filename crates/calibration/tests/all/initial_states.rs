@@ -197,7 +197,7 @@ fn state_without_effect_is_an_error_or_a_finding() {
 }
 
 /// `x' = -k x` from a measured start. The errors of k and of the curve must equal the errors of the delta
-/// method, with every cost that is equivalent to least squares.
+/// method. The test covers every cost that is equivalent to least squares.
 #[test]
 fn measured_start_has_delta_method_errors_with_every_objective() {
     let n = 21;

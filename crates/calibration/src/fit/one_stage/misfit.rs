@@ -61,9 +61,9 @@ impl Sums {
     }
 
     /// Returns an upper bound of the probability that the mean is this much better by chance. If a correct
-    /// simulation differs from the measurements only by noise, the ratio of the sums is 1 + chi2(1) / chi2(n
-    /// - 1). The probability that it exceeds r is below the probability for 1 + chi2(2) / chi2(n - 1), which
-    ///   is r^(-(n - 1) / 2). A few rows are often all far from their mean.
+    /// simulation differs from the measurements only by noise, the ratio of the sums is `1 + chi2(1) /
+    /// chi2(n - 1)`. The probability that it exceeds r is below the probability for `1 + chi2(2) / chi2(n -
+    /// 1)`, which is `r^(-(n - 1) / 2)`. A few rows are often all far from their mean.
     fn chance(self) -> f64 {
         self.ratio().powf(0.5 - 0.5 * self.n).min(1.0)
     }
@@ -91,8 +91,8 @@ fn are_all_worse(outputs: &[Sums]) -> bool {
 
 /// Returns findings about outputs that are worse than a constant, from the residuals of a fit. A finding is
 /// an error if the misfit over all experiments is significant and the output contributes to the cost. A
-/// single recording at rest contains little for a simulation to explain. It is also an error if the misfit of
-/// all outputs together is significant.
+/// single experiment is not sufficient, because a recording at rest contains little to explain. All findings
+/// are errors if the misfit of all outputs together is significant.
 pub(super) fn findings(calibration: &Calibration, residuals: &[f64]) -> Vec<Finding> {
     let layout = calibration.residual_layout();
     let names = calibration.problem().experiment_names();

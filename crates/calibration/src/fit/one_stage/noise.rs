@@ -23,9 +23,9 @@ use std::fmt;
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum NoiseRule {
-    /// Acts as [`Estimated`](Self::Estimated) in a fit of the sum of squares with priors and without a robust
-    /// loss, for outputs whose weights do not state the noise (weights of 1 or inverse scales). Otherwise
-    /// acts as [`Stated`](Self::Stated).
+    /// Acts as [`Estimated`](Self::Estimated) for outputs whose weights do not state the noise (weights of 1
+    /// or inverse scales). This applies to fits of the sum of squares with priors and without a robust loss.
+    /// In all other cases, acts as [`Stated`](Self::Stated).
     #[default]
     Auto,
     /// Weights are 1 over the standard deviation of the noise, including weights of 1.
@@ -101,15 +101,15 @@ pub struct EstimatedNoise {
     pub is_of_all: bool,
 }
 
-/// The noise of one variable of the model.
+/// Noise of one variable of the model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct OutputNoise {
     /// Name of the variable.
     pub variable: String,
-    /// Standard deviation of a measurement in the unit of the variable. If the weights are relative, the
-    /// standard deviation times the weight.
+    /// Standard deviation of a measurement in the unit of the variable. With weights other than inverse
+    /// scales, it is the standard deviation times the weight of the measurement.
     pub sd: f64,
     /// True if the noise was estimated from the residuals. Otherwise it was estimated from the differences
     /// between neighbouring measurements, because there are too few residuals or the search was interrupted.

@@ -60,9 +60,8 @@ pub struct Fit {
     /// [`FitOptions::record`](crate::FitOptions::record)). The options of a stage include its `parameters`
     /// and `windows`.
     pub options: Record,
-    /// Source of the noise of the measurements, which determines the weight of the priors. `None` if nothing
-    /// depended on the noise (no priors, or the cost is not a sum of squares) or there was no time for a
-    /// search.
+    /// Source of the noise of the measurements, which determines the weight of the priors. `None` if there
+    /// are no priors and no estimate, the cost is not a sum of squares, or there was no time for a search.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise: Option<FitNoise>,
     /// Relative tolerance that was chosen for the simulations. `None` if the user specified it, or if the fit
@@ -91,9 +90,9 @@ pub struct Fit {
     /// The simulations are part of `stats` but do not count as evaluations of the run. They are skipped after
     /// an interrupt or when the time limit has expired.
     pub n_checks: usize,
-    /// Checks that were skipped because the search was short. The simulations other than the search and the
-    /// standard errors are limited to a quarter of the evaluations of the search and to four simulations of
-    /// the result. Empty if nothing was skipped.
+    /// Checks that were skipped because the search was short. Empty if nothing was skipped. Simulations other
+    /// than the search and the standard errors are limited to a quarter of the evaluations of the search.
+    /// They are also limited to four simulations of the result.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub skipped: Vec<String>,
     /// Quality of fit of each output, in the order of the residual vector. Empty if the run was interrupted.

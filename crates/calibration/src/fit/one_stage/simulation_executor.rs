@@ -4,8 +4,8 @@ use crate::loaded::calibration::Calibration;
 use dfo::{Answer, Evaluator, Query, RobustLoss};
 use ode::Stats;
 
-/// Simulates the points of a fit at any place. Each answer must equal the answer of
-/// [`Calibration::answer_counted`] for residuals with the same calibration.
+/// Evaluator that simulates the points of a fit, for example on other machines. Each answer must equal the
+/// answer of [`Calibration::answer_counted`] for residuals with the same calibration.
 pub trait SimulationExecutor: Evaluator {
     /// Sets the calibration and the robust loss of the following points. The calibration has chosen its
     /// solver. It is the calibration of the fit, or a copy with other weights or tolerances.
