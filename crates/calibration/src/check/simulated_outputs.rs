@@ -64,8 +64,8 @@ impl<'a> Outputs<'a> {
         if self.fitted.is_some() { Place::Fitted } else { Place::Start }
     }
 
-    /// Returns true if there is no fit, or if the fit moved a parameter as far as a factor in the data
-    /// requires. This means by half of the factor on a logarithmic scale, from zero, or to another sign.
+    /// True if there is no fit, or if the fit moved a parameter as far as a factor in the data requires. This
+    /// means by half of the factor on a logarithmic scale, from zero, or to another sign.
     pub(super) fn may_have_taken(&self, factor: f64) -> bool {
         let (start, Some(x)) = self.x else { return true };
         let has = |(from, to): (&f64, &f64)| {

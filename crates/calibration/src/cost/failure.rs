@@ -74,7 +74,7 @@ pub(crate) enum ReportedCostFailure {
 }
 
 impl ReportedCostFailure {
-    /// Returns true if the failure concerns the process or its files rather than the point.
+    /// True if the failure concerns the process or its files rather than the point.
     pub(crate) fn is_of_process(&self) -> bool {
         match self {
             Self::Over(told) => told.is_of_process(),

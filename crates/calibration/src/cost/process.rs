@@ -374,7 +374,7 @@ impl Comparisons {
         }
     }
 
-    /// Returns true if the next answer must be compared.
+    /// True if the next answer must be compared.
     fn is_due(&self, reuse: Reuse, process: ProcessChoice) -> bool {
         if self.is_random.load(Ordering::Relaxed) {
             return false;
@@ -473,7 +473,7 @@ impl Remote {
         self.processes.comparisons.n_late.load(Ordering::Relaxed)
     }
 
-    /// Returns true if answers of fresh processes differ from each other.
+    /// True if answers of fresh processes differ from each other.
     pub(crate) fn is_random(&self) -> bool {
         self.processes.comparisons.is_random.load(Ordering::Relaxed)
     }

@@ -190,7 +190,7 @@ impl<'a> Accumulator<'a> {
         Self { comparison, schedule, offsets, rule, sum, seen: 0, next, out, stop: None }
     }
 
-    /// Returns true if every requested time has been delivered.
+    /// True if every requested time has been delivered.
     pub(crate) fn is_complete(&self) -> bool {
         self.seen == self.schedule.times.len()
     }

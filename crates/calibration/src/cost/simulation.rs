@@ -155,8 +155,8 @@ impl Simulation {
         }
     }
 
-    /// Returns true if the simulation starts at this time of a measurement of an output or later. Outputs are
-    /// counted from 0.
+    /// True if the simulation starts at this time of a measurement of an output or later. Outputs are counted
+    /// from 0.
     pub(crate) fn starts_at(&self, output: usize, time: f64) -> bool {
         let (delay, _) = self.assigned.outputs[output];
         let start = self.options.start_time.unwrap_or_default();

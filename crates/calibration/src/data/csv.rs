@@ -227,7 +227,7 @@ fn no_memory(source_name: &str) -> CalibrationError {
     CalibrationError::DataFile { path: PathBuf::from(source_name), source }
 }
 
-/// Returns true for each column whose numbers are kept: the times and the requested columns.
+/// True for each column whose numbers are kept: the times and the requested columns.
 fn kept(names: &[String], at: usize, asked: Option<&[String]>) -> Vec<bool> {
     let mut is_kept = vec![asked.is_none(); names.len()];
     is_kept[at] = true;

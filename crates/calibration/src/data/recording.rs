@@ -170,7 +170,7 @@ impl Data {
         Self { has_dates, ..self }
     }
 
-    /// Returns true if the times were dates or durations.
+    /// True if the times were dates or durations.
     pub(crate) fn has_dates(&self) -> bool {
         self.has_dates
     }

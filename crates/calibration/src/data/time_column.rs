@@ -163,7 +163,7 @@ pub(super) fn time_unit(name: &str, given: &str) -> Result<(f64, f64), String> {
     })
 }
 
-/// Returns true if both names are known units and the units differ.
+/// True if both names are known units and the units differ.
 pub(super) fn is_contradiction(one: &str, other: &str) -> bool {
     match (PairUnit::named(one), PairUnit::named(other)) {
         (Some(one), Some(other)) => one != other,

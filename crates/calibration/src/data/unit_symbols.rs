@@ -204,8 +204,7 @@ pub(super) fn nearest(name: &str) -> Option<String> {
     SYMBOLS.iter().map(|symbol| symbol.0.to_owned()).chain(words).find(is_near)
 }
 
-/// Returns true if one letter is replaced, missing or added, or two neighbours are exchanged (Damerau, CACM
-/// 7, 1964).
+/// True if one letter is replaced, missing or added, or two neighbours are exchanged (Damerau, CACM 7, 1964).
 fn differs_little(a: &str, b: &str) -> bool {
     let (a, b): (Vec<char>, Vec<char>) = (a.chars().collect(), b.chars().collect());
     let (a, b) = if a.len() <= b.len() { (a, b) } else { (b, a) };

@@ -84,7 +84,7 @@ impl UnitConversion {
         difference * self.factor.0 / self.factor.1
     }
 
-    /// Returns true if the conversion does not change values.
+    /// True if the conversion does not change values.
     pub fn is_identity(&self) -> bool {
         *self == Self::IDENTITY
     }
@@ -196,7 +196,7 @@ impl Unit {
         (self.exponents == TIME && self.offset == 0.0).then_some((self.numerator, self.denominator))
     }
 
-    /// Returns true if the unit is a product of base units without a factor.
+    /// True if the unit is a product of base units without a factor.
     pub(crate) fn is_coherent(&self) -> bool {
         self.numerator == self.denominator && self.offset == 0.0
     }

@@ -6,8 +6,8 @@ use fmi::FmiError;
 use std::borrow::Cow;
 use std::error::Error;
 
-/// Returns true for an invisible character that changes the display of others: control characters, line
-/// separators, and characters that set the text direction (Unicode Standard Annex 9, section 2).
+/// True for an invisible character that changes the display of others: control characters, line separators,
+/// and characters that set the text direction (Unicode Standard Annex 9, section 2).
 fn is_hidden(c: char) -> bool {
     c.is_control()
         || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')

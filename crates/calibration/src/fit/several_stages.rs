@@ -520,7 +520,7 @@ impl Calibration {
     }
 }
 
-/// Returns true if the string is the experiment suffix of the name of a local parameter.
+/// True if the string is the experiment suffix of the name of a local parameter.
 fn is_in_experiment(rest: &str) -> bool {
     rest.starts_with('[') && rest.ends_with(']')
 }

@@ -54,7 +54,7 @@ impl Sums {
         }
     }
 
-    /// Returns true if the measurements vary and their mean is a better simulation.
+    /// True if the measurements vary and their mean is a better simulation.
     fn is_worse_than_a_constant(self) -> bool {
         let is_rounding = self.differences <= (ROUNDING * self.mean).powi(2) * self.n;
         self.about_mean > 0.0 && !is_rounding && self.differences > WORSE * WORSE * self.about_mean
@@ -72,15 +72,14 @@ impl Sums {
         self.differences / self.about_mean
     }
 
-    /// Returns true if the misfit is significant.
+    /// True if the misfit is significant.
     fn is_no_chance(self) -> bool {
         self.ratio() > 1.0 + DEVIATIONS * (2.0 / self.n).sqrt() && self.chance() < CHANCE
     }
 }
 
-/// Returns true if several outputs vary and all of these are significantly worse than a constant. Their
-/// probabilities are combined by Fisher's method (Statistical Methods for Research Workers, 1932, section
-/// 21.1).
+/// True if several outputs vary and all of these are significantly worse than a constant. Their probabilities
+/// are combined by Fisher's method (Statistical Methods for Research Workers, 1932, section 21.1).
 fn are_all_worse(outputs: &[Sums]) -> bool {
     let varying = || outputs.iter().filter(|sums| sums.about_mean > 0.0);
     let statistic = varying().map(|sums| -2.0 * sums.chance().ln()).sum::<f64>();

@@ -187,14 +187,13 @@ impl EstimatedNoise {
         next
     }
 
-    /// Returns true if the two estimates of the same outputs differ by at most the tolerance that ends the
-    /// rounds.
+    /// True if the two estimates of the same outputs differ by at most the tolerance that ends the rounds.
     pub(super) fn is_close(&self, other: &Self) -> bool {
         let mut pairs = self.outputs.iter().zip(&other.outputs);
         pairs.all(|(a, b)| (a.sd / b.sd).ln().abs() <= SETTLED)
     }
 
-    /// Returns true if the estimate applies to an output.
+    /// True if the estimate applies to an output.
     fn is_of(&self, problem: &Problem, output: &OutputResiduals) -> bool {
         self.is_of_all || !weight(problem, output).states_noise()
     }

@@ -136,7 +136,7 @@ impl Turns {
         self.raised.append(&mut searched.raised);
     }
 
-    /// Returns true if the next estimate equals the current one, so that no further search is needed.
+    /// True if the next estimate equals the current one, so that no further search is needed.
     fn is_settled_by(&mut self, next: &EstimatedNoise) -> bool {
         self.noise.is_settled = next.is_close(&self.noise);
         for (own, next) in self.noise.outputs.iter_mut().zip(&next.outputs) {

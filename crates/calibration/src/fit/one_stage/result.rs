@@ -120,9 +120,9 @@ pub struct Fit {
 }
 
 impl Fit {
-    /// Returns true if the search succeeded (see [`Report::is_success`](dfo::Report::is_success)) and the
-    /// uncertainty found no step that lowers the cost further. After several stages, returns true if no step
-    /// removes more than a quarter of the cost.
+    /// True if the search succeeded (see [`Report::is_success`](dfo::Report::is_success)) and the uncertainty
+    /// found no step that lowers the cost further. After several stages, returns true if no step removes more
+    /// than a quarter of the cost.
     pub fn is_success(&self) -> bool {
         let most = if self.stages.is_empty() { 0.0 } else { MUCH_OF_COST };
         self.report.is_success() && self.left_to_gain() <= most
@@ -148,7 +148,7 @@ impl Fit {
         }
     }
 
-    /// Returns true if each stage may be at its minimum but all parameters together are not.
+    /// True if each stage may be at its minimum but all parameters together are not.
     pub(crate) fn is_conditional(&self) -> bool {
         !self.stages.is_empty() && self.left_to_gain() > 0.0
     }
@@ -168,8 +168,7 @@ impl Fit {
         if self.shown_names.is_empty() { &self.names } else { &self.shown_names }
     }
 
-    /// Returns true if no finding is an error. The values are usable within the limits that the warnings
-    /// describe.
+    /// True if no finding is an error. The values are usable within the limits that the warnings describe.
     pub fn is_usable(&self) -> bool {
         self.findings().iter().all(|finding| finding.severity != Severity::Error)
     }

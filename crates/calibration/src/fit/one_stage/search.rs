@@ -287,7 +287,7 @@ impl Job<'_> {
         self.spent = UsedLimits::default();
     }
 
-    /// Returns true if standard errors are requested and the objective supports them.
+    /// True if standard errors are requested and the objective supports them.
     pub(crate) fn has_uncertainty(&self) -> bool {
         self.uncertainty.is_some() && self.objective.has_uncertainty()
     }
@@ -297,7 +297,7 @@ impl Job<'_> {
         self.phases.borrow_mut().enter(phase, stats);
     }
 
-    /// Returns true if the problem is checked again at the result.
+    /// True if the problem is checked again at the result.
     pub(super) fn is_checked(&self) -> bool {
         self.is_whole && self.uncertainty.is_some()
     }
