@@ -1,9 +1,9 @@
-//! Errors of data, parameters or a fit: one typed error with names and numbers.
+//! Errors of data, parameters and fits: one typed error with names and numbers.
 
 use std::io;
 use std::path::PathBuf;
 
-/// Why a calibration could not be set up, evaluated or fitted.
+/// Reason why a calibration could not be set up, evaluated or fitted.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CalibrationError {
@@ -23,15 +23,15 @@ pub enum CalibrationError {
         /// The system's reason.
         source: io::Error,
     },
-    /// A table of measurements that cannot be used.
+    /// A table of measurements cannot be used.
     #[error("{source_name}: {message}")]
     Data {
-        /// File, or where the table comes from.
+        /// The file, or the source of the table.
         source_name: String,
-        /// Description of the fault and its place.
+        /// Description of the fault and its location.
         message: String,
     },
-    /// A parameter whose numbers do not fit together.
+    /// The numbers of a parameter are inconsistent.
     #[error("parameter '{name}': {message}")]
     Parameter {
         /// Name of the parameter.
@@ -39,7 +39,7 @@ pub enum CalibrationError {
         /// Description of the fault.
         message: String,
     },
-    /// A value that does not fit what it is given to.
+    /// A value is not valid for its field.
     #[error(transparent)]
     Record(#[from] dfo::RecordError),
     /// Experiments, outputs or parameters are missing or contradict each other.
@@ -48,12 +48,12 @@ pub enum CalibrationError {
     /// Error of one of several experiments.
     #[error("{name}: {source}")]
     Experiment {
-        /// Its name.
+        /// Name of the experiment.
         name: String,
         /// Error of this experiment.
         source: Box<CalibrationError>,
     },
-    /// A file that should hold a fit, and does not, or not one of this version.
+    /// A file is not a saved fit, or not one of this version.
     #[error("{name}: {message}")]
     SavedFit {
         /// The file.
@@ -64,57 +64,57 @@ pub enum CalibrationError {
     /// Error of one of the stages of a fit.
     #[error("stage {number}: {source}")]
     Stage {
-        /// Its number, from 1.
+        /// Number of the stage, from 1.
         number: usize,
         /// Error of this stage.
         source: Box<CalibrationError>,
     },
-    /// The model of a stored problem is another one now.
+    /// The model of a stored problem has changed.
     #[error("the FMU {} has changed: the problem was made with content {expected}, now it is {found}", path.display())]
     OtherModel {
-        /// Where it is.
+        /// Path of the model.
         path: PathBuf,
-        /// SHA-256 of the content that the problem was made with.
+        /// SHA-256 of the content that the problem was created with.
         expected: String,
-        /// That of the file.
+        /// SHA-256 of the current content.
         found: String,
     },
-    /// The model refused something.
+    /// The model reported an error.
     #[error(transparent)]
     Model(#[from] fmi::FmiError),
     /// The wrong number of parameter values.
     #[error("{got} values given for {expected} parameters ({names})")]
     Length {
-        /// Values given.
+        /// Number of values given.
         got: usize,
-        /// Parameters there are.
+        /// Number of parameters.
         expected: usize,
-        /// Their names.
+        /// Names of the parameters.
         names: String,
     },
-    /// A simulation that was asked for failed.
+    /// A requested simulation failed.
     #[error("the simulation at {at} failed: {message}")]
     Simulation {
         /// Parameter values by name.
         at: String,
-        /// Why, in full.
+        /// Full error message.
         message: String,
-        /// The error of the model, where there was one.
+        /// Error of the model, if there is one.
         #[source]
         source: Option<Box<fmi::FmiError>>,
     },
-    /// The evaluation was given up because its cancel flag was set.
+    /// The evaluation was stopped because its cancel flag was set.
     #[error("the evaluation was cancelled")]
     Cancelled,
-    /// The optimiser could not start, or found nothing.
+    /// The optimiser could not start, or found no point.
     #[error(transparent)]
     Optimiser(#[from] dfo::Error),
-    /// The optimiser could not start because of one of the parameters, which it knows by number.
+    /// The optimiser could not start because of a parameter, which it identifies by its index.
     #[error("{source} (x[{index}] is parameter '{name}')")]
     OptimiserParameter {
-        /// Parameter, counted from 0.
+        /// Index of the parameter, from 0.
         index: usize,
-        /// Its name.
+        /// Name of the parameter.
         name: String,
         /// Error of the optimiser.
         source: Box<dfo::Error>,
@@ -122,8 +122,8 @@ pub enum CalibrationError {
 }
 
 impl CalibrationError {
-    /// True if the work was ended from outside before it had a result: by a cancel flag, or by whoever the
-    /// context asks.
+    /// True if the work was interrupted before it produced a result: by a cancel flag, or by the interrupt
+    /// check of the context.
     pub fn is_interrupt(&self) -> bool {
         match self {
             Self::Cancelled | Self::Model(fmi::FmiError::Cancelled) => true,

@@ -1,22 +1,31 @@
-//! Fit the parameters of a Functional Mock-up Unit to measurements: a model, data and parameters become an
-//! objective.
+//! Fits the parameters of a Functional Mock-up Unit (FMU) to measurements. A model, data and parameters
+//! define an objective.
 //!
-//! [`Data`] holds a recording, an [`Experiment`] which of its columns measures which output of the model, a
-//! [`Parameter`] what varies: in all experiments alike, or with a value in each. Together they are a
-//! [`Problem`], plain data that can be stored and sent to other processes. A [`Calibration`] is a problem
-//! with its model loaded: [`Calibration::cost`], [`Calibration::residuals`] and [`Calibration::fit`].
+//! [`Data`] contains a recording. An [`Experiment`] maps the outputs of the model to the columns that
+//! measured them. A [`Parameter`] is a value to fit, shared by all experiments or separate in each. Together
+//! they form a [`Problem`], plain data that can be stored and sent to other processes. A [`Calibration`] is a
+//! problem with its model loaded. It provides [`Calibration::cost`], [`Calibration::residuals`] and
+//! [`Calibration::fit`].
 //!
-//! Folders, from the lowest: `data` (recordings, units, dates); `problem` (parameters, experiments, priors,
-//! settings, the fingerprint); `cost` (residuals and cost of simulations, worker processes, the choice of the
-//! solver); `loaded` ([`Calibration`], simulations around a point); `check` (mistakes in a set-up),
-//! `uncertainty` (covariance, residual tests, active bounds, the same before a fit); `fit` (one stage,
-//! several stages); `intervals` (profiles, bands), `validation`; `report` (pages and figures), `export`
-//! (files, tables, other programs); `live_page` (the page of a running fit).
+//! Folders, from the lowest layer:
 //!
-//! Features: `sandbox` (default) and `sparse` are those of `fmi` and `ode`. `report` adds the HTML report,
-//! figures and the page of a running fit. `schema` adds JSON schemas.
+//! - `data`: recordings, units, dates;
+//! - `problem`: parameters, experiments, priors, settings, the fingerprint;
+//! - `cost`: residuals and cost of simulations, worker processes, the choice of the solver;
+//! - `loaded`: [`Calibration`], simulations around a point;
+//! - `check`: mistakes in a setup;
+//! - `uncertainty`: covariance, residual tests, active bounds, the preflight before a fit;
+//! - `fit`: one stage, several stages;
+//! - `intervals`: profiles, bands;
+//! - `validation`: validation on held-out data, cross-validation;
+//! - `report`: pages and figures;
+//! - `export`: files, tables, other programs;
+//! - `live_page`: the page of a running fit.
+//!
+//! Features: `sandbox` (default) and `sparse` enable the features of the same names in `fmi` and `ode`.
+//! `report` adds the HTML report, figures and the page of a running fit. `schema` adds JSON schemas.
 #![forbid(unsafe_code)]
-// The state of a running fit and the summary of a result are read by pages only.
+// Only pages read the state of a running fit and the summary of a result.
 #![cfg_attr(not(feature = "report"), allow(dead_code))]
 
 mod check;

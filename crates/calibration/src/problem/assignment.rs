@@ -1,4 +1,4 @@
-//! Assignment of the entries of `x` to variables, delays and offsets in the simulation of an experiment.
+//! Assignment of the entries of `x` to variables, delays and offsets of an experiment.
 
 use crate::data::UnitConversion;
 use crate::error::CalibrationError;
@@ -10,7 +10,8 @@ use crate::problem::parameter::{Parameter, Target};
 use base::Number;
 use fmi::{ModelDescription, Value};
 
-/// A number that follows an entry of `x`, or stays: `factor * x[entry] + offset`, converted to another unit.
+/// A number that is constant or follows an entry of `x`: `factor * x[entry] + offset`, converted to another
+/// unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Affine {
     pub(crate) entry: Option<usize>,
@@ -20,7 +21,7 @@ pub(crate) struct Affine {
     pub(crate) unit: UnitConversion,
 }
 
-/// The conversion from the unit of a parameter to that of a variable, or to seconds.
+/// Returns the conversion from the unit of a parameter to the unit of a variable, or to seconds.
 fn conversion(
     parameter: &Parameter,
     variable: Option<&str>,
@@ -31,7 +32,7 @@ fn conversion(
         None => UnitConversion::between(unit, "s"),
         Some(name) => match declared(description, name) {
             Some(variable) => UnitConversion::to_variable(unit, variable, description),
-            // An unknown name is refused with the nearest ones when the simulation is planned.
+            // Planning the simulation rejects an unknown name and suggests the nearest ones.
             None => return Ok(UnitConversion::IDENTITY),
         },
     };
@@ -46,7 +47,7 @@ impl Affine {
         Self { entry: None, factor: 0.0, offset: value, unit: UnitConversion::IDENTITY }
     }
 
-    /// True if the value is the entry itself.
+    /// True if the value equals the entry.
     fn is_plain(&self) -> bool {
         self.entry.is_some()
             && (self.factor, self.offset) == (1.0, 0.0)
@@ -57,38 +58,38 @@ impl Affine {
         self.entry.is_none()
     }
 
-    /// The number in the unit of the parameter.
+    /// Returns the number in the unit of the parameter.
     pub(crate) fn value(&self, x: &[f64]) -> f64 {
         match self.entry {
-            // Also where it is infinite.
+            // This is exact also for an infinite entry.
             Some(entry) if (self.factor, self.offset) == (1.0, 0.0) => x[entry],
             Some(entry) => self.factor * x[entry] + self.offset,
             None => self.offset,
         }
     }
 
-    /// The number in the unit of the model.
+    /// Returns the number in the unit of the model.
     pub(crate) fn in_model(&self, x: &[f64]) -> f64 {
         let value = self.value(x);
         if self.unit.is_identity() { value } else { self.unit.apply(value) }
     }
 }
 
-/// Quantities that the entries of `x` set in the simulation of one experiment.
+/// Quantities of the simulation of one experiment that the entries of `x` set.
 #[derive(Debug)]
 pub(crate) struct Assignments {
     /// Variables of the model.
     pub(crate) variables: Vec<(String, Affine)>,
     /// Delay and offset of each output.
     pub(crate) outputs: Vec<(Affine, Affine)>,
-    /// The same of each input.
+    /// Delay and offset of each input.
     pub(crate) inputs: Vec<(Affine, Affine)>,
-    /// The variables have the values of the entries, in their order.
+    /// True if the variables equal the entries, in the same order.
     pub(crate) is_identity: bool,
 }
 
 impl Assignments {
-    /// Those of an experiment, counted from 0.
+    /// Creates the assignments of the experiment with index `k`.
     pub(crate) fn new(
         problem: &Problem,
         k: usize,
@@ -130,7 +131,7 @@ impl Assignments {
         Ok(all)
     }
 
-    /// Delays and offsets of the outputs and inputs of this name.
+    /// Returns the delays and offsets of the outputs and inputs with this name.
     fn shifts<'a>(
         &'a mut self,
         experiment: &'a Experiment,
@@ -141,7 +142,7 @@ impl Assignments {
         outputs.chain(inputs).filter(move |(name, _)| *name == variable).map(|(_, shift)| shift)
     }
 
-    /// Delay and offset of each input at `x`.
+    /// Returns the delay and the offset of each input at `x`.
     pub(crate) fn input_shifts(&self, x: &[f64]) -> impl Iterator<Item = Shift> {
         self.inputs
             .iter()
@@ -149,8 +150,8 @@ impl Assignments {
     }
 }
 
-/// The parameters of an experiment and the entries of `x` that they follow, with the fitted initial states
-/// last.
+/// Returns the parameters of an experiment with the entries of `x` that they follow. Fitted initial states
+/// come last.
 fn follow<'a>(
     problem: &'a Problem,
     k: usize,
@@ -176,7 +177,7 @@ fn follow<'a>(
     Ok(all)
 }
 
-/// The values that are tied, by name: of such that follow a local parameter, one per experiment.
+/// Returns the tied values by name. Values tied to a local parameter occur once per experiment.
 pub(crate) fn tied_values(
     problem: &Problem,
     elements: &[Element],
@@ -198,8 +199,8 @@ pub(crate) fn tied_values(
     Ok(all)
 }
 
-/// The initial states of an experiment that do not vary, by name; those that follow a fitted offset of their
-/// output are added to the variables that `assigned` sets.
+/// Returns the constant initial states of an experiment by name. An initial state that depends on a fitted
+/// offset of its output is added to the variables of `assigned` instead.
 pub(crate) fn initial_values(
     experiment: &Experiment,
     start_time: f64,
@@ -241,7 +242,7 @@ pub(crate) fn initial_values(
                     },
                     other => other,
                 })?;
-                // Compared is the output plus its offset.
+                // The compared value is the output plus its offset.
                 if offset.entry.is_some() {
                     let (n, d) = offset.unit.factor;
                     let state_of = Affine {

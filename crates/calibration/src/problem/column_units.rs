@@ -1,4 +1,4 @@
-//! Recorded columns in the units of the variables that they measure or drive.
+//! Conversion of recorded columns to the units of the variables that they measure or drive.
 
 use crate::data::{Data, Unit, UnitConversion, UnitError, find_column, listed, parts};
 use crate::error::CalibrationError;
@@ -9,12 +9,16 @@ use crate::problem::warning::SetupWarning;
 use fmi::description::{Causality, Variable, VariableKind};
 use fmi::{ModelDescription, Value};
 
-/// Converts the columns that state a unit to the units of their variables, where both are known; they state
-/// the unit of the variable then, so that nothing is converted twice. What is not converted comes back.
+/// Converts columns with a declared unit to the units of their variables, if both units are known. A
+/// converted column then declares the unit of the variable, so that it is not converted twice. Returns
+/// warnings about columns that were not converted.
 ///
 /// # Errors
-/// A column has two units; it and its variable have units of different quantities; a unit that is not known,
-/// where the model states one; two variables with different units have one column.
+/// Returns an error if:
+/// - a column has two units,
+/// - the units of a column and its variable measure different quantities,
+/// - the unit of a column is unknown, but the model declares one,
+/// - two variables with different units share a column.
 pub(crate) fn convert_columns(
     problem: &mut Problem,
     description: &ModelDescription,
@@ -33,13 +37,14 @@ fn convert(
     description: &ModelDescription,
 ) -> Result<Vec<SetupWarning>, CalibrationError> {
     let (mut warnings, mut converted) = (Vec::new(), Vec::new());
-    // Columns that have been looked at, with the variable that they were converted for.
+    // Columns processed so far, with their variables.
     let mut seen: Vec<(String, String)> = Vec::new();
     for (variable_name, column) in experiment.columns_in_use() {
         let data = &mut experiment.data;
         let Some(variable) = declared(description, &variable_name) else { continue };
         let Some(full) = data.full_name(&column).map(str::to_owned) else { continue };
-        // The name of a variable may end with what looks like a unit; a line of units is none.
+        // The name of a variable may end with text that looks like a unit. A line of units is
+        // unambiguous.
         let is_variable = description.variable(&full).is_some();
         if !is_variable {
             data.check_units(&column)?;
@@ -69,9 +74,9 @@ fn convert(
                      that it measures or drives"
                 )));
             }
-            // Models without units are mostly in those of the SI.
+            // Models without declared units mostly use SI units.
             Err(UnitError::NotStated { .. }) if Unit::parse(&given).is_ok_and(|unit| unit.is_coherent()) => {}
-            // With the raw values a fit would converge at a wrong point.
+            // With unconverted values, a fit would converge to a wrong point.
             Err(reason @ UnitError::Unknown { .. }) if Unit::parse(&given).is_err() => {
                 let unit = variable.unit.as_deref().unwrap_or_default();
                 return Err(bad(format!(
@@ -95,8 +100,8 @@ fn convert(
     Ok(warnings)
 }
 
-/// Converts the weights of the outputs that a column measured: they are 1 over its standard deviation, in its
-/// unit. The weight 1 states no noise and stays.
+/// Converts the weights of the outputs that a column measured. Weights are 1 over the standard deviation in
+/// the unit of the column. The weight 1 does not declare noise and remains unchanged.
 fn convert_weights(
     experiment: &mut Experiment,
     column: &str,
@@ -116,17 +121,18 @@ fn convert_weights(
     Ok(())
 }
 
-/// An input of a model, and the column that drives it.
+/// An input of a model and the column that drives it.
 pub type InputColumn = (String, String);
 
-/// The recording with those of its columns that have the names of inputs of a model (units may follow the
-/// name, and its case may differ where one column and one input only can be meant) or of tunable parameters,
-/// in the units of these; which they are; what could not be converted, and the inputs without a column, but
-/// for those whose values are `given` otherwise.
+/// Selects the columns that drive a model: those named after an input or a tunable parameter, converted to
+/// its unit. Units may follow the name. The case may differ if only one column and one input match.
+///
+/// Returns the recording, the selected columns, and warnings. The warnings report columns that could not be
+/// converted, and inputs without a column, unless the input is listed in `given`.
 ///
 /// # Errors
-/// No column has the name of an input, or several have that of one; a column has two units; a unit is one of
-/// another quantity, or not known.
+/// Returns an error if no column has the name of an input, or if several columns match one input. Returns an
+/// error if a column has two units, a unit of another quantity, or an unknown unit.
 pub fn recorded_inputs(
     data: Data,
     description: &ModelDescription,
@@ -166,7 +172,7 @@ pub fn recorded_inputs(
     Ok((data, pairs, warnings))
 }
 
-/// The inputs that columns are called by, with these.
+/// Returns the inputs and tunable parameters that columns are named after, with these columns.
 fn input_columns(data: &Data, description: &ModelDescription) -> Result<Vec<InputColumn>, String> {
     let can_drive = |v: &Variable| v.causality == Causality::Input || v.is_tunable_parameter();
     let is_input = |name: &&str| declared(description, name).is_some_and(can_drive);
@@ -174,7 +180,7 @@ fn input_columns(data: &Data, description: &ModelDescription) -> Result<Vec<Inpu
     let mut pairs: Vec<InputColumn> = Vec::new();
     for (variable, column) in data.names().filter_map(|column| Some((driven(column)?, column))) {
         if pairs.iter().any(|(earlier, _)| *earlier == variable) {
-            // The one with the whole name, or none.
+            // Use the column with exactly this name; otherwise return an error.
             let index = find_column(data.names(), &variable)?;
             let whole = data.names().nth(index).unwrap_or(column).to_owned();
             pairs
@@ -185,7 +191,7 @@ fn input_columns(data: &Data, description: &ModelDescription) -> Result<Vec<Inpu
             pairs.push((variable, column.to_owned()));
         }
     }
-    // Names in a model are case-sensitive, those in a recording often are not.
+    // Names in a model are case-sensitive, but names in a recording often are not.
     let inputs = || description.variables.iter().filter(|v| v.causality == Causality::Input);
     let open: Vec<&str> =
         inputs().filter(|v| !is_driven(description, &pairs, v)).map(|v| v.name.as_str()).collect();
@@ -205,13 +211,13 @@ fn input_columns(data: &Data, description: &ModelDescription) -> Result<Vec<Inpu
     Ok(pairs)
 }
 
-/// True if a column drives an input, or an element of it.
+/// True if a column drives an input or an element of it.
 fn is_driven(description: &ModelDescription, pairs: &[InputColumn], input: &Variable) -> bool {
     let is_it = |name: &str| declared(description, name).is_some_and(|driven| std::ptr::eq(driven, input));
     pairs.iter().any(|(name, _)| is_it(name))
 }
 
-/// The variable of a name, which may be that of an element of an array.
+/// Returns the variable with this name, or the array variable that an element with this name belongs to.
 pub(crate) fn declared<'d>(description: &'d ModelDescription, name: &str) -> Option<&'d Variable> {
     let array = || name.strip_suffix(']').and_then(|rest| rest.rsplit_once('['));
     description.variable(name).or_else(|| description.variable(array()?.0))

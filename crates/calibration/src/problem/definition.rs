@@ -1,4 +1,4 @@
-//! Problem of a fit as plain data: it can be stored, and sent to other processes.
+//! The problem of a fit as plain data, which can be stored and sent to other processes.
 
 use crate::data::{UnitConversion, UnitError};
 use crate::error::CalibrationError;
@@ -12,45 +12,45 @@ use fmi::{FmiError, Fmu, ModelDescription};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-/// The file of a model and what it contains.
+/// Path of a model and hash of its content.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ModelFile {
-    /// An absolute path: an `.fmu` file or an unpacked folder.
+    /// Absolute path of an `.fmu` file or an unpacked folder.
     pub path: PathBuf,
-    /// SHA-256 of its content, in hexadecimal.
+    /// SHA-256 of the content, in hexadecimal.
     pub content_hash: String,
 }
 
-/// Parameters, and the terms of the cost that they are fitted to. It holds its recordings by value and its
-/// model by the name and the hash of a file; [`Calibration::from_problem`](crate::Calibration::from_problem)
-/// makes it one that can be evaluated.
+/// Parameters and the terms of the cost that they are fitted to. A problem contains its recordings by value.
+/// It refers to its model by path and hash. [`Calibration::from_problem`](crate::Calibration::from_problem)
+/// turns it into a calibration that can be evaluated.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Problem {
     /// The model.
     pub model: ModelFile,
-    /// Parameters of the fit, as the user named them: a [local](Parameter::local) parameter stands here once.
+    /// Parameters of the fit as the user named them. A [local](Parameter::local) parameter is listed once.
     pub parameters: Vec<Parameter>,
-    /// The terms of the cost, in the order of their residuals.
+    /// Terms of the cost, in the order of their residuals.
     pub experiments: Vec<Experiment>,
     /// Settings of the simulations.
     pub settings: SimulationSettings,
 }
 
-/// A value that a fit varies: an entry of `x`.
+/// A fitted value: an entry of `x`.
 #[derive(Debug, Clone)]
 pub(crate) struct Element {
     pub(crate) parameter: Parameter,
-    /// The parameter of the problem that it is, by number; `None`: an initial state that is fitted.
+    /// Index of the parameter of the problem; `None` for a fitted initial state.
     pub(crate) source: Option<usize>,
-    /// The only experiment that it belongs to; `None`: all.
+    /// Index of its only experiment; `None` for all experiments.
     pub(crate) experiment: Option<usize>,
 }
 
 impl ModelFile {
-    /// The file of an opened model.
+    /// Returns the file of an opened model.
     ///
     /// # Errors
-    /// The file cannot be read any more.
+    /// Returns an error if the file can no longer be read.
     pub fn of(fmu: &Fmu) -> Result<Self, FmiError> {
         let path = std::path::absolute(fmu.path()).unwrap_or_else(|_| fmu.path().to_owned());
         Ok(Self { path, content_hash: fmu.content_hash()?.to_owned() })
@@ -59,7 +59,7 @@ impl ModelFile {
     /// Checks that a model has this content.
     ///
     /// # Errors
-    /// [`CalibrationError::OtherModel`] names both hashes.
+    /// Returns [`CalibrationError::OtherModel`] with both hashes if the content differs.
     pub fn check(&self, fmu: &Fmu) -> Result<(), CalibrationError> {
         let found = fmu.content_hash()?;
         if found == self.content_hash {
@@ -71,19 +71,19 @@ impl ModelFile {
 }
 
 impl Problem {
-    /// The names of the experiments: as given, else `run1`, `run2` and so on.
+    /// Returns the names of the experiments: the given names, otherwise `run1`, `run2` and so on.
     pub fn experiment_names(&self) -> Vec<String> {
         let name =
             |(k, e): (usize, &Experiment)| e.name.clone().unwrap_or_else(|| Experiment::default_name(k));
         self.experiments.iter().enumerate().map(name).collect()
     }
 
-    /// The name of an experiment, where there are several.
+    /// Returns the name of an experiment if there are several.
     fn name_of_several(&self, experiment: usize) -> Option<String> {
         (self.experiments.len() > 1).then(|| self.experiment_names().swap_remove(experiment))
     }
 
-    /// An error that names its experiment, where there are several.
+    /// Adds the name of the experiment to an error if there are several experiments.
     pub(crate) fn error_in(&self, experiment: usize, error: CalibrationError) -> CalibrationError {
         match self.name_of_several(experiment) {
             Some(name) => CalibrationError::Experiment { name, source: Box::new(error) },
@@ -91,8 +91,8 @@ impl Problem {
         }
     }
 
-    /// A warning that names its experiment, where there are several; not one about the settings, which are
-    /// those of all.
+    /// Adds the name of the experiment to a warning if there are several experiments. Warnings about the
+    /// settings are returned unchanged, because all experiments share the settings.
     pub(crate) fn warning_in(&self, experiment: usize, warning: SetupWarning) -> SetupWarning {
         match (self.name_of_several(experiment), warning) {
             (Some(_), warning @ SetupWarning::NoEffect(_)) | (None, warning) => warning,
@@ -100,8 +100,8 @@ impl Problem {
         }
     }
 
-    /// The entries of `x`: the parameters in their order, without those that are tied, a local one once per
-    /// experiment in its place; then the initial states that are fitted, experiment by experiment.
+    /// Returns the entries of `x`. The untied parameters come first, in their order, with one entry per
+    /// experiment for a local parameter. The fitted initial states follow, experiment by experiment.
     pub(crate) fn elements(&self) -> Result<Vec<Element>, CalibrationError> {
         let names = self.experiment_names();
         let mut elements: Vec<Element> = Vec::with_capacity(self.parameters.len());
@@ -138,7 +138,7 @@ impl Problem {
         Ok(elements)
     }
 
-    /// The number of the parameter that one is tied to.
+    /// Returns the index of the parameter that this one is tied to.
     pub(crate) fn tied_to(&self, parameter: &Parameter, tie: &Tie) -> Result<usize, CalibrationError> {
         let bad =
             |message: String| Err(CalibrationError::Parameter { name: parameter.name().to_owned(), message });
@@ -160,7 +160,8 @@ impl Problem {
         }
     }
 
-    /// Checks what can be checked with the description of the model; what is in doubt comes back.
+    /// Checks everything that the model description allows to check, and returns warnings about doubtful
+    /// parts.
     pub(crate) fn check(
         &self,
         description: &ModelDescription,
@@ -171,7 +172,7 @@ impl Problem {
         if self.experiments.is_empty() {
             return Err(CalibrationError::Setup("there is no experiment to fit to".to_owned()));
         }
-        // Each follows one that is fitted, so there is one.
+        // Every tied parameter follows an untied one, so at least one entry is fitted.
         for parameter in &self.parameters {
             parameter.tie().map(|tie| self.tied_to(parameter, tie)).transpose()?;
         }
@@ -213,7 +214,7 @@ impl Problem {
     }
 }
 
-/// Refuses a tie between quantities of unlike kinds, and one of equal numbers in unlike units.
+/// Rejects a tie between quantities of different kinds, and a tie of equal numbers in different units.
 fn check_units_of_tie(
     parameter: &Parameter,
     other: &Parameter,

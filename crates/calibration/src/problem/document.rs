@@ -1,4 +1,4 @@
-//! The problem of a fit as a document for other programs: all of it but the numbers of its recordings.
+//! The problem of a fit as a document for other programs, without the numbers of its recordings.
 
 use crate::data::Data;
 use crate::problem::definition::Problem;
@@ -6,11 +6,11 @@ use crate::problem::experiment::Experiment;
 use serde_json::{Error, Value as Json, json};
 
 impl Problem {
-    /// The fields of the problem as JSON. Of each recording it says what it is, of weights for each row how
-    /// many they are; the limit of time is in s.
+    /// Returns the fields of the problem as JSON. Recordings are replaced by a summary, and row weights by
+    /// their number. The time limit is in s.
     ///
     /// # Errors
-    /// It cannot be serialised.
+    /// Returns an error if the problem cannot be serialised.
     pub(crate) fn document(&self) -> Result<Json, Error> {
         let without = |e: &Experiment| Experiment { data: Data::default(), ..e.clone() };
         let experiments = self.experiments.iter().map(without).collect();

@@ -1,4 +1,5 @@
-//! One recording: which column measures which output, which drives which input, and which part of it counts.
+//! One recording: the columns that measure outputs or drive inputs, and the part of the recording that
+//! counts.
 
 use crate::data::{Data, ParameterSet, Series};
 use crate::error::CalibrationError;
@@ -9,7 +10,7 @@ use fmi::{InputFunction, ModelDescription, Value};
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 
-/// A recording of the machine and how the model is to reproduce it.
+/// A recording of the machine and its mapping to the model.
 ///
 /// ```
 /// use calibration::{Data, Experiment};
@@ -21,13 +22,13 @@ use std::collections::HashSet;
 pub struct Experiment {
     pub(crate) name: Option<String>,
     pub(crate) data: Data,
-    /// Interval in s over which means replace the rows, until the model is known.
+    /// Interval in s over which means replace the rows; `None` after the means have been taken.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) resample: Option<f64>,
     pub(crate) outputs: Vec<Measured>,
     pub(crate) inputs: Vec<(String, InputSource)>,
     pub(crate) start_values: Vec<(String, Value)>,
-    /// Those of a file, until the model is known.
+    /// Start values from a file, until the model is known.
     #[serde(default)]
     pub(crate) parameter_set: Option<ParameterSet>,
     pub(crate) initial_states: Vec<(String, InitialState)>,
@@ -35,23 +36,23 @@ pub struct Experiment {
     pub(crate) warm_up: Option<f64>,
     pub(crate) start_time: Option<f64>,
     pub(crate) hold_inputs: bool,
-    /// Of outputs that are compared and inputs, in s.
+    /// Delays of compared outputs and of inputs, in s.
     pub(crate) delays: Vec<(String, f64)>,
 }
 
-/// Initial value of a state in an experiment. In model exchange a state that the initialization computes
-/// (`initial="approx"` or `"calculated"`) is set after it. In co-simulation such a state is an error if it is
-/// measured or fitted, and a finding if it is a number.
+/// Initial value of a state in an experiment. In model exchange, a state that the initialization computes
+/// (`initial="approx"` or `"calculated"`) is set after the initialization. In co-simulation, measuring or
+/// fitting such a state is an error, and giving it a number is a finding.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum InitialState {
-    /// This value, in the unit of the model.
+    /// A value in the unit of the model.
     Value(f64),
-    /// The recording of the column that is compared with the state, at the start of the simulation: linear
-    /// between its rows, without the offset and the delay of the output. An error where it begins later or
-    /// has a gap there.
+    /// The value of the column that is compared with the state, at the start of the simulation. It is
+    /// interpolated linearly between the rows, without the offset and the delay of the output. It is an error
+    /// if the column starts later or has a gap there.
     Measured,
-    /// Fitted in this experiment, from the start and within the bounds of this parameter, whose name plays no
-    /// part.
+    /// A value fitted in this experiment, with the start and bounds of this parameter. The name of the
+    /// parameter is ignored.
     Fitted(Box<Parameter>),
 }
 
@@ -67,22 +68,22 @@ impl From<Parameter> for InitialState {
     }
 }
 
-/// Weight of the residuals of an output; 0: the measurement does not count.
+/// Weight of the residuals of an output. A measurement with weight 0 does not count.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Weight {
-    /// All with this number.
+    /// One number for all measurements.
     Constant(f64),
-    /// Each with what stands in its row of this column.
+    /// The value of this column in the row of the measurement.
     Column(String),
-    /// Each with the number of its row of the recording.
+    /// One number for each row of the recording.
     Rows(Series),
-    /// All with the inverse of this scale of what was measured in the whole recording, whichever part of it
-    /// counts: so that outputs of different units count alike.
+    /// The inverse of this scale for all measurements, so that outputs of different units count alike. The
+    /// scale is computed from the whole recording, even if only a part of it counts.
     Inverse(OutputScale),
 }
 
 impl Weight {
-    /// True if the weight can be taken for 1 over the standard deviation of the noise.
+    /// True if the weight can be interpreted as 1 over the standard deviation of the noise.
     pub(crate) fn states_noise(&self) -> bool {
         match self {
             Self::Constant(weight) => *weight != 1.0,
@@ -97,19 +98,19 @@ impl Weight {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum OutputScale {
-    /// The largest less the smallest.
+    /// The largest minus the smallest measurement.
     Range,
-    /// The size of their mean.
+    /// Absolute value of the mean.
     Mean,
-    /// Their standard deviation.
+    /// Standard deviation.
     Sd,
 }
 
 impl OutputScale {
-    /// The scale of a name.
+    /// Returns the scale with this name.
     ///
     /// # Errors
-    /// A name that is none.
+    /// Returns an error if no scale has this name.
     pub fn named(name: &str) -> Result<Self, CalibrationError> {
         let known = [Self::Range, Self::Mean, Self::Sd];
         known.into_iter().find(|scale| scale.name().eq_ignore_ascii_case(name)).ok_or_else(|| {
@@ -120,7 +121,7 @@ impl OutputScale {
         })
     }
 
-    /// "range", "mean" or "sd".
+    /// Returns "range", "mean" or "sd".
     pub fn name(self) -> &'static str {
         match self {
             Self::Range => "range",
@@ -129,7 +130,7 @@ impl OutputScale {
         }
     }
 
-    /// That of these measurements, without those that are missing.
+    /// Returns the scale of these measurements, without the missing ones.
     pub(crate) fn of(self, measured: &[f64]) -> f64 {
         let counted = || measured.iter().copied().filter(|m| !m.is_nan());
         let n = counted().count() as f64;
@@ -159,40 +160,41 @@ pub(crate) struct Measured {
 }
 
 impl Experiment {
-    /// A recording; outputs are still to be named.
+    /// Creates an experiment from a recording, without outputs.
     pub fn new(data: Data) -> Self {
         Self { data, ..Self::default() }
     }
 
-    /// Names it: in the names of [local](Parameter::local) parameters, in messages and reports; default:
-    /// `run1`, `run2` and so on, by its position. Not empty, without brackets and line breaks.
+    /// Sets the name used in [local](Parameter::local) parameters, messages and reports. Default: `run1`,
+    /// `run2` and so on, by position. The name must not be empty and must not contain brackets or line
+    /// breaks.
     #[must_use]
     pub fn named(mut self, name: impl Into<String>) -> Self {
         self.name = Some(name.into());
         self
     }
 
-    /// The name of the experiment at a position, counted from 0, if it was given none.
+    /// Returns the default name of the experiment at a position, counted from 0.
     pub fn default_name(position: usize) -> String {
         format!("run{}", position + 1)
     }
 
-    /// The recording.
+    /// Returns the recording.
     pub fn data(&self) -> &Data {
         &self.data
     }
 
-    /// The outputs that are compared, each with its column, in the order of their residuals.
+    /// Returns the compared outputs, each with its column, in the order of their residuals.
     pub fn outputs(&self) -> impl Iterator<Item = (&str, &str)> {
         self.outputs.iter().map(|o| (o.variable.as_str(), o.column.as_str()))
     }
 
-    /// Intervals in which measurements count; none: they count everywhere.
+    /// Returns the intervals in which measurements count. If it is empty, all measurements count.
     pub fn windows_of_measurements(&self) -> &[(f64, f64)] {
         &self.windows
     }
 
-    /// Inputs with the columns that drive them.
+    /// Returns the inputs with the columns that drive them.
     pub fn driving_columns(&self) -> impl Iterator<Item = (&str, &str)> {
         self.inputs.iter().filter_map(|(input, source)| match source {
             InputSource::Column(column) => Some((input.as_str(), column.as_str())),
@@ -200,7 +202,7 @@ impl Experiment {
         })
     }
 
-    /// Variables with the columns that measure or drive them.
+    /// Returns the variables with the columns that measure or drive them.
     pub(crate) fn columns_in_use(&self) -> Vec<(String, String)> {
         let outputs = self.outputs.iter().map(|o| (o.variable.clone(), o.column.clone()));
         outputs
@@ -208,33 +210,38 @@ impl Experiment {
             .collect()
     }
 
-    /// True if a start value is that of a local parameter.
+    /// True if a start value belongs to a local parameter.
     pub(crate) fn is_start_of_local(name: &str, parameters: &[Parameter]) -> bool {
         parameters.iter().any(|p| p.is_local() && p.is_called(name))
     }
 
     /// Replaces the rows of the recording by means over intervals of this length in s, beginning with the
-    /// first time; each mean is placed at the mean of the times of its values. The noise falls with the root
-    /// of the number of rows; signals faster than the interval are lost. Weights other than 1 are taken for 1
-    /// over the standard deviation of a row: a measured column becomes the mean with their squares, and the
-    /// mean has the root of the sum of these squares as its weight. Columns of Boolean and integer inputs are
-    /// not averaged: they keep their values and the times where they change. A
-    /// [`Calibration`](crate::Calibration) refuses an interval that is not positive, or shorter than the row
-    /// spacing.
+    /// first time. Each mean is placed at the mean of the times of its values. The noise decreases with the
+    /// square root of the number of rows. Signals faster than the interval are lost.
+    ///
+    /// Weights other than 1 are interpreted as 1 over the standard deviation of a row. The mean of a measured
+    /// column is then weighted with the squares of its weights. The weight of the mean is the square root of
+    /// the sum of these squares. Columns of Boolean and integer inputs are not averaged: they keep their
+    /// values and the times of their changes.
+    ///
+    /// A [`Calibration`](crate::Calibration) rejects an interval that is not positive or is shorter than the
+    /// row spacing.
     #[must_use]
     pub fn resample(mut self, interval: f64) -> Self {
         self.resample = Some(interval);
         self
     }
 
-    /// `column` of the data measured the model's `variable`. Residuals follow the order of these calls.
+    /// Compares the variable `variable` of the model with the column `column` of the data. Residuals follow
+    /// the order of these calls.
     #[must_use]
     pub fn output(self, variable: impl Into<String>, column: impl Into<String>) -> Self {
         self.weighted_output(variable, column, 1.0)
     }
 
-    /// As [`output`](Self::output); `weight` multiplies the residual (so its square multiplies the squared
-    /// error): a number, or for each measurement one of its own, see [`Weight`].
+    /// Compares like [`output`](Self::output), with a weight. The `weight` multiplies the residual, so its
+    /// square multiplies the squared error. It is one number, or a separate number for each measurement; see
+    /// [`Weight`].
     #[must_use]
     pub fn weighted_output(
         mut self,
@@ -250,24 +257,25 @@ impl Experiment {
         self
     }
 
-    /// `column` of the data drives the model's input `variable`: linear between the rows for a continuous
-    /// input, held for a discrete one; a time that stands twice is a jump. Rows where the value is missing
-    /// are left out.
+    /// Drives the input `variable` of the model with the column `column` of the data. The values are
+    /// interpolated linearly between rows for a continuous input and held for a discrete input. A repeated
+    /// time is a jump. Rows with a missing value are skipped.
     #[must_use]
     pub fn input(mut self, variable: impl Into<String>, column: impl Into<String>) -> Self {
         self.inputs.push((variable.into(), InputSource::Column(column.into())));
         self
     }
 
-    /// The model's input `variable` has this value at all times.
+    /// Sets the input `variable` of the model to this value at all times.
     #[must_use]
     pub fn constant_input(mut self, variable: impl Into<String>, value: f64) -> Self {
         self.inputs.push((variable.into(), InputSource::Constant(value)));
         self
     }
 
-    /// The model's continuous input `variable` is this function of time, which is smooth, always gives the
-    /// same, and may be called from any thread. It is not stored with a [`Problem`](crate::Problem).
+    /// Sets the continuous input `variable` of the model to this function of time. The function must be
+    /// smooth and deterministic, and callable from any thread. It is not stored with a
+    /// [`Problem`](crate::Problem).
     #[must_use]
     pub fn function_input(
         mut self,
@@ -277,7 +285,7 @@ impl Experiment {
         let function = SignalFunction { function: Some(InputFunction::new(function)) };
         let variable = variable.into();
         let source = InputSource::Function(function);
-        // That of a stored problem has lost its function.
+        // An input of a stored problem has lost its function.
         let lost = InputSource::Function(SignalFunction::default());
         match self.inputs.iter_mut().find(|(known, source)| *known == variable && *source == lost) {
             Some((_, known)) => *known = source,
@@ -286,41 +294,41 @@ impl Experiment {
         self
     }
 
-    /// The inputs that functions drove which were not stored: [`function_input`](Self::function_input) gives
-    /// them again.
+    /// Returns the inputs whose functions were not stored. Set these functions again with
+    /// [`function_input`](Self::function_input).
     pub fn lost_functions(&self) -> impl Iterator<Item = &str> {
         let lost = InputSource::Function(SignalFunction::default());
         self.inputs.iter().filter(move |(_, source)| *source == lost).map(|(name, _)| name.as_str())
     }
 
-    /// Holds the recordings of inputs at their first and last values where the simulation goes on beyond
-    /// them, if `hold` is true. Else more than one sampling interval without a recording is an error.
+    /// Sets whether inputs keep the first and last values of their recordings outside the recorded times. If
+    /// `hold` is false, more than one sampling interval without a recording is an error.
     #[must_use]
     pub fn hold_inputs(mut self, hold: bool) -> Self {
         self.hold_inputs = hold;
         self
     }
 
-    /// A value set before the simulation starts, the same for all trial parameters; of a
-    /// [local](Parameter::local) parameter, where its search starts in this experiment.
+    /// Sets a value before the simulation starts, the same for all trial parameters. For a
+    /// [local](Parameter::local) parameter, the value is the start of its search in this experiment.
     #[must_use]
     pub fn start_value(mut self, variable: impl Into<String>, value: impl Into<Value>) -> Self {
         self.start_values.push((variable.into(), value.into()));
         self
     }
 
-    /// Start values of variables from an SSP parameter file; not of those that are fitted or driven, nor of
-    /// those that have another [start value](Self::start_value).
+    /// Sets start values of variables from an SSP parameter file. Variables that are fitted, driven, or have
+    /// another [start value](Self::start_value) are skipped.
     #[must_use]
     pub fn parameter_set(mut self, set: ParameterSet) -> Self {
         self.parameter_set = Some(set);
         self
     }
 
-    /// Takes the values of its parameter set as start values.
+    /// Adds the values of the parameter set to the start values.
     ///
     /// # Errors
-    /// As [`ParameterSet::values`].
+    /// Returns the errors of [`ParameterSet::values`].
     pub(crate) fn take_parameter_set(
         &mut self,
         description: &ModelDescription,
@@ -343,55 +351,57 @@ impl Experiment {
         Ok(())
     }
 
-    /// Sets the initial value of a state of the model: a value, the first measurement, or a parameter of this
-    /// experiment alone.
+    /// Sets the initial value of a state of the model: a number, the first measurement, or a parameter of
+    /// this experiment only.
     #[must_use]
     pub fn initial_state(mut self, state: impl Into<String>, initial: impl Into<InitialState>) -> Self {
         self.initial_states.push((state.into(), initial.into()));
         self
     }
 
-    /// Only measurements in `[from, to]` count, or in another window of this experiment; the simulation still
-    /// starts at its start time.
+    /// Adds a window: only measurements in `[from, to]` or in another window of this experiment count. The
+    /// start time of the simulation does not change, except with [`warm_up`](Self::warm_up).
     #[must_use]
     pub fn window(mut self, from: f64, to: f64) -> Self {
         self.windows.push((from, to));
         self
     }
 
-    /// Only measurements in one of these windows count, which take the place of those that were given before.
+    /// Replaces all windows: only measurements in one of these windows count.
     #[must_use]
     pub fn windows(mut self, windows: impl IntoIterator<Item = (f64, f64)>) -> Self {
         self.windows = windows.into_iter().collect();
         self
     }
 
-    /// For so many seconds from its start the simulation is not compared: it forgets its initial states. With
-    /// windows and without a [start time](Self::start_time) it starts so much before the first measurement in
-    /// them; else where it does without warm-up, and measurements before the end of the warm-up do not count.
+    /// Sets a warm-up in s after the start of the simulation, in which the simulation is not compared.
+    /// Meanwhile the model forgets its initial states. With windows and without a [start
+    /// time](Self::start_time), the simulation starts this long before the first measurement in the windows.
+    /// Otherwise the start does not change, and measurements before the end of the warm-up do not count.
     #[must_use]
     pub fn warm_up(mut self, seconds: f64) -> Self {
         self.warm_up = Some(seconds);
         self
     }
 
-    /// An output that is compared, or an input, is late by so many seconds: `y(t - delay)` is compared with
-    /// what was measured at t, and the model is driven by `u(t - delay)`. A delay that is fitted is a
-    /// [parameter](Parameter::delay_of).
+    /// Sets the delay in s of a compared output or of an input. An output `y(t - delay)` is compared with the
+    /// measurement at t. An input drives the model with `u(t - delay)`. Use a
+    /// [parameter](Parameter::delay_of) to fit a delay.
     #[must_use]
     pub fn delay(mut self, variable: impl Into<String>, seconds: f64) -> Self {
         self.delays.push((variable.into(), seconds));
         self
     }
 
-    /// Where the simulation starts; default: the model's default experiment, else 0.
+    /// Sets the start time of the simulation, in s. Default: the start of the model's default experiment,
+    /// otherwise 0.
     #[must_use]
     pub fn start_time(mut self, start_time: f64) -> Self {
         self.start_time = Some(start_time);
         self
     }
 
-    /// Refuses a value for something that is fitted or driven.
+    /// Rejects start values of variables that are fitted or driven.
     pub(crate) fn check_start_values(
         &self,
         description: &ModelDescription,
@@ -426,7 +436,7 @@ impl Experiment {
         Ok(())
     }
 
-    /// Refuses outputs that are no results of the simulation.
+    /// Rejects outputs that are not results of the simulation.
     pub(crate) fn check_outputs(
         &self,
         description: &ModelDescription,
@@ -442,7 +452,7 @@ impl Experiment {
             let Some(declared) = description.variable(variable) else {
                 match variable.as_str() {
                     "time" => return Err(no_result(variable, column, "the time")),
-                    // What else has no name of its own is an element of an array.
+                    // Any other name that is not declared is an element of an array.
                     name if name.contains(['*', '?']) => {
                         return Err(CalibrationError::Setup(format!(
                             "output '{name}': a measured column is compared with one variable; patterns name several"

@@ -1,5 +1,5 @@
-//! Experiments as users describe them by name: one record for files and the command line, in which a
-//! recording is the path of a CSV file.
+//! Experiments as users describe them by name: one record for files and the command line. A recording is the
+//! path of a CSV file.
 
 use crate::data::{CsvRequest, Data, ParameterSet};
 use crate::error::CalibrationError;
@@ -13,69 +13,67 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
 
-/// An experiment as it is described by name, see [`Experiment::from_record`].
+/// Description of an experiment by name; see [`Experiment::from_record`].
 #[derive(Debug, Default, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct ExperimentRecord {
-    /// Name in results; default: that of the recording.
+    /// Name in results; default: the name of the recording.
     name: Option<String>,
-    /// The recording: the path of a CSV file.
+    /// Path of the CSV file with the recording.
     data: Option<PathBuf>,
-    /// The column of times, where it is not called `time`.
+    /// The column of times, if it is not called `time`.
     time: Option<String>,
-    /// The column that measured each output, variable = column; or a list of pairs, or of names that both
-    /// have.
+    /// The column that measured each output, variable = column; a list of pairs; or a list of names if
+    /// columns and variables have the same names.
     #[cfg_attr(feature = "schema", schemars(with = "Pairs<String>"))]
     outputs: Value,
-    /// A number or a column for each output, which multiplies its residuals; or a scale for all.
+    /// A number or a column for each output, which multiplies its residuals; or a scale for all outputs.
     #[cfg_attr(feature = "schema", schemars(with = "Weights"))]
     weights: Value,
     /// The column that drives each input, or its constant value.
     #[cfg_attr(feature = "schema", schemars(with = "Pairs<NumberOr<String>>"))]
     inputs: Value,
-    /// Values of other parameters, and start values of variables; or the path of an SSP parameter file
-    /// (.ssv).
+    /// Values of other parameters and start values of variables, or the path of an SSP parameter file (.ssv).
     #[cfg_attr(feature = "schema", schemars(with = "StartValues"))]
     start_values: Value,
-    /// Initial values of states: a number, `measured`, or a parameter of this experiment alone.
+    /// Initial values of states: a number, `measured`, or a parameter of this experiment only.
     #[cfg_attr(feature = "schema", schemars(with = "Pairs<NumberOr<InitialStateRecord>>"))]
     initial_states: Value,
-    /// Only measurements in one of these windows count, each from and to, in s.
+    /// Windows in which measurements count, each from and to, in s.
     windows: Vec<(f64, f64)>,
-    /// For so many seconds from its start the simulation is not compared.
+    /// Warm-up after the start of the simulation that is not compared, in s.
     warm_up: Option<f64>,
-    /// Where the simulation starts, in s.
+    /// Start time of the simulation, in s.
     start_time: Option<f64>,
-    /// The column that says in which rows measurements count.
+    /// The column that selects the rows in which measurements count.
     mask: Option<String>,
-    /// The interval over which means are taken, in s.
+    /// Interval over which means are taken, in s.
     resample: Option<f64>,
-    /// Seconds by which outputs and inputs are late.
+    /// Delays of outputs and inputs, in s.
     #[cfg_attr(feature = "schema", schemars(with = "Pairs<f64>"))]
     delays: Value,
-    /// Holds the recordings of inputs where the simulation goes on beyond them.
+    /// Keeps the first and last recorded values of inputs outside their recordings.
     hold_inputs: bool,
 }
 
 impl Experiment {
-    /// The experiment of a record, with its recording, which is read unless the context is over. See the
-    /// methods of [`Experiment`] for what is meant:
+    /// Creates the experiment of a record and reads its recording, unless the context has been interrupted.
+    /// The methods of [`Experiment`] explain the fields:
     ///
-    /// - `data`: the path of a CSV file, from `folder` on where it is relative, and `time`, the name of its
-    ///   column of times; `mask`, the column that says in which rows measurements count; `resample`, the
-    ///   interval over which means are taken;
-    /// - `outputs`: the column of each variable. Where their order counts, a list of pairs; where columns are
-    ///   called as the variables, a list of names;
-    /// - `weights`: a number or a column for a variable among the outputs, or `range`, `mean` or `sd` for all
-    ///   of them;
+    /// - `data`: the path of a CSV file, relative to `folder`; `time`, the name of its column of times;
+    ///   `mask`, the column that selects the rows in which measurements count; `resample`, the interval over
+    ///   which means are taken;
+    /// - `outputs`: the column of each variable. Use a list of pairs if their order matters. Use a list of
+    ///   names if columns and variables have the same names;
+    /// - `weights`: a number or a column for an output variable, or `range`, `mean` or `sd` for all outputs;
     /// - `inputs`: the column of a variable, or its constant value;
     /// - `initial_states`: a number, `measured`, or the record of a parameter;
     /// - `start_values`: a value for each variable, or the path of an SSP parameter file;
     /// - `name`, `windows`, `warm_up`, `start_time`, `delays`, `hold_inputs`.
     ///
     /// # Errors
-    /// A field that there is not, or a value that it cannot have; as [`Data::read_csv`].
+    /// Returns an error if a field is unknown or has an invalid value, and the errors of [`Data::read_csv`].
     pub fn from_record(
         record: &Record,
         folder: &Path,
@@ -165,7 +163,7 @@ fn source(value: &Value, input: &str) -> Result<Source, RecordError> {
     }
 }
 
-/// The weight of each output.
+/// Returns the weight of each output.
 fn weights(given: &Value, outputs: &[(String, String)]) -> Result<Vec<Weight>, CalibrationError> {
     if let Value::Text(scale) = given {
         let scale = OutputScale::named(scale)?;
@@ -193,7 +191,7 @@ fn initial_state(value: &Value, state: &str) -> Result<InitialState, Calibration
         Value::Text(word) if word.eq_ignore_ascii_case("measured") => Ok(InitialState::Measured),
         Value::Record(fields) => {
             let mut fields = fields.clone();
-            // It plays no part.
+            // The name is ignored, but a parameter requires one.
             fields.entry("name".to_owned()).or_insert_with(|| Value::Text(state.to_owned()));
             Parameter::from_record(&fields).map(InitialState::from)
         }
@@ -206,7 +204,7 @@ fn initial_state(value: &Value, state: &str) -> Result<InitialState, Calibration
     }
 }
 
-/// A value for a variable of the model.
+/// Converts a value to a value of a variable of the model.
 fn model_value(value: &Value, variable: &str) -> Result<fmi::Value, RecordError> {
     Ok(match value {
         Value::Flag(truth) => fmi::Value::Boolean(*truth),
@@ -224,7 +222,7 @@ fn model_value(value: &Value, variable: &str) -> Result<fmi::Value, RecordError>
     })
 }
 
-/// Names and their values: of a record, of a list of pairs, of a list of names that stand for themselves.
+/// Returns names and values from a record, a list of pairs, or a list of names that are also their values.
 fn pairs(given: &Value, name: &str) -> Result<Vec<(String, Value)>, RecordError> {
     let pair = |item: &Value| match item {
         Value::Text(own) => Some((own.clone(), item.clone())),
@@ -247,7 +245,7 @@ fn pairs(given: &Value, name: &str) -> Result<Vec<(String, Value)>, RecordError>
     })
 }
 
-/// The same with values of a type.
+/// Returns names and values, with the values converted to a type.
 fn read_pairs<T: DeserializeOwned>(given: &Value, name: &str) -> Result<Vec<(String, T)>, RecordError> {
     let read = |(own, value): (String, Value)| {
         let read = value.read(&format!("{name}: '{own}'"))?;

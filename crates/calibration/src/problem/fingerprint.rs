@@ -1,5 +1,5 @@
-//! Identity of the problem of a fit, by the names of its fields: a checkpoint belongs to one, and a refusal
-//! of it can name the difference.
+//! Identity of the problem of a fit, by the names of its fields. A checkpoint belongs to one identity, and a
+//! rejected checkpoint can report the difference.
 
 use crate::error::CalibrationError;
 use crate::problem::definition::Problem;
@@ -10,16 +10,16 @@ use ciborium::Value;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
-/// Fields that no cost depends on. Where `hold_inputs` makes a difference there is no cost without it; the
-/// data stand there by their hash.
+/// Fields that do not affect any cost. Without `hold_inputs`, a problem that depends on it has no cost at
+/// all. The data are included as a hash instead.
 const WITHOUT_EFFECT: [&str; 7] =
     ["isolation", "memory_limit", "sandbox", "max_description_bytes", "name", "hold_inputs", "data"];
 
-/// Longer series of numbers are shown as a hash.
+/// Longest series of numbers shown in full; longer ones are shown as a hash.
 const LONGEST: usize = 8;
 
-/// All that the costs of a problem depend on, by name and as text: all but the bounds and starts of its
-/// parameters.
+/// Returns the names and values of everything that the costs of a problem depend on, except the bounds and
+/// starts of its parameters.
 pub(crate) fn identity(
     problem: &Problem,
     parameters: &[Parameter],
@@ -43,8 +43,8 @@ pub(crate) fn identity(
     Ok(all)
 }
 
-/// The experiment with what its costs depend on alone: without starts and bounds; a function is what it gives
-/// at the times of the recording.
+/// Returns the parts of the experiment that its costs depend on. Starts and bounds are removed. A function is
+/// replaced by a hash of its values at the times of the recording.
 fn without_objects(experiment: &Experiment, parameters: &[Parameter]) -> Experiment {
     let mut own = Experiment { data: Default::default(), ..experiment.clone() };
     own.start_values.retain(|(name, _)| !Experiment::is_start_of_local(name, parameters));
@@ -63,7 +63,7 @@ fn without_objects(experiment: &Experiment, parameters: &[Parameter]) -> Experim
     own
 }
 
-/// The fields of a record that costs depend on, with their texts.
+/// Returns the fields of a record that costs depend on, as text.
 fn fields<T: Serialize>(of: &str, record: &T) -> Result<Vec<(String, String)>, CalibrationError> {
     let value = Value::serialized(record)
         .map_err(|e| CalibrationError::Setup(format!("{of} cannot be identified: {e}")))?;
@@ -74,7 +74,7 @@ fn fields<T: Serialize>(of: &str, record: &T) -> Result<Vec<(String, String)>, C
     Ok(value.as_map().into_iter().flatten().filter_map(named).collect())
 }
 
-/// A value with all of its bits; nothing and empty lists are "none".
+/// Formats a value with all its bits. Null and empty lists become "none".
 fn text(value: &Value) -> String {
     let list = |items: Vec<String>| if items.is_empty() { "none".to_owned() } else { items.join(", ") };
     match value {
@@ -103,7 +103,7 @@ fn hash_of_numbers(numbers: &[f64]) -> String {
     hash_of_bytes(&numbers.iter().flat_map(|number| number.to_bits().to_le_bytes()).collect::<Vec<u8>>())
 }
 
-/// SHA-256 in hexadecimal.
+/// Returns the SHA-256 hash in hexadecimal.
 pub(crate) fn hash_of_bytes(bytes: &[u8]) -> String {
     hex(&Sha256::digest(bytes))
 }
@@ -112,7 +112,7 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Hash of an identity.
+/// Returns the hash of an identity.
 pub(crate) fn hash<'a>(identity: impl IntoIterator<Item = (&'a str, &'a str)>) -> String {
     let mut bytes = Vec::new();
     for text in identity.into_iter().flat_map(|(name, value)| [name, value]) {

@@ -1,4 +1,4 @@
-//! Sources of the inputs of the model: a column of the recording, a constant, a function of time.
+//! Sources of the inputs of the model: a column of the recording, a constant, or a function of time.
 
 use crate::data::{Data, sampling_interval};
 use crate::error::CalibrationError;
@@ -13,21 +13,21 @@ use std::sync::Arc;
 pub(crate) enum InputSource {
     /// A column of the recording.
     Column(String),
-    /// The same value at all times.
+    /// A constant value.
     Constant(f64),
     /// A function of time.
     Function(SignalFunction),
 }
 
-/// A function of time. It is not stored with a problem, and has to be given again; a worker process asks for
-/// its values.
+/// A function of time. It is not stored with a problem and must be set again after loading. A worker process
+/// requests its values from the main process.
 #[derive(Clone, Default, Serialize, Deserialize)]
 pub(crate) struct SignalFunction {
     #[serde(default, skip_serializing_if = "is_stored")]
     pub(crate) function: Option<InputFunction>,
 }
 
-/// True if what is serialised is no message to a worker process.
+/// True if the value is serialised to storage, not in a message to a worker process.
 fn is_stored(_: &Option<InputFunction>) -> bool {
     !fmi::worker::is_in_frame()
 }
@@ -47,7 +47,7 @@ impl PartialEq for SignalFunction {
     }
 }
 
-/// An input and its signal, ready to be shifted.
+/// An input and its signal, before delay and offset are applied.
 #[derive(Debug, Clone)]
 pub(crate) struct Signal {
     pub(crate) variable: String,
@@ -61,7 +61,7 @@ enum SignalSource {
     Function(SignalFunction),
 }
 
-/// By how much a signal is later than it was recorded, and what is added to it.
+/// Delay and offset of a signal.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Shift {
     /// In s.
@@ -71,7 +71,7 @@ pub(crate) struct Shift {
 }
 
 impl Signal {
-    /// The signal of an input; a column keeps the rows where it has a value.
+    /// Creates the signal of an input. Rows of a column with missing values are dropped.
     pub(crate) fn new(variable: &str, source: &InputSource, data: &Data) -> Result<Self, CalibrationError> {
         let setup = |message: String| Err(CalibrationError::Setup(message));
         let source = match source {
@@ -106,7 +106,7 @@ impl Signal {
         Ok(Self { variable: variable.to_owned(), source })
     }
 
-    /// Adds it to the inputs of a simulation.
+    /// Adds the signal to the inputs of a simulation.
     pub(crate) fn add_to(&self, inputs: Inputs, Shift { delay, offset }: Shift) -> Inputs {
         match &self.source {
             SignalSource::Rows(times, values) => {
@@ -116,7 +116,7 @@ impl Signal {
                 };
                 inputs.series(&self.variable, moved(times, delay), moved(values, offset))
             }
-            // The only row of a table holds at all times.
+            // A table with one row is constant in time.
             SignalSource::Constant(value) => inputs.series(&self.variable, [0.0], [value + offset]),
             SignalSource::Function(SignalFunction { function: Some(function) }) => {
                 let function = function.clone();
@@ -126,8 +126,8 @@ impl Signal {
         }
     }
 
-    /// Refuses a recording that leaves more than one of its sampling intervals of the simulation uncovered.
-    /// `span`: the times at which the simulation asks for it.
+    /// Rejects a recording that leaves more than one of its sampling intervals of the simulation uncovered.
+    /// `span` is the range of times in which the simulation evaluates the signal.
     pub(crate) fn check_covers(&self, data: &Data, span: (f64, f64)) -> Result<(), CalibrationError> {
         let SignalSource::Rows(times, _) = &self.source else { return Ok(()) };
         let recorded = (times[0], times[times.len() - 1]);
@@ -144,7 +144,7 @@ impl Signal {
         )))
     }
 
-    /// Its values at some times, as they tell one function from another.
+    /// Returns values of the signal that identify it: the rows, the constant, or the function at `times`.
     pub(crate) fn samples(&self, times: &[f64]) -> Vec<f64> {
         match &self.source {
             SignalSource::Rows(_, values) => values.to_vec(),

@@ -1,14 +1,15 @@
-//! Measurements of an experiment that count, their weights, and the start of its simulation.
+//! Measurements of an experiment that count, their weights, and the start of the simulation.
 
 use crate::data::Series;
 use crate::error::CalibrationError;
 use crate::problem::experiment::{Experiment, Measured, Weight};
 use base::Number;
 
-/// Where no start time is given, a recording may begin so many of its sampling intervals after the model's.
+/// Without a given start time, a recording may begin at most this many sampling intervals after the start of
+/// the model.
 const MOST_BEFORE: f64 = 10.0;
 
-/// The measurements of an output that count, in the order of time.
+/// The measurements of an output that count, in order of time.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Counted {
     pub(crate) times: Series,
@@ -17,10 +18,10 @@ pub(crate) struct Counted {
 }
 
 impl Counted {
-    /// Those of some rows, which are counted from 0.
+    /// Returns the measurements of some rows, which are counted from 0.
     fn rows(&self, keep: impl Fn(usize) -> bool) -> Self {
         let n = self.times.len();
-        // What is whole is shared.
+        // A complete series is shared, not copied.
         if (0..n).all(&keep) {
             return self.clone();
         }
@@ -29,17 +30,18 @@ impl Counted {
     }
 }
 
-/// Measurements that the simulation of an experiment is compared with, and its start.
+/// Measurements that the simulation of an experiment is compared with, and its start time.
 #[derive(Debug)]
 pub(crate) struct Measurements {
-    /// Where the simulation starts.
+    /// Start time of the simulation.
     pub(crate) start_time: f64,
-    /// Per output, at least one.
+    /// Measurements of each output; none is empty.
     pub(crate) outputs: Vec<Counted>,
 }
 
 impl Measurements {
-    /// Those of an experiment, whose simulation starts at `default_start` where nothing else is said.
+    /// Selects the measurements of an experiment. The simulation starts at `default_start` if nothing else is
+    /// specified.
     pub(crate) fn new(experiment: &Experiment, default_start: f64) -> Result<Self, CalibrationError> {
         let source = experiment.data.source();
         if experiment.outputs.is_empty() {
@@ -83,7 +85,8 @@ impl Measurements {
         Ok(measurements)
     }
 
-    /// Refuses to simulate a long time before the recording where the start time is only the model's default.
+    /// Rejects a simulation that starts long before the recording, if its start time is only the default of
+    /// the model.
     fn check_begin(&self, experiment: &Experiment) -> Result<(), CalibrationError> {
         let (begin, start_time) = (experiment.data.time()[0], self.start_time);
         let tolerance = (MOST_BEFORE + 1.0) * base::time_tolerance(start_time, self.last_time());
@@ -100,13 +103,13 @@ impl Measurements {
         }
     }
 
-    /// The time of the last measurement.
+    /// Returns the time of the last measurement.
     pub(crate) fn last_time(&self) -> f64 {
         self.outputs.iter().filter_map(|o| o.times.last()).copied().fold(self.start_time, f64::max)
     }
 }
 
-/// The measurements in the windows that have a weight.
+/// Returns the measurements in the windows that have a nonzero weight.
 fn in_windows(experiment: &Experiment) -> Result<Vec<Counted>, CalibrationError> {
     let (data, time) = (&experiment.data, experiment.data.time());
     for (from, to) in &experiment.windows {
@@ -150,12 +153,12 @@ fn in_windows(experiment: &Experiment) -> Result<Vec<Counted>, CalibrationError>
     experiment.outputs.iter().map(of_output).collect()
 }
 
-/// True if weights of rows only say which of them count: they state no noise.
+/// True if the weights only select rows. Such weights do not declare noise.
 pub(crate) fn is_mask(weights: &[f64]) -> bool {
     weights.iter().all(|weight| *weight == 0.0 || *weight == 1.0)
 }
 
-/// The weights of an output, one per row.
+/// Returns the weights of an output, one per row.
 pub(crate) fn weights_of_rows(
     experiment: &Experiment,
     variable: &str,
@@ -183,7 +186,7 @@ pub(crate) fn weights_of_rows(
                  number"
             ));
         }
-        // A problem that was stored with means of its weights.
+        // The problem was stored with means of its weights.
         Weight::Column(column) if data.resampled.is_some() => {
             return setup(format!(
                 "the weights of output '{variable}' in column '{column}' are means, which are no weights: resample the recording again, \

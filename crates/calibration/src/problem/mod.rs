@@ -1,5 +1,4 @@
-//! The problem: parameters, experiments, priors, what is minimised, and the names that join them with the
-//! model.
+//! The problem: parameters, experiments, priors, the objective, and the names that link them to the model.
 
 pub(crate) mod assignment;
 pub(crate) mod column_units;

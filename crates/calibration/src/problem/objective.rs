@@ -1,4 +1,4 @@
-//! Cost that a fit minimises: the sum of the squared residuals, or another function of them.
+//! Cost that a fit minimises: the sum of squared residuals, or another function of the residuals.
 
 use crate::error::CalibrationError;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
@@ -7,48 +7,48 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::sync::Arc;
 
-/// Cost that a fit minimises. Residuals are simulated minus measured, times weight: with weights of 1/sigma,
-/// the inverse of the standard deviation of the noise, the sum of squares is twice the negative logarithm of
-/// the likelihood, up to a constant.
+/// Cost that a fit minimises. Residuals are weight times (simulated minus measured). With weights of 1/sigma,
+/// the inverse standard deviation of the noise, the sum of squares is twice the negative log-likelihood, up
+/// to a constant.
 ///
-/// Sums of squares (a [custom](Self::Custom) one, too) give their residuals to least squares; only the one of
-/// the residuals themselves can be given up early and has a robust loss. All others go to methods that see
-/// the cost alone.
+/// Sums of squares, including [custom](Self::Custom) ones, provide residuals for least squares. Early
+/// stopping of a simulation and robust losses require the sum of squares of the residuals themselves. All
+/// other costs require methods that use only the cost.
 #[derive(Debug, Clone, Default)]
 #[non_exhaustive]
 pub enum CostKind {
     /// `sum r^2`: no 1/N, no 1/2.
     #[default]
     SumOfSquares,
-    /// One of the costs with a name.
+    /// One of the named costs.
     Named(NamedCost),
-    /// A function of the user's.
+    /// A user-defined function.
     Custom(CustomCost),
 }
 
-/// Costs that are no sums of squares. N counts the residuals.
+/// Costs that are not sums of squares. N is the number of residuals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum NamedCost {
-    /// The mean absolute error, `sum |r| / N`.
+    /// Mean absolute error, `sum |r| / N`.
     Mae,
-    /// The root of the mean squared error, `sqrt(sum r^2 / N)`.
+    /// Root of the mean squared error, `sqrt(sum r^2 / N)`.
     Rmse,
-    /// The mean over the outputs of each experiment of `sqrt(sum r^2 / N)` of the output over the range of
-    /// its measurements.
+    /// Mean of the normalised root mean squared errors of all outputs of all experiments. The error of an
+    /// output is `sqrt(sum r^2 / N)` divided by the range of its measurements.
     Nrmse,
-    /// The negative logarithm of the likelihood with an unknown standard deviation of the noise for each
-    /// output, over its recordings, up to a constant: `sum_o N_o / 2 ln(r_o' r_o / N_o)`, the likelihood with
-    /// the best standard deviations (Bard, Nonlinear Parameter Estimation, 1974, chapter IV: unknown diagonal
-    /// covariance). N_o does not count residuals that have no noise: those of weight zero, and that of the
+    /// Negative log-likelihood, up to a constant, with an unknown standard deviation of the noise for each
+    /// output over its recordings: `sum_o N_o / 2 ln(r_o' r_o / N_o)`. It is the likelihood at the best
+    /// standard deviations (Bard, Nonlinear Parameter Estimation, 1974, chapter IV: unknown diagonal
+    /// covariance). N_o excludes residuals without noise: residuals of weight zero, and the residual of the
     /// measurement that a simulation starts from. Priors add half of their squares.
     Likelihood,
 }
 
 impl NamedCost {
-    /// "mae", "rmse", "nrmse" or "likelihood".
+    /// Returns "mae", "rmse", "nrmse" or "likelihood".
     pub fn name(self) -> &'static str {
         match self {
             Self::Mae => "mae",
@@ -59,34 +59,34 @@ impl NamedCost {
     }
 }
 
-/// An output of an experiment, as a function of the user's sees it.
+/// An output of an experiment, as passed to a user-defined function.
 #[derive(Debug, Clone, Copy)]
 pub struct Compared<'a> {
-    /// The experiment, counted from 0.
+    /// Index of the experiment, from 0.
     pub experiment: usize,
-    /// The variable of the model.
+    /// Variable of the model.
     pub variable: &'a str,
     /// Times of the measurements, in s.
     pub times: &'a [f64],
     /// Measured values.
     pub measured: &'a [f64],
-    /// Simulated values, to rounding.
+    /// Simulated values, up to rounding.
     pub simulated: &'a [f64],
 }
 
-/// Why a function of the user's has no answer.
+/// Reason why a user-defined function returned no cost.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum CustomFailure {
-    /// There is no cost at this point; the fit goes on.
+    /// The cost does not exist at this point; the fit continues.
     Failed(String),
-    /// The fit is to end.
+    /// The fit must end.
     Abort(String),
 }
 
-/// A function of measured and simulated values that returns a cost as the only number, or residuals.
+/// A function of measured and simulated values that returns residuals, or a cost as the only number.
 type CustomFunction = dyn Fn(&[Compared<'_>]) -> Result<Vec<f64>, CustomFailure> + Send + Sync;
 
-/// A function of the user's as the cost of a fit.
+/// A user-defined function as the cost of a fit.
 #[derive(Clone)]
 pub struct CustomCost {
     name: String,
@@ -101,7 +101,7 @@ impl fmt::Debug for CustomCost {
 }
 
 impl CustomCost {
-    /// A cost. The name identifies the function in checkpoints and reports.
+    /// Creates a custom cost. The name identifies the function in checkpoints and reports.
     pub fn cost(
         name: impl Into<String>,
         function: impl Fn(&[Compared<'_>]) -> Result<f64, CustomFailure> + Send + Sync + 'static,
@@ -110,7 +110,8 @@ impl CustomCost {
         Self { name: name.into(), gives_residuals: false, function: Arc::new(function) }
     }
 
-    /// Residuals, always the same number in the same order, of which the sum of squares is minimised.
+    /// Creates a custom cost from residuals whose sum of squares is minimised. Their number and order must
+    /// not change.
     pub fn residuals(
         name: impl Into<String>,
         function: impl Fn(&[Compared<'_>]) -> Result<Vec<f64>, CustomFailure> + Send + Sync + 'static,
@@ -120,18 +121,18 @@ impl CustomCost {
 }
 
 impl CostKind {
-    /// The cost of this name, as [`name`](Self::name) gives it; `None`: it is a function of the user's.
+    /// Returns the cost with this [`name`](Self::name). Returns `None` for a user-defined function.
     pub fn of_name(name: &str) -> Option<Self> {
         Self::named().find(|kind| kind.name() == name)
     }
 
-    /// The costs that have names.
+    /// Returns the costs that have names.
     pub fn named() -> impl Iterator<Item = Self> {
         let named = [NamedCost::Mae, NamedCost::Rmse, NamedCost::Nrmse, NamedCost::Likelihood];
         std::iter::once(Self::SumOfSquares).chain(named.map(Self::Named))
     }
 
-    /// "sum-of-squares", a name as of [`NamedCost::name`], or that of a function of the user's.
+    /// Returns "sum-of-squares", a name from [`NamedCost::name`], or the name of a user-defined function.
     pub fn name(&self) -> &str {
         match self {
             Self::SumOfSquares => "sum-of-squares",
@@ -140,13 +141,13 @@ impl CostKind {
         }
     }
 
-    /// True if the cost is the sum of the squares of the residuals themselves.
+    /// True if the cost is the sum of squares of the residuals themselves.
     pub fn is_sum_of_squares(&self) -> bool {
         matches!(self, Self::SumOfSquares)
     }
 
-    /// True if the [uncertainty](crate::Fit::uncertainty) of a fit can be estimated with this cost: the sum
-    /// of squares, with a loss too, and the likelihood.
+    /// True if the [uncertainty](crate::Fit::uncertainty) of a fit with this cost can be estimated. It is
+    /// true for the sum of squares, with or without a loss, and for the likelihood.
     pub fn has_uncertainty(&self) -> bool {
         self.is_sum_of_squares() || self.is_likelihood()
     }
@@ -155,9 +156,8 @@ impl CostKind {
         matches!(self, Self::Named(NamedCost::Likelihood))
     }
 
-    /// The size of a cost that differences of it are compared with: the cost, where it cannot be negative or
-    /// nothing is known of it. Of the likelihood the part of it that goes with a relative change of the sums
-    /// of squares: N / 2.
+    /// Returns the scale to which differences of the cost are compared. For the likelihood it is N / 2, the
+    /// change per relative change of the sums of squares. Otherwise it is the absolute value of the cost.
     pub(crate) fn size(&self, cost: f64, n_measurements: usize) -> f64 {
         if self.is_likelihood() { 0.5 * n_measurements as f64 } else { cost.abs() }
     }
@@ -171,7 +171,7 @@ impl CostKind {
         }
     }
 
-    /// Refuses what makes no sense with these measurements.
+    /// Checks that the cost suits these measurements.
     pub(crate) fn check(&self, layout: &ResidualLayout, is_robust: bool) -> Result<(), CalibrationError> {
         let setup = |message: String| Err(CalibrationError::Setup(message));
         if self.is_sum_of_squares() {
@@ -199,8 +199,8 @@ impl CostKind {
         }
     }
 
-    /// The outcome that residuals make, of which `sum` is the sum of squares. Residuals of the user's go to
-    /// `own`.
+    /// Computes the outcome from residuals and their sum of squares `sum`. Residuals of a user-defined
+    /// function are written to `own`.
     pub(crate) fn outcome(
         &self,
         layout: &ResidualLayout,
@@ -253,7 +253,8 @@ impl NamedCost {
                             .sum::<f64>();
                     }
                     let n = f64::max(n as f64, f64::MIN_POSITIVE);
-                    // An output that is reproduced to rounding has no likelihood: its variance counts as that of rounding.
+                    // The variance of an output that is reproduced to rounding is at least the
+                    // variance of rounding. Otherwise the logarithm would be infinite.
                     let least = (measured * f64::EPSILON * f64::EPSILON).max(f64::MIN_POSITIVE);
                     total += 0.5 * n * (sum.max(least) / n).ln();
                 }
@@ -321,7 +322,7 @@ mod tests {
         assert_eq!(cost(NamedCost::Rmse), (35.0_f64 / 7.0).sqrt());
         let nrmse = ((5.0_f64 / 2.0).sqrt() + (10.0_f64 / 3.0).sqrt() / 2.0 + 10.0_f64.sqrt()) / 3.0;
         assert!((cost(NamedCost::Nrmse) - nrmse).abs() < 1e-15);
-        // Both recordings of x have one standard deviation.
+        // The two recordings of x share one standard deviation.
         let likelihood = 2.0 * (25.0_f64 / 4.0).ln() + 1.5 * (10.0_f64 / 3.0).ln();
         assert!((cost(NamedCost::Likelihood) - likelihood).abs() < 1e-14);
         assert!(NamedCost::Likelihood.cost(&layout, &[0.0; 7]).is_finite());

@@ -1,4 +1,4 @@
-//! Parameters of a fit: a value with start, bounds and scale, and its target in the model.
+//! Parameters of a fit: a value with a start, bounds and scale, and its target in the model.
 
 use crate::error::CalibrationError;
 use crate::problem::prior::Prior;
@@ -11,23 +11,23 @@ use serde::{Deserialize, Serialize};
 /// Target of a parameter.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Target {
-    /// These variables of the model, all to the same value: parameters, or start values of variables, of
-    /// states by their names.
+    /// Variables of the model, all set to the same value. They are parameters, or variables with a start
+    /// value. States are referred to by their names.
     Variables(Vec<String>),
-    /// The delay of an output that is compared, or of an input, in s: `y(t - delay)`.
+    /// Delay of a compared output or of an input, in s: `y(t - delay)`.
     Delay(String),
-    /// An offset that is added to an output that is compared, or to an input.
+    /// Offset that is added to a compared output or to an input.
     Offset(String),
 }
 
-/// The value of a parameter that follows another one: `factor * value + offset`.
+/// Dependence of a parameter on another one: `factor * value + offset`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Tie {
-    /// The name of the parameter that it follows.
+    /// Name of the parameter that this one follows.
     pub to: String,
-    /// Factor.
+    /// Factor of the value of the other parameter.
     pub factor: f64,
-    /// Offset, in the unit of the parameter that is tied.
+    /// Offset, in the unit of the tied parameter.
     pub offset: f64,
     /// True if the factor has a unit, so that the units of the two parameters may differ.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
@@ -40,7 +40,7 @@ pub struct Tie {
 /// use calibration::{Parameter, Prior};
 /// let friction = Parameter::new("armFriction", 0.012).bounds(0.0, 0.022);
 /// assert_eq!(friction.upper(), 0.022);
-/// // One value for two variables, of which something is known; a delay; a value that follows another.
+/// One value for two variables, with a prior; a delay; a value that follows another.
 /// let outlet = Parameter::new("outlet", 3e-6).variables(["qt.a1", "qt.a2"]).prior(Prior::LogNormal { median: 3e-6, sigma: 0.1 });
 /// let delay = Parameter::new("tau", 0.05).bounds(0.0, 1.0).delay_of("armJoint.phi");
 /// let other = Parameter::tied("qt.a3", "outlet", 0.5, 0.0);
@@ -65,7 +65,7 @@ pub struct Parameter {
 }
 
 impl Parameter {
-    /// A parameter named as in the model, without bounds, on a linear scale.
+    /// Creates a parameter named as in the model, without bounds, on a linear scale.
     pub fn new(name: impl Into<String>, start: f64) -> Self {
         let name = name.into();
         Self {
@@ -86,17 +86,17 @@ impl Parameter {
         }
     }
 
-    /// A parameter whose value is `factor * p + offset` with the value p of the parameter `to`, which is none
-    /// itself that is tied. It is no entry of the vectors of values; the results list its value. Of a
-    /// [local](Self::local) one it follows the value in each experiment. Bounds, scale, prior and the like
-    /// are those of the other one.
+    /// Creates a parameter whose value is `factor * p + offset`, where p is the value of the parameter `to`.
+    /// The parameter `to` must not itself be tied. A tied parameter is not an entry of the vectors of values;
+    /// the results list its value. If `to` is [local](Self::local), the tied parameter follows its value in
+    /// each experiment. Bounds, scale, prior and the other settings are taken from `to`.
     pub fn tied(name: impl Into<String>, to: impl Into<String>, factor: f64, offset: f64) -> Self {
         let tie = Tie { to: to.into(), factor, offset, across_units: false };
         Self { tie: Some(tie), ..Self::new(name, 0.0) }
     }
 
-    /// Says that the factor of a [tied](Self::tied) parameter has a unit: without it both parameters must be
-    /// quantities of one kind, and have one unit where the factor is 1.
+    /// Declares that the factor of a [tied](Self::tied) parameter has a unit. Without it, both parameters
+    /// must be quantities of the same kind. If the factor is also 1, they must have the same unit.
     #[must_use]
     pub fn across_units(mut self, across_units: bool) -> Self {
         if let Some(tie) = &mut self.tie {
@@ -105,31 +105,33 @@ impl Parameter {
         self
     }
 
-    /// The variables of the model that it sets, all to the same value; its name is free then.
+    /// Sets the variables of the model that the parameter sets, all to the same value. The name of the
+    /// parameter can then be chosen freely.
     #[must_use]
     pub fn variables<N: Into<String>>(mut self, names: impl IntoIterator<Item = N>) -> Self {
         self.target = Target::Variables(names.into_iter().map(Into::into).collect());
         self
     }
 
-    /// It is the delay in s of an output that is compared, `y(t - tau)` with what was measured at t, or of an
-    /// input, `u(t - tau)`; its name is free then. Before its start an output has the value of the start, an
-    /// input that of its first row. The lower bound must be finite; negative delays are ones of the
-    /// recording.
+    /// Makes the parameter the delay tau in s of a compared output or of an input. An output `y(t - tau)` is
+    /// compared with the measurement at t. An input is `u(t - tau)`. The name of the parameter can then be
+    /// chosen freely. Before the start, an output has its value at the start, and an input has the value of
+    /// its first row. The lower bound must be finite. Negative values delay the recording instead.
     #[must_use]
     pub fn delay_of(mut self, variable: impl Into<String>) -> Self {
         self.target = Target::Delay(variable.into());
         self
     }
 
-    /// It is added to an output that is compared, or to an input; its name is free then.
+    /// Adds the parameter to a compared output or to an input. The name of the parameter can then be chosen
+    /// freely.
     #[must_use]
     pub fn offset_of(mut self, variable: impl Into<String>) -> Self {
         self.target = Target::Offset(variable.into());
         self
     }
 
-    /// The unit of its values, bounds and results, where it is not that of the variable in the model: values
+    /// Sets the unit of its values, bounds and results, if it differs from the unit of the variable. Values
     /// are converted for the model.
     #[must_use]
     pub fn in_unit(mut self, unit: impl Into<String>) -> Self {
@@ -151,55 +153,55 @@ impl Parameter {
         self
     }
 
-    /// Smallest and largest value; infinities leave a side open.
+    /// Sets the smallest and the largest value; infinite bounds leave a side open.
     #[must_use]
     pub fn bounds(mut self, lower: f64, upper: f64) -> Self {
         (self.lower, self.upper) = (lower, upper);
         self
     }
 
-    /// The scale the optimiser works on: [`Scale::Log`] for positive parameters known only to an order of
-    /// magnitude. Values and bounds are in the user's units either way.
+    /// Sets the scale of the optimiser. Use [`Scale::Log`] for positive parameters known only to an order of
+    /// magnitude. Values and bounds remain in the user's units.
     #[must_use]
     pub fn scale(mut self, scale: Scale) -> Self {
         self.scale = scale;
         self
     }
 
-    /// A typical size, from which step lengths and tolerances are taken. On a log scale these are factors, so
-    /// it is not used there.
+    /// Sets a typical size, from which step lengths and tolerances are derived. It is unused on a log scale,
+    /// where steps and tolerances are factors.
     #[must_use]
     pub fn nominal(mut self, nominal: f64) -> Self {
         self.nominal = Some(nominal);
         self
     }
 
-    /// Sets the kind of values: any (the default), whole numbers, or whole numbers that stand for choices.
-    /// Not every method searches over the latter two: [`dfo::DifferentialEvolution`] takes integers,
-    /// [`dfo::Genetic`] both.
+    /// Sets the kind of values: continuous (the default), integers, or integers that represent choices. Not
+    /// every method supports the last two: [`dfo::DifferentialEvolution`] supports integers, [`dfo::Genetic`]
+    /// both.
     #[must_use]
     pub fn kind(mut self, kind: ParameterKind) -> Self {
         self.kind = kind;
         self
     }
 
-    /// Holds the parameter at its start value.
+    /// Fixes the parameter at its start value.
     #[must_use]
     pub fn fixed(mut self, fixed: bool) -> Self {
         self.fixed = fixed;
         self
     }
 
-    /// Gives it a value of its own in each experiment, instead of one for all: `T0[run1]`, `T0[run2]` (see
-    /// [`Experiment::named`](crate::Experiment::named)). The start in an experiment is the
-    /// [start value](crate::Experiment::start_value) of this variable there, if there is one.
+    /// Makes the parameter local: it has a separate value in each experiment, such as `T0[run1]` and
+    /// `T0[run2]` (see [`Experiment::named`](crate::Experiment::named)). If an experiment has a [start
+    /// value](crate::Experiment::start_value) for this variable, the search starts from it there.
     #[must_use]
     pub fn local(mut self, local: bool) -> Self {
         self.local = local;
         self
     }
 
-    /// The value that a local parameter has in one experiment, as a parameter.
+    /// Returns the parameter that represents a local parameter in one experiment.
     pub(crate) fn in_experiment(&self, experiment: &str, start: Option<f64>) -> Self {
         let name = format!("{}[{experiment}]", self.name);
         let display_name = self.display_name.as_ref().map(|shown| format!("{shown} [{experiment}]"));
@@ -207,29 +209,30 @@ impl Parameter {
         Self { name, display_name, start, local: false, ..self.clone() }
     }
 
-    /// What costs depend on, without how it is searched and shown.
+    /// Returns the part that costs depend on, without the settings of the search and the display.
     pub(crate) fn without_search(&self) -> Self {
         let Self { name, target, unit, prior, tie, .. } = self.clone();
         Self { target, unit, prior, tie, ..Self::new(name, 0.0) }
     }
 
-    /// The same for a state of the model.
+    /// Returns the parameter with a state of the model as its name and target.
     pub(crate) fn for_state(&self, state: &str) -> Self {
         let target = Target::Variables(vec![state.to_owned()]);
         Self { name: state.to_owned(), target, ..self.clone() }
     }
 
-    /// Its name; of the value that a local one has in an experiment followed by the name of the experiment.
+    /// Returns the name. For the value of a local parameter in an experiment, the name of the experiment
+    /// follows.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Target of the parameter.
+    /// Returns the target of the parameter.
     pub fn target(&self) -> &Target {
         &self.target
     }
 
-    /// The variables of the model that it sets; none for a delay and an offset.
+    /// Returns the variables of the model that the parameter sets; empty for a delay and an offset.
     pub fn variable_names(&self) -> &[String] {
         match &self.target {
             Target::Variables(names) => names,
@@ -237,8 +240,8 @@ impl Parameter {
         }
     }
 
-    /// The variable whose unit and nominal value are its own: the first that it sets, or the one that it is
-    /// the offset of; `None` for a delay, which is in s.
+    /// Returns the variable that defines the unit and nominal value: the first variable that the parameter
+    /// sets, or the one that it offsets. Returns `None` for a delay, which is in s.
     pub fn variable(&self) -> Option<&str> {
         match &self.target {
             Target::Variables(names) => names.first().map(String::as_str),
@@ -247,18 +250,18 @@ impl Parameter {
         }
     }
 
-    /// True if a start value of this name is one of this parameter.
+    /// True if a start value of this name belongs to this parameter.
     pub(crate) fn is_called(&self, name: &str) -> bool {
         self.name == name || self.variable_names().iter().any(|variable| variable == name)
     }
 
-    /// The unit that was given for its values.
+    /// Returns the unit given for its values, if any.
     pub fn given_unit(&self) -> Option<&str> {
         self.unit.as_deref()
     }
 
-    /// The unit of its values: the one that was given, or else that of its variable, s for a delay; `None`:
-    /// the model states none.
+    /// Returns the unit of its values: the given unit, otherwise the unit of its variable, or s for a delay.
+    /// Returns `None` if the model declares no unit.
     pub fn unit<'a>(&'a self, description: &'a ModelDescription) -> Option<&'a str> {
         let of_model = || match self.variable() {
             Some(name) => description.variable(name).and_then(|v| v.unit.as_deref()),
@@ -267,75 +270,75 @@ impl Parameter {
         self.unit.as_deref().or_else(of_model)
     }
 
-    /// Name in reports and figures: the display name, or else the name of the parameter.
+    /// Returns the name in reports and figures: the display name, otherwise the name of the parameter.
     pub fn shown_name(&self) -> &str {
         self.display_name.as_deref().unwrap_or(&self.name)
     }
 
-    /// Prior of the parameter, if it has one.
+    /// Returns the prior of the parameter, if it has one.
     pub fn known_prior(&self) -> Option<&Prior> {
         self.prior.as_ref()
     }
 
-    /// The parameter that it follows, if it is tied to one.
+    /// Returns the tie to another parameter, if there is one.
     pub fn tie(&self) -> Option<&Tie> {
         self.tie.as_ref()
     }
 
-    /// True if the parameter is tied to another one, and no entry of the vectors of values.
+    /// True if the parameter is tied to another one. It is then not an entry of the vectors of values.
     pub fn is_tied(&self) -> bool {
         self.tie.is_some()
     }
 
-    /// True if each experiment has a value of its own.
+    /// True if the parameter has a separate value in each experiment.
     pub fn is_local(&self) -> bool {
         self.local
     }
 
-    /// Where the fit starts.
+    /// Returns the start value of the fit.
     pub fn start(&self) -> f64 {
         self.start
     }
 
-    /// Smallest value; the start value of a fixed parameter.
+    /// Returns the smallest value; the start value for a fixed parameter.
     pub fn lower(&self) -> f64 {
         if self.fixed { self.start } else { self.lower }
     }
 
-    /// Largest value; the start value of a fixed parameter.
+    /// Returns the largest value; the start value for a fixed parameter.
     pub fn upper(&self) -> f64 {
         if self.fixed { self.start } else { self.upper }
     }
 
-    /// Smallest and largest value as they were given, also of a fixed parameter.
+    /// Returns the smallest and the largest value as given, even for a fixed parameter.
     pub fn given_bounds(&self) -> (f64, f64) {
         (self.lower, self.upper)
     }
 
-    /// The scale the optimiser works on.
+    /// Returns the scale of the optimiser.
     pub fn scale_kind(&self) -> Scale {
         self.scale
     }
 
-    /// The typical size, if one was given.
+    /// Returns the typical size, if one was given.
     pub fn nominal_size(&self) -> Option<f64> {
         self.nominal
     }
 
-    /// Kind of values.
+    /// Returns the kind of values.
     pub fn value_kind(&self) -> ParameterKind {
         self.kind
     }
 
-    /// True if the parameter is held.
+    /// True if the parameter is fixed.
     pub fn is_fixed(&self) -> bool {
         self.fixed
     }
 
-    /// Checks the numbers.
+    /// Checks that the numbers are valid and consistent.
     ///
     /// # Errors
-    /// Names the parameter and the numbers that do not fit together.
+    /// Returns an error that names the parameter and the inconsistent numbers.
     pub fn check(&self) -> Result<(), CalibrationError> {
         let Self { name, start, lower, upper, .. } = self;
         let bad = |message: String| Err(CalibrationError::Parameter { name: name.clone(), message });
@@ -425,7 +428,7 @@ impl Parameter {
                 "it is tied to '{to}' with factor {factor} and offset {offset}: both must be finite, the factor not 0"
             ));
         }
-        // All else comes from the other one.
+        // The other parameter determines all other fields.
         let bare = Self {
             target: target.clone(),
             unit: unit.clone(),
@@ -442,7 +445,7 @@ impl Parameter {
     }
 }
 
-/// The value that the optimiser sees as this one.
+/// Converts a value of the optimiser to the value of the parameter.
 pub(crate) fn outer(parameter: &Parameter, value: f64) -> f64 {
     match parameter.scale_kind() {
         Scale::Linear => value,
@@ -450,7 +453,7 @@ pub(crate) fn outer(parameter: &Parameter, value: f64) -> f64 {
     }
 }
 
-/// A value as the optimiser sees it.
+/// Converts a value of the parameter to the value of the optimiser.
 pub(crate) fn inner(parameter: &Parameter, value: f64) -> f64 {
     match parameter.scale_kind() {
         Scale::Linear => value,

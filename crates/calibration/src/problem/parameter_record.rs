@@ -1,4 +1,4 @@
-//! Parameters as users ask for them by name: one record for Python, files and the command line.
+//! Parameters as users describe them by name: one record for Python, files and the command line.
 
 use crate::error::CalibrationError;
 use crate::problem::parameter::{Parameter, Scale, Target, Tie};
@@ -6,49 +6,50 @@ use crate::problem::prior::Prior;
 use dfo::{ParameterKind, Record, Value, read_record};
 use serde::{Deserialize, Serialize};
 
-/// A parameter as it is described by name, see [`Parameter::from_record`].
+/// Description of a parameter by name; see [`Parameter::from_record`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct ParameterRecord {
-    /// Its name: that of the variable of the model that it sets, unless `variables` and the like say another.
+    /// Name. It is also the variable of the model to set, unless `variables`, `delay_of` or `offset_of` is
+    /// given.
     name: String,
-    /// Where its search starts.
+    /// Start value of the search.
     start: Option<f64>,
     /// Lower bound; default: none.
     lower: Option<f64>,
     /// Upper bound; default: none.
     upper: Option<f64>,
-    /// The scale on which it is searched.
+    /// Scale of the search.
     scale: Scale,
     /// A typical size.
     nominal: Option<f64>,
-    /// Kind of its values.
+    /// Kind of values.
     kind: ParameterKind,
-    /// Holds it at its start.
+    /// Fixes the parameter at its start value.
     fixed: bool,
-    /// Gives it a value of its own in each experiment.
+    /// Uses a separate value in each experiment.
     local: bool,
-    /// The variables of the model that it sets.
+    /// Variables of the model to set.
     variables: Option<Vec<String>>,
-    /// The output or input whose delay in s it is.
+    /// The output or input that the parameter delays, in s.
     #[cfg_attr(feature = "schema", schemars(with = "Option<String>"))]
     delay_of: Value,
-    /// The output or input that it is added to.
+    /// The output or input that the parameter is added to.
     offset_of: Option<String>,
-    /// The parameter that it follows: its value is factor * value + offset.
+    /// The parameter to follow: the value is factor * value + offset.
     tied_to: Option<String>,
-    /// Factor of the parameter that it follows.
+    /// Factor of the followed parameter.
     factor: f64,
-    /// Offset from the parameter that it follows.
+    /// Offset from the followed parameter.
     offset: f64,
-    /// The factor has a unit.
+    /// True if the factor has a unit.
     across_units: bool,
-    /// Unit of its values, where it is not that of the variable.
+    /// Unit of the values, if it differs from the unit of the variable.
     unit: Option<String>,
     /// Name in reports and figures.
     display_name: Option<String>,
-    /// Knowledge of it before the fit.
+    /// Knowledge of the parameter before the fit.
     prior: Option<Prior>,
 }
 
@@ -79,12 +80,13 @@ impl Default for ParameterRecord {
 }
 
 impl Parameter {
-    /// The parameter of a record: `name`, `start`, `lower`, `upper`, `scale`, `nominal`, `kind`, `fixed`,
-    /// `local`, one of `variables`, `delay_of` and `offset_of`, `tied_to` with `factor`, `offset` and
-    /// `across_units` instead of a start, `unit`, `display_name`, `prior`.
+    /// Creates the parameter of a record. The fields are `name`, `start`, `lower`, `upper`, `scale`,
+    /// `nominal`, `kind`, `fixed`, `local`, `unit`, `display_name` and `prior`. At most one of `variables`,
+    /// `delay_of` and `offset_of` can be given. A tied parameter has `tied_to` with `factor`, `offset` and
+    /// `across_units` instead of a start.
     ///
     /// # Errors
-    /// Values that such a field cannot have; numbers that do not fit together, as [`check`](Self::check).
+    /// Returns an error if a field has an invalid value, and the errors of [`check`](Self::check).
     pub fn from_record(record: &Record) -> Result<Self, CalibrationError> {
         let asked: ParameterRecord = read_record(record, "field of a parameter")?;
         let name = asked.name;
@@ -147,10 +149,10 @@ impl Parameter {
         Ok(parameter)
     }
 
-    /// The record of the parameter, with all of its fields.
+    /// Returns the record of the parameter, with all fields.
     ///
     /// # Errors
-    /// It cannot be serialised.
+    /// Returns an error if the parameter cannot be serialised.
     pub fn record(&self) -> Result<Record, CalibrationError> {
         let is_given = |bound: &f64| bound.is_finite();
         let (lower, upper) = self.given_bounds();

@@ -1,27 +1,27 @@
-//! Priors: knowledge of a parameter before the fit, as one more residual, beside those of the measurements.
+//! Priors: knowledge of a parameter before the fit, added as one more residual.
 
 use base::Number;
 use serde::{Deserialize, Serialize};
 
 /// Knowledge of a parameter before the fit.
 ///
-/// It adds one residual, in units of its own standard deviation, so that the sum of squares is twice the
-/// negative logarithm of the posterior density (but for a constant) where the residuals of the measurements
-/// are in units of theirs: by weights of 1/sigma, or because a fit estimates the noise
-/// ([`FitOptions::noise`](crate::FitOptions::noise)). (Tarantola, Inverse Problem Theory, 2005, section 3.2.)
-/// A uniform prior are the bounds of the parameter.
+/// A prior adds one residual in units of its standard deviation. The sum of squares is then twice the
+/// negative log posterior density, up to a constant (Tarantola, Inverse Problem Theory, 2005, section 3.2).
+/// This requires that the residuals of the measurements are also in units of their standard deviations. Use
+/// weights of 1/sigma, or let the fit estimate the noise ([`FitOptions::noise`](crate::FitOptions::noise)).
+/// The bounds of a parameter are a uniform prior.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Prior {
-    /// Normally distributed: the residual is `(p - mean) / sd`.
+    /// Normal distribution: the residual is `(p - mean) / sd`.
     Normal {
         /// The mean, in the unit of the parameter.
         mean: f64,
         /// The standard deviation, in the unit of the parameter.
         sd: f64,
     },
-    /// Its logarithm is normally distributed: the residual is `(ln p - ln median) / sigma`.
+    /// Log-normal distribution: the residual is `(ln p - ln median) / sigma`.
     LogNormal {
         /// The median, in the unit of the parameter.
         median: f64,
@@ -31,7 +31,7 @@ pub enum Prior {
 }
 
 impl Prior {
-    /// Its residual at a value of the parameter; NaN for a log-normal prior of a value that is not positive.
+    /// Returns the residual at a value of the parameter. A log-normal prior returns NaN for a negative value.
     pub fn residual(&self, value: f64) -> f64 {
         match *self {
             Self::Normal { mean, sd } => (value - mean) / sd,
@@ -39,7 +39,7 @@ impl Prior {
         }
     }
 
-    /// The derivative of [`residual`](Self::residual).
+    /// Returns the derivative of [`residual`](Self::residual).
     pub fn slope(&self, value: f64) -> f64 {
         match *self {
             Self::Normal { sd, .. } => 1.0 / sd,
@@ -47,7 +47,7 @@ impl Prior {
         }
     }
 
-    /// Description of the fault of its numbers; `None`: there is none.
+    /// Returns a description of invalid numbers, or `None` if they are valid.
     pub(crate) fn problem(&self) -> Option<String> {
         let is_positive = |value: f64| value.is_finite() && value > 0.0;
         match *self {

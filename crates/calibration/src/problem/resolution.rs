@@ -1,5 +1,5 @@
-//! Checks what parameters, delays and initial states name: variables of the model, outputs and inputs of the
-//! experiments.
+//! Checks of the names in parameters, delays and initial states against the variables of the model and the
+//! outputs and inputs of the experiments.
 
 use crate::data::find_column;
 use crate::error::CalibrationError;
@@ -15,20 +15,20 @@ pub(crate) fn is_same(description: &ModelDescription, one: &str, other: &str) ->
 }
 
 impl Experiment {
-    /// True if a variable is an output that is compared, or an input that is driven.
+    /// True if a variable is a compared output or a driven input.
     fn shifts(&self, variable: &str) -> bool {
         let mut outputs = self.outputs.iter().map(|output| &output.variable);
         outputs.any(|name| name == variable) || self.inputs.iter().any(|(name, _)| name == variable)
     }
 
-    /// The outputs that are compared and the inputs that are driven.
+    /// Returns the compared outputs and the driven inputs.
     fn shifted_names(&self) -> impl Iterator<Item = &str> {
         let outputs = self.outputs.iter().map(|output| output.variable.as_str());
         outputs.chain(self.inputs.iter().map(|(name, _)| name.as_str()))
     }
 }
 
-/// Checks the parameters against each other and the experiments.
+/// Checks the parameters against each other and against the experiments.
 pub(crate) fn check_targets(
     parameters: &[Parameter],
     experiments: &[Experiment],
@@ -101,7 +101,7 @@ pub(crate) fn check_targets(
     Ok(())
 }
 
-/// Checks the delays and initial states of an experiment.
+/// Checks the outputs, delays and initial states of an experiment.
 pub(crate) fn check_names(
     experiment: &Experiment,
     parameters: &[Parameter],
@@ -123,7 +123,7 @@ pub(crate) fn check_names(
                  column; outputs map variables to columns, {{\"{named}\": \"{variable}\"}}"
             ));
         }
-        // A variable that there is not is named elsewhere.
+        // Another check reports variables that do not exist.
         let is_known = |name: &str| description.variable(name).is_some();
         let same = |other: &&Measured| {
             column.is_some()
@@ -183,7 +183,7 @@ pub(crate) fn check_names(
     Ok(())
 }
 
-/// Names of the continuous states, as far as the description says what is one.
+/// Returns the names of the continuous states, as far as the model description identifies them.
 pub(crate) fn states(description: &ModelDescription) -> Vec<&String> {
     let state = |index: usize| {
         description.variables[index].derivative.map(|state| &description.variables[state].name)
@@ -191,7 +191,7 @@ pub(crate) fn states(description: &ModelDescription) -> Vec<&String> {
     description.structure.derivatives.iter().filter_map(|derivative| state(derivative.index)).collect()
 }
 
-/// Refuses what is no state of the model, as far as the description says what is one.
+/// Rejects names that are not states of the model, as far as the model description identifies states.
 fn check_state(name: &str, description: &ModelDescription) -> Result<(), CalibrationError> {
     let states = states(description);
     let is_known = states.iter().any(|state| is_same(description, state, name))
@@ -199,7 +199,7 @@ fn check_state(name: &str, description: &ModelDescription) -> Result<(), Calibra
             .iter()
             .any(|state| name.strip_prefix(state.as_str()).is_some_and(|rest| rest.starts_with('[')));
     if states.is_empty() || is_known || description.variable(name).is_none() {
-        // An unknown name is refused with the nearest ones when the simulation is planned.
+        // Planning the simulation rejects an unknown name and suggests the nearest ones.
         return Ok(());
     }
     let shown = states.iter().take(10).map(|state| state.as_str()).collect::<Vec<_>>().join(", ");

@@ -1,4 +1,4 @@
-//! Means in the place of the rows of recordings, and the weights of these means.
+//! Replacement of the rows of recordings by means, and the weights of these means.
 
 use crate::data::{Means, Series};
 use crate::error::CalibrationError;
@@ -8,15 +8,14 @@ use crate::problem::measurements::{is_mask, weights_of_rows};
 use fmi::ModelDescription;
 use fmi::description::VariableKind;
 
-/// Replaces the rows of a recording by means where the experiment has an interval for that. Weights that
-/// state the noise of the rows become those of the means: the root of the sum of the squares; those that are
-/// only 0 and 1 choose the rows whose mean is taken. Columns that
-/// drive inputs other than numbers with a fraction (Boolean, integer) keep their values and the times where
-/// they change.
+/// Replaces the rows of a recording by means if the experiment has an interval for that. Weights of rows that
+/// declare noise become weights of the means: the root of the sum of their squares. Weights that are only 0
+/// and 1 select the rows whose mean is taken. Columns that drive inputs with discrete values (Boolean,
+/// integer) are not averaged: they keep their values and the times of their changes.
 ///
 /// # Errors
-/// As [`Data::resampled`](crate::Data::resampled); weights that cannot be used; two outputs with one column
-/// and different weights.
+/// Returns the errors of [`Data::resampled`](crate::Data::resampled). Returns an error if weights are
+/// invalid, or if two outputs with different weights share a column.
 pub(crate) fn take_means(
     experiment: &mut Experiment,
     description: &ModelDescription,
@@ -27,7 +26,7 @@ pub(crate) fn take_means(
         let full = experiment.data.full_name(column)?;
         names.iter().position(|name| name == full)
     };
-    // Per column, the weights of its rows.
+    // Weights of the rows, per column.
     let mut weighted: Vec<Option<Series>> = vec![None; names.len()];
     for Measured { variable, column, weight } in experiment.outputs.iter().filter(|o| o.weight.states_noise())
     {

@@ -1,4 +1,4 @@
-//! JSON schemas of what the records of a problem spell in several ways.
+//! JSON schemas of fields that the records of a problem accept in several forms.
 
 use crate::problem::experiment::OutputScale;
 use crate::problem::objective::CostKind;
@@ -21,7 +21,7 @@ macro_rules! untagged {
 }
 
 untagged! {
-    /// A value for each name; names alone stand for themselves.
+    /// A value for each name, or only names, which are then also the values.
     Pairs<T> { ByName(BTreeMap<String, T>), InOrder(Vec<(String, T)>), Alike(Vec<String>) }
     /// A number or something else.
     NumberOr<T> { Number(f64), Other(T) }
@@ -31,9 +31,9 @@ untagged! {
     Weights { Scale(OutputScale), Each(Pairs<OutputWeight>) }
     /// A value of a variable of the model.
     ModelValue { Truth(bool), Number(f64), Text(String), Array(Vec<ModelValue>) }
-    /// Start values, or the path of a file that has them.
+    /// Start values, or the path of a file that contains them.
     StartValues { File(String), Each(Pairs<ModelValue>) }
-    /// Initial value of a state that is no number.
+    /// Initial value of a state that is not a number.
     InitialStateRecord { Word(Measured), Fitted(ParameterRecord) }
 }
 

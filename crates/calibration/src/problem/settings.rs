@@ -15,43 +15,43 @@ use std::collections::BTreeMap;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(deny_unknown_fields))]
 #[serde(default)]
 pub struct SimulationSettings {
-    /// How the model is run. A `relative_tolerance` that is not given is that of the model, but at most 1e-6:
-    /// a fit reports where it is smaller than that of the model. A simulation that reaches the `timeout`, or
-    /// whose events let time hardly advance, counts as failed.
+    /// Settings of a model run. If `relative_tolerance` is not given, it is the tolerance of the model, but
+    /// at most 1e-6. A fit reports if this is smaller than the tolerance of the model. A simulation counts as
+    /// failed if it reaches the `timeout`, or if its events hardly let time advance.
     #[serde(flatten)]
     pub run: RunSettings,
-    /// Where the FMU runs. The costs do not depend on it.
+    /// Isolation of the FMU. The costs do not depend on it.
     #[cfg_attr(feature = "schema", schemars(schema_with = "schema::isolation"))]
     pub isolation: Isolation,
-    /// Bytes of memory that a process of the FMU may have; default: the memory of the machine.
+    /// Memory limit in bytes for a process of the FMU; default: the memory of the machine.
     pub memory_limit: Option<u64>,
-    /// Processes of the FMU may write into their own folder only, and open no connections.
+    /// True if processes of the FMU may write only to their own folder and may not open connections.
     pub sandbox: bool,
-    /// Bytes that the `modelDescription.xml` of the model may have; default: see
+    /// Size limit in bytes for the `modelDescription.xml` of the model; default: see
     /// [`DescriptionLimits`](fmi::DescriptionLimits).
     pub max_description_bytes: Option<u64>,
-    /// Units of variables of which the model states none, by name: recorded columns are converted to them.
+    /// Units of variables without a declared unit, by name. Recorded columns are converted to these units.
     pub units: BTreeMap<String, String>,
 }
 
-/// A field of the settings, for messages.
+/// Description of a field of the settings in messages.
 const SETTING: &str = "setting of simulations";
 
-/// The largest relative tolerance that simulations of a fit have where none is asked for. With it a cost of
-/// residuals of usual noise is smooth far below 1e-4 of itself, the `f_tol` of a fit; at 1e-4, which many
-/// models state, it is not.
+/// Largest relative tolerance of simulations in a fit if none is given. At this tolerance, a cost with usual
+/// measurement noise is smooth far below 1e-4 of its value, the `f_tol` of a fit. At 1e-4, which many models
+/// declare, the cost is not smooth enough.
 const LOOSEST: f64 = 1e-6;
 
 impl SimulationSettings {
-    /// The settings of a record: `solver` is the method, `timeout` is in s, all else has the name of its
-    /// field. What it does not say is as by default.
+    /// Returns the settings of a record. `solver` is the method, `timeout` is in s, and all other entries are
+    /// named as the fields. Missing entries keep their defaults.
     ///
     /// # Errors
-    /// A setting that there is not, or a value that it cannot have.
+    /// Returns an error if a setting is unknown or has an invalid value.
     pub fn from_record(record: &Record) -> Result<Self, RecordError> {
         let mut record = record.clone();
         for (name, value) in &mut record {
-            // Names are those that the choices have for users, times are in s.
+            // Enumerations are parsed by their user-visible names. Times are in s.
             *value = match name.as_str() {
                 "kind" => Value::of(&value.parse::<fmi::InterfaceChoice>(name)?)?,
                 "solver" => Value::of(&value.parse::<ode::Method>(name)?)?,
@@ -62,23 +62,23 @@ impl SimulationSettings {
                 _ => continue,
             };
         }
-        // In two parts, so that an error has the name of its field. Unknown names are refused here alone: a fit
-        // that another version saved can be loaded.
+        // The record is read in two parts so that errors name their fields. Unknown names are
+        // rejected only here, so that a fit saved by another version can be loaded.
         let (run, others) = read_part(record, SETTING)?;
         Ok(Self { run, ..read_known(&others, SETTING)? })
     }
 
-    /// How the model is opened.
+    /// Returns the options for opening the model.
     pub fn open_options(&self) -> OpenOptions {
         let mut options = OpenOptions::default();
         options.description.bytes = self.max_description_bytes.unwrap_or(options.description.bytes);
         options
     }
 
-    /// The model with the units that are stated here.
+    /// Returns the model with the units from the settings.
     ///
     /// # Errors
-    /// A unit that is none, a variable that there is not, or that has another unit.
+    /// Returns an error if a unit is invalid, or if a variable is unknown or has another unit.
     pub(crate) fn with_units(&self, fmu: fmi::Fmu) -> Result<fmi::Fmu, CalibrationError> {
         if self.units.is_empty() {
             return Ok(fmu);
@@ -93,14 +93,14 @@ impl SimulationSettings {
         Ok(fmu.with_units(self.units.iter().map(|(variable, unit)| (&variable[..], &unit[..])))?)
     }
 
-    /// Limits of the processes of the FMU.
+    /// Returns the limits of the processes of the FMU.
     pub(crate) fn worker_limits(&self) -> WorkerLimits {
         let usual = WorkerLimits::default();
         WorkerLimits { memory: self.memory_limit.or(usual.memory), sandbox: self.sandbox, ..usual }
     }
 
-    /// How the model is run in a fit: with the relative tolerance that is set, else [`LOOSEST`] where the
-    /// model states a larger one.
+    /// Returns the run settings for a fit. If no relative tolerance is set and the model declares a larger
+    /// one than [`LOOSEST`], the tolerance is [`LOOSEST`].
     pub(crate) fn run_of_fits(&self, description: &fmi::ModelDescription) -> RunSettings {
         let mut run = self.run.clone();
         let stated = description.default_experiment.tolerance;
@@ -111,8 +111,8 @@ impl SimulationSettings {
     }
 }
 
-/// As one record, with the number of its fields: files are to have one form, and a flattened field does not
-/// tell how many it has.
+/// Serialises the settings as one record with a known number of fields. Files then have one form, whereas a
+/// flattened field does not report its number of fields.
 impl Serialize for SimulationSettings {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
         let Self { run, isolation, memory_limit, sandbox, max_description_bytes, units } = self;

@@ -1,4 +1,4 @@
-//! Warnings about a setup: it can be evaluated, but perhaps it is not what was meant.
+//! Warnings about a setup that can be evaluated but may not be intended.
 
 use crate::data::{ClockChange, MOST_LISTED, UnitError, listed, parts};
 use crate::findings::finding::Severity;
@@ -13,12 +13,12 @@ use std::fmt;
 /// Target of the log lines for each [`SetupWarning`].
 pub const SETUP_LOG_TARGET: &str = "calibration::setup";
 
-/// Something about a calibration that may not be what was meant; see
+/// A property of a calibration that may not be intended; see
 /// [`Calibration::warnings`](crate::Calibration::warnings).
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum SetupWarning {
-    /// A column that is not used has the name of an input of the model that nothing drives.
+    /// An unused column has the name of an input of the model that nothing drives.
     UnusedColumn {
         /// The recording.
         data: String,
@@ -27,7 +27,7 @@ pub enum SetupWarning {
         /// The input.
         input: String,
     },
-    /// A column states a unit that was not converted to that of its variable.
+    /// A column declares a unit that was not converted to the unit of its variable.
     NotConverted {
         /// The recording.
         data: String,
@@ -35,18 +35,18 @@ pub enum SetupWarning {
         column: String,
         /// The variable.
         variable: String,
-        /// Why not.
+        /// Reason.
         reason: UnitError,
     },
-    /// Columns were converted by the units that their names end with, in brackets, or that stand below them.
-    /// A note: brackets may mean something else.
+    /// Columns were converted using units in brackets at the end of their names, or in a line below the
+    /// names. This is a note, because brackets may have another meaning.
     Converted {
         /// The recording.
         data: String,
-        /// Column, its unit, unit of its variable.
+        /// Column, unit of the column, unit of the variable.
         columns: Vec<(String, String, String)>,
     },
-    /// Inputs of a model that no column of the recording of its inputs has the name of.
+    /// Inputs of the model are not the name of any column in the recording of its inputs.
     WithoutColumn {
         /// The recording.
         data: String,
@@ -55,26 +55,26 @@ pub enum SetupWarning {
         /// The columns.
         columns: Vec<String>,
     },
-    /// An hour is missing or doubled in times without a zone.
+    /// An hour is missing or repeated in times without a time zone.
     ClockChange {
         /// The recording.
         data: String,
-        /// Where.
+        /// Description of the change.
         change: ClockChange,
     },
-    /// A setting that is ignored; the sentence says which, and why.
+    /// A setting is ignored; the sentence gives the setting and the reason.
     NoEffect(String),
-    /// Warning about one of several experiments.
+    /// A warning applies to one of several experiments.
     Experiment {
-        /// Its name.
+        /// Name of the experiment.
         name: String,
-        /// Warning about this experiment.
+        /// The warning.
         warning: Box<SetupWarning>,
     },
 }
 
 impl SetupWarning {
-    /// Severity of the warning.
+    /// Returns the severity of the warning.
     pub fn severity(&self) -> Severity {
         match self {
             Self::Converted { .. } => Severity::Note,
@@ -130,7 +130,7 @@ impl fmt::Display for SetupWarning {
     }
 }
 
-/// Columns without use that have the names of inputs that nothing drives.
+/// Returns warnings about unused columns that have the names of inputs that nothing drives.
 pub(crate) fn unused_columns(description: &ModelDescription, experiment: &Experiment) -> Vec<SetupWarning> {
     let Experiment { data, outputs, inputs, start_values, .. } = experiment;
     let is_used = |column: &str| {
@@ -147,7 +147,7 @@ pub(crate) fn unused_columns(description: &ModelDescription, experiment: &Experi
         let open =
             || description.variables.iter().filter(|v| v.causality == Causality::Input && !is_given(&v.name));
         let exact = open().find(|v| names.contains(&v.name.as_str()));
-        // Names in a model are case-sensitive, those in a recording often are not.
+        // Names in a model are case-sensitive, but names in a recording often are not.
         exact
             .or_else(|| open().find(|v| names.iter().any(|name| name.eq_ignore_ascii_case(&v.name))))
             .map(|v| v.name.clone())
@@ -159,13 +159,13 @@ pub(crate) fn unused_columns(description: &ModelDescription, experiment: &Experi
     data.all_names().filter(|column| !is_used(column)).filter_map(warning).collect()
 }
 
-/// An hour that is missing or doubled in the times of a recording.
+/// Returns a warning if an hour is missing or repeated in the times of a recording.
 pub(crate) fn clock_change(experiment: &Experiment) -> Option<SetupWarning> {
     let (data, change) = (&experiment.data, experiment.data.clock_change()?.clone());
     Some(SetupWarning::ClockChange { data: data.source().to_owned(), change })
 }
 
-/// Typical sizes that are not used, because a logarithmic scale has sizes of its own.
+/// Returns warnings about nominal values that are unused on a logarithmic scale.
 pub(crate) fn ignored_nominals(parameters: &[Parameter]) -> impl Iterator<Item = SetupWarning> {
     let is_ignored = |p: &&Parameter| p.scale_kind() == Scale::Log && p.nominal_size().is_some();
     let warning = |p: &Parameter| format!("nominal of parameter '{}' has no effect on a log scale", p.name());
