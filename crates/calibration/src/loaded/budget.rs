@@ -1,27 +1,28 @@
-//! The budget of what surrounds the search of a fit, in simulations.
+//! Budget of the simulations before and after the search of a fit.
 
-/// What surrounds a search takes at most this part of its evaluations: less than 0.3 of its right-hand sides
-/// where simulations of the result take more of them than others, and with the short tests of how instances
-/// are brought back (`benches/whole_fits.md`).
+/// Maximum share of additional simulations in the evaluations of a search. The share of right-hand sides is
+/// below 0.3, even if simulations of the result need more of them than others and the reset tests of
+/// instances are included (`benches/whole_fits.md`).
 const SHARE: f64 = 0.25;
-/// Largest number of simulations. The tests of resets add less than half of one: together less than 4.
+/// Maximum number of additional simulations. The reset tests add less than half a simulation, so the total is
+/// below 4.
 const MOST: f64 = 3.5;
 
-/// Something that is simulated besides the search and the standard errors, where the budget allows it.
+/// A simulation in addition to the search and the standard errors, if the budget allows it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Extra {
-    /// A parameter moved to its bound, or off it, or one that has shown no effect moved.
+    /// A parameter moved to its bound or off it, or a moved parameter without a visible effect.
     StuckParameter,
-    /// The result again in a fresh process.
+    /// The result, simulated again in a fresh process.
     FreshProcess,
-    /// The result with a tenth of the tolerance, or half the step.
+    /// The result, simulated with a tenth of the tolerance or half the step.
     Accuracy,
-    /// Shorter steps of least squares from the result.
+    /// Shorter least-squares steps from the result.
     ShorterSteps,
 }
 
 impl Extra {
-    /// Name, as the record of a fit has it.
+    /// Returns the name used in the record of a fit.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::StuckParameter => "parameters at bounds and without effect",
@@ -32,9 +33,10 @@ impl Extra {
     }
 }
 
-/// Simulations of the result that may be made besides the search: a quarter of its evaluations, and no more
-/// than 3.5. What is above it is skipped. Each decision follows from counts of the path alone, so that it is
-/// the same for any number of workers, in a process or here, and after a resume.
+/// Number of simulations of the result that are allowed in addition to the search: a quarter of its
+/// evaluations, at most 3.5. Simulations beyond the budget are skipped. Decisions depend only on counts along
+/// the search path. They are therefore the same for any number of workers, with or without process isolation,
+/// and after a resume.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Budget {
     left: f64,
@@ -42,7 +44,7 @@ pub(crate) struct Budget {
 }
 
 impl Budget {
-    /// For what a user asks for: nothing is skipped.
+    /// Creates a budget that skips nothing, for explicit requests of the user.
     pub(crate) fn unlimited() -> Self {
         Self { left: f64::INFINITY, skipped: Vec::new() }
     }
@@ -52,19 +54,20 @@ impl Budget {
         self.left.is_infinite()
     }
 
-    /// After a search of so many evaluations.
+    /// Creates the budget after a search with this number of evaluations.
     pub(crate) fn after(n_evaluations: usize) -> Self {
         Self { left: (SHARE * n_evaluations as f64).min(MOST), skipped: Vec::new() }
     }
 
-    /// Takes this number of simulations off the budget, if there is room for them.
+    /// Deducts this number of simulations from the budget if enough are left; returns true on success.
     pub(crate) fn take(&mut self, simulations: f64) -> bool {
         let has_room = simulations <= self.left;
         self.left -= if has_room { simulations } else { 0.0 };
         has_room
     }
 
-    /// True if something that takes this number of simulations may be made; notes what is skipped.
+    /// Deducts this number of simulations if enough are left; otherwise records the skipped item. Returns
+    /// true on success.
     pub(crate) fn allows(&mut self, extra: Extra, simulations: f64) -> bool {
         let is_allowed = self.take(simulations);
         if !is_allowed {
@@ -73,24 +76,24 @@ impl Budget {
         is_allowed
     }
 
-    /// Number of whole simulations that are left after `reserved` is set aside.
+    /// Returns the number of whole simulations that are left after `reserved` is set aside.
     pub(crate) fn left_beside(&self, reserved: f64) -> usize {
         (self.left - reserved).max(0.0) as usize
     }
 
-    /// Notes that something was skipped.
+    /// Records that something was skipped.
     pub(crate) fn skip(&mut self, extra: Extra) {
         if !self.skipped.contains(&extra) {
             self.skipped.push(extra);
         }
     }
 
-    /// Adds what another budget of the same fit has skipped.
+    /// Adds the skipped items of another budget of the same fit.
     pub(crate) fn add_skipped(&mut self, skipped: &[Extra]) {
         skipped.iter().for_each(|extra| self.skip(*extra));
     }
 
-    /// What was skipped.
+    /// Returns the skipped items.
     pub(crate) fn skipped(&self) -> &[Extra] {
         &self.skipped
     }
@@ -102,7 +105,7 @@ mod tests {
 
     #[test]
     fn a_short_search_leaves_room_for_a_part_of_itself() {
-        // A quarter of 8 evaluations are two simulations.
+        // A quarter of 8 evaluations is two simulations.
         let mut budget = Budget::after(8);
         assert!(budget.take(1.0) && budget.allows(Extra::StuckParameter, 1.0));
         assert!(!budget.take(1.0) && budget.skipped().is_empty());

@@ -1,4 +1,4 @@
-//! A problem and its model, ready to be evaluated: cost, residuals, trajectories, cutoff.
+//! A problem and its model, ready to evaluate: cost, residuals, trajectories, cutoff.
 
 use crate::cost::failure::{CostFailure, PointFailure};
 use crate::cost::loaded_problem::LoadedProblem;
@@ -23,18 +23,18 @@ use std::ops::ControlFlow;
 
 /// A model, recordings and parameters, checked and ready to be evaluated from any number of threads.
 ///
-/// The cost is the sum of the squared (weighted) residuals, simulated minus measured, over all experiments,
-/// outputs and measured times, added up in the order of the residual vector: no 1/N, no 1/2. The same
-/// parameters give the same bits on every worker, with residuals or without, with a cutoff or without, in a
-/// fit and outside.
+/// The cost is the sum of the squared weighted residuals, simulated minus measured, over all experiments,
+/// outputs and measured times. It contains neither 1/N nor 1/2. The terms are added in the order of the
+/// residual vector. The cost at given parameters is therefore bit-for-bit identical on every worker, with or
+/// without residuals, with or without a cutoff, inside and outside a fit.
 #[derive(Debug)]
 pub struct Calibration {
     evaluator: LoadedProblem,
-    /// Everything that a fit is made from, by name and in words or as a hash.
+    /// Everything that defines a fit, by name, as text or as a hash.
     identity: Vec<(String, String)>,
 }
 
-/// Collects what a [`Calibration`] is made of.
+/// Builder of a [`Calibration`].
 ///
 /// ```
 /// use calibration::{Calibration, Data, Experiment, FitOptions, Parameter};
@@ -59,7 +59,7 @@ pub struct CalibrationBuilder {
 }
 
 impl CalibrationBuilder {
-    /// Adds a recording. The cost is the sum over all of them, in the order of these calls.
+    /// Adds a recording. The cost is the sum over all recordings, in the order of these calls.
     #[must_use]
     pub fn experiment(mut self, experiment: Experiment) -> Self {
         self.experiments.push(experiment);
@@ -73,18 +73,18 @@ impl CalibrationBuilder {
         self
     }
 
-    /// Settings of the simulations.
+    /// Sets the settings of the simulations.
     #[must_use]
     pub fn settings(mut self, settings: impl Into<SimulationSettings>) -> Self {
         self.settings = settings.into();
         self
     }
 
-    /// Looks everything up and checks it; loads the model, but simulates nothing yet.
+    /// Checks the setup and loads the model. It does not simulate yet.
     ///
     /// # Errors
-    /// Anything that does not fit: unknown names (the nearest are offered), parameters that cannot be set,
-    /// bounds, data.
+    /// Returns an error if the setup is inconsistent: unknown names (the message lists the nearest names),
+    /// parameters that cannot be set, invalid bounds or data.
     pub fn build(self) -> Result<Calibration, CalibrationError> {
         let Self { fmu, experiments, parameters, settings } = self;
         let model = ModelFile::of(&fmu)?;
@@ -93,7 +93,7 @@ impl CalibrationBuilder {
 }
 
 impl Calibration {
-    /// Starts to describe a calibration of this model.
+    /// Creates a builder for a calibration of this model.
     pub fn builder(fmu: Fmu) -> CalibrationBuilder {
         CalibrationBuilder {
             fmu,
@@ -103,11 +103,12 @@ impl Calibration {
         }
     }
 
-    /// A calibration of a problem that was stored, or comes from another process, with its model. Looks
-    /// everything up and checks it; simulates nothing yet.
+    /// Creates a calibration from its model and a problem that was stored or received from another process.
+    /// It checks the problem, but does not simulate yet.
     ///
     /// # Errors
-    /// As [`CalibrationBuilder::build`]; [`CalibrationError::OtherModel`]: the model has another content.
+    /// Returns the errors of [`CalibrationBuilder::build`], and [`CalibrationError::OtherModel`] if the
+    /// content of the model differs.
     pub fn from_problem(fmu: Fmu, problem: Problem) -> Result<Self, CalibrationError> {
         problem.model.check(&fmu)?;
         let evaluator = LoadedProblem::new(fmu, problem, None)?;
@@ -119,12 +120,14 @@ impl Calibration {
         Ok(Self { evaluator, identity })
     }
 
-    /// A calibration of another problem with the same model. Warnings of the problem are not logged again.
+    /// Creates a calibration of another problem with the same model. Warnings of the problem are not logged
+    /// again.
     pub(crate) fn derived(&self, problem: Problem) -> Result<Self, CalibrationError> {
         self.derived_in(problem, None)
     }
 
-    /// The same for a few simulations while this one makes none: in its processes.
+    /// Creates a calibration of another problem that uses the worker processes of this one. It is meant for a
+    /// few simulations while this calibration is idle.
     pub(crate) fn derived_beside(&self, problem: Problem) -> Result<Self, CalibrationError> {
         self.derived_in(problem, self.evaluator.remote.as_ref().ok())
     }
@@ -135,13 +138,13 @@ impl Calibration {
         Ok(Self { evaluator, identity })
     }
 
-    /// Takes over what is in doubt about another one that it was derived from.
+    /// Copies the warnings of the calibration that this one was derived from.
     pub(crate) fn keep_warnings(&mut self, from: &Self) {
         self.evaluator.warnings.clone_from(&from.evaluator.warnings);
     }
 
-    /// The same with other windows in all experiments. Simulations start as they do in this one, at the same
-    /// time in the same state, whatever that follows from.
+    /// Creates a calibration with other windows in all experiments. Its simulations start at the same time
+    /// and in the same state as the simulations of this calibration.
     pub(crate) fn windowed(&self, windows: &[(f64, f64)]) -> Result<Self, CalibrationError> {
         if windows.is_empty() {
             return Err(CalibrationError::Setup("windows: there are none".to_owned()));
@@ -158,112 +161,119 @@ impl Calibration {
         &self.evaluator
     }
 
-    /// Problem of the calibration, as plain data.
+    /// Returns the problem of the calibration, as plain data.
     pub fn problem(&self) -> &Problem {
         &self.evaluator.problem
     }
 
-    /// The model.
+    /// Returns the model.
     pub fn fmu(&self) -> &Fmu {
         &self.evaluator.fmu
     }
 
-    /// Warnings about the setup: columns without use, units that were read from names. Each was logged once,
-    /// when the calibration was built.
+    /// Returns the warnings about the setup, for example unused columns and units read from column names.
+    /// Each warning was logged once, when the calibration was built.
     pub fn warnings(&self) -> &[SetupWarning] {
         &self.evaluator.warnings
     }
 
-    /// The parameters, one per entry of every vector of values: in the order given, a
-    /// [local](Parameter::local) one once per experiment in its place.
+    /// Returns the parameters, one per entry of every vector of values, in the given order. A
+    /// [local](Parameter::local) parameter occurs once per experiment.
     pub fn parameters(&self) -> &[Parameter] {
         &self.evaluator.parameters
     }
 
-    /// Length of the residual vector.
+    /// Returns the length of the residual vector.
     pub fn n_residuals(&self) -> usize {
         self.evaluator.n_residuals
     }
 
-    /// Meaning of each entry of the residual vector, with the measurement, its time, and its weight.
+    /// Returns the meaning of each entry of the residual vector, with the measurement, its time and its
+    /// weight.
     pub fn residual_layout(&self) -> &ResidualLayout {
         &self.evaluator.layout
     }
 
-    /// Number of measurements that count: the length of the residual vector without the priors at its end.
+    /// Returns the number of measurements that count. It is the length of the residual vector without the
+    /// priors at its end.
     pub fn n_measurements(&self) -> usize {
         self.evaluator.layout.n_measurements()
     }
 
-    /// The root of the mean squared weighted residual of the measurements, from the cost at `x` (with a loss,
-    /// of what they count): the priors have their part of the cost, and are no measurements.
+    /// Returns the root mean square of the weighted residuals of the measurements, computed from the cost at
+    /// `x`. With a loss, the residuals count as transformed by the loss. The contribution of the priors to
+    /// the cost is subtracted.
     ///
     /// # Panics
-    /// `x` has another length than there are parameters.
+    /// Panics if the length of `x` differs from the number of parameters.
     pub fn rms(&self, x: &[f64], cost: f64) -> f64 {
         let priors = if self.residual_layout().priors.is_empty() { 0.0 } else { self.prior_cost(x) };
         let squares = cost - priors;
-        // The rounding of a difference.
+        // The difference may be slightly negative because of rounding.
         (if squares < 0.0 { 0.0 } else { squares } / self.n_measurements() as f64).sqrt()
     }
 
-    /// The part of the cost at `x` that is that of the priors: the sum of the squares of their residuals,
-    /// whatever the loss of a fit is. NaN where one is not defined.
+    /// Returns the contribution of the priors to the cost at `x`: the sum of the squares of their residuals.
+    /// It does not depend on the loss of a fit. Returns NaN if the residual of a prior is undefined.
     ///
     /// # Panics
-    /// `x` has another length than there are parameters.
+    /// Panics if the length of `x` differs from the number of parameters.
     pub fn prior_cost(&self, x: &[f64]) -> f64 {
         let mut residuals = vec![0.0; self.residual_layout().priors.len()];
         self.evaluator.prior_residuals(x, &mut residuals).unwrap_or(f64::NAN)
     }
 
-    /// The parameters that are [tied](Parameter::tied), with their values at `x`: of such that follow a local
-    /// one, one per experiment.
+    /// Returns the [tied](Parameter::tied) parameters with their values at `x`. A parameter tied to a local
+    /// parameter occurs once per experiment.
     ///
     /// # Panics
-    /// `x` has another length than there are parameters.
+    /// Panics if the length of `x` differs from the number of parameters.
     pub fn tied_values(&self, x: &[f64]) -> Vec<(String, f64)> {
         self.evaluator.tied.iter().map(|(name, of)| (name.clone(), of.value(x))).collect()
     }
 
-    /// Variables that are set in the model at `x` in the simulation of an experiment, counted from 0, and
-    /// their values in the units of the model; values that are tied are included, delays and offsets are not.
+    /// Returns the variables that are set in the model at `x`, with their values in the units of the model.
+    /// The simulation is that of the experiment with index `experiment`, from 0. Tied values are included;
+    /// delays and offsets are not.
     ///
     /// # Panics
-    /// There is no such experiment, or `x` has another length than there are parameters.
+    /// Panics if the experiment does not exist, or if the length of `x` differs from the number of
+    /// parameters.
     pub fn model_values(&self, experiment: usize, x: &[f64]) -> Vec<(String, f64)> {
         let simulation = &self.evaluator.simulations[experiment];
         simulation.named_values(x).map(|(name, value)| (name.to_owned(), value)).collect()
     }
 
-    /// Start values of all parameters.
+    /// Returns the start values of all parameters.
     pub fn start(&self) -> Vec<f64> {
         self.evaluator.start()
     }
 
-    /// The method that integrates the simulations of this calibration, in fits and outside of them.
+    /// Returns the integration method of the simulations of this calibration, inside and outside fits.
     pub fn solver(&self) -> Method {
         self.problem().settings.run.method
     }
 
-    /// The cost at `x` (one value per parameter, user's units).
+    /// Returns the cost at `x` (one value per parameter, in the user's units).
     ///
     /// # Errors
-    /// The wrong number of values, or a simulation that failed: then the error says where and why.
+    /// Returns an error if the number of values is wrong or a simulation fails. The error of a simulation
+    /// reports the parameter values and the reason.
     pub fn cost(&self, x: &[f64], context: &RunContext<'_>) -> Result<f64, CalibrationError> {
         self.evaluate_fully(x, context, &mut Stats::default()).map(|(cost, _)| cost)
     }
 
-    /// The residuals at `x`, simulated minus measured times weight: experiment by experiment, output by
-    /// output, in the order of time, without the missing ones. The length is the same for every `x`.
+    /// Returns the residuals at `x`, simulated minus measured times weight. Their order is experiment by
+    /// experiment, output by output, by time, without missing measurements. The length is the same for every
+    /// `x`.
     ///
     /// # Errors
-    /// As [`cost`](Self::cost).
+    /// Returns the errors of [`cost`](Self::cost).
     pub fn residuals(&self, x: &[f64], context: &RunContext<'_>) -> Result<Vec<f64>, CalibrationError> {
         self.residuals_counted(x, context, &mut Stats::default())
     }
 
-    /// The same; what the simulations take is added to `stats`.
+    /// Returns the residuals at `x` and adds the statistics of the simulations to `stats`.
     pub(crate) fn residuals_counted(
         &self,
         x: &[f64],
@@ -273,11 +283,11 @@ impl Calibration {
         self.evaluate_fully(x, context, stats).map(|(_, residuals)| residuals)
     }
 
-    /// Simulates every experiment at `x` and keeps the trajectories of the compared outputs, at the measured
-    /// times or, if `times` are given, at those.
+    /// Simulates every experiment at `x` and returns the trajectories of the compared outputs. The
+    /// trajectories are at the measured times or, if given, at `times`.
     ///
     /// # Errors
-    /// As [`cost`](Self::cost).
+    /// Returns the errors of [`cost`](Self::cost).
     pub fn simulate(
         &self,
         x: &[f64],
@@ -289,13 +299,13 @@ impl Calibration {
             .collect()
     }
 
-    /// As [`simulate`](Self::simulate), one experiment, counted from 0.
+    /// Simulates one experiment, counted from 0, like [`simulate`](Self::simulate).
     ///
     /// # Errors
-    /// As [`cost`](Self::cost), and [`CalibrationError::Cancelled`].
+    /// Returns the errors of [`cost`](Self::cost), and [`CalibrationError::Cancelled`].
     ///
     /// # Panics
-    /// There is no such experiment.
+    /// Panics if the experiment does not exist.
     pub fn simulate_experiment(
         &self,
         experiment: usize,
@@ -319,13 +329,13 @@ impl Calibration {
         }
     }
 
-    /// Begins work of many simulations, in all of which worker processes have the working folder and the
-    /// environment variables of its begin.
+    /// Marks the start of many simulations. Until the returned guard is dropped, worker processes use the
+    /// current working folder and environment variables.
     pub(crate) fn hold(&self) -> Option<Held> {
         self.evaluator.remote.as_ref().ok().map(Remote::hold)
     }
 
-    /// Has the model compiled and loaded before its first use, here or in a further process for it.
+    /// Compiles and loads the model before its first use, in this process or in a further worker process.
     pub(crate) fn prepare(&self) -> Result<(), CalibrationError> {
         if let Ok(remote) = &self.evaluator.remote {
             remote.prepare_second();
@@ -358,7 +368,7 @@ impl Calibration {
         })
     }
 
-    /// The error of a simulation with these values of the parameters.
+    /// Returns the error of a failed simulation at these parameter values.
     pub(crate) fn failed_at(
         &self,
         x: &[f64],
@@ -370,7 +380,7 @@ impl Calibration {
         CalibrationError::Simulation { at, message, source }
     }
 
-    /// The answer to a query, what it took added to `stats`. Its work is counted in right-hand sides.
+    /// Evaluates a query and adds its statistics to `stats`. The work is counted in right-hand sides.
     pub(crate) fn evaluate_counted(
         &self,
         x: &[f64],
@@ -401,8 +411,8 @@ impl Calibration {
         answer.work = stats.right_hand_sides - before;
     }
 
-    /// The error after which no simulation could be made any more, in place of that of the search which it
-    /// has ended.
+    /// Returns the error that made further simulations impossible, if it ended the search. Otherwise returns
+    /// `error`.
     pub(crate) fn over_or(&self, error: CalibrationError) -> CalibrationError {
         match (error, self.evaluator.over.get()) {
             (CalibrationError::Optimiser(search), Some(told))
@@ -414,7 +424,7 @@ impl Calibration {
         }
     }
 
-    /// The cost, and the residuals into `out`; see [`LoadedProblem::evaluate`].
+    /// Returns the cost and writes the residuals to `out`; see [`LoadedProblem::evaluate`].
     pub(crate) fn evaluate_into(
         &self,
         x: &[f64],
@@ -425,7 +435,8 @@ impl Calibration {
         self.evaluate_in(ProcessChoice::ComparedFirst, x, rule, out, stats)
     }
 
-    /// The same, by a process of this kind, where processes are asked.
+    /// Returns the cost like [`evaluate_into`](Self::evaluate_into). If worker processes are used, `process`
+    /// selects the kind of process.
     fn evaluate_in(
         &self,
         process: ProcessChoice,
@@ -442,7 +453,8 @@ impl Calibration {
         })
     }
 
-    /// Where the model runs; and why it runs in this process where another was asked for.
+    /// Returns where the model runs, and the reason if it runs in this process although a separate process
+    /// was requested.
     pub fn isolation(&self) -> (Isolation, Option<&str>) {
         match &self.evaluator.remote {
             Ok(_) => (Isolation::Process, None),
@@ -450,18 +462,18 @@ impl Calibration {
         }
     }
 
-    /// Names and values that identify a fit.
+    /// Returns the names and values that identify a fit.
     fn tags(&self) -> impl Iterator<Item = (&str, &str)> {
         self.identity.iter().map(|(name, value)| (name.as_str(), value.as_str()))
     }
 
-    /// Hash of everything that a cost depends on except the parameters' values: model, data, settings, and
-    /// the targets of the parameters; neither bounds nor starts.
+    /// Returns a hash of everything that a cost depends on, except the values of the parameters: the model,
+    /// data, settings, and targets of the parameters. Bounds and starts are not included.
     pub(crate) fn problem_hash(&self) -> String {
         hash(self.tags())
     }
 
-    /// A checkpoint that knows what it belongs to.
+    /// Adds the identity of the problem to a checkpoint.
     pub(crate) fn tag(&self, checkpoint: Checkpoint) -> Checkpoint {
         self.tags().fold(checkpoint, |checkpoint, (name, value)| checkpoint.tag(name, value))
     }

@@ -1,17 +1,18 @@
-//! What a part of a fit took.
+//! Computing effort of a part of a fit.
 
 use ode::{Seconds, Stats};
 use serde::{Deserialize, Serialize};
 use std::ops::AddAssign;
 use std::time::Duration;
 
-/// What a part of a fit took. All are equal, as wall-clock times are.
+/// Computing effort of a part of a fit. All values compare equal, because wall-clock times differ between
+/// runs.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Effort {
-    /// Simulations. The [checks](ode::Checks) that were made besides are not among them.
+    /// Number of simulations, without the additional [checks](ode::Checks).
     pub simulations: u64,
-    /// Right-hand sides in them.
+    /// Number of right-hand sides in these simulations.
     pub right_hand_sides: u64,
     /// Wall-clock time.
     #[cfg_attr(feature = "schema", schemars(with = "f64"))]

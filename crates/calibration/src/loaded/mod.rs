@@ -1,5 +1,5 @@
-//! A problem with a loaded model, as its users see it: [`Calibration`](calibration::Calibration), simulations
-//! around a point and their budget, and the worker process that serves them.
+//! A problem with its loaded model: [`Calibration`](calibration::Calibration), simulations around a point and
+//! their budget, and the worker process that serves them.
 
 pub(crate) mod budget;
 pub(crate) mod calibration;

@@ -1,5 +1,5 @@
-//! Simulations around a point, in parallel: the uncertainty of a fit is found from them, and they are counted
-//! apart from its evaluations.
+//! Parallel simulations around a point, used to estimate the uncertainty of a fit. They are counted
+//! separately from the evaluations of the fit.
 
 use crate::cost::accuracy::Accuracy;
 use crate::cost::failure::CostFailure;
@@ -17,61 +17,62 @@ use ode::Stats;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// By what the relative tolerance is divided in accurate simulations: what is left of the error is a tenth.
+/// Divisor of the relative tolerance in accurate simulations. The remaining error is a tenth.
 pub(crate) const ACCURATE: f64 = 10.0;
 
-/// Work of an accurate simulation, in simulations of a fit: the tenth of the tolerance takes a method of
-/// order 5 this many times the steps.
+/// Work of an accurate simulation, in simulations of a fit. A method of order 5 needs this many times more
+/// steps at a tenth of the tolerance.
 const PRICE_OF_ACCURATE: f64 = 1.6;
 
-/// The same with half the step.
+/// Work of a simulation with half the step, in simulations of a fit.
 const HALF_STEP: f64 = 2.0;
 
-/// Integration is not more accurate than this.
+/// Smallest relative tolerance of an integration.
 const SMALLEST_TOLERANCE: f64 = 1e-13;
 
-/// With a looser relative tolerance residuals may be noise, and their size says nothing of the error of the
-/// simulations.
+/// Largest relative tolerance at which the size of the residuals indicates the simulation error. At looser
+/// tolerances, residuals may be noise.
 const LOOSEST_OF_EXACT: f64 = 1e-5;
 
-/// A point to be simulated.
+/// A point to simulate.
 #[derive(Debug, Clone)]
 pub(crate) struct Point {
-    /// In the user's units.
+    /// Parameter values in the user's units.
     pub(crate) x: Vec<f64>,
-    /// With a tenth of the relative tolerance; with a fixed-step method, with half the step.
+    /// True to simulate with a tenth of the relative tolerance or, for a fixed-step method, with half the
+    /// step.
     pub(crate) is_accurate: bool,
 }
 
 impl Point {
-    /// As the evaluations of a fit are made.
+    /// Creates a point to simulate like the evaluations of a fit.
     pub(crate) fn new(x: Vec<f64>) -> Self {
         Self { x, is_accurate: false }
     }
 }
 
-/// The residuals as they count in the cost, or why there are none.
+/// The residuals as they count in the cost, or the reason of a failure.
 pub(crate) type PointResiduals = Result<Vec<f64>, String>;
 
-/// Makes simulations, and adds up what they take.
+/// Runs simulations and adds up their effort.
 pub(crate) struct Simulations<'a> {
     pub(crate) calibration: &'a Calibration,
     pub(crate) loss: RobustLoss,
-    /// Number of simulations that run at once.
+    /// Number of parallel simulations.
     pub(crate) workers: usize,
-    /// Asked on the calling thread.
+    /// Context, checked on the calling thread.
     pub(crate) context: RunContext<'a>,
-    /// Points that were simulated.
+    /// Number of points that were simulated.
     pub(crate) n: usize,
     pub(crate) stats: Stats,
-    /// What those beside the standard errors took, which is a part of `stats`.
+    /// Effort of simulations that do not serve the standard errors; it is a part of `stats`.
     pub(crate) extras: Effort,
-    /// What may be made beside the standard errors.
+    /// Budget of simulations that do not serve the standard errors.
     pub(crate) budget: Budget,
 }
 
 impl<'a> Simulations<'a> {
-    /// Has the model tested, where that is not done yet.
+    /// Prepares the model, unless that is done already.
     pub(crate) fn new(
         calibration: &'a Calibration,
         loss: RobustLoss,
@@ -91,11 +92,11 @@ impl<'a> Simulations<'a> {
         })
     }
 
-    /// The residuals at points that are simulated beside the standard errors; `None` where the budget does
-    /// not allow them.
+    /// Returns the residuals at points that do not serve the standard errors. Returns `None` if the budget
+    /// does not allow them.
     ///
     /// # Errors
-    /// As [`residuals`](Self::residuals).
+    /// Returns the errors of [`residuals`](Self::residuals).
     pub(crate) fn extra(
         &mut self,
         extra: Extra,
@@ -110,10 +111,10 @@ impl<'a> Simulations<'a> {
         self.beside(points).map(Some)
     }
 
-    /// As [`extra`](Self::extra), of what is never skipped.
+    /// Returns the residuals like [`extra`](Self::extra), for simulations that are never skipped.
     ///
     /// # Errors
-    /// As [`residuals`](Self::residuals).
+    /// Returns the errors of [`residuals`](Self::residuals).
     pub(crate) fn beside(&mut self, points: &[Point]) -> Result<Vec<PointResiduals>, CalibrationError> {
         let (before, began) = (std::mem::take(&mut self.stats), Instant::now());
         let found = self.residuals(points);
@@ -122,10 +123,10 @@ impl<'a> Simulations<'a> {
         found
     }
 
-    /// The residuals at these points, in their order.
+    /// Returns the residuals at these points, in their order.
     ///
     /// # Errors
-    /// [`CalibrationError::Cancelled`]; no simulation can be made any more.
+    /// Returns [`CalibrationError::Cancelled`], or the error that makes further simulations impossible.
     pub(crate) fn residuals(&mut self, points: &[Point]) -> Result<Vec<PointResiduals>, CalibrationError> {
         if self.context.is_over() {
             return Err(CalibrationError::Cancelled);
@@ -155,25 +156,25 @@ impl<'a> Simulations<'a> {
 }
 
 impl Calibration {
-    /// True if a cost is that of residuals within ten relative tolerances of the measurements: all error of
-    /// the simulations, or nearly so.
+    /// True if the residuals of a cost are within ten relative tolerances of the measurements. They are then
+    /// mostly simulation error.
     pub(crate) fn is_within_tolerance(&self, cost: f64) -> bool {
         let tolerance = self.relative_tolerance().min(LOOSEST_OF_EXACT);
         cost <= (10.0 * tolerance * self.residual_layout().size_of_measurements()).powi(2)
     }
 
-    /// The relative tolerance of its simulations.
+    /// Returns the relative tolerance of the simulations.
     pub(crate) fn relative_tolerance(&self) -> f64 {
         self.evaluator().simulations[0].pool.plan().relative_tolerance()
     }
 
-    /// True if the simulations of the calibration have a fixed step.
+    /// True if the simulations use a fixed step.
     pub(crate) fn has_fixed_step(&self) -> bool {
         let plan = self.evaluator().simulations[0].pool.plan();
         plan.kind() == InterfaceKind::ModelExchange && self.problem().settings.run.method.is_fixed_step()
     }
 
-    /// The fixed step of the simulations, or the communication step of a co-simulation, in s.
+    /// Returns the fixed step of the simulations, or the communication step of a co-simulation, in s.
     pub(crate) fn step_in_use(&self) -> Option<f64> {
         let plan = self.evaluator().simulations[0].pool.plan();
         let given = self.problem().settings.run.step_size;
@@ -184,17 +185,17 @@ impl Calibration {
         }
     }
 
-    /// True if the model integrates itself.
+    /// True if the model is a co-simulation, which integrates itself.
     pub(crate) fn is_co_simulation(&self) -> bool {
         self.evaluator().simulations[0].pool.plan().kind() == InterfaceKind::CoSimulation
     }
 
-    /// Work of an accurate simulation, in simulations of a fit.
+    /// Returns the work of an accurate simulation, in simulations of a fit.
     pub(crate) fn price_of_accurate(&self) -> f64 {
         if self.has_fixed_step() || self.is_co_simulation() { HALF_STEP } else { PRICE_OF_ACCURATE }
     }
 
-    /// With a tenth of the relative tolerance or half the step.
+    /// Returns the accuracy with a tenth of the relative tolerance or half the step.
     fn accurate(&self) -> Accuracy {
         let tolerance = self.relative_tolerance();
         match self.has_fixed_step() {
@@ -203,10 +204,10 @@ impl Calibration {
         }
     }
 
-    /// The residuals at `x` as they count; `None` where the simulation fails there.
+    /// Returns the residuals at `x` as they count in the cost. Returns `None` if the simulation fails.
     ///
     /// # Errors
-    /// [`CalibrationError::Cancelled`].
+    /// Returns [`CalibrationError::Cancelled`].
     pub(crate) fn residuals_with(
         &self,
         accuracy: Option<Accuracy>,
@@ -223,7 +224,7 @@ impl Calibration {
         }
     }
 
-    /// As [`evaluate_into`](Self::evaluate_into), with another accuracy where one is given.
+    /// Evaluates like [`evaluate_into`](Self::evaluate_into), with another accuracy if one is given.
     pub(crate) fn evaluate_with(
         &self,
         accuracy: Option<Accuracy>,

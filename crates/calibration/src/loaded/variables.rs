@@ -1,5 +1,5 @@
-//! Variables that the parameters set in the model, typical sizes of the parameters, and simulations of all
-//! variables of the model, not only of those that are compared.
+//! Variables that the parameters set in the model, typical sizes of the parameters, and simulations that
+//! record any variable of the model.
 
 use crate::cost::process::Job;
 use crate::error::CalibrationError;
@@ -12,13 +12,13 @@ use ode::Termination;
 use std::ops::ControlFlow;
 
 impl Calibration {
-    /// The variables of the model that the parameters set, with their values at `x` in the units of the
-    /// model: what a model is given to behave as in the fit. With [local](crate::Parameter::local) parameters
-    /// it must be said in which experiment.
+    /// Returns the variables of the model that the parameters set, with their values at `x` in the units of
+    /// the model. A model with these values behaves as in the fit. With [local](crate::Parameter::local)
+    /// parameters, `experiment` selects the experiment.
     ///
     /// # Errors
-    /// [`CalibrationError::Length`]; [`CalibrationError::Setup`]: there is no such experiment, or none is
-    /// named and the values differ between them.
+    /// Returns [`CalibrationError::Length`], or [`CalibrationError::Setup`] if the experiment does not exist,
+    /// or if no experiment is given and the values differ between experiments.
     pub fn variable_values(
         &self,
         x: &[f64],
@@ -32,16 +32,17 @@ impl Calibration {
         Ok(self.values_in(k, x))
     }
 
-    /// Simulates an experiment, counted from 0, at `x` and records variables of the model as they are: by
-    /// their names, elements of arrays, patterns with `*` and `?`, or `all`; at the measured times or, if
-    /// `times` are given, at those. Outputs are not delayed, and have no offset. The context ends it as in
+    /// Simulates an experiment, counted from 0, at `x` and records variables of the model without delays and
+    /// offsets. The `variables` are names, array elements, patterns with `*` and `?`, or `all`. The values
+    /// are recorded at the measured times or, if given, at `times`. The context interrupts it as in
     /// [`simulate`](Self::simulate).
     ///
     /// # Errors
-    /// As [`simulate`](Self::simulate); [`fmi::FmiError::UnknownVariable`] with the nearest names.
+    /// Returns the errors of [`simulate`](Self::simulate), and [`fmi::FmiError::UnknownVariable`] with the
+    /// nearest names.
     ///
     /// # Panics
-    /// There is no such experiment.
+    /// Panics if the experiment does not exist.
     pub fn simulate_variables(
         &self,
         experiment: usize,
@@ -72,7 +73,7 @@ impl Calibration {
         named.map(|(name, value)| (name.to_owned(), value)).collect()
     }
 
-    /// The experiment of a name.
+    /// Returns the index of the experiment with this name.
     pub(crate) fn experiment_index(&self, name: &str) -> Result<usize, CalibrationError> {
         let names = self.problem().experiment_names();
         names.iter().position(|known| known == name).ok_or_else(|| {
@@ -81,7 +82,7 @@ impl Calibration {
         })
     }
 
-    /// The first experiment, where the values are the same in all.
+    /// Returns the index of the first experiment if the values are the same in all experiments.
     fn index_of_all(&self, x: &[f64]) -> Result<usize, CalibrationError> {
         let first = self.values_in(0, x);
         let names = self.problem().experiment_names();
@@ -98,23 +99,23 @@ impl Calibration {
         }
     }
 
-    /// The size that was given for a parameter on a linear scale: what the user said, else the model's
-    /// nominal value, but no more than the width of the bounds.
+    /// Returns the given size of a parameter on a linear scale. It is the user's nominal value, otherwise the
+    /// nominal value of the model, limited to the width of the bounds.
     pub(crate) fn given_size(&self, parameter: &Parameter) -> Option<f64> {
         if parameter.scale_kind() == Scale::Log {
             return None;
         }
         let variable = parameter.variable().and_then(|name| self.fmu().description().variable(name));
-        // That of the model is in the unit of the model.
+        // The nominal value of the model is in the unit of the model.
         let nominal = variable.filter(|_| parameter.given_unit().is_none()).and_then(|v| v.nominal);
         let width = parameter.upper() - parameter.lower();
         let of_model = nominal.map(|n| if width > 0.0 { n.abs().min(width) } else { n.abs() });
         parameter.nominal_size().or(of_model).map(f64::abs).filter(|size| size.is_finite() && *size > 0.0)
     }
 
-    /// Typical size of a parameter near a value, by the rule of the search ([`dfo::typical_size`]); of its
-    /// logarithm on a logarithmic scale; 1 where nothing is known. A value that has come near zero has the
-    /// size that it had at the start.
+    /// Returns the typical size of a parameter near a value, by the rule of the search
+    /// ([`dfo::typical_size`]). On a logarithmic scale, it is the size of the logarithm. The default is 1.
+    /// For a value that has approached zero, the size at the start is used.
     pub(crate) fn size_of(&self, parameter: &Parameter, at: f64) -> f64 {
         let (bounds, given) = ((parameter.lower(), parameter.upper()), self.given_size(parameter));
         let largest = at.abs().max(parameter.start().abs());

@@ -1,4 +1,4 @@
-//! The worker process of a calibration: it holds the model, and simulates what it is asked for.
+//! The worker process of a calibration, which loads the model and runs the requested simulations.
 
 use crate::cost::failure::ReportedCostFailure;
 use crate::cost::process::{Evaluated, Job, Loaded, put_trajectory, unsaid};
@@ -15,31 +15,31 @@ use ode::Stats;
 use std::io;
 use std::ops::ControlFlow;
 
-/// Serves as the template of worker processes, if this process was started as one: then it ends here when
-/// nobody needs it any more. Otherwise returns at once, and from then on this program starts itself for the
+/// Runs the worker process if this process was started as one; the process then ends in this function when it
+/// is no longer needed. Otherwise returns immediately. From then on, this program starts itself for the
 /// processes in which FMUs run.
 ///
-/// Belongs at the begin of `main`, before any other thread is started. A program that does not call it, and
-/// does not name another one that does (see [`Launcher`](fmi::worker::Launcher)), runs FMUs in its own
-/// process.
+/// Call this function at the beginning of `main`, before other threads are started. A program must call it,
+/// or specify another program that does (see [`Launcher`](fmi::worker::Launcher)). Otherwise FMUs run in the
+/// process of the program.
 pub fn serve_if_worker() {
     fmi::worker::serve_if_worker(|| Box::new(Server::default()));
 }
 
 #[derive(Default)]
 struct Server {
-    /// The model that was opened last, and its last simulation.
+    /// The model that was opened last, with its session.
     model: Option<(ModelFile, Session)>,
     calibration: Option<Calibration>,
-    /// The instance that is driven by hand.
+    /// The instance that is driven step by step.
     instance: Option<DrivenInstance>,
-    /// Statistics of an evaluation that is to be repeated.
+    /// Statistics of an evaluation that will be repeated.
     repeated: Stats,
     n_quirks: usize,
 }
 
 impl Server {
-    /// The model of a file, with the content that it had.
+    /// Opens the model of a file and checks its content.
     fn open(&mut self, model: ModelFile, options: &OpenOptions) -> Result<Fmu, CalibrationError> {
         if let Some((known, session)) = &self.model
             && *known == model
@@ -50,7 +50,7 @@ impl Server {
         (self.model, self.n_quirks) = (None, 0);
         let fmu = Fmu::open_with(&model.path, options)?;
         model.check(&fmu)?;
-        // Who simulates meets the error.
+        // The next simulation reports the error.
         let _ = fmu.unpack_for_copies();
         self.model = Some((model, Session::new(fmu.clone())));
         Ok(fmu)
@@ -67,7 +67,7 @@ impl Server {
     fn load(&mut self, Loaded { problem, options }: Loaded) -> Result<(), CalibrationError> {
         self.calibration = None;
         let fmu = self.open(problem.model.clone(), &options)?;
-        // What is in doubt about the problem was said where it was made.
+        // The process that created the problem has logged its warnings.
         let level = log::max_level();
         log::set_max_level(LevelFilter::Off);
         let calibration = Calibration::from_problem(fmu, problem);
@@ -143,14 +143,14 @@ impl Service for Server {
 
     fn provide_files(&mut self) {
         if let Some(fmu) = self.fmu() {
-            // Who simulates meets the error.
+            // The next simulation reports the error.
             let _ = fmu.provide_libraries();
         }
     }
 
     fn prepare(&mut self) {
         if let Some(calibration) = &self.calibration {
-            // Who simulates meets the error.
+            // The next simulation reports the error.
             let _ = calibration.prepare();
         }
     }
@@ -164,7 +164,7 @@ impl Service for Server {
     }
 }
 
-/// Ends a simulation when the context is over.
+/// Returns a callback that stops a simulation when the context is over.
 fn until(context: &RunContext<'_>) -> impl FnMut() -> ControlFlow<()> {
     || if context.is_over() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
 }
@@ -174,7 +174,7 @@ fn not_loaded() -> FmiError {
     FmiError::BadSetting(problem)
 }
 
-/// Result of a job.
+/// Runs a job and writes its result to `answer`.
 fn done(
     calibration: &Calibration,
     job: Job,
@@ -215,7 +215,7 @@ fn done(
     })
 }
 
-/// As it is told to who has asked.
+/// Converts an error for the process that sent the request.
 fn model_error(error: CalibrationError) -> FmiError {
     match error {
         CalibrationError::Model(error) => error,

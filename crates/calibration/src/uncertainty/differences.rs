@@ -1,10 +1,10 @@
 //! Changes of the residuals over steps of about one standard error along the principal axes of the
-//! covariance: the Jacobian, and what of it is noise.
+//! covariance. They determine the Jacobian and its noise.
 //!
-//! Differences over steps that are short against the standard error hold the noise of the simulations
-//! (rounding, step control, event location) as if it were information. Over one standard error along a
-//! principal axis the residuals change by the standard deviation of a residual, whichever the axis, so the
-//! ratio of signal to noise is the same for all.
+//! Differences over steps much shorter than the standard error contain simulation noise (rounding, step
+//! control, event location) that looks like information. Over one standard error along a principal axis, the
+//! residuals change by the standard deviation of a residual. This holds for every axis, so the
+//! signal-to-noise ratio is the same for all axes.
 
 use crate::error::CalibrationError;
 use crate::loaded::simulations_around::{Point, PointResiduals, Simulations};
@@ -14,94 +14,94 @@ use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-/// Steps are no longer than this part of a parameter (of its size, where it is zero; on a log scale: of its
-/// factor)...
+/// Maximum step relative to a parameter, or to its size if it is zero, or to its factor on a log scale.
 const USUAL: f64 = 0.01;
 
-/// ... except where the residuals change by less than noise: then up to this part.
+/// Maximum relative step if the residuals change by less than the noise.
 const LONGEST: f64 = 0.1;
 
-/// No shorter than this part of the usual step, however small the standard errors are.
+/// Minimum step relative to the usual step, even if the standard errors are very small.
 const SHORTEST: f64 = 1e-4;
 
-/// Steps of the first differences, where nothing is known of the Jacobian.
+/// Relative step of the first differences, when the Jacobian is unknown.
 const FIRST: f64 = 1e-3;
 
-/// The change over a step shall be so many times the noise.
+/// Required ratio of the change over a step to the noise.
 const ABOVE_NOISE: f64 = 10.0;
 
-/// A step over which the residuals bend is too long where they change by more than this many times the
-/// standard deviation of a residual, or the noise that they must stand out from.
+/// A step over which the residuals bend is too long above this change. The unit is the standard deviation of
+/// a residual, or the required change above the noise if that is larger.
 const FAR: f64 = 4.0;
 
-/// A side of a parameter that leaves less than this part of a step is left out.
+/// If a bound leaves less than this part of a step on one side, that side is not used.
 const TOO_NARROW: f64 = 0.25;
 
-/// Where residuals bend by more than this part of their change over a step of about one standard error, over
-/// which they change by at least this part of their deviation, they are looked at over this part of it.
+/// The residuals are checked for roughness if they bend by more than `BENT` of their change over about one
+/// standard error. Their change must be at least `TELLING` of their deviation. The check uses the part `PART`
+/// of the step.
 const BENT: f64 = 0.1;
 const PART: f64 = 1.0 / 16.0;
 const TELLING: f64 = 0.3;
 
-/// A smooth model bends over that by a sixteenth as much, and one whose rows have kinks that the step passes
-/// by a quarter as much (their number grows with the step). Where it is more than the first of these parts of
-/// what it was, and more than the second of the change, the model is not smooth: the kink of a few rows at
-/// the best point itself stays below that.
+/// Over the short step, a smooth model bends by a sixteenth as much. A model whose rows have kinks that the
+/// step crosses bends by a quarter as much, because the number of kinks grows with the step. The model is not
+/// smooth if the bend exceeds `STILL_BENT` of its previous value and `LEAST_BENT` of the change. A kink of a
+/// few rows at the best point itself stays below this limit.
 const STILL_BENT: f64 = 0.5;
 const LEAST_BENT: f64 = 0.4;
 
-/// A bend below so many times the error of the simulations is theirs.
+/// A bend below this multiple of the simulation error counts as simulation error.
 const BEND_ABOVE_NOISE: f64 = 10.0;
 
-/// With the changes `a1 + a3 + a5` over a step, Richardson's extrapolation leaves `a1 - a5 / 4`. What is left
-/// is no change where it is less than this part of what was taken away, `a3 + 5 a5 / 4`: for `a5 = a3 / 8`
-/// that much is left of `a1 = 0`.
+/// With the changes `a1 + a3 + a5` over a step, Richardson's extrapolation leaves `a1 - a5 / 4`. This
+/// remainder counts as zero if it is below this part of the removed terms, `a3 + 5 a5 / 4`. For `a5 = a3 /
+/// 8`, this is the remainder of `a1 = 0`.
 const LEFT_OVER: f64 = 1.0 / 32.0;
 
-/// Rounding of a simulated value relative to what was measured.
+/// Rounding error of a simulated value, relative to the measurements.
 const ROUNDING: f64 = 1e-13;
 
-/// The point around which the parameters that are not held are moved.
+/// The point around which the free parameters are moved.
 pub(crate) struct Center<'a> {
     pub(crate) parameters: &'a [Parameter],
     pub(crate) x: &'a [f64],
-    /// Numbers of the parameters that are moved.
+    /// Indices of the parameters to move.
     pub(crate) free: &'a [usize],
-    /// Their typical sizes in the coordinates of the search.
+    /// Typical sizes of these parameters, in the coordinates of the search.
     pub(crate) sizes: &'a [f64],
-    /// The residuals there, as they count.
+    /// Residuals at the point, as they count in the cost.
     pub(crate) residuals: &'a [f64],
-    /// Norm of the measurements, times their weights.
+    /// Norm of the weighted measurements.
     pub(crate) measured: f64,
-    /// Norm of the difference from accurate simulations; 0 where there is none.
+    /// Norm of the difference from accurate simulations; 0 if there is none.
     pub(crate) simulation_error: f64,
 }
 
-/// Differences around a point: over the step `B z` in the coordinates of the search the residuals change by
+/// Differences around a point. Over the step `B z` in the coordinates of the search, the residuals change by
 /// `E z`.
 pub(crate) struct Differences {
     /// E, m x p.
     pub(crate) changes: DMatrix<f64>,
-    /// B, p x p: a step per column.
+    /// B, p x p: one step per column.
     pub(crate) steps: DMatrix<f64>,
-    /// A combination of the changes whose norm is below this is noise.
+    /// Norm below which a combination of the changes is noise.
     pub(crate) noise: f64,
-    /// By how much the residuals bend over each step that goes to both sides, `r(+) + r(-) - 2 r(0)`,
-    /// relative to their change `r(+) - r(-)`; 0 for others.
+    /// Bend of the residuals over each two-sided step, `r(+) + r(-) - 2 r(0)`, relative to their change
+    /// `r(+) - r(-)`; 0 for one-sided steps.
     bends: Vec<f64>,
-    /// The residuals bend as no smooth model lets them.
+    /// Bends that no smooth model can have.
     pub(crate) roughness: Option<ResidualBend>,
 }
 
 /// Bends of the residuals over a step of about one standard error that do not vanish with the step, relative
-/// to their change. Those of a smooth model are proportional to the step; the relative curvature of Bates and
-/// Watts (J. R. Stat. Soc. B 42, 1980, section 2) is their limit.
+/// to their change. The bends of a smooth model are proportional to the step. Their limit is the relative
+/// curvature of Bates and Watts (J. R. Stat. Soc. B 42, 1980, section 2).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ResidualBend {
-    /// Over about one standard error.
+    /// Bend over about one standard error.
     pub bend: f64,
-    /// Over a sixteenth of that.
+    /// Bend over a sixteenth of that step.
     #[serde(alias = "bend_of_quarter")]
     pub bend_of_part: f64,
 }
@@ -126,8 +126,8 @@ impl Center<'_> {
         self.parameters[self.free[k]].scale_kind() == crate::problem::parameter::Scale::Log
     }
 
-    /// Sizes that steps are relative to: the parameter itself, on a log scale a factor e; not less than a
-    /// step by which the residuals change by `deviation`, as far as the typical size goes.
+    /// Returns the sizes that steps are relative to: the parameter itself, or a factor e on a log scale. The
+    /// size is at least a step over which the residuals change by `deviation`, limited to the typical size.
     fn references(&self, jacobian: &DMatrix<f64>, deviation: f64) -> DVector<f64> {
         DVector::from_fn(self.free.len(), |k, _| {
             if self.is_log(k) {
@@ -151,7 +151,7 @@ impl Center<'_> {
         x
     }
 
-    /// Longest steps that the bounds allow in a direction, backward and forward.
+    /// Returns the longest steps that the bounds allow in a direction, backward and forward.
     fn room(&self, step: &Step) -> (f64, f64) {
         let (mut backward, mut forward) = (f64::INFINITY, f64::INFINITY);
         for (k, d) in step.direction.iter().enumerate().filter(|(_, d)| **d != 0.0) {
@@ -163,8 +163,8 @@ impl Center<'_> {
         (backward, forward)
     }
 
-    /// From where to where a step goes, as multiples of its direction: to both sides as far, to one side
-    /// where the other has no room. `None`: there is none on either side.
+    /// Returns the start and end of a step, as multiples of its direction. A step is symmetric, or one-sided
+    /// if there is no room on the other side. Returns `None` if there is no room on either side.
     fn span(&self, step: &Step) -> Option<(f64, f64)> {
         let ((backward, forward), t) = (self.room(step), step.length);
         let least = TOO_NARROW * t;
@@ -180,8 +180,9 @@ impl Center<'_> {
         }
     }
 
-    /// The steps, or where the bounds leave no room for one of them, steps along the axes of the parameters
-    /// that go as far along each: on one side there is room for at least half the width of the bounds.
+    /// Returns the steps. If the bounds leave no room for one of them, returns steps of the same extent along
+    /// the axes of the parameters instead. Along an axis, one side always has room for at least half the
+    /// width of the bounds.
     fn with_room(&self, steps: Vec<Step>) -> Vec<Step> {
         if steps.iter().all(|step| self.span(step).is_some()) {
             return steps;
@@ -201,14 +202,14 @@ impl Center<'_> {
 }
 
 impl Differences {
-    /// In a fit, two simulations for each parameter, along the principal axes of a first guess `jacobian` (m
-    /// x p, by the coordinates of the search), or else along the axes of the parameters; and two more for
-    /// each combination whose change does not stand out from the noise, or over whose step the residuals
-    /// bend.
+    /// Computes the differences. In a fit, it runs two simulations for each parameter, along the principal
+    /// axes of a first guess `jacobian` (m x p, with respect to the coordinates of the search). Without a
+    /// guess, it uses the axes of the parameters. It runs two more simulations for each combination whose
+    /// change is not above the noise, or whose residuals bend over the step.
     ///
     /// # Errors
-    /// Cancelled, or no simulation can be made any more; `Ok(Err(..))`: simulations fail on both sides of the
-    /// point.
+    /// Returns an error if the work is cancelled or no simulation is possible any more. Returns `Ok(Err(..))`
+    /// if simulations fail on both sides of the point.
     pub(crate) fn around(
         center: &Center<'_>,
         jacobian: Option<DMatrix<f64>>,
@@ -228,7 +229,8 @@ impl Differences {
             })
         };
         let guess = match jacobian.filter(|jacobian| jacobian.iter().all(|j| j.is_finite())) {
-            // Whoever asks for it has the first round for the lengths of the second one.
+            // An explicit request includes a first round that determines the step lengths of the
+            // second one.
             None if simulations.budget.is_unlimited() => {
                 match Self::measured(center, center.with_room(first()), simulations)? {
                     Ok(found) => Some(found.jacobian(&simulations.context)?),
@@ -250,9 +252,8 @@ impl Differences {
         Ok(Ok(Self { noise: 3.0 * noise, roughness, ..found }))
     }
 
-    /// Steps that were too short or too long are replaced: combinations of them whose changes do not stand
-    /// out from the noise by longer ones, and steps over which the residuals bend, far beyond a standard
-    /// error, by shorter ones.
+    /// Replaces steps that were too short or too long. Combinations whose changes are not above the noise get
+    /// longer steps. Steps far beyond a standard error over which the residuals bend get shorter ones.
     fn with_better_steps(
         self,
         center: &Center<'_>,
@@ -273,7 +274,7 @@ impl Differences {
         };
         let far = FAR * deviation.max(least);
         let is_bent = |k: usize| self.bends[k] > BENT && self.changes.column(k).norm() > far;
-        // A combination of the steps, as long as it has to be.
+        // The combination of the steps is lengthened as required.
         let lengthened = |i: usize| {
             let direction = &self.steps * v_t.row(i).transpose();
             let largest = direction.component_div(&references).amax().max(f64::MIN_POSITIVE);
@@ -314,7 +315,7 @@ impl Differences {
         Ok(own)
     }
 
-    /// The changes over these steps.
+    /// Simulates these steps and returns the changes.
     fn measured(
         center: &Center<'_>,
         mut steps: Vec<Step>,
@@ -371,14 +372,14 @@ impl Differences {
         Ok(Err(reason))
     }
 
-    /// Changes over steps that nothing else is known of.
+    /// Creates differences from changes and steps only.
     pub(crate) fn of(changes: DMatrix<f64>, steps: DMatrix<f64>, noise: f64) -> Self {
         Self { changes, steps, noise, bends: Vec::new(), roughness: None }
     }
 
-    /// Looks at a sixteenth of the step over which the residuals bend most: a simulation of a smooth model is
-    /// a sixteenth of the change away there, up to as small a part of its bend. Switching times that jump
-    /// with the parameters make them bend as much over any step.
+    /// Checks a sixteenth of the step over which the residuals bend most. With a smooth model, the residuals
+    /// change by a sixteenth there, up to a correspondingly small part of the bend. Switching times that jump
+    /// with the parameters cause the same relative bend over every step.
     fn roughness(
         &self,
         center: &Center<'_>,
@@ -398,7 +399,7 @@ impl Differences {
         let Some((from, to)) = center.span(&part) else { return Ok(None) };
         let by = if to > 0.0 { to } else { from };
         let found = match simulations.beside(&[Point::new(center.moved(&part, by))]) {
-            // What is known by now is more than that.
+            // The differences computed so far are more important than this check.
             Err(CalibrationError::Cancelled) => return Ok(None),
             found => found?.swap_remove(0),
         };
@@ -412,8 +413,8 @@ impl Differences {
         Ok((is_rough && 2.0 * size > BEND_ABOVE_NOISE * noise).then_some(found))
     }
 
-    /// Steps that were made long, so that changes stand out from the noise, are made half as long as well:
-    /// what grows with the third power of the step is taken away (Richardson's extrapolation).
+    /// Repeats long steps with half the length and removes the cubic terms (Richardson's extrapolation). Long
+    /// steps were used so that changes exceed the noise.
     fn without_cubic_terms(
         mut self,
         center: &Center<'_>,
@@ -439,7 +440,7 @@ impl Differences {
         Ok(self)
     }
 
-    /// The same with the residuals multiplied by these factors.
+    /// Returns the differences with the residuals multiplied by these factors.
     pub(crate) fn weighted(mut self, factors: &[f64]) -> Self {
         for mut column in self.changes.column_iter_mut() {
             column.iter_mut().zip(factors).for_each(|(change, factor)| *change *= factor);
@@ -448,7 +449,7 @@ impl Differences {
         self
     }
 
-    /// By the coordinates of the search, m x p.
+    /// Returns the Jacobian with respect to the coordinates of the search, m x p.
     pub(crate) fn jacobian(&self, context: &RunContext<'_>) -> Result<DMatrix<f64>, CalibrationError> {
         if self.steps.is_empty() {
             return Ok(self.changes.clone());
@@ -460,7 +461,7 @@ impl Differences {
     }
 }
 
-/// The norm of `a + b - 2 c` over that of `b - a`; 0 where nothing changes.
+/// Returns the norm of `a + b - 2 c` divided by the norm of `b - a`; 0 if nothing changes.
 fn bend(a: &[f64], c: &[f64], b: &[f64]) -> f64 {
     let norm = |of: &dyn Fn(usize) -> f64| (0..c.len()).map(|i| of(i).powi(2)).sum::<f64>().sqrt();
     let (change, bend) = (norm(&|i| b[i] - a[i]), norm(&|i| a[i] + b[i] - 2.0 * c[i]));
@@ -471,8 +472,8 @@ fn first_reason(found: &[PointResiduals]) -> Option<String> {
     found.iter().find_map(|found| found.as_ref().err().cloned())
 }
 
-/// Steps along the principal axes of the covariance that this Jacobian stands for, each of about one standard
-/// error, or as long as it must be to stand out from the noise.
+/// Returns steps along the principal axes of the covariance that this Jacobian implies. Each step is about
+/// one standard error long, or as long as required to exceed the noise.
 fn principal_steps(
     center: &Center<'_>,
     jacobian: &DMatrix<f64>,

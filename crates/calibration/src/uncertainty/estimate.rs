@@ -1,5 +1,5 @@
-//! Uncertainty of a fit: standard errors of its parameters, parameters that the data can determine, and
-//! checks of the residuals.
+//! Uncertainty of a fit: standard errors of its parameters, identifiable parameters, and checks of the
+//! residuals.
 
 use crate::cost::residual::sum_of_squares;
 use crate::error::CalibrationError;
@@ -25,19 +25,19 @@ use dfo::{ParameterKind, RobustLoss};
 use nalgebra::{DMatrix, DVector};
 use std::thread::available_parallelism;
 
-/// Data at a point that are known before its uncertainty is estimated.
+/// Data that are known at a point before its uncertainty is estimated.
 #[derive(Default)]
 pub(crate) struct KnownPoint<'a> {
-    /// Plain residuals.
+    /// Residuals before a loss is applied.
     pub(crate) residuals: Option<&'a [f64]>,
     /// Their derivatives in the user's units, m x n: where the differences begin. The derivatives of a search
     /// come from points as it happened to try them, so they never replace differences.
     pub(crate) jacobian: Option<&'a [f64]>,
-    /// Parameters that lie at a bound, or are held.
+    /// Indices of parameters that are at a bound or held.
     pub(crate) held: Vec<usize>,
-    /// Parameters that were seen to have no effect: not held, even at a bound, where they say nothing.
+    /// Indices of parameters without a visible effect. They are not held, even at a bound.
     pub(crate) inert: &'a [usize],
-    /// Differences of the cost that count as none, relative to it.
+    /// Relative differences of the cost that are negligible.
     pub(crate) f_tol: f64,
     /// Form of the cost as a function of the residuals.
     pub(crate) criterion: Criterion,
@@ -46,20 +46,20 @@ pub(crate) struct KnownPoint<'a> {
 /// The residuals at a point.
 struct CenterResiduals {
     residuals: Vec<f64>,
-    /// Those of more accurate simulations; `None`: they fail, or were skipped.
+    /// Residuals of more accurate simulations; `None` if they failed or were skipped.
     accurate: Option<Vec<f64>>,
-    /// Size of the difference; where it is not known, the relative tolerance of the measurements.
+    /// Norm of the difference. If it is unknown, the relative tolerance times the norm of the measurements.
     simulation_error: f64,
 }
 
 impl CenterResiduals {
-    /// The noise of differences as a part of the residuals; zero where simulations have no error.
+    /// Returns the noise of differences relative to the residuals; zero if simulations have no error.
     fn part_of(&self, noise: f64) -> f64 {
         let size = sum_of_squares(&self.residuals).sqrt();
         if self.simulation_error > 0.0 && size > 0.0 { noise / size } else { 0.0 }
     }
 
-    /// The steps of the free parameters to the minimum of more accurate simulations.
+    /// Returns the steps of the free parameters to the minimum of more accurate simulations.
     fn steps_by_accuracy(
         &self,
         working: &Working,
@@ -73,25 +73,25 @@ impl CenterResiduals {
     }
 }
 
-/// The estimate of a covariance: of the free ones of `n` parameters.
+/// Inputs of the covariance estimate of the free parameters among `n`.
 struct Estimate<'a> {
     n: usize,
     free: &'a [usize],
-    /// Derivative of each of them by its coordinate in the search.
+    /// Derivative of each free parameter with respect to its coordinate in the search.
     per_unit: &'a [f64],
     factors: &'a Factors,
     groups: &'a [Group],
     noise: &'a Noise,
-    /// Experiment and name of each measured initial state.
+    /// Experiment and state of each measured initial state.
     starts: &'a [(usize, String)],
-    /// Variance of the plain residuals of each output over that of its working residuals.
+    /// For each output, the variance of the plain residuals divided by the variance of the working residuals.
     plain: &'a [f64],
 }
 
 /// Covariances of all parameters, n x n, in the user's units.
 struct Covariances {
     covariance: Vec<f64>,
-    /// The covariance of uncorrelated residuals, where the other is corrected for autocorrelation.
+    /// Covariance under the assumption of independent residuals; `None` if no autocorrelation was corrected.
     uncorrected: Option<Vec<f64>>,
     /// Diagonal of the inverse of half the cost's second derivatives.
     curvature: Vec<f64>,
@@ -99,7 +99,7 @@ struct Covariances {
     degrees_of_freedom: Vec<f64>,
     /// Autocorrelation of each output.
     autocorrelations: Vec<f64>,
-    /// With the errors of measured initial states, corrected and uncorrected.
+    /// Joint covariance with measured initial states, corrected and uncorrected.
     joint: JointErrors,
     uncorrected_joint: Option<JointErrors>,
 }
@@ -149,8 +149,8 @@ impl Estimate<'_> {
         joint.of_all(n, (free, per_unit, &factors.is_undetermined), starts, outputs)
     }
 
-    /// A covariance of the free parameters, in the coordinates of the search, as one of all in the user's
-    /// units: infinite variances, and no covariances, where the data do not determine a parameter.
+    /// Converts a covariance of the free parameters in the coordinates of the search to all parameters in the
+    /// user's units. An undetermined parameter has an infinite variance and NaN covariances.
     fn of_all(&self, of_free: &DMatrix<f64>) -> Vec<f64> {
         let Self { n, free, per_unit, factors, noise, .. } = *self;
         let is_open = |k: usize| factors.is_undetermined[k] || noise.degrees_of_freedom == 0.0;
@@ -169,17 +169,19 @@ impl Estimate<'_> {
 }
 
 impl Calibration {
-    /// Uncertainty of a point as the result of a fit: covariance and correlation of the parameters,
-    /// parameters that the data do not determine, checks of the residuals, and the cost with a tenth of the
-    /// relative tolerance (of a fixed-step method: half the step). Takes one simulation for that, two for
-    /// each parameter that is not held, twice (steps of about one standard error are found by a first round),
-    /// and two more for each combination of them whose change does not stand out from the noise of the
-    /// simulations, or over which the residuals bend. Simulations run in parallel. The context is looked at
-    /// on the calling thread.
+    /// Estimates the uncertainty of a point as if it were the result of a fit. The result contains the
+    /// covariance and correlation of the parameters, undetermined parameters, and checks of the residuals. It
+    /// also contains the cost with a tenth of the relative tolerance (half the step for a fixed-step method).
+    ///
+    /// The number of simulations is one for the accurate cost, plus two in each of two rounds for each
+    /// parameter that is not held. The first round determines steps of about one standard error. Two more
+    /// simulations are run for each combination of parameters whose change is not above the noise of the
+    /// simulations, or whose residuals bend over the step. Simulations run in parallel. The context is
+    /// checked on the calling thread.
     ///
     /// # Errors
-    /// The wrong number of values; the simulation fails there, or on all sides around it;
-    /// [`CalibrationError::Cancelled`].
+    /// Returns an error if the number of values is wrong, or if simulations fail at the point or on both
+    /// sides of it. Returns [`CalibrationError::Cancelled`] if the context is over.
     pub fn uncertainty(
         &self,
         x: &[f64],
@@ -210,8 +212,8 @@ impl Calibration {
         self.uncertainty_and_curvature(x, estimator, known, simulations).map(|(uncertainty, _)| uncertainty)
     }
 
-    /// The same with the diagonal of the inverse of half the cost's second derivatives, in the user's units;
-    /// infinite where there is none.
+    /// Estimates the uncertainty, and the diagonal of the inverse of half the cost's second derivatives, in
+    /// the user's units. The diagonal is infinite for undetermined parameters.
     pub(crate) fn uncertainty_and_curvature(
         &self,
         x: &[f64],
@@ -307,7 +309,7 @@ impl Calibration {
         Ok((uncertainty, covariances.curvature))
     }
 
-    /// The uncertainty at a point before anything is estimated.
+    /// Returns the uncertainty at a point before anything is estimated.
     fn nothing_known(&self, x: &[f64], estimator: Estimator) -> Uncertainty {
         let parameters = self.parameters();
         Uncertainty {
@@ -323,7 +325,8 @@ impl Calibration {
         }
     }
 
-    /// The checks of the residuals of all outputs, which measured initial states change so.
+    /// Returns the checks of the residuals of all outputs. The `by_starts` are the changes of the residuals
+    /// by measured initial states.
     fn residual_checks(
         &self,
         residuals: &[f64],
@@ -339,7 +342,7 @@ impl Calibration {
         Ok(checks)
     }
 
-    /// Parameters that are taken as known, and the others, by number.
+    /// Returns the indices of the parameters treated as known, and of the others.
     fn held_and_free(&self, x: &[f64], known: &KnownPoint<'_>) -> (Vec<usize>, Vec<usize>) {
         let is_held = |i: &usize| {
             let p = &self.parameters()[*i];
@@ -351,7 +354,8 @@ impl Calibration {
         (0..x.len()).partition(is_held)
     }
 
-    /// The residuals at a point, where they are not known, and those of more accurate simulations.
+    /// Returns the residuals at a point, simulated if unknown, and the residuals of more accurate
+    /// simulations.
     fn residuals_at_center(
         &self,
         x: &[f64],
@@ -370,40 +374,42 @@ impl Calibration {
         let is_simulated = found.is_some();
         let accurate = found.and_then(|mut found| found.swap_remove(0).ok());
         let simulation_error = match &accurate {
-            // That of a fixed step is the same on all sides.
+            // The error of a fixed step is the same on both sides of the point.
             _ if self.has_fixed_step() => 0.0,
             Some(accurate) => {
                 accurate.iter().zip(&residuals).map(|(a, r)| (a - r) * (a - r)).sum::<f64>().sqrt()
             }
             None if is_simulated => 0.0,
-            // What the method keeps to.
+            // The method controls its error to this tolerance.
             None => self.relative_tolerance() * self.residual_layout().size_of_measurements(),
         };
         Ok(CenterResiduals { residuals, accurate, simulation_error })
     }
 
-    /// The value of a parameter; of one whose bounds have zero between them, its size where that is larger.
+    /// Returns the absolute value of a parameter. If zero is between its bounds, it is at least the size of
+    /// the parameter.
     fn size_of_either_sign(&self, p: &Parameter, x: f64) -> f64 {
         let is_of_either = p.lower() < 0.0 && p.upper() > 0.0 && p.scale_kind() == Scale::Linear;
         if is_of_either { self.size_of(p, x).max(x.abs()) } else { x.abs() }
     }
 
-    /// True if a parameter lies at one of its bounds.
+    /// True if a parameter is at one of its bounds.
     fn is_at_bound(&self, p: &Parameter, x: f64) -> bool {
         let (lower, upper, at) = (inner(p, p.lower()), inner(p, p.upper()), inner(p, x));
         (at - lower).min(upper - at) <= AT * self.size_of(p, x)
     }
 }
 
-/// True if zero is a usual value of a parameter, which an error relative to the value says nothing of: where
-/// both signs are allowed and the search starts there, and of what is added to a signal.
+/// True if zero is a usual value of a parameter, so that a relative error is meaningless. The bounds must
+/// allow both signs, and the parameter must be a delay or an offset, or start at zero.
 fn is_about_zero(p: &Parameter) -> bool {
     let is_added = matches!(p.target(), Target::Delay(_) | Target::Offset(_));
     let is_of_either = p.lower() < 0.0 && p.upper() > 0.0 && p.scale_kind() == Scale::Linear;
     is_of_either && (is_added || p.start() == 0.0)
 }
 
-/// Derivatives by the coordinates of the free parameters, m x p, from those by all n parameters, row by row.
+/// Converts derivatives with respect to all n parameters, row by row, to derivatives with respect to the
+/// coordinates of the free parameters, m x p.
 fn of_free(
     by_all: &[f64],
     n: usize,
@@ -420,7 +426,8 @@ fn of_free(
     Ok(jacobian)
 }
 
-/// The reverse: those of the others are zero.
+/// Converts derivatives with respect to the free coordinates to derivatives with respect to all parameters.
+/// The derivatives for the other parameters are zero.
 fn of_all(
     jacobian: &DMatrix<f64>,
     n: usize,
@@ -437,7 +444,7 @@ fn of_all(
     Ok(by_all)
 }
 
-/// Derivative of a parameter by its coordinate in the search.
+/// Returns the derivative of a parameter with respect to its coordinate in the search.
 fn slope(p: &Parameter, x: f64) -> f64 {
     match p.scale_kind() {
         Scale::Linear => 1.0,

@@ -1,4 +1,4 @@
-//! Uncertainty of the parameters: covariance, residual tests, active bounds, the same before a fit.
+//! Uncertainty of the parameters: covariance, residual tests, active bounds, and the preflight before a fit.
 
 pub(crate) mod covariance;
 pub(crate) mod diagnostics;

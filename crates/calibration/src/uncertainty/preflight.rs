@@ -1,5 +1,5 @@
-//! Sensitivity of the cost to each parameter at the start of a fit, and its accuracy there: each is moved
-//! once, and the start is simulated more accurately.
+//! Sensitivity of the cost to each parameter at the start of a fit, and its accuracy there. Each parameter is
+//! moved once, and the start is simulated once more with higher accuracy.
 
 use crate::cost::accuracy::Accuracy;
 use crate::cost::residual::sum_of_squares;
@@ -17,26 +17,26 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::thread::available_parallelism;
 
-/// A parameter is moved by this part of its size.
+/// Relative size of the step of a parameter.
 const MOVE: f64 = 0.01;
 
-/// A change below so many times the error of the simulations is none.
+/// A change counts as an effect if it exceeds this multiple of the simulation error.
 const ABOVE_ERROR: f64 = 3.0;
 
-/// From this correlation on two parameters move the outputs the same way.
+/// Correlation from which two parameters count as confounded.
 const CONFOUNDED: f64 = 0.95;
 
-/// Evaluations that a fit by least squares is expected to take are so many for each parameter and one more:
-/// about twice what the fits of the Furuta pendulum and the quadruple tank take.
+/// Expected evaluations of a least-squares fit, for each parameter and one more. It is about twice the number
+/// that the fits of the Furuta pendulum and the quadruple tank need.
 const EVALUATIONS: usize = 12;
 
 /// Options of a [preflight](Calibration::preflight).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct PreflightOptions {
-    /// Where; default: the parameters' start values.
+    /// Point to check; default: the start values of the parameters.
     pub start: Option<Vec<f64>>,
-    /// Simulations that run at once; default: all cores.
+    /// Number of parallel simulations; default: all cores.
     pub workers: Option<usize>,
     /// Loss function: the contribution of a residual to the cost.
     pub loss: RobustLoss,
@@ -49,36 +49,35 @@ pub struct PreflightOptions {
 pub struct Preflight {
     /// One entry per parameter.
     pub parameters: Vec<ParameterCheck>,
-    /// Pairs that move the outputs the same way at the start, with the correlation that their estimates would
-    /// have.
+    /// Pairs of parameters with similar effects on the outputs at the start, and the correlation that their
+    /// estimates would have.
     pub confounded: Vec<(usize, usize, f64)>,
     /// Cost at the start.
     pub cost: f64,
-    /// The same with a tenth of the relative tolerance, or with half the step; `None` where that
+    /// Cost at the start with a tenth of the relative tolerance, or with half the step; `None` if that
     /// simulation failed.
     pub accurate_cost: Option<f64>,
-    /// The difference of both relative to the cost (0 where the residuals are all error of the simulations):
-    /// `f_tol` below it asks for what the simulations do not tell.
+    /// Difference of the two costs relative to the cost; 0 if the residuals are only simulation error. An
+    /// `f_tol` below it cannot be reached.
     pub noise: f64,
-    /// The method has a fixed step: the accurate cost is that with half of it, and the difference is no
-    /// noise.
+    /// True if the method uses a fixed step. The accurate cost is then the cost with half the step, and the
+    /// difference is not noise.
     #[serde(default)]
     pub is_step_halved: bool,
-    /// The step of the simulations in s, where they have one.
+    /// Step of the simulations in s, if they have one.
     #[serde(default)]
     pub step_size: Option<f64>,
-    /// Wall-clock seconds of an evaluation at the start.
+    /// Wall-clock time of an evaluation at the start, in s.
     pub seconds_per_evaluation: f64,
-    /// Evaluations that a fit by least squares is expected to take: 12 for each free parameter and one more,
-    /// a rule of thumb.
+    /// Expected evaluations of a least-squares fit: 12 for each free parameter and one more, a rule of thumb.
     pub expected_evaluations: usize,
-    /// Seconds that they take one after the other.
+    /// Time of the expected evaluations in s, run one after the other.
     pub expected_seconds: f64,
-    /// Evaluations that may run at once.
+    /// Number of evaluations that may run in parallel.
     pub workers: usize,
-    /// Findings, those that explain others first; empty if there are none.
+    /// Findings, sorted so that causes come first; empty if there are none.
     pub findings: Vec<Finding>,
-    /// Points that were simulated.
+    /// Number of points that were simulated.
     pub n_simulations: usize,
 }
 
@@ -87,38 +86,39 @@ pub struct Preflight {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct ParameterCheck {
-    /// Its name.
+    /// Name of the parameter.
     pub name: String,
-    /// Its start value.
+    /// Start value of the parameter.
     pub start: f64,
-    /// Where it was moved to; `None`: it is fixed.
+    /// Value after the step; `None` if the parameter is fixed.
     pub moved_to: Option<f64>,
-    /// Root of the mean squared change of the residuals for a step of the parameter's size (see
-    /// [`Parameter::nominal`]), relative to the root of the mean squared range of the measurements; `None`
-    /// where nothing was moved or the simulation failed.
+    /// Root mean square of the change of the residuals for a step of the parameter's size (see
+    /// [`Parameter::nominal`]), relative to the root mean square of the ranges of the measurements. `None` if
+    /// nothing was moved or the simulation failed.
     pub sensitivity: Option<f64>,
-    /// True if the parameter moves an output by more than the error of the simulations.
+    /// True if the parameter changes an output by more than the simulation error.
     pub has_effect: bool,
-    /// Why the simulation failed.
+    /// Reason if the simulation failed.
     pub failure: Option<String>,
 }
 
-/// Evaluation at the start of a fit that was made before its search.
+/// Evaluation at the start of a fit, made before its search.
 #[derive(Debug, Clone)]
 pub(crate) struct AtStart {
-    /// The residuals as they count.
+    /// Residuals as they count in the cost.
     pub(crate) residuals: Vec<f64>,
-    /// Statistics of its simulations.
+    /// Statistics of the simulations.
     pub(crate) stats: Stats,
 }
 
 impl Calibration {
-    /// Looks before a fit at what would spoil it: each parameter is moved by a hundredth of its size (one
-    /// simulation each, in parallel), and the start is simulated once more with a tenth of the relative
-    /// tolerance (with a fixed-step method: half the step). The context is looked at on the calling thread.
+    /// Checks the start of a fit for problems. Each parameter is moved by a hundredth of its size, with one
+    /// simulation each, in parallel. The start is simulated once more with a tenth of the relative tolerance
+    /// (half the step for a fixed-step method). The context is checked on the calling thread.
     ///
     /// # Errors
-    /// The wrong number of start values; the simulation fails at the start; [`CalibrationError::Cancelled`].
+    /// Returns an error if the number of start values is wrong or the simulation fails at the start. Returns
+    /// [`CalibrationError::Cancelled`] if the context is over.
     pub fn preflight(
         &self,
         options: &PreflightOptions,
@@ -127,8 +127,8 @@ impl Calibration {
         self.preflight_counted(options, &mut None, context, &mut Stats::default())
     }
 
-    /// The same; what its simulations took is added to `stats`. `known`: the residuals at the start, as they
-    /// count, and the seconds that they took, which are not simulated again then, and are handed on.
+    /// Checks the start and adds the statistics of its simulations to `stats`. If `known` contains the
+    /// evaluation at the start, it is not simulated again. Otherwise the evaluation is stored in `known`.
     pub(crate) fn preflight_counted(
         &self,
         options: &PreflightOptions,
@@ -166,7 +166,7 @@ impl Calibration {
             changed.iter().zip(&residuals).map(|(c, r)| (c - r) * (c - r)).sum::<f64>().sqrt()
         };
         let is_step_halved = self.has_fixed_step();
-        // That of a fixed step is the same wherever the parameters are.
+        // The error of a fixed step is the same for all parameter values.
         let error = accurate.as_deref().filter(|_| !is_step_halved).map_or(0.0, norm);
         let n_root = (residuals.len() as f64).sqrt();
         let range = self.range_of_measurements();
@@ -192,7 +192,8 @@ impl Calibration {
                         Some(change / n_root / (step.abs() / self.size_of(p, start[i])) / range);
                     check.has_effect = change > ABOVE_ERROR * error && change > 0.0;
                     if check.has_effect {
-                        // Of a step upward, wherever the bounds let it go.
+                        // The change is converted to an upward step, whichever direction the bounds
+                        // allowed.
                         let by = |(c, r): (&f64, &f64)| step.signum() * (c - r);
                         columns.push((i, changed.iter().zip(&residuals).map(by).collect()));
                     }
@@ -226,7 +227,7 @@ impl Calibration {
         Ok(preflight)
     }
 
-    /// A value a hundredth of its size away.
+    /// Returns a value that differs by a hundredth of its size.
     pub(crate) fn moved_a_little(&self, p: &Parameter, x: f64) -> f64 {
         let (lower, upper, from) = (inner(p, p.lower()), inner(p, p.upper()), inner(p, x));
         let by = match p.value_kind() {
@@ -237,8 +238,8 @@ impl Calibration {
         outer(p, to)
     }
 
-    /// Root of the mean squared range of the measurements, times their weights, over all outputs; of the
-    /// measurements themselves where they do not vary.
+    /// Returns the root mean square of the weighted ranges of the measurements over all outputs. If the
+    /// measurements are constant, their absolute values are used instead.
     fn range_of_measurements(&self) -> f64 {
         let mean_square = |of_output: &dyn Fn(&[f64]) -> f64| {
             let outputs = self.residual_layout().outputs.iter();
@@ -260,8 +261,8 @@ impl Calibration {
     }
 }
 
-/// Pairs of columns that are the same but for their length, as far as the others leave it open: by the
-/// correlation that estimates with these derivatives have.
+/// Returns the pairs of nearly parallel columns, given the other columns. The measure is the correlation of
+/// estimates with these derivatives.
 fn confounded(columns: &[(usize, Vec<f64>)]) -> Vec<(usize, usize, f64)> {
     let p = columns.len();
     let unit = |column: &[f64]| {
@@ -339,8 +340,8 @@ impl Preflight {
         said
     }
 
-    /// A tolerance of the cost, relative to it, that the simulations can meet: this one, or their noise.
-    /// Those of a fixed step have none.
+    /// Returns a relative tolerance of the cost that the simulations can meet: the larger of `f_tol` and
+    /// their noise. With a fixed step, it is `f_tol`.
     pub fn f_tol_above_noise(&self, f_tol: f64) -> f64 {
         if self.is_step_halved { f_tol } else { f_tol.max(self.noise) }
     }

@@ -1,4 +1,4 @@
-//! The numbers of the uncertainty of a fit, confidence intervals, and how they are printed.
+//! Results of an uncertainty estimate, confidence intervals, and their printed form.
 
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, table};
@@ -20,10 +20,10 @@ use std::fmt;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Estimator {
-    /// `(J'J)^-1 J'SJ (J'J)^-1` with one residual variance per output of the model, over all of its
-    /// recordings with the same weight (a weight states the noise: recordings with different ones have
-    /// variances of their own), estimated without bias. As [`Pooled`](Self::Pooled) where all residuals are
-    /// rounding.
+    /// `(J'J)^-1 J'SJ (J'J)^-1` with one residual variance per output of the model, estimated without bias.
+    /// The variance is shared by all recordings of the output with the same weight. Recordings with different
+    /// weights have separate variances, because a weight declares the noise. If all residuals are rounding
+    /// errors, it is the same as [`Pooled`](Self::Pooled).
     #[default]
     Sandwich,
     /// `s^2 (J'J)^-1` with one variance for all residuals: `r'r / (N - p)`.
@@ -31,7 +31,7 @@ pub enum Estimator {
 }
 
 impl Estimator {
-    /// "sandwich" or "pooled".
+    /// Returns "sandwich" or "pooled".
     pub fn name(self) -> &'static str {
         match self {
             Self::Sandwich => "sandwich",
@@ -55,19 +55,19 @@ impl fmt::Display for Estimator {
 pub struct UncertaintyOptions {
     /// Estimator of the covariance.
     pub estimator: Estimator,
-    /// Simulations that run at once; default: all cores, in a fit: as many as its evaluations. The result
+    /// Number of parallel simulations. Default: all cores or, in a fit, the workers of the fit. The result
     /// does not depend on it.
     pub workers: Option<usize>,
-    /// Parameters that are taken as known, by number, besides those that are fixed or lie at a bound: the
-    /// standard errors of the others are conditional then. In a fit: those that it
-    /// [holds](crate::FitOptions::held), too.
+    /// Indices of parameters to treat as known, in addition to fixed parameters and parameters at a bound.
+    /// The standard errors of the other parameters are then conditional. In a fit, the parameters that it
+    /// [holds](crate::FitOptions::held) are added.
     pub held: Vec<usize>,
-    /// Loss function: the contribution of a residual to the cost; in a fit: as there. With a robust loss the
-    /// covariance is that of an M-estimator, `mean psi^2 / (mean psi')^2 (J'J)^-1` for each output (Huber,
-    /// Robust Statistics, 1981, section 7.6).
+    /// Loss function: the contribution of a residual to the cost; in a fit, the loss of the fit. With a
+    /// robust loss, the covariance is that of an M-estimator, `mean psi^2 / (mean psi')^2 (J'J)^-1` for each
+    /// output (Huber, Robust Statistics, 1981, section 7.6).
     pub loss: RobustLoss,
-    /// True if the cost is the [likelihood](crate::NamedCost::Likelihood), whose information weighs each
-    /// output by the inverse of its variance; in a fit: as there.
+    /// True if the cost is the [likelihood](crate::NamedCost::Likelihood), whose information weights each
+    /// output by the inverse of its variance. In a fit, it follows from the cost of the fit.
     pub is_likelihood: bool,
 }
 
@@ -79,8 +79,8 @@ impl UncertaintyOptions {
 
 /// Uncertainty of a fit, with checks of its residuals.
 ///
-/// From central differences over steps of about one standard error (see the source of `differences`); never
-/// from second derivatives. Residuals of priors count, with the variance 1.
+/// It is computed from central differences over steps of about one standard error (see the source of
+/// `differences`). Second derivatives are never used. Residuals of priors count with variance 1.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
@@ -91,127 +91,128 @@ pub struct Uncertainty {
     pub names: Vec<String>,
     /// The point, in the user's units.
     pub x: Vec<f64>,
-    /// True for each parameter that is searched by its logarithm: its
-    /// [confidence interval](Self::confidence_intervals) is symmetric there.
+    /// True for each parameter with a logarithmic scale. Its [confidence
+    /// interval](Self::confidence_intervals) is symmetric in the logarithm.
     pub is_log: Vec<bool>,
-    /// Sizes that standard errors are compared with to say how well a parameter is known: the value, of one
-    /// whose bounds have zero between them the size that the search takes for it where that is larger. Empty:
-    /// the values.
+    /// Sizes for relative standard errors. The size is the absolute value of the parameter. If zero is
+    /// between the bounds, it is at least the size used by the search. If it is empty, the absolute values
+    /// are used.
     #[serde(default)]
     pub sizes: Vec<f64>,
-    /// Of each parameter: zero is one of its usual values, and a standard error says nothing relative to it.
-    /// Empty: of none.
+    /// True for each parameter for which zero is a usual value. A relative standard error is then
+    /// meaningless. If it is empty, no parameter has this property.
     #[serde(default)]
     pub is_about_zero: Vec<bool>,
-    /// Covariance of the parameters, n x n, row by row, in the user's units, with the residuals of outputs
-    /// that are autocorrelated taken for a first-order autoregression (see
-    /// [`autocorrelations`](Self::autocorrelations)), and the noise of
-    /// [measured](crate::InitialState::Measured) initial states. Zero for parameters that are
-    /// [held](Self::held); infinite on the diagonal, NaN beside it, for those that the data do not
-    /// [determine](Self::undetermined).
+    /// Covariance of the parameters, n x n, row by row, in the user's units. Autocorrelated residuals are
+    /// modelled as a first-order autoregression (see [`autocorrelations`](Self::autocorrelations)). The noise
+    /// of [measured](crate::InitialState::Measured) initial states is included. Entries are zero for
+    /// [held](Self::held) parameters. For [undetermined](Self::undetermined) parameters, the diagonal is
+    /// infinite and the other entries are NaN.
     pub covariance: Vec<f64>,
-    /// Standard errors: the roots of its diagonal.
+    /// Standard errors: the square roots of the diagonal of the covariance.
     pub standard_errors: Vec<f64>,
-    /// Correlation of the parameters, n x n, row by row; NaN where a standard error is zero or infinite.
+    /// Correlation of the parameters, n x n, row by row. It is NaN if a standard error is zero or infinite.
     pub correlation: Vec<f64>,
-    /// The covariance that supposes independent residuals; `None` where no output has autocorrelated ones,
-    /// and it is the same. See [`uncorrected`](Self::uncorrected).
+    /// Covariance under the assumption of independent residuals; see [`uncorrected`](Self::uncorrected).
+    /// `None` if the residuals of no output are autocorrelated, because the two covariances are then the
+    /// same.
     pub uncorrected_covariance: Option<Vec<f64>>,
-    /// The autocorrelation rho at lag one that the covariance supposes of the residuals of each output of
-    /// each experiment, `s^2 rho^|i - j|`, in the order of the residual vector: that of the residuals, but
-    /// for the part that the fit has taken from it; zero where it is no more than chance.
+    /// Autocorrelation rho at lag one that the covariance assumes for the residuals of each output of each
+    /// experiment, `s^2 rho^|i - j|`. The order is that of the residual vector. It is the autocorrelation of
+    /// the residuals, corrected for the part that the fit has removed. It is zero if it is not significant.
     pub autocorrelations: Vec<f64>,
     /// Degrees of freedom of the quantile of Student's t for each parameter: twice the square of its variance
-    /// over the variance of that estimate (Satterthwaite, Biometrics Bulletin 2, 1946). With one variance for
-    /// all residuals these are the [`degrees_of_freedom`](Self::degrees_of_freedom). They are fewer where the
-    /// variance is mostly that of an output with few measurements, or where residuals are autocorrelated, and
-    /// more where it is mostly that of a prior.
+    /// divided by the variance of that estimate (Satterthwaite, Biometrics Bulletin 2, 1946). With one
+    /// variance for all residuals, they are the [`degrees_of_freedom`](Self::degrees_of_freedom). They are
+    /// fewer if the variance is mostly from an output with few measurements, or if residuals are
+    /// autocorrelated. They are more if the variance is mostly from a prior.
     pub effective_degrees_of_freedom: Vec<f64>,
-    /// The residuals of each output of each experiment, in the order of the residual vector.
+    /// Checks of the residuals of each output of each experiment, in the order of the residual vector.
     pub residual_checks: Vec<ResidualCheck>,
-    /// Number of measurements less the number of parameters that they determine: the trace of the projection
-    /// onto the changes by the parameters, over the residuals of the measurements. Without priors it is the
-    /// number of parameters that are not held; a prior as good as the measurements counts one half of them.
-    /// Measurements of weight zero do not count, nor those from which a simulation starts.
+    /// Number of measurements minus the number of parameters that they determine. The latter is the trace of
+    /// the projection onto the changes by the parameters, over the residuals of the measurements. Without
+    /// priors, it is the number of parameters that are not held. A parameter whose prior is as precise as the
+    /// measurements counts one half. Measurements of weight zero and measurements that a simulation starts
+    /// from are not counted.
     pub degrees_of_freedom: f64,
-    /// Parameters that are fixed, held, lie at a bound, or are no continuous numbers, by number: taken as
-    /// known.
+    /// Indices of parameters treated as known: fixed, held, at a bound, or not continuous.
     pub held: Vec<usize>,
-    /// Parameters that the data do not determine, by number.
+    /// Indices of parameters that the data do not determine.
     pub undetermined: Vec<usize>,
-    /// Those of them that change no residual by more than the noise of the simulations.
+    /// Indices of undetermined parameters that change no residual by more than the noise of the simulations.
     pub without_effect: Vec<usize>,
-    /// Pairs of parameters that move the outputs the same way, with their correlation: 0.9 or more.
+    /// Pairs of parameters with similar effects on the outputs, and their correlation (at least 0.9 in
+    /// absolute value).
     pub confounded: Vec<(usize, usize, f64)>,
-    /// The parameters of the combination that the data determine worst, where there are three or more in it.
+    /// Parameters of the combination that the data determine worst, if it contains three or more parameters.
     pub weakest: Vec<usize>,
-    /// Parameters that this data can tell, by number: the longest beginning of the order in which the columns
-    /// of the scaled Jacobian are most independent (QR with column pivoting; Burth, Verghese and Velez-Reyes,
-    /// IEEE Trans. Power Systems 14, 1999) that has relative standard errors below 50 % and no correlation of
-    /// 0.9 or more, the others held.
+    /// Indices of parameters that the data can determine while the others are held. They are the longest
+    /// prefix of the pivot order with relative standard errors below 50 % and no correlation of 0.9 or more.
+    /// In the pivot order, the columns of the scaled Jacobian are as independent as possible (QR with column
+    /// pivoting; Burth, Verghese and Velez-Reyes, IEEE Trans. Power Systems 14, 1999).
     pub identifiable: Vec<usize>,
-    /// Changes of the residuals below this part of them are errors of the simulations.
+    /// Relative size of residual changes below which changes are simulation errors.
     #[serde(default)]
     pub simulation_noise: f64,
-    /// The residuals bend as no smooth model lets them: standard errors do not hold.
+    /// Bends of the residuals that no smooth model can have. If present, the standard errors are invalid.
     #[serde(default)]
     pub roughness: Option<ResidualBend>,
     /// Findings about the uncertainty, the residuals and the cost.
     pub findings: Vec<Finding>,
-    /// The cost, as the fit has it.
+    /// Cost, as defined in the fit.
     pub cost: f64,
-    /// The cost with a tenth of the relative tolerance, or with half the step; `None` where that
-    /// simulation failed.
+    /// Cost with a tenth of the relative tolerance, or with half the step; `None` if that simulation failed
+    /// or was skipped.
     pub accurate_cost: Option<f64>,
-    /// By how many of its standard errors that accuracy moves the parameter that it moves most.
+    /// Largest change of a parameter by that accuracy, in its standard errors.
     #[serde(default)]
     pub shift_by_accuracy: f64,
-    /// The method has a fixed step: the accurate cost is that with half of it.
+    /// True if the method uses a fixed step. The accurate cost is then the cost with half the step.
     #[serde(default)]
     pub is_step_halved: bool,
-    /// The step of the simulations in s, where they have one.
+    /// Step of the simulations in s, if they have one.
     #[serde(default)]
     pub step_size: Option<f64>,
-    /// True if the residuals are within ten relative tolerances of the measurements: the data hold no noise,
-    /// and the accuracy of the cost does not matter.
+    /// True if the residuals are within ten relative tolerances of the measurements. The data then contain no
+    /// noise, and the accuracy of the cost does not matter.
     pub is_exact: bool,
-    /// The part of the cost that one more step of least squares takes away, as simulated: 0 at a minimum. 0
-    /// too where that step is within the standard errors, and where the measurements are reproduced
+    /// Relative decrease of the cost by one more least-squares step, as simulated. It is 0 at a minimum. It
+    /// is also 0 if that step is within the standard errors, or if the measurements are reproduced
     /// [exactly](Self::is_exact).
     #[serde(default)]
     pub left_to_gain: f64,
-    /// No part of that step can be simulated: what would be gained is predicted.
+    /// True if no part of that step can be simulated. The decrease is then a prediction.
     #[serde(default)]
     pub is_at_failures: bool,
     /// Priors that the measurements contradict.
     #[serde(default)]
     pub prior_conflicts: Vec<PriorConflict>,
-    /// The cost has a robust loss.
+    /// True if the cost has a robust loss.
     #[serde(default)]
     pub has_loss: bool,
-    /// Derivatives of the residuals by the parameters, m x n, row by row, in the user's units; zero for those
-    /// that are held.
+    /// Derivatives of the residuals with respect to the parameters, m x n, row by row, in the user's units.
+    /// Columns of held parameters are zero.
     pub jacobian: Vec<f64>,
-    /// The residuals, m, before a loss.
+    /// Residuals, m, before a loss is applied.
     pub residuals: Vec<f64>,
-    /// Covariance of the parameters and of measured initial states together, from which predictions are made.
+    /// Joint covariance of the parameters and measured initial states, used for predictions.
     #[serde(default)]
     pub(crate) joint: JointErrors,
-    /// The same for independent residuals.
+    /// Joint covariance under the assumption of independent residuals.
     #[serde(default)]
     pub(crate) uncorrected_joint: Option<JointErrors>,
-    /// Points that were simulated to find out.
+    /// Number of points simulated for the estimate.
     pub n_simulations: usize,
 }
 
 impl Uncertainty {
-    /// Confidence intervals of the parameters, lower and upper end, by Student's t with the [degrees of
-    /// freedom](Self::effective_degrees_of_freedom) of each: `x -+ t s`, of a parameter that is searched by
-    /// its logarithm `x exp(-+ t s / x)`. Those of held parameters are points, those of undetermined ones
-    /// have no ends. `level`: 0.95, for example.
+    /// Returns the lower and upper ends of the confidence intervals of the parameters at `level`, for example
+    /// 0.95. They use Student's t with the [degrees of freedom](Self::effective_degrees_of_freedom) of each
+    /// parameter: `x -+ t s`, or `x exp(-+ t s / x)` on a logarithmic scale. Intervals of held parameters are
+    /// points. Intervals of undetermined parameters are unbounded.
     ///
     /// # Errors
-    /// A level that does not lie between 0 and 1.
+    /// Returns an error if the level is not between 0 and 1.
     pub fn confidence_intervals(&self, level: f64) -> Result<Vec<(f64, f64)>, CalibrationError> {
         let interval = |i: usize| {
             let (x, quantile) = (self.x[i], check_level(level, self.effective_degrees_of_freedom[i])?);
@@ -225,15 +226,15 @@ impl Uncertainty {
         (0..self.x.len()).map(interval).collect()
     }
 
-    /// The same with covariance, standard errors, correlation and degrees of freedom that suppose independent
-    /// residuals.
+    /// Returns the uncertainty with covariance, standard errors, correlation and degrees of freedom under the
+    /// assumption of independent residuals.
     pub fn uncorrected(&self) -> Self {
         let mut own = self.clone();
         if let Some(covariance) = own.uncorrected_covariance.take() {
             (own.standard_errors, own.correlation) = errors_and_correlation(&covariance, own.x.len());
             own.covariance = covariance;
             if let Some(joint) = own.uncorrected_joint.take() {
-                // A parameter that is held, or that the data do not determine, has none of its own.
+                // A held or undetermined parameter has no separate degrees of freedom.
                 let all = own.degrees_of_freedom;
                 let degrees = |i: usize| {
                     Some(joint.degrees_of_freedom(&joint.of(i))).filter(|own| !own.is_nan()).unwrap_or(all)
@@ -246,34 +247,35 @@ impl Uncertainty {
         own
     }
 
-    /// Standard errors that suppose independent residuals; `None` where no output has autocorrelated ones.
+    /// Returns the standard errors under the assumption of independent residuals. Returns `None` if the
+    /// residuals of no output are autocorrelated.
     pub fn uncorrected_errors(&self) -> Option<Vec<f64>> {
         self.uncorrected_covariance
             .as_deref()
             .map(|covariance| errors_and_correlation(covariance, self.x.len()).0)
     }
 
-    /// The standard errors in the coordinates of the search.
+    /// Returns the standard errors in the coordinates of the search.
     pub(crate) fn errors_of_search(&self) -> impl Iterator<Item = f64> + '_ {
         let own = self.standard_errors.iter().zip(&self.x).zip(&self.is_log);
         own.map(|((error, x), is_log)| if *is_log { error / x } else { *error })
     }
 
-    /// Notes by how much another accuracy of the simulations moves the parameters: steps of these in the
-    /// coordinates of the search.
+    /// Stores the largest change of a parameter by another accuracy of the simulations. The `steps` are the
+    /// changes in the coordinates of the search.
     pub(crate) fn note_shift(&mut self, free: &[usize], steps: &DVector<f64>) {
         let errors: Vec<f64> = self.errors_of_search().collect();
         let shifts = free.iter().zip(steps).map(|(i, step)| (step / errors[*i]).abs());
         self.shift_by_accuracy = shifts.filter(|shift| shift.is_finite()).fold(0.0, f64::max);
     }
 
-    /// True if the data determine a parameter, and there are no residuals left that would tell its error.
+    /// True if the data determine a parameter but too few residuals are left to estimate its error.
     pub(crate) fn has_unknown_error(&self, i: usize) -> bool {
         self.standard_errors[i].is_infinite() && !self.undetermined.contains(&i)
     }
 
-    /// Findings about the covariance in words: parameters that are not determined, or taken as known; empty
-    /// if there are none.
+    /// Returns findings about the covariance as text: parameters that are undetermined or treated as known.
+    /// The text is empty if there are none.
     pub fn message(&self) -> String {
         let mut said: Vec<String> = self.undetermined_findings().iter().map(Finding::advice).collect();
         if !self.held.is_empty() {
@@ -283,17 +285,17 @@ impl Uncertainty {
         said.join("; ")
     }
 
-    /// All findings in sentences; empty if there are none.
+    /// Returns all findings as sentences; empty if there are none.
     pub fn verdict(&self) -> Vec<String> {
         self.findings.iter().map(Finding::advice).collect()
     }
 
-    /// The [findings](Self::findings) with other names of the parameters.
+    /// Returns the [findings](Self::findings) with other names of the parameters.
     pub(crate) fn findings_with(&self, names: &[String]) -> Vec<Finding> {
         if names == self.names {
             return self.findings.clone();
         }
-        // No sentence that names a parameter depends on the tolerance.
+        // Sentences that name a parameter do not depend on the tolerance.
         let named = self.all_findings(0.0);
         let renamed = Self { names: names.to_vec(), ..self.clone() }.all_findings(0.0);
         let shown = |finding: &Finding| {
@@ -304,7 +306,7 @@ impl Uncertainty {
     }
 }
 
-/// A line per parameter with its standard error, then the verdict.
+/// Prints a line with the standard error of each parameter, then the findings.
 impl fmt::Display for Uncertainty {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let uncorrected = self.uncorrected_errors();
@@ -335,8 +337,8 @@ impl fmt::Display for Uncertainty {
     }
 }
 
-/// The roots of the diagonal of an n x n covariance, and the correlation: NaN where a root is zero or
-/// infinite.
+/// Returns the square roots of the diagonal of an n x n covariance, and the correlation. The correlation is
+/// NaN if a root is zero or infinite.
 pub(crate) fn errors_and_correlation(covariance: &[f64], n: usize) -> (Vec<f64>, Vec<f64>) {
     let errors: Vec<f64> = (0..n).map(|i| covariance[i * n + i].max(0.0).sqrt()).collect();
     let correlation = |k: usize| {
@@ -351,10 +353,10 @@ pub(crate) fn errors_and_correlation(covariance: &[f64], n: usize) -> (Vec<f64>,
     (errors, correlation)
 }
 
-/// The quantile of Student's t for a two-sided interval; infinite without degrees of freedom.
+/// Returns the quantile of Student's t for a two-sided interval; infinite for zero degrees of freedom.
 ///
 /// # Errors
-/// A level that does not lie between 0 and 1.
+/// Returns an error if the level is not between 0 and 1.
 pub(crate) fn check_level(level: f64, degrees_of_freedom: f64) -> Result<f64, CalibrationError> {
     if !(level > 0.0 && level < 1.0) {
         let level = Number(level);
@@ -365,13 +367,13 @@ pub(crate) fn check_level(level: f64, degrees_of_freedom: f64) -> Result<f64, Ca
     Ok(student_quantile(0.5 + 0.5 * level, degrees_of_freedom))
 }
 
-/// From so many degrees of freedom on the expansion is accurate to rounding; far beyond, an inversion of the
-/// distribution loses its digits.
+/// Number of degrees of freedom above which the expansion is accurate to rounding. Far above it, inverting
+/// the distribution loses digits.
 const MANY: f64 = 1000.0;
 
-/// The quantile of Student's t: by inversion of the distribution; for many degrees of freedom by the
-/// Cornish-Fisher expansion about that of the normal distribution (Abramowitz and Stegun, Handbook of
-/// Mathematical Functions, 1964, 26.7.5).
+/// Returns the quantile of Student's t by inverting the distribution. For many degrees of freedom, it uses
+/// the Cornish-Fisher expansion about the normal quantile (Abramowitz and Stegun, Handbook of Mathematical
+/// Functions, 1964, 26.7.5).
 fn student_quantile(probability: f64, degrees_of_freedom: f64) -> f64 {
     let nu = degrees_of_freedom;
     if nu < MANY {

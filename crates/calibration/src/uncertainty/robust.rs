@@ -1,9 +1,9 @@
 //! Robust statistics: the median, and distances from it.
 
-/// The median absolute deviation of normally distributed numbers is this part of their standard deviation.
+/// Median absolute deviation of a normal distribution, in standard deviations.
 pub(crate) const MEDIAN_DEVIATION: f64 = 0.674_489_750_196_081_7;
 
-/// The values are sorted.
+/// Returns the median; sorts the values.
 pub(crate) fn median(values: &mut [f64]) -> f64 {
     values.sort_by(f64::total_cmp);
     match values.len() {
@@ -13,7 +13,8 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
     }
 }
 
-/// Distances from the median, in robust standard deviations; NaN or infinite where these are zero.
+/// Returns the distances from the median, in robust standard deviations; NaN or infinite if the deviation is
+/// zero.
 pub(crate) fn distances(r: &[f64]) -> Vec<f64> {
     let center = median(&mut r.to_vec());
     let distances: Vec<f64> = r.iter().map(|r| (r - center).abs()).collect();
@@ -21,7 +22,7 @@ pub(crate) fn distances(r: &[f64]) -> Vec<f64> {
     distances.into_iter().map(|distance| distance / deviation).collect()
 }
 
-/// Normally distributed numbers, by the method of Box and Muller.
+/// Returns normally distributed numbers, using the Box-Muller method.
 #[cfg(test)]
 pub(crate) fn normal_numbers(n: usize, state: &mut u64) -> Vec<f64> {
     let mut uniform = || {

@@ -1,34 +1,34 @@
-//! Matrices of many rows. The context is looked at before each operation, and between the blocks of rows of
-//! the longest one, the factorisation.
+//! Operations on matrices with many rows. The context is checked before each operation. In the longest
+//! operation, the factorisation, it is also checked between blocks of rows.
 
 use crate::error::CalibrationError;
 use base::RunContext;
 use nalgebra::{DMatrix, DMatrixView, DVector};
 use std::ops::Range;
 
-/// Operations on a block: some 10 ms.
+/// Number of operations on a block: about 10 ms.
 const OPERATIONS: usize = 1 << 24;
 
 /// Thin singular value decomposition of a matrix.
 pub(crate) struct ThinSvd {
-    /// m x p; the columns of singular values that are zero are zero.
+    /// Left singular vectors, m x p. Columns of zero singular values are zero.
     pub(crate) u: DMatrix<f64>,
-    /// p of them.
+    /// Singular values, p.
     pub(crate) values: Vec<f64>,
-    /// p x p.
+    /// Transposed right singular vectors, p x p.
     pub(crate) v_t: DMatrix<f64>,
 }
 
-/// To be asked between two pieces of work that take some 10 ms.
+/// Checks the context between two operations of about 10 ms.
 ///
 /// # Errors
-/// [`CalibrationError::Cancelled`]: the work is to end.
+/// Returns [`CalibrationError::Cancelled`] if the work must end.
 pub(crate) fn go_on(context: &RunContext<'_>) -> Result<(), CalibrationError> {
     if context.is_over() { Err(CalibrationError::Cancelled) } else { Ok(()) }
 }
 
-/// The triangle of the QR factorisation of these rows of a matrix, which has their singular values; the rows
-/// themselves where they are no more than the columns.
+/// Returns the triangle of the QR factorisation of these rows of a matrix. It has the same singular values as
+/// the rows. If there are at most as many rows as columns, the rows themselves are returned.
 pub(crate) fn triangle(
     matrix: &DMatrix<f64>,
     rows: &[Range<usize>],
@@ -50,7 +50,7 @@ pub(crate) fn triangle(
     Ok(above)
 }
 
-/// The product of a matrix and a small one.
+/// Returns the product of a matrix and a small matrix.
 pub(crate) fn product(
     matrix: &DMatrix<f64>,
     by: &DMatrix<f64>,
@@ -60,7 +60,7 @@ pub(crate) fn product(
     Ok(matrix * by)
 }
 
-/// The rows, each times its factor.
+/// Returns the rows, each multiplied by its factor.
 pub(crate) fn scaled(
     matrix: &DMatrix<f64>,
     factors: &[f64],
@@ -74,7 +74,7 @@ pub(crate) fn scaled(
     Ok(rows)
 }
 
-/// The products `a'b` of the columns of two matrices.
+/// Returns the products `a'b` of the columns of two matrices.
 pub(crate) fn inner_products(
     a: DMatrixView<'_, f64>,
     b: DMatrixView<'_, f64>,
@@ -84,7 +84,7 @@ pub(crate) fn inner_products(
     Ok(a.tr_mul(&b))
 }
 
-/// The products `a' W a` of the columns of a matrix, W diagonal.
+/// Returns the products `a' W a` of the columns of a matrix, with a diagonal W.
 pub(crate) fn weighted_products(
     a: &DMatrix<f64>,
     weights: &[f64],
@@ -93,7 +93,7 @@ pub(crate) fn weighted_products(
     Ok(a.tr_mul(&scaled(a, weights, context)?))
 }
 
-/// The products of the columns of a matrix with a vector.
+/// Returns the products of the columns of a matrix with a vector.
 pub(crate) fn along(
     matrix: &DMatrix<f64>,
     vector: &[f64],
@@ -103,7 +103,8 @@ pub(crate) fn along(
     Ok(matrix.tr_mul(&DVector::from_column_slice(vector)))
 }
 
-/// The decomposition by that of the triangle; `None`: it does not converge, or there are no columns.
+/// Returns the decomposition, computed from the triangle. Returns `None` if it does not converge or there are
+/// no columns.
 pub(crate) fn thin_svd(
     matrix: &DMatrix<f64>,
     context: &RunContext<'_>,
@@ -134,7 +135,7 @@ mod tests {
         DMatrix::from_fn(m, p, |i, k| (0.7 * (i * (k + 1)) as f64).sin() + f64::from(u8::from(i % p == k)))
     }
 
-    /// Several blocks have the results of one, and the context is asked between them.
+    /// Several blocks give the same results as one, and the context is checked between them.
     #[test]
     fn many_rows_have_the_factors_of_few() {
         let (context, p) = (RunContext::new(), 40);

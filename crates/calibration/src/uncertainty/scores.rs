@@ -1,5 +1,6 @@
 //! Scores of the residuals in the equations that a fit solves, for least squares, robust losses and the
-//! likelihood: near its solution all of them are linear least squares with other residuals and rows.
+//! likelihood. Near the solution, each of these is a linear least-squares problem with other residuals and
+//! rows.
 
 use crate::problem::objective::NamedCost;
 use crate::problem::residual_layout::ResidualLayout;
@@ -7,13 +8,12 @@ use crate::uncertainty::group::Group;
 use dfo::{MeanScore, RobustLoss};
 use nalgebra::DVector;
 
-/// Form of the cost that a fit minimises, as a function of the residuals.
+/// Cost that a fit minimises, as a function of the residuals.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Criterion {
-    /// The sum of what they count.
+    /// Sum of squared residuals with a loss.
     Loss(RobustLoss),
-    /// The likelihood with an unknown standard deviation for each output, see
-    /// [`NamedCost`](crate::NamedCost).
+    /// Likelihood with an unknown standard deviation for each output; see [`NamedCost`](crate::NamedCost).
     Likelihood,
 }
 
@@ -24,12 +24,12 @@ impl Default for Criterion {
 }
 
 impl Criterion {
-    /// True without a loss.
+    /// True if there is no loss.
     pub(crate) fn is_sum_of_squares(self) -> bool {
         matches!(self, Self::Loss(loss) if loss.is_linear())
     }
 
-    /// The cost of plain residuals.
+    /// Returns the cost of plain residuals.
     pub(crate) fn cost(self, layout: &ResidualLayout, residuals: &[f64]) -> f64 {
         match self {
             Self::Loss(loss) => {
@@ -42,21 +42,22 @@ impl Criterion {
     }
 }
 
-/// The residuals of a problem of linear least squares with the same solution and the same curvature as the
-/// fit's: with the scores `psi(r)` (half the derivative of what a residual counts) and their mean slope `l`
-/// over an output, its residuals are `psi / sqrt(l)` and its rows those of the Jacobian times `sqrt(l)`.
+/// Residuals of a linear least-squares problem with the same solution and curvature as the fit. The scores
+/// `psi(r)` are half the derivative of the cost of a residual, and `l` is their mean slope over an output.
+/// The working residuals are `psi / sqrt(l)`, and the working rows are the rows of the Jacobian times
+/// `sqrt(l)`.
 pub(crate) struct Working {
     pub(crate) residuals: Vec<f64>,
-    /// `sqrt(l)` of each residual.
+    /// `sqrt(l)` for each residual.
     pub(crate) roots: Vec<f64>,
     /// Factor of the variance of each residual: Huber's correction for small samples.
     pub(crate) corrections: Vec<f64>,
 }
 
 impl Working {
-    /// For an M-estimator with these losses the covariance of [`MeanScore`] comes out, p parameters and N
-    /// residuals. With the likelihood an output counts by the inverse of its variance, which is Fisher's
-    /// information. Priors have no loss.
+    /// Computes the working residuals for p parameters and N residuals. With a loss, they lead to the
+    /// covariance of an M-estimator, see [`MeanScore`]. With the likelihood, an output is weighted with the
+    /// inverse of its variance, which gives Fisher's information. Priors have no loss.
     pub(crate) fn new(criterion: Criterion, plain: &[f64], groups: &[Group], p: usize) -> Self {
         let n = plain.len();
         let mut own = Self { residuals: plain.to_vec(), roots: vec![1.0; n], corrections: vec![1.0; n] };
@@ -80,7 +81,8 @@ impl Working {
         own
     }
 
-    /// Variance of the plain residuals of each output over that of the working ones.
+    /// Returns the variance of the plain residuals divided by the variance of the working residuals, for each
+    /// output.
     pub(crate) fn plain_over_working(
         &self,
         layout: &ResidualLayout,
@@ -99,12 +101,12 @@ impl Working {
         ratios
     }
 
-    /// Weighs a change of the residuals as the rows of the Jacobian.
+    /// Weights a change of the residuals like the rows of the Jacobian.
     pub(crate) fn weigh(&self, change: &mut DVector<f64>) {
         change.iter_mut().zip(&self.roots).for_each(|(change, root)| *change *= root);
     }
 
-    /// The change, weighed.
+    /// Returns the weighted change.
     pub(crate) fn weighed(&self, change: &DVector<f64>) -> DVector<f64> {
         let mut own = change.clone();
         self.weigh(&mut own);
@@ -145,11 +147,13 @@ mod tests {
             );
             assert!(working.roots.iter().chain(&working.corrections).all(|one| (one - 1.0).abs() < 1e-6));
         }
-        // Of Huber's loss with the scale 1 half the residuals lie within: mean psi' = 0.49 for all but the smoothing.
+        // With Huber's loss at scale 1, half the residuals are within the scale: mean psi' = 0.49
+        // for all but the smoothing.
         let working = with(Loss::Huber, 1.0);
         let slope = working.roots[0] * working.roots[0];
         assert!((slope - 0.49).abs() < 0.02, "{slope}");
-        // Over the bandwidth 0.9 * 1 / 0.6745 * 100^(-1/5) = 0.53 it falls from 1 at 0.47 to 0 at 1.53: mean square (0.47 + 1.06 / 3) 0.49.
+        // Over the bandwidth 0.9 * 1 / 0.6745 * 100^(-1/5) = 0.53, the slope falls from 1 at 0.47
+        // to 0 at 1.53: mean square (0.47 + 1.06 / 3) 0.49.
         let expected = (1.0 + 0.02 * ((0.47 + 1.06 / 3.0) * 0.49 - 0.49 * 0.49) / (0.49 * 0.49_f64)).powi(2);
         assert!((working.corrections[0] - expected).abs() < 2e-3, "{}", working.corrections[0]);
         assert!((working.residuals[98] * working.roots[98] - 1.0).abs() < 1e-12);

@@ -1,4 +1,4 @@
-//! Parameters that a search could not move: that ended at a bound, or did not change the cost.
+//! Parameters that a search could not move: they ended at a bound or did not change the cost.
 
 use crate::cost::failure::CostFailure;
 use crate::cost::residual::CostRule;
@@ -23,7 +23,7 @@ pub enum BoundSide {
 }
 
 impl BoundSide {
-    /// "lower" or "upper".
+    /// Returns "lower" or "upper".
     pub fn name(self) -> &'static str {
         match self {
             Self::Lower => "lower",
@@ -42,58 +42,65 @@ impl BoundSide {
 /// Parameters of a fit that ended at a bound or did not change the cost.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct StuckParameters {
-    /// Parameters that ended at a bound, by number.
+    /// Indices of parameters that ended at a bound, with the bound.
     pub(crate) at_bound: Vec<(usize, BoundSide)>,
-    /// Parameters that did not change the cost, by number.
+    /// Indices of parameters that did not change the cost.
     pub(crate) without_effect: Vec<usize>,
-    /// Simulations that were made to find out.
+    /// Number of simulations for these checks.
     pub(crate) n_checks: usize,
-    /// What the budget did not allow.
+    /// Checks that the budget did not allow.
     pub(crate) skipped: Vec<Extra>,
 }
 
-/// Nearer to its bound than this share of its size a parameter is at it: the optimiser's scaling rounds.
+/// Distance to a bound, relative to the size, below which a parameter is at the bound. The scaling of the
+/// optimiser rounds.
 pub(crate) const AT: f64 = 1e-9;
 
-/// Farther than this share of its size it is not, however wide the search still is.
+/// Distance to a bound, relative to the size, above which a parameter is not at the bound, however wide the
+/// search still is.
 const NEAR: f64 = 1e-3;
 
-/// A parameter is moved by this share of its size to see whether it changes the cost.
+/// Step, relative to the size, that tests whether a parameter changes the cost.
 const MOVE: f64 = 0.1;
 
-/// A parameter that may be at its bound, by number.
+/// A parameter that may be at its bound.
 struct Candidate {
     index: usize,
     side: BoundSide,
-    /// The final simplex or population is no narrower than the bound is near.
+    /// True if the distance to the bound is within the width of the final simplex or population.
     is_likely: bool,
     is_sure: bool,
 }
 
-/// A parameter that may be without effect, by number; whether an evaluation of the fit has shown it.
+/// A parameter that may have no effect. `is_seen` is true if an evaluation of the fit has shown this.
 struct Suspect {
     index: usize,
     is_seen: bool,
 }
 
-/// A run that has ended, and what was asked of it.
+/// A finished run and its settings.
 pub(crate) struct EndedRun<'a> {
     pub(crate) start: &'a [f64],
-    /// Parameters that stayed at the start, by number.
+    /// Indices of parameters that were held at the start.
     pub(crate) held: &'a [usize],
     pub(crate) report: &'a Report,
     pub(crate) kind: &'a CostKind,
     pub(crate) tolerances: &'a Tolerances,
-    /// The standard errors are found as well: their simulations show which parameters have an effect.
+    /// True if standard errors are estimated as well. Their simulations show which parameters have an effect.
     pub(crate) has_errors: bool,
 }
 
 impl Calibration {
-    /// Parameters at their bounds and without effect. What the evaluations of the run leave open is
-    /// simulated, unless time or an interrupt ended the run: one simulation at the bound for each parameter
-    /// that ended as near to it as the tolerance of the run, one with the parameter moved for each that an
-    /// evaluation has shown not to change the cost, or where there are no standard errors to tell, that none
-    /// has shown to change it, as far as the budget allows. No budget of the search counts them.
+    /// Finds parameters at their bounds and parameters without effect. Cases that the evaluations of the run
+    /// do not decide are simulated within the budget, unless time or an interrupt ended the run:
+    ///
+    /// - One simulation at the bound for each parameter that ended within the tolerance of the run.
+    /// - One simulation with the parameter moved, if an evaluation has shown that the parameter does not
+    ///   change the cost.
+    /// - Without standard errors, also one for each parameter that no evaluation has shown to change the
+    ///   cost.
+    ///
+    /// The evaluation limits of the search do not include these simulations.
     pub(crate) fn stuck_parameters(
         &self,
         run: &EndedRun<'_>,
@@ -129,7 +136,8 @@ impl Calibration {
                 .value()
                 .ok_or_else(|| CostFailure::failed(FailureKind::Error, "there is no cost".to_owned()))
         };
-        // The budget of the search is no budget for these, but what an evaluation has shown need not cost another one.
+        // The evaluation limit of the search does not apply here, but no simulation is spent on
+        // what an evaluation has already shown.
         let is_spent = *report.termination.ended() == Termination::MaxEvaluations;
         for Candidate { index, side, is_likely, is_sure } in candidates {
             let is_at = if is_sure || is_spent && is_likely {
@@ -166,7 +174,7 @@ impl Calibration {
         StuckParameters { at_bound, without_effect, n_checks, skipped }
     }
 
-    /// Parameters that ended near a bound.
+    /// Returns the parameters that ended near a bound.
     fn near_bound(&self, report: &Report, tolerances: &Tolerances) -> Vec<Candidate> {
         let vertices =
             report.final_simplex.as_ref().or(report.final_population.as_ref()).map(|s| &s.vertices);
@@ -195,8 +203,8 @@ impl Calibration {
         self.parameters().iter().enumerate().filter_map(candidate).collect()
     }
 
-    /// Parameters of which no evaluation shows that they change the cost, as far as two evaluations differ
-    /// from each other in one parameter alone: most methods begin with such.
+    /// Returns the parameters that no evaluation has shown to change the cost. The evidence is pairs of
+    /// evaluations that differ in one parameter only; most methods start with such pairs.
     fn suspects(&self, start: &[f64], report: &Report, kind: &CostKind) -> Vec<Suspect> {
         let free = |(i, p): (usize, &Parameter)| (p.lower() < p.upper() && !p.is_fixed()).then_some(i);
         let mut suspects: Vec<Suspect> = (self.parameters().iter().enumerate().filter_map(free))
@@ -220,13 +228,13 @@ impl Calibration {
         suspects
     }
 
-    /// True if two costs differ by no more than the uncertainty of the integration.
+    /// True if two costs differ by no more than the integration error.
     fn is_equal_cost(&self, kind: &CostKind, a: f64, b: f64) -> bool {
         let tolerance = self.relative_tolerance();
         (a - b).abs() <= tolerance * kind.size(a, self.n_measurements())
     }
 
-    /// A value of a parameter a part of its size from `x`, towards the bound that is farther.
+    /// Returns a value of a parameter at a part of its size from `x`, towards the farther bound.
     fn moved(&self, parameter: &Parameter, x: f64) -> f64 {
         let (lower, upper) = (inner(parameter, parameter.lower()), inner(parameter, parameter.upper()));
         let from = inner(parameter, x);
