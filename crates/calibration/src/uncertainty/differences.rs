@@ -326,7 +326,7 @@ impl Differences {
         let mut bends = vec![0.0; p];
         let mut open: Vec<usize> = (0..p).collect();
         let mut reason = String::new();
-        // Where simulations fail on both sides, shorter steps are tried.
+        // If simulations fail on both sides, shorter steps are tried.
         for _ in 0..3 {
             let spans: Vec<(f64, f64)> =
                 open.iter().map(|&k| center.span(&steps[k]).unwrap_or((0.0, 0.0))).collect();

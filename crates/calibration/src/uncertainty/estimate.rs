@@ -30,8 +30,8 @@ use std::thread::available_parallelism;
 pub(crate) struct KnownPoint<'a> {
     /// Residuals before a loss is applied.
     pub(crate) residuals: Option<&'a [f64]>,
-    /// Their derivatives in the user's units, m x n: where the differences begin. The derivatives of a search
-    /// come from points as it happened to try them, so they never replace differences.
+    /// Derivatives of the residuals in the user's units, m x n, as a first guess for the differences. The
+    /// derivatives of a search come from arbitrary trial points, so they never replace differences.
     pub(crate) jacobian: Option<&'a [f64]>,
     /// Indices of parameters that are at a bound or held.
     pub(crate) held: Vec<usize>,

@@ -1,5 +1,5 @@
-//! Findings about the uncertainty, in words: parameters that the data do not determine, alone, in pairs or in
-//! combinations of more.
+//! Findings about the uncertainty as text: parameters that the data do not determine, individually, in pairs
+//! or in larger combinations.
 
 use crate::cost::accuracy::Accuracy;
 use crate::error::CalibrationError;
@@ -15,41 +15,41 @@ use base::RunContext;
 use nalgebra::DMatrix;
 use std::ops::Range;
 
-/// Parameters with a correlation of this size or more move the outputs the same way: less than a fifth of the
-/// variance of either is its own.
+/// Absolute correlation from which two parameters are confounded. Less than a fifth of the variance of each
+/// is then independent of the other.
 const CONFOUNDED: f64 = 0.9;
 
-/// Condition index of the Jacobian with columns of length one from which on a dependency among its columns
-/// harms, and the share of a parameter's variance that makes it a part of that (Belsley, Kuh and Welsch,
-/// Regression Diagnostics, 1980, section 3.2).
+/// Condition index of the Jacobian with columns of unit length above which a dependency among its columns is
+/// harmful, and the share of a parameter's variance that makes the parameter a part of it (Belsley, Kuh and
+/// Welsch, Regression Diagnostics, 1980, section 3.2).
 const CONDITION_INDEX: f64 = 10.0;
 const VARIANCE_SHARE: f64 = 0.5;
 
-/// A standard error above this part of its parameter says that the data hardly tell it.
+/// Relative standard error above which the data hardly determine a parameter.
 const RELATIVE_ERROR: f64 = 0.5;
 
-/// A parameter moves an output if it moves it by more than this part of what the strongest does, each moved
-/// by its size.
+/// Effect on an output, relative to the strongest effect, above which a parameter counts as moving the
+/// output. Each parameter is moved by its size.
 const MOVES: f64 = 1e-8;
 
-/// The data do not move a parameter off its prior whose derivatives are below this part of that of the prior.
+/// Ratio of the derivatives of the data to the derivative of the prior below which a parameter is known only
+/// from its prior.
 const PRIOR_ALONE: f64 = 1e-3;
 
-/// Factors that differ by less are told as one.
+/// Ratio below which two factors are reported as one.
 const SAME_FACTOR: f64 = 1.05;
 
-/// Errors of the simulations that move no parameter by more than this part of its standard error do not
-/// matter.
+/// Shift by simulation errors, in standard errors, below which the errors do not matter.
 const SHIFTED: f64 = 0.1;
 
-/// Changes of the residuals by the error of the simulations that are larger than this part of them may hide
-/// what a parameter does.
+/// Relative size of residual changes by simulation errors above which the effect of a parameter may be
+/// hidden.
 const ROUGH: f64 = 0.01;
 
-/// Subject of a finding that says that a search ended early.
+/// Subject of the finding that a search ended early.
 pub(crate) const SEARCH: &str = "search";
 
-/// Subject of the finding that says that the cost is not smooth.
+/// Subject of the finding that the cost is not smooth.
 const SMOOTHNESS: &str = "the cost";
 
 impl Uncertainty {
@@ -57,17 +57,17 @@ impl Uncertainty {
         self.x.len()
     }
 
-    /// Size of a parameter.
+    /// Returns the size of a parameter.
     fn size(&self, i: usize) -> f64 {
         self.sizes.get(i).copied().unwrap_or(self.x[i].abs())
     }
 
-    /// The standard error relative to that.
+    /// Returns the standard error relative to the size.
     fn relative_error(&self, i: usize) -> f64 {
         self.standard_errors[i] / self.size(i)
     }
 
-    /// Lengths of the columns of the Jacobian within these rows.
+    /// Returns the lengths of the columns of the Jacobian within these rows.
     fn lengths(&self, rows: Range<usize>) -> Vec<f64> {
         let n = self.n();
         let mut squares = vec![0.0; n];
@@ -79,14 +79,14 @@ impl Uncertainty {
 
     /// True if a parameter moves the rows in which the columns of the Jacobian have these lengths.
     fn moves(&self, i: usize, lengths: &[f64]) -> bool {
-        // What is zero has no size: any effect counts.
+        // A value of zero has no size, so any effect counts.
         let effect = |k: usize| lengths[k] * self.x[k].abs();
         let most = (0..self.n()).map(effect).fold(0.0, f64::max);
         let own = if self.x[i] == 0.0 { f64::INFINITY } else { effect(i) };
         lengths[i] > 0.0 && own > MOVES * most
     }
 
-    /// The rows of each output of each experiment.
+    /// Returns the rows of each output of each experiment.
     fn rows(&self) -> Vec<Range<usize>> {
         let ends = self.residual_checks.iter().scan(0, |end, check| {
             *end += check.n;
@@ -95,7 +95,7 @@ impl Uncertainty {
         ends.collect()
     }
 
-    /// Parameters that have a prior and that the data do not move off it.
+    /// Returns the parameters that have a prior and that the data do not move away from it.
     fn known_from_prior(&self) -> Vec<usize> {
         let measured = 0..self.rows().last().map_or(0, |rows| rows.end);
         let of_priors = self.lengths(measured.end..self.residuals.len());
@@ -110,9 +110,9 @@ impl Uncertainty {
         (0..self.n()).filter(|i| !self.held.contains(i)).filter(is_prior_alone).collect()
     }
 
-    /// Finds which combinations of the parameters the data determine badly, and which parameters well.
-    /// `jacobian`: of the residuals, `differences`: of the working residuals, both by the coordinates of the
-    /// search.
+    /// Finds combinations of the parameters that the data determine badly, and parameters that they determine
+    /// well. The `jacobian` belongs to the residuals, the `differences` to the working residuals. Both are
+    /// with respect to the coordinates of the search.
     pub(crate) fn find_combinations(
         &mut self,
         jacobian: &DMatrix<f64>,
@@ -128,8 +128,8 @@ impl Uncertainty {
         self.find_identifiable(&weighted, noise, differences.noise, free, sizes, context)
     }
 
-    /// Pairs with a high correlation, of those that move an output both: that of independent residuals, for
-    /// how alike they move the outputs has nothing to do with the noise.
+    /// Finds pairs with a high correlation that both move the same output. The correlation is that of
+    /// independent residuals, because similar effects do not depend on the noise.
     fn find_confounded(&mut self) {
         let n = self.n();
         let correlation = match &self.uncorrected_covariance {
@@ -147,8 +147,8 @@ impl Uncertainty {
         self.confounded = found;
     }
 
-    /// The combination of parameters that the data determine worst, by the singular values of the Jacobian
-    /// with columns of length one, of which the triangle is given.
+    /// Finds the combination of parameters that the data determine worst, from the singular values of the
+    /// Jacobian with columns of unit length. The `triangle` is the triangle of the Jacobian.
     fn find_weakest(&mut self, triangle: &DMatrix<f64>, free: &[usize]) {
         let told: Vec<usize> = (0..free.len()).filter(|k| !self.undetermined.contains(&free[*k])).collect();
         let p = told.len();
@@ -174,8 +174,8 @@ impl Uncertainty {
         }
     }
 
-    /// `jacobian`: in the coordinates of the search, m x p; `noise`: of the residuals, with the norm of the
-    /// changes that are noise.
+    /// Finds the identifiable parameters. The `jacobian` is in the coordinates of the search, m x p. The
+    /// `noise` is the noise of the residuals, and changes with a norm below `of_changes` are noise.
     fn find_identifiable(
         &mut self,
         jacobian: &DMatrix<f64>,
@@ -191,7 +191,7 @@ impl Uncertainty {
         let is_about_zero = |k: usize| self.is_about_zero.get(free[k]).copied().unwrap_or_default();
         let (mut scaled, variances) = compressed(jacobian, &noise.variances, context)?;
         for (k, mut column) in scaled.column_iter_mut().enumerate() {
-            // Coordinates of the search are relative already where they are logarithms.
+            // Logarithmic coordinates of the search are relative already.
             column *= match (self.is_log[free[k]], self.size(free[k])) {
                 (true, _) => 1.0,
                 (false, 0.0) => sizes[k],
@@ -212,7 +212,7 @@ impl Uncertainty {
                 (error(a) < RELATIVE_ERROR || is_about_zero(chosen[a]))
                     && (0..a).all(|b| correlation(a, b).abs() < CONFOUNDED)
             });
-            // A combination below the noise has no variance there.
+            // The variance of a combination below the noise is missing in this covariance.
             let is_whole = !factors.is_undetermined.contains(&true);
             if !(is_told && is_whole) {
                 chosen.pop();
@@ -224,7 +224,7 @@ impl Uncertainty {
         Ok(())
     }
 
-    /// "C1, G1 and C2"
+    /// Returns the names as text, for example "C1, G1 and C2".
     fn list(&self, parameters: &[usize]) -> String {
         let names: Vec<&str> = parameters.iter().map(|i| self.names[*i].as_str()).collect();
         match names.split_last() {
@@ -234,7 +234,7 @@ impl Uncertainty {
         }
     }
 
-    /// Parameters that the data do not determine.
+    /// Returns findings about parameters that the data do not determine.
     pub(crate) fn undetermined_findings(&self) -> Vec<Finding> {
         let mut said = Vec::new();
         let mut find = |names: String, sentence: String, remedy: &str| {
@@ -282,11 +282,13 @@ impl Uncertainty {
         said
     }
 
-    /// Pairs with a high correlation: which combination is known worse than each alone, which better.
+    /// Returns findings about pairs with a high correlation, and about which combination is known worse and
+    /// which better.
     fn confounded_findings(&self) -> impl Iterator<Item = Finding> {
         self.confounded.iter().map(|(i, j, correlation)| {
             let names = self.list(&[*i, *j]);
-            // Relative changes are those of logarithms, so that those of a product add up and those of a quotient cancel.
+            // Relative changes are changes of logarithms: they add up in a product and cancel in a
+            // quotient.
             let relative = [*i, *j].map(|k| self.standard_errors[k] / self.x[k]);
             let are_relative = relative.iter().all(|error| error.abs() < RELATIVE_ERROR);
             let [a, b] = if are_relative { relative } else { [*i, *j].map(|k| self.standard_errors[k]) };
@@ -308,8 +310,8 @@ impl Uncertainty {
         })
     }
 
-    /// A cost that another accuracy of the simulations changes by more than counts, and with it the
-    /// parameters; not one that is all error of the simulations.
+    /// Returns a finding if another accuracy of the simulations changes the cost and the parameters
+    /// significantly. A cost that is only simulation error is excluded.
     fn accuracy_finding(&self, f_tol: f64) -> Option<Finding> {
         let accurate = self.accurate_cost?;
         let difference = (accurate - self.cost).abs();
@@ -337,7 +339,7 @@ impl Uncertainty {
         })
     }
 
-    /// A cost that is not smooth, of which a local search finds some minimum.
+    /// Returns a finding if the cost is not smooth, so that a local search finds an arbitrary minimum.
     fn rough_cost(&self) -> Option<Finding> {
         self.roughness.map(|ResidualBend { bend, bend_of_part }| {
             let sentence = format!(
@@ -352,7 +354,7 @@ impl Uncertainty {
         })
     }
 
-    /// A search that ended before its minimum.
+    /// Returns a finding if a search ended before its minimum.
     fn not_at_minimum(&self) -> Option<Finding> {
         let percent = digits(100.0 * self.left_to_gain);
         let (sentence, remedy) = match self.is_at_failures {
@@ -373,14 +375,14 @@ impl Uncertainty {
         Some(Finding::warning(SEARCH, sentence, remedy).of(Origin::Search))
     }
 
-    /// What the findings say of a local search: where the cost is not smooth, its result is one of many
-    /// minima that no measurement tells from the others.
+    /// Raises the severity of the smoothness finding for a local search. If the cost is not smooth, the
+    /// result is one of many minima that no measurement distinguishes.
     pub(crate) fn found_by_local_search(&mut self) {
         let rough = self.findings.iter_mut().filter(|finding| finding.subject == SMOOTHNESS);
         rough.for_each(|finding| finding.severity = Severity::Error);
     }
 
-    /// What they say of stages that hold what others have freed, and leave something to gain.
+    /// Rewrites the finding about an early end for stages that hold parameters that other stages have fitted.
     pub(crate) fn found_in_stages(&mut self) {
         let percent = digits(100.0 * self.left_to_gain);
         for finding in self.findings.iter_mut().filter(|finding| finding.subject == SEARCH) {
@@ -393,7 +395,7 @@ impl Uncertainty {
         }
     }
 
-    /// Standard errors that were corrected for autocorrelation, and by how much.
+    /// Returns a finding about standard errors corrected for autocorrelation, with the factor.
     fn correction(&self) -> Option<Finding> {
         let uncorrected = self.uncorrected_errors()?;
         let factors = self.standard_errors.iter().zip(uncorrected).map(|(own, without)| own / without);
@@ -413,7 +415,7 @@ impl Uncertainty {
         })
     }
 
-    /// All of them.
+    /// Returns all findings.
     pub(crate) fn all_findings(&self, f_tol: f64) -> Vec<Finding> {
         let mut said = self.undetermined_findings();
         let mut note = |subject: String, sentence: String| {
@@ -441,7 +443,7 @@ impl Uncertainty {
             }
         }
         let n_free = self.n() - self.held.len();
-        // Of exact residuals no variance is known that values could be compared with.
+        // Exact residuals provide no variance that values could be compared with.
         if self.identifiable.len() < n_free && self.degrees_of_freedom > 0.0 && !self.is_exact {
             let (severity, sentence) = match self.identifiable.is_empty() {
                 true => {
@@ -470,14 +472,15 @@ impl Uncertainty {
         said.extend(self.rough_cost());
         said.extend(self.not_at_minimum());
         said.extend(self.prior_conflicts.iter().map(|c| c.finding(&self.names[c.parameter])));
-        // What is known of the parameters alone explains the others.
+        // Findings about the parameters themselves explain the others.
         let rest = said.iter_mut().filter(|finding| finding.origin == Origin::Problem);
         rest.for_each(|finding| finding.origin = Origin::Residuals);
         said
     }
 }
 
-/// The order in which the columns are most independent of those before (QR with column pivoting).
+/// Returns the order in which each column is most independent of the columns before it (QR with column
+/// pivoting).
 fn pivots(mut columns: DMatrix<f64>) -> Vec<usize> {
     let p = columns.ncols();
     let mut order: Vec<usize> = Vec::with_capacity(p);

@@ -1,4 +1,5 @@
-//! Joint covariance of the errors of parameters and measured initial states, from the noise of the residuals.
+//! Joint covariance of the errors of parameters and measured initial states, computed from the noise of the
+//! residuals.
 
 use crate::uncertainty::covariance::matrix::Factors;
 use crate::uncertainty::covariance::noise::{Noise, NoiseModel};
@@ -14,8 +15,8 @@ pub(crate) struct JointMatrices {
 }
 
 impl JointMatrices {
-    /// Those of a model of the noise: residuals `r + J d` are smallest for `d = -G U'r`, and r has the change
-    /// by the error of a start.
+    /// Computes the joint covariance for a noise model. The residuals `r + J d` are minimal at `d = -G U'r`,
+    /// and r changes with the error of a start.
     pub(crate) fn new(factors: &Factors, noise: &Noise, model: &NoiseModel) -> Self {
         let (p, k, g) = (factors.inverse.nrows(), noise.starts.len(), &factors.inverse);
         let embedded = |inner: &DMatrix<f64>| {
@@ -36,8 +37,9 @@ impl JointMatrices {
         Self { covariance, slopes, uncertainty: model.uncertainty.clone() }
     }
 
-    /// The errors of all n parameters, in the user's units; those that are not free, or not determined, are
-    /// zero. `per_unit`: derivatives of the free parameters by their coordinates.
+    /// Returns the errors of all n parameters in the user's units. The errors of parameters that are not free
+    /// or not determined are zero. The `per_unit` are the derivatives of the free parameters with respect to
+    /// their coordinates.
     pub(crate) fn of_all(
         &self,
         n: usize,
@@ -72,15 +74,15 @@ impl JointMatrices {
         }
     }
 
-    /// Degrees of freedom of the variance of an error.
+    /// Returns the degrees of freedom of the variance of an error.
     pub(crate) fn degrees_of_freedom(&self, i: usize) -> f64 {
         let slopes = self.slopes.iter().map(|slope| slope[(i, i)]).collect();
         satterthwaite(&VarianceEstimate { value: self.covariance[(i, i)], slopes }, &self.uncertainty)
     }
 
-    /// Scales the errors so that no variance is below that of another estimate: an autoregression that
-    /// describes a misfit leaves hardly any variance to a parameter whose effect changes its sign from row to
-    /// row.
+    /// Scales the errors so that no variance is below that of another estimate. This is necessary because an
+    /// autoregression that describes a misfit leaves almost no variance for a parameter whose effect changes
+    /// sign from row to row.
     pub(crate) fn raise_to(&mut self, least: &Self) {
         for k in 0..self.covariance.nrows() {
             let factor = (least.covariance[(k, k)] / self.covariance[(k, k)]).sqrt();

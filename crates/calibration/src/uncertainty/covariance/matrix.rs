@@ -1,4 +1,4 @@
-//! The factors of the covariance of the parameters, from the changes of the residuals.
+//! Factors of the covariance of the parameters, computed from the changes of the residuals.
 
 use crate::error::CalibrationError;
 use crate::uncertainty::differences::Differences;
@@ -8,22 +8,22 @@ use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-/// A parameter with more than this share in a combination that the residuals do not determine is not
-/// determined itself.
+/// Share in an undetermined combination above which a parameter counts as undetermined.
 const SHARE: f64 = 0.03;
 
-/// The factors of `C = G U' S U G'`, where S is the covariance of the residuals, and who is left out.
+/// Factors of `C = G U' S U G'`, where S is the covariance of the residuals, and the undetermined parameters.
 pub(crate) struct Factors {
     /// G, p x q, in the coordinates of the search.
     pub(crate) inverse: DMatrix<f64>,
-    /// U, m x q: an orthonormal base of the changes that are no noise.
+    /// U, m x q: an orthonormal base of the changes above the noise.
     pub(crate) base: DMatrix<f64>,
-    /// True for those of the p parameters that the residuals do not determine.
+    /// True for each of the p parameters that the residuals do not determine.
     pub(crate) is_undetermined: Vec<bool>,
 }
 
 impl Factors {
-    /// By the singular values of the changes: combinations below the noise are left out.
+    /// Computes the factors from the singular values of the changes. Combinations below the noise are left
+    /// out.
     pub(crate) fn new(differences: &Differences, context: &RunContext<'_>) -> Result<Self, CalibrationError> {
         let Differences { changes, steps, noise, .. } = differences;
         let (m, p) = changes.shape();
@@ -41,7 +41,8 @@ impl Factors {
         let inverse: Vec<DVector<f64>> = kept.iter().map(column).collect();
         let base = if kept.len() == p { u } else { u.select_columns(&kept) };
         let mut is_undetermined = vec![false; p];
-        // In a combination that is left out parameters are compared by the longest steps that were made with them.
+        // In a combination that is left out, parameters are compared relative to their longest
+        // steps.
         let sizes: Vec<f64> = steps.row_iter().map(|row| row.amax().max(f64::MIN_POSITIVE)).collect();
         for k in (0..p).filter(|k| !kept.contains(k)) {
             let shares: Vec<f64> = (steps * v_t.row(k).transpose())
@@ -58,7 +59,8 @@ impl Factors {
         Ok(Self { inverse, base, is_undetermined })
     }
 
-    /// The covariance with uncorrelated residuals of these variances, in the coordinates of the search.
+    /// Returns the covariance for uncorrelated residuals with these variances, in the coordinates of the
+    /// search.
     pub(crate) fn covariance(
         &self,
         variances: &[f64],
@@ -69,8 +71,8 @@ impl Factors {
     }
 }
 
-/// Fewer rows with their variances that have the covariances of all, and of each choice of columns: the
-/// triangle of the rows of each variance.
+/// Returns fewer rows with variances that have the same covariances, for all columns and for each selection
+/// of columns. They are the triangles of the rows with equal variance.
 pub(crate) fn compressed(
     rows: &DMatrix<f64>,
     variances: &[f64],
@@ -101,7 +103,8 @@ mod tests {
     }
 
     fn line() -> Differences {
-        // y = a + b t at t = 0, 1, 2, 3, with steps 2 and 0.5: (X'X)^-1 = [[0.7, -0.3], [-0.3, 0.2]].
+        // The line is y = a + b t at t = 0, 1, 2, 3, with steps 2 and 0.5: (X'X)^-1 = [[0.7, -0.3],
+        // [-0.3, 0.2]].
         let changes = DMatrix::from_fn(4, 2, |t, k| if k == 0 { 2.0 } else { 0.5 * t as f64 });
         Differences::of(changes, DMatrix::from_diagonal(&DVector::from_vec(vec![2.0, 0.5])), 1e-12)
     }
@@ -116,7 +119,7 @@ mod tests {
             expected += *variance * &row * row.transpose();
         }
         assert!((factors.covariance(&variances, &RunContext::new()).unwrap() - &expected).amax() < 1e-14);
-        // Triangles of the rows of each variance have the same.
+        // The triangles of the rows of each variance have the same covariance.
         let Differences { changes, steps, noise, .. } = line();
         let (changes, variances) = compressed(&changes, &variances, &RunContext::new()).unwrap();
         let few = super::tests::factors(&Differences::of(changes, steps, noise));
@@ -125,7 +128,7 @@ mod tests {
 
     #[test]
     fn what_is_below_the_noise_is_not_determined() {
-        // a + b up to noise, and c.
+        // The data determine a + b up to noise, and c.
         let changes =
             DMatrix::from_fn(5, 3, |t, k| if k == 2 { t as f64 } else { 1.0 + 1e-9 * (t * t * k) as f64 });
         let differences = |noise| Differences::of(changes.clone(), DMatrix::identity(3, 3), noise);

@@ -1,4 +1,4 @@
-//! Initial states that are taken from a measurement: its noise moves the whole simulation.
+//! Initial states taken from a measurement, whose noise affects the whole simulation.
 
 use crate::error::CalibrationError;
 use crate::loaded::calibration::Calibration;
@@ -8,31 +8,31 @@ use crate::problem::residual_layout::OutputResiduals;
 use dfo::RobustLoss;
 use nalgebra::DVector;
 
-/// The step of a start that has no noise is this part of it.
+/// Relative step of a start without noise.
 const SHORTEST: f64 = 1e-6;
 
-/// An initial state of an experiment that is a measured value.
+/// An initial state of an experiment that is set to a measured value.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct MeasuredStart {
-    /// The experiment, counted from 0.
+    /// Index of the experiment, from 0.
     pub(crate) experiment: usize,
-    /// The state.
+    /// Name of the state.
     pub(crate) state: String,
-    /// The output that measures it: an entry of the residual layout.
+    /// Index of the output that measures it in the residual layout.
     pub(crate) output: usize,
-    /// Its residual, which is zero whatever the parameters are. `None`: it is not compared, or has the weight
-    /// zero.
+    /// Row of its residual, which is zero for all parameter values. `None` if it is not compared or has
+    /// weight zero.
     pub(crate) row: Option<usize>,
-    /// The value of the state.
+    /// Value of the state.
     pub(crate) value: f64,
-    /// The weight of its measurement, without the sign.
+    /// Absolute weight of the measurement.
     pub(crate) weight: f64,
-    /// Change of the plain residuals by a unit of the state.
+    /// Change of the plain residuals per unit of the state.
     pub(crate) change: DVector<f64>,
 }
 
 impl Calibration {
-    /// The measured initial states of all experiments, with their changes yet to be found.
+    /// Returns the measured initial states of all experiments. Their changes are not computed yet.
     pub(crate) fn measured_starts(&self, x: &[f64]) -> Vec<MeasuredStart> {
         let outputs = &self.residual_layout().outputs;
         let of = |k: usize, state: &String| {
@@ -42,7 +42,7 @@ impl Calibration {
             let counts = outputs[output].starts_simulation && outputs[output].weights.first() != Some(&0.0);
             let row = counts.then_some(outputs[output].range.start);
             let change = DVector::zeros(0);
-            // Nothing is known of the noise of measurements of weight zero.
+            // The noise of measurements of weight zero is unknown.
             let weight = outputs[output].weights.iter().find(|weight| **weight != 0.0)?.abs();
             Some(MeasuredStart { experiment: k, state: state.clone(), output, row, value, weight, change })
         };
@@ -52,10 +52,10 @@ impl Calibration {
         measured.filter_map(|(k, (state, _))| of(k, state)).collect()
     }
 
-    /// A calibration of the same problem in which these starts are numbers, each moved by its step.
+    /// Creates a calibration of the same problem with these starts as numbers, each moved by its step.
     ///
     /// # Errors
-    /// A problem that cannot be loaded.
+    /// Returns an error if the problem cannot be loaded.
     pub(crate) fn with_starts_moved(
         &self,
         moved: &[(&MeasuredStart, f64)],
@@ -69,10 +69,11 @@ impl Calibration {
         self.derived_beside(problem)
     }
 
-    /// Finds the changes of the residuals by measured initial states, from one simulation for each state. The
-    /// steps are about the noise of its measurements. Starts of which the simulation fails are left out.
+    /// Computes the changes of the residuals by measured initial states, with one simulation for each state.
+    /// The steps are about the noise of the measurements. Starts whose simulation fails are omitted.
     ///
     /// # Errors
+    /// Returns [`CalibrationError::Cancelled`] if the context is over.
     /// [`CalibrationError::Cancelled`].
     pub(crate) fn find_changes_by_starts(
         &self,

@@ -1,5 +1,5 @@
-//! The covariance of the parameters: the noise of the residuals, with autocorrelation and measured initial
-//! states, what it leaves to the parameters, and the parameters that the data do not determine.
+//! Covariance of the parameters: the noise of the residuals, with autocorrelation and measured initial
+//! states, its propagation to the parameters, and undetermined parameters.
 
 pub(crate) mod identifiability;
 pub(crate) mod joint;

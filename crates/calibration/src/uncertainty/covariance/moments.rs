@@ -7,21 +7,22 @@ use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
-/// An unbiased variance below this part of the mean square is an accident: the group is too small for a
-/// variance of its own.
+/// Part of the mean square below which an unbiased variance is an artefact: the group is too small for a
+/// separate variance.
 const LEAST: f64 = 0.05;
 
-/// Standard deviations from which on an autocorrelation is no chance: one in forty independent series has a
-/// larger one.
+/// Number of standard deviations above which an autocorrelation is significant. One in forty independent
+/// series exceeds it.
 const SIGNIFICANT: f64 = 1.96;
 
-/// Bisections of the transform `artanh rho`, which is below 12 for any series that fits into memory.
+/// Number of bisections of the transform `artanh rho`, which is below 12 for any series that fits into
+/// memory.
 const BISECTIONS: usize = 24;
 
 /// Step of the derivatives with respect to the transform.
 const DIFFERENCE: f64 = 0.05;
 
-/// Degrees of freedom that are so near to a whole number are that number.
+/// Distance to an integer below which degrees of freedom are rounded to it.
 const ROUNDING: f64 = 1e-6;
 
 /// Two moments of the residuals `r = M e` of each group, with `M = I - U U'`: the sum of squares `r'P r`,
@@ -33,34 +34,34 @@ pub(crate) struct Moments<'a> {
     /// U'S_0 U.
     of_priors: DMatrix<f64>,
     residuals: &'a [f64],
-    /// The moments that were found.
+    /// Observed moments.
     found: Vec<f64>,
     /// U'P U and U'A U of each group.
     grams: Vec<DMatrix<f64>>,
-    /// Number of rows less the trace of the projection over them.
+    /// Number of rows minus the trace of the projection over these rows.
     pub(crate) degrees_of_freedom: f64,
 }
 
-/// The part of a group with the variance one in the covariance.
+/// Contribution of a group with variance one to the covariance.
 struct Component {
     /// U'R U.
     inner: DMatrix<f64>,
-    /// Its part of the expectation of each moment.
+    /// Contribution to the expectation of each moment.
     means: Vec<f64>,
 }
 
-/// The variances that explain the sums of squares, beside these autocorrelations.
+/// Variances that explain the sums of squares, given these autocorrelations.
 pub(crate) struct Variances {
     /// `artanh rho` of each group.
     pub(crate) transforms: Vec<f64>,
     components: Vec<Component>,
     pub(crate) values: Vec<f64>,
-    /// True if they are the unbiased ones of each group.
+    /// True if the variances are the unbiased estimates of each group.
     is_unbiased: bool,
 }
 
 impl<'a> Moments<'a> {
-    /// `priors`: rows whose errors have the variance one.
+    /// Computes the moments. The errors of the rows `priors` have variance one.
     pub(crate) fn new(
         groups: &'a [Group],
         base: &'a DMatrix<f64>,
@@ -87,7 +88,7 @@ impl<'a> Moments<'a> {
         self.groups.iter().map(Group::n_rows).sum::<usize>() as f64
     }
 
-    /// Lets the sum of squares of a group be no less.
+    /// Raises the sum of squares of a group to `least` if it is smaller.
     pub(crate) fn raise_squares(&mut self, g: usize, least: f64) {
         self.found[2 * g] = self.found[2 * g].max(least);
     }
@@ -106,7 +107,7 @@ impl<'a> Moments<'a> {
         Ok(Component { inner, means })
     }
 
-    /// The variances with these transforms of the autocorrelations.
+    /// Returns the variances, given these transforms of the autocorrelations.
     pub(crate) fn variances(
         &self,
         transforms: Vec<f64>,
@@ -119,7 +120,7 @@ impl<'a> Moments<'a> {
         Ok(variances)
     }
 
-    /// Lets the sums of squares be their expectations, with variances that can be.
+    /// Equates the sums of squares to their expectations, with valid variances.
     fn solve(&self, of: &mut Variances) {
         let (n, n_rows) = (self.groups.len(), self.n_rows());
         let shares = DMatrix::from_fn(n, n, |g, h| of.components[h].means[2 * g]);
@@ -139,13 +140,13 @@ impl<'a> Moments<'a> {
         };
     }
 
-    /// The transform of the autocorrelation of the only group; `None`: its sum of products is not larger than
-    /// independent residuals have by chance.
+    /// Returns the transform of the autocorrelation of the only group. Returns `None` if its sum of products
+    /// is not significantly larger than that of independent residuals.
     pub(crate) fn autocorrelation(&self, context: &RunContext<'_>) -> Result<Option<f64>, CalibrationError> {
         let excess = |of: &Variances| self.found[1] - of.values[0] * of.components[0].means[1];
         let independent = self.variances(vec![0.0], context)?;
         let covariance = self.covariance(&independent, context)?;
-        // The mean of the products follows from the squares that were found.
+        // The mean of the products follows from the observed squares.
         let part = independent.components[0].means[1] / independent.components[0].means[0];
         let of_equal =
             covariance[(1, 1)] - 2.0 * part * covariance[(0, 1)] + part * part * covariance[(0, 0)];
@@ -166,7 +167,7 @@ impl<'a> Moments<'a> {
         Ok(Some(high))
     }
 
-    /// Covariance of the logarithms of the variances, then of the transforms that are not zero.
+    /// Returns the covariance of the logarithms of the variances, then of the nonzero transforms.
     pub(crate) fn uncertainty(
         &self,
         of: &Variances,
@@ -174,7 +175,8 @@ impl<'a> Moments<'a> {
     ) -> Result<DMatrix<f64>, CalibrationError> {
         let n = self.groups.len();
         let lasting = || (0..n).filter(|g| of.transforms[*g] > 0.0);
-        // The equations are those of the sums of squares, and of the products of groups that last.
+        // The equations are the equations of the sums of squares, and of the products of
+        // autocorrelated groups.
         let used: Vec<usize> = (0..n).map(|g| 2 * g).chain(lasting().map(|g| 2 * g + 1)).collect();
         let by = |means: &[f64], factor: f64| DVector::from_fn(used.len(), |a, _| means[used[a]] * factor);
         let parts = of.components.iter().zip(&of.values);
@@ -199,8 +201,8 @@ impl<'a> Moments<'a> {
         })
     }
 
-    /// Covariance `2 tr(B N C N)` of all moments `r'B r` and `r'C r`, with `N = M S M = S + W K W'` of
-    /// `W = (U, F)`, `F = S U - U U'S U / 2` and `K = -((0, I), (I, 0))`.
+    /// Returns the covariance `2 tr(B N C N)` of all moments `r'B r` and `r'C r`, with `N = M S M = S + W K
+    /// W'`, `W = (U, F)`, `F = S U - U U'S U / 2` and `K = -((0, I), (I, 0))`.
     fn covariance(&self, of: &Variances, context: &RunContext<'_>) -> Result<DMatrix<f64>, CalibrationError> {
         let (q, n) = (self.base.ncols(), self.found.len());
         let parts = of.components.iter().zip(&of.values);
@@ -208,7 +210,7 @@ impl<'a> Moments<'a> {
         let mut k = DMatrix::zeros(2 * q, 2 * q);
         k.view_mut((0, q), (q, q)).fill_diagonal(-1.0);
         k.view_mut((q, 0), (q, q)).fill_diagonal(-1.0);
-        // tr(B S C S) + 2 tr(K W'B S C W), of moments of one group, below the diagonal.
+        // Below the diagonal: tr(B S C S) + 2 tr(K W'B S C W), for moments of one group.
         let mut within = DMatrix::<f64>::zeros(n, n);
         // K W'B W.
         let mut across = vec![DMatrix::zeros(2 * q, 2 * q); n];
@@ -238,8 +240,8 @@ impl<'a> Moments<'a> {
 }
 
 impl Variances {
-    /// `U'dS U` for the derivatives of the covariance S with respect to the logarithms of the variances, then
-    /// to the transforms that are not zero.
+    /// Returns `U'dS U` for the derivatives of the covariance S with respect to the logarithms of the
+    /// variances, then to the nonzero transforms.
     pub(crate) fn slopes(
         &self,
         groups: &[Group],
@@ -259,13 +261,13 @@ impl Variances {
     }
 }
 
-/// The products of neighbours of a group.
+/// Returns the products of neighbouring residuals of a group.
 fn neighbours<'a>(group: &'a Group, residuals: &'a [f64]) -> impl Iterator<Item = f64> + 'a {
     let of = |range: &Range<usize>| residuals[range.clone()].windows(2);
     group.series.iter().flat_map(of).map(|pair| pair[0] * pair[1])
 }
 
-/// `U'P R U` and `U'A R U` of a group, R its correlation.
+/// Returns `U'P R U` and `U'A R U` of a group with the correlation R.
 fn of_base(
     group: &Group,
     base: &DMatrix<f64>,
@@ -283,7 +285,7 @@ fn of_base(
     Ok(sums)
 }
 
-/// `tr(R R)`, `tr(A R R)` and `tr(A R A R)` of a series of n rows.
+/// Returns `tr(R R)`, `tr(A R R)` and `tr(A R A R)` of a series of n rows.
 fn traces(n: usize, rho: f64) -> [f64; 3] {
     let mut sums = [n as f64, 0.0, 0.5 * n.saturating_sub(1) as f64 * (1.0 + rho * rho)];
     let mut power = 1.0;
@@ -299,7 +301,7 @@ fn traces(n: usize, rho: f64) -> [f64; 3] {
     sums
 }
 
-/// A times the rows of a series: the mean of both neighbours of each row, with zeros beyond the ends.
+/// Returns A times the rows of a series: the mean of both neighbours of each row, with zeros beyond the ends.
 fn pairs(rows: &DMatrix<f64>) -> DMatrix<f64> {
     let (n, mut means) = (rows.nrows(), DMatrix::zeros(rows.nrows(), rows.ncols()));
     for (values, mut means) in rows.column_iter().zip(means.column_iter_mut()) {
@@ -311,7 +313,7 @@ fn pairs(rows: &DMatrix<f64>) -> DMatrix<f64> {
     means
 }
 
-/// R times the rows of a series, the correlation of a first-order autoregression.
+/// Returns R times the rows of a series, where R is the correlation of a first-order autoregression.
 fn spread(rows: &DMatrix<f64>, rho: f64, context: &RunContext<'_>) -> Result<DMatrix<f64>, CalibrationError> {
     let (n, mut sums) = (rows.nrows(), rows.clone());
     if rho == 0.0 {
@@ -336,7 +338,7 @@ fn spread(rows: &DMatrix<f64>, rho: f64, context: &RunContext<'_>) -> Result<DMa
 mod tests {
     use super::*;
 
-    /// The covariance of the moments is that of quadratic forms with whole matrices.
+    /// Compares the covariance of the moments with quadratic forms of full matrices.
     #[test]
     fn moments_have_the_covariance_of_quadratic_forms() {
         let (n, q, rho) = (9, 2, 0.6_f64);

@@ -1,5 +1,5 @@
-//! The noise of the residuals: one variance and one autocorrelation for each group of outputs, from the
-//! moments of the residuals of a fit, and how well they are known.
+//! Noise of the residuals: one variance and one autocorrelation for each group of outputs, estimated from the
+//! moments of the residuals of a fit, with the precision of the estimates.
 
 use crate::error::CalibrationError;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
@@ -14,12 +14,12 @@ use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 
-/// A combination of columns of about unit length that is shorter than this is rounding.
+/// Length below which a combination of columns of about unit length is rounding error.
 const ROUNDING: f64 = 1e-10;
 
-/// The groups of the outputs: those of a variable of the model, over all of its recordings with the same
-/// weight ([`Estimator::Sandwich`]) or with any (the likelihood); one group of all with
-/// [`Estimator::Pooled`], and where all residuals are rounding.
+/// Returns the groups of the outputs. A group contains a variable of the model over all recordings with the
+/// same weight ([`Estimator::Sandwich`]), or over all recordings (the likelihood). With
+/// [`Estimator::Pooled`], or if all residuals are rounding errors, one group contains all outputs.
 pub(crate) fn groups(
     layout: &ResidualLayout,
     residuals: &[f64],
@@ -46,89 +46,91 @@ pub(crate) fn groups(
     groups.into_values().collect()
 }
 
-/// Recordings that share a variance: those of a variable with the same constant weight, which states how
-/// large the noise is, and those whose samples have weights of their own.
+/// Returns the key of recordings that share a variance: recordings of a variable with the same constant
+/// weight, because the weight declares the size of the noise, and recordings with separate weights for their
+/// rows.
 fn key(output: &OutputResiduals) -> (&str, Option<u64>) {
     let first = output.weights.first();
     let constant = first.filter(|first| output.weights.iter().all(|weight| weight == *first));
     (&output.variable, constant.map(|weight| weight.to_bits()))
 }
 
-/// The noise of the working residuals: `S = sum_g s_g^2 (R_g + D_g D_g') + S_0`.
+/// Noise of the working residuals: `S = sum_g s_g^2 (R_g + D_g D_g') + S_0`.
 ///
-/// R_g is the correlation of a first-order autoregression over each series of a group. D_g has the changes of
-/// all residuals by one standard deviation of the measurements of the group that simulations start from. S_0
-/// is the identity for priors, which are residuals in units of their standard deviations.
+/// R_g is the correlation of a first-order autoregression over each series of a group. D_g contains the
+/// changes of all residuals by one standard deviation of those measurements of the group that simulations
+/// start from. S_0 is the identity for priors, whose residuals are in units of their standard deviations.
 ///
-/// For the estimate of the noise a measured initial state is one more parameter, and the row of its
-/// measurement a residual like others: S is then diagonal but for the autocorrelation.
+/// To estimate the noise, a measured initial state is one more parameter, and the row of its measurement is
+/// an ordinary residual. S is then diagonal except for the autocorrelation.
 pub(crate) struct Noise {
-    /// Variance of each residual if they are independent.
+    /// Variance of each residual under the assumption of independence.
     pub(crate) variances: Vec<f64>,
     /// Rows with noise of their own, less the trace of the projection onto the changes by the parameters over
     /// these rows (Hastie and Tibshirani, Generalized Additive Models, 1990, section 3.5): a prior takes away
     /// no degree of freedom, and the measurements lose one only for what they determine themselves.
     pub(crate) degrees_of_freedom: f64,
-    /// With independent residuals.
+    /// Model with independent residuals.
     pub(crate) independent: NoiseModel,
-    /// With autocorrelated residuals, where any of them are.
+    /// Model with autocorrelated residuals, if any are.
     pub(crate) autocorrelated: Option<NoiseModel>,
     /// U'S_0 U.
     pub(crate) of_priors: DMatrix<f64>,
-    /// The noise of measured initial states.
+    /// Noise of measured initial states.
     pub(crate) starts: Vec<StartNoise>,
 }
 
-/// The noise of a measured initial state.
+/// Noise of a measured initial state.
 pub(crate) struct StartNoise {
-    /// Group of its measurement.
+    /// Group of the measurement.
     pub(crate) group: usize,
-    /// Row of its measurement; `None`: it is not compared.
+    /// Row of the measurement; `None` if it is not compared.
     row: Option<usize>,
-    /// Standard deviation of the state over that of a working residual of the group.
+    /// Standard deviation of the state divided by the standard deviation of a working residual of the group.
     pub(crate) scale: f64,
-    /// Change of the working residuals by that standard deviation of a working residual.
+    /// Change of the working residuals by a change of the state that corresponds to one standard deviation of
+    /// a working residual.
     change: DVector<f64>,
     /// U' times the change.
     pub(crate) along: DVector<f64>,
 }
 
-/// Estimates of the variances and autocorrelations. The parameters of the noise are the logarithms of the
-/// variances, then `artanh rho` of each group that is autocorrelated.
+/// Estimates of the variances and autocorrelations. The noise parameters are the logarithms of the variances,
+/// then `artanh rho` of each autocorrelated group.
 pub(crate) struct NoiseModel {
     /// Variance of each group.
     pub(crate) variances: Vec<f64>,
     /// Autocorrelation at lag one of each group.
     pub(crate) autocorrelations: Vec<f64>,
-    /// `U' dS U` for the derivative of S with respect to each parameter.
+    /// `U' dS U` for the derivative of S with respect to each noise parameter.
     pub(crate) slopes: Vec<DMatrix<f64>>,
-    /// Covariance of the parameters.
+    /// Covariance of the noise parameters.
     pub(crate) uncertainty: DMatrix<f64>,
 }
 
 impl Noise {
-    /// The moments of the residuals of a fit equal their expectations: of `r'B r` this is `tr(B M S M)`
-    /// (Searle, Casella and McCulloch, Variance Components, 1992, section 5.2), with B the sum of squares of
-    /// a group for its variance and the sum of products of neighbours for its autocorrelation. So an
-    /// autocorrelation is that of the residuals, but for the part that the fit has taken from it. Unlike the
-    /// restricted likelihood this does not suppose that the columns of the Jacobian are free of noise, which
-    /// they are not where weights are computed from measurements.
+    /// Estimates the noise by equating the moments of the residuals of a fit to their expectations. The
+    /// expectation of `r'B r` is `tr(B M S M)` (Searle, Casella and McCulloch, Variance Components, 1992,
+    /// section 5.2). For the variance of a group, B is its sum of squares; for its autocorrelation, B is the
+    /// sum of products of neighbours. The estimated autocorrelation is therefore corrected for the part that
+    /// the fit has removed. Unlike the restricted likelihood, this method does not assume that the columns of
+    /// the Jacobian are free of noise. The columns contain noise if weights are computed from measurements.
     ///
-    /// A group has an autocorrelation where its sum of products is larger than that of independent residuals
-    /// by 1.96 standard deviations: those of residuals of one variance, and those of residuals of any,
-    /// `sum r_i^2 r_(i+1)^2` (Lo and MacKinlay, Rev. Financial Studies 1, 1988). At most it is that of noise
-    /// that lasts as long as the series, `exp(-1 / n)`: longer noise is an offset. It is estimated from the
-    /// residuals of the group without the changes by the parameters. Otherwise the effect of a prior, or of
-    /// the noise of another group, would look like autocorrelation.
+    /// A group is autocorrelated if its sum of products exceeds that of independent residuals by 1.96
+    /// standard deviations. This is tested for residuals of one variance, and for residuals of any variances,
+    /// `sum r_i^2 r_(i+1)^2` (Lo and MacKinlay, Rev. Financial Studies 1, 1988). The autocorrelation is at
+    /// most that of noise that lasts as long as the series, `exp(-1 / n)`; longer noise is an offset. It is
+    /// estimated from the residuals of the group without the changes by the parameters. Otherwise the effect
+    /// of a prior, or of the noise of another group, would look like autocorrelation.
     ///
-    /// The covariance of the estimates is that of quadratic forms of normal errors,
-    /// `cov(r'B r, r'C r) = 2 tr(B M S M C M S M)`, with the residuals of the fit for autocorrelations, too.
+    /// The covariance of the estimates is the covariance of quadratic forms of normal errors, `cov(r'B r, r'C
+    /// r) = 2 tr(B M S M C M S M)`. For autocorrelations, it is also computed with the residuals of the fit.
     ///
-    /// Where the unbiased equations leave no variance to one of several groups, all have the variance
-    /// `r'r / n_g` times N over the degrees of freedom.
+    /// If the unbiased equations leave no variance for one of several groups, all groups get the variance
+    /// `r'r / n_g` times N divided by the degrees of freedom.
     ///
     /// # Errors
-    /// [`CalibrationError::Cancelled`].
+    /// Returns [`CalibrationError::Cancelled`] if the context is over.
     pub(crate) fn estimate(
         layout: &ResidualLayout,
         plain: &[f64],
@@ -151,7 +153,8 @@ impl Noise {
         };
         let is_rounding: Vec<bool> = groups.iter().map(|g| g.outputs.iter().all(is_rounded)).collect();
         if !is_rounding.iter().all(|is| *is) {
-            // An exact output beside others: less than rounding would be a variance that rounding of the derivatives outweighs.
+            // An output may be exact while others are not. A variance below that of rounding would
+            // be smaller than the rounding errors of the derivatives.
             let least = |k: &usize| {
                 let output = &layout.outputs[*k];
                 working.roots[output.range.start].powi(2) * square_of_rounding(output)
@@ -188,7 +191,7 @@ impl Noise {
         Ok(Self { variances, degrees_of_freedom, independent, autocorrelated, of_priors, starts })
     }
 
-    /// Changes of the working residuals by one standard deviation of each measured initial state.
+    /// Returns the changes of the working residuals by one standard deviation of each measured initial state.
     pub(crate) fn changes_by_starts(&self) -> Vec<DVector<f64>> {
         let of = |start: &StartNoise| &start.change * self.independent.variances[start.group].sqrt();
         self.starts.iter().map(of).collect()
@@ -196,8 +199,8 @@ impl Noise {
 }
 
 impl NoiseModel {
-    /// With the changes by the parameters, and by measured initial states of which the noise is independent
-    /// of that of the other measurements.
+    /// Creates the model with the changes by the parameters and by measured initial states. The noise of
+    /// these states is independent of the noise of the other measurements.
     fn new(
         found: Variances,
         uncertainty: DMatrix<f64>,
@@ -226,7 +229,7 @@ impl StartNoise {
         let plain_over_working = working.plain_over_working(layout, plain, groups);
         let of = |start: &MeasuredStart| -> Result<Self, CalibrationError> {
             let group = groups.iter().position(|group| group.outputs.contains(&start.output));
-            // The start has the noise of a measurement, whatever a loss makes of the residuals.
+            // The start has the noise of a measurement, whatever the loss does to the residuals.
             let scale = plain_over_working[start.output].sqrt() / start.weight;
             let change = working.weighed(&start.change) * scale;
             let along = along(base, change.as_slice(), context)?;
@@ -236,8 +239,8 @@ impl StartNoise {
     }
 }
 
-/// The base and the residuals of a fit in which measured initial states are parameters, too. Measurements of
-/// starts that are not compared are added to their groups, as rows behind all others.
+/// Returns the base and the residuals of a fit in which measured initial states are also parameters.
+/// Measurements of starts that are not compared are added to their groups as rows after all others.
 fn with_starts(
     base: &DMatrix<f64>,
     residuals: &[f64],
@@ -264,8 +267,8 @@ fn with_starts(
     left_by(&columns, &residuals, context)
 }
 
-/// The autocorrelation of a group from what the parameters leave of it alone, see
-/// [`Moments::autocorrelation`].
+/// Returns the autocorrelation of a group alone, from its residuals without the changes by the parameters;
+/// see [`Moments::autocorrelation`].
 fn alone(
     group: &Group,
     base: &DMatrix<f64>,
@@ -284,7 +287,8 @@ fn alone(
     Moments::new(&own, &base, &residuals, 0..0, context)?.autocorrelation(context)
 }
 
-/// An orthonormal base of columns of about unit length, and what they leave of the residuals.
+/// Returns an orthonormal base of columns of about unit length, and the residuals minus their projection onto
+/// it.
 fn left_by(
     columns: &DMatrix<f64>,
     residuals: &[f64],
@@ -328,7 +332,7 @@ mod tests {
         layout
     }
 
-    /// The noise of residuals by this estimator, and the factors of the columns of a Jacobian.
+    /// Returns the noise of residuals by this estimator, and the factors of the columns of a Jacobian.
     fn found(
         layout: &ResidualLayout,
         residuals: &[f64],
@@ -353,7 +357,7 @@ mod tests {
         (noise.unwrap(), factors)
     }
 
-    /// What a fit of these columns leaves of errors.
+    /// Returns the residuals of a fit of these columns to the errors.
     fn left(errors: &[f64], jacobian: &DMatrix<f64>) -> Vec<f64> {
         let base = jacobian.clone().qr().q();
         let errors = DVector::from_column_slice(errors);
@@ -375,8 +379,9 @@ mod tests {
 
     #[test]
     fn variances_of_groups_are_unbiased() {
-        // The squares of the entries of M = I - X (X'X)^-1 X' in the blocks (0, 0), (0, 1) and (1, 1), by symmetry: those of
-        // [[3, -4, -1, 2], [-4, 7, -2, -1], [-1, -2, 7, -4], [2, -1, -4, 3]] / 10.
+        // By symmetry, the values are the squares of the entries of M = I - X (X'X)^-1 X' in the
+        // blocks (0, 0), (0, 1) and (1, 1): [[3, -4, -1, 2], [-4, 7, -2, -1], [-1, -2, 7, -4], [2,
+        // -1, -4, 3]] / 10.
         let residuals = [0.1, -0.2, 0.3, -0.1];
         let (pooled, _) = found(&layout(&[("y", 4)]), &residuals, &line(4), Estimator::Pooled, &[]);
         assert!(
@@ -403,11 +408,11 @@ mod tests {
         for (got, expected) in variances(&layout).iter().zip([0.025, 0.025, 0.025, 0.025, 9.0, 9.0]) {
             assert!((got - expected).abs() < 1e-14);
         }
-        // One exact output beside others has that of rounding.
+        // The variance of one exact output among others is that of rounding.
         layout.outputs[2].measured = vec![1e14; 2].into();
         let exact = variances(&layout);
         assert!((exact[0] - 0.025).abs() < 1e-14 && (exact[4] / 1e10 - 1.0).abs() < 1e-12, "{exact:?}");
-        // Rounding has no variances of its own.
+        // If all residuals are rounding, there is one variance.
         layout.outputs.iter_mut().for_each(|output| output.measured = vec![1e14; 2].into());
         let pooled = variances(&layout);
         assert!(pooled.iter().all(|variance| (variance - 18.1 / 6.0).abs() < 1e-14), "{pooled:?}");
@@ -426,7 +431,7 @@ mod tests {
 
     #[test]
     fn degrees_of_freedom_are_those_of_the_group_that_a_variance_is_of() {
-        // The means of two outputs of 3 and 50 rows.
+        // The parameters are the means of two outputs of 3 and 50 rows.
         let jacobian = DMatrix::from_fn(53, 2, |i, k| f64::from(u8::from((i < 3) == (k == 0))));
         let mut state = 5;
         let residuals = left(&normal_numbers(53, &mut state), &jacobian);
@@ -435,7 +440,7 @@ mod tests {
         let joint = JointMatrices::new(&factors, &noise, &noise.independent);
         assert!((joint.degrees_of_freedom(0) - 2.0).abs() < 1e-9);
         assert!((joint.degrees_of_freedom(1) - 49.0).abs() < 1e-9);
-        // A mean of both: the degrees of freedom of Welch and Satterthwaite.
+        // One mean of both has the degrees of freedom of Welch and Satterthwaite.
         let both = DMatrix::from_element(53, 1, 1.0);
         let residuals = left(&normal_numbers(53, &mut state), &both);
         let (noise, factors) = found(&two, &residuals, &both, Estimator::Pooled, &[]);
@@ -459,14 +464,15 @@ mod tests {
             let (degrees, variance) = (joint.degrees_of_freedom(0), noise.variances[0]);
             let of_both = (10.0 * variance + of_prior.powi(2)) / (10.0 + of_prior.powi(2)).powi(2);
             assert!((joint.covariance[(0, 0)] / of_both - 1.0).abs() < 1e-9);
-            // A prior that decides leaves nothing unknown, a vague one is none.
+            // A dominant prior leaves nothing unknown; a vague prior has no effect.
             assert!(if sd < 1.0 { degrees > 20.0 } else { (degrees - 9.0).abs() < 1e-3 }, "{sd}: {degrees}");
         }
     }
 
     #[test]
     fn a_prior_far_off_is_no_autocorrelation() {
-        // The prior pulls the constant away from the measurements: residuals of one sign.
+        // The prior pulls the constant away from the measurements, so that the residuals have one
+        // sign.
         let jacobian = DMatrix::from_fn(51, 1, |i, _| if i < 50 { 1.0 } else { 100.0 });
         let mut state = 11;
         let mut errors = normal_numbers(51, &mut state);
@@ -487,7 +493,7 @@ mod tests {
             let model = noise.autocorrelated.as_ref().unwrap();
             let found = model.autocorrelations[0];
             assert!((found - rho).abs() < 0.08, "{found}");
-            // U'S U of the Toeplitz matrix.
+            // Compare with U'S U of the Toeplitz matrix.
             let variance = model.variances[0];
             let s = DMatrix::from_fn(400, 400, |i, j| variance * found.powi((i as i32 - j as i32).abs()));
             let expected = factors.base.transpose() * s * &factors.base;
@@ -500,7 +506,8 @@ mod tests {
         assert!(significant <= 12, "{significant} of 200");
     }
 
-    /// Weights of 1 / measured make columns of the Jacobian of the noise: with them a constant is left.
+    /// Weights of 1 / measured bring noise into the columns of the Jacobian, so that a constant remains in
+    /// the residuals.
     #[test]
     fn weights_of_measured_values_are_no_autocorrelation() {
         let (n, mut state, mut significant) = (30, 3, 0);
@@ -515,7 +522,7 @@ mod tests {
         assert!(significant <= 8, "{significant} of 100");
     }
 
-    /// Independent noise of unlike size.
+    /// The noise is independent but its size varies.
     #[test]
     fn loud_rows_are_no_autocorrelation() {
         let (n, mut state, line, mut significant) = (60, 4, line(60), 0);
@@ -545,14 +552,14 @@ mod tests {
             let of_set = [model.autocorrelations[1], model.variances[0], model.variances[1]];
             means.iter_mut().zip(of_set).for_each(|(mean, own)| *mean += own / f64::from(sets));
         }
-        // One in forty is expected, however large the smooth part is.
+        // One in forty is expected, whatever the size of the smooth part.
         assert!(by_chance <= 7, "{by_chance} of {sets}");
         let [rho, first, second] = means;
         assert!((rho - 0.8).abs() < 0.05, "{rho}");
         assert!((first - 1.0).abs() < 0.1 && (second / 25.0 - 1.0).abs() < 0.15, "{first} {second}");
     }
 
-    /// A line from a measured start: `y = start + k t`, of which k is fitted.
+    /// A line from a measured start, `y = start + k t`, with a fitted k.
     #[test]
     fn a_measured_start_counts_as_noise_and_not_as_a_measurement() {
         let n = 4;
@@ -574,7 +581,7 @@ mod tests {
         let sets = 20_000;
         for _ in 0..sets {
             let e = normal_numbers(n, &mut state);
-            // Residuals of weight 2: the noise of the measurements is 1/2.
+            // The residuals have weight 2, so the noise of the measurements is 1/2.
             let errors: Vec<f64> = (0..n).map(|i| e[0] - e[i]).collect();
             let residuals = left(&errors, &jacobian);
             let (noise, factors) =
@@ -586,14 +593,14 @@ mod tests {
             let joint = JointMatrices::new(&factors, &noise, &noise.independent);
             let expected = noise.variances[0] * (1.0 / 14.0 + 36.0 / 196.0);
             assert!((joint.covariance[(0, 0)] / expected - 1.0).abs() < 1e-9);
-            // Of the start itself: its own noise, and what it makes of k.
+            // The variance of the start is its own noise; the covariance is its effect on k.
             assert!((joint.covariance[(1, 1)] / (noise.variances[0] / 4.0) - 1.0).abs() < 1e-9);
             assert!((joint.covariance[(0, 1)] / (-noise.variances[0] * 6.0 / 14.0 / 2.0) - 1.0).abs() < 1e-9);
             let degrees = joint.degrees_of_freedom(0);
             assert!((degrees - 2.0).abs() < 1e-9, "{degrees}");
         }
         assert!((variances - 1.0).abs() < 0.05, "{variances}");
-        // Twice the squared mean over the variance are the degrees of freedom.
+        // The degrees of freedom are twice the squared mean divided by the variance.
         let degrees = 2.0 / (squares - variances * variances);
         assert!((degrees - 2.0).abs() < 0.2, "{degrees}");
     }

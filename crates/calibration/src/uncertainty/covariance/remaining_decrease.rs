@@ -1,4 +1,4 @@
-//! The part of the cost that one more step of least squares takes away, as simulations of that step tell.
+//! Relative decrease of the cost by one more least-squares step, as confirmed by simulations.
 
 use crate::cost::residual::sum_of_squares;
 use crate::error::CalibrationError;
@@ -9,42 +9,42 @@ use crate::uncertainty::covariance::matrix::Factors;
 use crate::uncertainty::row_blocks::along;
 use nalgebra::DVector;
 
-/// A step of least squares that takes away less than this part of the cost, or is shorter than a standard
-/// error, is none.
+/// Decrease of the cost below which a least-squares step is negligible. A step shorter than a standard error
+/// is negligible too.
 const LEAST_GAIN: f64 = 0.01;
 
-/// Nor is one that moves no parameter by this part of its size: the default `x_tol` of a fit.
+/// Step relative to the size of a parameter below which a step is negligible: the default `x_tol` of a fit.
 const SHORTEST: f64 = 1e-4;
 
-/// Parts of the step that are simulated, one after the other, until one gains: along a curved valley the
-/// first ones lead out of it.
+/// Parts of the step to simulate, in this order, until one decreases the cost. In a curved valley, the first
+/// ones lead out of the valley.
 const PARTS: [f64; 3] = [1.0, 0.25, 1.0 / 16.0];
 
-/// What is left to gain at a point.
+/// Possible decrease of the cost at a point.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Gain {
-    /// Part of the cost, as simulated, or as predicted where no part of the step can be simulated.
+    /// Decrease relative to the cost: as simulated, or as predicted if no part of the step can be simulated.
     pub(crate) part: f64,
-    /// No part of the step can be simulated.
+    /// True if no part of the step can be simulated.
     pub(crate) is_at_failures: bool,
 }
 
-/// A point with what its free parameters do to its cost.
+/// A point and the effect of its free parameters on its cost.
 pub(crate) struct At<'a> {
     pub(crate) parameters: &'a [Parameter],
     pub(crate) x: &'a [f64],
     pub(crate) free: &'a [usize],
-    /// Sizes of these parameters, as the search knows them.
+    /// Sizes of the free parameters used by the search.
     pub(crate) sizes: &'a [f64],
     pub(crate) factors: &'a Factors,
-    /// The residuals that the factors are of.
+    /// Residuals that belong to the factors.
     pub(crate) residuals: &'a [f64],
 }
 
 impl At<'_> {
-    /// The part of the cost that the step to the minimum of the linear model takes away: predicted, and where
-    /// that is more than noise, simulated; what the budget leaves out of the shorter ones is no gain. A gain
-    /// that no simulation confirms is none.
+    /// Returns the relative decrease of the cost by the step to the minimum of the linear model. It is first
+    /// predicted and, if it exceeds the noise, simulated. A decrease that no simulation confirms is zero. If
+    /// the budget skips the shorter steps, the decrease is zero too.
     pub(crate) fn left_to_gain(
         &self,
         cost: &dyn Fn(&[f64]) -> f64,
@@ -79,7 +79,7 @@ impl At<'_> {
         Ok(Gain { part, is_at_failures })
     }
 
-    /// The point at a part of a step in the coordinates of the search, inside of the bounds.
+    /// Returns the point at a part of a step in the coordinates of the search, inside the bounds.
     fn moved(&self, step: &DVector<f64>, part: f64) -> Vec<f64> {
         let mut x = self.x.to_vec();
         for (k, &i) in self.free.iter().enumerate() {

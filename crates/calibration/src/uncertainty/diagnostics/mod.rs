@@ -1,4 +1,4 @@
-//! What the residuals of a fit say about model and measurements: tests of each output, and of priors.
+//! Diagnostics of model and measurements from the residuals of a fit: tests of each output and of priors.
 
 pub(crate) mod prior_check;
 pub(crate) mod residual_check;

@@ -13,29 +13,28 @@ use base::RunContext;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-/// Estimates that are farther apart than this many standard deviations are not those of one value.
+/// Distance in standard deviations above which two estimates contradict each other.
 const CONTRADICTS: f64 = 4.0;
 
-/// A prior, and what the measurements alone say of its parameter.
+/// A prior that the measurements contradict.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct PriorConflict {
-    /// The parameter, by number.
+    /// Index of the parameter.
     pub parameter: usize,
     /// Prior of the parameter.
     pub prior: Prior,
-    /// The value that the measurements alone give, by one step of least squares from the result.
+    /// Value determined by the measurements alone, by one least-squares step from the result.
     pub without_prior: f64,
-    /// Distance of this value from the prior in standard deviations: those of both, added as independent
-    /// ones.
+    /// Distance of this value from the prior, in standard deviations of both, combined as independent errors.
     pub deviations: f64,
 }
 
 impl PriorConflict {
-    /// The priors that are contradicted, by the derivatives (m x p, in the coordinates of the search) of the
-    /// residuals (m), of which those of the priors are the last, and by their scores. `slopes`: of the free
-    /// parameters by these coordinates.
+    /// Returns the priors that are contradicted. The `jacobian` contains the derivatives of the residuals (m
+    /// x p, in the coordinates of the search), with the priors last. The `slopes` are the derivatives of the
+    /// free parameters with respect to these coordinates.
     pub(crate) fn all(
         at: &Center<'_>,
         layout: &ResidualLayout,
@@ -50,7 +49,8 @@ impl PriorConflict {
         }
         let mut j = scaled(&jacobian.rows(0, n).into_owned(), &working.roots[..n], context)?;
         let lengths: Vec<f64> = j.column_iter().map(|column| column.norm()).collect();
-        // What the measurements do not move has an infinite standard error, and contradicts nothing.
+        // A parameter that the measurements do not move has an infinite standard error, so it
+        // cannot contradict a prior.
         for (mut column, length) in j.column_iter_mut().zip(&lengths).filter(|(_, length)| **length > 0.0) {
             column /= *length;
         }

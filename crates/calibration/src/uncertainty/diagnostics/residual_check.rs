@@ -9,62 +9,62 @@ use crate::uncertainty::row_blocks::go_on;
 use base::RunContext;
 use serde::{Deserialize, Serialize};
 
-/// Residuals farther than this many robust standard deviations from their median are outliers: of normally
-/// distributed ones 0.4 % of series of 20 have any, and fewer of longer ones. Of fewer residuals nothing is
-/// known of their distances.
+/// Distance from the median in robust standard deviations above which a residual is an outlier. With normally
+/// distributed residuals, 0.4 % of series of 20 contain outliers, and fewer of longer series. For shorter
+/// series, the distances are unreliable.
 const OUTLIER: f64 = 6.0;
 const FEWEST_WITH_OUTLIERS: usize = 20;
 
-/// Fewer outliers, in percent, change no parameter much.
+/// Percentage of outliers below which they hardly change any parameter.
 const MANY_OUTLIERS: f64 = 0.2;
 
-/// Autocorrelation above this makes standard errors too small that suppose independent residuals.
+/// Autocorrelation above which standard errors under the assumption of independent residuals are too small.
 const CORRELATED: f64 = 0.3;
 
-/// A mean that is farther off zero than this many standard deviations is no chance.
+/// Distance of the mean from zero, in standard deviations, above which it is significant.
 const DEVIATIONS: f64 = 4.0;
 
-/// Residuals below this part of the size of the measurements are rounding.
+/// Size relative to the measurements below which residuals are rounding errors.
 const ROUNDING: f64 = 1e-10;
 
-/// The residuals of one output of one experiment, times their weights. Recordings of an output whose weights
-/// differ are looked at, and have their variances, apart: see [`Estimator`](crate::Estimator).
+/// Weighted residuals of one output of one experiment. Recordings of an output with different weights are
+/// checked separately and have separate variances: see [`Estimator`](crate::Estimator).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct ResidualCheck {
-    /// The experiment.
+    /// Name of the experiment.
     pub experiment: String,
-    /// The variable of the model.
+    /// Variable of the model.
     pub variable: String,
     /// Number of residuals of the output.
     pub n: usize,
-    /// Their mean.
+    /// Mean of the residuals.
     pub mean: f64,
-    /// The error of the mean by the noise of measured initial states.
+    /// Error of the mean caused by the noise of measured initial states.
     #[serde(default)]
     pub mean_by_starts: f64,
-    /// Their standard deviation around it.
+    /// Standard deviation around the mean.
     pub deviation: f64,
-    /// Their autocorrelation at lag one; NaN for fewer than three, and where all are the same.
+    /// Autocorrelation at lag one; NaN for fewer than three residuals, and if all are equal.
     pub autocorrelation: f64,
-    /// Number of residuals beyond six robust standard deviations (by the median absolute deviation) from the
-    /// median; none where there are fewer than 20.
+    /// Number of residuals beyond six robust standard deviations (from the median absolute deviation) from
+    /// the median; 0 for fewer than 20 residuals.
     pub n_outliers: usize,
-    /// Number of groups of neighbours that they form; as many as there are outliers where each is alone.
+    /// Number of groups of neighbouring outliers; equal to the number of outliers if all are isolated.
     #[serde(default)]
     pub n_outlier_groups: usize,
-    /// True if the residuals are rounding, below 1e-10 of the size of the measurements: there are no findings
-    /// about them.
+    /// True if the residuals are rounding errors, below 1e-10 of the size of the measurements. No findings
+    /// are reported then.
     #[serde(default)]
     pub is_rounding: bool,
 }
 
 impl ResidualCheck {
-    /// Of all outputs.
+    /// Checks the residuals of all outputs.
     ///
     /// # Errors
-    /// [`CalibrationError::Cancelled`].
+    /// Returns [`CalibrationError::Cancelled`] if the context is over.
     pub(crate) fn all(
         layout: &ResidualLayout,
         names: &[String],
@@ -92,8 +92,9 @@ impl ResidualCheck {
         layout.outputs.iter().map(check).collect()
     }
 
-    /// Findings about the residuals of all outputs, with the experiment where there are several. `has_loss`:
-    /// the cost counts outliers less; `has_errors`: there are standard errors, too.
+    /// Returns findings about the residuals of all outputs, with the experiment if there are several. Set
+    /// `has_loss` if the cost reduces the influence of outliers, and `has_errors` if standard errors are
+    /// available.
     pub(crate) fn all_findings(checks: &[Self], has_loss: bool, has_errors: bool) -> Vec<Finding> {
         let are_several = checks.iter().any(|check| check.experiment != checks[0].experiment);
         let of = |check: &Self| {
@@ -138,7 +139,7 @@ impl ResidualCheck {
             );
         }
         let share = 100.0 * self.n_outliers as f64 / self.n as f64;
-        // Those of a systematic misfit are said already.
+        // Outliers of a systematic misfit are covered by the findings above.
         if share > MANY_OUTLIERS && !(self.are_outliers_together() && self.is_systematic()) {
             let (severity, what, remedy) = match (self.are_outliers_together(), has_loss) {
                 (true, _) => (
@@ -159,7 +160,7 @@ impl ResidualCheck {
         said
     }
 
-    /// True if most outliers have another one beside them: of independent residuals few have.
+    /// True if most outliers are next to another one, which is rare for independent residuals.
     fn are_outliers_together(&self) -> bool {
         2 * self.n_outlier_groups <= self.n_outliers
     }
@@ -169,25 +170,25 @@ impl ResidualCheck {
         self.mean.abs() > DEVIATIONS * of_mean && self.mean.abs() > 0.1 * self.deviation && self.n > 2
     }
 
-    /// True if the residuals are systematic: autocorrelated, or with an offset.
+    /// True if the residuals are systematic: autocorrelated or with an offset.
     fn is_systematic(&self) -> bool {
         !self.is_rounding && (self.is_autocorrelated() || self.has_offset())
     }
 
-    /// True if the autocorrelation matters, and is above three standard deviations of independent residuals,
-    /// `1 / sqrt(n)`. A fit takes some of it away, so it is not told too often.
+    /// True if the autocorrelation is large enough to matter and exceeds three standard deviations of
+    /// independent residuals, `1 / sqrt(n)`. A fit removes some autocorrelation, so false alarms are rare.
     fn is_autocorrelated(&self) -> bool {
         let is_no_chance = self.autocorrelation > 3.0 / (self.n as f64).sqrt();
         !self.is_rounding && is_no_chance && self.autocorrelation > CORRELATED
     }
 }
 
-/// True if the residuals `r` of an output are rounding of its measurements.
+/// True if the residuals `r` of an output are rounding errors of its measurements.
 pub(crate) fn is_rounding(output: &OutputResiduals, r: &[f64]) -> bool {
     r.iter().map(|r| r * r).sum::<f64>() <= square_of_rounding(output)
 }
 
-/// The sum of squares below which the residuals of an output are rounding.
+/// Returns the sum of squares below which the residuals of an output are rounding errors.
 pub(crate) fn square_of_rounding(output: &OutputResiduals) -> f64 {
     let measured: f64 = output.measured.iter().zip(&output.weights).map(|(y, w)| (y * w) * (y * w)).sum();
     ROUNDING * ROUNDING * measured
@@ -200,7 +201,7 @@ fn mean_and_deviation(r: &[f64]) -> (f64, f64) {
     (mean, (sum / (n - 1.0).max(1.0)).sqrt())
 }
 
-/// At lag one: `sum (r_i - mean) (r_(i+1) - mean) / sum (r_i - mean)^2`.
+/// Returns the autocorrelation at lag one: `sum (r_i - mean) (r_(i+1) - mean) / sum (r_i - mean)^2`.
 pub(crate) fn autocorrelation(r: &[f64]) -> f64 {
     if r.len() < 3 {
         return f64::NAN;
@@ -210,7 +211,7 @@ pub(crate) fn autocorrelation(r: &[f64]) -> f64 {
     products / r.iter().map(|r| (r - mean) * (r - mean)).sum::<f64>()
 }
 
-/// The number of outliers, and of the groups of neighbours that they form.
+/// Returns the number of outliers and the number of groups of neighbouring outliers.
 fn outliers(r: &[f64]) -> (usize, usize) {
     let distances = distances(r);
     if r.len() < FEWEST_WITH_OUTLIERS || !distances.iter().all(|distance| distance.is_finite()) {
@@ -249,8 +250,8 @@ mod tests {
         }
     }
 
-    /// 400 residuals with the mean 0.3 and the deviation 1: 6 of its standard errors, but 1.5 of those of a
-    /// simulation that starts from a measurement.
+    /// 400 residuals with mean 0.3 and deviation 1. The mean is 6 of its standard errors, but only 1.5 of
+    /// those of a simulation that starts from a measurement.
     #[test]
     fn noise_of_a_measured_start_is_no_offset() {
         let r: Vec<f64> = (0..400).map(|k| 0.3 + f64::from(k % 2) * 2.0 - 1.0).collect();
