@@ -1,8 +1,8 @@
-//! A page to look at while a fit runs, on this machine alone.
+//! A page to watch a running fit, served on this machine only.
 //!
-//! It belongs here because both the command line and the Python module show it, and because its figures are
-//! those of the report. `request` and `response` know HTTP, `server` listens, `page` refuses what has no
-//! right to it and says what is where.
+//! It is part of this crate because both the command line and the Python module show it, and because its
+//! figures are those of the report. `request` and `response` implement HTTP, `server` listens, and `page`
+//! checks access and routes requests.
 
 mod page;
 mod request;
@@ -20,12 +20,12 @@ use std::io;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Browsers look at the state of a fit once in a second.
+/// Time to wait for the last request of a browser; browsers request the state of a fit once per second.
 const LAST_LOOK: Duration = Duration::from_secs(2);
 
-/// A page that shows a fit while it runs, and its report afterwards. It is served on the loopback address,
-/// at a random port, under a path that nobody can guess; it needs nothing from anywhere else. Dropping this
-/// ends it.
+/// A page that shows a running fit, and its report afterwards. It is served on the loopback address, at a
+/// random port, under an unguessable path. It does not load external resources. Dropping the value stops the
+/// server.
 ///
 /// ```
 /// # use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, RunContext, LivePage};
@@ -52,43 +52,43 @@ pub struct LivePage {
 }
 
 impl LivePage {
-    /// Serves the page of a fit that is about to begin.
+    /// Serves the page of a fit that is about to start.
     ///
     /// # Errors
-    /// There is no free port, or the system gives no random numbers.
+    /// Returns an error if no port is free, or if the system provides no random numbers.
     pub fn start(calibration: &Calibration) -> io::Result<Self> {
         let page = Arc::new(Page::new(calibration, token()?, token()?));
         let server = Server::start(Arc::clone(&page))?;
         Ok(Self { page, server })
     }
 
-    /// Address of the page. Whoever knows it can look at the fit and end it.
+    /// Returns the address of the page. Anyone who knows the address can watch the fit and end it.
     pub fn url(&self) -> String {
         format!("http://{}/{}/", self.server.address(), self.page.token())
     }
 
-    /// Has a fit say what it does.
+    /// Attaches the page to the options of a fit, which then reports its progress.
     pub fn attach(&self, options: &mut FitOptions<'_>) {
         options.live = Some(Arc::clone(self.page.live()));
         options.phase = Arc::clone(self.page.phase());
     }
 
-    /// True once the button that ends the fit was pressed. The context of the fit is to ask for it.
+    /// True after the button that ends the fit was pressed. The context of the fit must check it.
     pub fn is_stop_asked(&self) -> bool {
         self.page.is_stop_asked()
     }
 
-    /// True once the page was closed by its reader.
+    /// True after the reader has closed the page.
     pub fn is_closed(&self) -> bool {
         self.server.is_closed()
     }
 
-    /// Shows the report of the fit from now on, see [`Calibration::report`]. After the button that ends the
-    /// fit nothing is simulated for it: the responses are those that the search has computed, at the measured
-    /// times.
+    /// Shows the report of the fit from now on, see [`Calibration::report`]. If the button that ends the fit
+    /// was pressed, nothing is simulated for the report. The responses are then those of the search, at the
+    /// measured times.
     ///
     /// # Errors
-    /// As of a report that is written.
+    /// Returns the errors of [`Calibration::report`], except errors of the file.
     pub fn show_report(
         &self,
         calibration: &Calibration,
@@ -103,8 +103,8 @@ impl LivePage {
         Ok(())
     }
 
-    /// Shows why there is no fit, and waits until a browser that has shown the running fit has taken it: a
-    /// second or two, not at all where there is none.
+    /// Shows the reason why there is no fit. If a browser has shown the running fit, it waits up to two
+    /// seconds until the browser has loaded the reason.
     pub fn show_error(&self, message: &str) {
         self.page.set_report(error_page(message));
         let began = Instant::now();

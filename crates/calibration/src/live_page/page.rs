@@ -1,4 +1,4 @@
-//! What is served: the page of the running fit, the part of it that changes, its buttons, and the report.
+//! Content of the server: the page of the running fit, its variable part, its buttons, and the report.
 
 use super::request::Request;
 use super::response::{Response, Status};
@@ -13,15 +13,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// The state is drawn at most so often, however many look at it; and at most a tenth of the time.
+/// Minimum time between two drawings of the state, however many readers there are. Drawing uses at most a
+/// tenth of the time.
 const PAUSE: Duration = Duration::from_millis(900);
 const SHARE: u32 = 10;
 
-/// What follows the report.
+/// Content after the report.
 const CLOSE: &str = "<form method=\"post\" action=\"close\"><p>This page is served by the program that made the fit, until it ends. \
                      <button>Close the page</button></p></form>\n</main>";
 
-/// What a reader sees who has closed the page.
+/// Content shown after the reader has closed the page.
 const CLOSED: &str = "<!DOCTYPE html><html lang=\"en\"><meta charset=\"utf-8\"><link rel=\"icon\" href=\"data:,\"><title>closed</title>\
                       <p>The page is closed.</p></html>";
 
@@ -36,11 +37,11 @@ pub(super) struct Page {
     is_stop_asked: AtomicBool,
     drawn: Mutex<Option<Drawn>>,
     report: Mutex<Option<Arc<str>>>,
-    /// The report was asked for.
+    /// True if the report was requested.
     is_report_read: AtomicBool,
 }
 
-/// The state as it was drawn last.
+/// The state as drawn last.
 #[derive(Debug)]
 struct Drawn {
     text: Arc<str>,
@@ -48,14 +49,14 @@ struct Drawn {
     took: Duration,
 }
 
-/// A text that nobody can guess.
+/// Returns an unguessable string.
 pub(super) fn token() -> io::Result<String> {
     let mut bytes = [0_u8; 16];
     getrandom::fill(&mut bytes).map_err(|error| io::Error::other(error.to_string()))?;
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// Whether two texts are the same, in a time that does not say where they differ.
+/// True if two strings are equal. The comparison time does not reveal where they differ.
 fn is_same(one: &str, other: &str) -> bool {
     let differ = one.bytes().zip(other.bytes()).fold(0, |differ, (a, b)| differ | (a ^ b));
     one.len() == other.len() && differ == 0
@@ -92,13 +93,13 @@ impl Page {
         self.is_stop_asked.load(Ordering::Relaxed)
     }
 
-    /// True if somebody has looked at the running fit a moment ago, and not yet at its end.
+    /// True if a reader has recently requested the running fit, but not yet its end.
     pub(super) fn has_reader(&self) -> bool {
         let is_looked_at = lock(&self.drawn).as_ref().is_some_and(|drawn| drawn.at.elapsed() < 3 * PAUSE);
         is_looked_at && !self.is_report_read.load(Ordering::Relaxed)
     }
 
-    /// What the search has simulated at its start and at the best point, as far as it has.
+    /// Returns the responses that the search has simulated so far at its start and at the best point.
     pub(super) fn curves(&self) -> Vec<ExperimentCurves> {
         self.subject.curves(&self.live)
     }
@@ -107,9 +108,10 @@ impl Page {
         *lock(&self.report) = Some(report.replacen("</main>", CLOSE, 1).into());
     }
 
-    /// The answer to a request at the address of the server.
+    /// Answers a request that was received at the address of the server.
     pub(super) fn answer(&self, request: &Request, own: SocketAddr) -> Response {
-        // Another name for this address is that of a site that wants to reach it through its readers' browsers.
+        // Another host name for this address belongs to a site that tries to reach the server
+        // through the browsers of its readers.
         let is_own = |host: &str| {
             [own.to_string(), format!("localhost:{}", own.port())]
                 .iter()
@@ -136,7 +138,7 @@ impl Page {
                 }
                 match *lock(&self.report) {
                     Some(_) => Response { is_last: true, ..Response::page(CLOSED.into()) },
-                    // A fit that runs is not to lose its page.
+                    // A running fit must not lose its page.
                     None => Status::SeePage.into(),
                 }
             }
@@ -167,7 +169,7 @@ impl Page {
         }
     }
 
-    /// The part of the page that changes.
+    /// Returns the variable part of the page.
     fn drawn(&self) -> Arc<str> {
         let mut drawn = lock(&self.drawn);
         if let Some(drawn) = &*drawn

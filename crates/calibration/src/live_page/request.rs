@@ -6,13 +6,13 @@ use std::io::{ErrorKind, Read};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-/// Most bytes of a request, its body included; browsers send a tenth of that.
+/// Maximum size of a request including its body, in bytes; browsers send a tenth of that.
 const MOST_BYTES: usize = 8192;
 
-/// Most headers of a request.
+/// Maximum number of headers of a request.
 const MOST_HEADERS: usize = 64;
 
-/// A request is to be there in that time, however slowly it comes.
+/// Time limit for receiving a complete request.
 const TIME: Duration = Duration::from_secs(10);
 
 /// A request.
@@ -20,12 +20,12 @@ const TIME: Duration = Duration::from_secs(10);
 pub(super) struct Request {
     pub(super) method: String,
     pub(super) path: String,
-    /// The header `Host`; empty: there is none, or several.
+    /// Header `Host`; empty if it is missing or repeated.
     pub(super) host: String,
     pub(super) origin: Option<String>,
 }
 
-/// Reads a request; `None`: it never came.
+/// Reads a request. Returns `None` if no request arrives.
 pub(super) fn read(stream: &mut TcpStream) -> Result<Option<Request>, Status> {
     let end = Instant::now() + TIME;
     let (mut bytes, mut n) = (vec![0; MOST_BYTES], 0);
@@ -38,7 +38,7 @@ pub(super) fn read(stream: &mut TcpStream) -> Result<Option<Request>, Status> {
             Ok(0) => return Ok(None),
             Ok(more) => n += more,
             Err(error) if error.kind() == ErrorKind::Interrupted => {}
-            // The time is looked at again.
+            // The loop checks the time limit again.
             Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
             Err(_) => return Ok(None),
         }
@@ -50,7 +50,7 @@ pub(super) fn read(stream: &mut TcpStream) -> Result<Option<Request>, Status> {
     }
 }
 
-/// The request in these bytes; `None`: there is more to come.
+/// Parses the request in these bytes. Returns `None` if it is incomplete.
 fn parse(bytes: &[u8]) -> Result<Option<Request>, Status> {
     let mut headers = [EMPTY_HEADER; MOST_HEADERS];
     let mut parsed = httparse::Request::new(&mut headers);

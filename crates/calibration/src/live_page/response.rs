@@ -5,11 +5,11 @@ use std::net::{Shutdown, TcpStream};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// A response is to be taken in that time.
+/// Time limit for a client to receive a response.
 const TIME: Duration = Duration::from_secs(30);
 
-/// What a client still sends after its response is read so long, and so much of it: a closed connection would
-/// take the response away from it.
+/// Limits of time and size for reading what a client still sends after its response. If the connection were
+/// closed immediately, the client would lose the response.
 const DRAIN_TIME: Duration = Duration::from_millis(500);
 const MOST_DRAINED: usize = 1 << 20;
 
@@ -17,9 +17,9 @@ const MOST_DRAINED: usize = 1 << 20;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Status {
     Ok,
-    /// The page is to be loaded again.
+    /// The page must be loaded again.
     Reset,
-    /// The page is where it was.
+    /// The page has not moved.
     SeePage,
     BadRequest,
     Forbidden,
@@ -51,13 +51,13 @@ impl Status {
 #[derive(Debug)]
 pub(super) struct Response {
     pub(super) status: Status,
-    /// A page in HTML.
+    /// HTML page.
     pub(super) body: Arc<str>,
-    /// Scripts with this nonce run, no others.
+    /// Nonce of the only scripts that may run.
     pub(super) nonce: Option<String>,
-    /// Methods that the path has, where it was another one.
+    /// Methods that the path supports, if the requested method is not one of them.
     pub(super) allowed: &'static str,
-    /// True if this is the last one.
+    /// True if this is the last response.
     pub(super) is_last: bool,
 }
 
@@ -85,7 +85,7 @@ impl Response {
         )
     }
 
-    /// Sends it; without its body where only the head was asked for.
+    /// Sends the response, without its body for a HEAD request.
     pub(super) fn send(&self, stream: &mut TcpStream, is_head: bool) -> io::Result<()> {
         let mut text = self.head();
         if !is_head {

@@ -1,8 +1,8 @@
-//! The server: a thread that listens on the loopback address, and one for each connection. None of them ever
-//! waits for the fit, nor the fit for one of them.
+//! The server: a thread that listens on the loopback address, and one thread for each connection. These
+//! threads never wait for the fit, and the fit never waits for them.
 //!
-//! The syntax of requests is read by httparse. The servers that exist without an asynchronous runtime
-//! (tiny_http and what builds on it) limit neither the size of a head nor the time that a client takes.
+//! Requests are parsed by httparse. Existing servers without an asynchronous runtime (tiny_http and servers
+//! based on it) limit neither the size of a header nor the time of a client.
 
 use super::page::Page;
 use super::request;
@@ -15,22 +15,22 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Most connections at a time; browsers open six.
+/// Maximum number of connections; browsers open six.
 const MOST_CONNECTIONS: usize = 32;
 
-/// A connection that has sent no request for so long makes room for another one where there are too many.
+/// Time without a request after which a connection may be closed for a new one if there are too many.
 const MOST_SILENCE: Duration = Duration::from_secs(1);
 
-/// After a connection that failed the next one is waited for a little: open files may be short.
+/// Pause after a failed connection, because file descriptors may be scarce.
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// A server; dropping it ends it.
+/// A server; dropping it stops it.
 #[derive(Debug)]
 pub(super) struct Server {
     end: Arc<End>,
 }
 
-/// What ends a server.
+/// Shared state that stops a server.
 #[derive(Debug)]
 struct End {
     address: SocketAddr,
@@ -38,7 +38,7 @@ struct End {
 }
 
 impl End {
-    /// Closes the server; its thread notices by a connection.
+    /// Closes the server. A connection wakes up its thread.
     fn close(&self) {
         if !self.is_closed.swap(true, Ordering::Relaxed) {
             let _ = TcpStream::connect_timeout(&self.address, PAUSE);
@@ -46,7 +46,7 @@ impl End {
     }
 }
 
-/// The connections that are served, the oldest first.
+/// Open connections, the oldest first.
 #[derive(Debug, Default)]
 struct Connections(Mutex<Vec<Connection>>);
 
@@ -55,19 +55,19 @@ struct Connection {
     id: u64,
     stream: TcpStream,
     since: Instant,
-    /// True until its request has come.
+    /// True until the request of the connection has arrived.
     is_silent: bool,
 }
 
-/// A connection that counts until this is dropped.
+/// A connection that is counted until this value is dropped.
 struct Counted {
     all: Arc<Connections>,
     id: u64,
 }
 
 impl Connections {
-    /// Counts a connection, which is the one of this number. Where there are too many, one that has sent no
-    /// request for [`MOST_SILENCE`] is closed for it; `None`: there is no such.
+    /// Counts the connection with this number. If there are too many, it closes one that has sent no request
+    /// for [`MOST_SILENCE`]. Returns `None` if there is none to close.
     fn add(all: &Arc<Self>, stream: &TcpStream, id: u64, now: Instant) -> Option<Counted> {
         let stream = stream.try_clone().ok()?;
         let mut open = lock(&all.0);
@@ -76,7 +76,7 @@ impl Connections {
                 |c: &Connection| c.is_silent && now.saturating_duration_since(c.since) >= MOST_SILENCE;
             let at = open.iter().position(is_long_silent)?;
             let silent = open.remove(at);
-            // Its thread reads that it has ended.
+            // The thread of the connection reads its end.
             let _ = silent.stream.shutdown(Shutdown::Both);
         }
         open.push(Connection { id, stream, since: now, is_silent: true });
@@ -85,7 +85,7 @@ impl Connections {
 }
 
 impl Counted {
-    /// Notes that its request has come.
+    /// Records that the request has arrived.
     fn has_come(&self) {
         let mut open = lock(&self.all.0);
         open.iter_mut().filter(|c| c.id == self.id).for_each(|c| c.is_silent = false);
@@ -114,7 +114,7 @@ impl Server {
         self.end.address
     }
 
-    /// True once it serves no more.
+    /// True after the server has stopped.
     pub(super) fn is_closed(&self) -> bool {
         self.end.is_closed.load(Ordering::Relaxed)
     }
@@ -122,7 +122,7 @@ impl Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        // Its threads end by themselves: a client that hangs keeps nobody waiting.
+        // The threads end by themselves, so a hanging client blocks nothing.
         self.end.close();
     }
 }
@@ -147,19 +147,19 @@ fn listen(listener: &TcpListener, end: &Arc<End>, page: &Arc<Page>) {
                 end.close();
             }
         };
-        // No thread can be had: the connection is closed.
+        // If no thread is available, the connection is closed.
         let _ = thread::Builder::new().name("fmufit-watch".to_owned()).spawn(serve);
     }
 }
 
-/// Tells a client that there are too many, without waiting for it.
+/// Reports to a client that there are too many connections, without waiting for the client.
 fn refuse(mut stream: TcpStream) {
     if stream.set_nonblocking(true).is_ok() {
         let _ = Response::from(Status::Busy).send(&mut stream, false);
     }
 }
 
-/// Answers the request of a connection. Returns whether it is the last one.
+/// Answers the request of a connection. Returns true if it is the last one.
 fn serve(mut stream: TcpStream, counted: &Counted, own: SocketAddr, page: &Page) -> bool {
     let read = request::read(&mut stream);
     counted.has_come();
@@ -168,7 +168,7 @@ fn serve(mut stream: TcpStream, counted: &Counted, own: SocketAddr, page: &Page)
         Ok(Some(request)) => (page.answer(&request, own), request.method == "HEAD"),
         Err(status) => (Response::from(status), false),
     };
-    // The client may have gone.
+    // The client may have disconnected.
     let _ = response.send(&mut stream, is_head);
     response.is_last
 }
@@ -196,7 +196,7 @@ mod tests {
         held[0].2.has_come();
         let (_client, own) = pair();
         assert!(Connections::add(&open, &own, 32, now + MOST_SILENCE / 2).is_none());
-        // The first one has sent its request: it is the second one that goes.
+        // The first connection has sent its request, so the second one is closed.
         let _counted = Connections::add(&open, &own, 33, now + MOST_SILENCE).unwrap();
         assert_eq!(held[1].0.read(&mut [0]).unwrap(), 0);
         held[0].1.set_nonblocking(true).unwrap();

@@ -1,5 +1,5 @@
 //! Data of the figures of a fit: measurements, responses at the start and at the fitted values, residuals,
-//! inputs, sensitivities.
+//! inputs, and sensitivities.
 
 #[cfg(feature = "report")]
 use super::figure::{self, Panel, Series};
@@ -18,22 +18,22 @@ use std::thread::available_parallelism;
 #[cfg(feature = "report")]
 const PANEL: u32 = 160;
 
-/// Points of a response, about.
+/// Approximate number of points of a response.
 const CURVE_POINTS: usize = 2001;
 
 /// Curves of one experiment of a fit.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct ExperimentCurves {
-    /// The experiment.
+    /// Name of the experiment.
     pub name: String,
-    /// The first time of the recording as it stands in the file, where times are dates.
+    /// First time of the recording as written in the file, if times are dates.
     pub first_date: Option<String>,
-    /// Where measurements count, in s; none: everywhere.
+    /// Windows in which measurements count, in s; empty if all measurements count.
     pub windows: Vec<(f64, f64)>,
-    /// Its outputs, in the order of the residual vector.
+    /// Outputs, in the order of the residual vector.
     pub outputs: Vec<OutputCurves>,
-    /// Its recorded inputs.
+    /// Recorded inputs.
     pub inputs: Vec<Signal>,
 }
 
@@ -43,11 +43,11 @@ pub struct ExperimentCurves {
 pub struct OutputCurves {
     /// The measurements that count.
     pub measured: Signal,
-    /// Simulated at the fitted values minus measured, without weights, at the same times.
+    /// Simulated values at the fitted parameters minus measurements, without weights, at the same times.
     pub residuals: Vec<f64>,
-    /// The response at the start of the fit; `None` if the simulation fails there.
+    /// Response at the start of the fit; `None` if the simulation fails there.
     pub start: Option<Signal>,
-    /// The response at the fitted values.
+    /// Response at the fitted values.
     pub fitted: Option<Signal>,
 }
 
@@ -55,18 +55,18 @@ pub struct OutputCurves {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Signal {
-    /// The variable of the model.
+    /// Variable of the model.
     pub variable: String,
-    /// Its unit, where the model states it.
+    /// Unit, if the model declares it.
     pub unit: Option<String>,
     /// Times, in s.
     pub times: Vec<f64>,
-    /// Its values.
+    /// Values.
     pub values: Vec<f64>,
 }
 
-/// Columns over their times, in s, as an SVG drawing with a panel for each, labelled by its name; `None`
-/// where there is nothing finite to draw.
+/// Draws columns over their times, in s, as SVG with one panel per column, labelled by its name. Returns
+/// `None` if there are no finite values to draw.
 #[cfg(feature = "report")]
 pub fn plot<'a>(times: &[f64], columns: impl IntoIterator<Item = (String, &'a [f64])>) -> Option<String> {
     let panel = |(y_label, values): (String, &[f64])| {
@@ -83,12 +83,13 @@ pub fn plot<'a>(times: &[f64], columns: impl IntoIterator<Item = (String, &'a [f
 }
 
 impl Calibration {
-    /// Curves of a fit, experiment by experiment: each is simulated at the start of the fit and at the fitted
-    /// values, with the steps of the fit. The context is looked at before every step of the simulations.
+    /// Returns the curves of a fit, experiment by experiment. Each experiment is simulated at the start of
+    /// the fit and at the fitted values, with the steps of the fit. The context is checked before every step
+    /// of the simulations.
     ///
     /// # Errors
-    /// The fit has another number of parameters, or its simulation fails now;
-    /// [`CalibrationError::Cancelled`].
+    /// Returns an error if the fit has a different number of parameters, or if its simulation now fails.
+    /// Returns [`CalibrationError::Cancelled`] if the context is over.
     pub fn curves(
         &self,
         fit: &Fit,
@@ -155,8 +156,8 @@ impl Calibration {
         }
     }
 
-    /// An experiment simulated from its start to its last measurement, with the steps of the fit; `None` if
-    /// that fails.
+    /// Simulates an experiment from its start to its last measurement, with the steps of the fit. Returns
+    /// `None` if the simulation fails.
     fn response(
         &self,
         k: usize,
@@ -170,10 +171,10 @@ impl Calibration {
         }
     }
 
-    /// Sensitivity of each output to each parameter, without weights, in the order of the residual vector:
-    /// the derivative times the size of the parameter's value (of one that is zero: its nominal size), so the
-    /// effect of a relative change of one. Per output one column per parameter. Empty where the fit has no
-    /// [`Uncertainty`](crate::Uncertainty).
+    /// Returns the sensitivity of each output to each parameter, without weights, in the order of the
+    /// residual vector. The sensitivity is the derivative times the absolute value of the parameter, or times
+    /// its nominal size if the value is zero. It is the effect of a relative change of one. Each output has
+    /// one column per parameter. The result is empty if the fit has no [`Uncertainty`](crate::Uncertainty).
     pub fn sensitivities(&self, fit: &Fit) -> Vec<Vec<Vec<f64>>> {
         let (layout, n) = (fit.residual_layout(self), fit.x.len());
         let jacobian = fit.uncertainty.as_ref().map(|uncertainty| uncertainty.jacobian.as_slice());

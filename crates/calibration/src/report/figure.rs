@@ -1,7 +1,7 @@
-//! Figures of the report as SVG: panels over a common axis, with a few points where there are many.
+//! Figures of the report as SVG: panels over a common axis. Long series are drawn with fewer points.
 //!
-//! Colours stand in the drawings as attributes, by which the page's style sheet finds what it redraws in a
-//! dark page.
+//! Colours are attributes in the drawings. The style sheet of the page uses them to redraw elements on a dark
+//! page.
 
 use super::number::rounded;
 use crate::findings::shown_text::visible_line;
@@ -10,60 +10,60 @@ use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use std::ops::Range;
 
-/// Colours of recordings, of the start of a fit, and of its end; of text; of lines of the grid. Colour-blind
-/// readers can distinguish blue, vermillion and greys (Okabe and Ito, Color universal design, 2008), and
-/// lines also by their dashes.
+/// Colours of recordings, the start of a fit, the fitted values, text, and grid lines. Colour-blind readers
+/// can distinguish blue, vermillion and greys (Okabe and Ito, Color universal design, 2008). Lines also
+/// differ by their dashes.
 const MEASURED: RGBColor = RGBColor(0x76, 0x76, 0x76);
 const START: RGBColor = RGBColor(0xD5, 0x5E, 0x00);
 const FITTED: RGBColor = RGBColor(0x00, 0x72, 0xB2);
 const TEXT: RGBColor = RGBColor(0x1A, 0x1A, 0x1A);
 const GRID: RGBColor = RGBColor(0xDD, 0xDD, 0xDD);
 
-/// Units of a drawing per pixel of a figure: coordinates are whole numbers.
+/// Units of a drawing per pixel of a figure: coordinates are integers.
 const FINE: u32 = 3;
 
 /// Width of a figure in pixels.
 const WIDTH: u32 = 560;
 
-/// Space of the labels at the left and below, and at the other sides, in pixels.
+/// Space for labels at the left and below, and margin at the other sides, in pixels.
 const LEFT: u32 = 86;
 const BELOW: u32 = 44;
 const MARGIN: u32 = 8;
 
-/// Space at the right for half of the label at the end of the axis.
+/// Space at the right for half of the last axis label.
 const END_LABEL: u32 = 28;
 
-/// A label on the axis of values for each so many pixels.
+/// Number of pixels per label on the axis of values.
 const PER_LABEL: u32 = 26;
 
-/// Size of the text in pixels; the drawing library takes 1.24 times the size that it writes.
+/// Size of the text in pixels; the drawing library writes the size divided by 1.24.
 const TEXT_SIZE: f64 = 13.0 * 1.24 * FINE as f64;
 
-/// Longer labels are cut.
+/// Longest label; longer labels are cut.
 const LONGEST_LABEL: usize = 34;
 
-/// At most so many points of a line are drawn, or marks of a series.
+/// Maximum number of points of a line, or of marks of a series.
 const MOST: usize = 1000;
 
 /// A point of a drawing.
 pub(super) type Point = (f64, f64);
 
-/// A series and how it is drawn.
+/// A series and its style.
 pub(super) enum Series {
-    /// Single marks of what was measured, or evaluated.
+    /// Single marks of measurements or evaluations.
     Measured(Vec<Point>),
-    /// Single marks of what belongs to the fitted values.
+    /// Single marks that belong to the fitted values.
     Marks(Vec<Point>),
-    /// A line of what drives the model.
+    /// A line of an input of the model.
     Input(Vec<Point>),
-    /// A line at the start, and one at the fitted values.
+    /// A line at the start, and a line at the fitted values.
     Start(Vec<Point>),
     Fitted(Vec<Point>),
 }
 
 /// Series over a common axis.
 pub(super) struct Panel {
-    /// Its height, in pixels.
+    /// Height of the panel, in pixels.
     pub(super) height: u32,
     pub(super) y_label: String,
     pub(super) series: Vec<Series>,
@@ -85,7 +85,7 @@ impl Series {
     }
 }
 
-/// The panels below each other as an SVG element; `None` where there is nothing finite to draw.
+/// Draws the panels below each other as an SVG element. Returns `None` if there are no finite values to draw.
 pub(super) fn draw(panels: &[Panel], x_label: &str) -> Option<String> {
     let all = panels.iter().flat_map(|panel| panel.series.iter().flat_map(Series::points));
     let x = range(all.filter(|(_, y)| y.is_finite()).map(|(x, _)| *x), 0.0)?;
@@ -104,11 +104,11 @@ pub(super) fn draw(panels: &[Panel], x_label: &str) -> Option<String> {
         }
         area.present().ok()?;
     }
-    // What attributes are without being named, and so often that it counts.
+    // Default attributes are removed because they occur often enough to affect the size.
     Some(svg.replace(" opacity=\"1\"", "").replace(" stroke=\"none\" stroke-width=\"1\"", ""))
 }
 
-/// Note on so many marks; empty if all of them are drawn.
+/// Returns a note about omitted marks; empty if all marks are drawn.
 pub(super) fn note(n: usize) -> String {
     match n.div_ceil(MOST) {
         0 | 1 => String::new(),
@@ -121,8 +121,8 @@ type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64
 type Drawn = Result<(), DrawingAreaErrorKind<std::io::Error>>;
 
 impl Panel {
-    /// The values from the smallest to the largest. What the start has beyond twice the width of the others
-    /// is cut off.
+    /// Returns the range of the values. The curve at the start is cut off where it exceeds the range of the
+    /// others by more than twice its width.
     fn y_range(&self) -> Option<Range<f64>> {
         let of = |is_start: bool| {
             let series = self.series.iter().filter(move |s| matches!(s, Series::Start(_)) == is_start);
@@ -196,8 +196,8 @@ fn finite(points: &[Point]) -> Vec<Point> {
     points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite()).collect()
 }
 
-/// The finite points as marks: all of them, or every second, third or so on, by which they look as scattered
-/// as they are; and the lowest and the highest of all.
+/// Returns the finite points as marks: all of them, or every k-th so that the scatter is preserved, plus the
+/// lowest and the highest point.
 fn sampled(points: &[Point]) -> Vec<Point> {
     let finite = finite(points);
     let by_value = |a: &&Point, b: &&Point| a.1.total_cmp(&b.1);
@@ -209,8 +209,8 @@ fn sampled(points: &[Point]) -> Vec<Point> {
     marks
 }
 
-/// The finite points of a line: all of them, or of each stretch of them the lowest and the highest, so that
-/// no extreme is lost.
+/// Returns the finite points of a line: all of them, or the lowest and the highest of each section so that no
+/// extreme is lost.
 fn thinned(points: &[Point]) -> Vec<Point> {
     let finite = finite(points);
     if finite.len() <= MOST {
@@ -231,8 +231,8 @@ fn thinned(points: &[Point]) -> Vec<Point> {
     finite.chunks(finite.len().div_ceil(MOST / 2)).flat_map(extremes).collect()
 }
 
-/// The finite values from the smallest to the largest, with a margin on both sides as a part of the width;
-/// some width where they are all the same to the digits that labels have.
+/// Returns the range of the finite values, with a margin on both sides relative to the width. If all values
+/// are equal to the digits of the labels, the range still has a width.
 fn range(values: impl Iterator<Item = f64>, margin: f64) -> Option<Range<f64>> {
     let drawable = values.filter(|v| v.abs() < 1e200);
     let (low, high) =
@@ -249,15 +249,15 @@ fn range(values: impl Iterator<Item = f64>, margin: f64) -> Option<Range<f64>> {
     Some(low - by..high + by)
 }
 
-/// The labels of an axis, with the digits that tell them apart.
+/// Returns the labels of an axis, with enough digits to distinguish them.
 fn labels(range: &Range<f64>) -> impl Fn(&f64) -> String {
     let width = range.end - range.start;
     let digits = ((range.start.abs().max(range.end.abs()) / width).log10() + 3.0).clamp(3.0, 12.0);
-    // What is nothing but the rounding of zero.
+    // The value is the rounding error of zero.
     move |value| if value.abs() < 1e-9 * width { "0".to_owned() } else { rounded(*value, digits as usize) }
 }
 
-/// The labels of an axis of logarithms, with the digits that tell so many of them apart.
+/// Returns the labels of a logarithmic axis, with enough digits to distinguish `n` labels.
 fn power_labels(range: &Range<f64>, n: u32) -> impl Fn(&f64) -> String {
     let ratio = 10_f64.powf((range.end - range.start) / f64::from(2 * n.max(1))) - 1.0;
     let digits = (1.0 - ratio.log10()).ceil().clamp(2.0, 12.0);

@@ -1,4 +1,4 @@
-//! The page of a fit that runs: the figures of the report, from what the search has computed.
+//! Page of a running fit: the figures of the report, drawn from the results of the search.
 
 use super::curves::{ExperimentCurves, OutputCurves, Signal};
 use super::number::rounded;
@@ -11,16 +11,16 @@ use serde::Serialize;
 use std::collections::HashMap;
 use std::time::Instant;
 
-/// Digits of numbers.
+/// Number of significant digits.
 const DIGITS: usize = 6;
 
-/// Most outputs that are drawn: the page is made again and again.
+/// Maximum number of outputs in figures; the page is redrawn repeatedly.
 const MOST_OUTPUTS: usize = 12;
 
-/// Most evaluations under way that are listed, and most reasons of failures.
+/// Maximum number of listed running evaluations, and of listed reasons of failures.
 const MOST_ROWS: usize = 8;
 
-/// What does not change while a fit runs.
+/// Data that do not change while a fit runs.
 #[derive(Debug)]
 pub(crate) struct LiveSubject {
     model: String,
@@ -43,7 +43,7 @@ struct Row {
     remark: String,
 }
 
-/// A point and what is said of it.
+/// A point and a remark.
 #[derive(Serialize)]
 struct PointRow {
     text: String,
@@ -56,7 +56,7 @@ struct State {
     parameters: Vec<Row>,
     search: Vec<Figure>,
     outputs: Vec<Figure>,
-    /// Outputs that are not drawn.
+    /// Number of outputs that are not drawn.
     more_outputs: usize,
     running: Vec<PointRow>,
     n_failed: usize,
@@ -64,7 +64,7 @@ struct State {
     failed: Vec<PointRow>,
 }
 
-/// The page of a fit that has failed, with the reason.
+/// Returns the page of a failed fit, with the reason.
 pub(crate) fn error_page(message: &str) -> String {
     template::error(message)
 }
@@ -99,17 +99,17 @@ impl LiveSubject {
         }
     }
 
-    /// The page; `nonce`: that of its script. `state`: the part that changes.
+    /// Returns the page. The `nonce` belongs to its script, and `state` is the variable part.
     pub(crate) fn page(&self, nonce: &str, state: &str) -> String {
         template::live(&format!("Fit of {}, running", self.model), nonce, state)
     }
 
-    /// What the search has simulated at its start and at the best point, as far as it has.
+    /// Returns the responses that the search has simulated so far at its start and at the best point.
     pub(crate) fn curves(&self, live: &LiveFit) -> Vec<ExperimentCurves> {
         live.state().residuals().map(|found| self.curves_of(&found)).unwrap_or_default()
     }
 
-    /// The part of the page that changes. `phase`: what the fit does.
+    /// Returns the variable part of the page. The `phase` is the current phase of the fit.
     pub(crate) fn state(&self, live: &LiveFit, phase: &str) -> String {
         let state = live.state();
         let found = state.residuals();
@@ -150,7 +150,7 @@ impl LiveSubject {
         })
     }
 
-    /// The parameters with their values at the best point.
+    /// Returns the parameters with their values at the best point.
     fn rows(&self, best: Option<&[f64]>) -> Vec<Row> {
         let mut rows = self.parameters.clone();
         for ((row, value), (lower, upper)) in rows.iter_mut().zip(best.unwrap_or_default()).zip(&self.bounds)
@@ -163,7 +163,7 @@ impl LiveSubject {
         rows
     }
 
-    /// The first outputs; simulations are what was measured and the residuals.
+    /// Returns the curves of the first outputs. Simulated values are the measurements plus the residuals.
     fn curves_of(&self, found: &LiveResiduals) -> Vec<ExperimentCurves> {
         let mut all: Vec<ExperimentCurves> = (self.experiments.iter())
             .map(|name| ExperimentCurves {

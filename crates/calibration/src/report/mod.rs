@@ -1,4 +1,4 @@
-//! Reports of a fit: as text, as a part of a notebook, and as a page with figures.
+//! Reports of a fit: as text, as an HTML element for notebooks, and as a page with figures.
 
 mod curves;
 #[cfg(feature = "report")]
@@ -27,8 +27,8 @@ use {
 
 #[cfg(feature = "report")]
 impl Fit {
-    /// Content of [`Display`](std::fmt::Display) as an HTML element for a notebook: it takes the colours of
-    /// the page around it, light or dark.
+    /// Returns the content of [`Display`](std::fmt::Display) as an HTML element for a notebook. It uses the
+    /// light or dark colours of the surrounding page.
     pub fn to_html(&self) -> String {
         template::notebook(&summary::Summary::new(self))
     }
@@ -36,15 +36,19 @@ impl Fit {
 
 #[cfg(feature = "report")]
 impl Calibration {
-    /// Writes a report of a fit: one HTML page that needs nothing but itself, with parameters and their
-    /// intervals, outputs, figures of measurements, responses and residuals, correlation, search, warnings,
-    /// settings, versions, and hashes of model and data. Each experiment is simulated at the start and at the
-    /// fitted values. An existing file is replaced once the new one is whole.
+    /// Writes a report of a fit as one self-contained HTML page. The page contains:
+    /// - parameters and their intervals, outputs, and warnings,
+    /// - figures of measurements, responses and residuals,
+    /// - the correlation, the search and the settings,
+    /// - versions, and hashes of model and data.
+    ///
+    /// Each experiment is simulated at the start and at the fitted values. An existing file is replaced when
+    /// the new one is complete.
     ///
     /// # Errors
-    /// [`CalibrationError::ReportFile`]: the file cannot be written. [`CalibrationError::Setup`]: its name ends in something else than
-    /// `.html`. The fit has another number of parameters, or its simulation
-    /// fails now.
+    /// Returns [`CalibrationError::ReportFile`] if the file cannot be written, and
+    /// [`CalibrationError::Setup`] if its name does not end in `.html` or `.htm`. Returns an error if the fit
+    /// has a different number of parameters, or if its simulation now fails.
     pub fn report(
         &self,
         fit: &Fit,
@@ -60,7 +64,7 @@ impl Calibration {
             )));
         }
         let failed = |source| CalibrationError::ReportFile { path: path.to_owned(), source };
-        // Before the simulations, which may take long.
+        // The file is opened before the simulations, which may take long.
         let unfinished = AtomicFile::new(path).map_err(failed)?;
         let page = self.report_page(fit, context)?;
         unfinished.file().write_all(page.as_bytes()).and_then(|()| unfinished.finish()).map_err(failed)
@@ -69,7 +73,7 @@ impl Calibration {
 
 #[cfg(feature = "report")]
 impl Calibration {
-    /// The page that [`report`](Self::report) writes.
+    /// Returns the page that [`report`](Self::report) writes.
     pub(crate) fn report_page(
         &self,
         fit: &Fit,
@@ -78,7 +82,7 @@ impl Calibration {
         Ok(page::page(self, fit, &self.curves(fit, context)?))
     }
 
-    /// The same page with these curves, without a simulation.
+    /// Returns the page with these curves, without running simulations.
     pub(crate) fn report_page_with(&self, fit: &Fit, curves: &[ExperimentCurves]) -> String {
         page::page(self, fit, curves)
     }
@@ -89,7 +93,7 @@ mod tests {
     use crate::{BoundSide, Calibration, Data, Experiment, Finding, Fit, FitOptions, Origin, Parameter};
     use base::RunContext;
 
-    /// x' = -k x with k = 2, recorded with an error of a thousandth; c has no effect.
+    /// x' = -k x with k = 2, recorded with an error of a thousandth.
     fn decay() -> (Calibration, Fit) {
         let t: Vec<f64> = (0..31).map(|i| f64::from(i) / 10.0).collect();
         let x = t.iter().enumerate().map(|(i, t)| (-2.0 * t).exp() + if i % 2 == 0 { 1e-3 } else { -1e-3 });
@@ -105,7 +109,7 @@ mod tests {
         (calibration, fit)
     }
 
-    /// The page and the document say what was fitted and how, in words and numbers.
+    /// The page and the document report what was fitted and how, as text and numbers.
     #[test]
     fn the_record_of_a_fit_says_what_was_fitted_and_how() {
         let folder = tempfile::tempdir().unwrap();
@@ -156,7 +160,8 @@ mod tests {
             ("/problem/experiments/0/delays", serde_json::json!([["x", 0.0]])),
             ("/problem/experiments/0/data/mask", serde_json::json!("column 'ok': 39 of 40 rows")),
             ("/problem/experiments/0/data/resample", serde_json::json!(0.1)),
-            // In one of the 20 intervals the mask leaves x at another mean time than the mask itself.
+            // In one of the 20 intervals, the mask gives x a different mean time than the mask
+            // column itself.
             ("/problem/experiments/0/data/n_rows", serde_json::json!(21)),
             (
                 "/problem/experiments/0/data/file_sha256",
@@ -192,7 +197,7 @@ mod tests {
             page.contains("<dt>hold inputs</dt>") && page.contains("<dt>SHA-256 of the file</dt>"),
             "{page}"
         );
-        // What is as by default is left out.
+        // Default values are omitted.
         assert!(!page.contains("<dt>sandbox</dt>") && !page.contains("Constant"), "{page}");
         let named = serde_json::json!({ "objective": "rmse", "max_evaluations": 20 });
         let dfo::Value::Record(named) = named.into() else { panic!("no record") };
@@ -207,7 +212,7 @@ mod tests {
     fn outputs_say_how_well_they_are_reproduced() {
         let (_, fit) = decay();
         let [output] = &fit.outputs[..] else { panic!("{:?}", fit.outputs) };
-        // The noise of the recording, and at k = 1 the difference of two exponentials.
+        // The RMS is the noise of the recording; at k = 1 it is the difference of two exponentials.
         assert!((output.rms - 1e-3).abs() < 3e-5, "{output:?}");
         assert_eq!(output.n, 31);
         let times = || (0..31).map(|i| f64::from(i) / 10.0);
@@ -244,7 +249,7 @@ mod tests {
         assert!(text.contains(said), "{text}");
         fit.uncertainty.as_mut().unwrap().standard_errors = vec![f64::INFINITY];
         fit.uncertainty.as_mut().unwrap().uncorrected_covariance = None;
-        // The data determine it, and nothing is left that would tell its error.
+        // The data determine the parameter, but no residual is left to estimate its error.
         assert!(fit.to_string().contains("(error unknown)"), "{fit}");
         assert!(fit.to_string().contains("31 measurements. Of unknown error: k. 1 warning"), "{fit}");
         fit.uncertainty.as_mut().unwrap().undetermined = vec![0];
@@ -345,7 +350,7 @@ mod tests {
         let elsewhere = page.replace("http://www.w3.org/2000/svg", "");
         assert!(!["http", "<script", "@import", "url("].iter().any(|text| elsewhere.contains(text)));
         assert!(fit.to_html().contains(column) && fit.to_html().contains("Parameters"));
-        // Nothing but the report is left.
+        // Only the report is left in the folder.
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 

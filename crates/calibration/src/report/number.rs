@@ -1,25 +1,26 @@
-//! Numbers as tables show them: with a few digits.
+//! Numbers in tables, with few digits.
 
 use base::Number;
 
-/// A number with so many significant digits, at least one, without zeros at their end.
+/// Formats a number with this many significant digits (at least one), without trailing zeros.
 pub(super) fn rounded(value: f64, digits: usize) -> String {
     if !value.is_finite() {
         return Number(value).to_string();
     }
-    // The shortest digits of the rounded number are those that are left of it.
+    // The shortest representation of the rounded number has no trailing zeros.
     let text = format!("{value:.*e}", digits.max(1) - 1);
     text.parse().map_or(text, |rounded| Number(rounded).to_string())
 }
 
-/// A value with the digits that its standard error leaves of it, 9 at most: to two digits of the error.
+/// Formats a value with the digits that are significant given its standard error: to two digits of the error,
+/// 9 digits at most.
 pub(super) fn with_error(value: f64, error: f64) -> String {
     if !(value.is_finite() && error.is_finite() && error > 0.0) || value == 0.0 {
         return rounded(value, 8);
     }
     let size = value.abs().log10().floor();
     let digits = (size - error.log10().floor() + 2.0).clamp(2.0, 9.0);
-    // Zeros at the end are digits, too.
+    // Trailing zeros are significant here.
     match digits - 1.0 - size {
         decimals if decimals >= 0.0 && (-4.0..7.0).contains(&size) => {
             format!("{value:.*}", decimals as usize)

@@ -1,4 +1,4 @@
-//! The report: one page with tables, figures, settings and hashes, that needs nothing but itself.
+//! The report: one self-contained page with tables, figures, settings and hashes.
 
 use super::curves::{ExperimentCurves, OutputCurves, Signal};
 use super::figure::{self, Panel, Point, Series};
@@ -16,7 +16,7 @@ use serde::Serialize;
 const TALL: u32 = 230;
 const LOW: u32 = 120;
 
-/// So many inputs of an experiment are drawn.
+/// Maximum number of inputs of an experiment in figures.
 const MOST_INPUTS: usize = 8;
 
 #[derive(Serialize)]
@@ -60,7 +60,7 @@ struct Setup {
     facts: Vec<(String, String)>,
 }
 
-/// The page of a fit.
+/// Returns the page of a fit.
 pub(super) fn page(calibration: &Calibration, fit: &Fit, curves: &[ExperimentCurves]) -> String {
     let page = Page {
         outputs: figures(curves),
@@ -75,14 +75,14 @@ pub(super) fn page(calibration: &Calibration, fit: &Fit, curves: &[ExperimentCur
     template::page(&Summary::new(fit), &page)
 }
 
-/// The outputs of each experiment, and its inputs.
+/// Returns the figures of the outputs of each experiment, and of its inputs.
 fn figures(experiments: &[ExperimentCurves]) -> Vec<Figure> {
     let mut all = output_figures(experiments, "The simulation at the start failed. ");
     all.extend(experiments.iter().filter_map(|experiment| input_figure(experiment, experiments.len() > 1)));
     all
 }
 
-/// The axis of times of an experiment.
+/// Returns the label of the time axis of an experiment.
 fn time_axis(experiment: &ExperimentCurves) -> String {
     experiment
         .first_date
@@ -90,7 +90,7 @@ fn time_axis(experiment: &ExperimentCurves) -> String {
         .map_or_else(|| "time in s".to_owned(), |date| format!("time in s from {date}"))
 }
 
-/// The recorded inputs, a panel for each. A line ends where the recording has no value.
+/// Draws the recorded inputs, one panel each. A line ends where the recording has no value.
 fn input_figure(experiment: &ExperimentCurves, are_several: bool) -> Option<Figure> {
     let panel = |signal: &Signal| {
         let rows: Vec<Point> = signal.times.iter().copied().zip(signal.values.iter().copied()).collect();
@@ -114,8 +114,8 @@ fn input_figure(experiment: &ExperimentCurves, are_several: bool) -> Option<Figu
     (!shown.is_empty()).then_some(Figure { title, caption, svg })
 }
 
-/// Per output: measured, at the start, fitted; below, the residuals. `without_start` is said where there is
-/// no simulation at the start.
+/// Draws the measurements, the start and the fitted values of each output, with the residuals below. The
+/// caption contains `without_start` if there is no simulation at the start.
 pub(super) fn output_figures(experiments: &[ExperimentCurves], without_start: &str) -> Vec<Figure> {
     let figure = |experiment: &ExperimentCurves, output: &OutputCurves| {
         let OutputCurves { measured, residuals, start, fitted } = output;
@@ -150,8 +150,8 @@ pub(super) fn output_figures(experiments: &[ExperimentCurves], without_start: &s
     experiments.iter().flat_map(|e| e.outputs.iter().map(move |output| figure(e, output))).collect()
 }
 
-/// Costs as they are drawn: their logarithms (that of zero is none, and is left out), unless some are
-/// negative, as a likelihood may be.
+/// Converts costs for drawing: to logarithms, unless some are negative, as a likelihood may be. The logarithm
+/// of zero is not finite and is not drawn.
 fn drawn(is_logarithm: bool, points: Vec<Point>) -> Vec<Point> {
     let value = |cost: f64| if is_logarithm { cost.log10() } else { cost };
     points.into_iter().map(|(k, cost)| (k, value(cost))).collect()
@@ -168,7 +168,7 @@ fn convergence(fit: &Fit) -> Option<Figure> {
     (!trace.is_empty()).then(|| cost_figure(costs.collect(), first + trace.len() - 1, fit.report.n_failed))
 }
 
-/// The costs of evaluations by their numbers, up to the last one, and the best so far.
+/// Draws the costs of evaluations by their numbers, up to the last one, and the best cost so far.
 pub(super) fn cost_figure(costs: Vec<Point>, last: usize, n_failed: usize) -> Figure {
     let mut best = f64::INFINITY;
     let mut steps: Vec<Point> = Vec::new();
@@ -192,7 +192,7 @@ pub(super) fn cost_figure(costs: Vec<Point>, last: usize, n_failed: usize) -> Fi
     Figure { title: "Convergence".to_owned(), caption, svg }
 }
 
-/// The costs that the searches from several starts ended at, sorted.
+/// Draws the sorted final costs of the searches from several starts.
 fn waterfall(fit: &Fit) -> Option<Figure> {
     let optima = &fit.report.optima;
     let ends = optima.iter().flat_map(|optimum| std::iter::repeat_n(optimum.cost, optimum.n_starts.max(1)));
@@ -235,7 +235,7 @@ fn residual_checks(fit: &Fit) -> Vec<[String; 7]> {
     checks.map(row).collect()
 }
 
-/// Settings of the simulations and of the search.
+/// Returns the settings of the simulations and of the search.
 fn settings(calibration: &Calibration, fit: &Fit) -> Vec<Fact> {
     let report = &fit.report;
     let settings = &calibration.problem().settings;
@@ -266,10 +266,10 @@ fn settings(calibration: &Calibration, fit: &Fit) -> Vec<Fact> {
     facts.into_iter().map(fact).chain(told).collect()
 }
 
-/// Options of a fit that other lines tell.
+/// Options of a fit that appear in other lines.
 const TOLD_BESIDE: [&str; 6] = ["method", "objective", "loss", "f_scale", "seed", "workers"];
 
-/// Parts of each experiment.
+/// Returns the parts of each experiment.
 fn experiments(calibration: &Calibration) -> Vec<Setup> {
     let problem = calibration.problem();
     let setup = |(name, experiment): (String, &Experiment)| Setup {
@@ -280,7 +280,7 @@ fn experiments(calibration: &Calibration) -> Vec<Setup> {
     problem.experiment_names().into_iter().zip(&problem.experiments).map(setup).collect()
 }
 
-/// Origin of the fit: the model, and the version of this program.
+/// Returns the origin of the fit: the model, and the version of this program.
 fn origin(calibration: &Calibration) -> Vec<Fact> {
     let (problem, description) = (calibration.problem(), calibration.fmu().description());
     let facts = [

@@ -1,4 +1,4 @@
-//! What was fitted and how, in words: parts of experiments, and options that are not the default.
+//! Description of what was fitted and how: parts of experiments, and options that differ from the defaults.
 
 use crate::fit::one_stage::FitOptions;
 use crate::problem::experiment::{Experiment, InitialState, Measured, Weight};
@@ -7,16 +7,17 @@ use crate::problem::settings::SimulationSettings;
 use base::Number;
 use dfo::{Record, Value};
 
-/// A name and what it is, in words.
+/// A name and its description.
 pub(super) type Described = (String, String);
 
-/// Options of a fit that are not the default, by the names that users write, but for these.
+/// Returns the options of a fit that differ from the defaults, by their user-visible names, except those in
+/// `but`.
 pub(super) fn options(asked: &Record, but: &[&str]) -> Vec<Described> {
     let usual = FitOptions::default().record().unwrap_or_default();
     others(asked, &usual, but)
 }
 
-/// Settings of simulations that are not the default, but for these.
+/// Returns the settings of simulations that differ from the defaults, except those in `but`.
 pub(super) fn settings(settings: &SimulationSettings, but: &[&str]) -> Vec<Described> {
     let fields = |settings| match Value::of(settings) {
         Ok(Value::Record(fields)) => fields,
@@ -25,7 +26,7 @@ pub(super) fn settings(settings: &SimulationSettings, but: &[&str]) -> Vec<Descr
     others(&fields(settings), &fields(&SimulationSettings::default()), but)
 }
 
-/// The values of a record that another one does not have.
+/// Returns the values of a record that differ from another record.
 fn others(own: &Record, usual: &Record, but: &[&str]) -> Vec<Described> {
     let is_told = |name: &str, value: &Value| !but.contains(&name) && usual.get(name) != Some(value);
     let told = own.iter().filter(|(name, value)| is_told(name, value));
@@ -36,7 +37,7 @@ fn others(own: &Record, usual: &Record, but: &[&str]) -> Vec<Described> {
     .collect()
 }
 
-/// A value as people write it.
+/// Formats a value for readers.
 fn words(value: &Value) -> String {
     let all = |items: Vec<String>| if items.is_empty() { "none".to_owned() } else { items.join(", ") };
     match value {
@@ -51,7 +52,7 @@ fn words(value: &Value) -> String {
     }
 }
 
-/// The parts of an experiment.
+/// Returns the parts of an experiment.
 pub(super) fn experiment(experiment: &Experiment) -> Vec<Described> {
     let data = experiment.data.summary();
     let seconds = |time: f64| format!("{} s", Number(time));

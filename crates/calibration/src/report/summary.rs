@@ -1,4 +1,4 @@
-//! Summary of a fit as tables and sentences: the content of `Display`, the notebook and the report.
+//! Summary of a fit as tables and sentences: the content of `Display`, the notebook element and the report.
 
 use super::number::{rounded, with_error};
 use crate::findings::finding::{Finding, counts};
@@ -13,16 +13,17 @@ use dfo::Termination;
 use serde::Serialize;
 use std::borrow::Cow;
 
-/// Digits of a number that has no error.
+/// Number of digits of a number without an error.
 const DIGITS: usize = 8;
 
-/// Digits of an RMS, a share or an error.
+/// Number of digits of an RMS, a share or an error.
 const FEW_DIGITS: usize = 4;
 
-/// So many standard errors stand in the sentence, of more the smallest and the largest.
+/// Maximum number of standard errors in the sentence; for more, only the smallest and the largest are
+/// printed.
 const LISTED: usize = 4;
 
-/// Fewer degrees of freedom are told beside the standard errors.
+/// Degrees of freedom below which they are printed next to the standard errors.
 const FEW_DEGREES: f64 = 6.0;
 
 /// Level of the intervals: 95 %.
@@ -33,15 +34,16 @@ const LEVEL: f64 = 0.95;
 pub(super) struct Summary {
     /// Title: the name of the model.
     pub(super) title: String,
-    /// True if the run ended as it should.
+    /// True if the run ended successfully.
     pub(super) is_success: bool,
     /// Sentence on the termination and the quality of the fit.
     pub(super) sentence: String,
-    /// Findings about the fit, those that explain others first.
+    /// Findings about the fit, sorted so that causes come first.
     pub(super) findings: Vec<Finding>,
     pub(super) parameters: Vec<ParameterRow>,
     pub(super) outputs: Vec<OutputRow>,
-    /// True if the fit has standard errors, and if they are corrected for autocorrelated residuals.
+    /// True if the fit has standard errors; the next field is true if they are corrected for autocorrelated
+    /// residuals.
     pub(super) has_errors: bool,
     pub(super) has_uncorrected_errors: bool,
     /// True if outputs belong to several experiments.
@@ -67,11 +69,11 @@ pub(super) struct ParameterRow {
     pub(super) name: String,
     pub(super) start: String,
     pub(super) value: String,
-    /// Its standard error, or why it has none; empty without any errors.
+    /// Standard error, or the reason for its absence; empty if no errors were estimated.
     pub(super) error: String,
-    /// The standard error that supposes independent residuals, where they are not.
+    /// Standard error under the assumption of independent residuals, if they are not.
     pub(super) uncorrected_error: String,
-    /// Bounds of its 95 % interval.
+    /// Bounds of the 95 % interval.
     pub(super) interval: Option<[String; 2]>,
     pub(super) unit: String,
     pub(super) bounds: [String; 2],
@@ -111,7 +113,7 @@ impl Summary {
     }
 }
 
-/// Sentence on the termination and the quality of the fit.
+/// Returns the sentence on the termination and the quality of the fit.
 fn sentence(fit: &Fit) -> String {
     let are_several = fit.report.optima.len() > 1;
     let is_below_minima = fit.report.optima.first().is_some_and(|lowest| fit.report.fun < lowest.cost);
@@ -164,8 +166,8 @@ fn sentence(fit: &Fit) -> String {
     )
 }
 
-/// The sentence about standard errors, with their degrees of freedom where these are few: a value lies within
-/// one standard error less often then than 68 % (with one degree of freedom 50 %).
+/// Adds the degrees of freedom to the sentence about standard errors if there are few. A value is then within
+/// one standard error less often than 68 % (50 % with one degree of freedom).
 fn with_few_degrees(fit: &Fit, errors: String) -> String {
     let degrees = fit.uncertainty.as_ref().map_or(0.0, |uncertainty| uncertainty.degrees_of_freedom);
     if degrees == 0.0 || degrees >= FEW_DEGREES {
@@ -175,8 +177,8 @@ fn with_few_degrees(fit: &Fit, errors: String) -> String {
     errors.replacen("errors:", &format!("errors, with {} {unit} of freedom:", digits(degrees)), 1)
 }
 
-/// The standard errors of what was fitted, relative to the values: of each parameter, or of many the smallest
-/// and the largest. Those corrected for autocorrelated residuals, where there are such.
+/// Returns the standard errors relative to the values: of each free parameter or, for many, only the smallest
+/// and the largest. They are corrected for autocorrelated residuals, if any.
 fn relative_errors(fit: &Fit) -> String {
     let Some(uncertainty) = &fit.uncertainty else { return String::new() };
     if uncertainty.roughness.is_some() {
@@ -226,7 +228,7 @@ fn parameter(fit: &Fit, i: usize) -> ParameterRow {
     let is_fixed = lower == upper;
     let side = fit.at_bound.iter().find(|(k, _)| *k == i).map(|(_, side)| *side);
     let uncertainty = fit.uncertainty.as_ref();
-    // What does not hold is not printed.
+    // Unreliable standard errors are not printed.
     let is_told = uncertainty.is_some_and(|uncertainty| uncertainty.roughness.is_none());
     let of = |errors: &[f64]| errors.get(i).copied().filter(|_| is_told).unwrap_or(f64::NAN);
     let error = uncertainty.map_or(f64::NAN, |uncertainty| of(&uncertainty.standard_errors));
@@ -346,7 +348,7 @@ fn facts(fit: &Fit) -> Vec<Fact> {
     facts.into_iter().map(fact).collect()
 }
 
-/// Description of the estimate of the standard errors.
+/// Returns the description of the estimate of the standard errors.
 fn errors(fit: &Fit) -> String {
     let Some(uncertainty) = &fit.uncertainty else { return "none were estimated".to_owned() };
     let corrected = uncertainty

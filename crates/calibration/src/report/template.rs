@@ -1,5 +1,5 @@
-//! The templates of the report and of the part for notebooks. What they are given is escaped: names in an FMU
-//! may hold any characters.
+//! Templates of the report and of the notebook element. Their input is escaped, because names in an FMU may
+//! contain any characters.
 
 use super::summary::Summary;
 use crate::findings::shown_text::visible_line;
@@ -7,32 +7,33 @@ use minijinja::value::Serde;
 use minijinja::{Environment, Value, context, escape_formatter};
 use serde::Serialize;
 
-/// The summary as an HTML element for a notebook.
+/// Returns the summary as an HTML element for a notebook.
 pub(super) fn notebook(summary: &Summary) -> String {
     render("notebook.html", context! { summary => Serde(summary) })
 }
 
-/// The page.
+/// Returns the page of a report.
 pub(super) fn page(summary: &Summary, page: impl Serialize) -> String {
     render("page.html", context! { summary => Serde(summary), page => Serde(&page) })
 }
 
-/// The page of a fit that runs; `nonce`: that of its script.
+/// Returns the page of a running fit. The `nonce` belongs to its script.
 pub(super) fn live(title: &str, nonce: &str, state: &str) -> String {
     render("live.html", context! { title, nonce, state })
 }
 
-/// The part of it that changes.
+/// Returns the variable part of the page of a running fit.
 pub(super) fn live_state(state: impl Serialize) -> String {
     render("live_state.html", context! { state => Serde(&state) })
 }
 
-/// The page of a fit that has failed.
+/// Returns the page of a failed fit.
 pub(super) fn error(message: &str) -> String {
     render("error.html", context! { message })
 }
 
-/// The templates are part of the program: an error is one of theirs, which the tests would see.
+/// Renders a template. The templates are part of the program, so an error is a defect of a template that the
+/// tests detect.
 fn render(name: &str, values: Value) -> String {
     let mut environment = Environment::new();
     let templates = [
@@ -46,7 +47,7 @@ fn render(name: &str, values: Value) -> String {
         ("page.html", include_str!("templates/page.html")),
         ("style.html", include_str!("templates/style.html")),
     ];
-    // Texts are lines; what is marked as safe is made of other templates and figures.
+    // Strings are single lines. Safe values come from other templates and figures.
     environment.set_formatter(|out, state, value| match value.as_str().filter(|_| !value.is_safe()) {
         Some(text) => escape_formatter(out, state, &Value::from(visible_line(text))),
         None => escape_formatter(out, state, value),

@@ -6,7 +6,7 @@ use crate::findings::shown_text::visible_line;
 use crate::fit::one_stage::Fit;
 use std::fmt::{self, Write};
 
-/// Longer names are cut in their middle, so that a line stays one.
+/// Longest name; longer names are shortened in the middle, so that a row fits into one line.
 const LONGEST: usize = 48;
 
 impl fmt::Display for Fit {
@@ -32,7 +32,7 @@ fn write(f: &mut impl Write, summary: &Summary) -> fmt::Result {
     Ok(())
 }
 
-/// True for columns of the parameters that are aligned to the right: name, start, value, error, unit, remark.
+/// Right alignment of the columns of the parameters: name, start, value, error, unit, remark.
 const PARAMETER_SIDES: [bool; 6] = [false, true, false, false, false, false];
 
 fn parameters(summary: &Summary) -> Vec<[String; 6]> {
@@ -51,7 +51,8 @@ fn parameters(summary: &Summary) -> Vec<[String; 6]> {
     summary.parameters.iter().map(row).collect()
 }
 
-/// The same of the outputs: name, RMS, RMS at the start, fit percentage.
+/// Right alignment of the columns of the outputs: name, RMS, RMS at the start, fit percentage, number of
+/// measurements.
 const OUTPUT_SIDES: [bool; 5] = [false, false, false, false, false];
 
 fn outputs(summary: &Summary) -> Vec<[String; 5]> {
@@ -72,7 +73,7 @@ fn outputs(summary: &Summary) -> Vec<[String; 5]> {
     summary.outputs.iter().map(row).collect()
 }
 
-/// The rows in columns as wide as their widest cells; columns that are empty are left out.
+/// Writes the rows in columns as wide as their widest cells, without empty columns.
 fn lines<const N: usize>(f: &mut impl Write, rows: &[[String; N]], to_right: &[bool; N]) -> fmt::Result {
     let rows: Vec<_> = rows.iter().map(|row| row.each_ref().map(|cell| visible_line(cell))).collect();
     let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
@@ -88,7 +89,7 @@ fn lines<const N: usize>(f: &mut impl Write, rows: &[[String; N]], to_right: &[b
     Ok(())
 }
 
-/// A name without its middle where it is too long.
+/// Shortens a long name in the middle.
 fn short(name: &str) -> String {
     let n = name.chars().count();
     if n <= LONGEST {

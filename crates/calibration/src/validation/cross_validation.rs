@@ -1,5 +1,5 @@
-//! Cross-validation by recording: fits without some of the recordings, each validated on those that it was
-//! not given.
+//! Cross-validation by recording: fits that leave out some of the recordings, each validated on these
+//! recordings.
 
 use crate::cost::parallel;
 use crate::error::CalibrationError;
@@ -18,19 +18,19 @@ use std::time::Duration;
 /// Options of a cross-validation.
 #[derive(Debug, Clone)]
 pub struct CrossValidationOptions {
-    /// Number of folds: at each turn one of them is held out, which has every k-th recording; default: as
-    /// many as there are recordings, so that one is held out at a time.
+    /// Number of folds k. Each fold holds out every k-th recording. Default: the number of recordings, so
+    /// that each fold holds out one recording.
     pub folds: Option<usize>,
-    /// Options of each fit. `workers` (default: all cores) are shared by the fits, which run at once;
-    /// `max_time` holds for all of them together, and folds that it cuts short are left out; there are no
-    /// checkpoints.
+    /// Options of each fit. The fits run in parallel and share the `workers` (default: all cores). The limit
+    /// `max_time` applies to all fits together, and folds that exceed it are omitted. Checkpoints are not
+    /// written.
     pub run: RunOptions<AnyMethod>,
     /// Loss function: the contribution of a residual to the cost.
     pub loss: RobustLoss,
-    /// Cost that is minimised; one with a name, where local parameters are fitted to recordings that are held
+    /// Cost to minimise. It must be a named cost if local parameters are fitted to recordings that are held
     /// out.
     pub objective: CostKind,
-    /// Where the noise of the measurements is taken from, see [`FitOptions::noise`]; estimated in each fold.
+    /// Source of the noise of the measurements, see [`FitOptions::noise`]; estimated in each fold.
     pub noise: NoiseRule,
 }
 
@@ -42,11 +42,11 @@ impl Default for CrossValidationOptions {
 }
 
 impl CrossValidationOptions {
-    /// A cross-validation of fits of `n` parameters as a record asks for it: `folds`, and what
-    /// [`FitOptions::from_record`] reads.
+    /// Returns the options of a record for fits of `n` parameters: `folds` and the fields of
+    /// [`FitOptions::from_record`].
     ///
     /// # Errors
-    /// An option that there is not, or a value that it cannot have.
+    /// Returns an error if an option is unknown or has an invalid value.
     pub fn from_record(mut record: Record, n: usize) -> Result<Self, dfo::Error> {
         let folds = record.remove("folds").map_or(Ok(None), |folds| folds.read_limit("folds", 0))?;
         let FitOptions { run, loss, objective, noise, .. } = FitOptions::from_record(record, n)?;
@@ -54,16 +54,16 @@ impl CrossValidationOptions {
     }
 }
 
-/// Recordings that were held out, the fit to the others, and how well it reproduces those.
+/// A fold: the recordings that were held out, the fit to the others, and its validation.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Fold {
     /// Names of the recordings that were held out.
     pub held_out: Vec<String>,
-    /// The fit to the others.
+    /// Fit to the other recordings.
     pub fit: Fit,
-    /// Root of the mean squared weighted residual of those that it was fitted to: of plain residuals, as that
-    /// of the validation, whatever the loss.
+    /// Root mean square of the weighted residuals of the fitted recordings. It uses plain residuals whatever
+    /// the loss is, like the validation.
     pub fit_rms: f64,
     /// Validation of the fit on the recordings that were held out.
     pub validation: Validation,
@@ -75,26 +75,27 @@ pub struct Fold {
 pub struct CrossValidation {
     /// The folds that were done.
     pub folds: Vec<Fold>,
-    /// Names of the recordings that were to be held out in folds for which the time did not suffice.
+    /// Names of the recordings that unfinished folds would have held out; the time limit did not suffice for
+    /// these folds.
     pub unfinished: Vec<Vec<String>>,
-    /// Root of the mean squared weighted residual of all recordings, each when it was held out.
+    /// Root mean square of the weighted residuals of all recordings, each from the fold that held it out.
     pub rms: f64,
-    /// The shared parameters: name, mean over the folds, standard deviation between them.
+    /// Shared parameters: name, mean over the folds, standard deviation between the folds.
     pub parameters: Vec<(String, f64, f64)>,
     /// Statistics of all simulations.
     pub stats: Stats,
 }
 
 impl Calibration {
-    /// Fits without some of the recordings, and validates on those that were left out: by default each
-    /// recording once. A fit that describes the machine predicts a recording as well as it reproduces those
-    /// that it was fitted to, with much the same parameters whichever is left out.
-    /// [Local](crate::Parameter::local) parameters of a recording that is held out are fitted to it, all
-    /// others held, as in [`validate`](Self::validate).
+    /// Fits without some of the recordings and validates on these recordings; by default, each recording is
+    /// left out once. A fit that describes the machine predicts a recording as well as it reproduces the
+    /// fitted recordings. Its parameters are also similar, whichever recording is left out.
+    /// [Local](crate::Parameter::local) parameters of a recording that is held out are fitted to it while all
+    /// others are held, as in [`validate`](Self::validate).
     ///
     /// # Errors
-    /// Fewer than two recordings, folds that are none or too many, an error of one of the fits, a time limit
-    /// before the end of the first fold.
+    /// Returns an error if there are fewer than two recordings, if the number of folds is invalid, if a fit
+    /// fails, or if the time limit ends before the first fold.
     pub fn cross_validate(
         &self,
         options: &CrossValidationOptions,
@@ -126,7 +127,7 @@ impl Calibration {
             (run.workers, run.checkpoint) = (Some((workers / k).max(1)), None);
             run.limits.max_time = context.left().map(|left| left.max(Duration::from_millis(1)));
             match self.fold(fold, k, run, options, &context) {
-                // What it was when the time was up says nothing.
+                // A fold that ended at the time limit is unreliable.
                 _ if context.is_late() && !context.is_cancelled() => Ok(None),
                 fold => fold.map(Some),
             }
@@ -165,7 +166,7 @@ impl Calibration {
         Ok(CrossValidation { rms: (sum / counted as f64).sqrt(), parameters, stats, folds, unfinished })
     }
 
-    /// The fit without the recordings of a fold, validated on them.
+    /// Fits without the recordings of a fold and validates on them.
     fn fold(
         &self,
         fold: usize,
@@ -179,7 +180,8 @@ impl Calibration {
         for ((i, mut experiment), name) in
             problem.experiments.drain(..).enumerate().zip(self.problem().experiment_names())
         {
-            // A name by position would be another one among the others.
+            // The name is fixed, because a default name by position would change among the
+            // remaining experiments.
             experiment.name = Some(name);
             if i % k == fold { held_out.push(experiment) } else { kept.push(experiment) }
         }

@@ -18,11 +18,11 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 use std::fmt;
 
-/// Data that a fit is validated on.
+/// Data to validate a fit on.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ValidationSet {
-    /// The measurements of the calibration in these windows, each from and to a time in s. Simulations start
-    /// where they always do, so that the model comes to a window with its history.
+    /// Measurements of the calibration in these windows, each from and to a time in s. Simulations start at
+    /// their usual times, so that the model reaches a window with its history.
     Windows(Vec<(f64, f64)>),
     /// Other recordings.
     Experiments(Vec<Experiment>),
@@ -32,29 +32,29 @@ pub enum ValidationSet {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Validation {
-    /// Names of the parameters: those of the calibration, local ones as the validated recordings have them.
+    /// Names of the parameters. Local parameters are those of the validated recordings.
     pub names: Vec<String>,
-    /// Their values.
+    /// Values of the parameters.
     pub x: Vec<f64>,
-    /// Each output of each experiment, in the order of the residual vector.
+    /// All outputs of all experiments, in the order of the residual vector.
     pub outputs: Vec<ValidatedOutput>,
     /// Number of measurements that count.
     pub n: usize,
-    /// Root of the mean squared weighted residual, plain ones with a loss, too.
+    /// Root mean square of the weighted residuals. It uses plain residuals even with a loss.
     pub rms: f64,
-    /// The same at the start of the fit; `None` if the simulation failed there.
+    /// RMS at the start of the fit; `None` if the simulation failed there.
     pub start_rms: Option<f64>,
-    /// Measurements that the fit has seen: of these the RMS says nothing of predictions.
+    /// Warnings about measurements that the fit has used. For these, the RMS does not measure predictions.
     #[serde(default)]
     pub findings: Vec<Finding>,
-    /// Simulations that were made.
+    /// Number of simulations.
     pub n_simulations: usize,
     /// Statistics of the simulations; not stored.
     #[serde(skip)]
     pub stats: Stats,
 }
 
-/// An output of an experiment: measured, and simulated with fitted parameters.
+/// An output of an experiment: measured, and simulated with the fitted parameters.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct ValidatedOutput {
@@ -66,20 +66,20 @@ pub struct ValidatedOutput {
     pub measured: Vec<f64>,
     /// Simulated minus measured, without weights.
     pub residuals: Vec<f64>,
-    /// The same at the start of the fit; `None` if the simulation failed there.
+    /// Simulated minus measured at the start of the fit; `None` if the simulation failed there.
     pub start_residuals: Option<Vec<f64>>,
 }
 
 impl ValidatedOutput {
-    /// Simulated values at the times of the measurements.
+    /// Returns the simulated values at the times of the measurements.
     pub fn simulated(&self) -> Vec<f64> {
         self.measured.iter().zip(&self.residuals).map(|(m, r)| m + r).collect()
     }
 }
 
 impl Validation {
-    /// The RMS over that at the start of the fit, on the same measurements; `None` if the simulation failed
-    /// at the start.
+    /// Returns the RMS relative to the RMS at the start of the fit, on the same measurements. Returns `None`
+    /// if the simulation failed at the start.
     pub fn scaled_rms(&self) -> Option<f64> {
         self.start_rms.map(|start| self.rms / start)
     }
@@ -116,10 +116,10 @@ impl fmt::Display for Validation {
 }
 
 impl Calibration {
-    /// Simulates with the parameters of a fit of this calibration, and compares with measurements that it was
-    /// not fitted to. Local parameters of other recordings, which the fit does not know, are fitted to these
-    /// recordings first, from their start values there, with all others held, the same cost and the same
-    /// loss. All RMS are of plain residuals, whatever the loss.
+    /// Simulates with the parameters of a fit of this calibration and compares with measurements that the fit
+    /// has not used. Other recordings may have local parameters that the fit does not contain. These are
+    /// first fitted to the recordings, from their start values there, with the same cost and loss while all
+    /// others are held. All RMS values use plain residuals, whatever the loss is.
     ///
     /// ```
     /// use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, ValidationSet};
@@ -137,9 +137,10 @@ impl Calibration {
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     ///
-    /// # Errors
-    /// Windows or recordings that cannot be used; local parameters that are to be fitted, after a fit of a
-    /// function of the user's; a simulation that fails at the fitted parameters.
+    /// Returns an error if:
+    /// - windows or recordings are invalid,
+    /// - local parameters must be fitted but the fit used a user-defined function,
+    /// - a simulation fails at the fitted parameters.
     pub fn validate(
         &self,
         fit: &Fit,
@@ -195,7 +196,8 @@ impl Calibration {
         }
     }
 
-    /// Outputs of which this calibration is fitted to measurements of `other`, to this share of them or more.
+    /// Returns warnings about outputs of `other` if at least this share of their measurements was used to fit
+    /// this calibration.
     fn seen(&self, other: &Calibration, share: f64) -> Vec<Finding> {
         let points = |output: &OutputResiduals| -> Vec<(u64, u64)> {
             output.times.iter().zip(&output.measured).map(|(t, y)| (t.to_bits(), y.to_bits())).collect()
@@ -222,7 +224,7 @@ impl Calibration {
         other.residual_layout().outputs.iter().filter_map(finding).collect()
     }
 
-    /// Compares with the measurements of this calibration.
+    /// Compares simulations with the measurements of this calibration.
     fn validation(
         &self,
         start: &[f64],
@@ -263,14 +265,14 @@ impl Calibration {
         })
     }
 
-    /// The entries of `x` that belong to one experiment.
+    /// Returns the indices of the entries of `x` that belong to one experiment.
     fn locals(&self) -> Result<Vec<usize>, CalibrationError> {
         let elements = self.problem().elements()?;
         Ok((0..elements.len()).filter(|&i| elements[i].experiment.is_some()).collect())
     }
 
-    /// Values for another problem with the same parameters: shared ones from `x`, local ones from their start
-    /// there.
+    /// Returns values for another problem with the same parameters. Shared values are taken from `x`, and
+    /// local values are the start values of the other problem.
     fn carried(&self, other: &Calibration, x: &[f64]) -> Result<Vec<f64>, CalibrationError> {
         let own = self.problem().elements()?;
         let shared =

@@ -1,4 +1,4 @@
-//! Validation with recordings that a fit has not seen, and cross-validation.
+//! Validation on recordings that a fit has not used, and cross-validation.
 
 pub(crate) mod cross_validation;
 pub(crate) mod held_out;

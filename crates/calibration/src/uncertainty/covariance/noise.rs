@@ -124,7 +124,8 @@ impl Noise {
     /// of a prior, or of the noise of another group, would look like autocorrelation.
     ///
     /// The covariance of the estimates is the covariance of quadratic forms of normal errors, `cov(r'B r, r'C
-    /// r) = 2 tr(B M S M C M S M)`. For autocorrelations, it is also computed with the residuals of the fit.
+    /// r) = 2 tr(B M S M C M S M)`. It uses the residuals
+    /// of the whole fit, also for autocorrelations.
     ///
     /// If the unbiased equations leave no variance for one of several groups, all groups get the variance
     /// `r'r / n_g` times N divided by the degrees of freedom.
