@@ -56,12 +56,12 @@ fn check(calls: usize) {
 }
 
 #[test]
-fn ten_thousand_evaluations_do_not_grow_the_process() {
+fn memory_is_constant_over_ten_thousand_evaluations() {
     check(10_000);
 }
 
 #[test]
 #[ignore = "long: run by `make test-long`"]
-fn a_hundred_thousand_evaluations_do_not_grow_the_process() {
+fn memory_is_constant_over_a_hundred_thousand_evaluations() {
     check(100_000);
 }

@@ -23,7 +23,7 @@ fn error(builder: CalibrationBuilder) -> String {
 }
 
 #[test]
-fn what_is_missing_or_unknown_is_named() {
+fn setup_errors_name_missing_and_unknown_items() {
     let d = data(&[("x", &[1.0, 0.9, 0.8]), ("gaps", &[f64::NAN; 3])]);
     let e = || Experiment::new(d.clone());
     let k = || Parameter::new("k", 1.0).bounds(0.1, 10.0);
@@ -51,7 +51,7 @@ fn what_is_missing_or_unknown_is_named() {
 }
 
 #[test]
-fn a_wrong_number_of_values_is_an_error_with_both_numbers() {
+fn wrong_number_of_values_is_reported_with_both_numbers() {
     let d = data(&[("x", &[1.0, 0.9, 0.8])]);
     let c = builder()
         .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
@@ -69,7 +69,7 @@ fn a_wrong_number_of_values_is_an_error_with_both_numbers() {
 }
 
 #[test]
-fn a_simulation_that_fails_at_every_start_is_a_named_error_with_counts() {
+fn failure_at_every_start_is_reported_with_counts() {
     let d = data(&[("x", &[1.0, 0.9, 0.8])]);
     let c = builder()
         .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))

@@ -26,7 +26,7 @@ fn fit(calibration: &Calibration, workers: usize, plan: Lookahead) -> Fit {
 }
 
 #[test]
-fn the_fit_finds_the_friction_and_is_the_same_for_any_number_of_workers_and_plan() {
+fn fit_finds_friction_for_any_number_of_workers_and_plan() {
     let calibration = calibration(furuta_measurements());
     let first = fit(&calibration, 1, Lookahead::None);
     // The measurements were made with (0.010, 0.001); standard deviations 1.4e-5 and 1.1e-6.
@@ -48,7 +48,7 @@ fn the_fit_finds_the_friction_and_is_the_same_for_any_number_of_workers_and_plan
 }
 
 #[test]
-fn cost_is_the_sum_of_squared_residuals_in_the_promised_order() {
+fn cost_is_the_sum_of_squared_residuals_in_documented_order() {
     let calibration = calibration(furuta_measurements());
     let x = [0.011, 0.0015];
     let cost = calibration.cost(&x, &RunContext::new()).unwrap();
@@ -68,7 +68,7 @@ fn cost_is_the_sum_of_squared_residuals_in_the_promised_order() {
 }
 
 #[test]
-fn a_cutoff_ends_hopeless_simulations_and_changes_nothing_else() {
+fn cutoff_ends_hopeless_simulations_and_changes_nothing_else() {
     let calibration = calibration(furuta_measurements());
     let x = [0.011, 0.0015];
     let cost = calibration.cost(&x, &RunContext::new()).unwrap();
@@ -79,7 +79,7 @@ fn a_cutoff_ends_hopeless_simulations_and_changes_nothing_else() {
 }
 
 #[test]
-fn missing_values_and_a_window_shorten_the_vector_and_nothing_else() {
+fn missing_values_and_window_only_shorten_the_residuals() {
     let data = furuta_measurements();
     let mut phi = data.column("phi").unwrap().to_vec();
     phi[3] = f64::NAN;
@@ -121,7 +121,7 @@ fn seeds_that_solve_it(name: &str) -> usize {
 }
 
 #[test]
-fn every_method_fits() {
+fn every_method_finds_the_friction() {
     let calibration = calibration(furuta_measurements());
     let nearby = fit(&calibration, 2, Lookahead::Measured);
     for name in AnyMethod::NAMES {
@@ -140,7 +140,7 @@ fn every_method_fits() {
 
 #[test]
 #[ignore = "takes a minute"]
-fn differential_evolution_solves_it_with_default_settings() {
+fn differential_evolution_finds_friction_with_default_settings() {
     for name in ["de-classic", "de"] {
         let solved = seeds_that_solve_it(name);
         assert!(solved >= 9, "{name}: {solved} of 10");
@@ -149,13 +149,13 @@ fn differential_evolution_solves_it_with_default_settings() {
 
 #[test]
 #[ignore = "takes a minute"]
-fn the_genetic_algorithm_solves_it_with_default_settings() {
+fn genetic_algorithm_finds_friction_with_default_settings() {
     let solved = seeds_that_solve_it("ga");
     assert!(solved >= 9, "{solved} of 10");
 }
 
 #[test]
-fn cutoffs_save_right_hand_sides_and_change_no_decision() {
+fn cutoffs_save_right_hand_sides_without_changing_decisions() {
     let calibration = calibration(furuta_measurements());
     for name in AnyMethod::NAMES {
         let run = |cutoffs: bool| {
@@ -200,7 +200,7 @@ fn cutoffs_save_right_hand_sides_and_change_no_decision() {
 }
 
 #[test]
-fn a_checkpoint_knows_model_data_and_settings() {
+fn checkpoint_identifies_model_data_and_settings() {
     let folder = std::env::temp_dir().join(format!("fit-furuta-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let path = folder.join("fit");

@@ -36,7 +36,7 @@ fn fit(calibration: &Calibration, workers: usize) -> Fit {
 }
 
 #[test]
-fn two_outlets_from_two_levels() {
+fn fit_finds_two_outlets_from_two_levels() {
     let calibration = calibration(measurements(), 2);
     let fit = fit(&calibration, 2);
     // The outlets of the upper tanks stand at their start values here, beside the true ones: a bias of some per mille.
@@ -47,7 +47,7 @@ fn two_outlets_from_two_levels() {
 }
 
 #[test]
-fn four_outlets_from_four_levels_and_the_same_for_any_number_of_workers() {
+fn fit_finds_four_outlets_for_any_number_of_workers() {
     let calibration = calibration(measurements(), 4);
     let one = fit(&calibration, 1);
     for i in 0..4 {
@@ -60,7 +60,7 @@ fn four_outlets_from_four_levels_and_the_same_for_any_number_of_workers() {
 
 /// An input is linear between its rows; rows that say so with more points change nothing but rounding.
 #[test]
-fn inputs_are_linear_between_the_rows() {
+fn inputs_are_linear_between_rows() {
     let data = measurements();
     let between = |values: &[f64]| -> Vec<f64> {
         (0..=120).map(|k| 0.5 * (values[k / 2] + values[k.div_ceil(2)])).collect()

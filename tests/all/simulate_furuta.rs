@@ -22,7 +22,7 @@ fn options(friction: (f64, f64)) -> SimulateOptions {
 }
 
 #[test]
-fn trajectories_agree_with_the_reference_to_1e_6() {
+fn trajectories_match_reference_to_1e_6() {
     let fmu = example("furuta");
     for (file, friction) in
         [("furuta_reference_nominal.csv", (0.012, 0.002)), ("furuta_reference_optimal.csv", (0.010, 0.001))]
@@ -49,7 +49,7 @@ fn trajectories_agree_with_the_reference_to_1e_6() {
 }
 
 #[test]
-fn rest_positions_and_event_counts() {
+fn rest_positions_and_event_counts_match_reference() {
     let fmu = example("furuta");
     // Values at t = 40 and event counts of the original model.
     for (friction, phi, theta, events) in
@@ -65,7 +65,7 @@ fn rest_positions_and_event_counts() {
 }
 
 #[test]
-fn without_friction_it_swings_on() {
+fn pendulum_keeps_swinging_without_friction() {
     let fmu = example("furuta");
     let result = fmu.simulate(&SimulateOptions { ncp: Some(400), ..options((0.0, 0.0)) }).unwrap();
     assert_eq!(result.time.len(), 401);

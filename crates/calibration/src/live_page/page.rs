@@ -195,7 +195,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tokens_are_long_and_never_the_same() {
+    fn tokens_are_long_and_distinct() {
         let (one, other) = (token().unwrap(), token().unwrap());
         assert!(one.len() == 32 && one != other);
         assert!(is_same(&one, &one.clone()) && !is_same(&one, &other));

@@ -93,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_request_is_whole_or_refused() {
+    fn parse_returns_complete_request_or_rejects_it() {
         let parsed = |text: &str| parse(text.as_bytes());
         let whole =
             parsed("POST /a/stop HTTP/1.1\r\nhOsT: x:1\r\nContent-Length: 2\r\nOrigin: null\r\n\r\nab");

@@ -179,7 +179,7 @@ mod tests {
     use std::io::Read;
 
     #[test]
-    fn the_longest_silent_connection_makes_room() {
+    fn oldest_silent_connection_is_closed_when_server_is_full() {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
         let pair = || {
             let client = TcpStream::connect(listener.local_addr().unwrap()).unwrap();

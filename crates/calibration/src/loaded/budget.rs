@@ -104,7 +104,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_short_search_leaves_room_for_a_part_of_itself() {
+    fn budget_is_a_quarter_of_a_short_search() {
         // A quarter of 8 evaluations is two simulations.
         let mut budget = Budget::after(8);
         assert!(budget.take(1.0) && budget.allows(Extra::StuckParameter, 1.0));
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_search_leaves_room_for_three_and_a_half_simulations() {
+    fn budget_is_three_and_a_half_simulations_after_a_long_search() {
         let mut budget = Budget::after(1000);
         assert!(budget.allows(Extra::ShorterSteps, 3.5) && !budget.allows(Extra::Accuracy, 0.1));
         let mut unlimited = Budget::unlimited();

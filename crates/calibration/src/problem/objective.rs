@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn costs_are_their_formulas() {
+    fn named_costs_match_their_formulas() {
         let (layout, r) = (layout(), [1.0, -2.0, 3.0, 0.0, -1.0, 2.0, 4.0]);
         let cost = |named: NamedCost| named.cost(&layout, &r);
         assert_eq!(cost(NamedCost::Mae), 13.0 / 7.0);
@@ -329,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn likelihood_counts_no_row_without_noise() {
+    fn likelihood_ignores_rows_without_noise() {
         let (r, expected) =
             ([0.0, -2.0, 3.0, 0.0, -1.0, 2.0, 4.0], 1.5 * 8.0_f64.ln() + 1.5 * (10.0_f64 / 3.0).ln());
         let (mut of_start, mut of_zero) = (layout(), layout());
@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn a_function_sees_what_was_measured_and_simulated() {
+    fn custom_cost_receives_measured_and_simulated_values() {
         let custom = CustomCost::residuals("ratios", |compared| {
             assert_eq!(compared[1].simulated, [1.5, 1.0, 1.5]);
             Ok(compared.iter().flat_map(|c| c.simulated.iter().zip(c.measured).map(|(s, m)| s + m)).collect())

@@ -466,7 +466,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bad_numbers_are_named() {
+    fn parameter_check_names_bad_numbers() {
         let p = |start: f64, lower: f64, upper: f64| Parameter::new("k", start).bounds(lower, upper);
         for (parameter, expected) in [
             (p(f64::NAN, 0.0, 1.0), "start NaN"),

@@ -73,7 +73,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn residuals_and_their_slopes() {
+    fn prior_residuals_and_slopes_match_formulas() {
         let normal = Prior::Normal { mean: 2.0, sd: 0.5 };
         assert_eq!((normal.residual(3.0), normal.slope(3.0)), (2.0, 2.0));
         let relative = Prior::LogNormal { median: 2.0, sigma: 0.1 };

@@ -41,7 +41,7 @@ pub struct ExperimentCurves {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct OutputCurves {
-    /// The measurements that count.
+    /// Measurements that count.
     pub measured: Signal,
     /// Simulated values at the fitted parameters minus measurements, without weights, at the same times.
     pub residuals: Vec<f64>,

@@ -279,7 +279,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nothing_that_a_fit_holds_keeps_a_figure_from_being_drawn() {
+    fn figure_is_drawn_for_extreme_values() {
         let panel = |values: &[f64]| Panel {
             height: 200,
             y_label: "<script>alert(\"x\") & a very long name of a variable".to_owned(),
@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn labels_of_logarithms_differ() {
+    fn power_labels_are_distinct() {
         for (low, high) in [(115.0_f64, 134.0_f64), (1e-9, 1e4), (100.0, 100.01), (2.0, 3.0)] {
             let y = low.log10()..high.log10();
             let text = power_labels(&y, 8);
@@ -326,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn many_points_are_thinned_and_no_extreme_is_lost() {
+    fn thinning_keeps_extremes() {
         let mut points: Vec<Point> = (0..100_000).map(|i| (f64::from(i), 0.0)).collect();
         points[77_777].1 = 5.0;
         points[3].1 = -5.0;

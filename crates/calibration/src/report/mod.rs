@@ -111,7 +111,7 @@ mod tests {
 
     /// The page and the document report what was fitted and how, as text and numbers.
     #[test]
-    fn the_record_of_a_fit_says_what_was_fitted_and_how() {
+    fn document_and_page_record_setup_and_options() {
         let folder = tempfile::tempdir().unwrap();
         let csv = folder.path().join("run.csv");
         let row = |k: u32| {
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn outputs_say_how_well_they_are_reproduced() {
+    fn outputs_report_quality_of_fit() {
         let (_, fit) = decay();
         let [output] = &fit.outputs[..] else { panic!("{:?}", fit.outputs) };
         // The RMS is the noise of the recording; at k = 1 it is the difference of two exponentials.
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn text_says_start_value_error_and_what_to_mistrust() {
+    fn text_contains_start_value_error_and_findings() {
         let (_, mut fit) = decay();
         let uncertainty = fit.uncertainty.as_mut().unwrap();
         (uncertainty.standard_errors, uncertainty.uncorrected_covariance, uncertainty.findings) =
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_in_a_name_moves_the_cursor_or_turns_the_text() {
+    fn reports_escape_control_characters_in_names() {
         let (calibration, _) = decay();
         let mut problem = calibration.problem().clone();
         problem.parameters[0] = problem.parameters[0].clone().display_name("k\n\tz\u{1b}[2J\u{202e}");
@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn a_result_below_all_minima_is_not_called_one_of_them_when_the_search_was_cut_off() {
+    fn result_below_all_minima_is_not_reported_as_minimum_when_search_is_limited() {
         let (_, mut fit) = decay();
         let optimum = |cost: f64| -> dfo::Optimum {
             serde_json::from_value(serde_json::json!({"x": [2.0], "cost": cost, "n_starts": 3})).unwrap()
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn the_page_needs_nothing_but_itself_and_escapes_names() {
+    fn page_is_self_contained_and_escapes_names() {
         let (calibration, mut fit) = decay();
         let uncertainty = fit.uncertainty.as_mut().unwrap();
         uncertainty.standard_errors = vec![1e-3];
@@ -355,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn a_report_that_cannot_be_written_says_where_and_why() {
+    fn report_error_names_path_and_reason() {
         let (calibration, mut fit) = decay();
         let error =
             calibration.report(&fit, "/no/such/folder/x.html", &RunContext::new()).unwrap_err().to_string();

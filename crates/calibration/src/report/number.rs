@@ -34,7 +34,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn digits_follow_the_error() {
+    fn digits_follow_the_standard_error() {
         for (value, error, text) in [
             (0.010000441, 1.38e-5, "0.010000"),
             (0.010012441, 1.38e-5, "0.010012"),

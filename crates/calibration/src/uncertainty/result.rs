@@ -395,7 +395,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_of_student_are_those_of_the_tables() {
+    fn student_quantiles_match_tables() {
         for (nu, expected) in [
             (1.0, 12.706_204_736),
             (2.0, 4.302_652_730),

@@ -137,7 +137,7 @@ mod tests {
 
     /// Several blocks give the same results as one, and the context is checked between them.
     #[test]
-    fn many_rows_have_the_factors_of_few() {
+    fn thin_svd_of_many_row_blocks_matches_single_block() {
         let (context, p) = (RunContext::new(), 40);
         let tall = matrix(3 * OPERATIONS / (2 * p * p), p);
         let svd = thin_svd(&tall, &context).unwrap().unwrap();

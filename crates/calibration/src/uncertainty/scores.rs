@@ -129,7 +129,7 @@ mod tests {
     use dfo::Loss;
 
     #[test]
-    fn a_wide_loss_is_least_squares_and_a_narrow_one_that_of_an_m_estimator() {
+    fn working_residuals_match_least_squares_and_m_estimator() {
         // Quantiles of the normal distribution, and two outliers.
         let mut r: Vec<f64> = (0..98).map(|k| ((f64::from(k) + 0.5) / 98.0 - 0.5) * 4.0).collect();
         r.extend([50.0, -50.0]);

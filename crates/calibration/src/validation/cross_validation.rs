@@ -73,7 +73,7 @@ pub struct Fold {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct CrossValidation {
-    /// The folds that were done.
+    /// Finished folds.
     pub folds: Vec<Fold>,
     /// Names of the recordings that unfinished folds would have held out; the time limit did not suffice for
     /// these folds.

@@ -64,7 +64,7 @@ fn warnings(fit: &Fit) -> Vec<String> {
 }
 
 #[test]
-fn a_prior_does_not_decide_where_the_noise_is_small() {
+fn prior_does_not_dominate_when_noise_is_small() {
     for start in [0.02, 0.3, 1.0, 2.0, 8.0, 40.0] {
         for (seed, noise) in [(1, 1e-3), (2, 1e-3), (3, 1e-5), (4, 0.05)] {
             for method in [AnyMethod::auto(Search::Local), NelderMead::default().into()] {
@@ -91,7 +91,7 @@ fn a_prior_does_not_decide_where_the_noise_is_small() {
 /// The start of a decay is a linear parameter: for each noise the posterior mode is that of a linear regression, and the noise solves
 /// `s^2 (N - h) = r'r` with the share h that the measurements have of the parameter.
 #[test]
-fn a_linear_parameter_is_at_its_posterior_mode() {
+fn linear_parameter_reaches_its_posterior_mode() {
     let (mean, sd, k) = (1.2, 0.05, 1.0);
     for (seed, noise, weight) in [(1, 0.1, 1.0), (2, 0.3, 1.0), (3, 0.02, 1.0), (4, 0.3, 1e-3)] {
         let mut normal = normal(seed);
@@ -147,7 +147,7 @@ fn throw(seed: u64, weights: [Weight; 2]) -> CalibrationBuilder {
 }
 
 #[test]
-fn each_output_has_its_own_noise_and_a_stated_one_is_kept() {
+fn noise_is_estimated_per_output_and_stated_noise_is_kept() {
     let one = || Weight::Constant(1.0);
     let fit = throw(1, [one(), one()]).build().unwrap().fit(run(LeastSquares::default())).unwrap();
     let sds: Vec<f64> = estimated(&fit).outputs.iter().map(|noise| noise.sd).collect();
@@ -177,7 +177,7 @@ fn each_output_has_its_own_noise_and_a_stated_one_is_kept() {
 }
 
 #[test]
-fn where_nothing_is_estimated_it_is_said() {
+fn fit_reports_when_noise_is_not_estimated() {
     let build =
         |weight: f64| dahlquist(decay(1, 1e-3), weight).parameter(rate(1.5, 2.0, 0.3)).build().unwrap();
     let robust = RobustLoss::new(Loss::SoftL1, 1e-3).unwrap();
@@ -220,7 +220,7 @@ fn where_nothing_is_estimated_it_is_said() {
 
 /// Two parameters that only their priors tell apart, and as many measurements as parameters.
 #[test]
-fn priors_decide_what_the_measurements_do_not() {
+fn priors_determine_what_measurements_do_not() {
     let mut normal = normal(9);
     let y = times().iter().map(|t| 3.0 * (-2.0 * t).exp() + 0.01 * normal()).collect();
     let data = Data::from_columns(times(), [("x".to_owned(), y)]).unwrap();
@@ -244,7 +244,7 @@ fn priors_decide_what_the_measurements_do_not() {
 }
 
 #[test]
-fn limits_hold_for_all_rounds_and_the_bits_do_not_depend_on_workers() {
+fn limits_cover_all_noise_rounds_and_result_is_independent_of_workers() {
     let build = || dahlquist(decay(5, 0.05), 1.0).parameter(rate(0.5, 1.0, 0.05)).build().unwrap();
     for method in [AnyMethod::from(LeastSquares::default()), NelderMead::default().into()] {
         let with = |workers: usize, most: Option<usize>| {
@@ -294,7 +294,7 @@ fn limits_hold_for_all_rounds_and_the_bits_do_not_depend_on_workers() {
 }
 
 #[test]
-fn a_checkpoint_holds_over_all_rounds() {
+fn checkpoint_survives_all_noise_rounds() {
     let build = || dahlquist(decay(5, 0.05), 1.0).parameter(rate(0.5, 1.0, 0.05)).build().unwrap();
     for method in [AnyMethod::from(LeastSquares::default()), NelderMead::default().into()] {
         let folder = tempfile::tempdir().unwrap();
@@ -323,7 +323,7 @@ fn a_checkpoint_holds_over_all_rounds() {
 }
 
 #[test]
-fn what_is_asked_of_the_fit_afterwards_has_its_weights() {
+fn later_analyses_use_the_weights_of_the_fit() {
     let calibration = dahlquist(decay(6, 1e-3), 1.0).parameter(rate(1.0, 1.0, 0.3)).build().unwrap();
     let fit = calibration.fit(run(LeastSquares::default())).unwrap();
     let noise = estimated(&fit).outputs[0].sd;
@@ -370,7 +370,7 @@ fn what_is_asked_of_the_fit_afterwards_has_its_weights() {
 }
 
 #[test]
-fn stages_have_one_noise_each_and_the_last_one_holds() {
+fn each_stage_estimates_its_noise_and_the_last_is_reported() {
     let calibration = throw(2, [1.0.into(), 1.0.into()]).build().unwrap();
     let stages = [Stage::new(["v"]).window(0.0, 0.8), Stage::new(["h", "v"])];
     let fit = calibration.fit_stages(&stages, run(LeastSquares::default())).unwrap();
@@ -392,7 +392,7 @@ fn stages_have_one_noise_each_and_the_last_one_holds() {
 
 /// An offset with a prior that lies far off, and a robust loss: the loss is that of the measurements.
 #[test]
-fn a_prior_counts_by_its_square_whatever_the_loss_of_the_measurements_is() {
+fn prior_counts_by_its_square_with_every_loss() {
     let (n, noise, sd, scale) = (50, 0.1, 0.02, 1.345);
     let mut normal = normal(5);
     let t: Vec<f64> = (0..n).map(|i| 2.0 * f64::from(i) / 49.0).collect();
@@ -437,7 +437,7 @@ fn a_prior_counts_by_its_square_whatever_the_loss_of_the_measurements_is() {
 
 /// A prior that says nothing changes no interval.
 #[test]
-fn a_vague_prior_leaves_degrees_of_freedom_and_intervals_as_they_are() {
+fn vague_prior_keeps_degrees_of_freedom_and_intervals() {
     let data = || {
         let t: Vec<f64> = vec![0.3, 0.8, 1.3, 2.0];
         let mut normal = normal(9);

@@ -38,7 +38,7 @@ fn mean_absolute(compared: &[Compared<'_>]) -> f64 {
 }
 
 #[test]
-fn named_costs_are_minimised_by_methods_that_see_the_cost_alone() {
+fn named_costs_are_minimised_by_scalar_methods() {
     let calibration = calibration();
     let squares = fit(CostKind::SumOfSquares, None);
     assert_eq!((&*squares.report.method, squares.objective.as_str()), ("least-squares", "sum-of-squares"));
@@ -69,7 +69,7 @@ fn named_costs_are_minimised_by_methods_that_see_the_cost_alone() {
 }
 
 #[test]
-fn functions_of_the_users_give_costs_or_residuals() {
+fn custom_functions_return_costs_or_residuals() {
     let named = fit(CostKind::Named(NamedCost::Mae), None);
     let custom = CustomCost::cost("mine", |compared| Ok(mean_absolute(compared)));
     let found = fit(CostKind::Custom(custom), None);
@@ -94,7 +94,7 @@ fn functions_of_the_users_give_costs_or_residuals() {
 }
 
 #[test]
-fn a_function_may_fail_at_a_point_or_end_the_fit() {
+fn custom_function_can_fail_at_a_point_or_end_the_fit() {
     let failing = |k: fn(f64) -> Result<f64, CustomFailure>| {
         CostKind::Custom(CustomCost::cost("failing", move |compared| k(mean_absolute(compared))))
     };
@@ -113,7 +113,7 @@ fn a_function_may_fail_at_a_point_or_end_the_fit() {
 }
 
 #[test]
-fn what_does_not_go_together_is_refused() {
+fn incompatible_cost_options_are_rejected() {
     let error = |objective: CostKind, loss: RobustLoss, method: AnyMethod| {
         let run = RunOptions { method, ..FitOptions::default_run() };
         calibration().fit(FitOptions { objective, loss, ..run.into() }).unwrap_err().to_string()
@@ -141,7 +141,7 @@ fn what_does_not_go_together_is_refused() {
 }
 
 #[test]
-fn outputs_are_weighed_by_what_was_measured() {
+fn outputs_are_weighted_by_the_scale_of_measurements() {
     let (t, x) = (vec![0.0, 0.5, 1.0, 1.5], vec![4.0, f64::NAN, 1.0, 1.0]);
     let make = |x: Vec<f64>, scale: OutputScale| {
         let data = Data::from_columns(t.clone(), [("x".to_owned(), x)]).unwrap();

@@ -64,7 +64,7 @@ fn assert_near(found: f64, expected: f64, tolerance: f64) {
 }
 
 #[test]
-fn one_parameter_sets_several_variables_and_others_follow_it() {
+fn parameter_sets_several_variables_and_tied_ones_follow() {
     let explicit = tank(["qt.a1", "qt.a2", "qt.a3"].map(|name| Parameter::new(name, 3e-6)));
     let one = tank([
         Parameter::tied("qt.a3", "outlets", 2.0, 1e-6).display_name("upper outlet"),
@@ -99,7 +99,7 @@ fn one_parameter_sets_several_variables_and_others_follow_it() {
 }
 
 #[test]
-fn what_follows_a_local_parameter_is_local() {
+fn parameter_tied_to_local_parameter_is_local() {
     let experiment = |x0: f64, k: f64| decay(&move |t| x0 * (-k * t).exp());
     let calibration = dahlquist(experiment(1.0, 1.0).named("slow"))
         .experiment(experiment(2.0, 2.0))
@@ -114,7 +114,7 @@ fn what_follows_a_local_parameter_is_local() {
 
 /// The start of a decay is a linear parameter: the minimum is that of a linear regression with a prior.
 #[test]
-fn a_prior_is_a_residual_that_is_no_measurement() {
+fn prior_is_a_residual_but_not_a_measurement() {
     let (mean, sd, weight) = (2.0, 0.1, 5.0);
     let measured = |t: f64| (-t).exp() + 0.1 * (7.0 * t).sin();
     let experiment =
@@ -157,7 +157,7 @@ fn a_prior_is_a_residual_that_is_no_measurement() {
 }
 
 #[test]
-fn a_prior_that_is_above_the_cutoff_needs_no_simulation() {
+fn prior_above_cutoff_skips_simulation() {
     let far = Parameter::new("x", 1.0).bounds(0.1, 1e9).prior(Prior::Normal { mean: 1.0, sd: 1e-3 });
     let log = Parameter::new("k", 1.0)
         .bounds(0.1, 10.0)
@@ -175,7 +175,7 @@ fn a_prior_that_is_above_the_cutoff_needs_no_simulation() {
 }
 
 #[test]
-fn states_start_as_given_as_measured_or_as_fitted() {
+fn initial_states_are_given_measured_or_fitted() {
     let measured = |t: f64| 3.0 * (-t).exp();
     let experiment = || decay(&measured);
     let with = |experiment: Experiment, initial: InitialState| {
@@ -205,7 +205,7 @@ fn states_start_as_given_as_measured_or_as_fitted() {
 }
 
 #[test]
-fn a_late_output_is_compared_with_what_the_model_was_before() {
+fn delayed_output_is_compared_with_earlier_model_values() {
     let (rate, tau) = (1.5, 0.137);
     let measured = |t: f64| (-rate * (t - tau).max(0.0)).exp();
     let fixed = dahlquist(decay(&measured).delay("x", tau)).parameter(k()).build().unwrap();
@@ -260,7 +260,7 @@ fn a_late_output_is_compared_with_what_the_model_was_before() {
 }
 
 #[test]
-fn late_inputs_are_those_of_a_recording_that_is_later() {
+fn delayed_inputs_match_a_shifted_recording() {
     let recording = |delay: f64| {
         let columns: [(&str, &dyn Fn(f64) -> f64); 2] =
             [("u1", &|t| 5.0 + t % 3.0), ("x", &|t| 0.06 - 1e-4 * t)];
@@ -295,7 +295,7 @@ fn late_inputs_are_those_of_a_recording_that_is_later() {
 }
 
 #[test]
-fn offsets_are_added_to_what_the_model_gives() {
+fn offset_is_added_to_output() {
     let calibration = dahlquist(decay(&|t| 0.25 + (-2.0 * t).exp()))
         .parameter(k())
         .parameter(Parameter::new("bias", 0.0).bounds(-1.0, 1.0).offset_of("x"))
@@ -312,7 +312,7 @@ fn offsets_are_added_to_what_the_model_gives() {
 }
 
 #[test]
-fn windows_weights_and_warm_up_choose_what_counts() {
+fn windows_weights_and_warm_up_select_measurements() {
     let names = |experiment: Experiment| {
         let calibration = dahlquist(experiment).parameter(k()).build().unwrap();
         let o = calibration.residual_layout().outputs[0].clone();

@@ -33,7 +33,7 @@ fn limited(method: NelderMead, limits: Limits) -> RunOptions<dfo::AnyMethod> {
 
 /// Simulations of one length: a fixed step. So the right-hand sides tell how many there were.
 #[test]
-fn every_simulation_is_counted_and_none_is_made_twice() {
+fn phases_count_every_simulation_once() {
     let evaluations = 12;
     let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Rk4, Some(0.01));
     let limits = Limits { max_evaluations: Some(evaluations), ..Limits::default() };
@@ -50,7 +50,7 @@ fn every_simulation_is_counted_and_none_is_made_twice() {
 
 /// Whoever ends a fit after its search has its result, which says what is missing.
 #[test]
-fn checks_that_are_ended_are_said_to_be() {
+fn fit_reports_interrupted_checks() {
     let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Tsit5, None);
     let phase = Arc::new(CurrentPhase::default());
     let seen = Arc::clone(&phase);
@@ -66,7 +66,7 @@ fn checks_that_are_ended_are_said_to_be() {
 
 /// With `auto` the simulations of a fit are those of its trace, in the first fit as in the second.
 #[test]
-fn a_fit_makes_the_simulations_of_its_trace_alone() {
+fn fit_runs_only_the_simulations_of_its_trace() {
     let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Auto, None);
     let limits = Limits { max_evaluations: Some(5), ..Limits::default() };
     let options =
@@ -91,7 +91,7 @@ fn endless() -> Calibration {
 
 /// Without its limit a check takes hours, too.
 #[test]
-fn a_check_ends_in_time_where_one_simulation_is_endless() {
+fn check_respects_time_limit_when_a_simulation_is_endless() {
     let began = Instant::now();
     let options = CheckOptions { max_time: Some(Duration::from_millis(300)), ..CheckOptions::default() };
     let check = endless().check_with(&options, &RunContext::new()).unwrap();
@@ -104,7 +104,7 @@ fn a_check_ends_in_time_where_one_simulation_is_endless() {
 
 /// Without the limit this takes hours.
 #[test]
-fn the_start_is_the_result_where_one_simulation_is_endless() {
+fn fit_returns_start_when_a_simulation_is_endless() {
     let limit = Duration::from_millis(300);
     let limits = Limits { max_time: Some(limit), ..Limits::default() };
     let calibration = endless();
@@ -127,7 +127,7 @@ fn the_start_is_the_result_where_one_simulation_is_endless() {
 
 /// The best point of a search that the limit ends is the result, and nothing is simulated afterwards.
 #[test]
-fn nothing_is_simulated_when_the_time_is_up() {
+fn fit_runs_no_simulation_after_time_limit() {
     let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Euler, Some(1e-5));
     // The first use of the model is tested, once per process.
     calibration.preflight(&calibration::PreflightOptions::default(), &RunContext::new()).unwrap();
@@ -144,7 +144,7 @@ fn nothing_is_simulated_when_the_time_is_up() {
 
 /// The limit of the user stands in the message, not what was left of it for the search; of a stage that of the stage.
 #[test]
-fn the_message_names_the_limit_that_was_given() {
+fn message_reports_the_given_time_limit() {
     let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Euler, Some(1e-4));
     calibration.preflight(&calibration::PreflightOptions::default(), &RunContext::new()).unwrap();
     let began = Instant::now();
@@ -168,7 +168,7 @@ fn the_message_names_the_limit_that_was_given() {
 }
 
 #[test]
-fn a_fit_without_any_time_can_be_stored_and_read() {
+fn fit_without_finished_simulation_can_be_saved_and_loaded() {
     let limits = Limits { max_time: Some(Duration::from_millis(100)), ..Limits::default() };
     let calibration = endless();
     let fit = calibration.fit(limited(NelderMead::default(), limits)).unwrap();
@@ -180,7 +180,7 @@ fn a_fit_without_any_time_can_be_stored_and_read() {
 /// Standard errors take two simulations for each parameter, everything else at most 0.3 of the search and four simulations; what there
 /// was no room for is listed.
 #[test]
-fn what_surrounds_a_search_takes_a_part_of_it() {
+fn extra_simulations_stay_within_their_share_of_the_search() {
     let decay = |start: f64| {
         let t: Vec<f64> = (0..51).map(|i| 0.1 * f64::from(i)).collect();
         let noisy = |(i, t): (usize, &f64)| (-2.0 * t).exp() + 0.01 * (78.233 * (i as f64 + 1.0)).sin();

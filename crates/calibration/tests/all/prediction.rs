@@ -30,7 +30,7 @@ fn calibration(experiments: Vec<Experiment>, is_local: bool) -> Calibration {
 }
 
 #[test]
-fn the_band_is_that_of_the_delta_method() {
+fn band_matches_delta_method() {
     let calibration = calibration(vec![recording(2.0, 1.0)], false);
     let fit = calibration.fit(FitOptions::default()).unwrap();
     let uncertainty = fit.uncertainty.as_ref().unwrap();
@@ -65,7 +65,7 @@ fn the_band_is_that_of_the_delta_method() {
 }
 
 #[test]
-fn a_band_of_parameters_on_a_log_scale_is_that_of_linear_ones() {
+fn band_is_the_same_on_log_and_linear_scale() {
     let band = |scale, has_bounds| {
         let bounded = |p: Parameter| if has_bounds { p.bounds(1e-3, 1e3) } else { p };
         let calibration = Calibration::builder(fmi::Fmu::open(example_fmu("dahlquist").unwrap()).unwrap())
@@ -91,7 +91,7 @@ fn a_band_of_parameters_on_a_log_scale_is_that_of_linear_ones() {
 }
 
 #[test]
-fn a_band_without_degrees_of_freedom_is_refused() {
+fn band_is_rejected_without_degrees_of_freedom() {
     let calibration = calibration(vec![recording(2.0, 1.0).window(0.0, 0.1)], false);
     let fit = calibration.fit(FitOptions::default()).unwrap();
     assert_eq!(fit.uncertainty.as_ref().unwrap().degrees_of_freedom, 0.0);
@@ -100,7 +100,7 @@ fn a_band_without_degrees_of_freedom_is_refused() {
 }
 
 #[test]
-fn local_parameters_of_what_is_held_out_are_fitted_with_the_loss_of_the_fit() {
+fn held_out_local_parameters_are_fitted_with_the_loss_of_the_fit() {
     let with_outliers = |k: f64, x0: f64| {
         let t: Vec<f64> = (0..40).map(|i| i as f64 / 10.0).collect();
         let off = |i: usize| if i % 8 == 1 { 3.0 } else { noise(i) };
@@ -125,7 +125,7 @@ fn local_parameters_of_what_is_held_out_are_fitted_with_the_loss_of_the_fit() {
 }
 
 #[test]
-fn a_band_that_cannot_be_made_says_why() {
+fn band_error_reports_the_reason() {
     let calibration = calibration(vec![recording(2.0, 1.0)], false);
     let fit = calibration.fit(FitOptions::default()).unwrap();
     let without = calibration.fit(FitOptions { uncertainty: None, ..FitOptions::default() }).unwrap();
@@ -146,7 +146,7 @@ fn a_band_that_cannot_be_made_says_why() {
 }
 
 #[test]
-fn each_recording_is_left_out_once() {
+fn cross_validation_leaves_each_recording_out_once() {
     let recordings = vec![recording(2.0, 1.0), recording(2.05, 2.0), recording(2.0, 3.0).named("third")];
     let calibration = calibration(recordings, true);
     let found = calibration.cross_validate(&CrossValidationOptions::default(), &RunContext::new()).unwrap();
@@ -173,7 +173,7 @@ fn each_recording_is_left_out_once() {
 }
 
 #[test]
-fn recordings_that_cannot_be_left_out_are_named() {
+fn cross_validation_rejects_invalid_folds() {
     let one = calibration(vec![recording(2.0, 1.0)], false);
     let error =
         one.cross_validate(&CrossValidationOptions::default(), &RunContext::new()).unwrap_err().to_string();
@@ -195,7 +195,7 @@ fn recordings_that_cannot_be_left_out_are_named() {
 
 /// A new measurement has the noise that the weight of its row states, at that row.
 #[test]
-fn a_band_of_new_measurements_has_the_noise_of_each_row() {
+fn band_of_new_measurements_includes_noise_of_each_row() {
     let sd = |i: usize| if i < 20 { 0.001 } else { 0.1 };
     let t: Vec<f64> = (0..40).map(|i| i as f64 / 10.0).collect();
     let x: Vec<f64> = t.iter().enumerate().map(|(i, t)| (-2.0 * t).exp() + sd(i) / 0.1 * noise(i)).collect();

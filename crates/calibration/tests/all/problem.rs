@@ -54,7 +54,7 @@ fn sum(residuals: &[f64]) -> f64 {
 }
 
 #[test]
-fn the_cost_has_the_same_bits_on_every_path() {
+fn cost_is_bitwise_identical_on_every_path() {
     let calibration = furuta();
     let x = [0.0113, 0.0021];
     let residuals = calibration.residuals(&x, &RunContext::new()).unwrap();
@@ -99,7 +99,7 @@ fn the_cost_has_the_same_bits_on_every_path() {
 }
 
 #[test]
-fn local_parameters_stand_in_their_place_once_per_experiment() {
+fn local_parameters_occur_once_per_experiment_in_order() {
     let calibration = decays().build().unwrap();
     let names: Vec<&str> = calibration.parameters().iter().map(Parameter::name).collect();
     assert_eq!(names, ["k[slow]", "k[run2]", "x[slow]", "x[run2]"]);
@@ -124,7 +124,7 @@ fn local_parameters_stand_in_their_place_once_per_experiment() {
 }
 
 #[test]
-fn experiments_are_told_apart() {
+fn problem_rejects_duplicate_experiment_and_parameter_names() {
     let twice = decays().experiment(
         Experiment::new(Data::from_columns(vec![0.0], [("x".to_owned(), vec![1.0])]).unwrap())
             .output("x", "x")
@@ -137,7 +137,7 @@ fn experiments_are_told_apart() {
 }
 
 #[test]
-fn a_problem_survives_a_file() {
+fn problem_round_trips_through_a_file() {
     let calibration = decays().build().unwrap();
     let mut bytes = Vec::new();
     ciborium::into_writer(calibration.problem(), &mut bytes).unwrap();
@@ -167,7 +167,7 @@ fn fit_can_be_cancelled_before_its_first_evaluation() {
 }
 
 #[test]
-fn the_layout_of_the_residuals_says_what_each_one_compares() {
+fn residual_layout_describes_each_residual() {
     let nan = f64::NAN;
     let columns = [("x".to_owned(), vec![1.0, nan, 0.5, 0.2]), ("z".to_owned(), vec![nan, 0.7, nan, 0.1])];
     let data = Data::from_columns(vec![0.0, 0.5, 1.0, 1.5], columns).unwrap();
@@ -204,7 +204,7 @@ fn the_layout_of_the_residuals_says_what_each_one_compares() {
 
 /// A state is NaN as the variable that it is by the description, which the vector of the integration does not show.
 #[test]
-fn a_state_that_is_no_number_is_said_with_its_time() {
+fn nan_state_is_reported_with_its_time() {
     let said = |value: &str| {
         let folder = crate::support::faulty(&[&format!("STATE_VALUE={value}")]);
         let data = Data::from_columns(vec![0.0, 0.5, 1.0], [("x".to_owned(), vec![1.0, 0.4, 0.2])]).unwrap();
@@ -230,7 +230,7 @@ fn record(json: &str) -> dfo::Record {
 }
 
 #[test]
-fn an_experiment_of_a_record_is_the_one_that_its_methods_make() {
+fn experiment_from_record_equals_experiment_from_methods() {
     let folder = tempfile::tempdir().unwrap();
     let rows: String =
         (0..5).map(|i| format!("{i},{},{},{},1\n", 2 * i, i * i, if i < 4 { 1 } else { 0 })).collect();

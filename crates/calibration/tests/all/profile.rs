@@ -67,7 +67,7 @@ fn line() -> Calibration {
 }
 
 #[test]
-fn the_interval_of_a_linear_model_is_that_of_its_covariance() {
+fn profile_interval_matches_covariance_for_linear_model() {
     let calibration = line();
     for estimator in [Estimator::Sandwich, Estimator::Pooled] {
         let uncertainty = Some(UncertaintyOptions { estimator, ..UncertaintyOptions::default() });
@@ -131,7 +131,7 @@ fn the_interval_of_a_linear_model_is_that_of_its_covariance() {
 }
 
 #[test]
-fn profiles_of_robust_losses_and_correlated_residuals_have_the_width_of_the_errors() {
+fn profile_width_matches_standard_errors_with_loss_and_correlation() {
     let interval = |fit: &Fit, calibration: &Calibration, options: &ProfileOptions| {
         let found = profile(calibration, fit, options);
         (found.parameters[0].interval(), found.is_autocorrelated)
@@ -164,7 +164,7 @@ fn profiles_of_robust_losses_and_correlated_residuals_have_the_width_of_the_erro
 }
 
 #[test]
-fn one_parameter_and_scales() {
+fn profile_of_single_parameter_works_on_both_scales() {
     // The statistic of the only parameter is the cost itself.
     for scale in [Scale::Linear, Scale::Log] {
         let calibration = decay([Parameter::new("k", 1.0).bounds(0.1, 5.0).scale(scale)]);
@@ -184,7 +184,7 @@ fn one_parameter_and_scales() {
 }
 
 #[test]
-fn what_is_open_is_said() {
+fn profile_reports_open_ends() {
     let calibration = decay([Parameter::new("k", 1.0).bounds(0.1, 1.55), Parameter::new("x", 1.0)]);
     let fit = fitted(&calibration, FitOptions::default());
     let found = profile(&calibration, &fit, &ProfileOptions::default());
@@ -221,7 +221,7 @@ fn what_is_open_is_said() {
 }
 
 #[test]
-fn confounded_parameters_reach_as_far_as_the_bounds_of_the_others() {
+fn profile_of_confounded_parameters_extends_to_bounds_of_others() {
     // The data tell the sum of a height and an offset between -0.5 and 1.
     let (n, time) = (40_u32, (0..40).map(|k| 0.01 * f64::from(k)).collect::<Vec<f64>>());
     let h: Vec<f64> = noise(40).map(|e| 10.0 + 0.05 * e).collect();
@@ -254,7 +254,7 @@ fn without_stats(mut profile: Profile) -> Profile {
 }
 
 #[test]
-fn workers_interrupts_and_files_change_no_number() {
+fn profile_is_unchanged_by_workers_interrupts_and_files() {
     let calibration = decay([Parameter::new("k", 1.0).bounds(0.1, 5.0), Parameter::new("x", 1.2)]);
     let fit = fitted(&calibration, FitOptions::default());
     let with = |workers, checkpoint: Option<&Path>| ProfileOptions {
@@ -296,7 +296,7 @@ fn workers_interrupts_and_files_change_no_number() {
 }
 
 #[test]
-fn fits_that_have_no_profile_are_refused() {
+fn profile_rejects_unsupported_fits() {
     let calibration =
         decay([Parameter::new("k", 1.0).bounds(0.1, 5.0), Parameter::new("x", 1.0).fixed(true)]);
     let fit = fitted(&calibration, FitOptions::default());

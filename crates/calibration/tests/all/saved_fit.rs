@@ -39,7 +39,7 @@ fn fitted() -> (Calibration, Fit, Vec<u8>) {
 }
 
 #[test]
-fn a_fit_comes_back_with_all_bits() {
+fn saved_fit_round_trips_bit_for_bit() {
     let (calibration, fit, bytes) = fitted();
     assert_eq!(fit.names, ["k", "x[cold]", "x[hot]"]);
     let folder = tempfile::tempdir().unwrap();
@@ -57,7 +57,7 @@ fn a_fit_comes_back_with_all_bits() {
 }
 
 #[test]
-fn without_its_model_a_fit_shows_its_numbers() {
+fn saved_fit_shows_its_results_without_the_model() {
     let folder = tempfile::tempdir().unwrap();
     let place = folder.path().join("model.fmu");
     std::fs::copy(model(), &place).unwrap();
@@ -118,7 +118,7 @@ fn field<'v>(item: &'v mut Value, path: &str) -> &'v mut Value {
 }
 
 #[test]
-fn files_that_are_no_fits_are_refused() {
+fn saved_fit_rejects_invalid_files() {
     let (_, _, bytes) = fitted();
     let refusal = |bytes: &[u8]| {
         let error = SavedFit::from_bytes(bytes, "a.fit").unwrap_err().to_string();
@@ -178,7 +178,7 @@ fn files_that_are_no_fits_are_refused() {
 }
 
 #[test]
-fn what_cannot_be_written_is_named() {
+fn saved_fit_names_what_cannot_be_written() {
     let (calibration, fit, _) = fitted();
     let folder = tempfile::tempdir().unwrap();
     let refusal = |path: &Path| fit.save(&calibration, path).unwrap_err();
@@ -211,7 +211,7 @@ fn what_cannot_be_written_is_named() {
 }
 
 #[test]
-fn a_fit_in_stages_comes_back() {
+fn saved_fit_in_stages_round_trips() {
     let calibration = calibration(&model());
     let stages = [Stage::new(["k"]), Stage::new(["x"]).window(0.0, 0.8)];
     let fit = calibration.fit_stages(&stages, FitOptions::default()).unwrap();

@@ -47,7 +47,7 @@ fn tank_builder(u1_until: f64, inputs: &[&str], hold: bool) -> CalibrationBuilde
 }
 
 #[test]
-fn a_recording_that_begins_late_needs_a_start_time() {
+fn late_recording_requires_start_time() {
     let parameter = || Parameter::new("k", 1.0).bounds(0.1, 10.0);
     let message = decay(100.0, parameter()).build().unwrap_err().to_string();
     assert!(message.contains("begins at 100 s, the simulation at 0 s. Give start_time = 100"), "{message}");
@@ -56,7 +56,7 @@ fn a_recording_that_begins_late_needs_a_start_time() {
 }
 
 #[test]
-fn columns_of_inputs_that_are_not_used_are_warnings() {
+fn unused_input_columns_cause_warnings() {
     assert!(tank(30.0, &["u1", "u2"]).warnings().is_empty());
     match tank(30.0, &["u1"]).warnings() {
         [SetupWarning::UnusedColumn { column, input, .. }] => assert_eq!((&**column, &**input), ("u2", "u2")),
@@ -65,7 +65,7 @@ fn columns_of_inputs_that_are_not_used_are_warnings() {
 }
 
 #[test]
-fn inputs_are_held_beyond_their_recording_only_when_asked() {
+fn inputs_are_held_beyond_recording_only_with_hold_inputs() {
     let message = tank_builder(20.0, &["u1", "u2"], false).build().unwrap_err().to_string();
     let expected = "input 'u1' is recorded from 0 s to 20 s, and the simulation needs it from 0 s to 30 s: give hold_inputs";
     assert!(message.contains(expected), "{message}");
@@ -75,7 +75,7 @@ fn inputs_are_held_beyond_their_recording_only_when_asked() {
 }
 
 #[test]
-fn a_parameter_at_its_bound_is_named() {
+fn parameter_at_bound_is_reported() {
     for (lower, upper, expected) in
         [(0.1, 1.5, Some(BoundSide::Upper)), (2.5, 10.0, Some(BoundSide::Lower)), (0.1, 10.0, None)]
     {
@@ -90,7 +90,7 @@ fn a_parameter_at_its_bound_is_named() {
 }
 
 #[test]
-fn a_parameter_without_effect_is_named_whatever_the_budget() {
+fn parameter_without_effect_is_reported_with_every_budget() {
     let calibration = tank(30.0, &["u1", "u2"]);
     let options = |evaluations| RunOptions {
         method: NelderMead::default().into(),
@@ -114,7 +114,7 @@ fn a_parameter_without_effect_is_named_whatever_the_budget() {
 /// Also of a model that has no variable of the name `time`.
 #[test]
 #[cfg(target_os = "linux")]
-fn what_is_no_single_result_is_refused_as_an_output() {
+fn outputs_that_are_not_single_results_are_rejected() {
     let folder = support::faulty(&[]);
     let description = folder.path().join("modelDescription.xml");
     let text = std::fs::read_to_string(&description).unwrap();
@@ -132,7 +132,7 @@ fn what_is_no_single_result_is_refused_as_an_output() {
 }
 
 #[test]
-fn one_column_for_two_outputs_and_a_tie_of_unlike_units_are_refused() {
+fn shared_column_and_tie_of_different_units_are_rejected() {
     let t: Vec<f64> = (0..20).map(|k| 0.1 * f64::from(k)).collect();
     let data =
         Data::from_columns(t.clone(), [("h".to_owned(), t.iter().map(|t| 1.0 - 4.9 * t * t).collect())])

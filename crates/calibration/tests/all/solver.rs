@@ -57,7 +57,7 @@ fn few(n: usize) -> FitOptions<'static> {
 }
 
 #[test]
-fn a_cost_is_the_same_function_in_a_fit_and_outside() {
+fn cost_is_the_same_inside_and_outside_a_fit() {
     let auto = calibration(Method::Auto);
     let x = [2600.0, 9100.0];
     let cost = auto.cost(&x, &RunContext::new()).unwrap();
@@ -73,14 +73,14 @@ fn a_cost_is_the_same_function_in_a_fit_and_outside() {
 }
 
 #[test]
-fn a_named_method_is_used() {
+fn requested_solver_is_used() {
     for method in [Method::Radau5, Method::Bdf] {
         assert_eq!(calibration(method).fit(few(3)).unwrap().solver, method);
     }
 }
 
 #[test]
-fn a_checkpoint_of_another_solver_is_refused() {
+fn checkpoint_of_another_solver_is_rejected() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("fit");
     let with = |resume, n| {

@@ -46,7 +46,7 @@ fn bits(fit: &Fit) -> Vec<u64> {
 }
 
 #[test]
-fn each_stage_starts_from_the_last_and_holds_the_others() {
+fn stage_starts_from_previous_result_and_holds_other_parameters() {
     let calibration = tanks(&[], None);
     let fit = calibration.fit_stages(&two(), FitOptions::default()).unwrap();
     let [first, second] = &fit.stages[..] else { panic!("{fit}") };
@@ -71,7 +71,7 @@ fn each_stage_starts_from_the_last_and_holds_the_others() {
 }
 
 #[test]
-fn stages_that_hold_what_is_wrong_are_no_fit_of_all_parameters() {
+fn stages_with_wrong_held_values_do_not_count_as_converged() {
     // x' = -k x from x(0): the first stage makes up for the start that the second one holds.
     let t: Vec<f64> = (0..61).map(|i| 0.05 * f64::from(i)).collect();
     let x = t.iter().enumerate().map(|(i, t)| 2.0 * (-2.0 * t).exp() + if i % 2 == 0 { 1e-3 } else { -1e-3 });
@@ -100,7 +100,7 @@ fn stages_that_hold_what_is_wrong_are_no_fit_of_all_parameters() {
 }
 
 #[test]
-fn a_method_and_a_window_of_its_own() {
+fn stage_uses_its_own_method_and_window() {
     let calibration = tanks(&[], None);
     let stages = [
         Stage::new(["qt.a1", "qt.a2"]).window(0.0, 30.0).method(NelderMead::default()),
@@ -123,7 +123,7 @@ fn a_method_and_a_window_of_its_own() {
 }
 
 #[test]
-fn limits_hold_for_all_stages_together() {
+fn limits_apply_to_all_stages_together() {
     let calibration = tanks(&[], None);
     let whole = calibration.fit_stages(&two(), limited(1000)).unwrap();
     let first = whole.stages[0].report.n_evaluations;
@@ -141,7 +141,7 @@ fn limits_hold_for_all_stages_together() {
 }
 
 #[test]
-fn an_observer_ends_all_and_counts_on() {
+fn observer_ends_all_stages_and_continues_its_count() {
     let calibration = tanks(&[], None);
     let (mut counts, first) =
         (Vec::new(), calibration.fit_stages(&two()[..1], limited(1000)).unwrap().report.n_evaluations);
@@ -163,7 +163,7 @@ fn an_observer_ends_all_and_counts_on() {
 }
 
 #[test]
-fn a_checkpoint_has_a_file_for_each_stage() {
+fn checkpoint_uses_one_file_per_stage() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("fit.ckpt");
     let with = |n: usize, resume: Resume| RunOptions {
@@ -192,7 +192,7 @@ fn a_checkpoint_has_a_file_for_each_stage() {
 }
 
 #[test]
-fn what_is_wrong_with_stages_is_named() {
+fn stage_errors_name_the_stage_and_reason() {
     let calibration = tanks(&[("qt.a4", 3e-6)], None);
     let stage = |names: &[&str]| Stage::new(names.iter().copied());
     for (stages, expected) in [

@@ -61,7 +61,7 @@ fn is_noisy(fit: &Fit) -> bool {
 }
 
 #[test]
-fn the_tolerance_leaves_the_cost_as_smooth_as_f_tol_asks() {
+fn chosen_tolerance_keeps_cost_smooth_for_f_tol() {
     let folder = stating("van_der_pol", "1e-4");
     let mut used = Vec::new();
     for noise in [0.3, 0.03, 3e-3, 3e-4] {
@@ -89,7 +89,7 @@ fn the_tolerance_leaves_the_cost_as_smooth_as_f_tol_asks() {
 }
 
 #[test]
-fn the_tolerance_is_that_of_the_calibration_where_it_cannot_matter() {
+fn chosen_tolerance_equals_calibration_when_irrelevant() {
     let folder = stating("van_der_pol", "1e-3");
     let given = RunSettings { relative_tolerance: Some(1e-4), ..RunSettings::default() };
     let fit = oscillator(&folder, 0.03).settings(given).build().unwrap().fit(run(1e-4)).unwrap();
@@ -105,7 +105,7 @@ fn the_tolerance_is_that_of_the_calibration_where_it_cannot_matter() {
 }
 
 #[test]
-fn the_choice_is_the_same_everywhere_and_kept() {
+fn chosen_tolerance_is_reproducible_and_stored() {
     let folder = stating("van_der_pol", "1e-4");
     let calibration = oscillator(&folder, 1e-3).build().unwrap();
     let one = calibration.fit(run(1e-4)).unwrap();

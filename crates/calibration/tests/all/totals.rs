@@ -34,7 +34,7 @@ fn options(evaluations: usize, workers: usize, cutoffs: bool) -> FitOptions<'sta
 }
 
 #[test]
-fn the_totals_are_the_sum_over_all_evaluations() {
+fn totals_equal_sum_over_all_evaluations() {
     let calibration = calibration();
     for workers in [1, 3] {
         let fit = calibration.fit(options(12, workers, false)).unwrap();
@@ -52,7 +52,7 @@ fn the_totals_are_the_sum_over_all_evaluations() {
 }
 
 #[test]
-fn simulations_that_are_given_up_count_as_far_as_they_came() {
+fn totals_include_partial_simulations() {
     let calibration = calibration();
     let all = calibration.fit(options(30, 1, false)).unwrap().stats;
     let some = calibration.fit(options(30, 1, true)).unwrap().stats;

@@ -44,7 +44,7 @@ fn decay(parameters: impl IntoIterator<Item = Parameter>) -> Calibration {
 }
 
 #[test]
-fn a_decay_has_the_errors_of_its_closed_form() {
+fn standard_errors_of_decay_match_closed_form() {
     for scale in [Scale::Linear, Scale::Log] {
         let calibration = decay([Parameter::new("k", 1.0).bounds(0.1, 5.0).scale(scale)]);
         let fit = calibration.fit(FitOptions::default()).unwrap();
@@ -76,7 +76,7 @@ fn a_decay_has_the_errors_of_its_closed_form() {
 }
 
 #[test]
-fn parameters_that_are_held_are_named_and_taken_as_known() {
+fn held_parameters_are_reported_as_known() {
     // The data want k = 1.5.
     let at_bound = decay([Parameter::new("k", 1.0).bounds(0.1, 1.2), Parameter::new("x", 1.0)]);
     let fit = at_bound.fit(FitOptions::default()).unwrap();
@@ -106,7 +106,7 @@ fn uncertainty_of(calibration: &Calibration, held: &[usize]) -> Uncertainty {
 }
 
 #[test]
-fn the_result_depends_on_no_number_of_workers_and_costs_no_evaluation() {
+fn uncertainty_is_independent_of_workers_and_uses_no_evaluations() {
     let calibration = decay([Parameter::new("k", 1.0).bounds(0.1, 5.0), Parameter::new("x", 1.2)]);
     let fit = |workers, uncertainty| -> Fit {
         let limits = Limits { max_evaluations: Some(60), ..Limits::default() };
@@ -131,7 +131,7 @@ fn the_result_depends_on_no_number_of_workers_and_costs_no_evaluation() {
 }
 
 #[test]
-fn a_stop_that_is_never_reached_is_named() {
+fn parameter_of_unreached_event_is_reported() {
     // The ball falls for 0.45 s before it bounces for the first time.
     let time: Vec<f64> = (0..40).map(|k| 0.01 * f64::from(k)).collect();
     let h = time.iter().zip(noise(40)).map(|(t, e)| 1.0 - 0.5 * 9.81 * t * t + 1e-3 * e).collect();
@@ -155,7 +155,7 @@ fn a_stop_that_is_never_reached_is_named() {
 }
 
 #[test]
-fn parameters_that_only_count_together_are_named() {
+fn jointly_determined_parameters_are_reported() {
     // Outflows go with a sqrt(2 g).
     let time: Vec<f64> = (0..60).map(f64::from).collect();
     let builder = || {
@@ -185,7 +185,7 @@ fn parameters_that_only_count_together_are_named() {
 }
 
 #[test]
-fn outputs_have_variances_of_their_own_unless_they_are_pooled() {
+fn outputs_have_separate_variances_unless_pooled() {
     // A line: h = h0 + v0 t without gravity, measured with errors of two sizes, twice.
     let time: Vec<f64> = (0..50).map(|k| 0.01 * f64::from(k)).collect();
     let recording = |phase: usize| {
@@ -249,7 +249,7 @@ fn outputs_have_variances_of_their_own_unless_they_are_pooled() {
 }
 
 #[test]
-fn autocorrelated_residuals_are_said_and_corrected() {
+fn autocorrelated_residuals_are_reported_and_corrected() {
     let time: Vec<f64> = (0..80).map(|k| 0.05 * f64::from(k)).collect();
     let x = time.iter().map(|t| (-1.5 * t).exp() + 0.02 * (4.0 * t).sin()).collect();
     let calibration = Calibration::builder(open("dahlquist"))
@@ -276,7 +276,7 @@ fn autocorrelated_residuals_are_said_and_corrected() {
 }
 
 #[test]
-fn a_likelihood_has_the_errors_of_its_curvature_and_names_dead_parameters() {
+fn likelihood_errors_match_curvature_and_report_parameters_without_effect() {
     // The ball does not bounce; costs are negative.
     let time: Vec<f64> = (0..40).map(|k| 0.01 * f64::from(k)).collect();
     let h = time.iter().zip(noise(40)).map(|(t, e)| 1.0 - 0.5 * 9.81 * t * t + 1e-3 * e).collect();
@@ -306,7 +306,7 @@ fn a_likelihood_has_the_errors_of_its_curvature_and_names_dead_parameters() {
 }
 
 #[test]
-fn data_without_noise_raise_no_doubt_of_the_accuracy() {
+fn noise_free_data_cause_no_accuracy_finding() {
     let time: Vec<f64> = (0..6).map(|k| 0.2 * f64::from(k)).collect();
     let x = time.iter().map(|t| (-2.0 * t).exp()).collect();
     let calibration = Calibration::builder(open("dahlquist"))
@@ -342,7 +342,7 @@ fn exhaust() -> Option<Calibration> {
 }
 
 #[test]
-fn four_parameters_of_the_exhaust_pipe_are_confounded() {
+fn exhaust_pipe_has_four_confounded_parameters() {
     let Some(calibration) = exhaust() else { return };
     for (x, pairs, are_all) in [
         ([13893.0, 211.9, 16089.0, 47.4], &[(0, 3, -0.95), (1, 3, -0.92), (1, 2, 0.85)][..], true),
@@ -365,7 +365,7 @@ fn four_parameters_of_the_exhaust_pipe_are_confounded() {
 }
 
 #[test]
-fn a_preflight_says_what_would_spoil_the_fit() {
+fn preflight_reports_problems_of_the_start() {
     let time: Vec<f64> = (0..40).map(|k| 0.01 * f64::from(k)).collect();
     let h = time.iter().map(|t| 1.0 - 0.5 * 9.81 * t * t).collect();
     let ball = Calibration::builder(open("bouncing_ball"))
@@ -395,7 +395,7 @@ fn a_preflight_says_what_would_spoil_the_fit() {
 }
 
 #[test]
-fn a_preflight_names_pairs_that_are_confounded_at_the_start() {
+fn preflight_reports_pairs_confounded_at_the_start() {
     let Some(calibration) = exhaust() else { return };
     let start = Some(vec![13893.0, 211.9, 16089.0, 47.4]);
     let found =
@@ -405,7 +405,7 @@ fn a_preflight_names_pairs_that_are_confounded_at_the_start() {
 }
 
 #[test]
-fn a_preflight_has_the_same_correlation_whichever_way_the_bounds_let_it_step() {
+fn preflight_correlation_is_independent_of_step_direction() {
     // h = h0 + v t + g t^2 / 2: more v is made up for by less g.
     let time: Vec<f64> = (0..40).map(|k| 0.01 * f64::from(k)).collect();
     let h: Vec<f64> = time.iter().map(|t| 1.0 + t - 0.5 * 9.81 * t * t).collect();
@@ -422,7 +422,7 @@ fn a_preflight_has_the_same_correlation_whichever_way_the_bounds_let_it_step() {
 }
 
 #[test]
-fn a_parameter_that_only_its_prior_tells_is_named() {
+fn parameter_known_only_from_prior_is_reported() {
     let time: Vec<f64> = (0..30).map(|k| 0.01 * f64::from(k)).collect();
     let h = time.iter().zip(noise(30)).map(|(t, e)| 10.0 + 2.0 * t + 0.01 * e).collect();
     let ball = Calibration::builder(open("bouncing_ball"))
@@ -437,7 +437,7 @@ fn a_parameter_that_only_its_prior_tells_is_named() {
 }
 
 #[test]
-fn data_without_noise_draw_one_remark_and_no_pairs() {
+fn noise_free_data_cause_one_note_and_no_pairs() {
     // h = h0 + v t in steps that round, and a pair of parameters that share no output.
     let time: Vec<f64> = (0..30).map(|k| 0.1 * f64::from(k)).collect();
     let h = time.iter().map(|t| 10.0 + 2.0 * t).collect();

@@ -62,7 +62,7 @@ fn columns_are_converted_to_the_units_of_the_model() {
 }
 
 #[test]
-fn units_of_other_quantities_are_refused_and_unknown_ones_named() {
+fn units_of_other_quantities_are_rejected_and_unknown_units_reported() {
     for (names, expected) in [
         (
             ["x1 [bar]", "x2"],
@@ -87,7 +87,7 @@ fn units_of_other_quantities_are_refused_and_unknown_ones_named() {
 }
 
 #[test]
-fn a_number_behind_a_name_is_no_unit() {
+fn number_after_a_name_is_not_a_unit() {
     let expected = tank(["x1", "x2"], 1.0, ("u", 5.0)).unwrap().cost(&[2.7e-6], &RunContext::new()).unwrap();
     for names in [["x1 [2]", "x2 (3)"], ["x1 (2)", "x2 [3]"]] {
         let cost = tank(names, 1.0, ("u", 5.0)).unwrap().cost(&[2.7e-6], &RunContext::new()).unwrap();
@@ -96,7 +96,7 @@ fn a_number_behind_a_name_is_no_unit() {
 }
 
 #[test]
-fn a_line_of_units_counts_for_columns_with_the_names_of_variables() {
+fn line_of_units_applies_to_columns_named_as_variables() {
     let recording = |unit: &str, per_metre: f64| {
         let mut text = format!("time,qt.x1,u\ns,{unit},V\n");
         for k in 0..31 {

@@ -41,7 +41,7 @@ fn rms(steps: std::ops::RangeInclusive<u32>, (k, x0): (f64, f64), (other, y0): (
 }
 
 #[test]
-fn a_window_is_reached_with_its_history() {
+fn validation_window_keeps_its_history() {
     let (calibration, fit) = fitted(vec![experiment(2.0, 1.0).window(0.0, 1.0)], false);
     let x0 = fit.x[1];
     let validation =
@@ -82,7 +82,7 @@ fn a_window_is_reached_with_its_history() {
 }
 
 #[test]
-fn what_belongs_to_another_recording_is_fitted_to_it() {
+fn local_parameters_are_fitted_to_other_recordings() {
     let (calibration, fit) = fitted(vec![experiment(2.0, 1.0), experiment(2.0, 3.0)], true);
     assert_eq!(fit.names, ["k", "x[run1]", "x[run2]"]);
     // The first other recording has the name that one of the fit has: its start is its own all the same.
@@ -99,7 +99,7 @@ fn what_belongs_to_another_recording_is_fitted_to_it() {
 }
 
 #[test]
-fn sets_that_cannot_be_used_are_named() {
+fn validation_rejects_invalid_sets() {
     let (calibration, fit) = fitted(vec![experiment(2.0, 1.0)], false);
     let experiments = |one: Experiment| ValidationSet::Experiments(vec![one]);
     for (set, expected) in [
@@ -122,7 +122,7 @@ fn sets_that_cannot_be_used_are_named() {
 }
 
 #[test]
-fn a_cross_validation_ends_when_the_time_is_up() {
+fn cross_validation_ends_at_time_limit() {
     let (calibration, _) = fitted(vec![experiment(2.0, 1.0), experiment(2.1, 1.5)], true);
     let mut options = CrossValidationOptions::default();
     options.run.limits = Limits { max_time: Some(Duration::from_nanos(1)), ..Limits::default() };

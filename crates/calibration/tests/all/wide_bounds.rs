@@ -19,7 +19,7 @@ fn fit(parameters: impl IntoIterator<Item = Parameter>, method: AnyMethod) -> Fi
 }
 
 #[test]
-fn the_answer_is_the_same_however_wide_the_bounds() {
+fn result_is_independent_of_bound_width() {
     for method in [AnyMethod::from(NelderMead::default()), LeastSquares::default().into()] {
         for upper in [2.002, 2.1, 10.0, 99.0, 1e3, 1e5, 1e7, 1e9, 1e12] {
             let initial = Parameter::new("x", 1.0).bounds(0.0, 3.0);
@@ -41,7 +41,7 @@ fn the_answer_is_the_same_however_wide_the_bounds() {
 }
 
 #[test]
-fn a_parameter_that_has_come_to_its_bound_is_at_it_however_wide_the_bounds() {
+fn parameter_at_bound_is_detected_for_every_bound_width() {
     for upper in [5.0, 1e7] {
         // The best value is 1.5.
         let below = fit(

@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_has_the_textbook_covariances() {
+    fn covariance_of_line_matches_textbook() {
         let (factors, variances) = (factors(&line()), [0.3, 0.3, 0.2, 0.1]);
         let mut expected = DMatrix::zeros(2, 2);
         for (t, variance) in variances.iter().enumerate() {
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_below_the_noise_is_not_determined() {
+    fn factors_mark_parameters_undetermined_below_noise() {
         // The data determine a + b up to noise, and c.
         let changes =
             DMatrix::from_fn(5, 3, |t, k| if k == 2 { t as f64 } else { 1.0 + 1e-9 * (t * t * k) as f64 });

@@ -340,7 +340,7 @@ mod tests {
 
     /// Compares the covariance of the moments with quadratic forms of full matrices.
     #[test]
-    fn moments_have_the_covariance_of_quadratic_forms() {
+    fn moments_match_covariance_of_quadratic_forms() {
         let (n, q, rho) = (9, 2, 0.6_f64);
         let context = RunContext::new();
         let base = DMatrix::from_fn(n + 1, q, |i, k| (i as f64 + 1.0).powi(k as i32)).qr().q();

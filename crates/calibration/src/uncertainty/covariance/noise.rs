@@ -66,9 +66,9 @@ fn key(output: &OutputResiduals) -> (&str, Option<u64>) {
 pub(crate) struct Noise {
     /// Variance of each residual under the assumption of independence.
     pub(crate) variances: Vec<f64>,
-    /// Rows with noise of their own, less the trace of the projection onto the changes by the parameters over
-    /// these rows (Hastie and Tibshirani, Generalized Additive Models, 1990, section 3.5): a prior takes away
-    /// no degree of freedom, and the measurements lose one only for what they determine themselves.
+    /// Number of rows with separate noise, minus the trace of the projection onto the changes by the parameters
+    /// over these rows (Hastie and Tibshirani, Generalized Additive Models, 1990, section 3.5). A prior removes
+    /// no degree of freedom. The measurements lose degrees of freedom only for what they determine themselves.
     pub(crate) degrees_of_freedom: f64,
     /// Model with independent residuals.
     pub(crate) independent: NoiseModel,
@@ -123,9 +123,9 @@ impl Noise {
     /// estimated from the residuals of the group without the changes by the parameters. Otherwise the effect
     /// of a prior, or of the noise of another group, would look like autocorrelation.
     ///
-    /// The covariance of the estimates is the covariance of quadratic forms of normal errors, `cov(r'B r, r'C
-    /// r) = 2 tr(B M S M C M S M)`. It uses the residuals
-    /// of the whole fit, also for autocorrelations.
+    /// The covariance of the estimates is the covariance of quadratic forms of normal errors:
+    /// `cov(r'B r, r'C r) = 2 tr(B M S M C M S M)`. It uses the residuals of the whole fit, also for
+    /// autocorrelations.
     ///
     /// If the unbiased equations leave no variance for one of several groups, all groups get the variance
     /// `r'r / n_g` times N divided by the degrees of freedom.
@@ -399,7 +399,7 @@ mod tests {
     }
 
     #[test]
-    fn recordings_share_a_variance_where_their_weights_are_equal() {
+    fn recordings_share_a_variance_when_weights_are_equal() {
         let residuals = [0.1, -0.1, 0.2, -0.2, 3.0, -3.0];
         let mut layout = layout(&[("y", 2), ("y", 2), ("y", 2)]);
         layout.outputs[2].weights = vec![10.0; 2].into();
@@ -431,7 +431,7 @@ mod tests {
     }
 
     #[test]
-    fn degrees_of_freedom_are_those_of_the_group_that_a_variance_is_of() {
+    fn degrees_of_freedom_follow_the_group_of_the_variance() {
         // The parameters are the means of two outputs of 3 and 50 rows.
         let jacobian = DMatrix::from_fn(53, 2, |i, k| f64::from(u8::from((i < 3) == (k == 0))));
         let mut state = 5;
@@ -450,7 +450,7 @@ mod tests {
     }
 
     #[test]
-    fn a_prior_takes_away_the_part_of_a_degree_of_freedom_that_the_measurements_determine() {
+    fn prior_removes_only_the_measured_part_of_a_degree_of_freedom() {
         // A constant, measured ten times, with a prior: H = 1 / (10 + 1 / sd^2) over the rows.
         for sd in [1e-4, 0.3, 1e4_f64] {
             let of_prior = 1.0 / sd;
@@ -471,7 +471,7 @@ mod tests {
     }
 
     #[test]
-    fn a_prior_far_off_is_no_autocorrelation() {
+    fn distant_prior_causes_no_autocorrelation() {
         // The prior pulls the constant away from the measurements, so that the residuals have one
         // sign.
         let jacobian = DMatrix::from_fn(51, 1, |i, _| if i < 50 { 1.0 } else { 100.0 });
@@ -484,7 +484,7 @@ mod tests {
     }
 
     #[test]
-    fn an_autocorrelation_is_found_and_chance_is_none() {
+    fn noise_estimate_detects_autocorrelation_but_not_chance() {
         let (mut state, line) = (1, line(400));
         let one = |errors: &[f64]| {
             found(&layout(&[("y", 400)]), &left(errors, &line), &line, Estimator::Sandwich, &[])
@@ -510,7 +510,7 @@ mod tests {
     /// Weights of 1 / measured bring noise into the columns of the Jacobian, so that a constant remains in
     /// the residuals.
     #[test]
-    fn weights_of_measured_values_are_no_autocorrelation() {
+    fn weights_from_measured_values_cause_no_autocorrelation() {
         let (n, mut state, mut significant) = (30, 3, 0);
         for _ in 0..100 {
             let noise = normal_numbers(n, &mut state);
@@ -525,7 +525,7 @@ mod tests {
 
     /// The noise is independent but its size varies.
     #[test]
-    fn loud_rows_are_no_autocorrelation() {
+    fn uneven_noise_causes_no_autocorrelation() {
         let (n, mut state, line, mut significant) = (60, 4, line(60), 0);
         for _ in 0..400 {
             let errors = normal_numbers(n, &mut state);
@@ -540,7 +540,7 @@ mod tests {
     /// A line through all rows: the noise of the second output leaves a smooth part in the residuals of the
     /// first.
     #[test]
-    fn groups_have_autocorrelations_of_their_own() {
+    fn groups_have_separate_autocorrelations() {
         let (mut state, line) = (2, line(240));
         let two = layout(&[("y", 60), ("y", 60), ("z", 120)]);
         let (sets, mut by_chance, mut means) = (100, 0, [0.0; 3]);
@@ -562,7 +562,7 @@ mod tests {
 
     /// A line from a measured start, `y = start + k t`, with a fitted k.
     #[test]
-    fn a_measured_start_counts_as_noise_and_not_as_a_measurement() {
+    fn measured_start_counts_as_noise_not_as_measurement() {
         let n = 4;
         let jacobian = DMatrix::from_fn(n, 1, |i, _| i as f64);
         let mut layout = layout(&[("y", n)]);

@@ -229,7 +229,7 @@ mod tests {
     use crate::uncertainty::robust::normal_numbers;
 
     #[test]
-    fn textbook_numbers() {
+    fn autocorrelation_and_outliers_match_textbook_values() {
         assert!(autocorrelation(&[1.0, 2.0]).is_nan());
         assert!((autocorrelation(&[1.0, -1.0, 1.0, -1.0]) + 0.75).abs() < 1e-15);
         assert!((autocorrelation(&[-2.0, -1.0, 0.0, 1.0, 2.0]) - 0.4).abs() < 1e-15);
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn normal_residuals_hardly_ever_have_outliers() {
+    fn normal_residuals_rarely_have_outliers() {
         let mut state = 2;
         for n in [20, 25, 60, 100, 500] {
             let with = (0..4000).filter(|_| outliers(&normal_numbers(n, &mut state)).0 > 0).count();
@@ -253,7 +253,7 @@ mod tests {
     /// 400 residuals with mean 0.3 and deviation 1. The mean is 6 of its standard errors, but only 1.5 of
     /// those of a simulation that starts from a measurement.
     #[test]
-    fn noise_of_a_measured_start_is_no_offset() {
+    fn noise_of_measured_start_is_not_reported_as_offset() {
         let r: Vec<f64> = (0..400).map(|k| 0.3 + f64::from(k % 2) * 2.0 - 1.0).collect();
         let output = OutputResiduals {
             experiment: 0,

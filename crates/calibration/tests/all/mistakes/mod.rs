@@ -69,13 +69,13 @@ fn warnings(findings: &[Finding]) -> Vec<String> {
 }
 
 #[test]
-fn a_sound_fit_has_no_warnings() {
+fn sound_fit_has_no_warnings() {
     let fit = fitted(sound(1e-3), k());
     assert!((fit.x[0] - 2.0).abs() < 0.01 && warnings(&fit.findings()).is_empty(), "{fit}");
 }
 
 #[test]
-fn fits_of_the_examples_are_accused_of_nothing_new() {
+fn example_fits_have_only_known_findings() {
     let data = |name: &str| {
         Data::from_csv(Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../examples/data/{name}.csv")))
             .unwrap()

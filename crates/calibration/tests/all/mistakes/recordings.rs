@@ -30,7 +30,7 @@ fn example(name: &str, factor: f64) -> Data {
 }
 
 #[test]
-fn times_of_sound_setups_are_not_accused() {
+fn times_of_sound_setups_cause_no_findings() {
     let dice = |k: usize| 0.5 + 0.5 * noise(k);
     for k in 0..100 {
         let rate_of = 10f64.powf(-2.0 + 2.0 * dice(7 * k));
@@ -49,7 +49,7 @@ fn times_of_sound_setups_are_not_accused() {
 }
 
 #[test]
-fn placeholders_are_named() {
+fn placeholders_are_reported() {
     let t = times(301, 0.01);
     for value in [9999.0, -999.0, 1e30] {
         let mut x = decay(&t, 2.0, 1e-3);
@@ -60,7 +60,7 @@ fn placeholders_are_named() {
 }
 
 #[test]
-fn a_column_that_drives_and_is_compared_is_named() {
+fn column_used_as_input_and_output_is_reported() {
     let said = "its column is compared with the output 'qt.x1', too";
     let tank = |input: &str| {
         let driven = Experiment::new(example("quad_tank", 1.0)).input("u1", input).input("u2", "u2");
@@ -83,7 +83,7 @@ fn changed_tank(change: impl Fn(&str, &mut Vec<f64>) -> String) -> Calibration {
 }
 
 #[test]
-fn cells_of_an_input_that_are_missing_for_long_are_named_wherever_it_is_used() {
+fn long_gaps_of_an_input_are_reported() {
     let without = |n: usize| {
         changed_tank(move |name, values| {
             if name == "u1" {
@@ -110,7 +110,7 @@ fn cells_of_an_input_that_are_missing_for_long_are_named_wherever_it_is_used() {
 }
 
 #[test]
-fn a_placeholder_is_that_of_the_file_whatever_was_converted() {
+fn placeholder_is_reported_as_in_the_file_after_conversion() {
     let calibration = changed_tank(|name, values| match name {
         "x1" => {
             values.iter_mut().for_each(|value| *value *= 1e3);

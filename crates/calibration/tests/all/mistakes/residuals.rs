@@ -13,7 +13,7 @@ fn fitted_as(experiment: Experiment, options: FitOptions<'_>) -> Fit {
 }
 
 #[test]
-fn outputs_that_a_fit_misses_are_named() {
+fn outputs_missed_by_a_fit_are_reported() {
     // The sign of the column is wrong; so is the column.
     let t = times(61, 0.05);
     let mirrored = decay(&t, 2.0, 1e-3).iter().map(|x| -x).collect();
@@ -29,7 +29,7 @@ fn outputs_that_a_fit_misses_are_named() {
 }
 
 #[test]
-fn a_recording_at_rest_beside_others_is_no_reason_not_to_use_a_fit() {
+fn recording_at_rest_does_not_make_a_fit_unusable() {
     // Of the last part of the decay a constant is a better model than one with a small offset.
     let (t, late) = (times(61, 0.05), times(161, 0.05));
     let rest = late.iter().map(|t| if *t < 5.0 { f64::NAN } else { (-2.0 * t).exp() + 2e-4 }).collect();
@@ -44,7 +44,7 @@ fn a_recording_at_rest_beside_others_is_no_reason_not_to_use_a_fit() {
 }
 
 #[test]
-fn findings_that_explain_others_come_first() {
+fn causes_are_listed_before_other_findings() {
     // 0 degC is 273.15 K: the parameter goes to its bound, and nothing is explained.
     let t = times(61, 0.05);
     let fit = fitted(recording(&t, decay(&t, 2.0, 1e-3).iter().map(|x| x + 273.15).collect()), k());
@@ -72,7 +72,7 @@ fn ball(output: &str, size: f64, start: f64) -> Fit {
 }
 
 #[test]
-fn a_cost_that_is_not_smooth_is_named_where_a_local_search_has_ended_in_it() {
+fn rough_cost_is_reported_for_local_search() {
     let said = "the cost is not smooth here";
     // The height is smooth, the velocity jumps at impacts: a local search ends where a jump meets a row.
     for start in [0.6, 0.699, 0.8] {
@@ -94,7 +94,7 @@ fn a_cost_that_is_not_smooth_is_named_where_a_local_search_has_ended_in_it() {
 }
 
 #[test]
-fn outliers_are_those_of_many_residuals_and_a_robust_loss_is_not_proposed_to_itself() {
+fn outliers_are_reported_and_a_used_loss_is_not_proposed() {
     let t = times(100, 0.03);
     let mut x = decay(&t, 2.0, 1e-3);
     let together = {
@@ -130,7 +130,7 @@ fn outliers_are_those_of_many_residuals_and_a_robust_loss_is_not_proposed_to_its
 /// What the model leaves out is said of the residuals, whatever the cost is and with or without standard
 /// errors.
 #[test]
-fn residuals_are_looked_at_with_every_cost_and_without_a_covariance() {
+fn residuals_are_checked_with_every_cost_and_without_covariance() {
     let t = times(101, 0.05);
     let with_offset: Vec<f64> = decay(&t, 2.0, 0.005).iter().map(|x| x + 0.1).collect();
     let squares = CustomCost::cost("squares", |compared| {
@@ -168,7 +168,7 @@ fn residuals_are_looked_at_with_every_cost_and_without_a_covariance() {
 
 /// Uniform noise from -size to size has the standard deviation size / sqrt(3).
 #[test]
-fn residuals_are_compared_with_the_noise_that_weights_state() {
+fn residuals_are_compared_with_noise_declared_by_weights() {
     let sigma = 0.01 / 3f64.sqrt();
     let t = times(201, 0.025);
     let findings = |weight: Weight, change: &dyn Fn(f64) -> f64| {
@@ -199,7 +199,7 @@ fn residuals_are_compared_with_the_noise_that_weights_state() {
 }
 
 #[test]
-fn the_correction_for_autocorrelation_is_told() {
+fn autocorrelation_correction_is_reported() {
     let t = times(201, 0.025);
     let mut last = 0.0;
     let lasting = |(k, x): (usize, f64)| {
@@ -220,7 +220,7 @@ fn the_correction_for_autocorrelation_is_told() {
 }
 
 #[test]
-fn an_offset_about_zero_few_rows_and_a_loss_are_told_as_they_are() {
+fn zero_offset_few_rows_and_loss_are_reported_correctly() {
     let with = |experiment: Experiment, other: Parameter, loss: RobustLoss| {
         let builder = Calibration::builder(open("dahlquist")).experiment(experiment);
         let calibration = builder.parameter(k()).parameter(other).build().unwrap();

@@ -11,7 +11,7 @@ use ode::Method;
 use std::time::Duration;
 
 #[test]
-fn a_fixed_step_that_is_too_large_is_compared_with_half_of_it() {
+fn large_fixed_step_is_compared_with_half_the_step() {
     let settings = |method, step| RunSettings { method, step_size: Some(step), ..RunSettings::default() };
     // One step of Euler's method multiplies with 1 - k h instead of exp(-k h): it is right with k = (1 - exp(-0.5)) / 0.25 = 1.574.
     let coarse = calibration(vec![sound(1e-3)], k(), settings(Method::Euler, 0.25));
@@ -45,7 +45,7 @@ fn a_fixed_step_that_is_too_large_is_compared_with_half_of_it() {
 }
 
 #[test]
-fn priors_that_the_data_contradict_are_named_whichever_wins() {
+fn contradicted_priors_are_reported() {
     let with_prior = |sd: f64, mean: f64, weight: f64, rule| {
         let t = times(61, 0.05);
         let x = decay(&t, 2.0, 1e-2);
@@ -73,7 +73,7 @@ fn priors_that_the_data_contradict_are_named_whichever_wins() {
 }
 
 #[test]
-fn the_note_on_priors_says_what_a_fit_does() {
+fn note_on_priors_describes_the_fit() {
     let calibration = calibration(
         vec![sound(1e-2)],
         k().prior(Prior::Normal { mean: 2.0, sd: 1.0 }),
@@ -84,7 +84,7 @@ fn the_note_on_priors_says_what_a_fit_does() {
 }
 
 #[test]
-fn starts_far_from_the_models_own_are_named() {
+fn starts_far_from_model_values_are_reported() {
     let check = |parameter: Parameter| {
         calibration(vec![sound(1e-3)], parameter, SimulationSettings::default()).check()
     };
@@ -117,7 +117,7 @@ fn starts_far_from_the_models_own_are_named() {
 }
 
 #[test]
-fn a_search_that_ended_before_the_minimum_is_named() {
+fn search_ended_before_minimum_is_reported() {
     // Both outputs, of which one hardly counts, far from the minimum.
     let t = times(61, 0.05);
     let slope = t.iter().enumerate().map(|(k, t)| -2.0 * (-2.0 * t).exp() + 1e-3 * noise(k)).collect();
@@ -154,7 +154,7 @@ fn a_search_that_ended_before_the_minimum_is_named() {
 }
 
 #[test]
-fn a_fit_without_time_says_what_needs_no_simulation() {
+fn fit_without_time_reports_findings_that_need_no_simulation() {
     let parameter = Parameter::new("k", 2e3).bounds(1.0, 1e4);
     let calibration = calibration(vec![sound(1e-3)], parameter, SimulationSettings::default());
     let limits = Limits { max_time: Some(Duration::from_nanos(1)), ..Limits::default() };
@@ -163,7 +163,7 @@ fn a_fit_without_time_says_what_needs_no_simulation() {
 }
 
 #[test]
-fn a_check_ends_by_its_time() {
+fn check_ends_at_its_time_limit() {
     let calibration = calibration(vec![sound(1e-3)], k(), SimulationSettings::default());
     let options = CheckOptions { max_time: Some(Duration::from_nanos(1)), ..CheckOptions::default() };
     let check = calibration.check_with(&options, &RunContext::new()).unwrap();
