@@ -9,14 +9,15 @@ use calibration::RunContext;
 use common::*;
 use fmufit::calibration::{Calibration, Experiment, Parameter};
 
-/// Resident memory of this process in bytes.
+/// Returns the resident memory of this process in bytes.
 fn resident() -> usize {
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
     let line = status.lines().find(|l| l.starts_with("VmRSS:")).unwrap();
     line.split_whitespace().nth(1).unwrap().parse::<usize>().unwrap() * 1024
 }
 
-/// Calls `cost` so often, with parameters that vary, and returns how much the resident memory grew after the first tenth.
+/// Calls `cost` this many times with varying parameters. Returns the growth of the resident memory after the
+/// first tenth.
 fn growth(calls: usize, workers: usize) -> usize {
     let calibration = Calibration::builder(example("furuta"))
         .experiment(
@@ -47,7 +48,7 @@ fn growth(calls: usize, workers: usize) -> usize {
     run(calls / 10, calls).saturating_sub(after_a_tenth)
 }
 
-// One test for both numbers of workers: the measure is that of the whole process.
+// One test covers both numbers of workers, because it measures the whole process.
 fn check(calls: usize) {
     for workers in [1, 2] {
         let grown = growth(calls, workers);

@@ -1,4 +1,4 @@
-//! Setting up a fit wrongly: every mistake is named.
+//! Errors in the setup of a fit: every mistake is reported by name.
 
 #![allow(clippy::unwrap_used)]
 
@@ -63,7 +63,7 @@ fn wrong_number_of_values_is_reported_with_both_numbers() {
     assert!(c.cost(&[f64::NAN], &RunContext::new()).is_err());
     let e = c.fit(FitOptions { start: Some(vec![20.0]), ..FitOptions::default() }).unwrap_err().to_string();
     assert!(e.contains("'k'") && e.contains("start 20 is outside of the bounds 0.1 and 10"), "{e}");
-    // Trajectories at times beyond the model's default experiment, which ends at 10.
+    // The times exceed the model's default experiment, which ends at 10.
     let times = [0.0, 5.0, 50.0];
     assert_eq!(c.simulate(&[0.1], Some(&times), &RunContext::new()).unwrap()[0].time, times);
 }

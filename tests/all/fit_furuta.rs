@@ -1,4 +1,4 @@
-//! The main job, black box: the friction of the Furuta pendulum from noisy measurements.
+//! Black-box test of the main use: the friction of the Furuta pendulum from noisy measurements.
 
 #![allow(clippy::unwrap_used)]
 
@@ -29,7 +29,7 @@ fn fit(calibration: &Calibration, workers: usize, plan: Lookahead) -> Fit {
 fn fit_finds_friction_for_any_number_of_workers_and_plan() {
     let calibration = calibration(furuta_measurements());
     let first = fit(&calibration, 1, Lookahead::None);
-    // The measurements were made with (0.010, 0.001); standard deviations 1.4e-5 and 1.1e-6.
+    // The measurements were generated with (0.010, 0.001). The standard deviations are 1.4e-5 and 1.1e-6.
     assert!((first.x[0] - 0.010).abs() < 6e-5, "{first}");
     assert!((first.x[1] - 0.001).abs() < 6e-6, "{first}");
     assert!(first.start_cost.unwrap() > 100.0 * first.cost);
@@ -56,7 +56,7 @@ fn cost_is_the_sum_of_squared_residuals_in_documented_order() {
     assert_eq!(residuals.len(), 2 * 801);
     let sum: f64 = residuals.iter().map(|r| r * r).sum();
     assert_eq!(sum.to_bits(), cost.to_bits());
-    // output by output: the second half belongs to theta
+    // Output by output: the second half belongs to theta.
     let data = furuta_measurements();
     let simulated = &calibration.simulate(&x, None, &RunContext::new()).unwrap()[0];
     let theta = simulated.get("pendulumJoint.phi").unwrap();
@@ -101,13 +101,14 @@ fn missing_values_and_window_only_shorten_the_residuals() {
         .parameter(Parameter::new("pendulumFriction", 0.002))
         .build()
         .unwrap();
-    // The last steps differ: they are cut to end with the window.
+    // The last steps differ, because they are shortened to end with the window.
     let windowed = windowed.residuals(&x, &RunContext::new()).unwrap();
     assert_eq!(windowed.len(), 21);
     assert!(windowed.iter().zip(&a[20..=40]).all(|(w, a)| (w - a).abs() < 1e-6), "{windowed:?}");
 }
 
-/// Fits from ten seeds with default settings; how many came within 1 % of the cost that Nelder-Mead finds.
+/// Fits from ten seeds with default settings. Returns the number of fits within 1 % of the cost found by
+/// Nelder-Mead.
 fn seeds_that_solve_it(name: &str) -> usize {
     let calibration = calibration(furuta_measurements());
     let nearby = fit(&calibration, 2, Lookahead::Measured);
@@ -127,7 +128,7 @@ fn every_method_finds_the_friction() {
     for name in AnyMethod::NAMES {
         let limits = Limits { max_evaluations: Some(1000), ..Limits::default() };
         let method = match name {
-            // One population alone may end in a minimum nearby.
+            // A single population may end in a nearby minimum.
             "cma-es" => fmufit::dfo::CmaEs::default().restarts(fmufit::dfo::Restarts::Bipop).into(),
             name => name.parse().unwrap(),
         };
@@ -161,8 +162,8 @@ fn cutoffs_save_right_hand_sides_without_changing_decisions() {
         let run = |cutoffs: bool| {
             let method = name.parse().unwrap();
             let limits = Limits { max_evaluations: Some(200), ..Limits::default() };
-            // One worker: how many points several workers try ahead depends on the load of the machine,
-            // and each of them is a whole simulation in the count.
+            // One worker is used. With several workers, the number of speculative points depends on the load
+            // of the machine, and each of them counts as a whole simulation.
             let workers = Some(1);
             let options = RunOptions { method, seed: Some(3), limits, workers, ..FitOptions::default_run() };
             let options = FitOptions { cutoffs, ..FitOptions::from(options) };
@@ -189,7 +190,7 @@ fn cutoffs_save_right_hand_sides_without_changing_decisions() {
         }
         let (less, all) = (with.stats.right_hand_sides, without.stats.right_hand_sides);
         match name {
-            // Selection by fitness, means and models need every cost.
+            // Selection by fitness, means and models require every cost.
             "ga" | "cma-es" | "least-squares" | "quadratic-model" => {
                 assert_eq!((above, less), (0, all), "{name}");
             }

@@ -1,4 +1,4 @@
-//! A model driven by recorded inputs, black box: the outlets of the quadruple tank from noisy levels.
+//! Black-box test of a model driven by recorded inputs: the outlets of the quadruple tank from noisy levels.
 
 #![allow(clippy::unwrap_used)]
 
@@ -10,7 +10,7 @@ use fmufit::calibration::{Calibration, Data, Experiment, Fit, FitOptions, Parame
 use fmufit::dfo::RunOptions;
 use std::path::Path;
 
-/// What the measurements were made with, 1e-6 m2, and the standard deviations of the four of a fit.
+/// True values of the outlets, in 1e-6 m2, and the standard deviations of a fit of all four.
 const TRUE: [f64; 4] = [2.66, 2.71, 3.01, 2.93];
 const DEVIATION: [f64; 4] = [0.0012, 0.0013, 0.0027, 0.0026];
 
@@ -39,7 +39,8 @@ fn fit(calibration: &Calibration, workers: usize) -> Fit {
 fn fit_finds_two_outlets_from_two_levels() {
     let calibration = calibration(measurements(), 2);
     let fit = fit(&calibration, 2);
-    // The outlets of the upper tanks stand at their start values here, beside the true ones: a bias of some per mille.
+    // The outlets of the upper tanks are fixed at start values next to the true ones, which causes a bias of
+    // a few per mille.
     assert!((1e6 * fit.x[0] - TRUE[0]).abs() < 0.01, "{fit}");
     assert!((1e6 * fit.x[1] - TRUE[1]).abs() < 0.01, "{fit}");
     assert!(fit.start_cost.unwrap() > 100.0 * fit.cost);
@@ -58,7 +59,7 @@ fn fit_finds_four_outlets_for_any_number_of_workers() {
     assert_eq!((&one.x, one.cost.to_bits()), (&three.x, three.cost.to_bits()));
 }
 
-/// An input is linear between its rows; rows that say so with more points change nothing but rounding.
+/// An input is linear between its rows. Additional rows on the same lines change only rounding.
 #[test]
 fn inputs_are_linear_between_rows() {
     let data = measurements();

@@ -1,5 +1,5 @@
-//! Simulations and fits from the measurements on, through the public interface. The memory of a process is measured in one of
-//! its own.
+//! Simulations and fits from measurements, through the public interface. The memory of a process is measured
+//! in a separate process.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 #[path = "../common/mod.rs"]

@@ -1,4 +1,4 @@
-//! The Furuta pendulum against reference trajectories and event sequences.
+//! The Furuta pendulum compared with reference trajectories and event sequences.
 
 #![allow(clippy::unwrap_used)]
 
@@ -28,7 +28,8 @@ fn trajectories_match_reference_to_1e_6() {
         [("furuta_reference_nominal.csv", (0.012, 0.002)), ("furuta_reference_optimal.csv", (0.010, 0.001))]
     {
         let times: Vec<f64> = (0..=400).map(|k| 0.1 * f64::from(k)).collect();
-        // Without the data, an implicit method of another family at a tolerance a thousand times tighter.
+        // Without the data, the reference is an implicit method of another family. Its tolerance is a thousand
+        // times tighter.
         let reference = shared_data(file).map(|path| Data::from_csv(path).unwrap());
         let own = SimulateOptions {
             times: Some(times.clone()),

@@ -1,4 +1,5 @@
-//! What the black-box tests share: the bundled models and the optional reference data beside the checkout.
+//! Shared items of the black-box tests: the bundled models, and the optional reference data next to the
+//! checkout.
 #![allow(dead_code, unreachable_pub)]
 #![allow(clippy::unwrap_used)]
 
@@ -7,18 +8,18 @@ use fmufit::example_models::example_fmu;
 use fmufit::fmi::Fmu;
 use std::path::PathBuf;
 
-/// A bundled model.
+/// Opens a bundled model.
 pub fn example(name: &str) -> Fmu {
     Fmu::open(example_fmu(name).unwrap()).unwrap()
 }
 
-/// A file of the reference data that may lie beside the checkout.
+/// Returns the path of an optional file of the reference data next to the checkout.
 pub fn shared_data(file: &str) -> Option<PathBuf> {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data").join(file);
     path.is_file().then_some(path)
 }
 
-/// The project's own Furuta measurements.
+/// Returns the Furuta measurements of the project.
 pub fn furuta_measurements() -> Data {
     Data::from_csv(PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("examples/data/furuta.csv")).unwrap()
 }

@@ -1,5 +1,5 @@
-//! Tests of calibrations that may share a process. Tests that start worker processes, and tests of models
-//! that exhaust a resource of the process, are separate programs.
+//! Tests of calibrations that can share a process. Tests that start worker processes, or whose models use up
+//! a resource of the process, are separate programs.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 #[path = "../support/mod.rs"]

@@ -1,4 +1,4 @@
-//! The noise that is estimated with the parameters, beside which priors count.
+//! Noise that is estimated together with the parameters, so that priors are weighted correctly.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use calibration::RunContext;
@@ -16,7 +16,8 @@ use fmi::Fmu;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Normally distributed numbers: uniform ones by a linear congruential generator (Knuth's MMIX), turned by Box and Muller.
+/// Returns normally distributed numbers: uniform numbers from a linear congruential generator (Knuth's MMIX),
+/// transformed by the Box-Muller method.
 fn normal(seed: u64) -> impl FnMut() -> f64 {
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     let mut uniform = move || {
@@ -34,7 +35,7 @@ fn times() -> Vec<f64> {
     (0..51).map(|i| 0.1 * f64::from(i)).collect()
 }
 
-/// A decay from one with the rate 2 and this noise.
+/// A decay from 1 with rate 2 and this noise.
 fn decay(seed: u64, noise: f64) -> Data {
     let mut normal = normal(seed);
     let x = times().iter().map(|t| (-2.0 * t).exp() + noise * normal()).collect();
@@ -74,7 +75,7 @@ fn prior_does_not_dominate_when_noise_is_small() {
                 let found = estimated(&fit);
                 let uncertainty = fit.uncertainty.as_ref().unwrap();
                 assert!(fit.report.is_success() && found.is_settled && found.n_rounds <= 4, "{start}: {fit}");
-                // A standard deviation of 50 degrees of freedom is known to 10 %.
+                // The standard deviation has 50 degrees of freedom, so it is accurate to about 10 %.
                 assert!((found.outputs[0].sd / noise).ln().abs() < 0.35, "{start} {noise}: {fit}");
                 let pull = if noise > 0.01 { 1.0 } else { 0.0 };
                 let off = (fit.x[0] - 2.0).abs() / uncertainty.standard_errors[0];
@@ -88,8 +89,9 @@ fn prior_does_not_dominate_when_noise_is_small() {
     }
 }
 
-/// The start of a decay is a linear parameter: for each noise the posterior mode is that of a linear regression, and the noise solves
-/// `s^2 (N - h) = r'r` with the share h that the measurements have of the parameter.
+/// The start of a decay is a linear parameter. For each noise level, the posterior mode is the result of a
+/// linear regression. The noise solves `s^2 (N - h) = r'r`, where h is the share of the measurements in the
+/// parameter.
 #[test]
 fn linear_parameter_reaches_its_posterior_mode() {
     let (mean, sd, k) = (1.2, 0.05, 1.0);
@@ -122,7 +124,7 @@ fn linear_parameter_reaches_its_posterior_mode() {
             assert!((found.sd / weight / s).ln().abs() < 0.011, "{} for {s}: {fit}", found.sd);
             let (expected, h) = mode(found.sd / weight);
             assert!((fit.x[0] - expected).abs() < 3e-4 * expected, "{} for {expected}", fit.x[0]);
-            // The pull is what is tested.
+            // The pull of the prior is large enough to be tested.
             assert!((fit.x[0] - by / bb).abs() > 5.0 * (fit.x[0] - expected).abs() || noise < 0.1, "{h}");
             let error = fit.uncertainty.as_ref().unwrap().standard_errors[0];
             let of_posterior = (h / bb).sqrt() * found.sd / weight;
@@ -131,7 +133,7 @@ fn linear_parameter_reaches_its_posterior_mode() {
     }
 }
 
-/// Positions and velocities of a throw without gravity, with errors of unlike size.
+/// Positions and velocities of a throw without gravity, with errors of different size.
 fn throw(seed: u64, weights: [Weight; 2]) -> CalibrationBuilder {
     let mut normal = normal(seed);
     let time: Vec<f64> = (0..80).map(|k| 0.02 * f64::from(k)).collect();
@@ -152,7 +154,7 @@ fn noise_is_estimated_per_output_and_stated_noise_is_kept() {
     let fit = throw(1, [one(), one()]).build().unwrap().fit(run(LeastSquares::default())).unwrap();
     let sds: Vec<f64> = estimated(&fit).outputs.iter().map(|noise| noise.sd).collect();
     assert!((sds[0] / 0.02).ln().abs() < 0.25 && (sds[1] / 0.4).ln().abs() < 0.25, "{sds:?}");
-    // The same by hand: with the weights of the estimates, which are taken at their word.
+    // A second fit declares the estimated noise by its weights.
     let stated = throw(1, [(1.0 / sds[0]).into(), (1.0 / sds[1]).into()]).build().unwrap();
     let again = stated.fit(run(LeastSquares::default())).unwrap();
     assert_eq!(again.noise, Some(FitNoise::Stated));
@@ -165,12 +167,12 @@ fn noise_is_estimated_per_output_and_stated_noise_is_kept() {
         "{}",
         fit.cost
     );
-    // Only what is not stated is estimated; by the scale of a column nothing is stated.
+    // Only noise that is not declared is estimated. The scale of a column declares no noise.
     let scaled = [Weight::Inverse(calibration::OutputScale::Sd), (1.0 / 0.4).into()];
     let fit = throw(1, scaled).build().unwrap().fit(run(LeastSquares::default())).unwrap();
     let found = estimated(&fit);
     assert!(found.outputs.len() == 1 && (found.outputs[0].sd / sds[0]).ln().abs() < 0.01, "{fit}");
-    // At their word, weights of one let the prior alone decide nothing, for 0.02 is taken for 1.
+    // If weights of one are taken as declared noise of 1 instead of 0.02, the prior determines h.
     let options = FitOptions { noise: NoiseRule::Stated, ..run(LeastSquares::default()).into() };
     let fit = throw(1, [one(), one()]).build().unwrap().fit(options).unwrap();
     assert!(fit.noise == Some(FitNoise::Stated) && (fit.x[0] - 1.45).abs() < 1e-3, "{fit}");
@@ -209,7 +211,7 @@ fn fit_reports_when_noise_is_not_estimated() {
         check.findings.iter().any(|f| f.subject == "prior of k" && f.severity == Severity::Note),
         "{check}"
     );
-    // Without priors there is nothing that it would be beside; asked for, it is estimated all the same.
+    // Without priors, the noise is estimated only on request.
     let plain =
         || dahlquist(decay(1, 1e-3), 1.0).parameter(Parameter::new("k", 1.0).bounds(0.01, 50.0)).build();
     assert!(plain().unwrap().fit(run(LeastSquares::default())).unwrap().noise.is_none());
@@ -218,7 +220,7 @@ fn fit_reports_when_noise_is_not_estimated() {
     assert!((estimated(&fit).outputs[0].sd / 1e-3).ln().abs() < 0.35, "{fit}");
 }
 
-/// Two parameters that only their priors tell apart, and as many measurements as parameters.
+/// Two parameters that only their priors distinguish, and as many measurements as parameters.
 #[test]
 fn priors_determine_what_measurements_do_not() {
     let mut normal = normal(9);
@@ -232,7 +234,7 @@ fn priors_determine_what_measurements_do_not() {
     let fit = calibration.build().unwrap().fit(run(LeastSquares::default())).unwrap();
     assert!((estimated(&fit).outputs[0].sd / 0.01).ln().abs() < 0.35, "{fit}");
     assert!((fit.x[0] - 3.0).abs() < 0.1 && fit.x[1].abs() < 0.1 && (fit.x[2] - 2.0).abs() < 0.1, "{fit}");
-    // One measurement says nothing of its noise.
+    // One measurement does not determine its noise.
     let few = dahlquist(data, 1.0).parameter(rate(1.0, 2.0, 0.2));
     let mut problem = few.build().unwrap().problem().clone();
     problem.experiments[0] = problem.experiments[0].clone().window(0.0, 0.05);
@@ -315,7 +317,7 @@ fn checkpoint_survives_all_noise_rounds() {
             }
         }
         assert!(folder.path().join("fit.ckpt.round2").is_file());
-        // What is left of another run is no obstacle.
+        // A leftover file of another run does not matter.
         std::fs::remove_file(&path).unwrap();
         let again = with(Some(1000), Some(Checkpoint::new(&path)));
         assert_eq!((bits(&again), again.report.resumed.is_none()), (bits(&whole), true));
@@ -333,7 +335,7 @@ fn later_analyses_use_the_weights_of_the_fit() {
     assert!(low < fit.x[0] && fit.x[0] < high, "{low} {high} {fit}");
     assert!(((high - low) / (to - from)).ln().abs() < 0.05, "{low} {high} for {from} {to}");
     let bands = calibration.prediction_bands(&fit, &BandOptions::default(), &RunContext::new()).unwrap();
-    // As the residuals say it, within the tolerance of the rounds.
+    // The residuals agree within the tolerance of the rounds.
     assert!(bands[0].noise.iter().all(|sd| (sd / noise - 1.0).abs() < 0.03), "{:?} {noise}", bands[0].noise);
     let curves = calibration.curves(&fit, &RunContext::new()).unwrap();
     let residuals = &curves[0].outputs[0].residuals;
@@ -345,7 +347,7 @@ fn later_analyses_use_the_weights_of_the_fit() {
         sensitivities[0][0].iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-3),
         "{sensitivities:?}"
     );
-    // The sum of squares by the weights of the calibration, whatever those of the fit.
+    // The RMS uses the weights of the calibration, not those of the fit.
     let squares: f64 = plain[..51].iter().map(|r| r * r).sum();
     assert!((fit.rms - (squares / 51.0).sqrt()).abs() < 1e-12, "{}", fit.rms);
     assert!((fit.outputs[0].rms - fit.rms).abs() < 1e-12);
@@ -390,7 +392,7 @@ fn each_stage_estimates_its_noise_and_the_last_is_reported() {
     assert!((one.standard_errors[0] / other.standard_errors[0]).ln().abs() < 0.02);
 }
 
-/// An offset with a prior that lies far off, and a robust loss: the loss is that of the measurements.
+/// An offset with a distant prior and a robust loss: the loss applies only to the measurements.
 #[test]
 fn prior_counts_by_its_square_with_every_loss() {
     let (n, noise, sd, scale) = (50, 0.1, 0.02, 1.345);
@@ -410,7 +412,7 @@ fn prior_counts_by_its_square_with_every_loss() {
             let fit = calibration
                 .fit(FitOptions { loss, noise: NoiseRule::Stated, ..accurate.clone().into() })
                 .unwrap();
-            // Half the derivative of the cost, whose zero is found by bisection.
+            // Half the derivative of the cost; bisection finds its zero.
             let slope = |at: f64| {
                 let of = |off: &f64| {
                     let r = (at - off) / noise;
@@ -425,7 +427,8 @@ fn prior_counts_by_its_square_with_every_loss() {
             }
             assert!((fit.x[0] - low).abs() < 1e-4, "{kind:?} {mean}: {} {low}", fit.x[0]);
             let uncertainty = fit.uncertainty.as_ref().unwrap();
-            // Between the error of the prior and measurements together, and that of the measurements alone.
+            // The error is between that of prior and measurements together, and that of the measurements
+            // alone.
             let error = uncertainty.standard_errors[0];
             assert!((0.009..0.03).contains(&error), "{kind:?} {mean}: {error}");
             assert_eq!(uncertainty.autocorrelations, [0.0]);
@@ -435,7 +438,7 @@ fn prior_counts_by_its_square_with_every_loss() {
     }
 }
 
-/// A prior that says nothing changes no interval.
+/// A vague prior does not change the intervals.
 #[test]
 fn vague_prior_keeps_degrees_of_freedom_and_intervals() {
     let data = || {
@@ -461,6 +464,6 @@ fn vague_prior_keeps_degrees_of_freedom_and_intervals() {
         high - low
     };
     assert!((width(&vague) / width(&without) - 1.0).abs() < 0.02, "{} {}", width(&vague), width(&without));
-    // One that decides leaves all measurements for the noise.
+    // With a dominant prior, all measurements are left for the noise.
     assert!(with(Some(1e-6)).degrees_of_freedom > 3.99);
 }

@@ -1,4 +1,4 @@
-//! Costs that are no sums of squares, and functions of the user's.
+//! Costs that are not sums of squares, and user-defined functions.
 
 #![allow(clippy::unwrap_used)]
 
@@ -10,7 +10,7 @@ use calibration::{
 };
 use example_models::example_fmu;
 
-/// x' = -k x with k = 2, with an error that is not symmetric, and one outlier.
+/// x' = -k x with k = 2, with an asymmetric error and one outlier.
 fn calibration() -> Calibration {
     let t: Vec<f64> = (0..31).map(|i| f64::from(i) / 10.0).collect();
     let error = |i: usize| if i == 7 { 0.5 } else { [2e-3, -1e-3, 0.0][i % 3] };
@@ -83,7 +83,7 @@ fn custom_functions_return_costs_or_residuals() {
     assert_eq!(found.report.method, "least-squares");
     assert!((found.x[0] - squares.x[0]).abs() < 1e-4 && (found.cost / squares.cost - 4.0).abs() < 1e-6);
     assert!((found.rms - squares.rms).abs() < 1e-9);
-    // The same in stages.
+    // The cost also works in stages.
     let custom = CustomCost::cost("mine", |compared| Ok(mean_absolute(compared)));
     let options = FitOptions { objective: CostKind::Custom(custom), ..FitOptions::default() };
     let staged = calibration().fit_stages(&[Stage::new(["k"])], options).unwrap();
@@ -127,7 +127,7 @@ fn incompatible_cost_options_are_rejected() {
     let huber = RobustLoss::new(Loss::Huber, 1.0).unwrap();
     let said = error(mae(), huber, NelderMead::default().into());
     assert!(said.contains("with the objective 'mae' leave it out"), "{said}");
-    // Costs of one objective are none of another.
+    // A checkpoint of one objective cannot be used for another.
     let folder = tempfile::tempdir().unwrap();
     let with = |objective: CostKind| {
         let checkpoint = Some(calibration::dfo::Checkpoint::new(folder.path().join("fit.ckpt")));
@@ -155,7 +155,7 @@ fn outputs_are_weighted_by_the_scale_of_measurements() {
     for (scale, size) in
         [(OutputScale::Range, 3.0), (OutputScale::Mean, 2.0), (OutputScale::Sd, 3.0_f64.sqrt())]
     {
-        // All that was measured counts for the scale, whatever counts in the fit.
+        // The whole recording determines the scale, even if only a part counts in the fit.
         let calibration = make(x.clone(), scale).unwrap();
         assert_eq!(calibration.residual_layout().outputs[0].weights[..], [1.0 / size; 2]);
         let said = make(vec![0.0; 4], scale).unwrap_err().to_string();

@@ -1,4 +1,5 @@
-//! What a parameter can be: one value for several variables, tied to another, with a prior, a delay, an offset, a state's start.
+//! Kinds of parameters: one value for several variables, tied parameters, priors, delays, offsets, initial
+//! states.
 
 #![allow(clippy::unwrap_used)]
 
@@ -26,7 +27,7 @@ fn data(time: &[f64], columns: &[(&str, &dyn Fn(f64) -> f64)]) -> Data {
     Data::from_columns(time.to_vec(), columns.iter().map(column)).unwrap()
 }
 
-/// x' = -k x, compared with what is given.
+/// x' = -k x, compared with these measurements.
 fn decay(measured: &dyn Fn(f64) -> f64) -> Experiment {
     Experiment::new(data(&times(21, 0.1), &[("x", measured)])).output("x", "x")
 }
@@ -39,7 +40,7 @@ fn k() -> Parameter {
     Parameter::new("k", 1.0).bounds(0.1, 10.0)
 }
 
-/// A level of the tank, which its two inputs drive.
+/// A level of the tank, which is driven by two inputs.
 fn tank(parameters: impl IntoIterator<Item = Parameter>) -> Calibration {
     let recording = data(
         &times(31, 1.0),
@@ -112,7 +113,7 @@ fn parameter_tied_to_local_parameter_is_local() {
     assert_eq!(calibration.tied_values(&[1.0, 2.0]), expected);
 }
 
-/// The start of a decay is a linear parameter: the minimum is that of a linear regression with a prior.
+/// The start of a decay is a linear parameter, so the minimum is that of a linear regression with a prior.
 #[test]
 fn prior_is_a_residual_but_not_a_measurement() {
     let (mean, sd, weight) = (2.0, 0.1, 5.0);
@@ -149,7 +150,7 @@ fn prior_is_a_residual_but_not_a_measurement() {
         assert_near(fit.rms, (squares / 21.0).sqrt(), 1e-12);
         assert_near(calibration.prior_cost(&fit.x), ((fit.x[0] - mean) / sd).powi(2), 1e-12);
     }
-    // A logarithm; a prior of a parameter that is fixed says nothing.
+    // The prior is on the logarithm; the prior of a fixed parameter is ignored.
     let relative = build(Some(Prior::LogNormal { median: 1.0, sigma: 0.5 }));
     assert_near(relative.residuals(&[2.0], &RunContext::new()).unwrap()[21], 2.0f64.ln() / 0.5, 1e-12);
     let fixed = Parameter::new("x", 1.0).fixed(true).prior(Prior::Normal { mean, sd });
@@ -185,7 +186,7 @@ fn initial_states_are_given_measured_or_fitted() {
         with(experiment(), initial).unwrap().cost(&[1.0], &RunContext::new()).unwrap()
     };
     assert!(cost(3.0.into()) < 1e-8);
-    // What was measured where the simulation starts, and nothing later.
+    // The first measurement is used, and no later one.
     assert!(cost(InitialState::Measured) < 1e-8);
     let late = decay(&|t| if t < 0.05 { f64::NAN } else { measured(t) });
     let refused = with(late, InitialState::Measured).unwrap_err().to_string();
@@ -212,7 +213,7 @@ fn delayed_output_is_compared_with_earlier_model_values() {
     assert!(fixed.cost(&[rate], &RunContext::new()).unwrap() < 1e-8);
     let delay = || Parameter::new("tau", 0.05).bounds(0.0, 1.0).delay_of("x");
     let calibration = dahlquist(decay(&measured)).parameter(k()).parameter(delay()).build().unwrap();
-    // Rows of late outputs are refused as those of others.
+    // Invalid times are rejected as for outputs without delay.
     let refused = [
         (vec![f64::NAN], "times[0] = NaN is not a finite number"),
         (vec![0.0, f64::INFINITY], "times[1] = inf is not a finite number"),
@@ -223,7 +224,7 @@ fn delayed_output_is_compared_with_earlier_model_values() {
         let error = fixed.simulate(&[1.0], Some(&times), &RunContext::new()).unwrap_err().to_string();
         assert!(error.contains(expected), "{error}");
     }
-    // A delay that is fitted gives the bits of one that is given.
+    // A fitted delay gives bit-for-bit the same result as a given delay.
     for x in [0.8, rate] {
         assert_eq!(
             calibration.residuals(&[x, tau], &RunContext::new()).unwrap(),
@@ -248,7 +249,7 @@ fn delayed_output_is_compared_with_earlier_model_values() {
     assert!(fits.iter().all(|fit| (&fit.x, fit.cost) == (&fits[0].x, fits[0].cost)));
     assert_eq!(fits[0].cost, calibration.cost(&fits[0].x, &RunContext::new()).unwrap());
 
-    // The clock of the recording is ahead: samples after the last time of it.
+    // The clock of the recording is ahead, so samples after its last time are needed.
     let early = dahlquist(decay(&|t| (-rate * (t + 0.3)).exp()))
         .parameter(k())
         .parameter(Parameter::new("tau", 0.0).bounds(-0.5, 0.5).delay_of("x"))
@@ -287,7 +288,7 @@ fn delayed_inputs_match_a_shifted_recording() {
     let expected = fixed.residuals(&[2.8e-6], &RunContext::new()).unwrap();
     assert_eq!(fitted.residuals(&[2.8e-6, 0.7, 0.0], &RunContext::new()).unwrap(), expected);
     for (one, other) in by_function.residuals(&[2.8e-6], &RunContext::new()).unwrap().iter().zip(&expected) {
-        // The function has kinks, which are stops of a table.
+        // The function has kinks, at which a table stops the integration.
         assert_near(*one, *other, 1e-5);
     }
     assert_ne!(fitted.residuals(&[2.8e-6, 0.7, 0.5], &RunContext::new()).unwrap(), expected);
@@ -328,7 +329,7 @@ fn windows_weights_and_warm_up_select_measurements() {
     let by_rows =
         names(base().weighted_output("x", "x", Weight::Rows(vec![0.0, 2.0, 0.0, 0.0, 0.5, 0.0].into())));
     assert_eq!(by_rows, (vec![1.0, 4.0], vec![2.0, 0.5]));
-    // From the start: what comes first does not count; with a window: the simulation starts before it.
+    // Without a window, the first measurements do not count. With a window, the simulation starts before it.
     assert_eq!(names(plain().warm_up(2.0)).0, [2.0, 3.0, 4.0, 5.0]);
     let calibration = dahlquist(plain().window(3.0, 5.0).warm_up(1.5)).parameter(k()).build().unwrap();
     let rows = calibration.simulate(&[1.0], None, &RunContext::new()).unwrap();

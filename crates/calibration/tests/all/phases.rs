@@ -1,4 +1,5 @@
-//! What a fit does beside its evaluations: every simulation is counted, none is made twice, and one time limit holds for all of it.
+//! Work of a fit in addition to its evaluations: every simulation is counted once, and one time limit covers
+//! all work.
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -31,7 +32,7 @@ fn limited(method: NelderMead, limits: Limits) -> RunOptions<dfo::AnyMethod> {
     RunOptions { method: method.into(), limits, workers: Some(1), ..FitOptions::default_run() }
 }
 
-/// Simulations of one length: a fixed step. So the right-hand sides tell how many there were.
+/// A fixed step gives all simulations the same length, so the right-hand sides determine their number.
 #[test]
 fn phases_count_every_simulation_once() {
     let evaluations = 12;
@@ -41,14 +42,15 @@ fn phases_count_every_simulation_once() {
     let fit = calibration.fit(options).unwrap();
     let one = calibration.simulate(&[1.0], None, &RunContext::new()).unwrap()[0].stats.right_hand_sides;
     let uncertainty = fit.uncertainty.as_ref().unwrap();
-    // The end and the start were among the evaluations. The accurate simulation has twice as many steps, and one initialisation.
+    // The start and the end were among the evaluations. The accurate simulation has twice as many steps, and
+    // one initialisation.
     let expected = evaluations + fit.report.n_speculative + fit.n_checks + uncertainty.n_simulations;
     assert_eq!(fit.stats.right_hand_sides, one * expected as u64 + (one - 1), "{fit}");
-    // The end is no minimum: one more step of least squares was simulated, too.
+    // The end is not a minimum, so one more least-squares step was simulated.
     assert_eq!(uncertainty.n_simulations, 1 + 2 + 1);
 }
 
-/// Whoever ends a fit after its search has its result, which says what is missing.
+/// A fit that is interrupted after its search has a result and reports what is missing.
 #[test]
 fn fit_reports_interrupted_checks() {
     let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Tsit5, None);
@@ -64,7 +66,7 @@ fn fit_reports_interrupted_checks() {
     assert!(!says(&calibration.fit(FitOptions::default()).unwrap()));
 }
 
-/// With `auto` the simulations of a fit are those of its trace, in the first fit as in the second.
+/// With `auto`, a fit runs only the simulations of its trace, in the first fit and in the second.
 #[test]
 fn fit_runs_only_the_simulations_of_its_trace() {
     let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Auto, None);
@@ -84,12 +86,12 @@ fn fit_runs_only_the_simulations_of_its_trace() {
     }
 }
 
-/// A simulation of a million million steps.
+/// A simulation of 10^12 steps.
 fn endless() -> Calibration {
     decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Euler, Some(1e-12))
 }
 
-/// Without its limit a check takes hours, too.
+/// Without its limit, this check would take hours.
 #[test]
 fn check_respects_time_limit_when_a_simulation_is_endless() {
     let began = Instant::now();
@@ -102,7 +104,7 @@ fn check_respects_time_limit_when_a_simulation_is_endless() {
     assert!(began.elapsed() < Duration::from_secs(10), "{:?}", began.elapsed());
 }
 
-/// Without the limit this takes hours.
+/// Without the limit, this fit would take hours.
 #[test]
 fn fit_returns_start_when_a_simulation_is_endless() {
     let limit = Duration::from_millis(300);
@@ -125,11 +127,11 @@ fn fit_returns_start_when_a_simulation_is_endless() {
     assert!(fit.report.message.contains("the result is the start"), "{}", fit.report.message);
 }
 
-/// The best point of a search that the limit ends is the result, and nothing is simulated afterwards.
+/// If the limit ends a search, its best point is the result, and nothing is simulated afterwards.
 #[test]
 fn fit_runs_no_simulation_after_time_limit() {
     let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Euler, Some(1e-5));
-    // The first use of the model is tested, once per process.
+    // The first use tests the model, once per process.
     calibration.preflight(&calibration::PreflightOptions::default(), &RunContext::new()).unwrap();
     let began = Instant::now();
     calibration.cost(&[1.0], &RunContext::new()).unwrap();
@@ -142,7 +144,7 @@ fn fit_runs_no_simulation_after_time_limit() {
     assert!(fit.cost.is_finite() && fit.outputs.len() == 1);
 }
 
-/// The limit of the user stands in the message, not what was left of it for the search; of a stage that of the stage.
+/// The message reports the limit of the user, or of the stage, and not the time that was left for the search.
 #[test]
 fn message_reports_the_given_time_limit() {
     let calibration = decay(Parameter::new("k", 1.0).bounds(0.1, 10.0), Method::Euler, Some(1e-4));
@@ -177,8 +179,8 @@ fn fit_without_finished_simulation_can_be_saved_and_loaded() {
     assert!(saved.fit.cost.is_nan() && saved.fit.x == fit.x);
 }
 
-/// Standard errors take two simulations for each parameter, everything else at most 0.3 of the search and four simulations; what there
-/// was no room for is listed.
+/// Standard errors use two simulations for each parameter. All other work uses at most 0.3 of the search and
+/// four simulations. Skipped work is listed.
 #[test]
 fn extra_simulations_stay_within_their_share_of_the_search() {
     let decay = |start: f64| {
@@ -222,7 +224,8 @@ fn extra_simulations_stay_within_their_share_of_the_search() {
         assert!(others.1 as f64 <= most, "{model} from {start}: {others:?} beside {search:?}");
         let is_skipped = fit.skipped.iter().any(|name| name == "simulation of higher accuracy");
         assert_eq!(is_skipped, fit.uncertainty.as_ref().unwrap().accurate_cost.is_none());
-        // 1.6 simulations do not fit in a quarter of five, and do in one of twelve, beside that of a fresh process.
+        // In addition to the fresh process, 1.6 simulations do not fit into a quarter of 5 evaluations but
+        // fit into a quarter of 12.
         assert!(is_skipped || fit.report.n_evaluations > 5, "{model} from {start}: {fit}");
         assert!(!is_skipped || fit.report.n_evaluations < 12, "{model} from {start}: {fit}");
     }

@@ -1,4 +1,4 @@
-//! Prediction bands against their closed form, and cross-validation by recording.
+//! Prediction bands compared with their closed form, and cross-validation by recording.
 
 #![allow(clippy::unwrap_used)]
 
@@ -9,7 +9,7 @@ use calibration::{
 use dfo::{Loss, RobustLoss};
 use example_models::example_fmu;
 
-/// Alternating, so that it is independent of the parameters for all that a fit can see.
+/// Alternating noise, which is nearly independent of the parameters.
 fn noise(i: usize) -> f64 {
     [3e-3, -4e-3, -2e-3, 3e-3][i % 4]
 }
@@ -55,7 +55,7 @@ fn band_matches_delta_method() {
         assert!((band.lower[i] + band.upper[i] - 2.0 * band.values[i]).abs() < 1e-12);
     }
     assert!(band.noise.iter().all(|sd| (sd - fit.rms * (40.0_f64 / 38.0).sqrt()).abs() < 1e-9));
-    // The same for any number of workers; narrower for a lower level.
+    // The result is the same for any number of workers, and narrower for a lower level.
     let one = BandOptions { workers: Some(1), ..options.clone() };
     assert_eq!(&calibration.prediction_bands(&fit, &one, &RunContext::new()).unwrap()[0], band);
     let half = BandOptions { level: 0.5, ..options };
@@ -118,7 +118,7 @@ fn held_out_local_parameters_are_fitted_with_the_loss_of_the_fit() {
         .unwrap();
     let of_third = &found.folds[2].validation;
     assert!((of_third.x[1] - 2.5).abs() < 0.02, "{found}");
-    // Both columns are of plain residuals: of the first fold the outliers are among those that were fitted.
+    // Both columns use plain residuals: the first fold was fitted to the recording with the outliers.
     let outliers = (5.0 * 9.0 / 80.0_f64).sqrt();
     assert!((found.folds[0].fit_rms / outliers - 1.0).abs() < 0.05, "{found}");
     assert!((of_third.rms / (5.0 * 9.0 / 40.0_f64).sqrt() - 1.0).abs() < 0.05, "{found}");
@@ -153,7 +153,7 @@ fn cross_validation_leaves_each_recording_out_once() {
     let names: Vec<_> = found.folds.iter().map(|fold| fold.held_out.join(" ")).collect();
     assert_eq!(names, ["run1", "run2", "third"]);
     assert_eq!(found.folds[0].fit.names, ["k", "x[run2]", "x[third]"]);
-    // The initial state of the recording that was left out is fitted to it.
+    // The initial state of the omitted recording is fitted to it.
     assert_eq!(found.folds[2].validation.names, ["k", "x[third]"]);
     assert!((found.folds[2].validation.x[1] - 3.0).abs() < 0.05, "{found}");
     assert!(found.folds[1].validation.rms > found.folds[0].validation.rms, "{found}");
@@ -162,7 +162,7 @@ fn cross_validation_leaves_each_recording_out_once() {
     let sum: f64 = found.folds.iter().map(|f| f.validation.rms.powi(2) / 3.0).sum();
     assert!((found.rms / sum.sqrt() - 1.0).abs() < 1e-9);
     assert_eq!(found.to_string().lines().count(), 6, "{found}");
-    // By hand: the same calibration without the first.
+    // With two folds, each fold holds out every second recording. The result is independent of the workers.
     let mut options = CrossValidationOptions { folds: Some(2), ..CrossValidationOptions::default() };
     options.run.workers = Some(1);
     let two = calibration.cross_validate(&options, &RunContext::new()).unwrap();
@@ -193,7 +193,7 @@ fn cross_validation_rejects_invalid_folds() {
     assert!(matches!(error, calibration::CalibrationError::Cancelled));
 }
 
-/// A new measurement has the noise that the weight of its row states, at that row.
+/// A new measurement has the noise that the weight of its row declares.
 #[test]
 fn band_of_new_measurements_includes_noise_of_each_row() {
     let sd = |i: usize| if i < 20 { 0.001 } else { 0.1 };
@@ -209,7 +209,7 @@ fn band_of_new_measurements_includes_noise_of_each_row() {
     for (got, sd) in band.noise.iter().zip([0.001, 0.0505, 0.1]) {
         assert!((got / (found * sd) - 1.0).abs() < 1e-9, "{got}");
     }
-    // Two recordings with weights of their own have noise of their own.
+    // Two recordings with different weights have separate noise.
     let recorded = |k: f64, sd: f64| {
         let x = t.iter().enumerate().map(|(i, t)| (-k * t).exp() + sd / 0.01 * noise(i)).collect();
         let data = Data::from_columns(t.clone(), [("x".to_owned(), x)]).unwrap();

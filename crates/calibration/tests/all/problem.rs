@@ -1,4 +1,5 @@
-//! Problems with several experiments and outputs: one order of the sum, parameters in their order, stored problems, cancellation.
+//! Problems with several experiments and outputs: order of the sum, order of the parameters, stored problems,
+//! cancellation.
 
 #![allow(clippy::unwrap_used)]
 
@@ -15,7 +16,8 @@ fn open(name: &str) -> Fmu {
     Fmu::open(example_fmu(name).unwrap()).unwrap()
 }
 
-/// Two outputs of a pendulum at uneven times, twice, with numbers of such sizes that sums in another order differ.
+/// Two outputs of a pendulum at uneven times, twice. The sizes of the numbers make sums in another order
+/// differ.
 fn furuta() -> Calibration {
     let experiment = |shift: f64| {
         let time: Vec<f64> = (0..40).map(|k| 0.05 * f64::from(k) + 0.003 * f64::from(k % 3)).collect();
@@ -35,7 +37,7 @@ fn furuta() -> Calibration {
         .unwrap()
 }
 
-/// x' = -k x from two starts, with rates of their own.
+/// x' = -k x from two starts, with separate rates.
 fn decays() -> CalibrationBuilder {
     let time: Vec<f64> = (0..11).map(|i| 0.1 * f64::from(i)).collect();
     let recording = |x0: f64, k: f64| {
@@ -74,7 +76,7 @@ fn cost_is_bitwise_identical_on_every_path() {
         let expected = if want == Want::Residuals { &residuals[..] } else { &[] };
         assert_eq!(answer.residuals, expected);
     }
-    // Above it is what is strictly above, by however little.
+    // Only a cost strictly above the cutoff is rejected, however small the difference.
     let below = f64::from_bits(cost.to_bits() - 1);
     assert_eq!(ask(Want::Cost, below).outcome, Outcome::Above(below));
 
@@ -105,7 +107,7 @@ fn local_parameters_occur_once_per_experiment_in_order() {
     assert_eq!(names, ["k[slow]", "k[run2]", "x[slow]", "x[run2]"]);
     assert_eq!(calibration.start(), [1.5, 3.0, 1.0, 1.0]);
     assert!(calibration.cost(&[2.0, 4.0, 1.0, 3.0], &RunContext::new()).unwrap() < 1e-8);
-    // The second experiment does not see the first entry.
+    // The second experiment does not depend on the first entry.
     let residuals = |x: [f64; 4]| calibration.residuals(&x, &RunContext::new()).unwrap();
     let (one, other) = (residuals([2.0, 4.0, 1.0, 3.0]), residuals([1.0, 4.0, 1.0, 3.0]));
     assert!(one[1..11] != other[1..11] && one[11..] == other[11..]);
@@ -187,7 +189,7 @@ fn residual_layout_describes_each_residual() {
     assert_eq!(layout.outputs[1].measured[..], [0.7, 0.1]);
     assert_eq!(layout.outputs[1].weights[..], [2.0, 2.0]);
     assert_eq!(layout.n_residuals(), calibration.n_residuals());
-    // Together with a simulation they make the residuals.
+    // Together with a simulation, they reproduce the residuals.
     let (residuals, trajectories) = (
         calibration.residuals(&[1.3], &RunContext::new()).unwrap(),
         calibration.simulate(&[1.3], None, &RunContext::new()).unwrap(),
@@ -202,7 +204,7 @@ fn residual_layout_describes_each_residual() {
     }
 }
 
-/// A state is NaN as the variable that it is by the description, which the vector of the integration does not show.
+/// The message names the variable of the NaN state, as declared in the model description.
 #[test]
 fn nan_state_is_reported_with_its_time() {
     let said = |value: &str| {

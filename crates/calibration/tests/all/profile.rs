@@ -1,4 +1,4 @@
-//! Profile likelihoods, against closed forms.
+//! Profile likelihoods compared with closed forms.
 
 #![allow(clippy::unwrap_used)]
 
@@ -25,7 +25,7 @@ fn near(got: f64, expected: f64, within: f64) {
     assert!((got - expected).abs() <= within, "{got} instead of {expected}");
 }
 
-/// Numbers between -1 and 1 that look like chance.
+/// Numbers between -1 and 1 that look random.
 fn noise(n: usize) -> impl Iterator<Item = f64> {
     (0..n).map(|k| 2.0 * ((k as f64 * 12.9898).sin() * 43758.5453).abs().fract() - 1.0)
 }
@@ -47,7 +47,8 @@ fn decay(parameters: impl IntoIterator<Item = Parameter>) -> Calibration {
     parameters.into_iter().fold(builder, |builder, p| builder.parameter(p)).build().unwrap()
 }
 
-/// h = h0 + v0 t without gravity, and v = v0: a linear model with two outputs, the weights of which say nothing of their errors.
+/// h = h0 + v0 t without gravity, and v = v0: a linear model with two outputs whose weights declare no
+/// errors.
 fn line() -> Calibration {
     let time: Vec<f64> = (0..50).map(|k| 0.01 * f64::from(k)).collect();
     let e: Vec<f64> = noise(100).collect();
@@ -75,8 +76,9 @@ fn profile_interval_matches_covariance_for_linear_model() {
         let options = ProfileOptions { is_corrected: false, ..ProfileOptions::default() };
         let found = profile(&calibration, &fit, &options);
         let r = calibration.residuals(&fit.x, &RunContext::new()).unwrap();
-        // (J'J)^-1 J'SJ (J'J)^-1 with the rows (1, t) of h and (0, 2) of v. The residuals are M = I - J (J'J)^-1 J' times
-        // the errors: variances by the means tr(P M S M) of the sums of squares, of both outputs or of all rows.
+        // (J'J)^-1 J'SJ (J'J)^-1 with the rows (1, t) of h and (0, 2) of v.
+        // The residuals are M = I - J (J'J)^-1 J' times the errors. The variances follow from the means
+        // tr(P M S M) of the sums of squares, of both outputs or of all rows.
         let jacobian = DMatrix::from_fn(100, 2, |i, k| match (i < 50, k) {
             (true, 0) => 1.0,
             (true, _) => 0.01 * i as f64,
@@ -99,7 +101,7 @@ fn profile_interval_matches_covariance_for_linear_model() {
         let middle = &inverse * jacobian.transpose();
         let covariance = |s: &DMatrix<f64>| &middle * s * middle.transpose();
         let errors = covariance(&s).diagonal().map(f64::sqrt);
-        // The degrees of freedom of Satterthwaite.
+        // Degrees of freedom of Satterthwaite.
         let quantile = |degrees: f64| StudentsT::new(0.0, 1.0, degrees).unwrap().inverse_cdf(0.975);
         let t = |k: usize| {
             let by = DVector::from_fn(n, |g, _| covariance(&of(g))[(k, k)]);
@@ -112,7 +114,7 @@ fn profile_interval_matches_covariance_for_linear_model() {
             let own = t(k);
             near(low, found.x[k] - own * errors[k], 0.01 * errors[k]);
             near(high, found.x[k] + own * errors[k], 0.01 * errors[k]);
-            // A parabola, in five steps or so on each side, the first ones near the optimum.
+            // The profile is a parabola with about five steps on each side, the first ones near the optimum.
             assert!((9..=19).contains(&p.points.len()), "{}", p.points.len());
             let near_optimum =
                 p.points.iter().filter(|point| point.statistic < 0.1 * found.threshold).count();
@@ -123,7 +125,7 @@ fn profile_interval_matches_covariance_for_linear_model() {
                 assert_eq!(point.x[k], point.value);
             }
             assert!(p.points.is_sorted_by(|a, b| a.value < b.value) && p.message().is_empty());
-            // It is about the optimum of the fit.
+            // The profile is centred at the optimum of the fit.
             near(found.x[k], fit.x[k], 0.02 * errors[k]);
         }
         assert!(!found.is_interrupted && found.stats.right_hand_sides > 0 && found.n_simulations > 50);
@@ -143,7 +145,8 @@ fn profile_width_matches_standard_errors_with_loss_and_correlation() {
     let (lower, upper) = fit.uncertainty.as_ref().unwrap().confidence_intervals(0.95).unwrap()[0];
     assert!(((high - low) / (upper - lower) - 1.0).abs() < 0.15, "{low} {high} {lower} {upper}");
 
-    // The level is low: one smooth misfit leaves few degrees of freedom, and a decay is not linear that far.
+    // The level is low because one smooth misfit leaves few degrees of freedom, and a decay is not linear
+    // that far.
     let time: Vec<f64> = (0..80).map(|k| 0.05 * f64::from(k)).collect();
     let x = time.iter().map(|t| (-1.5 * t).exp() + 0.02 * (4.0 * t).sin()).collect();
     let calibration = Calibration::builder(open("dahlquist"))
@@ -165,7 +168,7 @@ fn profile_width_matches_standard_errors_with_loss_and_correlation() {
 
 #[test]
 fn profile_of_single_parameter_works_on_both_scales() {
-    // The statistic of the only parameter is the cost itself.
+    // The statistic of a single parameter is the cost itself.
     for scale in [Scale::Linear, Scale::Log] {
         let calibration = decay([Parameter::new("k", 1.0).bounds(0.1, 5.0).scale(scale)]);
         let fit = fitted(&calibration, FitOptions::default());
@@ -176,7 +179,7 @@ fn profile_of_single_parameter_works_on_both_scales() {
             let rise = (calibration.cost(&[end], &RunContext::new()).unwrap() - fit.cost) / variance;
             near(rise, found.threshold, 0.01 * found.threshold);
         }
-        // Fast decays are told apart worse than slow ones.
+        // The data distinguish fast decays less well than slow ones.
         assert!(high - fit.x[0] > 1.02 * (fit.x[0] - low), "{low} {high}");
         let text = found.to_string();
         assert!(text.contains("90 % intervals") && text.contains("29 degrees of freedom"), "{text}");
@@ -193,13 +196,13 @@ fn profile_reports_open_ends() {
     assert!(k.interval().0 > 0.5 && x.interval().0.is_finite() && x.interval().1.is_finite());
     let said = "k: open towards larger values: reaches its upper bound, 1.55";
     assert!(found.to_string().contains(said), "{found}");
-    // A parameter at its bound has one side; the other one moves away from its bound where it helps.
+    // A parameter at its bound has one side. In the profile of the other parameter, it may leave its bound.
     let calibration = decay([Parameter::new("k", 1.0).bounds(0.1, 1.2), Parameter::new("x", 1.0)]);
     let fit = fitted(&calibration, FitOptions::default());
     let found = profile(&calibration, &fit, &ProfileOptions::default());
     assert_eq!((fit.at_bound.len(), &found.parameters[0].upper), (1, &ProfileEnd::AtBound(1.2)));
     assert!(found.parameters[0].interval().0 < 1.2);
-    // Nothing moves the first coefficient of restitution before the ball has fallen.
+    // The first coefficient of restitution has no effect before the ball has fallen.
     let time: Vec<f64> = (0..40).map(|k| 0.01 * f64::from(k)).collect();
     let h = time.iter().zip(noise(40)).map(|(t, e)| 1.0 - 0.5 * 9.81 * t * t + 1e-3 * e).collect();
     let calibration = Calibration::builder(open("bouncing_ball"))
@@ -222,7 +225,7 @@ fn profile_reports_open_ends() {
 
 #[test]
 fn profile_of_confounded_parameters_extends_to_bounds_of_others() {
-    // The data tell the sum of a height and an offset between -0.5 and 1.
+    // The data determine the sum of a height and an offset between -0.5 and 1.
     let (n, time) = (40_u32, (0..40).map(|k| 0.01 * f64::from(k)).collect::<Vec<f64>>());
     let h: Vec<f64> = noise(40).map(|e| 10.0 + 0.05 * e).collect();
     let mean = h.iter().sum::<f64>() / f64::from(n);

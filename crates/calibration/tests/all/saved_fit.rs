@@ -1,4 +1,4 @@
-//! A fit in a file: it comes back with all bits, shows what it is without its model, and files that are none are refused.
+//! Saved fits: bit-for-bit round trip, results without the model, and rejection of invalid files.
 #![allow(clippy::unwrap_used)]
 
 use calibration::RunContext;
@@ -10,7 +10,7 @@ use fmi::{FmiError, Fmu};
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 
-/// x' = -k x with k = 2, two recordings with their own start values, and a hole in one of them.
+/// x' = -k x with k = 2, two recordings with separate start values, and a gap in one of them.
 fn calibration(model: &Path) -> Calibration {
     let t: Vec<f64> = (0..12).map(|k| 0.1 * f64::from(k)).collect();
     let recorded = |x0: f64| {
@@ -80,7 +80,7 @@ fn saved_fit_shows_its_results_without_the_model() {
     check(described.cost(&fit.x, &RunContext::new()).unwrap_err(), "not there any more");
     check(described.simulate(&fit.x, None, &RunContext::new()).unwrap_err(), "not there any more");
     assert!(described.fit(FitOptions::default()).is_err());
-    // Another content at its place.
+    // Another model has replaced the file.
     std::fs::copy(example_models::example_fmu("van_der_pol").unwrap(), &place).unwrap();
     let described = saved.calibration().unwrap();
     check(described.cost(&fit.x, &RunContext::new()).unwrap_err(), "what is there now has the content");
@@ -91,7 +91,8 @@ fn saved_fit_shows_its_results_without_the_model() {
     assert_eq!(again.problem().model.path, moved);
 }
 
-/// The file with its items changed: the header, then what follows it, whose hash the header has.
+/// Changes the items of the file: the header, and the content after it. The header contains the hash of the
+/// content.
 fn changed(mut bytes: &[u8], change: impl Fn(&mut [Value])) -> Vec<u8> {
     let mut items: Vec<Value> = (0..3).map(|_| ciborium::from_reader(&mut bytes).unwrap()).collect();
     change(&mut items);
@@ -106,7 +107,7 @@ fn changed(mut bytes: &[u8], change: impl Fn(&mut [Value])) -> Vec<u8> {
     [written(&items[..1]), rest].concat()
 }
 
-/// The part of an item at a path of names and, for lists, numbers.
+/// Returns the part of an item at a path of names and, for lists, indices.
 fn field<'v>(item: &'v mut Value, path: &str) -> &'v mut Value {
     path.split('.').fold(item, |value, name| match value {
         Value::Array(items) => &mut items[name.parse::<usize>().unwrap()],
@@ -139,7 +140,7 @@ fn saved_fit_rejects_invalid_files() {
         refusal(&bytes)
     };
     assert!(renamed("n_checks", "n_check").contains("n_checks"));
-    // A field that may be missing, so that one of another name is not read.
+    // An optional field with another name must not be ignored.
     let unknown = renamed("in_this_process", "later");
     assert!(unknown.contains("something that this version does not read"), "{unknown}");
     let edited = |place: &str, new: Value| {
@@ -163,13 +164,13 @@ fn saved_fit_rejects_invalid_files() {
         refusal(&bytes[..cut]);
     }
     assert!(refusal(&bytes[..bytes.len() / 2]).contains("cut off"));
-    // Lists that are said to be long, or deep, take no more than what is there.
+    // Lists with a large declared length or depth use no more memory than the data.
     assert!(
         refusal(&[&bytes[..1], &[0x9b, 0xff, 0xff, 0xff, 0xff, 0, 0, 0, 0]].concat())
             .contains("no saved fit")
     );
     assert!(refusal(&[0x81; 1 << 20]).contains("no saved fit"));
-    // Whatever byte is changed, the file is refused.
+    // A file with any changed byte is rejected.
     for k in (0..bytes.len()).step_by(37) {
         let mut damaged = bytes.clone();
         damaged[k] ^= 0x15;
@@ -197,7 +198,7 @@ fn saved_fit_names_what_cannot_be_written() {
         matches!(&e, CalibrationError::Model(FmiError::Io { .. })) && e.to_string().contains("none.fit"),
         "{e}"
     );
-    // A fit of other parameters.
+    // The fit has other parameters.
     let t = vec![0.0, 1.0];
     let other = Calibration::builder(Fmu::open(model()).unwrap())
         .experiment(

@@ -1,4 +1,4 @@
-//! Setups that mislead: late recordings, inputs that are not used or held, parameters at a bound or without effect.
+//! Misleading setups: late recordings, unused or held inputs, parameters at a bound or without effect.
 
 #![allow(clippy::unwrap_used)]
 
@@ -25,7 +25,7 @@ fn decay(from: f64, parameter: Parameter) -> CalibrationBuilder {
         .parameter(parameter)
 }
 
-/// Two outlets of the tank, the second of which has no effect on the level that is compared.
+/// Two outlets of the tank. The second one has no effect on the compared level.
 fn tank(u1_until: f64, inputs: &[&str]) -> Calibration {
     tank_builder(u1_until, inputs, false).build().unwrap()
 }
@@ -70,7 +70,7 @@ fn inputs_are_held_beyond_recording_only_with_hold_inputs() {
     let expected = "input 'u1' is recorded from 0 s to 20 s, and the simulation needs it from 0 s to 30 s: give hold_inputs";
     assert!(message.contains(expected), "{message}");
     assert!(tank_builder(20.0, &["u1", "u2"], true).build().unwrap().warnings().is_empty());
-    // One sampling interval is no gap.
+    // One sampling interval is not a gap.
     assert!(tank_builder(29.0, &["u1", "u2"], false).build().is_ok());
 }
 
@@ -107,11 +107,11 @@ fn parameter_without_effect_is_reported_with_every_budget() {
     let fit = calibration
         .fit(RunOptions { method: DifferentialEvolution::default().into(), seed: Some(1), ..options(60) })
         .unwrap();
-    // Generations show nothing of single parameters: the standard errors do.
+    // Generations show nothing about single parameters, but the standard errors do.
     assert_eq!((fit.report.n_evaluations, fit.n_checks, &fit.without_effect[..]), (60, 0, &[1][..]));
 }
 
-/// Also of a model that has no variable of the name `time`.
+/// This also holds for a model without a variable called `time`.
 #[test]
 #[cfg(target_os = "linux")]
 fn outputs_that_are_not_single_results_are_rejected() {
@@ -151,7 +151,7 @@ fn shared_column_and_tie_of_different_units_are_rejected() {
     let one = || Experiment::new(data.clone()).output("h", "h");
     let error = ball(one().output("v", "h"), None).unwrap_err().to_string();
     assert!(error.contains("column 'h' is compared with two outputs, 'h' and 'v'"), "{error}");
-    // h in m, g in m/s2.
+    // h is in m, g in m/s2.
     let tied = |across| Parameter::tied("h", "g", -0.1, 0.0).across_units(across);
     let error = ball(one(), Some(tied(false))).unwrap_err().to_string();
     assert!(

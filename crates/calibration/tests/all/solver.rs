@@ -1,4 +1,5 @@
-//! The integration method of a calibration is the same in a fit and outside, is reported and stored, and can be named.
+//! The integration method of a calibration is the same inside and outside fits. It is reported, stored, and
+//! can be chosen.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -19,7 +20,7 @@ const INPUTS: [(&str, f64, f64); 5] = [
     ("p_out", 1.013e5, 0.0),
 ];
 
-/// Two minutes of the exhaust pipe, which is stiff, under loads that go up and down.
+/// Two minutes of the exhaust pipe, a stiff model, with rising and falling loads.
 fn exhaust() -> Data {
     let time: Vec<f64> = (0..=120).map(f64::from).collect();
     let load = |t: f64| 0.5 - 0.4 * (0.05 * t).cos();

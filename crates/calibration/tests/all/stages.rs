@@ -1,4 +1,4 @@
-//! Fits in stages: what each frees and holds, what holds for all of them together.
+//! Fits in stages: the free and held parameters of each stage, and the settings that apply to all stages.
 
 #![allow(clippy::unwrap_used)]
 
@@ -64,7 +64,7 @@ fn stage_starts_from_previous_result_and_holds_other_parameters() {
     }
     assert!(fit.report.jacobian.is_none() && second.report.jacobian.is_some());
     assert!(fit.report.message.contains("stage 1 of 2: converged"), "{}", fit.report.message);
-    // The same by hand, with fixed parameters.
+    // The same stages with fixed parameters, done by hand.
     let fixed: Vec<_> = OUTLETS[..2].iter().copied().zip(first.x.iter().copied()).collect();
     let by_hand = tanks(&fixed, None).fit(FitOptions::default()).unwrap();
     assert_eq!(bits(&by_hand), bits(second));
@@ -72,7 +72,7 @@ fn stage_starts_from_previous_result_and_holds_other_parameters() {
 
 #[test]
 fn stages_with_wrong_held_values_do_not_count_as_converged() {
-    // x' = -k x from x(0): the first stage makes up for the start that the second one holds.
+    // x' = -k x from x(0): the first stage compensates for the wrong start that is held.
     let t: Vec<f64> = (0..61).map(|i| 0.05 * f64::from(i)).collect();
     let x = t.iter().enumerate().map(|(i, t)| 2.0 * (-2.0 * t).exp() + if i % 2 == 0 { 1e-3 } else { -1e-3 });
     let data = Data::from_columns(t.clone(), [("x".to_owned(), x.collect())]).unwrap();
@@ -112,7 +112,7 @@ fn stage_uses_its_own_method_and_window() {
     let half = tanks(&[("qt.a3", 3e-6), ("qt.a4", 3e-6)], Some((0.0, 30.0)));
     assert_eq!(fit.stages[0].cost, half.cost(&fit.stages[0].x, &RunContext::new()).unwrap());
     assert_eq!(fit.start_cost, Some(calibration.cost(&calibration.start(), &RunContext::new()).unwrap()));
-    // The costs of the first stage are those of another window.
+    // The costs of the first stage belong to another window.
     assert_eq!(fit.report.trace.len(), fit.stages[1].report.n_evaluations);
     let last = [stages[1].clone(), stages[0].clone()];
     let fit = calibration.fit_stages(&last, FitOptions::default()).unwrap();
@@ -182,7 +182,7 @@ fn checkpoint_uses_one_file_per_stage() {
     }
     let again = calibration.fit_stages(&two(), with(1000, Resume::Require)).unwrap();
     assert_eq!(bits(&again), bits(&whole));
-    // The uncertainty of the whole takes some, too.
+    // The uncertainty of the whole fit uses some simulations too.
     let of_stages: u64 = again.stages.iter().map(|s| s.stats.right_hand_sides).sum();
     assert!(again.stats.right_hand_sides > of_stages);
     // Other stages are another fit.

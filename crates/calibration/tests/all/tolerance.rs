@@ -13,7 +13,7 @@ use fmi::RunSettings;
 use std::fs::File;
 use tempfile::TempDir;
 
-/// An example model whose description states another tolerance.
+/// An example model whose description declares another tolerance.
 fn stating(model: &str, tolerance: &str) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let file = File::open(example_fmu(model).unwrap()).unwrap();
@@ -53,7 +53,7 @@ fn run(f_tol: f64) -> RunOptions<AnyMethod> {
     RunOptions { tolerances: Tolerances { f_tol, ..run.tolerances }, workers: Some(1), ..run }
 }
 
-/// Whether it is said that the cost is noisy.
+/// True if a finding reports a noisy cost.
 fn is_noisy(fit: &Fit) -> bool {
     fit.findings()
         .iter()

@@ -1,4 +1,4 @@
-//! What a fit took is what its simulations took, whoever made them and however they ended.
+//! Totals of a fit: the sum over its simulations, in all processes and with every outcome.
 
 #![allow(clippy::unwrap_used)]
 
@@ -10,7 +10,7 @@ use fmi::Fmu;
 use fmi::RunSettings;
 use ode::{Method, Stats};
 
-/// A ball that bounces, measured at four instants; with less and less restitution it stops bouncing earlier.
+/// A bouncing ball, measured at four instants. With less restitution, it stops bouncing earlier.
 fn calibration() -> Calibration {
     let time = vec![0.0, 0.5, 1.0, 1.5];
     let data = Data::from_columns(time, [("h".to_owned(), vec![1.0, 0.3, 0.2, 0.1])]).unwrap();
@@ -24,12 +24,12 @@ fn calibration() -> Calibration {
 
 fn options(evaluations: usize, workers: usize, cutoffs: bool) -> FitOptions<'static> {
     let limits = Limits { max_evaluations: Some(evaluations), ..Limits::default() };
-    // No speculation, whatever a machine takes for an evaluation: what it computes would count, too.
+    // Speculation is disabled, because its evaluations would count and their number depends on the machine.
     let mut method = NelderMead::default();
     method.batch = Lookahead::None;
     let run =
         RunOptions { method: method.into(), limits, workers: Some(workers), ..FitOptions::default_run() };
-    // The uncertainty of the fit takes simulations of its own.
+    // The uncertainty of the fit would use further simulations.
     FitOptions { cutoffs, uncertainty: None, ..run.into() }
 }
 

@@ -1,4 +1,4 @@
-//! The uncertainty of a fit, against closed forms and the published numbers.
+//! Uncertainty of a fit, compared with closed forms and published numbers.
 
 #![allow(clippy::print_stderr, clippy::unwrap_used)]
 
@@ -29,7 +29,7 @@ fn near(got: f64, expected: f64, relative: f64) {
     assert!((got - expected).abs() <= relative * expected.abs(), "{got} instead of {expected}");
 }
 
-/// Numbers between -1 and 1 that look like chance.
+/// Numbers between -1 and 1 that look random.
 fn noise(n: usize) -> impl Iterator<Item = f64> {
     (0..n).map(|k| 2.0 * ((k as f64 * 12.9898).sin() * 43758.5453).abs().fract() - 1.0)
 }
@@ -55,7 +55,7 @@ fn standard_errors_of_decay_match_closed_form() {
         let error = (fit.cost / 59.0 / sum).sqrt();
         near(uncertainty.standard_errors[0], error, 1e-3);
         assert_eq!((uncertainty.degrees_of_freedom, &uncertainty.correlation[..]), (59.0, &[1.0][..]));
-        // The quantile of Student's t for 59 degrees of freedom.
+        // Quantile of Student's t for 59 degrees of freedom.
         let (low, high) = uncertainty.confidence_intervals(0.95).unwrap()[0];
         match scale {
             Scale::Linear => near(high - low, 2.0 * 2.000_995_4 * error, 2e-3),
@@ -65,10 +65,10 @@ fn standard_errors_of_decay_match_closed_form() {
             uncertainty.confidence_intervals(1.0).is_err()
                 && uncertainty.confidence_intervals(f64::NAN).is_err()
         );
-        // After a short search there is none.
+        // After a short search, there is no accurate cost.
         uncertainty.accurate_cost.iter().for_each(|cost| near(*cost, fit.cost, 1e-5));
         assert_eq!(fit.report.n_evaluations, fit.report.trace.len());
-        // The Jacobian is by the parameter, whatever the scale.
+        // The Jacobian is with respect to the parameter on every scale.
         uncertainty.jacobian.iter().enumerate().for_each(|(i, j)| {
             assert!((j - by_k(0.05 * i as f64)).abs() < 1e-3, "{i}");
         });
@@ -77,7 +77,7 @@ fn standard_errors_of_decay_match_closed_form() {
 
 #[test]
 fn held_parameters_are_reported_as_known() {
-    // The data want k = 1.5.
+    // The best value for the data is k = 1.5.
     let at_bound = decay([Parameter::new("k", 1.0).bounds(0.1, 1.2), Parameter::new("x", 1.0)]);
     let fit = at_bound.fit(FitOptions::default()).unwrap();
     let uncertainty = fit.uncertainty.unwrap();
@@ -150,13 +150,13 @@ fn parameter_of_unreached_event_is_reported() {
     assert!(uncertainty.standard_errors[0].is_infinite() && uncertainty.standard_errors[1] < 0.01);
     let said = "the data do not determine e: it moves no output that was measured";
     assert!(uncertainty.verdict()[0] == said && fit.findings()[0].severity == Severity::Warning, "{fit}");
-    // The message is that of the run alone.
+    // The message describes the run only.
     assert!(!fit.report.message.contains("determine"), "{fit}");
 }
 
 #[test]
 fn jointly_determined_parameters_are_reported() {
-    // Outflows go with a sqrt(2 g).
+    // The outflows are proportional to a sqrt(2 g).
     let time: Vec<f64> = (0..60).map(f64::from).collect();
     let builder = || {
         let outputs = ["qt.x1", "qt.x2", "qt.x3", "qt.x4"];
@@ -178,7 +178,7 @@ fn jointly_determined_parameters_are_reported() {
             let found = uncertainty(&calibration, &x, Estimator::Sandwich);
             assert_eq!(found.undetermined, [0, 1, 2, 3, 4], "{scale:?} {found:?}");
             assert!(found.without_effect.is_empty() && found.verdict()[0].contains("together"));
-            // All but one of them can be told.
+            // If one of them is held, the data determine the other four.
             assert_eq!(found.identifiable.len(), 4, "{found:?}");
         }
     }
@@ -186,7 +186,7 @@ fn jointly_determined_parameters_are_reported() {
 
 #[test]
 fn outputs_have_separate_variances_unless_pooled() {
-    // A line: h = h0 + v0 t without gravity, measured with errors of two sizes, twice.
+    // A line h = h0 + v0 t without gravity, measured twice with errors of two sizes.
     let time: Vec<f64> = (0..50).map(|k| 0.01 * f64::from(k)).collect();
     let recording = |phase: usize| {
         let e: Vec<f64> = noise(150).skip(phase).collect();
@@ -205,7 +205,7 @@ fn outputs_have_separate_variances_unless_pooled() {
         .build()
         .unwrap();
     let x = calibration.fit(FitOptions::default()).unwrap().x;
-    // Rows (1, t) of h and (0, 1) of v, for each recording.
+    // The rows are (1, t) for h and (0, 1) for v, for each recording.
     let (mut normal, mut middle) = ([[0.0; 2]; 2], [[0.0; 2]; 2]);
     let residuals = calibration.residuals(&x, &RunContext::new()).unwrap();
     let sum = |from: usize| residuals[from..from + 50].iter().map(|r| r * r).sum::<f64>();
@@ -226,7 +226,7 @@ fn outputs_have_separate_variances_unless_pooled() {
     let product = |a: [[f64; 2]; 2], b: [[f64; 2]; 2]| {
         [0, 1].map(|i| [0, 1].map(|j| a[i][0] * b[0][j] + a[i][1] * b[1][j]))
     };
-    // The mean of the sums of squares of h and v is linear in both variances.
+    // The means of the sums of squares of h and v are linear in both variances.
     let shares = of_output.map(|own| product(inverse, own));
     let trace = |a: [[f64; 2]; 2]| a[0][0] + a[1][1];
     let own = |k: usize| 100.0 - 2.0 * trace(shares[k]) + trace(product(shares[k], shares[k]));
@@ -260,7 +260,7 @@ fn autocorrelated_residuals_are_reported_and_corrected() {
     let uncertainty = calibration.fit(FitOptions::default()).unwrap().uncertainty.unwrap();
     assert!(uncertainty.residual_checks[0].autocorrelation > 0.9);
     assert!(uncertainty.autocorrelations[0] > 0.9 && uncertainty.effective_degrees_of_freedom[0] < 40.0);
-    // One answer everywhere; the other one on request.
+    // All results use the corrected errors. Uncorrected errors are available on request.
     let uncorrected = uncertainty.uncorrected();
     assert_eq!(uncertainty.uncorrected_errors().unwrap(), uncorrected.standard_errors);
     assert!(uncertainty.standard_errors[0] > 2.0 * uncorrected.standard_errors[0]);
@@ -277,7 +277,7 @@ fn autocorrelated_residuals_are_reported_and_corrected() {
 
 #[test]
 fn likelihood_errors_match_curvature_and_report_parameters_without_effect() {
-    // The ball does not bounce; costs are negative.
+    // The ball does not bounce, and the costs are negative.
     let time: Vec<f64> = (0..40).map(|k| 0.01 * f64::from(k)).collect();
     let h = time.iter().zip(noise(40)).map(|(t, e)| 1.0 - 0.5 * 9.81 * t * t + 1e-3 * e).collect();
     let calibration = Calibration::builder(open("bouncing_ball"))
@@ -297,7 +297,7 @@ fn likelihood_errors_match_curvature_and_report_parameters_without_effect() {
     near(found.x[0], expected.x[0], 1e-4);
     near(error(&found), error(&expected), 1e-3);
     assert_eq!(found.uncertainty.unwrap().cost.to_bits(), found.cost.to_bits());
-    // The curvature by hand, of N / 2 ln(r'r / N).
+    // Curvature of N / 2 ln(r'r / N), computed by hand.
     let half = |g: f64| 20.0 * (calibration.cost(&[g, 0.7], &RunContext::new()).unwrap() / 40.0).ln();
     let h = 0.3 * error(&expected);
     let g = expected.x[0];
@@ -382,7 +382,7 @@ fn preflight_reports_problems_of_the_start() {
         found.findings.len() == 1 && found.findings[0].sentence.starts_with("e moves no output"),
         "{found}"
     );
-    // h falls with g t^2 / 2; the size of g is the width of its bounds.
+    // h decreases by g t^2 / 2; the size of g is the width of its bounds.
     let by_g = time.iter().map(|t| (0.5 * t * t).powi(2)).sum::<f64>() / 40.0;
     near(found.parameters[1].sensitivity.unwrap(), 10.0 * by_g.sqrt() / (0.5 * 9.81 * 0.39 * 0.39), 1e-3);
     assert_eq!((found.expected_evaluations, found.n_simulations), (36, 4));
@@ -406,7 +406,7 @@ fn preflight_reports_pairs_confounded_at_the_start() {
 
 #[test]
 fn preflight_correlation_is_independent_of_step_direction() {
-    // h = h0 + v t + g t^2 / 2: more v is made up for by less g.
+    // h = h0 + v t + g t^2 / 2, so a larger v is compensated by a smaller g.
     let time: Vec<f64> = (0..40).map(|k| 0.01 * f64::from(k)).collect();
     let h: Vec<f64> = time.iter().map(|t| 1.0 + t - 0.5 * 9.81 * t * t).collect();
     for (lower, upper) in [(-10.0, -1.0), (-15.0, -8.9)] {
@@ -438,7 +438,7 @@ fn parameter_known_only_from_prior_is_reported() {
 
 #[test]
 fn noise_free_data_cause_one_note_and_no_pairs() {
-    // h = h0 + v t in steps that round, and a pair of parameters that share no output.
+    // h = h0 + v t in steps that round, and two parameters without a common output.
     let time: Vec<f64> = (0..30).map(|k| 0.1 * f64::from(k)).collect();
     let h = time.iter().map(|t| 10.0 + 2.0 * t).collect();
     let ball = Calibration::builder(open("bouncing_ball"))

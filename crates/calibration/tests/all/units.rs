@@ -1,4 +1,4 @@
-//! Columns with units: converted to those of the model's variables, or refused.
+//! Columns with units, which are converted to the units of the variables or rejected.
 
 #![allow(clippy::unwrap_used)]
 
@@ -7,7 +7,8 @@ use calibration::{Calibration, CalibrationError, Data, Experiment, FitOptions, P
 use example_models::example_fmu;
 use fmi::Fmu;
 
-/// The quadruple tank with its levels in columns of these names, which are recorded in the unit that is 1 m / `per_metre`.
+/// The quadruple tank with its levels in columns of these names. The levels are recorded in a unit of 1 m /
+/// `per_metre`.
 fn tank(names: [&str; 2], per_metre: f64, voltages: (&str, f64)) -> Result<Calibration, CalibrationError> {
     let time: Vec<f64> = (0..31).map(f64::from).collect();
     let level = |k: f64| time.iter().map(|t| (k - 1e-4 * t) * per_metre).collect::<Vec<f64>>();
@@ -39,7 +40,7 @@ fn columns_are_converted_to_the_units_of_the_model() {
         (["x1[cm]", "x2 [cm]"], 1e2, ("u (V)", 5.0)),
     ] {
         let calibration = tank(names, per_metre, voltages).unwrap();
-        // Only that they were converted is said, and only by a note: brackets may mean something else.
+        // Only the conversion is reported, and only as a note, because brackets may have another meaning.
         let said: Vec<String> = calibration.warnings().iter().map(ToString::to_string).collect();
         assert!(calibration.warnings().iter().all(|w| w.severity() == Severity::Note), "{said:?}");
         let converted = "by the units that the columns state: 'x1 [mm]' from mm to m, 'x2 (mm)' from mm to m, 'u [mV]' from mV to V";
@@ -53,7 +54,7 @@ fn columns_are_converted_to_the_units_of_the_model() {
         assert!((cost - expected).abs() <= 1e-12 * expected, "{names:?}: {cost} {expected}");
         let data = calibration.problem().experiments[0].data();
         assert_eq!(data.unit(names[0]), Some("m"));
-        // What is stored is converted, and is not converted again.
+        // The stored problem is converted already and is not converted again.
         let again =
             Calibration::from_problem(calibration.fmu().clone(), calibration.problem().clone()).unwrap();
         assert_eq!(again.problem(), calibration.problem());

@@ -55,12 +55,13 @@ fn validation_window_keeps_its_history() {
     assert_eq!((output.times[0], output.times[10], output.residuals.len()), (2.0, 3.0, 11));
     assert!((output.simulated()[0] - x0 * f64::exp(-2.0)).abs() < 1e-6);
     assert_eq!((validation.n_simulations, validation.stats.accepted_steps > 0), (2, true));
-    // The window that was fitted: the numbers of the fit.
+    // The window of the fit gives the numbers of the fit.
     let again =
         calibration.validate(&fit, &ValidationSet::Windows(vec![(0.0, 1.0)]), &RunContext::new()).unwrap();
     assert_eq!((again.rms, again.scaled_rms()), (fit.rms, fit.scaled_rms()));
     assert_eq!(again.outputs[0].fit, fit.outputs[0]);
-    // Which is said, as it is of a part of it, and of the recording given once more; of another one nothing is.
+    // A warning reports this, also for a part of the window and for the same recording given again. There is
+    // no warning for another window.
     assert!(validation.findings.is_empty() && again.findings[0].severity == Severity::Warning, "{again}");
     assert!(
         again.to_string().contains("\nwarning  run1: x: the fit has seen 11 of these 11 measurements"),
@@ -85,7 +86,7 @@ fn validation_window_keeps_its_history() {
 fn local_parameters_are_fitted_to_other_recordings() {
     let (calibration, fit) = fitted(vec![experiment(2.0, 1.0), experiment(2.0, 3.0)], true);
     assert_eq!(fit.names, ["k", "x[run1]", "x[run2]"]);
-    // The first other recording has the name that one of the fit has: its start is its own all the same.
+    // The first other recording has the same name as one in the fit, but it has a separate start.
     let others = vec![experiment(2.0, 5.0).start_value("x", 4.0), experiment(2.2, 2.0).named("colder")];
     let validation =
         calibration.validate(&fit, &ValidationSet::Experiments(others), &RunContext::new()).unwrap();

@@ -1,4 +1,4 @@
-//! Fits within bounds from just above the best value to absurdly wide ones.
+//! Fits with bounds from just above the best value to extremely wide.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use calibration::{Calibration, Data, Experiment, Fit, FitOptions, Parameter, Scale};

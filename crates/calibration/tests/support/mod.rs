@@ -7,7 +7,7 @@ use fmi::Fmu;
 use std::path::Path;
 use std::process::Command;
 
-/// x' = -k x with these faults (see the source).
+/// Compiles x' = -k x with these faults (see the source).
 pub(crate) fn faulty(defines: &[&str]) -> tempfile::TempDir {
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fmi");
     let folder = tempfile::tempdir().unwrap();

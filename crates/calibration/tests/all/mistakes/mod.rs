@@ -1,4 +1,4 @@
-//! Fits of setups with one mistake each name it, and sound ones are not accused of any.
+//! Setups with one mistake are reported, and sound setups cause no findings.
 
 #![allow(clippy::unwrap_used)]
 
@@ -17,7 +17,7 @@ fn open(model: &str) -> Fmu {
     Fmu::open(example_fmu(model).unwrap()).unwrap()
 }
 
-/// A pseudo-random number from -1 to 1.
+/// Returns a pseudo-random number from -1 to 1.
 fn noise(k: usize) -> f64 {
     2.0 * ((12.9898 * (k as f64 + 1.0)).sin() * 43_758.547).fract().abs() - 1.0
 }
@@ -39,7 +39,7 @@ fn k() -> Parameter {
     Parameter::new("k", 1.5).bounds(0.1, 10.0)
 }
 
-/// Of x' = -k x with x(0) = 1.
+/// x' = -k x with x(0) = 1.
 fn calibration(
     experiments: Vec<Experiment>,
     parameter: Parameter,

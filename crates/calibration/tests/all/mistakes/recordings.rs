@@ -35,7 +35,7 @@ fn times_of_sound_setups_cause_no_findings() {
     for k in 0..100 {
         let rate_of = 10f64.powf(-2.0 + 2.0 * dice(7 * k));
         let n = 20 + (150.0 * dice(7 * k + 1)) as usize;
-        // A third of them by the second, from 0 or 1 on.
+        // A third of them have times in seconds, starting at 0 or 1.
         let interval = if k % 3 == 0 { 1.0 } else { (1.0 + 4.0 * dice(7 * k + 2)) / rate_of / n as f64 };
         let start = rate_of * 10f64.powf(2.0 * dice(7 * k + 3) - 1.0);
         let first = if k % 6 == 0 { 1.0 } else { 0.0 };
@@ -71,7 +71,7 @@ fn column_used_as_input_and_output_is_reported() {
     assert!(!warns(&tank("u1").check().findings, said));
 }
 
-/// The recording of the quadruple tank with a change of its columns, whose names may change, too.
+/// The recording of the quadruple tank with changed columns and, optionally, changed names.
 fn changed_tank(change: impl Fn(&str, &mut Vec<f64>) -> String) -> Calibration {
     let data = example("quad_tank", 1.0);
     let column = |name: &str| {

@@ -1,4 +1,4 @@
-//! Mistakes that the residuals of a fit show.
+//! Mistakes that are visible in the residuals of a fit.
 
 use super::{calibration, decay, fitted, k, noise, open, recording, sound, times, warnings, warns};
 use calibration::dfo::{Limits, Loss, RobustLoss, RunOptions};
@@ -14,7 +14,7 @@ fn fitted_as(experiment: Experiment, options: FitOptions<'_>) -> Fit {
 
 #[test]
 fn outputs_missed_by_a_fit_are_reported() {
-    // The sign of the column is wrong; so is the column.
+    // First the column has the wrong sign; then it is the wrong column.
     let t = times(61, 0.05);
     let mirrored = decay(&t, 2.0, 1e-3).iter().map(|x| -x).collect();
     let fit = fitted(recording(&t, mirrored), k());
@@ -30,7 +30,7 @@ fn outputs_missed_by_a_fit_are_reported() {
 
 #[test]
 fn recording_at_rest_does_not_make_a_fit_unusable() {
-    // Of the last part of the decay a constant is a better model than one with a small offset.
+    // For the last part of the decay, a constant is a better model than one with a small offset.
     let (t, late) = (times(61, 0.05), times(161, 0.05));
     let rest = late.iter().map(|t| if *t < 5.0 { f64::NAN } else { (-2.0 * t).exp() + 2e-4 }).collect();
     let (moving, rest) = (recording(&t, decay(&t, 2.0, 1e-3)), recording(&late, rest));
@@ -39,13 +39,13 @@ fn recording_at_rest_does_not_make_a_fit_unusable() {
     assert!(fit.is_usable(), "{fit}");
     let found = fit.findings();
     assert!(warns(&found, "run2: output 'x' (column 'x'): the fit is worse than a constant"), "{fit}");
-    // Alone it is one.
+    // Without other recordings, the fit is unusable.
     assert!(!fitted(rest, k()).is_usable());
 }
 
 #[test]
 fn causes_are_listed_before_other_findings() {
-    // 0 degC is 273.15 K: the parameter goes to its bound, and nothing is explained.
+    // 0 degC is 273.15 K: the parameter moves to its bound, and nothing is explained.
     let t = times(61, 0.05);
     let fit = fitted(recording(&t, decay(&t, 2.0, 1e-3).iter().map(|x| x + 273.15).collect()), k());
     let origins: Vec<Origin> =
@@ -56,7 +56,7 @@ fn causes_are_listed_before_other_findings() {
     assert!(first_note.is_none_or(|k| fit.findings()[k..].iter().all(|f| f.severity == Severity::Note)));
 }
 
-/// A bouncing ball with the restitution 0.7, recorded with noise, and fitted from another.
+/// A bouncing ball with restitution 0.7, recorded with noise, and fitted from another value.
 fn ball(output: &str, size: f64, start: f64) -> Fit {
     let t = times(301, 0.01);
     let options = SimulateOptions::new().times(t.clone()).outputs([output]).start_value("e", 0.7);
@@ -74,7 +74,8 @@ fn ball(output: &str, size: f64, start: f64) -> Fit {
 #[test]
 fn rough_cost_is_reported_for_local_search() {
     let said = "the cost is not smooth here";
-    // The height is smooth, the velocity jumps at impacts: a local search ends where a jump meets a row.
+    // The height is smooth, but the velocity jumps at impacts. A local search ends where a jump reaches a
+    // row.
     for start in [0.6, 0.699, 0.8] {
         let fit = ball("h", 1e-2, start);
         assert!((fit.x[0] - 0.7).abs() < 1e-2 && !warns(&fit.findings(), said), "{fit}");
@@ -82,11 +83,11 @@ fn rough_cost_is_reported_for_local_search() {
     let near = ball("v", 5e-2, 0.7);
     assert!((near.x[0] - 0.7).abs() < 1e-3 && !warns(&near.findings(), said), "{near}");
     let far = ball("v", 5e-2, 0.6);
-    // Twenty times as far off as the search from next to the minimum.
+    // The result is at least twenty times farther from the true value than after a start at the true value.
     assert!((far.x[0] - 0.7).abs() > 0.02 && !far.is_usable(), "{far}");
     let errors: Vec<_> = far.findings().into_iter().filter(|f| f.severity == Severity::Error).collect();
     assert!(errors.len() == 1 && errors[0].sentence.starts_with(said), "{far}");
-    // What does not hold is not printed.
+    // Unreliable standard errors are not printed.
     let printed = far.to_string();
     assert!(printed.contains("Standard errors: none that can be relied on."), "{far}");
     let mut values = printed.lines().filter(|line| line.starts_with("  ") && line.contains("  -> "));
@@ -107,7 +108,8 @@ fn outliers_are_reported_and_a_used_loss_is_not_proposed() {
     let said = "a robust loss counts them less";
     let plain = calibration.fit(FitOptions::default()).unwrap();
     assert!(warns(&plain.findings(), said), "{plain}");
-    // A part of the recording that the model does not follow is no matter of the loss, nor is a wrong model: one that settles at 0.
+    // A loss does not help with a part of the recording that the model does not follow, or with a wrong model
+    // such as one that settles at 0.
     assert!(!warns(&together.findings(), said) && !together.findings().is_empty(), "{together}");
     let offset = decay(&t, 2.0, 1e-3)
         .iter()
@@ -127,8 +129,7 @@ fn outliers_are_reported_and_a_used_loss_is_not_proposed() {
     assert!(!fit.to_string().contains("outliers"), "{fit}");
 }
 
-/// What the model leaves out is said of the residuals, whatever the cost is and with or without standard
-/// errors.
+/// Systematic residuals are reported for every cost, with and without standard errors.
 #[test]
 fn residuals_are_checked_with_every_cost_and_without_covariance() {
     let t = times(101, 0.05);
@@ -158,7 +159,7 @@ fn residuals_are_checked_with_every_cost_and_without_covariance() {
             assert!(warnings(&fit.findings()).is_empty(), "{name}: {fit}");
         }
     }
-    // Nothing is said of a search that was ended, nor of simulations that reproduce the measurements.
+    // Nothing is reported for an interrupted search, or if simulations reproduce the measurements.
     let without = || FitOptions { uncertainty: None, ..FitOptions::default() };
     let limits = Limits { max_evaluations: Some(2), ..Limits::default() };
     let ended = FitOptions { run: RunOptions { limits, ..FitOptions::default_run() }, ..without() };
@@ -185,7 +186,7 @@ fn residuals_are_compared_with_noise_declared_by_weights() {
     for sound in [plain(1.0 / sigma), plain(0.9 / sigma), plain(1.05 / sigma), plain(1.0)] {
         assert!(sound.is_empty(), "{sound:?}");
     }
-    // Rows that count and rows that do not state no noise.
+    // Weights of 0 and 1 do not declare noise.
     let chosen: Vec<f64> = (0..201).map(|k| f64::from(k % 2)).collect();
     assert!(findings(Weight::Rows(chosen.into()), &|_| 0.0).is_empty());
     for (factor, said) in [(3.0, "larger than stated"), (0.2, "smaller than stated"), (100.0, "larger")] {
@@ -193,7 +194,7 @@ fn residuals_are_compared_with_noise_declared_by_weights() {
         assert!(found.len() == 1 && found[0].starts_with("note: noise of x: "), "{found:?}");
         assert!(found[0].contains(said), "{found:?}");
     }
-    // Something fast that the model leaves out, of which no autocorrelation tells.
+    // The model omits a fast effect that no autocorrelation shows.
     let said = findings((1.0 / sigma).into(), &|t| 0.03 * (80.0 * t).sin());
     assert!(said.len() == 1 && said[0].contains("the model leaves out something"), "{said:?}");
 }
@@ -228,13 +229,13 @@ fn zero_offset_few_rows_and_loss_are_reported_correctly() {
     };
     let zero = || Parameter::new("zero", 0.0).bounds(-0.5, 0.5).offset_of("x");
     let plain = RobustLoss::default();
-    // Zero is a good value of it, whatever part of that its error is.
+    // Zero is a usual value of the offset, so its relative error is not reported.
     let fit = with(sound(1e-2), zero(), plain);
     assert!(!fit.to_string().contains("the standard error of zero"), "{fit}");
     let t = times(3, 0.5);
     let few = with(recording(&t, decay(&t, 2.0, 1e-2)), zero(), plain);
     assert!(few.to_string().contains("Standard errors, with 1 degree of freedom: k"), "{few}");
-    // The RMS is that of the differences, whatever they count.
+    // The RMS uses the differences without the loss.
     let robust = with(sound(1e-1), zero(), RobustLoss::new(Loss::SoftL1, 1e-2).unwrap());
     let residuals = &robust.uncertainty.as_ref().unwrap().residuals;
     let rms = (residuals.iter().map(|r| r * r).sum::<f64>() / residuals.len() as f64).sqrt();

@@ -13,11 +13,12 @@ use std::time::Duration;
 #[test]
 fn large_fixed_step_is_compared_with_half_the_step() {
     let settings = |method, step| RunSettings { method, step_size: Some(step), ..RunSettings::default() };
-    // One step of Euler's method multiplies with 1 - k h instead of exp(-k h): it is right with k = (1 - exp(-0.5)) / 0.25 = 1.574.
+    // One step of Euler's method multiplies by 1 - k h instead of exp(-k h).
+    // It is exact for k = (1 - exp(-0.5)) / 0.25 = 1.574.
     let coarse = calibration(vec![sound(1e-3)], k(), settings(Method::Euler, 0.25));
     let check = coarse.check();
     assert!(warns(&check.findings, "half the step of the solver 'euler' changes 'x'"), "{check}");
-    // At the start, and with half the step.
+    // The start is simulated twice: as given, and with half the step.
     assert_eq!(check.n_evaluations, 2);
     let preflight = coarse.preflight(&calibration::PreflightOptions::default(), &RunContext::new()).unwrap();
     assert!(
@@ -25,12 +26,12 @@ fn large_fixed_step_is_compared_with_half_the_step() {
             && preflight.to_string().contains("with half the step\n         -> give a smaller")
     );
     assert!(preflight.parameters[0].has_effect);
-    // A search that is long enough for one more simulation.
+    // The search is long enough for one more simulation.
     let run = dfo::RunOptions { method: dfo::NelderMead::default().into(), ..FitOptions::default_run() };
     let fit = coarse.fit(FitOptions { preflight: true, run, ..FitOptions::default() }).unwrap();
     assert!(fit.report.is_success() && (fit.x[0] - 1.6).abs() < 0.1, "{fit}");
     assert!(warns(&fit.findings(), "with half the step"), "{fit}");
-    // The error of a fixed step is no noise, and no reason to end early.
+    // The error of a fixed step is not noise, and no reason to end early.
     assert!(!fit.to_string().contains("f_tol was raised"), "{fit}");
     let mae =
         || FitOptions { objective: calibration::CostKind::of_name("mae").unwrap(), ..FitOptions::default() };
@@ -60,7 +61,7 @@ fn contradicted_priors_are_reported() {
         let fit = with_prior(sd, 3.0, 1.0, NoiseRule::Auto);
         assert!((fit.x[0] - wins).abs() < 0.1 && warns(&fit.findings(), said), "{sd}: {fit}");
     }
-    // The noise has an sd of 0.0058.
+    // The standard deviation of the noise is 0.0058.
     let fit = with_prior(0.5, 2.0, 1.0, NoiseRule::Auto);
     assert!(warnings(&fit.findings()).is_empty(), "{fit}");
     let fit = with_prior(0.5, 2.0, 170.0, NoiseRule::Auto);
@@ -90,10 +91,10 @@ fn starts_far_from_model_values_are_reported() {
     };
     let far = check(Parameter::new("k", 2e3).bounds(1.0, 1e4));
     assert!(warns(&far.findings, "start 2000 is 2000 times the model's own value 1"), "{far}");
-    // A start that the fit has left is none any more.
+    // A start that the fit has left is not reported any more.
     let fit = fitted(sound(1e-3), Parameter::new("k", 1e-3).bounds(1e-4, 10.0).scale(Scale::Log));
     assert!((fit.x[0] - 2.0).abs() < 0.01 && !warns(&fit.findings(), "the model's own value"), "{fit}");
-    // A start value in degC.
+    // The start value is in degC.
     let t = times(60, 2.0);
     let outlet = t.iter().map(|t| 300.0 + 0.1 * t).collect();
     let data = Data::from_columns(t, [("T_out".to_owned(), outlet)]).unwrap();
@@ -118,7 +119,7 @@ fn starts_far_from_model_values_are_reported() {
 
 #[test]
 fn search_ended_before_minimum_is_reported() {
-    // Both outputs, of which one hardly counts, far from the minimum.
+    // There are two outputs, far from the minimum; one of them hardly counts.
     let t = times(61, 0.05);
     let slope = t.iter().enumerate().map(|(k, t)| -2.0 * (-2.0 * t).exp() + 1e-3 * noise(k)).collect();
     let columns = [("x".to_owned(), decay(&t, 2.0, 1e-3)), ("slope".to_owned(), slope)];
@@ -142,7 +143,7 @@ fn search_ended_before_minimum_is_reported() {
     let fit = calibration.fit(FitOptions::default()).unwrap();
     assert_eq!(fit.uncertainty.as_ref().unwrap().left_to_gain, 0.0, "{fit}");
     assert!(fit.is_success(), "{fit}");
-    // A search that is satisfied too early is no success, whatever its own tests say.
+    // A search with loose tolerances is not a success, even if its own criteria are met.
     let tolerances =
         Tolerances { x_tol: 0.5, f_tol: 1e-4, measure: ToleranceMeasure::Relative, stop: StopRule::Any };
     let method = calibration::dfo::NelderMead::default().into();
