@@ -1,8 +1,8 @@
 //! A page to watch a running fit, served on this machine only.
 //!
-//! It is part of this crate because both the command line and the Python module show it, and because its
-//! figures are those of the report. `request` and `response` implement HTTP, `server` listens, and `page`
-//! checks access and routes requests.
+//! It is part of this crate because the command line and the Python module both show it. It also shares its
+//! figures with the report. `request` and `response` implement HTTP, `server` listens, and `page` checks
+//! access and routes requests.
 
 mod page;
 mod request;
@@ -84,7 +84,7 @@ impl LivePage {
     }
 
     /// Shows the report of the fit from now on, see [`Calibration::report`]. If the button that ends the fit
-    /// was pressed, nothing is simulated for the report. The responses are then those of the search, at the
+    /// was pressed, nothing is simulated for the report. The responses then come from the search, at the
     /// measured times.
     ///
     /// # Errors

@@ -1,8 +1,8 @@
 //! The server: a thread that listens on the loopback address, and one thread for each connection. These
 //! threads never wait for the fit, and the fit never waits for them.
 //!
-//! Requests are parsed by httparse. Existing servers without an asynchronous runtime (tiny_http and servers
-//! based on it) limit neither the size of a header nor the time of a client.
+//! Requests are parsed by httparse. Existing servers without an asynchronous runtime are tiny_http and
+//! servers based on it. They limit neither the size of a header nor the time of a client.
 
 use super::page::Page;
 use super::request;

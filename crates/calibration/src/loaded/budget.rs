@@ -1,8 +1,8 @@
 //! Budget of the simulations before and after the search of a fit.
 
 /// Maximum share of additional simulations in the evaluations of a search. The share of right-hand sides is
-/// below 0.3, even if simulations of the result need more of them than others and the reset tests of
-/// instances are included (`benches/whole_fits.md`).
+/// below 0.3 (`benches/whole_fits.md`). This includes the reset tests of instances, and results whose
+/// simulations need more right-hand sides than others.
 const SHARE: f64 = 0.25;
 /// Maximum number of additional simulations. The reset tests add less than half a simulation, so the total is
 /// below 4.

@@ -25,8 +25,8 @@ use std::ops::ControlFlow;
 ///
 /// The cost is the sum of the squared weighted residuals, simulated minus measured, over all experiments,
 /// outputs and measured times. It contains neither 1/N nor 1/2. The terms are added in the order of the
-/// residual vector. The cost at given parameters is therefore bit-for-bit identical on every worker, with or
-/// without residuals, with or without a cutoff, inside and outside a fit.
+/// residual vector. The cost at given parameters is therefore bit-for-bit identical on every worker, inside
+/// and outside a fit. It also does not depend on whether residuals are requested or a cutoff is set.
 #[derive(Debug)]
 pub struct Calibration {
     evaluator: LoadedProblem,
@@ -83,8 +83,8 @@ impl CalibrationBuilder {
     /// Checks the setup and loads the model. It does not simulate yet.
     ///
     /// # Errors
-    /// Returns an error if the setup is inconsistent: unknown names (the message lists the nearest names),
-    /// parameters that cannot be set, invalid bounds or data.
+    /// Returns an error for unknown names, parameters that cannot be set, and invalid bounds or data. For an
+    /// unknown name, the message lists the nearest names.
     pub fn build(self) -> Result<Calibration, CalibrationError> {
         let Self { fmu, experiments, parameters, settings } = self;
         let model = ModelFile::of(&fmu)?;
@@ -233,7 +233,7 @@ impl Calibration {
     }
 
     /// Returns the variables that are set in the model at `x`, with their values in the units of the model.
-    /// The simulation is that of the experiment with index `experiment`, from 0. Tied values are included;
+    /// The simulation belongs to the experiment with index `experiment`, from 0. Tied values are included;
     /// delays and offsets are not.
     ///
     /// # Panics
@@ -467,8 +467,8 @@ impl Calibration {
         self.identity.iter().map(|(name, value)| (name.as_str(), value.as_str()))
     }
 
-    /// Returns a hash of everything that a cost depends on, except the values of the parameters: the model,
-    /// data, settings, and targets of the parameters. Bounds and starts are not included.
+    /// Returns a hash of everything that a cost depends on, except the values of the parameters. It covers
+    /// the model, data, settings, and targets of the parameters. Bounds and starts are not included.
     pub(crate) fn problem_hash(&self) -> String {
         hash(self.tags())
     }

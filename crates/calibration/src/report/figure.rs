@@ -196,8 +196,8 @@ fn finite(points: &[Point]) -> Vec<Point> {
     points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite()).collect()
 }
 
-/// Returns the finite points as marks: all of them, or every k-th so that the scatter is preserved, plus the
-/// lowest and the highest point.
+/// Returns the finite points as marks. For many points, it returns every k-th, which preserves the scatter,
+/// and the lowest and the highest point.
 fn sampled(points: &[Point]) -> Vec<Point> {
     let finite = finite(points);
     let by_value = |a: &&Point, b: &&Point| a.1.total_cmp(&b.1);
@@ -209,8 +209,8 @@ fn sampled(points: &[Point]) -> Vec<Point> {
     marks
 }
 
-/// Returns the finite points of a line: all of them, or the lowest and the highest of each section so that no
-/// extreme is lost.
+/// Returns the finite points of a line. For many points, it returns the lowest and the highest of each
+/// section, so that no extreme is lost.
 fn thinned(points: &[Point]) -> Vec<Point> {
     let finite = finite(points);
     if finite.len() <= MOST {

@@ -43,10 +43,10 @@ const BENT: f64 = 0.1;
 const PART: f64 = 1.0 / 16.0;
 const TELLING: f64 = 0.3;
 
-/// Over the short step, a smooth model bends by a sixteenth as much. A model whose rows have kinks that the
-/// step crosses bends by a quarter as much, because the number of kinks grows with the step. The model is not
-/// smooth if the bend exceeds `STILL_BENT` of its previous value and `LEAST_BENT` of the change. A kink of a
-/// few rows at the best point itself stays below this limit.
+/// Over the short step, a smooth model bends by a sixteenth as much. If the step crosses kinks of the rows,
+/// the bend is a quarter as large, because the number of kinks grows with the step. The model is not smooth
+/// if the bend exceeds `STILL_BENT` of its previous value and `LEAST_BENT` of the change. A kink of a few
+/// rows at the best point itself stays below this limit.
 const STILL_BENT: f64 = 0.5;
 const LEAST_BENT: f64 = 0.4;
 
@@ -203,9 +203,9 @@ impl Center<'_> {
 
 impl Differences {
     /// Computes the differences. In a fit, it runs two simulations for each parameter, along the principal
-    /// axes of a first guess `jacobian` (m x p, with respect to the coordinates of the search). Without a
-    /// guess, it uses the axes of the parameters. It runs two more simulations for each combination whose
-    /// change is not above the noise, or whose residuals bend over the step.
+    /// axes of a first guess. The guess `jacobian` is m x p, with respect to the coordinates of the search.
+    /// Without a guess, it uses the axes of the parameters. It runs two more simulations for each combination
+    /// whose change is not above the noise, or whose residuals bend over the step.
     ///
     /// # Errors
     /// Returns an error if the work is cancelled or no simulation is possible any more. Returns `Ok(Err(..))`

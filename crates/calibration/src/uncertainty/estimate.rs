@@ -175,9 +175,9 @@ impl Calibration {
     ///
     /// The number of simulations is one for the accurate cost, plus two in each of two rounds for each
     /// parameter that is not held. The first round determines steps of about one standard error. Two more
-    /// simulations are run for each combination of parameters whose change is not above the noise of the
-    /// simulations, or whose residuals bend over the step. Simulations run in parallel. The context is
-    /// checked on the calling thread.
+    /// simulations are run for each combination of parameters whose change is below the simulation noise. The
+    /// same applies if the residuals bend over the step. Simulations run in parallel. The context is checked
+    /// on the calling thread.
     ///
     /// # Errors
     /// Returns an error if the number of values is wrong, or if simulations fail at the point or on both

@@ -9,7 +9,7 @@ pub(crate) struct Group {
     pub(crate) outputs: Vec<usize>,
     /// Ranges of consecutive rows whose weight is not zero.
     pub(crate) series: Vec<Range<usize>>,
-    /// Rows that simulations start from. Their residuals are zero, whatever the noise is.
+    /// Rows that simulations start from. Their residuals are zero for any noise.
     pub(crate) starts: Vec<usize>,
 }
 

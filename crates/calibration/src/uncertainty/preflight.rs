@@ -93,8 +93,8 @@ pub struct ParameterCheck {
     /// Value after the step; `None` if the parameter is fixed.
     pub moved_to: Option<f64>,
     /// Root mean square of the change of the residuals for a step of the parameter's size (see
-    /// [`Parameter::nominal`]), relative to the root mean square of the ranges of the measurements. `None` if
-    /// nothing was moved or the simulation failed.
+    /// [`Parameter::nominal`]). It is relative to the root mean square of the ranges of the measurements.
+    /// `None` if nothing was moved or the simulation failed.
     pub sensitivity: Option<f64>,
     /// True if the parameter changes an output by more than the simulation error.
     pub has_effect: bool,

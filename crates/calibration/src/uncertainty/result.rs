@@ -63,7 +63,7 @@ pub struct UncertaintyOptions {
     /// [holds](crate::FitOptions::held) are added.
     pub held: Vec<usize>,
     /// Loss function: the contribution of a residual to the cost; in a fit, the loss of the fit. With a
-    /// robust loss, the covariance is that of an M-estimator, `mean psi^2 / (mean psi')^2 (J'J)^-1` for each
+    /// robust loss, the covariance belongs to an M-estimator: `mean psi^2 / (mean psi')^2 (J'J)^-1` for each
     /// output (Huber, Robust Statistics, 1981, section 7.6).
     pub loss: RobustLoss,
     /// True if the cost is the [likelihood](crate::NamedCost::Likelihood), whose information weights each
@@ -118,14 +118,16 @@ pub struct Uncertainty {
     /// same.
     pub uncorrected_covariance: Option<Vec<f64>>,
     /// Autocorrelation rho at lag one that the covariance assumes for the residuals of each output of each
-    /// experiment, `s^2 rho^|i - j|`. The order is that of the residual vector. It is the autocorrelation of
-    /// the residuals, corrected for the part that the fit has removed. It is zero if it is not significant.
+    /// experiment, `s^2 rho^|i - j|`. The order is the order of the residual vector. It is the
+    /// autocorrelation of the residuals, corrected for the part that the fit has removed. It is zero if it is
+    /// not significant.
     pub autocorrelations: Vec<f64>,
-    /// Degrees of freedom of the quantile of Student's t for each parameter: twice the square of its variance
-    /// divided by the variance of that estimate (Satterthwaite, Biometrics Bulletin 2, 1946). With one
-    /// variance for all residuals, they are the [`degrees_of_freedom`](Self::degrees_of_freedom). They are
-    /// fewer if the variance is mostly from an output with few measurements, or if residuals are
-    /// autocorrelated. They are more if the variance is mostly from a prior.
+    /// Degrees of freedom of the quantile of Student's t for each parameter. They are twice the squared
+    /// variance of the parameter, divided by the variance of that estimate (Satterthwaite, Biometrics
+    /// Bulletin 2, 1946). With one variance for all residuals, they are the
+    /// [`degrees_of_freedom`](Self::degrees_of_freedom). They are fewer if the variance is mostly from an
+    /// output with few measurements, or if residuals are autocorrelated. They are more if the variance is
+    /// mostly from a prior.
     pub effective_degrees_of_freedom: Vec<f64>,
     /// Checks of the residuals of each output of each experiment, in the order of the residual vector.
     pub residual_checks: Vec<ResidualCheck>,

@@ -62,8 +62,8 @@ pub struct Fold {
     pub held_out: Vec<String>,
     /// Fit to the other recordings.
     pub fit: Fit,
-    /// Root mean square of the weighted residuals of the fitted recordings. It uses plain residuals whatever
-    /// the loss is, like the validation.
+    /// Root mean square of the weighted residuals of the fitted recordings. It uses plain residuals with
+    /// every loss, like the validation.
     pub fit_rms: f64,
     /// Validation of the fit on the recordings that were held out.
     pub validation: Validation,
@@ -94,8 +94,8 @@ impl Calibration {
     /// others are held, as in [`validate`](Self::validate).
     ///
     /// # Errors
-    /// Returns an error if there are fewer than two recordings, if the number of folds is invalid, if a fit
-    /// fails, or if the time limit ends before the first fold.
+    /// Returns an error if there are fewer than two recordings, the number of folds is invalid, or a fit
+    /// fails. Returns an error if the time limit expires before the first fold is complete.
     pub fn cross_validate(
         &self,
         options: &CrossValidationOptions,

@@ -32,7 +32,7 @@ pub enum ValidationSet {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Validation {
-    /// Names of the parameters. Local parameters are those of the validated recordings.
+    /// Names of the parameters. Local parameters belong to the validated recordings.
     pub names: Vec<String>,
     /// Values of the parameters.
     pub x: Vec<f64>,
@@ -119,7 +119,7 @@ impl Calibration {
     /// Simulates with the parameters of a fit of this calibration and compares with measurements that the fit
     /// has not used. Other recordings may have local parameters that the fit does not contain. These are
     /// first fitted to the recordings, from their start values there, with the same cost and loss while all
-    /// others are held. All RMS values use plain residuals, whatever the loss is.
+    /// others are held. All RMS values use plain residuals, with every loss.
     ///
     /// ```
     /// use calibration::{Calibration, Data, Experiment, FitOptions, Parameter, ValidationSet};

@@ -427,8 +427,8 @@ fn prior_counts_by_its_square_with_every_loss() {
             }
             assert!((fit.x[0] - low).abs() < 1e-4, "{kind:?} {mean}: {} {low}", fit.x[0]);
             let uncertainty = fit.uncertainty.as_ref().unwrap();
-            // The error is between that of prior and measurements together, and that of the measurements
-            // alone.
+            // The error is between the error with prior and measurements and the error with measurements
+            // only.
             let error = uncertainty.standard_errors[0];
             assert!((0.009..0.03).contains(&error), "{kind:?} {mean}: {error}");
             assert_eq!(uncertainty.autocorrelations, [0.0]);

@@ -19,9 +19,9 @@ use std::ops::Range;
 /// is then independent of the other.
 const CONFOUNDED: f64 = 0.9;
 
-/// Condition index of the Jacobian with columns of unit length above which a dependency among its columns is
-/// harmful, and the share of a parameter's variance that makes the parameter a part of it (Belsley, Kuh and
-/// Welsch, Regression Diagnostics, 1980, section 3.2).
+/// Condition index above which a dependency among the columns of the Jacobian is harmful. The columns have
+/// unit length. A parameter is part of the dependency if its share of variance exceeds the second constant
+/// (Belsley, Kuh and Welsch, Regression Diagnostics, 1980, section 3.2).
 const CONDITION_INDEX: f64 = 10.0;
 const VARIANCE_SHARE: f64 = 0.5;
 
@@ -128,7 +128,7 @@ impl Uncertainty {
         self.find_identifiable(&weighted, noise, differences.noise, free, sizes, context)
     }
 
-    /// Finds pairs with a high correlation that both move the same output. The correlation is that of
+    /// Finds pairs with a high correlation that both move the same output. The correlation assumes
     /// independent residuals, because similar effects do not depend on the noise.
     fn find_confounded(&mut self) {
         let n = self.n();

@@ -80,9 +80,9 @@ impl JointMatrices {
         satterthwaite(&VarianceEstimate { value: self.covariance[(i, i)], slopes }, &self.uncertainty)
     }
 
-    /// Scales the errors so that no variance is below that of another estimate. This is necessary because an
-    /// autoregression that describes a misfit leaves almost no variance for a parameter whose effect changes
-    /// sign from row to row.
+    /// Scales the errors so that no variance is below the variance of another estimate. This is necessary if
+    /// an autoregression describes a misfit. It then leaves almost no variance for a parameter whose effect
+    /// changes sign from row to row.
     pub(crate) fn raise_to(&mut self, least: &Self) {
         for k in 0..self.covariance.nrows() {
             let factor = (least.covariance[(k, k)] / self.covariance[(k, k)]).sqrt();

@@ -141,7 +141,7 @@ impl<'a> Moments<'a> {
     }
 
     /// Returns the transform of the autocorrelation of the only group. Returns `None` if its sum of products
-    /// is not significantly larger than that of independent residuals.
+    /// is not significantly larger than for independent residuals.
     pub(crate) fn autocorrelation(&self, context: &RunContext<'_>) -> Result<Option<f64>, CalibrationError> {
         let excess = |of: &Variances| self.found[1] - of.values[0] * of.components[0].means[1];
         let independent = self.variances(vec![0.0], context)?;

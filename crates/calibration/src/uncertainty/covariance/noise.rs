@@ -1,5 +1,5 @@
-//! Noise of the residuals: one variance and one autocorrelation for each group of outputs, estimated from the
-//! moments of the residuals of a fit, with the precision of the estimates.
+//! Noise of the residuals: one variance and one autocorrelation for each group of outputs. They are estimated
+//! from the moments of the residuals of a fit, together with their precision.
 
 use crate::error::CalibrationError;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
@@ -46,9 +46,9 @@ pub(crate) fn groups(
     groups.into_values().collect()
 }
 
-/// Returns the key of recordings that share a variance: recordings of a variable with the same constant
-/// weight, because the weight declares the size of the noise, and recordings with separate weights for their
-/// rows.
+/// Returns the key of recordings that share a variance. Recordings of a variable share it if they have the
+/// same constant weight, because the weight declares the size of the noise. All recordings with separate
+/// weights for their rows also share a variance.
 fn key(output: &OutputResiduals) -> (&str, Option<u64>) {
     let first = output.weights.first();
     let constant = first.filter(|first| output.weights.iter().all(|weight| weight == *first));
@@ -66,9 +66,10 @@ fn key(output: &OutputResiduals) -> (&str, Option<u64>) {
 pub(crate) struct Noise {
     /// Variance of each residual under the assumption of independence.
     pub(crate) variances: Vec<f64>,
-    /// Number of rows with separate noise, minus the trace of the projection onto the changes by the parameters
-    /// over these rows (Hastie and Tibshirani, Generalized Additive Models, 1990, section 3.5). A prior removes
-    /// no degree of freedom. The measurements lose degrees of freedom only for what they determine themselves.
+    /// Number of rows with separate noise, minus the trace of a projection over these rows. The projection is
+    /// onto the changes by the parameters (Hastie and Tibshirani, Generalized Additive Models, 1990, section
+    /// 3.5). A prior removes no degree of freedom. The measurements lose degrees of freedom only for what
+    /// they determine themselves.
     pub(crate) degrees_of_freedom: f64,
     /// Model with independent residuals.
     pub(crate) independent: NoiseModel,
@@ -116,10 +117,10 @@ impl Noise {
     /// the fit has removed. Unlike the restricted likelihood, this method does not assume that the columns of
     /// the Jacobian are free of noise. The columns contain noise if weights are computed from measurements.
     ///
-    /// A group is autocorrelated if its sum of products exceeds that of independent residuals by 1.96
+    /// A group is autocorrelated if its sum of products exceeds the sum of independent residuals by 1.96
     /// standard deviations. This is tested for residuals of one variance, and for residuals of any variances,
     /// `sum r_i^2 r_(i+1)^2` (Lo and MacKinlay, Rev. Financial Studies 1, 1988). The autocorrelation is at
-    /// most that of noise that lasts as long as the series, `exp(-1 / n)`; longer noise is an offset. It is
+    /// most `exp(-1 / n)`, for noise that lasts as long as the series. Longer noise is an offset. It is
     /// estimated from the residuals of the group without the changes by the parameters. Otherwise the effect
     /// of a prior, or of the noise of another group, would look like autocorrelation.
     ///
@@ -127,8 +128,8 @@ impl Noise {
     /// `cov(r'B r, r'C r) = 2 tr(B M S M C M S M)`. It uses the residuals of the whole fit, also for
     /// autocorrelations.
     ///
-    /// If the unbiased equations leave no variance for one of several groups, all groups get the variance
-    /// `r'r / n_g` times N divided by the degrees of freedom.
+    /// The unbiased equations may leave no variance for one of several groups. All groups then use the
+    /// variance `r'r / n_g` times N divided by the degrees of freedom.
     ///
     /// # Errors
     /// Returns [`CalibrationError::Cancelled`] if the context is over.
@@ -154,8 +155,8 @@ impl Noise {
         };
         let is_rounding: Vec<bool> = groups.iter().map(|g| g.outputs.iter().all(is_rounded)).collect();
         if !is_rounding.iter().all(|is| *is) {
-            // An output may be exact while others are not. A variance below that of rounding would
-            // be smaller than the rounding errors of the derivatives.
+            // An output may be exact while others are not. A variance below the variance of rounding would be
+            // smaller than the rounding errors of the derivatives.
             let least = |k: &usize| {
                 let output = &layout.outputs[*k];
                 working.roots[output.range.start].powi(2) * square_of_rounding(output)
@@ -380,9 +381,9 @@ mod tests {
 
     #[test]
     fn variances_of_groups_are_unbiased() {
-        // By symmetry, the values are the squares of the entries of M = I - X (X'X)^-1 X' in the
-        // blocks (0, 0), (0, 1) and (1, 1): [[3, -4, -1, 2], [-4, 7, -2, -1], [-1, -2, 7, -4], [2,
-        // -1, -4, 3]] / 10.
+        // By symmetry, the values are the squares of the entries of M = I - X (X'X)^-1 X' in the blocks (0, 0),
+        // (0, 1) and (1, 1):
+        // [[3, -4, -1, 2], [-4, 7, -2, -1], [-1, -2, 7, -4], [2, -1, -4, 3]] / 10.
         let residuals = [0.1, -0.2, 0.3, -0.1];
         let (pooled, _) = found(&layout(&[("y", 4)]), &residuals, &line(4), Estimator::Pooled, &[]);
         assert!(

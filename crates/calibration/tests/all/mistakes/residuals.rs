@@ -108,8 +108,8 @@ fn outliers_are_reported_and_a_used_loss_is_not_proposed() {
     let said = "a robust loss counts them less";
     let plain = calibration.fit(FitOptions::default()).unwrap();
     assert!(warns(&plain.findings(), said), "{plain}");
-    // A loss does not help with a part of the recording that the model does not follow, or with a wrong model
-    // such as one that settles at 0.
+    // A loss does not help if the model does not follow a part of the recording. It does not help with a
+    // wrong model either, such as one that settles at 0.
     assert!(!warns(&together.findings(), said) && !together.findings().is_empty(), "{together}");
     let offset = decay(&t, 2.0, 1e-3)
         .iter()
