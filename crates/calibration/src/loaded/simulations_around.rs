@@ -72,7 +72,7 @@ pub(crate) struct Simulations<'a> {
 }
 
 impl<'a> Simulations<'a> {
-    /// Prepares the model, unless that is done already.
+    /// Prepares the model, unless that is done already, and creates an empty record of simulations.
     pub(crate) fn new(
         calibration: &'a Calibration,
         loss: RobustLoss,

@@ -137,6 +137,7 @@ impl Calibration {
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     ///
+    /// # Errors
     /// Returns an error if:
     /// - windows or recordings are invalid,
     /// - local parameters must be fitted but the fit used a user-defined function,

@@ -74,7 +74,6 @@ impl Calibration {
     ///
     /// # Errors
     /// Returns [`CalibrationError::Cancelled`] if the context is over.
-    /// [`CalibrationError::Cancelled`].
     pub(crate) fn find_changes_by_starts(
         &self,
         starts: Vec<MeasuredStart>,
