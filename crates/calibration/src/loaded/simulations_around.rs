@@ -20,8 +20,8 @@ use std::time::Instant;
 /// Divisor of the relative tolerance in accurate simulations. The remaining error is a tenth.
 pub(crate) const ACCURATE: f64 = 10.0;
 
-/// Work of an accurate simulation, in simulations of a fit. A method of order 5 needs this many times more
-/// steps at a tenth of the tolerance.
+/// Work of an accurate simulation, in simulations of a fit. At a tenth of the tolerance, a method of order 5
+/// takes this many times as many steps.
 const PRICE_OF_ACCURATE: f64 = 1.6;
 
 /// Work of a simulation with half the step, in simulations of a fit.

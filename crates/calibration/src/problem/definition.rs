@@ -160,8 +160,7 @@ impl Problem {
         }
     }
 
-    /// Checks everything that the model description allows to check, and returns warnings about doubtful
-    /// parts.
+    /// Checks the problem against the model description and returns warnings about doubtful parts.
     pub(crate) fn check(
         &self,
         description: &ModelDescription,

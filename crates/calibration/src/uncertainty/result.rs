@@ -95,12 +95,12 @@ pub struct Uncertainty {
     /// interval](Self::confidence_intervals) is symmetric in the logarithm.
     pub is_log: Vec<bool>,
     /// Sizes for relative standard errors. The size is the absolute value of the parameter. If zero is
-    /// between the bounds, it is at least the size used by the search. If it is empty, the absolute values
-    /// are used.
+    /// between the bounds, it is at least the size used by the search. An empty vector selects the absolute
+    /// values.
     #[serde(default)]
     pub sizes: Vec<f64>,
     /// True for each parameter for which zero is a usual value. A relative standard error is then
-    /// meaningless. If it is empty, no parameter has this property.
+    /// meaningless. An empty vector means that no parameter has this property.
     #[serde(default)]
     pub is_about_zero: Vec<bool>,
     /// Covariance of the parameters, n x n, row by row, in the user's units. Autocorrelated residuals are
