@@ -1,12 +1,16 @@
-//! An explicit method while the system is not stiff, an implicit one while it is.
+//! Switches between an explicit method for non-stiff phases and an implicit method for stiff phases.
 //!
-//! What is stiff is found by trial: now and then Radau5 makes a few steps, and goes on if they advance more
-//! per right-hand side than those of the explicit method did. (That counts what matters. Estimates of
-//! eigenvalues do not: steps are held back by stability at one product with the step size where eigenvalues
-//! are real, at another one where they are imaginary, and at smaller ones where the tolerance is tight.) When
-//! to try is a question of cost alone: at once where the product of step size and eigenvalue, which the last
-//! two stages tell (E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section IV.2), stays at
-//! the end of the interval of stability; else when the right-hand sides since the last trial are worth it.
+//! Stiffness is determined by trial: Radau5 sometimes makes a few steps, and continues if they advance more
+//! per right-hand side than those of the explicit method did. This measures the cost directly. Estimates of
+//! eigenvalues do not: the product of step size and eigenvalue at which stability limits the step depends on
+//! the system. It differs between real and imaginary eigenvalues, and is smaller for tight tolerances.
+//!
+//! The time of a trial depends only on cost. A trial starts at once if the product of step size and
+//! eigenvalue
+//! stays at the end of the interval of stability. The last two stages give an estimate of the eigenvalue
+//! (E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section IV.2). Otherwise, a trial
+//! starts
+//! when the right-hand sides since the last trial justify its cost.
 
 use crate::error::Undetermined;
 use crate::explicit_rk::{Dop853, ExplicitRk};
@@ -16,44 +20,46 @@ use crate::stepper::{Attempt, Consistency, Equations, Properties, Stepper, Trial
 use crate::system::{CallError, CallResult, HybridSystem};
 use crate::tableau::Tsit5;
 
-/// Below this tolerance DOP853 is the explicit method, which takes fewer right-hand sides from there on
+/// Below this relative tolerance, DOP853 is the explicit method, because it then needs fewer right-hand sides
 /// (`benches/work_precision.md`).
 const TIGHT: f64 = 1e-7;
-/// From so many states on BDF takes over from Radau5 where the largest eigenvalue is real and the system is
-/// not linear: fewer right-hand sides and a fifth of the linear algebra for the same error. For linear
-/// systems Radau5 needs one iteration a step and is the better one (dense diffusion and advection of
-/// `--tuning` in `benches/auto.rs`: half the right-hand sides), as it is near the imaginary axis, where BDF
-/// of order 3 to 5 is not stable, and for small systems, whose Jacobians cost little.
+/// From this number of states, BDF replaces Radau5 if the largest eigenvalue is real and the system is
+/// nonlinear. BDF then needs fewer right-hand sides and a fifth of the linear algebra for the same error. For
+/// linear systems, Radau5 needs one iteration per step and is better (dense diffusion and advection of
+/// `--tuning` in `benches/auto.rs`: half the right-hand sides). Radau5 is also better near the imaginary
+/// axis,
+/// where BDF of order 3 to 5 is unstable, and for small systems, whose Jacobians are cheap.
 const LARGE: usize = 16;
-/// Below this product of step size and largest eigenvalue no explicit method is held back by its stability.
+/// If the product of step size and largest eigenvalue is below this, stability limits no explicit method.
 const FREE: f64 = 1.0;
-/// Steps at the limit of stability that make a trial; so many others in a row make them forgotten (6:
-/// dopri5.f of Hairer and Wanner, which has 15 for the former, because it then stops).
+/// Consecutive steps at the limit of stability that start a trial, and consecutive clean steps that reset
+/// their count (6: dopri5.f of Hairer and Wanner, which uses 15 for the former, because it then stops).
 const STIFF_STEPS: u32 = 2;
 const CLEAN_STEPS: u32 = 6;
-/// Right-hand sides that a trial is expected to waste, besides those of its Jacobian: four steps of Radau5,
-/// less what they advance. Trials after the first come after as many of the explicit method; each one that is
-/// lost makes the next one wait twice as long.
+/// Right-hand sides that a trial is expected to waste, in addition to those of its Jacobian: four steps of
+/// Radau5, less their advance. Trials after the first start after as many right-hand sides of the explicit
+/// method. Each trial that is lost doubles the wait for the next one.
 const WASTE: f64 = 30.0;
-/// Right-hand sides before the next trial, at first, as a multiple of those that a trial wastes. For DOP853
-/// once: its interpolant makes errors inside of steps where a fast component follows a slow one.
+/// Initial number of right-hand sides before the next trial, as a multiple of those that a trial wastes. For
+/// DOP853 the multiple is one, because its interpolant has errors inside steps if a fast component follows a
+/// slow one.
 const PATIENCE: f64 = 2.5;
-/// Right-hand sides of a Jacobian up to which the first trial does not wait: it bounds what a system that is
-/// not stiff can lose.
+/// Right-hand sides per Jacobian up to which the first trial starts without waiting. This bounds the loss for
+/// a non-stiff system.
 const AFFORDABLE: f64 = 100.0;
-/// A trial is won when so many more of its steps advanced more per right-hand side than less, and lost when
-/// so many more advanced less: the first ones must damp what the explicit method has left of fast parts, and
-/// then grow.
+/// A trial is won if this many more of its steps advanced more per right-hand side than advanced less. It is
+/// lost in the opposite case. The first steps must damp the fast components left by the explicit method,
+/// and then grow.
 const DECIDED: i32 = 4;
-/// So many steps in which the iterations of Newton's method contract by more than this tell that the system
-/// is not linear; of a linear one rounding leaves some 1e-8, the error of differences in the Jacobian.
+/// The system is nonlinear if the contraction of Newton's iterations exceeds `LINEAR` in this number of
+/// steps. For a linear system, rounding leaves about 1e-8, the error of a finite-difference Jacobian.
 const NONLINEAR_STEPS: u32 = 3;
 const LINEAR: f64 = 1e-6;
-/// The cosine between an eigenvector and its image, up to which its eigenvalue counts as real and negative.
+/// Largest cosine between an eigenvector and its image for which the eigenvalue counts as real and negative.
 const REAL: f64 = -0.9;
-/// Share of the past in the means of work and advance, per step.
+/// Weight of the past in the means of work and advance, per step.
 const FORGET: f64 = 0.9;
-/// So many steps of the explicit method after its return tell whether it was right.
+/// Number of steps of the explicit method after which its return is judged.
 const RETURN_STEPS: u32 = 8;
 
 /// The method in use.
@@ -71,54 +77,56 @@ pub(crate) struct Auto {
     dop853: ExplicitRk<16, Dop853>,
     radau5: Radau5,
     bdf: Bdf,
-    /// The explicit one of them that the tolerance asks for.
+    /// The explicit method chosen for the tolerance.
     explicit: Active,
     active: Active,
-    /// Radau5 has room for this system; BDF has.
+    /// True if Radau5 (or BDF) has allocated its work space for this system.
     radau5_has_begun: bool,
     bdf_has_begun: bool,
-    /// The system has a mass matrix: Radau5 alone, which no trial has to choose.
+    /// True if the system has a mass matrix. Radau5 is then used alone, without trials.
     only_radau5: bool,
-    /// Right-hand sides of a Jacobian, as far as they are known, and as many as its decompositions take where
-    /// they could do with far less.
+    /// Right-hand sides per Jacobian, as far as known. Includes the cost of decompositions that a sparse
+    /// decomposition would avoid.
     jacobian_cost: f64,
     hits: u32,
     clean: u32,
-    /// Right-hand sides of the step in the making, and since the last trial.
+    /// Right-hand sides of the current step, and since the last trial.
     work: u64,
     since_trial: f64,
     patience: f64,
     /// Means over the last steps of the explicit method.
     mean_work: f64,
     mean_advance: f64,
-    /// The method in use is on trial: so many steps in a row were better (or worse, below zero).
+    /// True if the method in use is on trial. `balance` is the number of better steps minus worse steps.
     on_trial: bool,
     balance: i32,
-    /// Steps of Radau5 that showed that the system is not linear.
+    /// Steps of Radau5 that showed the system to be nonlinear.
     nonlinear: u32,
-    /// The step size of the explicit method when the trial began.
+    /// Step size of the explicit method when the trial began.
     explicit_h: f64,
-    /// BDF takes over at the next step.
+    /// True if BDF is used from the next step.
     bdf_is_next: bool,
-    /// The share of a step of Radau5, of order 5, that the first one of BDF, of order 1, begins with.
+    /// Size of the first step of BDF (order 1) as a fraction of a step of Radau5 (order 5).
     first_share: f64,
-    /// Right-hand sides that the explicit method would have saved in the steps of Radau5 so far, by an
-    /// estimate, and how many times more they must be after returns that made things worse.
+    /// Estimate of the right-hand sides that the explicit method would have saved in the steps of Radau5 so
+    /// far.
+    /// `caution` multiplies the required number after returns that increased the cost.
     saved: f64,
     caution: f64,
-    /// Right-hand sides that Radau5 has saved since it took over, its trial included, by the same estimate.
+    /// Right-hand sides that Radau5 has saved since it was chosen, including its trial, by the same estimate.
     ledger: f64,
-    /// Means over the last steps of Radau5; their quotient when the explicit method returned, and its steps
-    /// since.
+    /// Means over the last steps of Radau5. `left_at` is their quotient when the explicit method returned,
+    /// and
+    /// `since_return` counts its steps since.
     radau5_work: f64,
     radau5_advance: f64,
     left_at: Option<f64>,
     since_return: u32,
-    /// The estimated largest eigenvalue, in modulus, of the last good step of the explicit method.
+    /// Estimate of the modulus of the largest eigenvalue in the last good step of the explicit method.
     rate: f64,
-    /// Its product with that step.
+    /// Product of `rate` and the size of that step.
     response: f64,
-    /// No trial has been decided yet in this run.
+    /// True if no trial has been decided yet in this run.
     is_first: bool,
 }
 
@@ -182,9 +190,9 @@ impl Auto {
         }
     }
 
-    /// Right-hand sides of a step of the explicit method, and the end of its interval of stability on the
-    /// negative axis, or a little less, where steps settle that only stability holds back (dopri5.f and
-    /// dop853.f: 3.25 and 6.1).
+    /// Returns the number of right-hand sides per step of the explicit method and its stability limit on the
+    /// negative real axis. The limit is slightly smaller than the exact one, because steps limited only by
+    /// stability settle there (dopri5.f and dop853.f: 3.25 and 6.1).
     fn stages_and_limit(&self) -> (f64, f64) {
         if self.explicit == Active::Tsit5 { (6.0, 3.25) } else { (12.0, 6.1) }
     }
@@ -193,7 +201,7 @@ impl Auto {
         self.active == self.explicit
     }
 
-    /// Starts to count anew.
+    /// Resets the counts.
     fn calm(&mut self) {
         self.hits = 0;
         self.clean = 0;
@@ -203,10 +211,10 @@ impl Auto {
         self.balance = 0;
     }
 
-    /// Lets Radau5 make the next steps, on trial, if it is time to.
+    /// Starts a trial of Radau5 if it is due.
     fn try_radau5(&mut self, equations: &mut Equations<'_>, h: f64) -> CallResult<()> {
-        // Of Tsit5 the first trial comes before it has excited fast oscillations within a crude tolerance, which Radau5 would
-        // have to follow.
+        // With Tsit5, the first trial comes early. Tsit5 with a loose tolerance would otherwise excite fast
+        // oscillations, which Radau5 would have to follow.
         let is_early = self.is_first && self.jacobian_cost <= AFFORDABLE && h * self.rate > FREE;
         let is_worth_it = self.since_trial >= self.patience * (self.jacobian_cost + WASTE);
         let is_due = is_early || (self.response > FREE && is_worth_it);
@@ -216,7 +224,7 @@ impl Auto {
         }
         if !self.radau5_has_begun {
             if self.radau5.begin(equations.system).is_err() {
-                // No room for its matrices: the explicit method goes on.
+                // Memory is insufficient for its matrices: the explicit method continues.
                 self.patience = f64::INFINITY;
                 self.is_first = false;
                 return Ok(());
@@ -239,7 +247,7 @@ impl Auto {
         Ok(())
     }
 
-    /// Back to the explicit method after a trial that was lost: the next one waits longer.
+    /// Returns to the explicit method after a lost trial. The next trial waits longer.
     fn give_up_trial(&mut self) {
         self.leave_radau5();
         if !std::mem::take(&mut self.is_first) {
@@ -247,7 +255,7 @@ impl Auto {
         }
     }
 
-    /// Back to the explicit method.
+    /// Returns to the explicit method.
     fn leave_radau5(&mut self) {
         let f = self.radau5.derivative();
         match self.explicit {
@@ -259,8 +267,8 @@ impl Auto {
         self.active = self.explicit;
     }
 
-    /// Where the explicit method advances less since its return than Radau5 did before, the next one must be
-    /// worth more.
+    /// Judges the last return to the explicit method. If it advances less than Radau5 did before, the next
+    /// return requires a larger saving.
     fn judge_return(&mut self) {
         if let Some(rate) = self.left_at.take() {
             let was_right = self.mean_advance >= rate * self.mean_work;
@@ -268,14 +276,16 @@ impl Auto {
         }
     }
 
-    /// Ratio of the steps of the explicit method to those of Radau5 where only the error test bounds either,
-    /// from the non-stiff problems of `benches/auto.rs` and an oscillator.
+    /// Ratio of step sizes, explicit method to Radau5, if only the error test limits both. From the non-stiff
+    /// problems of `benches/auto.rs` and an oscillator.
     fn reach(&self) -> f64 {
         if self.explicit == Active::Tsit5 { 1.5 } else { 3.0 }
     }
 
-    /// Counts a step of Radau5. Returns the right-hand sides that the explicit method would have saved (or
-    /// needed more, below zero), by the steps that its stability and the error test allow it.
+    /// Counts a step of Radau5. Returns the right-hand sides that the explicit method would have saved, or a
+    /// negative number if it would need more. The estimate uses the steps that its stability and the error
+    /// test
+    /// allow.
     fn enter(&mut self, work: f64, h: f64) -> f64 {
         let (stages, limit) = self.stages_and_limit();
         let saved = work - stages * (h * self.radau5.spectrum().0 / limit).max(1.0 / self.reach());
@@ -285,7 +295,7 @@ impl Auto {
         saved
     }
 
-    /// After an accepted step of the explicit method.
+    /// Updates the counts after an accepted step of the explicit method.
     fn watch_explicit(&mut self, work: f64, h: f64) {
         self.mean_work = FORGET * self.mean_work + work;
         self.mean_advance = FORGET * self.mean_advance + h;
@@ -305,12 +315,13 @@ impl Auto {
         }
     }
 
-    /// After an accepted step of Radau5 on trial; returns the step size to go on with.
+    /// Judges an accepted step of Radau5 on trial. Returns the next step size.
     fn judge(&mut self, work: f64, h: f64, proposed: f64) -> f64 {
         self.nonlinear += u32::from(self.radau5.contraction() > LINEAR);
         self.enter(work, h);
         let to_beat = if self.is_first {
-            // Its steps have not settled yet: the most that stability allows them.
+            // The steps of the explicit method have not settled yet, so the maximum that stability allows is
+            // used.
             let (stages, limit) = self.stages_and_limit();
             limit / (stages * self.radau5.spectrum().0)
         } else {
@@ -329,8 +340,7 @@ impl Auto {
         proposed
     }
 
-    /// After an accepted step of Radau5: is another method the better one? Returns the step size to go on
-    /// with.
+    /// Decides after an accepted step of Radau5 whether to change the method. Returns the next step size.
     fn watch_radau5(&mut self, work: f64, h: f64, proposed: f64) -> f64 {
         if self.only_radau5 {
             return proposed;
@@ -343,10 +353,11 @@ impl Auto {
                 return self.first_share * proposed;
             }
         }
-        // The right-hand sides that the explicit method would have saved. It takes over when they would have paid for coming back.
+        // The explicit method returns when the saved right-hand sides would have paid for another trial of
+        // Radau5.
         self.saved = (self.saved + self.enter(work, h)).max(0.0);
         if self.saved > self.caution * (self.jacobian_cost + WASTE) {
-            // What it cost to come here, and to find out that this phase is over, was more than it has brought.
+            // This use of Radau5 cost more than it saved.
             if self.ledger < 0.0 {
                 self.patience *= 2.0;
             }
@@ -448,7 +459,9 @@ impl Stepper for Auto {
         self.work += calls(equations) - before;
         let is_hopeless = matches!(attempt, Ok(Attempt::NotSolved { .. }) | Err(CallError::Discard));
         if self.on_trial && is_hopeless {
-            // Equations or a Jacobian that cannot be had here: the explicit method does without.
+            // The equations cannot be solved here, or the Jacobian cannot be evaluated. The explicit method
+            // needs
+            // neither.
             self.give_up_trial();
             return Ok(Attempt::NotSolved { h: self.explicit_h });
         }
@@ -487,7 +500,8 @@ impl Stepper for Auto {
     fn accept(&mut self, h: f64, theta: f64) -> f64 {
         let proposed = self.active_mut().accept(h, theta);
         let work = std::mem::take(&mut self.work) as f64;
-        // At an event the method goes on as it is: the right-hand side of the end of the step is not known.
+        // After an event, the method does not change, because the right-hand side at the end of the step is
+        // unknown.
         if theta < 1.0 {
             return proposed;
         }

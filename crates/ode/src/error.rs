@@ -1,4 +1,4 @@
-//! End of a run: normally ([`Termination`]) or with a [`SimulationError`].
+//! End of a run: a normal end ([`Termination`]) or a [`SimulationError`].
 
 use crate::stats::Stats;
 use base::Number;
@@ -11,9 +11,9 @@ use std::time::Duration;
 pub enum Termination {
     /// The final time was reached.
     Finished,
-    /// The model asked to end the simulation.
+    /// The model requested the end of the simulation.
     StoppedByModel,
-    /// The observer asked to stop.
+    /// The observer stopped the run.
     StoppedByObserver,
 }
 
@@ -28,130 +28,132 @@ pub struct Report {
     pub stats: Stats,
 }
 
-/// Why a run failed.
+/// Reason why a run failed.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum ErrorKind {
-    /// The span is not one: a bound that is not finite, or an end before the start of a system that cannot
-    /// run backward.
+    /// The span is invalid: a bound is not finite, or the end is before the start and the system cannot run
+    /// backward.
     Span {
         /// Start time.
         start: f64,
         /// Final time.
         end: f64,
     },
-    /// The requested sample times are not finite, not in the order of the integration, or outside of the
-    /// span.
+    /// The requested sample times are not finite, not in the order of the integration, or outside the span.
     SampleTimes {
         /// Position in the list.
         index: usize,
-        /// The time found there.
+        /// The time at this position.
         time: f64,
     },
-    /// A tolerance per state was given, but not as many as there are states.
+    /// The number of absolute tolerances differs from the number of states.
     ToleranceCount {
-        /// Tolerances given.
+        /// Number of tolerances given.
         given: usize,
-        /// States of the model.
+        /// Number of states of the model.
         states: usize,
     },
-    /// A state is zero, and so is its absolute tolerance: no error of it would be small enough.
+    /// A state and its absolute tolerance are both zero, so every error of this state would be too large.
     NoTolerance {
-        /// The state.
+        /// Index of the state.
         state: usize,
     },
-    /// The error test or a discarded point wanted a step below what the numbers can resolve.
+    /// The error test or a discarded point required a step below the resolution of the numbers.
     StepTooSmall {
-        /// The model refused the last point that was tried (discard, NaN or infinity).
+        /// True if the model refused the last point that was tried (discard, NaN or infinity).
         discarded: bool,
     },
-    /// The step asked for (that of a method with a fixed step, or the largest one) is not above what tells
-    /// two instants of this span apart.
+    /// The requested step cannot distinguish two instants of this span. It is the step of a fixed-step method
+    /// or the maximum step of an adaptive method.
     StepBelowRounding {
-        /// The step.
+        /// The requested step.
         step: f64,
-        /// It must be above this.
+        /// The step must be larger than this value.
         least: f64,
     },
-    /// The equations of an implicit method could not be solved, down to steps that mean nothing.
+    /// The equations of an implicit method could not be solved, even with the smallest meaningful step.
     NoConvergence,
-    /// The mass matrix has not one row and one column per state, or a number that is not finite.
+    /// The mass matrix does not have one row and one column per state, or contains a value that is not
+    /// finite.
     MassMatrix {
-        /// Entries given.
+        /// Number of entries given.
         given: usize,
-        /// States of the model.
+        /// Number of states of the model.
         states: usize,
     },
-    /// An implicit method needs dense matrices of as many rows as there are states, and there is no room for
+    /// An implicit method requires dense matrices with one row per state, and memory is insufficient for
     /// them.
     TooLargeForDense {
-        /// States of the model.
+        /// Number of states of the model.
         states: usize,
     },
-    /// The model has a mass matrix, which this method cannot take.
+    /// The model has a mass matrix, which this method does not support.
     MassMatrixNeedsImplicit,
-    /// The model is given by its residual, which only BDF takes.
+    /// The model is given by its residual, which only BDF supports.
     ResidualNeedsBdf,
-    /// The equations do not determine some of the states at the start: the index is above 1.
-    /// [`SimulationError::undetermined`] names them.
+    /// The equations do not determine some of the states at the start because the index is above 1.
+    /// [`SimulationError::undetermined`] contains these states.
     HigherIndex,
-    /// The equations of a singular mass matrix that have no derivative in them do not hold at the start or
-    /// after an event, and no states were found for which they do.
+    /// Equations of a singular mass matrix that contain no derivative do not hold at the start or after an
+    /// event, and no states were found for which they hold.
     Inconsistent {
-        /// The equation with the largest residual, seen against the tolerances of the states.
+        /// The equation with the largest residual relative to the tolerances of the states.
         equation: usize,
-        /// Its residual, not zero.
+        /// Its residual, which is not zero.
         residual: f64,
     },
-    /// A residual is not zero at the start or after an event, and no slopes (and values of what has no slope)
-    /// were found from those given for which it is.
+    /// A residual is not zero at the start or after an event. Starting from the given values, no slopes were
+    /// found that make it zero, nor values of the states without a slope.
     InconsistentSlopes {
-        /// The equation with the largest residual at the values given.
+        /// The equation with the largest residual at the given values.
         equation: usize,
         /// The residual.
         residual: f64,
-        /// `dF/dx'` has a smaller rank there than near them, so that it does not show which states have a
-        /// slope.
+        /// True if `dF/dx'` has a smaller rank at the given values than near them. It then does not show
+        /// which
+        /// states have a slope.
         is_singular: bool,
     },
     /// The model refused its own starting point (or the point right after an event), or a state or derivative
     /// is not finite there.
     DiscardedAtRestart,
-    /// More steps than allowed.
+    /// The limit on the number of steps was reached.
     TooManySteps(u64),
-    /// More events than allowed.
+    /// The limit on the number of events was reached.
     TooManyEvents(u64),
-    /// More right-hand sides than allowed.
+    /// The limit on the number of right-hand sides was reached.
     TooManyRightHandSides(u64),
-    /// The wall clock ran out.
+    /// The limit on the wall-clock time was reached.
     TimedOut(Duration),
-    /// Somebody set the cancel flag.
+    /// The cancel flag was set.
     Cancelled,
     /// State events follow each other without time advancing.
     Chattering {
         /// Number of events in a row.
         events: u64,
-        /// The span of time in which they happened.
+        /// Length of the time interval in which they happened.
         within: f64,
         /// The indicator that crossed last.
         indicator: usize,
     },
-    /// An event indicator came back to zero sooner after its event than instants can be told apart: its
-    /// events accumulate there (Zeno), and the solution behind would not be that of the model.
+    /// An event indicator returned to zero after its event in less time than the resolution of times. Its
+    /// events accumulate there (Zeno), and a solution after this point would not solve the model.
     EventsAccumulate {
         /// The indicator.
         indicator: usize,
     },
-    /// So many time events in a row announced the next one for the same instant, or for one a hair later.
+    /// This number of consecutive time events each announced the next one for the same instant or for one
+    /// only slightly later.
     TimeEventLoop(u64),
-    /// The model announced a time event that lies in the past.
+    /// The model announced a time event in the past.
     EventInThePast(f64),
     /// A call into the model failed.
     Model(Box<dyn std::error::Error + Send + Sync>),
 }
 
 impl ErrorKind {
-    /// The reason without the numbers that differ from run to run, so that failures of one sort can be
+    /// Returns the reason without the numbers that differ between runs, so that failures of one kind can be
     /// counted.
     pub fn summary(&self) -> String {
         match self {
@@ -195,7 +197,7 @@ impl ErrorKind {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Evaluated {
-    /// The states that the model has at its start or made in an event.
+    /// The states at the start of the model or after an event.
     State,
     /// The right-hand side.
     Derivative,
@@ -208,15 +210,15 @@ pub enum Evaluated {
 /// A value that is NaN or infinite.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NotFinite {
-    /// Of what.
+    /// Kind of the value.
     pub what: Evaluated,
     /// Its position, counted from zero.
     pub index: usize,
-    /// The value.
+    /// The value itself.
     pub value: f64,
-    /// The time it was evaluated at.
+    /// Time of the evaluation.
     pub time: f64,
-    /// Name in the model, where it was filled in by a caller that has the names.
+    /// Name in the model, if the caller knows the names and filled it in.
     pub name: Option<String>,
 }
 
@@ -228,7 +230,7 @@ impl NotFinite {
 }
 
 impl NotFinite {
-    /// What is not finite, without the time, so that failures of one sort can be counted.
+    /// Describes the value without the time, so that failures of one kind can be counted.
     pub fn summary(&self) -> String {
         let Self { what, index, value, name, .. } = self;
         let what = match what {
@@ -251,12 +253,15 @@ impl fmt::Display for NotFinite {
 /// States that the equations do not determine: the sign of a system of index 2 or higher.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Undetermined {
-    /// An equation without derivatives that does not determine the states it should, beside the others.
+    /// An equation without derivatives that, together with the others, does not determine the states it
+    /// should.
     pub equation: usize,
-    /// The states that are left without an equation.
+    /// The states that remain without an equation.
     pub states: Vec<usize>,
-    /// The largest pivot that is left for them in the Jacobian of the equations without derivatives, in which
-    /// 1 is the largest effect on an equation of a change of a state by its size; below 1e-6.
+    /// Largest pivot that remains for these states in the Jacobian of the equations without derivatives. The
+    /// Jacobian is scaled: 1 is the largest effect on an equation of changing a state by its size. The pivot
+    /// is
+    /// below 1e-6.
     pub pivot: f64,
 }
 
@@ -272,7 +277,7 @@ impl fmt::Display for Undetermined {
     }
 }
 
-/// There is no room for dense matrices of so many rows.
+/// Memory is insufficient for dense matrices with one row per state.
 #[derive(Debug)]
 pub(crate) struct TooLargeForDense {
     pub(crate) states: usize,
@@ -299,32 +304,33 @@ impl From<TooLargeForDense> for ErrorKind {
     }
 }
 
-/// A run that failed: why, where, and with which numbers.
+/// A failed run: the reason, the point of failure and the numbers at that point.
 #[derive(Debug)]
 pub struct SimulationError {
-    /// Why.
+    /// Reason of the failure.
     pub kind: ErrorKind,
     /// Time reached.
     pub time: f64,
-    /// Step size that was being tried.
+    /// Size of the step being tried.
     pub step: f64,
     /// State with the largest weighted error in the last rejected step.
     pub worst_state: Option<usize>,
     /// Time of the last event.
     pub last_event: Option<f64>,
-    /// The value that was not finite where the model could not be evaluated, if one was found.
+    /// The value that was not finite when the model could not be evaluated, if one was found.
     pub not_finite: Option<NotFinite>,
-    /// Where steps or consistent states of a differential-algebraic system failed: states that its equations
-    /// do not determine, which is so in systems of index 2 or higher.
+    /// States that the equations of a differential-algebraic system do not determine, which happens in
+    /// systems
+    /// of index 2 or higher. Determined if steps failed or no consistent states were found.
     pub undetermined: Option<Undetermined>,
-    /// Message of the system about the point that it refused, filled in by the maker of the system.
+    /// Message of the system about the point it refused. The caller that created the system fills it in.
     pub refusal: Option<String>,
-    /// Cost up to then.
+    /// Cost up to the failure.
     pub stats: Stats,
 }
 
 impl ErrorKind {
-    /// The whole message about a run that could not begin; `None`: it had begun.
+    /// Returns the whole message if the run could not start; `None` if it had started.
     fn before_the_run(&self) -> Option<String> {
         Some(match self {
             Self::Span { start, end } => {
@@ -361,7 +367,7 @@ impl ErrorKind {
 }
 
 impl SimulationError {
-    /// The beginning of the message about a run that had begun: why it ended, and when.
+    /// Returns the first part of the message of a run that had started: why and when it ended.
     fn end_of_the_run(&self) -> String {
         let (t, h) = (Number(self.time), Number(self.step));
         match &self.kind {

@@ -1,6 +1,6 @@
-//! An event-aware stepper for hybrid ordinary differential equations (state, time, step and input events).
+//! Event-aware integration of hybrid ordinary differential equations (state, time, step and input events).
 //!
-//! [`solve`], [`solve_dae`] and [`solve_second_order`] take closures and give a solution that is kept:
+//! [`solve`], [`solve_dae`] and [`solve_second_order`] accept closures and return a stored solution:
 //!
 //! ```
 //! let solution = ode::solve(|_, x, dx| dx[0] = -x[0], 0.0..1.0, &[1.0]).relative_tolerance(1e-9).run()?;
@@ -8,10 +8,10 @@
 //! # Ok::<(), ode::SolveError>(())
 //! ```
 //!
-//! A [`Driver`] integrates whatever is a [`HybridSystem`], and shows an [`Observer`] what it asks for.
+//! A [`Driver`] integrates any [`HybridSystem`] and reports samples, steps and events to an [`Observer`].
 //!
 //! The feature `sparse` (off by default) decomposes large Jacobians with few entries as sparse matrices.
-//! Without it they are dense.
+//! Without the feature, all Jacobians are decomposed as dense matrices.
 #![forbid(unsafe_code)]
 
 mod auto;

@@ -1,16 +1,16 @@
-//! Reports of the driver while it runs: samples and events. The observer may stop the run.
+//! Reports of the driver during a run: samples, steps and events. The observer may stop the run.
 
 use crate::system::EventCause;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::ops::ControlFlow;
 
-/// On which side of an instant a sample was taken.
+/// Side of an instant on which a sample was taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Side {
     /// The limit from the left: before the events of that instant.
     Left,
-    /// The value after the events of that instant, or a point where nothing happens.
+    /// The value after the events of that instant, or a value at a point without events.
     Right,
 }
 
@@ -21,7 +21,7 @@ pub struct Sample<'a> {
     pub time: f64,
     /// Position in the list of requested times; `None` for a row that only records an event.
     pub index: Option<usize>,
-    /// Left limit, or the value after everything that happens at this instant.
+    /// Left limit, or the value after all events of this instant.
     pub side: Side,
     /// The continuous states.
     pub states: &'a [f64],
@@ -38,8 +38,8 @@ pub struct EventRecord {
     pub cause: EventCause,
 }
 
-/// An accepted step, or the part of it before an event, to be looked into: between its ends the solution is
-/// as accurate as at them. What the methods interpolate with are polynomials in time of degree 7 at most.
+/// An accepted step, or its part before an event, for interpolation. Between its ends, the solution is as
+/// accurate as at the ends. The interpolants are polynomials in time of degree 7 or less.
 #[derive(Clone, Copy)]
 pub struct StepView<'a> {
     /// Time at its start.
@@ -54,8 +54,9 @@ impl<'a> StepView<'a> {
         Self { start, end, interpolate }
     }
 
-    /// Fills in the states at a time between [`start`](Self::start) and [`end`](Self::end) (the limit from
-    /// the left there, before any event). `states` has one place per state.
+    /// Fills in the states at a time between [`start`](Self::start) and [`end`](Self::end). At the end, fills
+    /// in
+    /// the left limit, before any event. `states` must have one element per state.
     pub fn states_at(&self, time: f64, states: &mut [f64]) {
         (self.interpolate)(time, states);
     }
@@ -69,33 +70,35 @@ impl fmt::Debug for StepView<'_> {
 
 /// Receives samples, in the order of time, and events.
 pub trait Observer {
-    /// A sample; `Break` ends the run (a normal end: [`Termination::StoppedByObserver`](crate::Termination)).
+    /// Receives a sample. `Break` ends the run, which is a normal end:
+    /// [`Termination::StoppedByObserver`](crate::Termination).
     fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()>;
 
-    /// True if [`step`](Self::step) is to be called with accepted steps. Methods whose interpolation costs
-    /// extra evaluations (DOP853) make them for every step then.
+    /// True if [`step`](Self::step) should be called for accepted steps. Methods whose interpolation needs
+    /// extra
+    /// evaluations (DOP853) then evaluate it for every step.
     fn wants_steps(&self) -> bool {
         false
     }
 
-    /// A step was accepted; told before the model is, and before any event at its end.
+    /// Receives an accepted step, before the model is notified and before any event at its end.
     fn step(&mut self, step: &StepView<'_>) {
         let _ = step;
     }
 
-    /// An event has been handled.
+    /// Receives an event that has been handled.
     fn event(&mut self, event: &EventRecord) {
         let _ = event;
     }
 
-    /// Asked before every trial step and every sample inside of a step; `Break` ends the run as for a sample.
-    /// For limits that do not wait for one.
+    /// Called before every trial step and before every sample inside a step. `Break` ends the run as for a
+    /// sample. Use this function for limits that must not wait for the next sample.
     fn poll(&mut self) -> ControlFlow<()> {
         ControlFlow::Continue(())
     }
 }
 
-/// Ignores everything: for runs whose final state alone matters.
+/// Ignores all reports, for runs of which only the final state matters.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Ignore;
 

@@ -1,4 +1,4 @@
-//! Options of a run: method, tolerances, limits. Checked once, when a driver is made.
+//! Options of a run: method, tolerances, limits. They are checked once, when a driver is created.
 
 use base::Number;
 use serde::{Deserialize, Serialize};
@@ -12,19 +12,21 @@ use std::time::Duration;
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
 pub enum Method {
-    /// [`Tsit5`](Self::Tsit5), below a relative tolerance of 1e-7 [`Dop853`](Self::Dop853); where steps of an
-    /// implicit method, made on trial, advance more per right-hand side, [`Radau5`](Self::Radau5), or, for
-    /// nonlinear systems of 16 states and more whose largest eigenvalue is real, [`Bdf`](Self::Bdf).
+    /// [`Tsit5`](Self::Tsit5), or [`Dop853`](Self::Dop853) below a relative tolerance of 1e-7. Switches to
+    /// [`Radau5`](Self::Radau5) if trial steps of an implicit method advance more per right-hand side.
+    /// Switches to
+    /// [`Bdf`](Self::Bdf) instead for nonlinear systems of 16 or more states whose largest eigenvalue is
+    /// real.
     #[default]
     Auto,
     /// Tsitouras 5(4), explicit, adaptive.
     Tsit5,
-    /// Dormand, Prince and Hairer 8(5,3), explicit, adaptive: for tight tolerances.
+    /// Dormand, Prince and Hairer 8(5,3), explicit, adaptive. For tight tolerances.
     Dop853,
-    /// Radau IIA of order 5, implicit, adaptive: for stiff systems and systems with a mass matrix.
+    /// Radau IIA of order 5, implicit, adaptive. For stiff systems and systems with a mass matrix.
     Radau5,
-    /// Backward differentiation of order 1 to 5, implicit, adaptive: for stiff systems whose right-hand side
-    /// is expensive and whose events are rare.
+    /// Backward differentiation of order 1 to 5, implicit, adaptive. For stiff systems with an expensive
+    /// right-hand side and few events.
     Bdf,
     /// The classical Runge-Kutta method of order 4 with a fixed step.
     Rk4,
@@ -37,7 +39,7 @@ impl Method {
     pub const ALL: [Self; 7] =
         [Self::Auto, Self::Tsit5, Self::Dop853, Self::Radau5, Self::Bdf, Self::Rk4, Self::Euler];
 
-    /// The name that [`FromStr`] understands.
+    /// Name of the method, as accepted by [`FromStr`].
     pub fn name(self) -> &'static str {
         match self {
             Self::Auto => "auto",
@@ -50,7 +52,7 @@ impl Method {
         }
     }
 
-    /// The method that stands for one of other tools (SciPy, SUNDIALS), by its name there.
+    /// Returns the method that corresponds to a method name of other tools (SciPy, SUNDIALS).
     pub fn standing_for(name: &str) -> Option<Self> {
         const OTHERS: [(&str, Method); 5] = [
             ("rk45", Method::Tsit5),
@@ -62,12 +64,12 @@ impl Method {
         OTHERS.into_iter().find(|(other, _)| other.eq_ignore_ascii_case(name)).map(|(_, own)| own)
     }
 
-    /// True if the step size is given by the user instead of by an error estimate.
+    /// True if the user sets the step size, rather than an error estimate.
     pub fn is_fixed_step(self) -> bool {
         matches!(self, Self::Rk4 | Self::Euler)
     }
 
-    /// True if it may take Jacobians.
+    /// True if the method may use Jacobians.
     pub fn is_implicit(self) -> bool {
         matches!(self, Self::Auto | Self::Radau5 | Self::Bdf)
     }
@@ -82,57 +84,68 @@ impl FromStr for Method {
     }
 }
 
-/// Limits that end a run before its final time; `None` means no limit. Counts are checked before each trial
-/// step.
+/// Limits that end a run before its final time; `None` means no limit. The counts are checked before each
+/// trial step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Limits {
-    /// Accepted and rejected steps together.
+    /// Maximum number of steps, accepted and rejected.
     pub max_steps: Option<u64>,
-    /// Events.
+    /// Maximum number of events.
     pub max_events: Option<u64>,
-    /// Evaluations of the right-hand side.
+    /// Maximum number of evaluations of the right-hand side.
     pub max_right_hand_sides: Option<u64>,
-    /// Wall-clock time; looked at before each step and each evaluation.
+    /// Maximum wall-clock time, checked before each step and each evaluation.
     pub timeout: Option<Duration>,
 }
 
-/// Policy where state events follow each other so closely that time hardly advances: a hundred of them within
-/// 1e-6 of the span; in spans above 1000 units of time, within a thousandth of one (or as close as times can
-/// be told apart).
+/// Policy for state events that follow each other so closely that time hardly advances. The threshold is a
+/// hundred state events within 1e-6 of the span. For spans above 1000 units of time, it is a hundred events
+/// within a thousandth of a unit, or within the resolution of times if that is larger.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
 pub enum ChatteringPolicy {
-    /// End the run with an error that names the indicators.
+    /// Ends the run with an error that contains the index of the indicator.
     #[default]
     Error,
-    /// Go on locating every event, and count it in [`Stats::chattering`](crate::Stats::chattering); an error
-    /// still where time stands still.
+    /// Continues to locate every event and counts the occurrences in
+    /// [`Stats::chattering`](crate::Stats::chattering). The run still fails if time does not advance.
     Warn,
-    /// Go on in steps of [`SLIDING_STEP`](Self::SLIDING_STEP) of the span, at whose ends the events happen
-    /// wherever in the step the indicators that chatter crossed, each until a hundred such steps have passed
-    /// without its event. Where the vector fields on both sides point to each other, the solution slides
-    /// between them as Filippov defines it, up to an error of the order of this step (A. F. Filippov,
-    /// Differential Equations with Discontinuous Righthand Sides, 1988, section 8). Where events change
-    /// states and accumulate (bounces), the indicator is held at zero, on the side that it came from in the
-    /// run, whatever its sign: it crosses where it is found on the other side. Where its event leaves it
-    /// there and has not let it pass, what the event changes is made as strong as it takes: to zero at once
-    /// where the indicator depends on it, else (a body whose speed is reversed) with the speed that leads
-    /// back to zero. States that the event has not changed are never moved. For this a hundred such events
-    /// within ten steps of sliding (at most a thousandth of a unit of time) are too many. The other
-    /// indicators are located as ever. Counted in [`Stats::chattering`](crate::Stats::chattering), too.
-    /// Methods with a fixed step end with the error.
+    /// Continues in steps of [`SLIDING_STEP`](Self::SLIDING_STEP) times the span. Events of the chattering
+    /// indicators happen at the ends of these steps, wherever in the step the indicators crossed. An
+    /// indicator
+    /// leaves this mode after a hundred such steps without its event.
+    ///
+    /// If the vector fields on both sides point towards each other, the solution slides between them as
+    /// Filippov
+    /// defines it, with an error of the order of this step (A. F. Filippov, Differential Equations with
+    /// Discontinuous Righthand Sides, 1988, section 8).
+    ///
+    /// If events change states and accumulate (bounces), the indicator is held at zero, on the side from
+    /// which it
+    /// came in the run. Its sign is ignored: it crosses if it is found on the other side. If its event leaves
+    /// the
+    /// indicator there without letting it pass, the change made by the event is scaled. If the indicator
+    /// depends
+    /// on the changed states, the scaled change sets it to zero at once. Otherwise (a body whose speed is
+    /// reversed), the scaled change sets the speed that leads back to zero. States that the event did not
+    /// change
+    /// are never moved. For this case, the threshold is a hundred such events within ten steps of sliding (at
+    /// most a thousandth of a unit of time).
+    ///
+    /// The other indicators are located as usual. [`Stats::chattering`](crate::Stats::chattering) counts the
+    /// occurrences. Methods with a fixed step end with the error.
     Slide,
 }
 
 impl ChatteringPolicy {
-    /// Length of a step of [`Slide`](Self::Slide), as a share of the span.
+    /// Length of a step of [`Slide`](Self::Slide) as a fraction of the span.
     pub const SLIDING_STEP: f64 = 1e-5;
 
-    /// All policies by the names that [`FromStr`] understands.
+    /// Names of all policies, as accepted by [`FromStr`].
     pub const NAMES: [&'static str; 3] = ["error", "warn", "slide"];
 
-    /// Its name.
+    /// Name of the policy.
     pub fn name(self) -> &'static str {
         match self {
             Self::Error => "error",
@@ -159,13 +172,15 @@ impl FromStr for ChatteringPolicy {
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub enum AbsoluteTolerance {
-    /// `0.01 * relative_tolerance * nominal_i`, the rule that users of FMUs know; follows changed nominals.
+    /// `0.01 * relative_tolerance * nominal_i`, the usual rule for FMUs. Follows changes of the nominal
+    /// values.
     #[default]
     FromNominals,
-    /// The same for all states. Zero is a purely relative tolerance: a state of value zero has none then,
-    /// which is [an error](crate::ErrorKind::NoTolerance) when it happens.
+    /// One tolerance for all states. Zero means a purely relative tolerance. A state of value zero then has
+    /// no
+    /// tolerance, which is [an error](crate::ErrorKind::NoTolerance) when it happens.
     Scalar(f64),
-    /// One per state, each as above.
+    /// One tolerance per state, with the meaning of [`Scalar`](Self::Scalar).
     PerState(Vec<f64>),
 }
 
@@ -174,46 +189,58 @@ pub enum AbsoluteTolerance {
 pub struct Options {
     /// The method; default [`Method::Auto`].
     pub method: Method,
-    /// Relative tolerance of the adaptive methods; default 1e-6. Not of
-    /// [unbounded](crate::HybridSystem::is_unbounded) states. Zero where positive absolute tolerances are
-    /// given.
+    /// Relative tolerance of the adaptive methods; default 1e-6. It does not apply to
+    /// [unbounded](crate::HybridSystem::is_unbounded) states. It may be zero if the absolute tolerances are
+    /// positive.
     pub relative_tolerance: f64,
     /// Absolute tolerances; default [`AbsoluteTolerance::FromNominals`].
     pub absolute_tolerance: AbsoluteTolerance,
-    /// Step of the fixed-step methods in units of time; default: a 500th of the span.
+    /// Step of the fixed-step methods in units of time; default: the span divided by 500.
     pub step_size: Option<f64>,
-    /// Take each step of a fixed-step method in two halves, also one that an input or an event has cut: for
-    /// comparison with a run that does not. Default `false`.
+    /// Splits each step of a fixed-step method into two halves, including steps shortened by an input or an
+    /// event. Useful for comparison with a run that does not split them. Default `false`.
     pub halve_steps: bool,
-    /// Largest step of the adaptive methods; default: the span. One that cannot tell instants of the span
-    /// apart is an [error](crate::ErrorKind::StepBelowRounding) of the run.
+    /// Maximum step of the adaptive methods; default: the span. A value that cannot distinguish instants of
+    /// the
+    /// span is an [error](crate::ErrorKind::StepBelowRounding) of the run.
     pub max_step: Option<f64>,
-    /// First step of the adaptive methods; default: estimated. Made larger where it would not advance time.
+    /// First step of the adaptive methods; default: estimated. It is enlarged if it would not advance time.
     pub first_step: Option<f64>,
-    /// Also sample both sides of every event.
+    /// Records samples on both sides of every event.
     pub record_events: bool,
-    /// Points inside each step at which the event indicators are looked at too, so that a crossing and its
-    /// return do not hide in one step; each is compared with the one before. Default: one (three with DOP853
-    /// and Radau5, whose steps are long), none where an event is known to lie in the step, and up to 32 more
-    /// where three neighbouring values bend by more than they stay away from zero, in the middle of the
-    /// interval beside them. Whatever this is, the turning points of parabolas through three neighbouring
-    /// values are looked at where they lie near zero (below a quarter of these values), again and again while
-    /// they come nearer; and an indicator next to zero after its event, that leads out of its domain, is
-    /// followed until it is seen there or the run ends with
-    /// [`ErrorKind::EventsAccumulate`](crate::ErrorKind).
+    /// Number of points inside each step at which the event indicators are evaluated, in addition to its end.
+    /// A crossing and its return can otherwise be missed within one step. Each value is compared with the one
+    /// before.
+    ///
+    /// The default is one point, or three with DOP853 and Radau5, whose steps are long. By default, no points
+    /// are
+    /// used if the step is known to contain an event. Up to 32 points are added if three neighbouring values
+    /// bend by
+    /// more than their distance from zero. Each is in the middle of an adjacent interval.
+    ///
+    /// Two further checks do not depend on this option. First, the turning points of parabolas through three
+    /// neighbouring values are evaluated if they are near zero (below a quarter of these values). This
+    /// repeats while
+    /// they approach zero. Second, an indicator near zero after its event that leads out of its domain is
+    /// followed
+    /// until it is seen there, or until the run ends with [`ErrorKind::EventsAccumulate`](crate::ErrorKind).
     pub interior_samples: Option<u32>,
-    /// Locate indicators that only jump between a value and its negative to `1e-10 max(|t|, step)` instead of
-    /// to rounding: a fifth of the evaluations less, for models that have many such. Default `false`.
+    /// Locates indicators that only jump between a value and its negative to `1e-10 max(|t|, step)` instead
+    /// of to
+    /// rounding. This saves a fifth of the evaluations in models with many such indicators. Default `false`.
     pub loose_jump_indicators: bool,
-    /// In differential-algebraic systems integrated by [`Method::Bdf`]: leave states that have no derivative
-    /// in the equations out of the error test, but not out of Newton's. Default `false`: in systems of index
-    /// 1 their errors are of the order of the others', and nothing else would limit them.
+    /// Excludes states without a derivative in the equations from the error test, but not from the test of
+    /// Newton's method. Applies to differential-algebraic systems integrated by [`Method::Bdf`]. Default
+    /// `false`,
+    /// because their errors in systems of index 1 are of the order of the others' and nothing else would
+    /// limit
+    /// them.
     pub exclude_algebraic: bool,
-    /// Limits; default none.
+    /// Limits of the run; default none.
     pub limits: Limits,
-    /// Answer to chattering, and to events that accumulate; default an error.
+    /// Policy for chattering and for accumulating events; default an error.
     pub chattering: ChatteringPolicy,
-    /// Set from outside to end the run at its next step, evaluation or sample with
+    /// Flag to set from outside. It ends the run at its next step, evaluation or sample with
     /// [`ErrorKind::Cancelled`](crate::ErrorKind).
     pub cancel: Option<Arc<AtomicBool>>,
 }
@@ -240,8 +267,8 @@ impl Default for Options {
 }
 
 impl Options {
-    /// The relative tolerance, or what stands for it in rules that need one where it is zero: the smallest
-    /// absolute tolerance, as if states were of the size 1.
+    /// Returns the relative tolerance. If it is zero, returns the smallest absolute tolerance instead, as if
+    /// states were of size 1, because some rules need a relative tolerance.
     pub(crate) fn rtol_or_like(&self) -> f64 {
         let least = match &self.absolute_tolerance {
             _ if self.relative_tolerance > 0.0 => return self.relative_tolerance,
@@ -252,10 +279,10 @@ impl Options {
         least.clamp(1e-14, 1e-3)
     }
 
-    /// Checks every number.
+    /// Checks all values.
     ///
     /// # Errors
-    /// [`OptionsError`] names the option and its value.
+    /// Returns [`OptionsError`] with the option and its value.
     pub fn check(&self) -> Result<(), OptionsError> {
         let positive = |name: &'static str, value: Option<f64>| match value {
             Some(v) if !(v > 0.0 && v.is_finite()) => {
@@ -287,24 +314,24 @@ impl Options {
     }
 }
 
-/// An option that cannot be used.
+/// An invalid option.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum OptionsError {
-    /// A number outside its range.
+    /// A number is outside its range.
     #[error("{name} = {} must be {range}", Number(*.value))]
     OutOfRange {
         /// Name of the option.
         name: &'static str,
         /// The value given.
         value: f64,
-        /// Condition that it must meet.
+        /// Condition that the value must meet.
         range: &'static str,
     },
     /// No method has this name.
     #[error("unknown solver '{0}'; there are: auto, tsit5, dop853, radau5, bdf, rk4, euler")]
     UnknownMethod(String),
-    /// No policy for chattering has this name.
+    /// No chattering policy has this name.
     #[error("unknown answer to chattering '{0}'; there are: error, warn, slide")]
     UnknownChatteringPolicy(String),
 }

@@ -1,17 +1,18 @@
-//! Sparsity patterns of Jacobians, and their colouring.
+//! Sparsity patterns of Jacobians and their colouring.
 
-/// Pattern of the derivatives and the states that they depend on: the places of a Jacobian that may differ
-/// from zero.
+/// Sparsity pattern of a Jacobian: the positions that may be nonzero. Row `i` is the derivative of state `i`,
+/// and column `k` is the state it depends on.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct JacobianPattern {
-    /// Column `k` has the rows `rows[starts[k]..starts[k + 1]]`, ascending.
+    /// The rows of column `k` are `rows[starts[k]..starts[k + 1]]`, ascending.
     pub(crate) starts: Vec<usize>,
     rows: Vec<usize>,
 }
 
 impl JacobianPattern {
-    /// The pattern of `n` states from pairs `(i, k)`: the derivative of state `i` depends on state `k`. Pairs
-    /// may repeat. `None` if an index is not below `n`.
+    /// Creates the pattern of `n` states from pairs `(i, k)`: the derivative of state `i` depends on state
+    /// `k`.
+    /// Pairs may repeat. Returns `None` if an index is not below `n`.
     ///
     /// ```
     /// let tridiagonal = (0..5usize).flat_map(|k| (k.saturating_sub(1)..(k + 2).min(5)).map(move |i| (i, k)));
@@ -37,7 +38,7 @@ impl JacobianPattern {
         Some(pattern)
     }
 
-    /// The same with the places of the diagonal.
+    /// Returns this pattern with all positions of the diagonal added.
     pub(crate) fn with_diagonal(&self) -> Self {
         let (mut starts, mut rows) = (vec![0], Vec::new());
         for k in 0..self.n_states() {
@@ -51,7 +52,7 @@ impl JacobianPattern {
         Self { starts, rows }
     }
 
-    /// Where columns begin, and the rows of all of them.
+    /// Returns the start of each column and the rows of all columns.
     #[cfg(feature = "sparse")]
     pub(crate) fn into_columns(self) -> (Vec<usize>, Vec<usize>) {
         (self.starts, self.rows)
@@ -62,49 +63,49 @@ impl JacobianPattern {
         self.starts.len().saturating_sub(1)
     }
 
-    /// Number of places that may differ from zero.
+    /// Number of positions that may be nonzero.
     pub fn n_entries(&self) -> usize {
         self.rows.len()
     }
 
-    /// Row and column of all places, column by column, the rows of each ascending.
+    /// Row and column of all positions, column by column, with ascending rows.
     pub fn entries(&self) -> impl Iterator<Item = (usize, usize)> {
         (0..self.n_states()).flat_map(|k| self.column(k).iter().map(move |&i| (i, k)))
     }
 
-    /// The number of a place in the list of all.
+    /// Index of a position in the list of all positions.
     pub(crate) fn place(&self, i: usize, k: usize) -> usize {
         self.starts[k] + self.column(k).partition_point(|&row| row < i)
     }
 
-    /// The rows of column `k`, ascending.
+    /// Rows of column `k`, ascending.
     pub(crate) fn column(&self, k: usize) -> &[usize] {
         &self.rows[self.starts[k]..self.starts[k + 1]]
     }
 
-    /// The largest number of rows of a column: the least number of evaluations that a Jacobian may take.
+    /// Largest number of rows in a column: the minimum number of evaluations of a Jacobian.
     pub(crate) fn widest_column(&self) -> usize {
         self.starts.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap_or(0)
     }
 
-    /// Number of evaluations that a Jacobian of this pattern takes.
+    /// Number of evaluations that a Jacobian of this pattern requires.
     pub fn n_colours(&self) -> usize {
         Groups::new(self).len()
     }
 }
 
-/// Columns that share no row, and can be had from one evaluation. A. R. Curtis, M. J. D. Powell, J. K. Reid,
-/// On the estimation of sparse Jacobian matrices, IMA Journal of Applied Mathematics 13 (1974) 117-119;
-/// greedy, the columns with most rows first.
+/// Groups of columns that share no row, so that one evaluation yields the whole group. A. R. Curtis,
+/// M. J. D. Powell, J. K. Reid, On the estimation of sparse Jacobian matrices, IMA Journal of Applied
+/// Mathematics 13 (1974) 117-119; greedy, columns with most rows first.
 #[derive(Debug, Default)]
 pub(crate) struct Groups {
-    /// Group `g` has the columns `columns[starts[g]..starts[g + 1]]`.
+    /// The columns of group `g` are `columns[starts[g]..starts[g + 1]]`.
     starts: Vec<usize>,
     pub(crate) columns: Vec<usize>,
 }
 
 impl Groups {
-    /// Each of `n` columns by itself.
+    /// Puts each of `n` columns into a separate group.
     pub(crate) fn single(n: usize) -> Self {
         Self { starts: (0..=n).collect(), columns: (0..n).collect() }
     }
@@ -113,7 +114,8 @@ impl Groups {
         let n = pattern.n_states();
         let mut order: Vec<usize> = (0..n).collect();
         order.sort_by_key(|&k| std::cmp::Reverse(pattern.column(k).len()));
-        // Of each row the groups that have an entry in it; of each group the last column that it was found to be no group for.
+        // `taken`: groups with an entry in each row. `refused_by`: last column that did not fit into each
+        // group.
         let mut taken = vec![Vec::new(); n];
         let mut refused_by: Vec<usize> = Vec::new();
         let mut groups: Vec<Vec<usize>> = Vec::new();
@@ -141,7 +143,7 @@ impl Groups {
         self.starts.len().saturating_sub(1)
     }
 
-    /// Where the columns of a group are in the list of all.
+    /// Range of the columns of a group in `columns`.
     pub(crate) fn range(&self, g: usize) -> std::ops::Range<usize> {
         self.starts[g]..self.starts[g + 1]
     }

@@ -4,13 +4,13 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::ops::AddAssign;
 
-/// Operations of linear algebra that take as long as a right-hand side: a call into a compiled model of few
-/// states takes some 0.3 us, and some 30 ns more per state.
+/// Linear algebra operations that take as long as a right-hand side. A call into a compiled model of few
+/// states takes about 0.3 us, plus about 30 ns per state.
 const OPERATIONS: f64 = 300.0;
 const OPERATIONS_PER_STATE: f64 = 30.0;
 
-/// Seconds by the clock. All are equal: results are compared by what was computed, and a clock never shows
-/// the same twice.
+/// Wall-clock time in seconds. All values compare equal, because results are compared by their numbers and
+/// measured times differ between runs.
 ///
 /// ```
 /// use ode::Seconds;
@@ -21,12 +21,12 @@ const OPERATIONS_PER_STATE: f64 = 30.0;
 pub struct Seconds(f64);
 
 impl Seconds {
-    /// So many seconds.
+    /// Creates a value from a number of seconds.
     pub fn new(seconds: f64) -> Self {
         Self(seconds)
     }
 
-    /// The number.
+    /// Number of seconds.
     pub fn get(self) -> f64 {
         self.0
     }
@@ -52,19 +52,19 @@ impl fmt::Debug for Seconds {
     }
 }
 
-/// Runs that were made besides those asked for, to find out how a model can be brought back to its start, and
-/// whether its results depend on earlier runs. All are equal: when they are made depends on the clock and on
-/// the number of workers, and no result depends on it.
+/// Additional runs that determine how a model can be reset to its start and whether its results depend on
+/// earlier runs. All values compare equal: the number of such runs depends on timing and on the number of
+/// workers, but no result depends on it.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub struct Checks {
-    /// Runs.
+    /// Number of runs.
     pub runs: u64,
-    /// Steps in them.
+    /// Number of steps in these runs.
     pub steps: u64,
-    /// Right-hand sides in them.
+    /// Number of right-hand sides in these runs.
     #[serde(default)]
     pub right_hand_sides: u64,
-    /// Wall-clock time of the runs, with that of making their instances.
+    /// Wall-clock time of the runs, including the creation of their instances.
     pub seconds: Seconds,
 }
 
@@ -85,77 +85,82 @@ impl AddAssign for Checks {
     }
 }
 
-/// Counts of one run, and how long it took. They add up over runs. Runs are compared by the counts.
+/// Counts and times of a run, or sums over several runs. Comparison uses the counts only.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Stats {
-    /// Runs that were begun.
+    /// Runs that were started.
     #[serde(default)]
     pub runs: u64,
     /// Accepted steps.
     pub accepted_steps: u64,
     /// Rejected steps.
     pub rejected_steps: u64,
-    /// Evaluations of the right-hand side, those for differences of a Jacobian included.
+    /// Evaluations of the right-hand side, including those for finite-difference Jacobians.
     pub right_hand_sides: u64,
-    /// Jacobians.
+    /// Evaluations of the Jacobian.
     pub jacobians: u64,
-    /// Directional derivatives asked from the model.
+    /// Directional derivatives computed by the model.
     pub directional_derivatives: u64,
-    /// Decompositions of a matrix of the size of the system; the real and the complex one of Radau5 count as
-    /// two.
+    /// Decompositions of a matrix of the size of the system. The real and the complex decomposition of Radau5
+    /// count as two.
     pub decompositions: u64,
     /// Iterations of Newton's method.
     pub newton_iterations: u64,
-    /// Floating-point operations of decompositions and solutions, as the sizes and patterns of the matrices
-    /// let expect.
+    /// Floating-point operations of decompositions and solutions, estimated from the sizes and patterns of
+    /// the
+    /// matrices.
     pub linear_algebra: u64,
     /// Evaluations of the event indicators.
     pub event_indicators: u64,
-    /// Samples taken (each may evaluate the outputs).
+    /// Samples recorded. Each may evaluate the outputs.
     pub samples: u64,
     /// Visits of event mode in which an indicator had crossed.
     pub state_events: u64,
-    /// Visits at a time the model had announced.
+    /// Visits of event mode at a time that the model had announced.
     pub time_events: u64,
-    /// Visits the model asked for after a step.
+    /// Visits of event mode that the model requested after a step.
     pub step_events: u64,
-    /// Visits because an input jumped.
+    /// Visits of event mode because an input jumped.
     pub input_events: u64,
-    /// Visits of event mode in all; one visit may have several causes.
+    /// All visits of event mode. One visit may have several causes.
     pub events: u64,
     /// Restarts of the method after an event that changed something.
     pub restarts: u64,
-    /// Number of times that state events followed each other while time hardly advanced, where the
-    /// [policy](crate::ChatteringPolicy) is to go on.
+    /// Number of times that state events followed each other while time hardly advanced, if the
+    /// [policy](crate::ChatteringPolicy) is to continue.
     pub chattering: u64,
-    /// Runs made besides, which no other count has; their time is in `seconds`.
+    /// Additional runs, which no other count includes. Their time is included in `seconds`.
     #[serde(default)]
     pub checks: Checks,
     /// Wall-clock time of the run.
     pub seconds: Seconds,
-    /// The part of it that was spent inside of the model: in the calls of the
-    /// [`HybridSystem`](crate::HybridSystem). An estimate: of calls that take less than 1 us only some are
-    /// timed, see [`Stopwatch`](crate::Stopwatch).
+    /// Part of the wall-clock time spent in calls of the [`HybridSystem`](crate::HybridSystem). This is an
+    /// estimate: only some of the calls shorter than 1 us are timed, see [`Stopwatch`](crate::Stopwatch).
     pub seconds_in_model: Seconds,
 }
 
 impl Stats {
-    /// The work in equivalents of a right-hand side of a system of `n_states`, by which methods are compared:
-    /// right-hand sides, directional derivatives and event indicators count one each, linear algebra counts
-    /// one per 300 operations and 30 more for each state. Counted, never measured: the same run is the same
-    /// work on every machine.
+    /// Returns the work in equivalents of a right-hand side of a system of `n_states`. Methods are compared
+    /// by
+    /// this number. Right-hand sides, directional derivatives and event indicators count one each. Linear
+    /// algebra
+    /// counts one per 300 operations, plus 30 operations per state. The work is counted, not measured, so a
+    /// run
+    /// has the same work on every machine.
     pub fn work(&self, n_states: usize) -> f64 {
         let calls = self.right_hand_sides + self.directional_derivatives + self.event_indicators;
         calls as f64 + self.linear_algebra as f64 / (OPERATIONS + OPERATIONS_PER_STATE * n_states as f64)
     }
 
-    /// Adds runs made besides.
+    /// Adds additional runs to the counts.
     pub fn add_checks(&mut self, checks: Checks) {
         self.seconds += checks.seconds;
         self.checks += checks;
     }
 
-    /// So many runs as ones made besides, with those made besides them.
+    /// Returns these counts as additional runs. `runs` is the number of runs; additional runs already
+    /// included
+    /// are added.
     pub fn as_checks(&self, runs: u64) -> Checks {
         Checks {
             runs: runs + self.checks.runs,

@@ -1,4 +1,5 @@
-//! Interface of a method to the driver: try a step, look inside it, go on from its end, or start anew.
+//! Interface between a method and the driver: try a step, evaluate inside it, continue from its end, or
+//! restart.
 
 use crate::error::Undetermined;
 use crate::error_norm::ErrorWeights;
@@ -6,7 +7,7 @@ use crate::stats::Stats;
 use crate::system::{CallResult, HybridSystem};
 use std::fmt::Debug;
 
-/// The equations, how exactly they are to be solved, and a count of what that takes.
+/// The equations, the weights of their errors, and the statistics of the run.
 pub(crate) struct Equations<'a> {
     pub(crate) system: &'a mut dyn HybridSystem,
     pub(crate) weights: &'a ErrorWeights,
@@ -14,7 +15,7 @@ pub(crate) struct Equations<'a> {
 }
 
 impl Equations<'_> {
-    /// The right-hand side, counted.
+    /// Evaluates the right-hand side and counts the evaluation.
     #[inline]
     pub(crate) fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()> {
         self.stats.right_hand_sides += 1;
@@ -30,7 +31,7 @@ pub(crate) struct Point<'a> {
     pub(crate) slopes: &'a [f64],
 }
 
-/// A point whose state and slopes are looked for, from those that it has.
+/// A point whose state and slopes are to be corrected, starting from the current values.
 #[derive(Debug)]
 pub(crate) struct PointMut<'a> {
     pub(crate) t: f64,
@@ -38,7 +39,7 @@ pub(crate) struct PointMut<'a> {
     pub(crate) slopes: &'a mut [f64],
 }
 
-/// A trial step from `(t, x)` to `end`; `h = end - t` as the method computes with it.
+/// A trial step from `(t, x)` to `end`. The method computes with `h = end - t`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Trial<'a> {
     pub(crate) t: f64,
@@ -50,66 +51,71 @@ pub(crate) struct Trial<'a> {
 /// Result of a trial step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Attempt {
-    /// It meets the tolerance.
+    /// The step meets the tolerance.
     Good,
-    /// Its error is too large; a step of this size has a better chance.
+    /// The error is too large. A step of size `h` is more likely to succeed.
     TooInexact { h: f64 },
-    /// Its equations could not be solved; a step of this size has a better chance.
+    /// The equations could not be solved. A step of size `h` is more likely to succeed.
     NotSolved { h: f64 },
 }
 
 /// Result of the check that the equations without derivatives hold at a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Consistency {
-    /// They do, within the tolerances of the states.
+    /// The equations hold within the tolerances of the states.
     Holds,
-    /// They do now: states were changed.
+    /// The equations hold after states were changed.
     Corrected,
-    /// No states were found for which they hold: this equation has this residual.
+    /// No states were found for which the equations hold. `equation` has this `residual`.
     Impossible { equation: usize, residual: f64 },
-    /// They do not decide the states.
+    /// The equations do not determine the states.
     HigherIndex,
-    /// No slopes were found for which a residual is zero: this equation has this residual at the values
-    /// given. `is_singular`: the matrix in front of the slopes has a smaller rank there than near them.
+    /// No slopes were found for which the residual is zero. `equation` has this `residual` at the given
+    /// values.
+    /// `is_singular`: the matrix of the slopes has a smaller rank there than near these values.
     NoSlopes { equation: usize, residual: f64, is_singular: bool },
 }
 
-/// Treatment of a step inside of which an event was located.
+/// Treatment of a step that contains a located event.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum StepWithEvent {
-    /// The state at the event is that of the interpolant.
+    /// The state at the event is interpolated.
     Interpolated,
-    /// It is made again up to the event: the method is more exact at the ends of its steps than inside them.
+    /// The step is repeated up to the event, because the method is more accurate at the ends of its steps
+    /// than
+    /// inside them.
     RepeatedToIt,
-    /// It is made again up to a little before the event: the interpolant has right-hand sides of its own, for
-    /// which the error test does not vouch, and one of them may have seen what is behind the event.
+    /// The step is repeated up to just before the event. The interpolant has additional right-hand sides that
+    /// the error test does not cover, and one of them may have been evaluated after the event.
     RepeatedToBefore,
 }
 
 /// Properties of a method that the driver needs.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Properties {
-    /// The order that decides how a first step is guessed: that of the solution whose error is estimated.
+    /// Order for the estimate of the first step: the order of the solution whose error is estimated.
     pub(crate) order: u32,
-    /// Steps carry an error estimate.
+    /// True if steps include an error estimate.
     pub(crate) has_error_estimate: bool,
-    /// It integrates systems with a mass matrix, and those that are given by their residual.
+    /// True if the method supports mass matrices (and systems given by their residual).
     pub(crate) takes_mass_matrix: bool,
     pub(crate) takes_residual: bool,
-    /// There is no right-hand side to be evaluated in this run: [`Stepper::derivative`] is what there is of
+    /// True if this run has no right-hand side to evaluate. [`Stepper::derivative`] is then the only source
+    /// of
     /// slopes.
     pub(crate) only_own_slopes: bool,
-    /// Treatment of a step inside of which an event was located.
+    /// Treatment of a step that contains a located event.
     pub(crate) step_with_event: StepWithEvent,
-    /// At how many points inside its steps event indicators are looked at by default: more where steps are
-    /// longer, as seen against the curvature of the solution.
+    /// Default number of points inside each step at which event indicators are evaluated. More points if
+    /// steps
+    /// are longer relative to the curvature of the solution.
     pub(crate) interior_samples: u32,
-    /// It [begins](Stepper::begin_with) with the second derivative where indicators slide.
+    /// True if the method [begins](Stepper::begin_with) with the second derivative while indicators slide.
     pub(crate) wants_second_derivative: bool,
-    /// [`Stepper::derivative`] is the right-hand side itself also where a whole step has led, and not only
-    /// where it was [evaluated](Stepper::evaluate).
+    /// True if [`Stepper::derivative`] is the right-hand side also at the end of a whole step, not only at a
+    /// point that was [evaluated](Stepper::evaluate).
     pub(crate) evaluates_ends: bool,
-    /// It makes use of Jacobians.
+    /// True if the method uses Jacobians.
     pub(crate) takes_jacobians: bool,
 }
 
@@ -130,28 +136,31 @@ impl Default for Properties {
     }
 }
 
-/// An integration method. The driver decides where steps end, and whether a step that meets the tolerance
-/// stands; the stepper judges its own error, proposes step sizes, and keeps what the method remembers between
+/// An integration method. The driver decides where steps end and whether a step within the tolerance is
+/// accepted. The stepper estimates its error, proposes step sizes, and stores the state of the method between
 /// steps.
 ///
-/// The order of calls: [`begin`](Self::begin) once a run; [`evaluate`](Self::evaluate) and
-/// [`forget`](Self::forget) at its first point, with [`make_consistent`](Self::make_consistent) between them;
-/// trials, of which the last good one may be looked into and is then accepted; after an event
-/// [`evaluate`](Self::evaluate), [`make_consistent`](Self::make_consistent), and [`forget`](Self::forget) if
-/// it changed something.
+/// The order of calls is as follows. [`begin`](Self::begin) is called once per run. At the first point,
+/// [`evaluate`](Self::evaluate), [`make_consistent`](Self::make_consistent) and [`forget`](Self::forget)
+/// follow. Trial steps come next: the last good one may be interpolated and is then accepted. After an event,
+/// [`evaluate`](Self::evaluate) and [`make_consistent`](Self::make_consistent) are called, and
+/// [`forget`](Self::forget) if the event changed something.
 pub(crate) trait Stepper: Debug + Send + Sync {
     /// Properties of the method that the driver needs.
     fn properties(&self) -> Properties;
 
-    /// Starts a run: makes room, forgets everything. It fails where there is no room for its matrices.
+    /// Starts a run: allocates the work space and discards the previous state. Fails if memory is
+    /// insufficient
+    /// for its matrices.
     fn begin(&mut self, system: &dyn HybridSystem) -> CallResult<()>;
 
-    /// Takes `(t, x)` as the current point and evaluates the right-hand side there; the step sizes and the
-    /// slow parts of the past (Jacobians, differences) are kept.
+    /// Makes `(t, x)` the current point and evaluates the right-hand side there. Keeps the step sizes and the
+    /// slowly changing data (Jacobians, differences).
     fn evaluate(&mut self, equations: &mut Equations<'_>, t: f64, x: &[f64]) -> CallResult<()>;
 
-    /// Sees to it that the algebraic equations of a singular mass matrix hold at `(t, x)`, where the
-    /// right-hand side has just been [evaluated](Self::evaluate), by changing what they decide.
+    /// Ensures that the algebraic equations of a singular mass matrix hold at `(t, x)`, by changing the
+    /// states
+    /// that they determine. The right-hand side was [evaluated](Self::evaluate) at this point just before.
     fn make_consistent(
         &mut self,
         equations: &mut Equations<'_>,
@@ -162,38 +171,42 @@ pub(crate) trait Stepper: Debug + Send + Sync {
         Ok(Consistency::Holds)
     }
 
-    /// The current point has nothing to do with the steps before it.
+    /// Discards the history, because the current point does not continue the previous steps.
     fn forget(&mut self);
 
-    /// After [`forget`](Self::forget), while indicators slide: the right-hand side `dx` that the current one
-    /// leads to after the time `s`. Their difference gives the second derivative, with which a multistep
-    /// method can begin at order 2: its steps of order 1 are far shorter than those of sliding where the
-    /// tolerance is tight.
+    /// Sets the second derivative after [`forget`](Self::forget), while indicators slide. `dx` is the
+    /// right-hand side at the time `s` after the current point, reached along the current slopes. The
+    /// difference
+    /// of the two gives the second derivative, so a multistep method can begin at order 2. Its steps of order
+    /// 1
+    /// would be far shorter than those of sliding if the tolerance is tight.
     fn begin_with(&mut self, s: f64, dx: &[f64]) {
         let _ = (s, dx);
     }
 
-    /// An input changes its slope at the current point, where a step always ends. Returns the step size to go
-    /// on with.
+    /// Handles a change of slope of an input at the current point, where a step always ends. Returns the next
+    /// step size.
     fn kink(&mut self, h: f64) -> f64 {
         h
     }
 
-    /// The next trial is the last one, which was good, with an earlier end.
+    /// Announces that the next trial is the last good one with an earlier end.
     fn repeat(&mut self) {}
 
-    /// After a failure at `(t, x)`: states that the equations without derivatives do not determine, neither
-    /// there nor nearby, as in systems of index 2 or higher. `None`: there are none.
+    /// After a failure at `(t, x)`, returns the states that the equations without derivatives determine
+    /// neither
+    /// there nor nearby, as in systems of index 2 or higher. `None` if there are no such states.
     fn undetermined(&mut self, equations: &mut Equations<'_>, t: f64, x: &[f64]) -> Option<Undetermined> {
         let _ = (equations, t, x);
         None
     }
 
-    /// The right-hand side at the current point, or an estimate of it.
+    /// Right-hand side at the current point, or an estimate of it.
     fn derivative(&self) -> &[f64];
 
-    /// Tries a step; `x_new` receives its end. A refused point, or a number that is not finite, is
-    /// [`Discard`](crate::CallError::Discard).
+    /// Tries a step and writes its end to `x_new`. Returns [`Discard`](crate::CallError::Discard) if the
+    /// model
+    /// refuses a point or a value is not finite.
     fn try_step(
         &mut self,
         equations: &mut Equations<'_>,
@@ -201,14 +214,15 @@ pub(crate) trait Stepper: Debug + Send + Sync {
         x_new: &mut [f64],
     ) -> CallResult<Attempt>;
 
-    /// The error estimate of the last trial, per state.
+    /// Error estimate of the last trial, per state.
     fn error(&self) -> &[f64];
 
-    /// A point of the last trial was refused, or it turned out of no use: returns the step size to go on
-    /// with.
+    /// Reports that a point of the last trial was refused, or that the trial is unusable. Returns the next
+    /// step
+    /// size.
     fn refused(&mut self, h: f64) -> f64;
 
-    /// Makes ready to look inside the last trial, which was good and ended at `x_new`.
+    /// Prepares the interpolation inside the last trial, which was good and ended at `x_new`.
     fn prepare_interpolation(
         &mut self,
         equations: &mut Equations<'_>,
@@ -219,10 +233,10 @@ pub(crate) trait Stepper: Debug + Send + Sync {
         Ok(())
     }
 
-    /// The state at `trial.t + theta * trial.h` inside the last trial step.
+    /// Computes the state at `trial.t + theta * trial.h` inside the last trial step.
     fn interpolate(&self, trial: Trial<'_>, theta: f64, x: &mut [f64]);
 
-    /// The last trial, of size `h`, is accepted up to `theta` (1: as a whole); the next step starts there.
-    /// Returns the step size to go on with.
+    /// Accepts the last trial, of size `h`, up to `theta` (1: the whole step). The next step starts there.
+    /// Returns the next step size.
     fn accept(&mut self, h: f64, theta: f64) -> f64;
 }

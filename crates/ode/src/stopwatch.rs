@@ -1,49 +1,51 @@
-//! Measurement of the time that calls take, at little cost: each slow call is timed, of fast ones some.
+//! Measurement of the time spent in calls, at low cost: each slow call is timed, but only some fast ones.
 
 use std::time::{Duration, Instant};
 
-/// A call that takes less is fast.
+/// A call that takes less time (in seconds) is fast.
 const FAST: f64 = 1e-6;
 
-/// So many fast ones in a row, and only some of the next are timed.
+/// After this number of consecutive fast calls, only some of the next calls are timed.
 const TRUST: u32 = 8;
 
-/// One of so many then. A prime, so that it is not always the same stage of a step.
+/// One call of this number is then timed. A prime, so that it is not always the same stage of a step.
 const STRIDE: u32 = 61;
 
-/// A call that takes longer than this among fast ones stands for itself alone: the scheduler's doing.
+/// A call among fast ones that takes longer than this counts only once, because the scheduler probably
+/// interrupted it.
 const LONGEST: f64 = 1e-4;
 
-/// One kind of calls.
+/// Times of one kind of calls.
 #[derive(Debug, Clone, Copy, Default)]
 struct Tally {
     seconds: f64,
     /// Seconds of the last fast call that was timed.
     usual: f64,
-    /// Number of fast calls in a row.
+    /// Number of consecutive fast calls.
     fast: u32,
-    /// So many of the next are not timed.
+    /// Number of next calls that are not timed.
     left: u32,
 }
 
 impl Tally {
-    /// Those that are not timed between two that are.
+    /// Number of untimed calls between two timed calls.
     fn skipped(&self) -> u32 {
         if self.fast >= TRUST { STRIDE - 1 } else { 0 }
     }
 
-    /// Those since the last one that was timed.
+    /// Number of calls since the last timed call.
     fn untimed(&self) -> f64 {
         f64::from(self.skipped() - self.left)
     }
 }
 
-/// Estimates the time that is spent in calls of `KINDS` kinds.
+/// Estimates the time spent in calls of `KINDS` kinds.
 ///
-/// Reading the clock takes as long as a short call (20 to 30 ns). So after 8 calls of a kind in a row that
-/// took less than 1 us, only one of 61 is timed and stands for those before it, until one takes longer;
-/// otherwise each is timed. What the readings themselves take is measured once and subtracted. A call of more
-/// than 0.1 ms among fast ones (the scheduler's doing, for example) stands for itself alone.
+/// Reading the clock takes as long as a short call (20 to 30 ns). After 8 consecutive calls of a kind below
+/// 1 us, only one of 61 calls is timed, and its time also counts for the untimed calls before it. This ends
+/// when a timed call takes longer. Otherwise, each call is timed. The time of reading the clock is measured
+/// once and subtracted. A call of more than 0.1 ms among fast calls counts only once, because the scheduler,
+/// for example, may have interrupted it.
 ///
 /// ```
 /// let mut watch = ode::Stopwatch::<1>::new();
@@ -57,11 +59,11 @@ impl Tally {
 #[derive(Debug, Clone)]
 pub struct Stopwatch<const KINDS: usize> {
     tallies: [Tally; KINDS],
-    /// Seconds that two readings of the clock are apart at least.
+    /// Smallest difference of two successive clock readings, in seconds.
     reading: f64,
 }
 
-/// A call under way.
+/// A call in progress.
 #[derive(Debug)]
 #[must_use = "stop() takes it"]
 pub struct Timing {
@@ -76,7 +78,7 @@ impl<const KINDS: usize> Default for Stopwatch<KINDS> {
 }
 
 impl<const KINDS: usize> Stopwatch<KINDS> {
-    /// Measures how long it takes to read the clock.
+    /// Creates a stopwatch and measures the time of reading the clock.
     pub fn new() -> Self {
         let readings = [(); 4].map(|()| Instant::now());
         let apart = readings.windows(2).map(|pair| pair[1].duration_since(pair[0]));
@@ -84,20 +86,20 @@ impl<const KINDS: usize> Stopwatch<KINDS> {
         Self { tallies: [Tally::default(); KINDS], reading }
     }
 
-    /// Begins anew. Which kinds are fast is not forgotten.
+    /// Resets the times. The kinds known to be fast are kept.
     pub fn reset(&mut self) {
         for tally in &mut self.tallies {
             (tally.seconds, tally.left) = (0.0, tally.skipped());
         }
     }
 
-    /// A call of this kind begins.
+    /// Starts the measurement of a call of this kind.
     #[inline]
     pub fn start(&mut self, kind: usize) -> Timing {
         if self.skips(kind) { Timing { kind, began: None } } else { self.start_timed(kind) }
     }
 
-    /// True if the call of this kind that begins is one of those that are not timed.
+    /// True if the starting call of this kind is not timed.
     #[inline]
     pub(crate) fn skips(&mut self, kind: usize) -> bool {
         let tally = &mut self.tallies[kind];
@@ -106,15 +108,14 @@ impl<const KINDS: usize> Stopwatch<KINDS> {
         skips
     }
 
-    /// A call of this kind begins that is to be timed in any case, because one may take much longer than
-    /// another.
+    /// Starts a measurement that always times the call, for kinds whose duration varies widely.
     #[inline(never)]
     pub fn start_timed(&mut self, kind: usize) -> Timing {
         Timing { kind, began: Some(Instant::now()) }
     }
 
-    /// It has ended. Returns what is known of this one call: the seconds it took if it was timed, else those
-    /// of the last fast one that was.
+    /// Ends the measurement. Returns the duration of this call in seconds if it was timed, and otherwise the
+    /// duration of the last fast call that was timed.
     #[inline]
     pub fn stop(&mut self, timing: Timing) -> f64 {
         match timing.began {
@@ -123,7 +124,7 @@ impl<const KINDS: usize> Stopwatch<KINDS> {
         }
     }
 
-    /// Not part of what is compiled into every call: most are not timed.
+    /// Not inlined, because most calls are not timed.
     #[inline(never)]
     fn take(&mut self, kind: usize, began: Instant) -> f64 {
         self.enter(kind, began.elapsed().as_secs_f64() - self.reading)
@@ -144,7 +145,7 @@ impl<const KINDS: usize> Stopwatch<KINDS> {
         seconds
     }
 
-    /// The estimate for all calls so far, in seconds.
+    /// Estimated time of all calls so far, in seconds.
     pub fn seconds(&self) -> f64 {
         self.tallies.iter().map(|tally| tally.seconds + tally.untimed() * tally.usual).sum()
     }
@@ -154,8 +155,8 @@ impl<const KINDS: usize> Stopwatch<KINDS> {
 mod tests {
     use super::*;
 
-    /// Makes calls that would take these numbers of nanoseconds; returns how many were timed, and the
-    /// estimate in ns.
+    /// Makes calls with these durations in nanoseconds. Returns the number of timed calls and the estimate in
+    /// ns.
     fn estimate(calls: impl IntoIterator<Item = f64>) -> (usize, f64) {
         let mut watch = Stopwatch::<2>::new();
         let mut timed = 0;
@@ -173,17 +174,18 @@ mod tests {
     fn of_fast_calls_one_stands_for_many() {
         // The first 8, then each 61st.
         assert_eq!(estimate([20.0; 8 + 610]), (8 + 10, 618.0 * 20.0));
-        // The last ones were not timed, but they count.
+        // The last calls are not timed, but they count.
         assert_eq!(estimate([20.0; 8 + 660]), (8 + 10, 668.0 * 20.0));
     }
 
     #[test]
     fn slow_calls_are_timed_each() {
         assert_eq!(estimate([2000.0; 50]), (50, 100_000.0));
-        // The first slow one that is timed stands for those before it, from then on each is timed.
+        // The first slow call that is timed also counts for those before it. From then on, each call is
+        // timed.
         let calls = [20.0; 8].into_iter().chain([5000.0; 161]);
         assert_eq!(estimate(calls), (8 + 101, 8.0 * 20.0 + 161.0 * 5000.0));
-        // Slow ones now and then: each is timed.
+        // Occasional slow calls: each call is timed.
         let calls: Vec<f64> = (0..300).map(|k| if k % 8 == 3 { 3e6 } else { 20.0 }).collect();
         assert_eq!(estimate(calls.iter().copied()), (300, calls.iter().sum()));
     }
@@ -202,7 +204,7 @@ mod tests {
         let mut watch = Stopwatch::<2>::new();
         for _ in 0..TRUST {
             watch.enter(0, 1e-7);
-            // Less than a reading of the clock takes.
+            // Less than the time of reading the clock.
             watch.enter(1, -1.0);
         }
         watch.enter(1, 1.0);

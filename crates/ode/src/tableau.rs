@@ -1,35 +1,34 @@
-//! Butcher tableaux as data: coefficients, order, error weights and continuous extension, each with its
-//! source.
+//! Butcher tableaux as data: coefficients, order, error weights and continuous extension, with their sources.
 
 use std::fmt::Debug;
 
-/// The weights that are not zero, with the stages they belong to.
+/// The nonzero weights and the stages they belong to.
 pub(crate) type StageWeights = &'static [(usize, f64)];
 
-/// An explicit Runge-Kutta method with `S` stages, of which stage `end` is the right-hand side at the end of
-/// the step (first same as last), so that the next step gets its first stage for nothing.
+/// An explicit Runge-Kutta method with `S` stages. Stage `end` is the right-hand side at the end of the step
+/// (first same as last), so the next step reuses it as its first stage.
 #[derive(Debug)]
 pub(crate) struct Tableau<const S: usize> {
-    /// Order of the solution that is propagated.
+    /// Order of the propagated solution.
     pub(crate) order: u32,
-    /// The stage at the end of the step; those behind it belong to the continuous extension.
+    /// Index of the stage at the end of the step. Later stages belong to the continuous extension.
     pub(crate) end: usize,
     /// Abscissae.
     pub(crate) c: [f64; S],
-    /// Stage weights; each row uses stages before it. Row `end` is the solution itself.
+    /// Stage weights. Each row uses only earlier stages. Row `end` is the solution itself.
     pub(crate) a: [StageWeights; S],
     /// Error estimate for the step-size controller.
     pub(crate) error: Estimate,
-    /// The solution inside a step.
+    /// Continuous extension of the step.
     pub(crate) dense: Dense<S>,
 }
 
-/// A method whose coefficients are known where the sums of its stages are compiled.
+/// A method whose coefficients are known at compile time, for efficient sums of its stages.
 pub(crate) trait Explicit<const S: usize>: Debug + Send + Sync {
     const TABLEAU: Tableau<S>;
 }
 
-/// The weights of a stage; of those that a method has not, none.
+/// Returns the weights of a stage; empty if the method has no such stage.
 pub(crate) const fn row<const S: usize, T: Explicit<S>>(stage: usize) -> StageWeights {
     if stage < S { T::TABLEAU.a[stage] } else { &[] }
 }
@@ -37,12 +36,13 @@ pub(crate) const fn row<const S: usize, T: Explicit<S>>(stage: usize) -> StageWe
 /// Form of the error estimate of a step.
 #[derive(Debug)]
 pub(crate) enum Estimate {
-    /// It is not: the step size is fixed.
+    /// No estimate: the step size is fixed.
     None,
     /// Solution minus embedded solution.
     Embedded(StageWeights),
-    /// Solution minus embedded solutions of order 5 and of order 3: the first, made smaller where the second
-    /// is larger still (Hairer, Norsett, Wanner I, section II.10).
+    /// Solution minus embedded solutions of order 5 and of order 3. The first is reduced if the second is
+    /// still
+    /// larger (Hairer, Norsett, Wanner I, section II.10).
     Two(StageWeights, StageWeights),
 }
 
@@ -52,8 +52,8 @@ pub(crate) enum Dense<const S: usize> {
     /// Coefficients of `theta, theta^2, theta^3, theta^4` per stage:
     /// `x(t + theta h) = x + h * sum_i (sum_k p[i][k] theta^(k+1)) k_i`.
     Polynomials([[f64; 4]; S]),
-    /// Weights of the four highest of the seven terms of dop853.f, on stages behind the end that are
-    /// evaluated for steps in which samples or events lie.
+    /// Weights of the four highest of the seven terms of dop853.f. They use stages after the end, which are
+    /// evaluated only for steps that contain samples or events.
     Terms([StageWeights; 4]),
 }
 
@@ -94,8 +94,9 @@ impl Explicit<7> for Tsit5 {
     };
 }
 
-/// The classical method of order 4 (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, table
-/// II.1.2) with the cubic Hermite polynomial through both ends, written as weights of the stages.
+/// The classical method of order 4 (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I,
+/// table II.1.2). Its continuous extension is the cubic Hermite polynomial through both ends, written as
+/// weights of the stages.
 #[derive(Debug)]
 pub(crate) struct Rk4;
 
@@ -123,7 +124,7 @@ impl Explicit<5> for Rk4 {
     };
 }
 
-/// The explicit Euler method; between steps a straight line.
+/// The explicit Euler method, with linear interpolation.
 #[derive(Debug)]
 pub(crate) struct Euler;
 
@@ -138,12 +139,12 @@ impl Explicit<2> for Euler {
     };
 }
 
-/// The coefficients of polynomials per stage, power by power: the stages together are faster.
+/// Rearranges the polynomial coefficients from per stage to per power, which is faster to evaluate.
 pub(crate) fn by_power<const S: usize>(polynomials: &[[f64; 4]; S]) -> [[f64; S]; 4] {
     std::array::from_fn(|power| polynomials.map(|coefficients| coefficients[power]))
 }
 
-/// Weights of the stages at `theta` by polynomials.
+/// Evaluates the polynomial weights of the stages at `theta`.
 #[inline]
 pub(crate) fn polynomial_weights<const S: usize>(p: &[[f64; S]; 4], theta: f64) -> [f64; S] {
     std::array::from_fn(|i| theta * (p[0][i] + theta * (p[1][i] + theta * (p[2][i] + theta * p[3][i]))))
@@ -153,8 +154,8 @@ pub(crate) fn polynomial_weights<const S: usize>(p: &[[f64; S]; 4], theta: f64) 
 mod tests {
     use super::*;
 
-    /// Order conditions (Hairer, Norsett, Wanner I, table II.2.1): for every rooted tree up to order 5 the
-    /// elementary weight of `b` must be `theta^order / gamma(tree)`.
+    /// Largest violation of the order conditions (Hairer, Norsett, Wanner I, table II.2.1): for every rooted
+    /// tree up to order 5, the elementary weight of `b` must be `theta^order / gamma(tree)`.
     fn defects<const S: usize>(t: &Tableau<S>, b: [f64; S], theta: f64, order: u32) -> f64 {
         let dot = |u: &[f64; S], v: &[f64; S]| (0..S).map(|i| u[i] * v[i]).sum::<f64>();
         let mul = |u: &[f64; S], v: &[f64; S]| std::array::from_fn::<f64, S, _>(|i| u[i] * v[i]);

@@ -1,18 +1,18 @@
-//! The solution between the steps, kept: each step as its values at nodes.
+//! Dense output: stored values of the solution inside each step.
 
 use crate::observer::StepView;
 
 /// The solution as a function of time, as accurate as the steps themselves.
 ///
-/// Each step is kept as its states at Chebyshev's extreme points, and interpolated by the barycentric formula
-/// (J.-P. Berrut, L. N. Trefethen, Barycentric Lagrange interpolation, SIAM Review 46 (2004) 501-517, eq. 4.2
-/// and 5.4).
+/// Each step is stored as its states at Chebyshev's extreme points. The barycentric formula interpolates
+/// between them (J.-P. Berrut, L. N. Trefethen, Barycentric Lagrange interpolation, SIAM Review 46 (2004)
+/// 501-517, eq. 4.2 and 5.4).
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct DenseOutput {
     n_states: usize,
-    /// Where each step begins and ends.
+    /// Start and end of each step.
     spans: Vec<f64>,
-    /// Step by step, node by node.
+    /// States step by step, node by node.
     values: Vec<f64>,
 }
 
@@ -20,17 +20,17 @@ impl DenseOutput {
     /// Nodes per step: enough for a polynomial of degree 8.
     pub const NODES: usize = 9;
 
-    /// Holds no step yet.
+    /// Creates an output without steps.
     pub fn new(n_states: usize) -> Self {
         Self { n_states, ..Self::default() }
     }
 
-    /// Node `k` of a step, in -1 (its start) to 1 (its end).
+    /// Position of node `k` of a step, from -1 (its start) to 1 (its end).
     fn node(k: usize) -> f64 {
         -(std::f64::consts::PI * k as f64 / (Self::NODES - 1) as f64).cos()
     }
 
-    /// Keeps a step.
+    /// Stores a step.
     pub fn push(&mut self, step: &StepView<'_>) {
         let (middle, half) = (0.5 * (step.start + step.end), 0.5 * (step.end - step.start));
         self.spans.extend([step.start, step.end]);
@@ -46,19 +46,20 @@ impl DenseOutput {
         &self.spans
     }
 
-    /// The states at the [`NODES`](Self::NODES) of each step: step by step, node by node.
+    /// States at the [`NODES`](Self::NODES) of each step: step by step, node by node.
     pub fn values(&self) -> &[f64] {
         &self.values
     }
 
-    /// The states at a time; at that of an event those after it. `None` outside of the steps.
+    /// States at a given time. At an event, returns the states after the event. `None` if the time is outside
+    /// the steps.
     pub fn at(&self, time: f64) -> Option<Vec<f64>> {
         let steps = self.spans.chunks_exact(2);
         let forward = self.spans.first() <= self.spans.last();
         let lies_in =
             |s: &[f64]| if forward { s[0] <= time && time <= s[1] } else { s[1] <= time && time <= s[0] };
         let last = steps.clone().next_back();
-        // Where two steps meet the later one counts.
+        // At the boundary of two steps, the later one is used.
         let begun =
             self.spans.chunks_exact(2).rposition(|s| if forward { s[0] <= time } else { s[0] >= time })?;
         let span = steps.clone().nth(begun).filter(|s| lies_in(s)).or(last.filter(|s| lies_in(s)))?;

@@ -1,4 +1,4 @@
-//! Equations from closures, and a solution that is kept: the short way to a run.
+//! Integration of equations given as closures, with a stored solution.
 
 mod dense;
 mod system;
@@ -15,8 +15,8 @@ use crate::system::{Argument, Direction};
 use std::ops::{ControlFlow, Range};
 use system::{ClosureSystem, Form, Rows};
 
-/// Integrates `x' = f(t, x)` from closures: `rhs(t, x, dx)` fills in the right-hand side. The span may lead
-/// backward (`1.0..0.0`). Where the right-hand side is NaN or infinite a smaller step is tried.
+/// Integrates `x' = f(t, x)`: `rhs(t, x, dx)` fills in the right-hand side. The span may lead backward
+/// (`1.0..0.0`). If the right-hand side is NaN or infinite, a smaller step is tried.
 ///
 /// ```
 /// use ode::{Event, Method};
@@ -33,12 +33,16 @@ pub fn solve<'a>(rhs: impl FnMut(f64, &[f64], &mut [f64]) + 'a, span: Range<f64>
     Solve::new(Form::Explicit(Box::new(rhs)), span, x0.to_vec(), Options::default())
 }
 
-/// Integrates `F(t, x, x') = 0` (index 0 or 1): `residual(t, x, dx, r)` fills in `F`. Of `x0` what has a
-/// derivative in the equations counts; the rest of it, and `dx0`, are guesses: they are corrected until the
-/// equations hold. A system of a higher index ends with [`ErrorKind::HigherIndex`](crate::ErrorKind), which
-/// names the states concerned (not with sparse matrices of more than 500 states). A guess at which `dF/dx'`
-/// is singular while it is not near it is an [`ErrorKind::InconsistentSlopes`](crate::ErrorKind). The method
-/// is [`Method::Bdf`].
+/// Integrates `F(t, x, x') = 0` (index 0 or 1): `residual(t, x, dx, r)` fills in `F`. The method is
+/// [`Method::Bdf`].
+///
+/// The values of `x0` are used for states whose derivative appears in the equations. The other values of `x0`
+/// and all of `dx0` are guesses, which are corrected until the equations hold.
+///
+/// A system of a higher index ends with [`ErrorKind::HigherIndex`](crate::ErrorKind), which reports the
+/// states
+/// concerned (except with sparse matrices of more than 500 states). If `dF/dx'` is singular at the guess but
+/// regular near it, the run ends with [`ErrorKind::InconsistentSlopes`](crate::ErrorKind).
 ///
 /// ```
 /// // x' = -y with y = 2 x, from a wrong guess of y.
@@ -89,7 +93,7 @@ pub fn solve_second_order<'a>(
     solve
 }
 
-/// An integration to be made: what [`solve`], [`solve_dae`] and [`solve_second_order`] give.
+/// Builder of an integration, returned by [`solve`], [`solve_dae`] and [`solve_second_order`].
 #[must_use = "nothing is integrated before `run`"]
 pub struct Solve<'a> {
     system: ClosureSystem<'a>,
@@ -100,21 +104,21 @@ pub struct Solve<'a> {
     wrong_length: Option<(&'static str, usize, usize)>,
 }
 
-/// Why [`Solve::run`] failed.
+/// Reason why [`Solve::run`] failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SolveError {
-    /// An option that cannot be used.
+    /// An option is invalid.
     #[error(transparent)]
     Options(#[from] OptionsError),
-    /// An argument has not one value per state.
+    /// The length of an argument differs from the number of states.
     #[error("{name} has {given} values instead of {wanted}")]
     Length {
         /// Name of the argument.
         name: &'static str,
-        /// Values given.
+        /// Number of values given.
         given: usize,
-        /// Values wanted.
+        /// Number of values expected.
         wanted: usize,
     },
     /// The integration failed.
@@ -125,21 +129,21 @@ pub enum SolveError {
 /// Result of an integration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Solution {
-    /// The times asked for, or the ends of the steps. Where an event changed the states both sides of it are
-    /// listed.
+    /// Requested times, or the ends of the steps if no times were requested. If an event changed the states,
+    /// both sides of the event are listed.
     pub times: Vec<f64>,
-    /// The states there.
+    /// States at these times.
     pub states: Vec<Vec<f64>>,
-    /// Of each event function the times at which it occurred, and the states before.
+    /// Times and preceding states of the occurrences of each event function.
     pub events: Vec<Vec<(f64, Vec<f64>)>>,
-    /// Reason of its end, and its cost.
+    /// Reason of the end and cost of the run.
     pub report: Report,
-    /// The solution as a function of time, if [asked for](Solve::dense_output).
+    /// The solution as a function of time, if [requested](Solve::dense_output).
     pub dense: Option<DenseOutput>,
 }
 
 impl Solution {
-    /// The states at the last of the times; none if there is no time.
+    /// States at the last of the times; empty if there are no times.
     pub fn last(&self) -> &[f64] {
         self.states.last().map_or(&[], Vec::as_slice)
     }
@@ -151,25 +155,25 @@ impl<'a> Solve<'a> {
         Self { system, span, options, times: None, keeps_steps: false, wrong_length: None }
     }
 
-    /// The method; default [`Method::Auto`].
+    /// Sets the method; default [`Method::Auto`].
     pub fn method(mut self, method: Method) -> Self {
         self.options.method = method;
         self
     }
 
-    /// Relative tolerance; default 1e-6.
+    /// Sets the relative tolerance; default 1e-6.
     pub fn relative_tolerance(mut self, tolerance: f64) -> Self {
         self.options.relative_tolerance = tolerance;
         self
     }
 
-    /// Absolute tolerance of all states; default a hundredth of the relative one.
+    /// Sets the absolute tolerance of all states; default a hundredth of the relative tolerance.
     pub fn absolute_tolerance(mut self, tolerance: f64) -> Self {
         self.options.absolute_tolerance = AbsoluteTolerance::Scalar(tolerance);
         self
     }
 
-    /// Absolute tolerances, one per state.
+    /// Sets the absolute tolerances, one per state.
     pub fn absolute_tolerances(mut self, tolerances: &[f64]) -> Self {
         self.options.absolute_tolerance = AbsoluteTolerance::PerState(tolerances.to_vec());
         self
@@ -181,41 +185,41 @@ impl<'a> Solve<'a> {
         self
     }
 
-    /// When the solution is wanted: in the order of the integration, within the span; default: at the ends of
-    /// the steps.
+    /// Sets the times of the solution, in the order of the integration and within the span; default: the ends
+    /// of the steps.
     pub fn times(mut self, times: &[f64]) -> Self {
         self.times = Some(times.to_vec());
         self
     }
 
-    /// Keeps the solution as a function of time, too.
+    /// Also stores the solution as a function of time.
     pub fn dense_output(mut self) -> Self {
         self.keeps_steps = true;
         self
     }
 
-    /// One more event function.
+    /// Adds an event function.
     pub fn event(mut self, event: Event<'a>) -> Self {
         self.system.events.push(event);
         self
     }
 
-    /// Sets the function that is called at events: `change(t, x, which)` may change the states `x`; `which`
-    /// are the positions of the event functions that have crossed.
+    /// Sets the function that is called at events: `change(t, x, which)` may change the states `x`. `which`
+    /// contains the positions of the event functions that have crossed.
     pub fn on_event(mut self, change: impl FnMut(f64, &mut [f64], &[usize]) + 'a) -> Self {
         self.system.on_event = Some(Box::new(change));
         self
     }
 
-    /// The Jacobian of the right-hand side: `jacobian(t, x, j)` fills in `j[i + n k] = d f_i / d x_k`; zeros
-    /// when it is called. Default: differences.
+    /// Sets the Jacobian of the right-hand side: `jacobian(t, x, j)` fills in `j[i + n k] = d f_i / d x_k`.
+    /// The entries are zero on entry. Default: finite differences.
     pub fn jacobian(mut self, mut jacobian: impl FnMut(f64, &[f64], &mut [f64]) + 'a) -> Self {
         self.system.jacobian = Some(Box::new(move |t, x, _, _, j| jacobian(t, x, j)));
         self
     }
 
-    /// The Jacobians of a residual: `jacobian(t, x, dx, argument, j)` fills in that with respect to this
-    /// argument, by columns; zeros when it is called. Default: differences.
+    /// Sets the Jacobians of a residual: `jacobian(t, x, dx, argument, j)` fills in the Jacobian with respect
+    /// to `argument`, by columns. The entries are zero on entry. Default: finite differences.
     pub fn residual_jacobian(
         mut self,
         jacobian: impl FnMut(f64, &[f64], &[f64], Argument, &mut [f64]) + 'a,
@@ -224,25 +228,25 @@ impl<'a> Solve<'a> {
         self
     }
 
-    /// The places `(i, k)` where equation `i` depends on state `k` (or its derivative): columns that share no
-    /// row come from one difference.
+    /// Sets the positions `(i, k)` at which equation `i` depends on state `k` (or its derivative). Columns
+    /// without a common row are computed from a single difference.
     pub fn pattern(mut self, pattern: JacobianPattern) -> Self {
         self.system.pattern = Some(pattern);
         self
     }
 
-    /// The constant matrix `M` of `M x' = f(t, x)`, by columns; see
+    /// Sets the constant matrix `M` of `M x' = f(t, x)`, by columns; see
     /// [`mass_matrix`](crate::HybridSystem::mass_matrix).
     pub fn mass_matrix(mut self, mass: &[f64]) -> Self {
         self.system.mass = Some(mass.to_vec());
         self
     }
 
-    /// Integrates.
+    /// Runs the integration.
     ///
     /// # Errors
-    /// An option or argument that cannot be used, or an integration that failed: why, where, with which
-    /// numbers.
+    /// Returns an error if an option or argument is invalid, or if the integration fails. The error contains
+    /// the reason, the point of failure and the numbers at that point.
     pub fn run(self) -> Result<Solution, SolveError> {
         let Self { mut system, span, options, times, keeps_steps, wrong_length } = self;
         let n = system.x0.len();
@@ -287,7 +291,8 @@ impl Observer for Kept {
 }
 
 impl<'a> Event<'a> {
-    /// An event where `function(t, x)` becomes positive or stops being positive.
+    /// Creates an event at each change of sign of `function(t, x)`: when it becomes positive or stops being
+    /// positive.
     pub fn new(function: impl FnMut(f64, &[f64]) -> f64 + 'a) -> Self {
         Self {
             function: Box::new(function),
@@ -297,13 +302,13 @@ impl<'a> Event<'a> {
         }
     }
 
-    /// Sets the crossings that are events, as seen along the integration.
+    /// Sets the crossings that count as events, in the direction of the integration.
     pub fn direction(mut self, direction: Direction) -> Self {
         self.direction = direction;
         self
     }
 
-    /// The run ends with this occurrence (1: the first).
+    /// Ends the run at this occurrence (1: the first).
     pub fn terminal(mut self, occurrence: usize) -> Self {
         self.terminal = occurrence;
         self

@@ -1,4 +1,4 @@
-//! A hybrid system from closures.
+//! A hybrid system defined by closures.
 
 use crate::sparsity::JacobianPattern;
 use crate::system::{Argument, CallResult, Direction, EventOutcome, EventVisit, HybridSystem, StepAction};
@@ -10,20 +10,20 @@ type Jacobian<'a> = Box<dyn FnMut(f64, &[f64], &[f64], Argument, &mut [f64]) + '
 type Function<'a> = Box<dyn FnMut(f64, &[f64]) -> f64 + 'a>;
 type Change<'a> = Box<dyn FnMut(f64, &mut [f64], &[usize]) + 'a>;
 
-/// The equations.
+/// Form of the equations.
 pub(super) enum Form<'a> {
     Explicit(Rhs<'a>),
-    /// With the slopes at the start.
+    /// Residual and the slopes at the start.
     Residual(Residual<'a>, Vec<f64>),
 }
 
-/// An event function and its crossings that count.
+/// An event function and the crossings that count as its events.
 pub struct Event<'a> {
     pub(super) function: Function<'a>,
     pub(super) direction: Direction,
-    /// The run ends with this occurrence; 0: never.
+    /// Occurrence at which the run ends; 0: never.
     pub(super) terminal: usize,
-    /// Times, and states before.
+    /// Times and the preceding states.
     pub(super) occurrences: Vec<(f64, Vec<f64>)>,
 }
 
@@ -42,7 +42,7 @@ impl fmt::Debug for Event<'_> {
 pub(super) struct Rows {
     pub(super) times: Vec<f64>,
     pub(super) states: Vec<Vec<f64>>,
-    /// The last of them was made by the start or an event.
+    /// True if the start or an event added the last row.
     is_made: bool,
 }
 
@@ -54,7 +54,7 @@ impl Rows {
     }
 }
 
-/// The system, and what is kept of a run.
+/// The system and the results stored during a run.
 pub(super) struct ClosureSystem<'a> {
     pub(super) form: Form<'a>,
     pub(super) x0: Vec<f64>,
@@ -63,7 +63,7 @@ pub(super) struct ClosureSystem<'a> {
     pub(super) jacobian: Option<Jacobian<'a>>,
     pub(super) pattern: Option<JacobianPattern>,
     pub(super) mass: Option<Vec<f64>>,
-    /// Keep the ends of the steps.
+    /// True if the ends of the steps are stored.
     pub(super) keeps_rows: bool,
     pub(super) rows: Rows,
 }
