@@ -2,27 +2,27 @@
 
 use crate::options::{AbsoluteTolerance, Options};
 
-/// The least absolute tolerance, because the inverse of a weight must be a number.
+/// Smallest absolute tolerance, so that the inverse of a weight is finite.
 const LEAST_ATOL: f64 = 1e-300;
 
-/// The relative tolerance of unbounded states: what rounding leaves of a difference of large numbers.
+/// Relative tolerance of unbounded states: the rounding error of a difference of large numbers.
 const ROUNDING: f64 = 1e-14;
 
-/// Weights `w_i = atol_i + rtol_i * max(|x_i|, |x_new_i|)` of the root-mean-square norm; `rtol_i` is the
-/// relative tolerance, or next to nothing for unbounded states.
+/// Weights `w_i = atol_i + rtol_i * max(|x_i|, |x_new_i|)` of the root-mean-square norm. `rtol_i` is the
+/// relative tolerance, or a negligible value for unbounded states.
 #[derive(Debug, Default)]
 pub(crate) struct ErrorWeights {
     rtol: f64,
     relative: Vec<f64>,
     atol: Vec<f64>,
     scale: Vec<f64>,
-    /// The states whose absolute tolerance is zero.
+    /// Indices of the states whose absolute tolerance is zero.
     purely_relative: Vec<usize>,
 }
 
 impl ErrorWeights {
-    /// Sets tolerances for `nominals.len()` states; corrects nominals that are zero, negative or not finite.
-    /// The caller has checked that a list of tolerances has this length.
+    /// Sets the tolerances of `nominals.len()` states. Corrects nominal values that are zero, negative or not
+    /// finite. The caller must check that a list of tolerances has this length.
     pub(crate) fn set(&mut self, options: &Options, nominals: &[f64], is_unbounded: impl Fn(usize) -> bool) {
         let rtol = options.relative_tolerance;
         self.rtol = options.rtol_or_like();
@@ -47,23 +47,24 @@ impl ErrorWeights {
         }));
     }
 
-    /// A state that has no tolerance at `x`: it is zero, and so is its absolute tolerance.
+    /// Returns a state without a tolerance at `x`: the state and its absolute tolerance are zero.
     pub(crate) fn without_tolerance(&self, x: &[f64]) -> Option<usize> {
         self.purely_relative.iter().copied().find(|&i| self.relative[i] * x[i].abs() < LEAST_ATOL)
     }
 
-    /// The relative tolerance, or [what stands for it](Options::rtol_or_like) where it is zero.
+    /// Relative tolerance, or [its replacement](Options::rtol_or_like) if it is zero.
     pub(crate) fn rtol(&self) -> f64 {
         self.rtol
     }
 
-    /// The size below which a state counts as small: its nominal value, or less if the absolute tolerance
-    /// says so (by the rule that makes absolute tolerances of nominal values).
+    /// Size below which a state counts as small: its nominal value, or a smaller one derived from the
+    /// absolute
+    /// tolerance. The derivation inverts the rule that computes absolute tolerances from nominal values.
     pub(crate) fn scale(&self, i: usize) -> f64 {
         self.scale[i]
     }
 
-    /// Fills in the inverse weights at the state `x`, times `factor`.
+    /// Fills in the inverse weights at the state `x`, multiplied by `factor`.
     pub(crate) fn inverse_at(&self, x: &[f64], factor: f64, inverse: &mut [f64]) {
         for (i, v) in inverse.iter_mut().enumerate() {
             *v = factor / self.weight(i, x[i], x[i]);
@@ -74,14 +75,14 @@ impl ErrorWeights {
         self.atol[i] + self.relative[i] * a.abs().max(b.abs())
     }
 
-    /// Norm of the error of a step from `x` to `x_new`; NaN if anything in it is.
+    /// Norm of the error of a step from `x` to `x_new`; NaN if any value is NaN.
     pub(crate) fn error_norm(&self, x: &[f64], x_new: &[f64], error: &[f64]) -> f64 {
         let n = x.len();
         let (x_new, error) = (&x_new[..n], &error[..n]);
         let (atol, relative) = (&self.atol[..n], &self.relative[..n]);
         let mut sum = 0.0;
         for i in 0..n {
-            // A number that is not one is found in the error.
+            // A NaN in the states also appears in the error.
             let (a, b) = (x[i].abs(), x_new[i].abs());
             let part = error[i] / (atol[i] + relative[i] * if a > b { a } else { b });
             sum += part * part;
@@ -100,13 +101,13 @@ impl ErrorWeights {
         (sum / x.len().max(1) as f64).sqrt()
     }
 
-    /// True if `a` and `b` differ by less than this multiple of its weight in each state at `x`; not if
-    /// either is NaN.
+    /// True if `a` and `b` differ by less than this multiple of the weight in each state at `x`. False if any
+    /// value is NaN.
     pub(crate) fn are_close(&self, x: &[f64], a: &[f64], b: &[f64], multiple: f64) -> bool {
         (0..x.len()).all(|i| (a[i] - b[i]).abs() < multiple * self.weight(i, x[i], x[i]))
     }
 
-    /// Norm of `a - b` over that of `c - d`, at the state `x`; zero if the latter is.
+    /// Norm of `a - b` divided by the norm of `c - d`, at the state `x`. Zero if the latter norm is zero.
     pub(crate) fn ratio(&self, x: &[f64], [a, b]: [&[f64]; 2], [c, d]: [&[f64]; 2]) -> f64 {
         let (mut above, mut below) = (0.0, 0.0);
         for i in 0..x.len() {
@@ -117,14 +118,14 @@ impl ErrorWeights {
         if below > 0.0 { (above / below).sqrt() } else { 0.0 }
     }
 
-    /// The state that contributes most to the error norm.
+    /// Index of the state that contributes most to the error norm.
     pub(crate) fn worst(&self, x: &[f64], x_new: &[f64], error: &[f64]) -> Option<usize> {
         let share = |i: usize| (error[i] / self.weight(i, x[i], x_new[i])).abs();
         (0..x.len()).max_by(|&i, &j| share(i).total_cmp(&share(j)))
     }
 }
 
-/// Root mean square of `v` times inverse weights.
+/// Root mean square of the products of `v` and the inverse weights.
 pub(crate) fn scaled_norm(v: &[f64], inverse_weights: &[f64]) -> f64 {
     let sum: f64 = v.iter().zip(inverse_weights).map(|(v, w)| (v * w) * (v * w)).sum();
     (sum / v.len().max(1) as f64).sqrt()

@@ -1,4 +1,4 @@
-//! The Jacobian of the right-hand side: from the model, from directional derivatives, or from coloured
+//! The Jacobian of the right-hand side: from the model, from directional derivatives, or from coloured finite
 //! differences.
 
 use crate::lu;
@@ -6,10 +6,10 @@ use crate::sparsity::{Groups, JacobianPattern};
 use crate::stepper::{Equations, Point};
 use crate::system::{CallError, CallResult, HybridSystem};
 
-/// Shares of the usual increment that are tried, in this order, until the model can be evaluated.
+/// Multiples of the usual increment, tried in this order until the model can be evaluated.
 const LADDER: [f64; 8] = [1.0, -1.0, 0.1, -0.1, 0.01, -0.01, 0.001, -0.001];
 
-/// Where the numbers come from; found out at the first evaluation of a run.
+/// Source of the Jacobian, determined at the first evaluation of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 enum Source {
     /// [`HybridSystem::jacobian_entries`].
@@ -21,34 +21,36 @@ enum Source {
     Differences,
 }
 
-/// A Jacobian by columns, and what is needed to make a new one without allocating.
+/// A Jacobian by columns, with the work space to update it without allocation.
 #[derive(Debug, Default)]
 pub(crate) struct Jacobian {
     n: usize,
     source: Source,
-    /// The system is to be asked for a whole matrix.
+    /// True if the system provides a whole matrix.
     has_whole: bool,
     pattern: Option<JacobianPattern>,
-    /// Where in `values` the entries of the pattern are.
+    /// Positions in `values` of the entries of the pattern.
     places: Vec<usize>,
     groups: Groups,
     is_sparse: bool,
-    /// `values[i + n * k]` is the derivative of `f_i` with respect to `x_k`; where they are sparse only the
-    /// places of the pattern and of the diagonal are kept, one after the other: the entries that a sparse
-    /// decomposition takes.
+    /// `values[i + n * k]` is the derivative of `f_i` with respect to `x_k`. If the matrix is sparse, only
+    /// the
+    /// entries of the pattern and of the diagonal are stored, one after the other, as a sparse decomposition
+    /// expects them.
     pub(crate) values: Vec<f64>,
-    /// Buffer for the system to fill in, where its layout is not that of the values: the entries of the
-    /// pattern, or a whole matrix.
+    /// Buffer for the system to fill in if its layout differs from `values`: the entries of the pattern, or a
+    /// whole matrix.
     given: Vec<f64>,
     point: Vec<f64>,
     column: Vec<f64>,
 }
 
 impl Jacobian {
-    /// Makes room for the system and colours its pattern. A pattern of the wrong size is as good as none.
+    /// Allocates the work space for the system and colours its pattern. A pattern of the wrong size is
+    /// ignored.
     ///
     /// # Errors
-    /// There is no room for a dense matrix of this size.
+    /// Returns an error if memory is insufficient for a dense matrix of this size.
     pub(crate) fn begin(&mut self, system: &dyn HybridSystem) -> CallResult<()> {
         let n = system.n_states();
         let pattern = system.jacobian_pattern().filter(|p| p.n_states() == n);
@@ -56,10 +58,10 @@ impl Jacobian {
         self.source = if pattern.is_some() { Source::Entries } else { Source::Whole };
         self.point.resize(n, 0.0);
         self.column.resize(n, 0.0);
-        // A mass matrix has places of its own.
+        // The mass matrix has entries outside the pattern.
         let is_sparse = pattern.is_some_and(lu::is_sparse) && system.mass_matrix().is_none();
         if (n, pattern, is_sparse) != (self.n, self.pattern.as_ref(), self.is_sparse) {
-            // Nothing is known of what was begun before if there is no room.
+            // If the allocation fails, the previous state is invalid.
             self.n = usize::MAX;
             (self.pattern, self.is_sparse) = (pattern.cloned(), is_sparse);
             self.groups = pattern.map_or_else(|| Groups::single(n), Groups::new);
@@ -80,17 +82,17 @@ impl Jacobian {
         Ok(())
     }
 
-    /// The places that may differ from zero, if they are known.
+    /// Sparsity pattern, if known.
     pub(crate) fn pattern(&self) -> Option<&JacobianPattern> {
         self.pattern.as_ref()
     }
 
-    /// True if only the values at the places of the pattern, and of the diagonal, are kept.
+    /// True if only the entries of the pattern and of the diagonal are stored.
     pub(crate) fn is_sparse(&self) -> bool {
         self.is_sparse
     }
 
-    /// Calls `f(i, k, value)` for every entry that may differ from zero, column by column.
+    /// Calls `f(i, k, value)` for every entry that may be nonzero, column by column.
     pub(crate) fn each(&self, mut f: impl FnMut(usize, usize, f64)) {
         match &self.pattern {
             Some(pattern) => {
@@ -127,8 +129,8 @@ impl Jacobian {
         }
     }
 
-    /// Evaluates it at a point, where the slopes are the right-hand side. [`CallError::Discard`]: it cannot
-    /// be had there.
+    /// Evaluates the Jacobian at a point where the slopes are the right-hand side. Returns
+    /// [`CallError::Discard`] if it cannot be evaluated there.
     pub(crate) fn evaluate(&mut self, equations: &mut Equations<'_>, point: Point<'_>) -> CallResult<()> {
         let Point { t, x, .. } = point;
         equations.stats.jacobians += 1;
@@ -153,7 +155,7 @@ impl Jacobian {
         Ok(())
     }
 
-    /// The entries of the pattern, from the system; `false`: it has none.
+    /// Reads the entries of the pattern from the system. Returns `false` if the system provides none.
     fn take_entries(&mut self, system: &mut dyn HybridSystem, t: f64, x: &[f64]) -> CallResult<bool> {
         self.given.clear();
         self.given.resize(self.places.len(), 0.0);
@@ -164,7 +166,7 @@ impl Jacobian {
         Ok(is_there)
     }
 
-    /// The whole matrix, from the system; `false`: it has none.
+    /// Reads the whole matrix from the system. Returns `false` if the system provides none.
     fn take_whole(&mut self, system: &mut dyn HybridSystem, t: f64, x: &[f64]) -> CallResult<bool> {
         if !self.is_sparse {
             return system.jacobian(t, x, &mut self.values);
@@ -178,7 +180,7 @@ impl Jacobian {
         Ok(is_there)
     }
 
-    /// One group of columns from one directional derivative; `false`: the model has none.
+    /// Computes a group of columns from one directional derivative. Returns `false` if the model has none.
     fn directional(
         &mut self,
         equations: &mut Equations<'_>,
@@ -205,8 +207,11 @@ impl Jacobian {
         Ok(true)
     }
 
-    /// One group of columns from one difference: forward along the flow, so that the point stays where the
-    /// model is defined; backward or shorter where it is refused there.
+    /// Computes a group of columns from one finite difference. The difference is forward along the flow, so
+    /// that
+    /// the point stays in the domain of the model. If the model refuses that point, the difference is
+    /// backward or
+    /// shorter.
     fn difference(&mut self, equations: &mut Equations<'_>, point: Point<'_>, g: usize) -> CallResult<()> {
         let Point { t, x, slopes: f } = point;
         let columns = self.groups.range(g);
@@ -224,7 +229,7 @@ impl Jacobian {
             }
             for place in columns {
                 let k = self.groups.columns[place];
-                // The difference of the points as they are stored is exact.
+                // The difference of the stored points is exact.
                 let delta = self.point[k] - x[k];
                 self.fill(k, |column, i| (column[i] - f[i]) / delta);
             }
@@ -246,7 +251,7 @@ mod tests {
     use crate::stats::Stats;
     use crate::system::EventOutcome;
 
-    /// `f_i = x_{i-1} x_i - 2 x_i^2 + 3 x_{i+1}`, refused where some state is above its limit.
+    /// `f_i = x_{i-1} x_i - 2 x_i^2 + 3 x_{i+1}`, refused if a state is above its limit.
     struct Chain {
         n: usize,
         pattern: Option<JacobianPattern>,
@@ -367,12 +372,12 @@ mod tests {
 
     #[test]
     fn refused_points_are_left_backward() {
-        // All flow upward (f > 0) and sit at the limit: every forward difference is refused.
+        // All states increase (f > 0) and are at the limit, so every forward difference is refused.
         let x = [0.5; 3];
         let mut chain = Chain { n: 3, pattern: None, limit: 0.5, own: false, directional: false };
         let (result, worst, stats) = evaluated(&mut chain, &x);
         assert!(result.is_ok() && worst < 1e-6, "{worst:e}");
-        // The last state flows downward: one evaluation; the others need two.
+        // The last state decreases and needs one evaluation; the others need two.
         assert_eq!(stats.right_hand_sides, 5);
     }
 }

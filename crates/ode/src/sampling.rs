@@ -1,32 +1,33 @@
-//! Requested times that are due, and their delivery to the observer.
+//! Delivery of the samples at requested times to the observer.
 
 use crate::observer::{Observer, Sample, Side};
 use crate::system::{CallResult, HybridSystem};
 use std::ops::ControlFlow;
 
-/// Position in the list of requested times, and the row of outputs.
+/// Position in the list of requested times, and the outputs of a sample.
 #[derive(Debug, Default)]
 pub(crate) struct Sampler {
     cursor: usize,
     outputs: Vec<f64>,
     delivered: u64,
-    /// Times closer than this are one.
+    /// Times closer than this are equal.
     time_tolerance: f64,
 }
 
-/// Where the system stands: the point at which outputs are evaluated.
+/// Point at which the outputs are evaluated.
 pub(crate) struct Here<'a> {
     pub(crate) t: f64,
     pub(crate) x: &'a [f64],
-    /// Requested times this close are this instant.
+    /// Requested times within this tolerance are equal to `t`.
     pub(crate) time_tolerance: f64,
-    /// Also deliver a row if nobody asked for this time.
+    /// True if a row is recorded even if this time was not requested.
     pub(crate) record: bool,
 }
 
 impl Sampler {
-    /// The first time that is not finite, below its predecessor, the third of its kind, or outside of `[lo,
-    /// hi]`.
+    /// Index of the first invalid time: not finite, smaller than its predecessor, the third equal one, or
+    /// outside
+    /// `[lo, hi]`.
     pub(crate) fn first_bad_time(times: &[f64], lo: f64, hi: f64) -> Option<usize> {
         (0..times.len()).find(|&i| {
             let t = times[i];
@@ -43,17 +44,17 @@ impl Sampler {
         self.outputs.resize(n_outputs, 0.0);
     }
 
-    /// Samples delivered since [`begin`](Self::begin).
+    /// Number of samples delivered since [`begin`](Self::begin).
     pub(crate) fn delivered(&self) -> u64 {
         self.delivered
     }
 
-    /// The next requested time if it lies before `limit`.
+    /// Next requested time if it is before `limit`.
     pub(crate) fn due_before(&self, times: &[f64], limit: f64) -> Option<f64> {
         times.get(self.cursor).copied().filter(|t| *t < limit)
     }
 
-    /// True if the next requested time is listed once more after it.
+    /// True if the next requested time is listed twice.
     fn twice(&self, times: &[f64]) -> bool {
         self.cursor + 1 < times.len() && times[self.cursor + 1] - times[self.cursor] <= self.time_tolerance
     }
@@ -72,7 +73,7 @@ impl Sampler {
         Ok(observer.sample(&Sample { time, index, side, states: here.x, outputs: &self.outputs }))
     }
 
-    /// Delivers a row that nobody asked for, behind an event.
+    /// Delivers a row after an event that was not requested.
     pub(crate) fn record(
         &mut self,
         system: &mut dyn HybridSystem,
@@ -82,7 +83,7 @@ impl Sampler {
         self.emit(system, here, here.t, None, Side::Right, observer)
     }
 
-    /// Delivers the next requested time; the caller stands there.
+    /// Delivers the sample of the next requested time. The system must be at that point.
     pub(crate) fn deliver(
         &mut self,
         system: &mut dyn HybridSystem,
@@ -97,7 +98,7 @@ impl Sampler {
         Ok(flow)
     }
 
-    /// The left limit right before an event, if its time is listed twice or events are recorded.
+    /// Delivers the left limit just before an event, if its time is listed twice or events are recorded.
     pub(crate) fn deliver_left(
         &mut self,
         system: &mut dyn HybridSystem,
@@ -114,7 +115,7 @@ impl Sampler {
         }
     }
 
-    /// Every requested time that is this instant, after all that happens here; one row at least if
+    /// Delivers all requested times at this instant, after all its events. Delivers at least one row if
     /// `here.record`.
     pub(crate) fn deliver_here(
         &mut self,

@@ -1,42 +1,42 @@
-//! The stages of a step, and weighted sums of them, a block of components at once.
+//! The stages of a step and their weighted sums, computed for a block of components at once.
 
-/// Components that are added up at once: two registers of two numbers.
+/// Components added at once: two registers of two numbers.
 const WIDTH: usize = 4;
 
 type Block = [f64; WIDTH];
 
-/// `S` vectors of `n` numbers each in blocks, of which the last of a vector is filled up with zeros.
+/// `S` vectors of `n` numbers each, in blocks. The last block of a vector is padded with zeros.
 #[derive(Debug, Default)]
 pub(crate) struct Stages<const S: usize> {
     blocks: Vec<Block>,
-    /// Blocks of a vector.
+    /// Number of blocks per vector.
     per_stage: usize,
     n: usize,
 }
 
 impl<const S: usize> Stages<S> {
-    /// Makes room for `n` states, all zero.
+    /// Allocates zero vectors for `n` states.
     pub(crate) fn begin(&mut self, n: usize) {
         (self.n, self.per_stage) = (n, n.div_ceil(WIDTH));
         self.blocks.clear();
         self.blocks.resize(S * self.per_stage, [0.0; WIDTH]);
     }
 
-    /// The vector of a stage.
+    /// Vector of a stage.
     #[inline]
     pub(crate) fn get(&self, stage: usize) -> &[f64] {
         let begin = WIDTH * self.per_stage * stage;
         &self.blocks.as_flattened()[begin..begin + self.n]
     }
 
-    /// The same, to be filled in.
+    /// Mutable vector of a stage.
     #[inline]
     pub(crate) fn get_mut(&mut self, stage: usize) -> &mut [f64] {
         let begin = WIDTH * self.per_stage * stage;
         &mut self.blocks.as_flattened_mut()[begin..begin + self.n]
     }
 
-    /// Copies the vector of a stage to the place of another.
+    /// Copies the vector of one stage to another stage.
     #[inline]
     pub(crate) fn copy(&mut self, from: usize, to: usize) {
         let per_stage = self.per_stage;
@@ -45,8 +45,8 @@ impl<const S: usize> Stages<S> {
         }
     }
 
-    /// `out_i = finish(sum_j w_j k_j_i, x_i)`, over terms `(j, w_j)`, each component in the order of the
-    /// terms.
+    /// Computes `out_i = finish(sum_j w_j k_j_i, x_i)` from terms `(j, w_j)`. Each component is added in the
+    /// order of the terms.
     #[inline(always)]
     pub(crate) fn combine(
         &self,
@@ -56,7 +56,7 @@ impl<const S: usize> Stages<S> {
         finish: impl Fn(f64, f64) -> f64 + Copy,
     ) {
         if let (1, Some(blocks)) = (self.per_stage, self.blocks.first_chunk::<S>()) {
-            // Known to the compiler: there is nothing to multiply in the places of the blocks, nor to check.
+            // The constants let the compiler omit index multiplications and bounds checks.
             return put(0, out, x, &total(blocks, 1, 0, terms), finish);
         }
         for block in 0..self.per_stage {
@@ -65,7 +65,7 @@ impl<const S: usize> Stages<S> {
     }
 }
 
-/// The sum of the terms in a block.
+/// Computes the sum of the terms in a block.
 #[inline(always)]
 fn total(
     blocks: &[Block],
@@ -83,12 +83,12 @@ fn total(
     sum
 }
 
-/// Writes what is made of a sum to the components of a block, of which the last may be short.
+/// Writes the results of `finish` to the components of a block. The last block may be short.
 #[inline(always)]
 fn put(block: usize, out: &mut [f64], x: &[f64], sum: &Block, finish: impl Fn(f64, f64) -> f64) {
     let (out, x) = (&mut out[WIDTH * block..], &x[WIDTH * block..]);
     match (out.first_chunk_mut::<WIDTH>(), x.first_chunk::<WIDTH>()) {
-        // All before any is written: then they are made at once.
+        // All results are computed before any is written, so that the compiler can vectorize them.
         (Some(out), Some(x)) => *out = std::array::from_fn(|i| finish(sum[i], x[i])),
         _ => out.iter_mut().zip(x).zip(sum).for_each(|((out, x), sum)| *out = finish(*sum, *x)),
     }
@@ -98,7 +98,7 @@ fn put(block: usize, out: &mut [f64], x: &[f64], sum: &Block, finish: impl Fn(f6
 mod tests {
     use super::*;
 
-    /// Blocks and what is left of them give the same bits as components alone.
+    /// Blocks and the remaining components give bit-for-bit the same results as separate components.
     #[test]
     fn components_do_not_see_each_other() {
         let wave = |a: f64, n| (0..n).map(|i| (a * (i as f64 + 0.3)).sin()).collect::<Vec<f64>>();

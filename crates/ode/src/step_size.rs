@@ -1,4 +1,4 @@
-//! The step-size controller, and the size of the first step.
+//! The step-size controller and the size of the first step.
 
 use crate::error_norm::ErrorWeights;
 
@@ -16,8 +16,9 @@ pub(crate) struct StepController {
 impl StepController {
     const SAFETY: f64 = 0.9;
 
-    /// For methods of order 5: `beta = 0.04`, growth at most 10, reduction at most to a fifth; for those of
-    /// order 8: no memory, growth at most 6, reduction at most to a third.
+    /// Creates the controller. For methods of order 5: `beta = 0.04`, factor between 0.2 and 10. For methods
+    /// of
+    /// order 8: no memory, factor between 1/3 and 6.
     pub(crate) fn new(order: u32) -> Self {
         let (beta, growth, reduction) = if order < 8 { (0.04, 10.0, 0.2) } else { (0.0, 6.0, 1.0 / 3.0) };
         Self {
@@ -35,7 +36,7 @@ impl StepController {
         self.just_rejected = false;
     }
 
-    /// Factor for the step size after a step accepted with this error norm.
+    /// Returns the factor for the step size after an accepted step with this error norm.
     pub(crate) fn accepted(&mut self, error: f64) -> f64 {
         let factor = error.powf(self.exponent) / self.previous_error.powf(self.beta) / Self::SAFETY;
         let growth = if self.just_rejected { 1.0 } else { self.growth };
@@ -44,27 +45,27 @@ impl StepController {
         (1.0 / factor).clamp(self.reduction, growth)
     }
 
-    /// Factor for the step size after a step rejected with this error norm.
+    /// Returns the factor for the step size after a rejected step with this error norm.
     pub(crate) fn rejected(&mut self, error: f64) -> f64 {
         self.just_rejected = true;
         (Self::SAFETY / error.powf(self.exponent)).clamp(self.reduction, 0.9)
     }
 
-    /// Factor for the step size after a point that the model refused.
+    /// Returns the factor for the step size after a point that the model refused.
     pub(crate) fn discarded(&mut self) -> f64 {
         self.just_rejected = true;
         0.25
     }
 }
 
-/// First guess of a step size: HNW I, II.4, steps a) and b): an explicit Euler step of this length changes
-/// the solution by a hundredth of its norm.
+/// Returns a first estimate of the step size: HNW I, II.4, steps a) and b). An explicit Euler step of this
+/// size changes the solution by a hundredth of its norm.
 pub(crate) fn probe_step(weights: &ErrorWeights, x: &[f64], dx: &[f64], span: f64) -> f64 {
     let (d0, d1) = (weights.norm(x, x), weights.norm(x, dx));
     if d0 < 1e-5 || d1 < 1e-5 { 1e-6 * span } else { 0.01 * d0 / d1 }
 }
 
-/// The step size from two right-hand sides `probe` apart: HNW I, II.4, steps d) to f).
+/// Returns the step size from two right-hand sides `probe` apart: HNW I, II.4, steps d) to f).
 pub(crate) fn first_step(
     weights: &ErrorWeights,
     order: u32,

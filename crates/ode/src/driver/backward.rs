@@ -1,10 +1,10 @@
-//! Runs that lead backward in time, made with the time `s = -t`: what an observer is shown, and the report.
+//! Runs backward in time, integrated with the time `s = -t`: conversion of observer reports and results.
 
 use crate::error::{ErrorKind, Report, SimulationError};
 use crate::observer::{EventRecord, Observer, Sample, StepView};
 use std::ops::ControlFlow;
 
-/// The other time; never a negative zero.
+/// Reverses a time. Never returns a negative zero.
 pub(super) fn turned(time: f64) -> f64 {
     0.0 - time
 }
@@ -13,7 +13,7 @@ pub(super) fn negate(values: &mut [f64]) {
     values.iter_mut().for_each(|v| *v = -*v);
 }
 
-/// An observer that is shown the time of the system.
+/// Observer wrapper that converts to the time of the system.
 pub(super) struct BackwardObserver<'a>(pub(super) &'a mut dyn Observer);
 
 impl Observer for BackwardObserver<'_> {
@@ -35,7 +35,7 @@ impl Observer for BackwardObserver<'_> {
     }
 }
 
-/// A report, or an error, with the time of the system.
+/// Converts a report or an error to the time of the system.
 pub(super) fn turned_end(
     mut ended: Result<Report, Box<SimulationError>>,
 ) -> Result<Report, Box<SimulationError>> {

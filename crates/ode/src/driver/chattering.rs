@@ -1,9 +1,9 @@
-//! Events that follow each other while time hardly advances.
+//! Detection of events that follow each other while time hardly advances.
 
 use crate::options::ChatteringPolicy;
 
-/// Notices events that follow each other while time hardly advances (chattering, Zeno). The test is on the
-/// time that passes, not on the number of events: many events far apart are a legal model.
+/// Detects events that follow each other while time hardly advances (chattering, Zeno). The test uses the
+/// elapsed time, not the number of events, because a model with many events far apart is valid.
 #[derive(Debug)]
 pub(super) struct ChatteringGuard {
     times: [f64; Self::EVENTS],
@@ -11,25 +11,30 @@ pub(super) struct ChatteringGuard {
 }
 
 impl ChatteringGuard {
-    /// So many events in a row must advance time.
+    /// Number of consecutive events that must advance time.
     pub(super) const EVENTS: usize = 100;
-    /// State events by this share of the span, or by so many seconds if that is less: how often a relay may
-    /// switch does not depend on how long it is watched.
+    /// Threshold for state events: this fraction of the span, or this number of seconds if smaller. The
+    /// allowed
+    /// switching rate of a relay does not depend on the length of the run.
     pub(super) const STATE_EVENTS: (f64, f64) = (1e-6, 1e-3);
-    /// Bounces of a body that is to slide likewise: they are ten times shorter than a step of sliding, and
-    /// may be kept up by rounding or by what the tolerance leaves.
+    /// Threshold for bounces of a body that may slide. The bounces are ten times shorter than a step of
+    /// sliding.
+    /// Rounding or errors within the tolerance may sustain them.
     pub(super) const BOUNCES: (f64, f64) = (10.0 * ChatteringPolicy::SLIDING_STEP, 1e-3);
-    /// Time events likewise: a clock may be fast, but it must not stand still.
+    /// Threshold for time events: a clock may be fast, but time must advance.
     pub(super) const TIME_EVENTS: (f64, f64) = (1e-9, 1e-6);
 
-    /// By how much they must, in a span in which times closer than `time_tolerance` are one.
+    /// Returns the minimum time for [`EVENTS`](Self::EVENTS) events. `span` is the length of the run, and
+    /// times
+    /// closer than `time_tolerance` are equal.
     pub(super) fn least_in(limits: (f64, f64), span: f64, time_tolerance: f64) -> f64 {
         let (share, enough) = limits;
         (share * span).min(enough.max(Self::still(time_tolerance)))
     }
 
-    /// An event is located to a few times what tells two instants apart: in less time than this for all of
-    /// them, time stands still.
+    /// Returns the time below which [`EVENTS`](Self::EVENTS) events do not advance time. An event is located
+    /// to a
+    /// few time tolerances.
     pub(super) fn still(time_tolerance: f64) -> f64 {
         10.0 * Self::EVENTS as f64 * time_tolerance
     }
@@ -38,7 +43,8 @@ impl ChatteringGuard {
         Self { times: [f64::NEG_INFINITY; Self::EVENTS], next: 0 }
     }
 
-    /// Records an event at `t`; returns the time in which the last [`EVENTS`](Self::EVENTS) happened if that
+    /// Records an event at `t`. Returns the time in which the last [`EVENTS`](Self::EVENTS) events happened
+    /// if it
     /// is less than `least`.
     pub(super) fn record(&mut self, t: f64, least: f64) -> Option<f64> {
         let within = t - self.times[self.next];

@@ -1,34 +1,36 @@
-//! What ends a run from outside of it: a flag, and a limit of wall-clock time.
+//! Conditions that end a run from outside: a flag and a limit on the wall-clock time.
 
 use crate::options::Options;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Why a run was ended from outside of it. A system whose call takes long may look at a [`EndConditions`]
-/// meanwhile, and at whatever else, and end the run: `Err(CallError::failed(stopped))`.
+/// Reason why a run was ended from outside. A system with long calls may check [`EndConditions`] or other
+/// conditions during a call. It ends the run by returning `Err(CallError::failed(stopped))`.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum Stopped {
-    /// The flag of [`Options::cancel`] was set: the run ends with [`ErrorKind::Cancelled`](crate::ErrorKind).
+    /// The flag [`Options::cancel`] was set. The run ends with [`ErrorKind::Cancelled`](crate::ErrorKind).
     #[error("cancelled")]
     Cancelled,
-    /// This limit of wall-clock time was reached: [`ErrorKind::TimedOut`](crate::ErrorKind).
+    /// This limit on the wall-clock time was reached. The run ends with
+    /// [`ErrorKind::TimedOut`](crate::ErrorKind).
     #[error("the time limit of {} s was reached", .0.as_secs_f64())]
     TimedOut(Duration),
-    /// The observer wishes it: a normal end, [`Termination::StoppedByObserver`](crate::Termination).
+    /// The observer requested the end. This is a normal end,
+    /// [`Termination::StoppedByObserver`](crate::Termination).
     #[error("stopped by the observer")]
     ByObserver,
 }
 
-/// Limit of wall-clock time and flag that end a run from outside of it.
+/// Limit on the wall-clock time and flag that end a run from outside.
 #[derive(Debug, Clone, Copy)]
 pub struct EndConditions<'a> {
     cancel: Option<&'a AtomicBool>,
-    /// The limit, and when the run began.
+    /// The limit and the start time of the run.
     timeout: Option<(Duration, Instant)>,
 }
 
 impl<'a> EndConditions<'a> {
-    /// For a run with these options that begins now.
+    /// Creates the conditions for a run with these options that starts now.
     pub fn new(options: &'a Options) -> Self {
         Self {
             cancel: options.cancel.as_deref(),
@@ -37,7 +39,7 @@ impl<'a> EndConditions<'a> {
     }
 
     /// # Errors
-    /// The run is to end, and why.
+    /// Returns the reason if the run must end.
     #[inline]
     pub fn check(&self) -> Result<(), Stopped> {
         if self.cancel.is_some_and(|cancel| cancel.load(Ordering::Relaxed)) {

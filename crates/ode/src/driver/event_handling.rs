@@ -1,4 +1,4 @@
-//! Events at the point where the run stands: one visit for all causes, then on as before or anew.
+//! Events at the current point of the run: one visit for all causes, then continuation or restart.
 
 use super::chattering::ChatteringGuard;
 use super::run::{Run, Space, Step, finish, no_retreat, read_indicators};
@@ -9,10 +9,11 @@ use crate::step_size::{first_step, probe_step};
 use crate::stepper::{Consistency, Equations, Trial};
 use crate::system::{CallError, CallResult, EventCause, EventOutcome, EventVisit};
 
-/// Slopes are the same if in a step they move no state by more than this share of its tolerance.
+/// Slopes count as equal if their difference moves no state in a step by more than this fraction of its
+/// tolerance.
 const SAME_SLOPE: f64 = 0.1;
 
-/// A slope that cannot be had, just behind the border of what the model can be asked for, counts as a change.
+/// Treats a slope that cannot be evaluated, just outside the domain of the model, as a change.
 fn or_change(evaluated: CallResult<()>, slope: &mut [f64]) -> Step<()> {
     match evaluated {
         Ok(()) => Ok(()),
@@ -25,8 +26,9 @@ fn or_change(evaluated: CallResult<()>, slope: &mut [f64]) -> Step<()> {
 }
 
 impl Run<'_> {
-    /// Watches the events at the end of a step for chattering; `crossed` is an indicator that has crossed,
-    /// one that does not slide if there is any.
+    /// Checks the events at the end of a step for chattering. `crossed` is an indicator that has crossed; one
+    /// that
+    /// does not slide, if any.
     pub(super) fn watch_events(&mut self, cause: EventCause, crossed: Option<usize>) -> Step<()> {
         let slides = crossed.is_some_and(|i| self.space.domains.slides(i));
         if self.sliding.step().is_some() {
@@ -61,7 +63,7 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// Lets the events at the current time happen, restarts the method where they changed something.
+    /// Handles the events at the current time and restarts the method if they changed something.
     pub(super) fn visit_event(&mut self, cause: EventCause) -> Step<()> {
         if let Some(n) = self.options.limits.max_events
             && self.stats.events >= n
@@ -70,7 +72,8 @@ impl Run<'_> {
         }
         let space = &mut *self.space;
         space.x_mid.copy_from_slice(&space.x);
-        // Of two instants within rounding the model is shown the later one, or its time event would not be due.
+        // Of two instants within rounding, the model receives the later one, because its time event would
+        // otherwise not be due.
         let announced = self.next_time_event.filter(|_| cause.time).unwrap_or(self.t);
         let time = self.t.max(announced);
         self.t = time.min(self.end);
@@ -102,9 +105,10 @@ impl Run<'_> {
         stats.input_events += u64::from(cause.input);
     }
 
-    /// Before an event without a crossing: the right-hand side on its left side, which decides whether the
-    /// method must be restarted. It is evaluated where it is not known: slopes of polynomials differ from it
-    /// by more than a restart is worth, beside stiff components by any amount.
+    /// Determines the right-hand side on the left side of an event without a crossing. It decides whether the
+    /// method must restart. The right-hand side is evaluated if it is not known. The slopes of interpolants
+    /// are too
+    /// inaccurate for this decision, and can have any error near stiff components.
     pub(super) fn take_slope(&mut self, known: bool) -> Step<()> {
         let Space { x, slope, weights, .. } = &mut *self.space;
         if known || x.is_empty() || self.fixed_step.is_some() || self.stepper.properties().only_own_slopes {
@@ -115,10 +119,11 @@ impl Run<'_> {
         or_change(equations.derivatives(self.t, x, slope), slope)
     }
 
-    /// After an event: reads the right-hand side and the indicators anew. Where the states (their values
-    /// before are in `x_mid`), the slopes on both sides and, if one of them has crossed, the indicators show
-    /// that nothing has changed to speak of, the method goes on as before; otherwise it begins anew, with a
-    /// step size of its own.
+    /// Reads the right-hand side and the indicators after an event. The method continues if nothing has
+    /// changed
+    /// significantly, and otherwise restarts with a new step size. The test uses the states (`x_mid` contains
+    /// those
+    /// before the event), the slopes on both sides, and the indicators if one of them crossed.
     fn resume(&mut self, outcome: EventOutcome, cause: EventCause) -> Step<()> {
         let before = self.h;
         let on_zero = self.space.domains.crossed_on_zero();
@@ -131,7 +136,7 @@ impl Run<'_> {
             self.evaluate_here(true)?;
             is_unchanged = false;
         }
-        // Still at the start the first step is estimated when its events are over; fixed steps know no past.
+        // At the start, the first step is estimated after its events; fixed steps have no history.
         if before == 0.0 || self.fixed_step.is_some() {
             return Ok(());
         }
@@ -154,9 +159,10 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// The right-hand side before a state event, from its own side: at the time `before`, in the trial of
-    /// size `h` that ends at `end` and is still to be committed. Behind it a right-hand side that depends on
-    /// time may have switched.
+    /// Determines the right-hand side before a state event, at the time `before`. The trial of size `h` that
+    /// ends
+    /// at `end` has not been accepted yet. After this time, a right-hand side that depends on time may have
+    /// switched.
     pub(super) fn take_slope_before(&mut self, before: f64, end: f64, h: f64) -> Step<()> {
         if self.space.x.is_empty() || self.fixed_step.is_some() {
             return Ok(());
@@ -172,8 +178,11 @@ impl Run<'_> {
         or_change(equations.derivatives(before, x_mid, slope), slope)
     }
 
-    /// True if the right-hand side right behind the event is that at the event, or comes from it as the
-    /// solution moves on. One that switches there may do so behind it; then that is the one to go on with.
+    /// True if the right-hand side right after the event equals the one at the event, or differs only because
+    /// the
+    /// solution moves. A right-hand side that switches at the event may switch just after it. The new
+    /// right-hand
+    /// side is then used.
     fn goes_on_as_here(&mut self, h: f64) -> Step<bool> {
         let (behind, beyond) = (self.t + self.time_tolerance, self.t + 2.0 * self.time_tolerance);
         if self.space.x.is_empty() || beyond > self.end || self.stepper.properties().only_own_slopes {
@@ -190,7 +199,7 @@ impl Run<'_> {
         if weights.are_close(x, dx, x_new, SAME_SLOPE / h) {
             return Ok(true);
         }
-        // What changes with the solution changes twice as much at twice the distance, a switch does not.
+        // A change caused by the moving solution doubles at twice the distance; a switch does not.
         move_along(x_mid, 2.0 * self.time_tolerance);
         or_change(equations.derivatives(beyond, x_mid, slope), slope)?;
         if weights.distance(x, dx, slope) > 1.5 * weights.distance(x, dx, x_new) {
@@ -203,8 +212,9 @@ impl Run<'_> {
         Ok(false)
     }
 
-    /// Right-hand side and event indicators at the current point. `reset`: an event has changed
-    /// states here. `true`: for its algebraic equations states were changed.
+    /// Evaluates the right-hand side and the event indicators at the current point. `reset`: an event has
+    /// changed
+    /// states here. Returns `true` if states were changed to satisfy the algebraic equations.
     pub(super) fn evaluate_here(&mut self, reset: bool) -> Step<bool> {
         let mut corrected = false;
         let space = &mut *self.space;
@@ -245,7 +255,9 @@ impl Run<'_> {
         Ok(corrected)
     }
 
-    /// Without states nothing measures an error; indicators of time alone are looked at this often.
+    /// Returns the step size of a system without states. No error is measured, so this step determines how
+    /// often
+    /// indicators that depend only on time are evaluated.
     pub(super) fn step_without_states(&self) -> f64 {
         (self.end - self.start) / 500.0
     }
@@ -269,7 +281,7 @@ impl Run<'_> {
             return Ok(());
         }
         if self.stepper.properties().only_own_slopes {
-            // As DASSL does: what changes the states by half their tolerances.
+            // As in DASSL: the step that changes the states by half their tolerances.
             let most = 0.5 / space.weights.norm(&space.x, dx);
             self.h = most.min(1e-3 * room);
             return Ok(());
@@ -289,7 +301,7 @@ impl Run<'_> {
                     probe,
                 );
                 if self.sliding.step().is_some() {
-                    // Over longer times the right-hand side may switch.
+                    // Over longer times, the right-hand side may switch.
                     self.stepper.begin_with(probe, &space.x_new);
                 }
                 h
@@ -321,9 +333,11 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// Time events and input stops that fall on the current instant although the step did not end for them:
-    /// announced for it by the start or by an event, or too close to it to be hit on their own. Whether there
-    /// was any event. `is_evaluated`: the right-hand side is known here.
+    /// Handles time events and input stops at the current instant for which the step did not end. The start
+    /// or an
+    /// event announced them for this instant, or they are too close to be separate targets. Returns `true` if
+    /// there
+    /// was an event. `is_evaluated`: the right-hand side is known here.
     pub(super) fn more_events_here(&mut self, is_evaluated: bool) -> Step<bool> {
         let mut any = false;
         let mut looks = 0;

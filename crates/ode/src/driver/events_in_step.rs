@@ -1,4 +1,4 @@
-//! Looking inside a step that meets the tolerance: crossings of indicators, and the step that ends at one.
+//! Event location inside a step that meets the tolerance, and shortening of the step to end at the event.
 
 use super::run::{Run, Space, Step, U, no_retreat, read_indicators};
 use super::trial::{Found, Inside, Return, Shrink, Tried};
@@ -6,20 +6,22 @@ use crate::observer::Observer;
 use crate::stepper::{StepWithEvent, Trial};
 use crate::system::{CallError, CallResult};
 
-/// So many repetitions of a step for one event; three are usual.
+/// Maximum number of repetitions of a step for one event; three are usual.
 const MAX_REPETITIONS: u32 = 12;
 
-/// So many times at most the turning point of an indicator in a step is looked for: each time it is nearer to
-/// zero by a factor of four, or given up.
+/// Maximum number of searches for the turning point of an indicator in a step. Each must be nearer to zero by
+/// a
+/// factor of four, or the search ends.
 const MAX_TURNS: u32 = 5;
 
-/// At so many more points of a step at most the indicators are looked at where their values do not tell what
-/// they do between.
+/// Maximum number of additional points in a step at which the indicators are evaluated if their values do not
+/// show how they change between known points.
 const MAX_LOOKS: u32 = 32;
 
 impl Run<'_> {
-    /// Looks for the first crossing in the trial step and makes ready to sample in it; the state where the
-    /// step is cut is in `x_new`, the indicators there are in `domains.end`.
+    /// Finds the first crossing in the trial step and prepares the interpolation for samples. Afterwards,
+    /// `x_new`
+    /// contains the state at which the step is cut, and `domains.end` the indicators there.
     pub(super) fn look_inside(&mut self, end: f64, h: f64) -> Step<Inside> {
         let mut ready = false;
         self.space.domains.look();
@@ -49,9 +51,11 @@ impl Run<'_> {
         }
     }
 
-    /// The right end of what brackets the first event in the trial, or one of the first: the indicators are
-    /// looked at `behind` a return, at points inside where that is asked for or the step is long, and where
-    /// they may have turned.
+    /// Returns the right end of a bracket of the first event in the trial, or of one of the first. The
+    /// indicators
+    /// are evaluated at the time `behind` of a return. They are also evaluated at interior points, if these
+    /// are
+    /// requested or the step is long, and where the indicators may have turned.
     fn bracket(
         &mut self,
         behind: Option<f64>,
@@ -99,7 +103,7 @@ impl Run<'_> {
         Ok(has_changed.then_some(end))
     }
 
-    /// At how many points inside the step the indicators are looked at whatever they were.
+    /// Number of points inside the step at which the indicators are always evaluated.
     fn interior_points(&self) -> usize {
         if self.space.domains.len() == 0 {
             return 0;
@@ -109,8 +113,9 @@ impl Run<'_> {
         self.options.interior_samples.unwrap_or_else(by_default) as usize
     }
 
-    /// Looks at the indicators at a point inside the trial, unless changes count from a later one; `true`:
-    /// one has an event before it.
+    /// Evaluates the indicators at a point inside the trial, unless changes count only from a later point.
+    /// Returns
+    /// `true` if an indicator has an event before this point.
     fn changed_at(&mut self, at: f64, end: f64, h: f64, ready: &mut bool) -> CallResult<bool> {
         let since = self.space.domains.counts_since().unwrap_or(self.t);
         if at <= since || at >= end {
@@ -131,11 +136,11 @@ impl Run<'_> {
         }
     }
 
-    /// Finds the first crossing up to `hi`, where `domains.end` was read.
+    /// Finds the first crossing up to `hi`, at which `domains.end` was read.
     fn locate(&mut self, hi: f64, end: f64, h: f64) -> Step<Inside> {
         let Space { x, x_new, x_mid, domains, .. } = &mut *self.space;
         let trial = Trial { t: self.t, end, h, x };
-        // The event is at the requested times that it is located next to.
+        // An event near requested times must be within the time tolerance of them.
         let tolerance =
             (100.0 * U * (self.t.abs() + h)).max(4.0 * U * end.abs()).min(0.25 * self.time_tolerance);
         let for_jumps = if self.options.loose_jump_indicators { 1e-10 * self.t.abs().max(h) } else { 0.0 };
@@ -150,7 +155,7 @@ impl Run<'_> {
             Err(error) => return self.cannot_stand(h, error),
         };
         self.stats.event_indicators += located.evaluations;
-        // An event this close to the end of the step is one with whatever happens there.
+        // An event this close to the end of the step is merged with the events there.
         if end - located.time <= self.time_tolerance {
             if located.time != end {
                 self.stats.event_indicators += 1;
@@ -170,9 +175,11 @@ impl Run<'_> {
         Ok(Inside::Crossing(Found { at: located.time, end, h, before: Some(located.before) }))
     }
 
-    /// Repeats the step so that it ends just before the first event, and goes the last bit, which is below
-    /// the resolution of times, by the interpolant of that very step. Where the event is not reached so, the
-    /// step ends without one.
+    /// Repeats the step so that it ends just before the first event. The interpolant of the repeated step
+    /// covers
+    /// the remaining time, which is below the resolution of times. If this does not reach the event, the step
+    /// ends
+    /// without one.
     fn step_to_before(&mut self, before: f64, time: f64) -> Step<Inside> {
         let h = before - self.t;
         self.stepper.repeat();
@@ -184,7 +191,7 @@ impl Run<'_> {
             return self.cannot_stand(h, error);
         }
         if self.space.domains.changed() {
-            // By the better solution the event is earlier; it is so by less each time.
+            // The better solution has the event earlier. The difference decreases with each repetition.
             return self.locate(before, before, h);
         }
         let Space { x, x_new, x_mid, domains, .. } = &mut *self.space;
@@ -204,9 +211,11 @@ impl Run<'_> {
         }
     }
 
-    /// Repeats the step so that it ends at the event, because the method is more exact at the ends of its
-    /// steps than inside them. The end of a repeated step is the event when the indicators have changed there
-    /// and, by the interpolant of that very step (which is exact at its end), not before it to speak of.
+    /// Repeats the step so that it ends at the event, because the method is more accurate at the ends of its
+    /// steps than inside them. The end of a repeated step is the event under two conditions. The indicators
+    /// have
+    /// changed there, and they have not changed significantly before it by the interpolant of that step. This
+    /// interpolant is exact at its end.
     fn polish(&mut self, first_guess: f64, end: f64, tight: f64) -> Step<Inside> {
         let enough = tight.max(1e-3 * self.options.rtol_or_like() * (end - self.t));
         let (mut lo, mut hi) = (self.t, end);
@@ -237,7 +246,7 @@ impl Run<'_> {
                 Err(error) => return self.cannot_stand(h, error),
             };
             if crossed && guess - root <= enough {
-                // The search has left the indicators of its own last point behind.
+                // The search overwrote the indicators with those of its last point.
                 let Space { x_new, domains, .. } = &mut *self.space;
                 self.stats.event_indicators += 1;
                 return match read_indicators(self.system, guess, x_new, &mut domains.end) {
@@ -245,7 +254,7 @@ impl Run<'_> {
                     Err(error) => self.cannot_stand(h, error),
                 };
             }
-            // Just behind the root, by more than it is still likely to move.
+            // Just after the root, by more than the root is likely to move.
             let shift = (root - guess).abs();
             guess = (root + tight + 1e-2 * shift).min(hi);
             if guess <= lo {
@@ -257,8 +266,10 @@ impl Run<'_> {
         }
     }
 
-    /// A bracket of the first crossing between `lo` and `hi` by the interpolant of the trial of size `h` that
-    /// ends at `end`; `domains.end` holds the indicators at `hi`, of which at least one has changed.
+    /// Returns a bracket of the first crossing between `lo` and `hi`, from the interpolant of the trial of
+    /// size
+    /// `h` that ends at `end`. `domains.end` contains the indicators at `hi`, at least one of which has
+    /// changed.
     fn root_between(&mut self, lo: f64, hi: f64, end: f64, h: f64, tight: f64) -> CallResult<(f64, f64)> {
         let Space { x, x_mid, domains, .. } = &mut *self.space;
         let lo = domains.counts_since().map_or(lo, |from| lo.max(from));
@@ -272,9 +283,10 @@ impl Run<'_> {
         Ok((located.before, located.time))
     }
 
-    /// The first crossing after the end of the trial of size `h` by its interpolant, continued up to `hi` at
-    /// most; where that says too little a time between that end and `hi`, in the middle of their orders of
-    /// magnitude.
+    /// Returns the first crossing after the end of the trial of size `h`. The interpolant of the trial is
+    /// extrapolated in growing steps, up to a little more than 0.1 `h` and at most up to `hi`. If no crossing
+    /// is
+    /// found, returns a guess between the end and `hi`: the geometric mean of both step sizes.
     fn root_beyond(&mut self, end: f64, hi: f64, h: f64, tight: f64) -> CallResult<(f64, f64)> {
         let mut reach = tight;
         loop {

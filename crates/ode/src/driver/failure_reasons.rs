@@ -1,19 +1,20 @@
-//! Reasons of a failed run: values that are not finite, and a system of a higher index.
+//! Search for the reasons of a failed run: values that are not finite, or a system of a higher index.
 
 use super::run::{Exit, Run, Space, no_retreat};
 use crate::error::{ErrorKind, Evaluated, NotFinite};
 use crate::stepper::Equations;
 use crate::system::CallError;
 
-/// Points ahead of a refused step that are looked at, each four times as far as the one before: as many as
-/// steps are quartered.
+/// Number of points examined ahead of a refused step. Each is four times as far as the one before, like the
+/// successive reductions of a refused step.
 const POINTS_AHEAD: u32 = 14;
 
-/// The model's own Jacobian is looked at up to so many states: it takes the square of their number of places.
+/// Maximum number of states for which the model's own Jacobian is examined, because it requires a dense
+/// matrix.
 const LARGEST_JACOBIAN: usize = 1000;
 
 impl Run<'_> {
-    /// The current point was refused: by a value there that is not finite, or by the model itself.
+    /// Handles a refusal of the current point: finds a value there that is not finite, if any.
     pub(super) fn refused_here(&mut self, error: CallError) -> Exit {
         if matches!(error, CallError::Discard) {
             let space = &*self.space;
@@ -34,7 +35,7 @@ impl Run<'_> {
         NotFinite::first(what, self.t, values)
     }
 
-    /// After the run has failed with this: what there is to know of the reason.
+    /// Determines the reasons after the run has failed with this error.
     pub(super) fn look_for_reasons(&mut self, kind: &ErrorKind) {
         match kind {
             ErrorKind::StepTooSmall { discarded: true } => self.look_ahead(),
@@ -50,14 +51,14 @@ impl Run<'_> {
         }
     }
 
-    /// Looks for values that are not finite at the points ahead that refused steps may have met, along the
-    /// tangent.
+    /// Searches for values that are not finite ahead along the tangent, at points that refused steps may have
+    /// reached.
     fn look_ahead(&mut self) {
         let (n, mut s) = (self.space.x.len(), self.h_tried);
         let (mut dx, mut jacobian) = (vec![0.0; n], Vec::new());
         if self.stepper.properties().takes_jacobians && n <= LARGEST_JACOBIAN {
             jacobian.resize(n * n, 0.0);
-            // What a model has filled in before it refused is what there is to see.
+            // The values that a model filled in before it refused are examined.
             let _ = self.system.jacobian(self.t, &self.space.x, &mut jacobian);
             self.not_finite = self.found(Evaluated::Jacobian, &jacobian);
         }

@@ -1,4 +1,4 @@
-//! The only loop: limit, step, locate, sample inside, commit, event, restart.
+//! The integration loop: limits, step, event location, samples inside the step, acceptance, events, restart.
 
 use crate::auto::Auto;
 use crate::error::{ErrorKind, Evaluated, NotFinite, Report, SimulationError, Termination};
@@ -31,15 +31,15 @@ use run::{Exit, Run, Space, Step, Task, finish, no_retreat};
 use timed_system::{CallWatch, TimedSystem};
 use trial::{Found, Inside, Shrink, Tried};
 
-/// An indicator is next to zero where its value says no more of the time of its event than this, in units of
-/// times that are one.
+/// Tolerance of an event location as a multiple of the time tolerance. An indicator within it counts as near
+/// zero, because its value does not determine the time of its event any better.
 const LOCATED: f64 = 8.0;
 
-/// Rounding of times that changes a step by more than this share of it counts.
+/// Rounding of times matters if it changes a step by more than this fraction.
 const COARSE: f64 = 1e-8;
 
-/// Integrates hybrid systems. Holds checked options and all work space, so that a second run of a system of
-/// the same size allocates nothing.
+/// Integrates hybrid systems. Stores checked options and all work space, so a second run of a system of the
+/// same size does not allocate.
 ///
 /// ```
 /// use ode::{CallResult, Driver, EventOutcome, HybridSystem, Ignore, Options};
@@ -77,16 +77,16 @@ pub struct Driver {
     stepper: Box<dyn Stepper>,
     space: Space,
     stopwatch: CallWatch,
-    /// Of runs that lead backward.
+    /// Work space of runs backward in time.
     turned_times: Vec<f64>,
     turned_slopes: Vec<f64>,
 }
 
 impl Driver {
-    /// Checks the options.
+    /// Creates a driver after checking the options.
     ///
     /// # Errors
-    /// [`OptionsError`] names the option and its value.
+    /// Returns [`OptionsError`] with the option and its value.
     pub fn new(options: Options) -> Result<Self, OptionsError> {
         options.check()?;
         let stepper: Box<dyn Stepper> = match options.method {
@@ -109,24 +109,29 @@ impl Driver {
         })
     }
 
-    /// The options it was made with.
+    /// Options of this driver.
     pub fn options(&self) -> &Options {
         &self.options
     }
 
-    /// Integrates `system` from `start` to `end` and hands the samples at `times` to `observer`.
+    /// Integrates `system` from `start` to `end` and passes the samples at `times` to `observer`.
     ///
-    /// The end may lie before the start if the system [can run backward](HybridSystem::can_run_backward):
-    /// then crossings of event indicators are seen along the integration (a downward one has the higher value
-    /// at the later time).
+    /// The end may be before the start if the system [can run backward](HybridSystem::can_run_backward).
+    /// Crossings of event indicators then follow the direction of the integration: a downward crossing has
+    /// the
+    /// higher value at the later time.
     ///
-    /// `times` are in the order of the integration and lie within the span; a time listed twice gives the
-    /// left limit, then the value after the events of that instant; a time listed once gives the latter.
-    /// Times are equal within the [tolerance](crate::time_tolerance) of the span. Each run is independent of
-    /// those before.
+    /// `times` must be in the order of the integration and within the span. A time listed twice yields the
+    /// left
+    /// limit and then the value after the events of that instant. A time listed once yields only the latter.
+    /// Times
+    /// are equal if they differ by at most the [tolerance](crate::time_tolerance) of the span. Each run is
+    /// independent of earlier runs.
     ///
     /// # Errors
-    /// [`SimulationError`] says why, where and with which numbers; samples delivered before it stay valid.
+    /// Returns [`SimulationError`] with the reason, the point of failure and the numbers at that point.
+    /// Samples
+    /// delivered before the error remain valid.
     pub fn run(
         &mut self,
         system: &mut dyn HybridSystem,
@@ -185,7 +190,7 @@ impl Run<'_> {
         }
     }
 
-    /// Checks the span, starts the system, lets the events at the start happen, delivers the samples there.
+    /// Checks the span, starts the system, handles the events at the start, and delivers the samples there.
     fn begin(&mut self) -> Step<()> {
         let (start, end) = (self.start, self.end);
         if !(start.is_finite() && end.is_finite() && start <= end) {
@@ -231,7 +236,7 @@ impl Run<'_> {
         let outcome = self.system.start(start, &mut self.space.x);
         let outcome = self.with_states(outcome)?;
         if outcome.terminate {
-            // The model is still where it asked to end: nothing but its outputs may be asked for.
+            // The model is at the point where it requested the end. Only its outputs may be evaluated.
             self.sample_here(false)?;
             return finish(Termination::StoppedByModel);
         }
@@ -239,7 +244,7 @@ impl Run<'_> {
         self.take_event_time(outcome.next_time)?;
         self.input_stop = self.system.next_input_stop(self.t);
         self.evaluate_here(false)?;
-        // Events announced for the very start belong to it: samples there see them done.
+        // Events announced for the start happen before the samples there.
         self.more_events_here(true)?;
         match self.options.first_step {
             Some(h) => self.h = h,
@@ -249,7 +254,7 @@ impl Run<'_> {
         self.reached_end()
     }
 
-    /// After the system was asked for its states.
+    /// Records a state that is not finite if the system refused to provide its states.
     fn with_states(&mut self, outcome: CallResult<EventOutcome>) -> Step<EventOutcome> {
         if matches!(outcome, Err(CallError::Discard)) {
             self.not_finite = NotFinite::first(Evaluated::State, self.t, &self.space.x);
@@ -257,7 +262,7 @@ impl Run<'_> {
         outcome.map_err(no_retreat)
     }
 
-    /// One accepted step with everything that belongs to it, or one rejected trial.
+    /// Makes one accepted step, with its samples and events, or one rejected trial.
     fn advance(&mut self) -> Step<()> {
         self.check_limits()?;
         if self.fixed_step.is_none()
@@ -269,7 +274,9 @@ impl Run<'_> {
         let h = self.step_towards(target);
         let hits_target = h == target - self.t;
         let end = if hits_target { target } else { self.t + h };
-        // Far from zero times are coarse: the step is what lies between them. Elsewhere it stays the very number proposed.
+        // Far from zero, the resolution of times is coarse and the actual step is their difference. Otherwise
+        // the proposed
+        // number is used unchanged.
         let between = end - self.t;
         let h = if (between - h).abs() > COARSE * h { between } else { h };
         self.h_tried = h;
@@ -279,7 +286,7 @@ impl Run<'_> {
         }
     }
 
-    /// Ends the run where the observer, the flag or the time says so.
+    /// Ends the run if the observer, the cancel flag or the time limit requires it.
     fn check_stop(&mut self) -> Step<()> {
         if self.observer.poll().is_break() {
             return Err(Stopped::ByObserver.into());
@@ -300,12 +307,13 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// The step is good: locate an event inside, sample, complete it, handle events, go on.
+    /// Accepts a good step: locates an event inside, delivers samples, completes the step, and handles
+    /// events.
     fn commit(&mut self, end: f64, h: f64) -> Step<()> {
         let found = match self.look_inside(end, h)? {
             Inside::Nothing => Found { at: end, end, h, before: None },
             Inside::Crossing(found) => found,
-            // As if the step had been refused.
+            // Treated like a refused step.
             Inside::Again { h, why } => return self.shrink(h, why),
         };
         let Found { at, end, h, before } = found;
@@ -354,7 +362,7 @@ impl Run<'_> {
             self.space.domains.advance(began);
         }
         let eventful = self.more_events_here(eventful)? || eventful;
-        // A crossing so near is at this instant: the samples here wait for it.
+        // A crossing this close belongs to this instant, so the samples are delivered after it.
         if !action.terminate && self.t < self.end - self.time_tolerance && self.is_about_to_cross()? {
             self.record_here(eventful)?;
         } else {
@@ -366,8 +374,8 @@ impl Run<'_> {
         self.reached_end()
     }
 
-    /// Accepts the step up to `theta`; returns the step size to propose. A step that was cut to hit a target
-    /// does not make the next one smaller than the one proposed before.
+    /// Accepts the step up to `theta` and returns the proposed step size. A step shortened to end at a target
+    /// does not reduce the proposal for the next one.
     fn next_step(&mut self, h: f64, theta: f64) -> f64 {
         if self.space.x.is_empty() {
             return if self.fixed_step.is_some() { h } else { self.step_without_states() };

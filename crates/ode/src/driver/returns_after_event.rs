@@ -1,5 +1,5 @@
-//! Indicators that come back to zero within the first step after their event, as those of a body that bounces
-//! less and less do, or of one that its event leaves outside of the domain.
+//! Indicators that return to zero within the first step after their event. Examples are a body that bounces
+//! less and less, and a body that its event leaves outside the domain.
 
 use super::run::{Run, Space, Step, no_retreat, read_indicators};
 use super::trial::{Inside, Return, Shrink};
@@ -9,16 +9,18 @@ use crate::options::ChatteringPolicy;
 use crate::stepper::{Equations, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
 
-/// Slopes of indicators are told from rounding within this share of the span.
+/// Slopes of indicators are distinguished from rounding within this fraction of the span.
 const SLOPE_REACH: f64 = 1e-3;
 
-/// Steps of so many times what tells two instants apart are long enough to show whether an indicator goes on.
+/// Steps of at least this many time tolerances are long enough to show whether an indicator continues.
 const RESOLVED: f64 = 100.0;
 
 impl Run<'_> {
-    /// Looks for such an indicator in the trial of size `h`. The slopes at its start decide; most often one
-    /// evaluation of the indicators shows that those next to zero just go on. Those that slide are left to
-    /// the end of the step.
+    /// Looks for an indicator that returns in the trial of size `h`. The slopes at the start of the trial
+    /// decide.
+    /// In most cases, one evaluation of the indicators shows that those near zero continue. Sliding
+    /// indicators are
+    /// handled at the end of the step.
     pub(super) fn look_for_return(&mut self, end: f64, h: f64, ready: &mut bool) -> CallResult<Return> {
         if self.space.x.is_empty() || !self.space.domains.any_may_return() {
             return Ok(Return::Nothing);
@@ -36,9 +38,9 @@ impl Run<'_> {
         Ok(if first.is_finite() { Return::Found(first) } else { Return::Nothing })
     }
 
-    /// The slopes of the indicators that may have come back in the trial.
+    /// Computes the slopes of the indicators that may have returned in the trial.
     fn find_slopes(&mut self, end: f64, h: f64, ready: &mut bool) -> CallResult<()> {
-        // With a mass matrix the right-hand side is not the slope of the states.
+        // With a mass matrix, the right-hand side is not the slope of the states.
         let follows_trial = self.system.mass_matrix().is_some();
         if follows_trial {
             self.make_ready(end, h, ready)?;
@@ -61,14 +63,14 @@ impl Run<'_> {
         })
     }
 
-    /// An indicator that bounces, and whose crossing, as located, the right-hand side there contradicts:
-    /// positions and speeds have come to differ by more than bounces so small can stand, by rounding or
-    /// within the tolerance.
+    /// Returns a bouncing indicator whose located crossing contradicts the right-hand side there. Positions
+    /// and
+    /// speeds then differ by more than such small bounces allow, because of rounding or within the tolerance.
     pub(super) fn contradiction(&mut self, at: f64) -> CallResult<Option<usize>> {
         let h = at - self.t;
         let reach = h.max(SLOPE_REACH * (self.end - self.start));
         for i in 0..self.space.domains.len() {
-            // With a mass matrix the right-hand side is not the slope of the states.
+            // With a mass matrix, the right-hand side is not the slope of the states.
             if !self.space.domains.crosses_in_bounces(i) || self.system.mass_matrix().is_some() {
                 continue;
             }
@@ -90,8 +92,8 @@ impl Run<'_> {
         Ok(None)
     }
 
-    /// Follows such an indicator to where parabolas through its value and slope at the start turn, nearer and
-    /// nearer to the start, until it is in the other domain.
+    /// Follows an indicator to the turning point of the parabola through its value and slope at the start.
+    /// Repeats this nearer and nearer to the start until the indicator is in the other domain.
     fn follow(&mut self, i: usize, end: f64, h: f64, ready: &mut bool) -> CallResult<Return> {
         let Some(slope) = self.space.domains.slope(i) else { return Ok(Return::Nothing) };
         if let Some(step) = self.space.domains.step_of_slope(i, h) {
@@ -112,7 +114,7 @@ impl Run<'_> {
                 self.make_ready(end, h, ready)?;
                 let Space { x, x_mid, domains, .. } = &mut *self.space;
                 let at = self.t + turn;
-                // The very point that is looked at again.
+                // The same expression as in later evaluations of this point, so that rounding is equal.
                 self.stepper.interpolate(Trial { t: self.t, end, h, x }, (at - self.t) / h, x_mid);
                 self.stats.event_indicators += 1;
                 let z = domains.value_at(i, |z| read_indicators(self.system, at, x_mid, z))?;
@@ -127,8 +129,8 @@ impl Run<'_> {
         Ok(if lost { Return::Unseen { indicator: i, shorter } } else { Return::Nothing })
     }
 
-    /// A trial of size `h` in which an indicator came back unseen: a shorter one, or the answer to
-    /// chattering.
+    /// Handles a trial of size `h` in which an indicator returned unseen: a shorter step, or the chattering
+    /// policy.
     pub(super) fn unseen(&mut self, indicator: usize, shorter: Option<f64>, h: f64) -> Step<Inside> {
         self.stepper.refused(h);
         let h = match shorter {
@@ -143,9 +145,11 @@ impl Run<'_> {
         Ok(Inside::Again { h, why: Shrink::Returned })
     }
 
-    /// After an event while indicators slide, before which the states were `x_mid`: where it has left one
-    /// beyond zero, and has not let it pass, it is made as strong as it takes to bring that one back. What
-    /// the event has not changed is not moved. `true`: some states were.
+    /// Holds indicators at zero after an event while indicators slide. `x_mid` contains the states before the
+    /// event. If the event left an indicator beyond zero without letting it pass, its change is scaled until
+    /// the
+    /// indicator returns. States that the event did not change are not moved. Returns `true` if states were
+    /// moved.
     pub(super) fn hold_at_zero(&mut self) -> Step<bool> {
         let Space { x, x_mid, jump, .. } = &mut *self.space;
         jump.iter_mut().zip(x.iter().zip(&*x_mid)).for_each(|(jump, (x, before))| *jump = x - before);
@@ -167,10 +171,12 @@ impl Run<'_> {
         Ok(moved)
     }
 
-    /// The share of what the event has changed that brings indicator `i` back to zero when it is done once
-    /// more: there at once, if the indicator depends on a state that was changed; else, if its slope does, as
-    /// that of a body that bounces, by the flow. `None`: nothing is needed, or the event has let the
-    /// indicator pass, which slides no more.
+    /// Returns the multiple of the event's change that brings indicator `i` back to zero when it is added
+    /// again.
+    /// If the indicator depends on a changed state, it returns at once. If only its slope does (a body that
+    /// bounces), it returns along the flow. `None` if nothing is needed, or if the event has let the
+    /// indicator pass,
+    /// which then no longer slides.
     fn share_to_zero(&mut self, i: usize) -> CallResult<Option<f64>> {
         let Space { x, x_mid, x_new, jump, slope: before, domains, weights, .. } = &mut *self.space;
         let (z0, t, step) = (domains.base[i], self.t, self.sliding.usual());
@@ -188,7 +194,7 @@ impl Run<'_> {
             Ok((4.0 * half - change_along(system, step, dx)?) / step)
         };
         let (after, before) = (slope_along(dx)?, slope_along(before)?);
-        // Where the states were before the event.
+        // The states before the event.
         move_along(x_mid, -1.0, x, jump);
         self.stats.event_indicators += 1;
         let by_event = z0 - domains.value_at(i, |z| read_indicators(self.system, t, x_mid, z))?;
@@ -213,12 +219,13 @@ impl Run<'_> {
     }
 }
 
-/// The time `s` after `t`, and how much later that is: far from zero times are coarse.
+/// Returns the time `s` after `t`, and the actual difference. The resolution of times is coarse far from
+/// zero.
 pub(super) fn later(t: f64, s: f64) -> (f64, f64) {
     (t + s, t + s - t)
 }
 
-/// Where `x` is after the time `s` if it moves on as it does now.
+/// Computes the states after the time `s` if `x` moves with constant slopes.
 pub(super) fn move_along(to: &mut [f64], s: f64, x: &[f64], dx: &[f64]) {
     for ((to, x), d) in to.iter_mut().zip(x).zip(dx) {
         *to = x + s * d;

@@ -1,4 +1,4 @@
-//! A run: everything that changes between its start and its end, and how it is left.
+//! State of a run between its start and its end, and the reasons to leave its loop.
 
 use super::end_conditions::{EndConditions, Stopped};
 use super::sliding::Sliding;
@@ -16,13 +16,13 @@ use base::time_tolerance;
 /// Unit round-off of double precision.
 pub(super) const U: f64 = f64::EPSILON / 2.0;
 
-/// Work space that outlives a run.
+/// Work space reused by later runs.
 #[derive(Debug, Default)]
 pub(super) struct Space {
     pub(super) x: Vec<f64>,
     pub(super) x_new: Vec<f64>,
     pub(super) x_mid: Vec<f64>,
-    /// What the last event has added to the states.
+    /// Change of the states by the last event.
     pub(super) jump: Vec<f64>,
     pub(super) slope: Vec<f64>,
     pub(super) nominals: Vec<f64>,
@@ -31,7 +31,7 @@ pub(super) struct Space {
     pub(super) sampler: Sampler,
 }
 
-/// Why the loop is left.
+/// Reason to leave the loop.
 pub(super) enum Exit {
     Normal(Termination),
     Error(ErrorKind),
@@ -53,12 +53,12 @@ impl From<Stopped> for Exit {
     }
 }
 
-/// Of a call that failed.
+/// Converts the error of a failed call.
 impl From<Box<dyn std::error::Error + Send + Sync>> for Exit {
     fn from(error: Box<dyn std::error::Error + Send + Sync>) -> Self {
         match error.downcast::<Stopped>().map_err(|error| error.downcast::<TooLargeForDense>()) {
             Ok(stopped) => (*stopped).into(),
-            // A matrix for which there is no room.
+            // Memory is insufficient for a matrix.
             Err(Ok(large)) => ErrorKind::from(*large).into(),
             Err(Err(error)) => ErrorKind::Model(error).into(),
         }
@@ -67,7 +67,7 @@ impl From<Box<dyn std::error::Error + Send + Sync>> for Exit {
 
 pub(super) type Step<T> = Result<T, Exit>;
 
-/// Request of a run: from when to when, which samples for whom, and until when.
+/// Request of a run: time span, sample times, observer and end conditions.
 pub(super) struct Task<'a> {
     pub(super) start: f64,
     pub(super) end: f64,
@@ -76,7 +76,7 @@ pub(super) struct Task<'a> {
     pub(super) watch: EndConditions<'a>,
 }
 
-/// One run: everything that changes between `start` and `end`.
+/// State of one run between `start` and `end`.
 pub(super) struct Run<'a> {
     pub(super) options: &'a Options,
     pub(super) stepper: &'a mut dyn Stepper,
@@ -86,14 +86,14 @@ pub(super) struct Run<'a> {
     pub(super) observer: &'a mut dyn Observer,
     pub(super) start: f64,
     pub(super) end: f64,
-    /// Times closer than this are one.
+    /// Times closer than this are equal.
     pub(super) time_tolerance: f64,
     pub(super) t: f64,
-    /// Step size the controller proposes, before it is cut to hit a target.
+    /// Step size proposed by the controller, before it is shortened to end at a target.
     pub(super) h: f64,
     pub(super) h_tried: f64,
     pub(super) fixed_step: Option<f64>,
-    /// Where the first half of a fixed step ends that is taken in two.
+    /// End of the first half of a fixed step that is split into two.
     pub(super) middle: Option<f64>,
     pub(super) next_time_event: Option<f64>,
     pub(super) input_stop: Option<InputStop>,
@@ -152,7 +152,7 @@ pub(super) fn finish(termination: Termination) -> Step<()> {
     Err(Exit::Normal(termination))
 }
 
-/// Event indicators; a value that is not finite counts as refused.
+/// Reads the event indicators. A value that is not finite counts as refused.
 pub(super) fn read_indicators(
     system: &mut dyn HybridSystem,
     t: f64,
@@ -160,12 +160,12 @@ pub(super) fn read_indicators(
     z: &mut [f64],
 ) -> Result<(), CallError> {
     system.event_indicators(t, x, z)?;
-    // Zero times what is not finite is NaN.
+    // Zero times a value that is not finite is NaN.
     if z.iter().fold(0.0, |sum, z| sum + 0.0 * z) == 0.0 { Ok(()) } else { Err(CallError::Discard) }
 }
 
-/// A call that has no smaller step to fall back to: the model's own start, its state after an event, a
-/// sample.
+/// Converts the error of a call that cannot be retried with a smaller step: the start of the model, its state
+/// after an event, or a sample.
 pub(super) fn no_retreat(error: CallError) -> Exit {
     match error {
         CallError::Discard => ErrorKind::DiscardedAtRestart.into(),

@@ -1,4 +1,4 @@
-//! Samples on the way: inside of a step, left of an event, after everything at an instant.
+//! Samples during a run: inside a step, left of an event, and after all events at an instant.
 
 use super::returns_after_event::{later, move_along};
 use super::run::{Run, Space, Step, finish, no_retreat, read_indicators};
@@ -10,8 +10,9 @@ use crate::system::{CallError, CallResult};
 use std::ops::ControlFlow;
 
 impl Run<'_> {
-    /// Samples strictly inside the step, up to (not including) `at`. `false`: the model refused one of these
-    /// points; nothing is committed, so a smaller step can follow.
+    /// Delivers the samples inside the step, before `at`. Returns `false` if the model refused a sample
+    /// point.
+    /// The step is then not accepted yet, so a smaller step can follow.
     pub(super) fn sample_before(&mut self, at: f64, end: f64, h: f64) -> Step<bool> {
         while let Some(t) = self.space.sampler.due_before(self.times, at - self.time_tolerance) {
             self.check_stop()?;
@@ -27,8 +28,7 @@ impl Run<'_> {
         Ok(true)
     }
 
-    /// The left limit at the current time, where it is wanted: the time is listed twice, or events are
-    /// recorded.
+    /// Delivers the left limit at the current time if the time is listed twice or events are recorded.
     pub(super) fn sample_left(&mut self) -> Step<()> {
         let Space { x, sampler, .. } = &mut *self.space;
         let here =
@@ -36,7 +36,7 @@ impl Run<'_> {
         follow(sampler.deliver_left(self.system, self.times, &here, self.observer))
     }
 
-    /// The row behind an event that is recorded where the samples at the current time wait for another event.
+    /// Records the row after an event while the samples at the current time wait for another event.
     pub(super) fn record_here(&mut self, after_event: bool) -> Step<()> {
         if !(after_event && self.options.record_events) {
             return Ok(());
@@ -46,15 +46,16 @@ impl Run<'_> {
         follow(sampler.record(self.system, &here, self.observer))
     }
 
-    /// True if samples are due at the current time, and an indicator crosses there, too: within rounding
-    /// behind it, as the flow leads on. The samples show what comes of it.
+    /// True if samples are due at the current time and an indicator also crosses there, within rounding after
+    /// it.
+    /// The samples then follow the crossing.
     pub(super) fn is_about_to_cross(&mut self) -> Step<bool> {
         let Space { x, x_mid, domains, sampler, .. } = &mut *self.space;
         let is_due = sampler.due_before(self.times, self.t + self.time_tolerance).is_some();
         if !is_due || !domains.any_next_to_zero() {
             return Ok(false);
         }
-        // With a mass matrix the right-hand side is not the slope of the states.
+        // With a mass matrix, the right-hand side is not the slope of the states.
         if self.system.mass_matrix().is_some() {
             return Ok(true);
         }
@@ -67,7 +68,7 @@ impl Run<'_> {
         }
     }
 
-    /// All samples still due at the current time, after everything that happened there.
+    /// Delivers all samples still due at the current time, after all events there.
     pub(super) fn sample_here(&mut self, after_event: bool) -> Step<()> {
         let Space { x, sampler, .. } = &mut *self.space;
         let record = after_event && self.options.record_events;
@@ -75,7 +76,7 @@ impl Run<'_> {
         follow(sampler.deliver_here(self.system, self.times, &here, self.observer))
     }
 
-    /// Shows the step of size `h` that ends at `end`, up to `at`, to an observer that wants to look into it.
+    /// Passes the step of size `h` that ends at `end`, up to `at`, to an observer that requests steps.
     pub(super) fn show_step(&mut self, at: f64, end: f64, h: f64) {
         if self.observer.wants_steps() {
             let (stepper, began) = (&*self.stepper, self.t);
@@ -88,7 +89,7 @@ impl Run<'_> {
     }
 }
 
-/// The observer's word on a sample.
+/// Converts the answer of the observer to a sample.
 fn follow(flow: CallResult<ControlFlow<()>>) -> Step<()> {
     match flow.map_err(no_retreat)? {
         ControlFlow::Continue(()) => Ok(()),

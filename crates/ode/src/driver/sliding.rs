@@ -1,22 +1,22 @@
-//! Steps along the border of a domain, where events would follow each other without end (sliding).
+//! Sliding: steps along the border of a domain, where events would otherwise follow each other indefinitely.
 
 use super::chattering::ChatteringGuard;
 use crate::options::ChatteringPolicy;
 
-/// The guards, and whether the solution slides along the border of a domain.
+/// The guards against chattering and the state of sliding along the border of a domain.
 #[derive(Debug)]
 pub(super) struct Sliding {
     pub(super) state_events: ChatteringGuard,
     pub(super) time_events: ChatteringGuard,
-    /// In this time a hundred state events, bounces and time events are too many.
+    /// A hundred state events, bounces or time events in less than these times are too many.
     pub(super) chatters: f64,
     pub(super) bounces: f64,
     pub(super) ticks: f64,
-    /// In less time than this a hundred events do not go on.
+    /// A hundred events in less than this time do not advance time.
     pub(super) stands_still: f64,
-    /// Length of a step while it slides.
+    /// Length of a step while sliding.
     usual: f64,
-    /// The step to try now, if it slides.
+    /// The step to try now, while sliding.
     step: Option<f64>,
 }
 
@@ -36,29 +36,29 @@ impl Sliding {
         }
     }
 
-    /// The step to try, if the solution slides: crossings of the indicators that slide are not located in it.
+    /// Step to try while sliding. Crossings of the sliding indicators are not located in it.
     pub(super) fn step(&self) -> Option<f64> {
         self.step
     }
 
-    /// A step was not good; the next trial has this size.
+    /// Sets the size of the next trial after a failed step.
     pub(super) fn shrink(&mut self, h: f64) {
         self.step = self.step.map(|_| h);
     }
 
-    /// Length of a step while it slides.
+    /// Length of a step while sliding.
     pub(super) fn usual(&self) -> f64 {
         self.usual
     }
 
-    /// Slides from now on; the length of the next step.
+    /// Starts sliding and returns the length of the next step.
     pub(super) fn begin(&mut self) -> f64 {
         self.step = Some(self.usual);
         self.state_events.forget();
         self.usual
     }
 
-    /// A step was accepted, after which some indicator slides or none.
+    /// Updates the step after an accepted step. `any_slides`: some indicator still slides.
     pub(super) fn advance(&mut self, any_slides: bool) {
         self.step = any_slides.then_some(self.usual);
     }

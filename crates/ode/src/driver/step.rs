@@ -1,4 +1,4 @@
-//! One step: how far it is to go, the trial, and a smaller one where it was not good.
+//! One step: its size, the trial, and a smaller step if the trial failed.
 
 use super::run::{Run, Space, Step, U, read_indicators};
 use super::trial::{Shrink, Tried};
@@ -6,11 +6,13 @@ use crate::error::ErrorKind;
 use crate::stepper::{Attempt, Equations, Trial};
 use crate::system::{CallError, CallResult};
 
-/// Refused points in a row before a run gives up.
+/// Maximum number of consecutive refused points in a run.
 const MAX_DISCARDS: u32 = 12;
 
 impl Run<'_> {
-    /// The next instant that a step must hit exactly: the end, a time event, a kink or jump of an input.
+    /// Returns the next instant at which a step must end exactly: the end, a time event, or a kink or jump of
+    /// an
+    /// input.
     pub(super) fn target(&self) -> f64 {
         let mut target = self.end;
         for stop in [self.next_time_event, self.input_stop.map(|s| s.time)].into_iter().flatten() {
@@ -21,13 +23,14 @@ impl Run<'_> {
         target
     }
 
-    /// The step to try: what the controller proposes, cut or stretched so that no sliver is left before the
-    /// target.
+    /// Returns the step to try. The proposal of the controller is shortened or extended so that no tiny step
+    /// remains before the target.
     pub(super) fn step_towards(&mut self, target: f64) -> f64 {
         let remaining = target - self.t;
         if let Some(step) = self.fixed_step {
-            // Grid points are start + k * step, never sums; an event does not shift them. The one we stand on, up to
-            // rounding, is not the next.
+            // Grid points are start + k * step, not sums, and events do not shift them. The current grid
+            // point, up to
+            // rounding, is not the next one.
             let mut k = ((self.t - self.start) / step).floor() + 1.0;
             while self.start + k * step <= self.t + self.time_tolerance {
                 k += 1.0;
@@ -55,8 +58,9 @@ impl Run<'_> {
         }
     }
 
-    /// Below this a step of an adaptive method means nothing: rounding moves its end by more than a part of
-    /// it.
+    /// Smallest meaningful step of an adaptive method. In a smaller step, rounding moves the end by more than
+    /// a
+    /// fraction of the step.
     fn least_step(&self) -> f64 {
         16.0 * U * self.t.abs().max(1e-6 * (self.end - self.start))
     }
@@ -86,8 +90,8 @@ impl Run<'_> {
         Ok(Tried::Good)
     }
 
-    /// A point of a trial of size `h` could not be evaluated: a smaller step, unless the model has failed
-    /// altogether.
+    /// Reports a point of a trial of size `h` that could not be evaluated. Requests a smaller step unless the
+    /// model has failed.
     pub(super) fn refused(&mut self, h: f64, error: CallError) -> Step<Tried> {
         match error {
             CallError::Discard => Ok(Tried::Again { h: self.stepper.refused(h), why: Shrink::Refused }),
@@ -95,7 +99,7 @@ impl Run<'_> {
         }
     }
 
-    /// Goes on with a smaller step, unless it would be too small to mean anything.
+    /// Continues with a smaller step. Returns an error if the step would be too small.
     pub(super) fn shrink(&mut self, h: f64, why: Shrink) -> Step<()> {
         self.stats.rejected_steps += 1;
         let discarded = why == Shrink::Refused;
@@ -115,7 +119,7 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// Has the method interpolate inside the trial, once.
+    /// Prepares the interpolation inside the trial, once.
     pub(super) fn make_ready(&mut self, end: f64, h: f64, ready: &mut bool) -> CallResult<()> {
         if !std::mem::replace(ready, true) {
             let Space { x, x_new, weights, .. } = &*self.space;

@@ -1,6 +1,6 @@
-//! The system as a run sees it: it answers no more once the run was cancelled or its time is up, so that a
-//! long step ends as well; its calls are timed; and in a run that leads backward its time is turned, `dx/ds =
-//! -f(-s, x)` with `s = -t`.
+//! The system as seen by a run. Its calls are timed, and evaluations fail after the run was cancelled or its
+//! time limit was reached, so that long steps end too. In a run backward in time, the time is reversed:
+//! `dx/ds = -f(-s, x)` with `s = -t`.
 
 use super::backward::{negate, turned};
 use super::end_conditions::EndConditions;
@@ -12,7 +12,7 @@ use crate::system::{
 };
 use std::time::Instant;
 
-/// The calls that run the model; each is a kind of its own for the stopwatch.
+/// Calls that run the model. Each has a separate kind for the stopwatch.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Call {
     Derivatives,
@@ -29,7 +29,7 @@ pub(crate) enum Call {
 impl Call {
     const KINDS: usize = Self::HandleEvent as usize + 1;
 
-    /// Of these a step makes many: they are refused when the run is to end.
+    /// True for the calls that a step makes often. They fail when the run must end.
     const fn is_evaluation(self) -> bool {
         matches!(
             self,
@@ -37,27 +37,27 @@ impl Call {
         )
     }
 
-    /// These are seldom, and one may take much longer than another.
+    /// True for rare calls whose durations can differ widely.
     const fn is_seldom(self) -> bool {
         matches!(self, Self::Nominals | Self::Start | Self::HandleEvent)
     }
 }
 
-/// A system under watch.
+/// A system with timed calls and end conditions.
 pub(crate) struct TimedSystem<'a> {
     system: &'a mut dyn HybridSystem,
     watch: EndConditions<'a>,
     began: Instant,
     stopwatch: &'a mut CallWatch,
-    /// In a run that leads backward: slopes with respect to the time of the system.
+    /// Slopes with respect to the time of the system, in a run backward in time.
     slopes: Option<&'a mut Vec<f64>>,
 }
 
-/// The stopwatch for the calls of a system; outlives a run.
+/// The stopwatch for the calls of a system; reused by later runs.
 pub(crate) type CallWatch = Stopwatch<{ Call::KINDS }>;
 
 impl<'a> TimedSystem<'a> {
-    /// For a run that begins now; with room for slopes if it leads backward.
+    /// Creates the system for a run that starts now. `slopes` is work space for a run backward in time.
     pub(crate) fn new(
         system: &'a mut dyn HybridSystem,
         watch: EndConditions<'a>,
@@ -68,13 +68,13 @@ impl<'a> TimedSystem<'a> {
         Self { system, watch, began: Instant::now(), stopwatch, slopes }
     }
 
-    /// The time of the system, from that of the run, or the other way round.
+    /// Converts between the time of the run and the time of the system, in both directions.
     #[inline]
     fn at(&self, t: f64) -> f64 {
         if self.slopes.is_some() { turned(t) } else { t }
     }
 
-    /// Turns derivatives with respect to time, from those of the system into those of the run.
+    /// Converts derivatives with respect to time from the system to the run.
     #[inline]
     fn turn(&self, derivatives: &mut [f64]) {
         if self.slopes.is_some() {
@@ -86,7 +86,7 @@ impl<'a> TimedSystem<'a> {
         EventOutcome { next_time: outcome.next_time.map(|t| self.at(t)), ..outcome }
     }
 
-    /// Enters the times of the run, which ends now.
+    /// Stores the times of the run, which ends now.
     pub(crate) fn enter_times(&self, stats: &mut Stats) {
         let seconds = self.began.elapsed().as_secs_f64();
         stats.seconds = Seconds::new(seconds);
@@ -94,7 +94,8 @@ impl<'a> TimedSystem<'a> {
     }
 }
 
-/// Makes a call that runs the model, `$turned` being derivatives with respect to time that it fills in.
+/// Makes a call that runs the model. `$turned` contains the derivatives with respect to time that the call
+/// fills in.
 macro_rules! watched {
     ($self:ident, $call:ident, $answer:expr $(, $turned:ident)?) => {{
         if const { Call::$call.is_evaluation() } {
@@ -174,7 +175,7 @@ impl HybridSystem for TimedSystem<'_> {
         self.system.states_corrected(self.at(t), x)
     }
     fn next_input_stop(&mut self, t: f64) -> Option<InputStop> {
-        // What a system knows of inputs to come is of no use backward.
+        // Input stops after the current time are not useful backward in time.
         if self.slopes.is_some() { None } else { self.system.next_input_stop(t) }
     }
     fn nominals(&mut self, nominals: &mut [f64]) -> CallResult<()> {
@@ -231,7 +232,7 @@ impl HybridSystem for TimedSystem<'_> {
     }
 }
 
-/// The slopes with respect to the time of the system, by those of the run.
+/// Converts slopes of the run to slopes with respect to the time of the system.
 fn own_slopes<'s>(turned: &'s mut Option<&mut Vec<f64>>, dx: &'s [f64]) -> &'s [f64] {
     match turned {
         None => dx,

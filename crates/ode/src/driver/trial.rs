@@ -2,56 +2,56 @@
 
 /// Outcome of one trial step.
 pub(super) enum Tried {
-    /// Good up to its own end, or up to the event found inside.
+    /// The trial is good up to its end, or up to the event found inside.
     Good,
-    /// Not good for this reason; to be tried again with this size.
+    /// The trial failed for this reason and must be repeated with step size `h`.
     Again { h: f64, why: Shrink },
 }
 
-/// Why a step is made smaller.
+/// Reason for a smaller step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Shrink {
-    /// The error test wants it.
+    /// The error test requires a smaller step.
     TooInexact,
     /// The equations of an implicit method were not solved.
     NotSolved,
-    /// The model refused a point of it.
+    /// The model refused a point of the trial.
     Refused,
-    /// An event indicator left its domain and came back in it, which was not seen.
+    /// An event indicator left its domain and returned within the step without being seen outside.
     Returned,
 }
 
-/// Event, or reason for a smaller step, inside of a step.
+/// Event inside a step, or reason for a smaller step.
 pub(super) enum Inside {
     Nothing,
     Crossing(Found),
-    /// The step cannot stand; one of this size may.
+    /// The step cannot be accepted; a step of size `h` may be.
     Again {
         h: f64,
         why: Shrink,
     },
 }
 
-/// Where a good step is cut.
+/// Point at which a good step is cut.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Found {
-    /// The point to go on from.
+    /// Point from which to continue.
     pub(super) at: f64,
-    /// End and size of the trial that the stepper holds now.
+    /// End and size of the trial that the stepper currently stores.
     pub(super) end: f64,
     pub(super) h: f64,
-    /// A time before the first change of an indicator that is an event at the cut; `None`: there is none.
+    /// Time before the first change of an indicator that is an event at the cut; `None` if there is none.
     pub(super) before: Option<f64>,
 }
 
-/// Excursion of an indicator next to zero at the start of a step: it leaves its domain and comes back within
-/// the step.
+/// Excursion of an indicator that is near zero at the start of a step: it leaves its domain and returns
+/// within the step.
 pub(super) enum Return {
     Nothing,
-    /// At this time it is in the other domain.
+    /// At this time, the indicator is in the other domain.
     Found(f64),
-    /// It leads into the other domain at the start, and is in the domain where it began at the end, but no
-    /// point of the step was found where it is in the other one. A step of this size may show it.
+    /// The indicator leads into the other domain at the start and ends the step in its initial domain. No
+    /// evaluated point of the step was in the other domain. A step of size `shorter` may show it.
     Unseen {
         indicator: usize,
         shorter: Option<f64>,

@@ -1,18 +1,18 @@
-//! Indicators that have crossed up to the end of a step, and those that slide.
+//! Indicators that have crossed in a step, and sliding indicators.
 
 use super::domains::{CLEAN_STEPS, Domains, any_flips, crosses, flipped, is_behind};
 use super::returns_within_step::SMALL;
 use crate::system::{CallResult, Direction};
 
-/// Below this share of its largest value an indicator may be next to zero in time.
+/// An indicator below this fraction of its largest value may cross zero soon.
 const NEXT_TO_ZERO: f64 = 1e-6;
 
 impl Domains {
-    /// Writes down the direction of every crossing up to the end, after the time `elapsed`, that is an event;
-    /// returns the first that crossed, those that do not slide before those that do. Times within `tolerance`
-    /// are one.
+    /// Records the direction of every crossing in the step, of duration `elapsed`, that is an event. Returns
+    /// the
+    /// first indicator that crossed, with those that do not slide first. Times within `tolerance` are equal.
     pub(crate) fn mark(&mut self, elapsed: f64, tolerance: f64) -> Option<usize> {
-        // Filling an empty vector is a store without elements, which some processors take 30 ns for.
+        // Filling an empty vector is a store without elements, which takes 30 ns on some processors.
         if self.crossings.is_empty() {
             return None;
         }
@@ -29,7 +29,7 @@ impl Domains {
             } else if self.resets[i] {
                 self.falls(i) || (self.directions[i] == Direction::Both && flipped(base, end))
             } else {
-                // One that came back in the step may have begun in the domain where it ends.
+                // An indicator that returned in the step may have started in the domain in which it ends.
                 self.is_lost(i) || crosses(self.direction(i), base, end)
             };
             has_any |= has_crossed;
@@ -41,7 +41,7 @@ impl Domains {
             if has_crossed {
                 self.find_origin(i);
                 let slope = (end - base) / elapsed;
-                // One that jumps is nowhere near.
+                // An indicator that jumps is not near zero.
                 let jumps = end.abs() > SMALL * self.largest[i];
                 self.near_zero[i] = if jumps { 0.0 } else { end.abs() + (tolerance * slope).abs() };
             }
@@ -53,7 +53,7 @@ impl Domains {
         (0..self.len()).filter(crossed).min_by_key(|i| self.slides(*i))
     }
 
-    /// Those marked slide from now on.
+    /// Lets all marked indicators slide from now on.
     pub(crate) fn slide_marked(&mut self) {
         for i in 0..self.len() {
             if self.crossings[i] != 0 {
@@ -62,12 +62,13 @@ impl Domains {
         }
     }
 
-    /// True if an indicator that was marked is zero: the crossing is there, or yet to come.
+    /// True if a marked indicator is zero: the crossing is at this point or still to come.
     pub(crate) fn crossed_on_zero(&self) -> bool {
         self.end.iter().zip(&self.crossings).any(|(end, crossing)| *end == 0.0 && *crossing != 0)
     }
 
-    /// A step is over: those that slide and have crossed in it go on sliding. `false`: none slides any more.
+    /// Updates the sliding indicators after a step: those that have crossed in it continue to slide. Returns
+    /// `false` if no indicator slides any more.
     pub(crate) fn go_on_sliding(&mut self) -> bool {
         for (left, crossing) in self.sliding.iter_mut().zip(&self.crossings) {
             *left = if *left > 0 && *crossing != 0 { CLEAN_STEPS } else { left.saturating_sub(1) };
@@ -75,25 +76,27 @@ impl Domains {
         self.sliding.iter().any(|left| *left > 0)
     }
 
-    /// True if the event at the end of the step has left the indicators as they were, `base` being those
-    /// after it.
+    /// True if the event at the end of the step has not changed the indicators. `base` contains their values
+    /// after
+    /// the event.
     pub(crate) fn unmoved(&self) -> bool {
         self.base.iter().zip(&self.end).all(|(after, before)| (after - before).abs() <= 1e-3 * before.abs())
     }
 
-    /// Nothing crossed.
+    /// Clears all marks.
     pub(crate) fn clear_marks(&mut self) {
         self.crossings.fill(0);
     }
 
-    /// True if an indicator is so small, beside its largest value so far, that only one that passes through
-    /// all its values in a tiny part of a run is far from zero in time.
+    /// True if an indicator is very small relative to its largest value so far. Such an indicator is usually
+    /// near
+    /// zero in time, unless it passes through all its values in a tiny part of a run.
     pub(crate) fn any_next_to_zero(&self) -> bool {
         self.base.iter().zip(&self.largest).any(|(z, largest)| z.abs() < NEXT_TO_ZERO * largest)
     }
 
-    /// True if an indicator has an event up to a point, at which `evaluate` fills them in, behind the start
-    /// of the next step.
+    /// True if an indicator has an event between the start of the next step and a point after it, at which
+    /// `evaluate` fills in the indicators.
     pub(crate) fn crosses_up_to(
         &mut self,
         evaluate: impl FnOnce(&mut [f64]) -> CallResult<()>,
@@ -102,8 +105,9 @@ impl Domains {
         Ok(self.any_crosses(&self.base, &self.mid))
     }
 
-    /// Notes which domain indicator `i`, which crosses, comes from: the one that it leaves, unless it was
-    /// only next to zero there, where an event has left it.
+    /// Records the domain from which the crossing indicator `i` comes. This is the domain it leaves, unless
+    /// an
+    /// event left it there near zero.
     pub(super) fn find_origin(&mut self, i: usize) {
         let ends_above = self.end[i] > 0.0;
         let was_left_behind = self.since_event[i].depth().is_some_and(|depth| !is_behind(depth, self.end[i]));
@@ -112,7 +116,8 @@ impl Domains {
         }
     }
 
-    /// True if indicator `i`, which is held, leaves the domain it came from in the step, or goes further away
+    /// True if indicator `i`, which is held, leaves the domain it came from in the step, or moves further
+    /// away
     /// from it.
     pub(super) fn falls(&self, i: usize) -> bool {
         let (base, end) = (self.base[i], self.end[i]);

@@ -1,25 +1,25 @@
-//! Where in a step the first event is: turning points that may hide one, and root location.
+//! Location of the first event in a step: turning points that may hide one, and root location.
 
 use super::domains::{Domains, any_flips, flipped};
 use crate::system::CallResult;
 
-/// A parabola comes near zero where its turning point is less than this share of the least value that it
-/// passes.
+/// A parabola is near zero if the value at its turning point is less than this fraction of the smallest value
+/// on it.
 const NEAR: f64 = 0.25;
 
-/// Where the first change of domain in a step was found.
+/// Location of the first change of domain in a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Located {
-    /// First known point of the new domain (the right end of the final bracket).
+    /// First known point of the new domain (right end of the final bracket).
     pub(crate) time: f64,
-    /// Last known point before the change (its left end).
+    /// Last known point before the change (left end of the final bracket).
     pub(crate) before: f64,
-    /// Evaluations of the indicators it took.
+    /// Number of evaluations of the indicators.
     pub(crate) evaluations: u64,
 }
 
-/// Where after `start` the parabola through three points `(t, z)` in one domain turns, if that is in the
-/// other domain or near it.
+/// Returns the turning point after `start` of the parabola through three points `(t, z)` in one domain, if it
+/// is in the other domain or near it.
 fn turning_point([(t0, z0), (t1, z1), (t2, z2)]: [(f64, f64); 3], start: f64) -> Option<f64> {
     if flipped(z0, z1) || flipped(z1, z2) {
         return None;
@@ -32,13 +32,14 @@ fn turning_point([(t0, z0), (t1, z1), (t2, z2)]: [(f64, f64); 3], start: f64) ->
     }
     let t = 0.5 * (t1 + t2) - 0.5 * s2 / curvature;
     let value = z1 + (t - t1) * (s2 + curvature * (t - t2));
-    // What was before the step was seen to go on.
+    // The step before this one was already checked.
     let least = if t0 < start { z1.abs().min(z2.abs()) } else { z0.abs().min(z1.abs()).min(z2.abs()) };
     let beyond = if z1 > 0.0 { value < NEAR * least } else { value > -NEAR * least };
     (t > start.max(t0) && t < t2 && t != t1 && beyond).then_some(t)
 }
 
-/// True if three points `(t, z)` are as far from zero as [`Domains::keeps_clear`] asks for; all are finite.
+/// True if three points `(t, z)` are as far from zero as [`Domains::keeps_clear`] requires. All must be
+/// finite.
 #[inline]
 fn is_clear([(t0, z0), (t1, z1), (t2, z2)]: [(f64, f64); 3]) -> bool {
     let least = |a: f64, b: f64| if a < b { a } else { b };
@@ -49,8 +50,9 @@ fn is_clear([(t0, z0), (t1, z1), (t2, z2)]: [(f64, f64); 3]) -> bool {
 }
 
 impl Domains {
-    /// Time and value of indicator `i` at the place `k` of what is known of the step from `start` to `end`,
-    /// of which the last place is one more than points were looked at inside.
+    /// Returns time and value of indicator `i` at the known point `k` of the step from `start` to `end`.
+    /// Point 0 is
+    /// the start, the points evaluated inside follow, and the last one is the end.
     #[inline]
     fn known(&self, i: usize, k: usize, start: f64, end: f64) -> (f64, f64) {
         match k.checked_sub(1) {
@@ -62,10 +64,11 @@ impl Domains {
         }
     }
 
-    /// True if indicator `i` stays so far from zero that [`turning_point`](Self::turning_point) and
-    /// [`unresolved`](Self::unresolved) find nothing: of three neighbouring values the largest difference d
-    /// and the ratio r of their distances in time bound the curvature of the parabola through them, which
-    /// reaches at most d r / 4 beyond the least.
+    /// True if indicator `i` is so far from zero that [`turning_point`](Self::turning_point) and
+    /// [`unresolved`](Self::unresolved) find nothing. The test uses three neighbouring values: their largest
+    /// difference d and the ratio r of their distances in time bound the curvature of the parabola through
+    /// them. The
+    /// parabola extends at most d r / 4 beyond the smallest value.
     #[inline]
     pub(crate) fn keeps_clear(&self, i: usize, start: f64, end: f64) -> bool {
         let sign = if self.base[i] > 0.0 { 1.0 } else { -1.0 };
@@ -88,9 +91,8 @@ impl Domains {
         n_inside == 0 || is_clear([a, b, last])
     }
 
-    /// Where between `start` and `end` a parabola through three neighbouring values of indicator `i` comes to
-    /// its turning point, if that lies in the other domain or near it: a crossing and its return may hide
-    /// there.
+    /// Returns the turning point between `start` and `end` of a parabola through three neighbouring values of
+    /// indicator `i`, if it is in the other domain or near it. A crossing and its return may be hidden there.
     pub(crate) fn turning_point(&self, i: usize, start: f64, end: f64) -> Option<f64> {
         let known = |k| self.known(i, k, start, end);
         let (mut a, mut b, next) = match self.before_time {
@@ -105,9 +107,11 @@ impl Domains {
         })
     }
 
-    /// Where between `start` and `end` a crossing and its return may hide in what is not known of indicator
-    /// `i`: the middle of the wider one of two neighbouring intervals of at least `least`, between whose
-    /// three ends, all in one domain, its graph bends by more than it stays away from zero.
+    /// Returns a point between `start` and `end` at which a crossing of indicator `i` and its return may be
+    /// hidden. Two neighbouring intervals of length `least` or more are unresolved if their three ends are in
+    /// one
+    /// domain and the graph bends by more than its distance from zero. The point is the middle of the wider
+    /// one.
     pub(crate) fn unresolved(&self, i: usize, start: f64, end: f64, least: f64) -> Option<f64> {
         if self.slides(i) {
             return None;
@@ -128,9 +132,10 @@ impl Domains {
         })
     }
 
-    /// Reads the indicators at a point inside the step behind those looked at before. `true`: one has an
-    /// event before it, and the indicators there are those at the end then. If one has changed otherwise,
-    /// changes count from here.
+    /// Reads the indicators at a point inside the step after those examined before. Returns `true` if an
+    /// indicator has an event before this point; `end` then contains the indicators there. If an indicator
+    /// has
+    /// changed in another way, changes count from this point.
     pub(crate) fn changed_at(
         &mut self,
         t: f64,
@@ -157,24 +162,30 @@ impl Domains {
         Ok(false)
     }
 
-    /// All indicators that change in the bracket only jump between a value and its negative: they tell
-    /// nothing but the domain.
+    /// True if all indicators that change in the bracket only jump between a value and its negative. Their
+    /// values
+    /// then determine only the domain.
     fn only_jumps(&self) -> bool {
         let from = self.reference();
         let located = |i: &usize| self.is_located(*i, self.lo[*i], self.end[*i]);
         (0..self.len()).filter(located).all(|i| from[i] == -self.end[i] && from[i] == self.lo[i])
     }
 
-    /// Finds the first event in `(t_lo, t_hi]`, where `end` holds the indicators at its end, and `base` (or
-    /// those that changes count from) the ones at its start, and at least one has changed so that it is an
-    /// event. `evaluate(t, z)` fills in the indicators at a time between.
+    /// Finds the first event in `(t_lo, t_hi]`. `end` contains the indicators at `t_hi`, and `base` (or the
+    /// point
+    /// from which changes count) those at `t_lo`. The change of at least one of them must be an event.
+    /// `evaluate(t, z)` fills in the indicators at a time between.
     ///
     /// T. R. Chandrupatla, A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear
-    /// function, Advances in Engineering Software 28 (1997) 145-149, on one bracket common to all indicators;
-    /// each iteration works on the changed indicator whose secant crosses first. Ends when the bracket is at
-    /// most `tolerance` wide, whatever the values are, and returns its right end: there the change has really
-    /// happened. `end` then holds the indicators at that point. Where all that changes are indicators that
-    /// only jump, a bracket of `for_jumps` is narrow enough.
+    /// function, Advances in Engineering Software 28 (1997) 145-149, on one bracket common to all indicators.
+    /// Each
+    /// iteration uses the changed indicator whose secant crosses first. The iterations end when the width of
+    /// the
+    /// bracket is at most `tolerance`, for any values. The function returns the right end, at which the
+    /// change has
+    /// happened, and `end` then contains the indicators there. If all changing indicators only jump, a
+    /// bracket of
+    /// `for_jumps` is sufficient.
     pub(crate) fn locate(
         &mut self,
         t_lo: f64,
@@ -186,7 +197,7 @@ impl Domains {
         let start = if self.counts_since.is_some() { &self.from } else { &self.base };
         self.lo.copy_from_slice(start);
         let (mut lo, mut hi) = (t_lo, t_hi);
-        // The end of an earlier bracket, for the inverse quadratic step, and whether it lay to the right.
+        // End of an earlier bracket, for the inverse quadratic step, and whether it was on the right side.
         let mut third: Option<f64> = None;
         let mut newest_is_hi = true;
         let mut active = usize::MAX;
@@ -215,7 +226,7 @@ impl Domains {
             evaluate(mid, &mut self.mid)?;
             evaluations += 1;
             let crossed = self.any_crosses(&self.lo, &self.mid);
-            // The point that leaves the bracket, or the older one on the same side, becomes the third.
+            // The point that leaves the bracket, or the older one on the same side, becomes the third point.
             if crossed {
                 std::mem::swap(&mut self.discarded, &mut self.end);
                 std::mem::swap(&mut self.end, &mut self.mid);
@@ -236,8 +247,8 @@ impl Domains {
         Ok(Located { time: hi, before: lo, evaluations })
     }
 
-    /// Among the indicators that change inside the bracket, the one whose secant predicts the earliest
-    /// crossing.
+    /// Returns the indicator whose secant predicts the earliest crossing, among those that change inside the
+    /// bracket.
     fn first_by_secant(&self, lo: f64, hi: f64) -> usize {
         let mut best = (f64::INFINITY, 0);
         for i in 0..self.base.len() {
@@ -253,7 +264,7 @@ impl Domains {
         best.1
     }
 
-    /// Fraction of the bracket, counted from `lo`, at which to look next.
+    /// Returns the next evaluation point as a fraction of the bracket, counted from `lo`.
     fn chandrupatla_fraction(
         &self,
         i: usize,
@@ -299,8 +310,9 @@ mod tests {
         (found.time, found.evaluations, d)
     }
 
-    /// Values at uneven times in either domain, with zeros: nothing is missed, and most of what is far from
-    /// zero is not looked at further.
+    /// Values at uneven times in either domain, with zeros. No event is missed, and most indicators far from
+    /// zero
+    /// are not examined further.
     #[test]
     fn what_keeps_clear_of_zero_does_not_turn_there() {
         let mut state = 7_u64;
@@ -408,7 +420,7 @@ mod tests {
 
     #[test]
     fn changes_count_in_the_directions_asked_for() {
-        // Positive between 0.3 and 0.5, then another one crosses at 0.8.
+        // The first indicator is positive between 0.3 and 0.5; the second crosses at 0.8.
         let z = |t: f64| [(t - 0.3) * (0.5 - t), t - 0.8];
         let at = |look: Option<f64>, directions: [Direction; 2]| {
             let mut d = Domains::default();
@@ -445,7 +457,7 @@ mod tests {
 
     #[test]
     fn a_return_found_on_the_way_is_the_event() {
-        // The search for the crossing at 0.9 looks at its middle, where the other indicator is on its way back.
+        // The search for the crossing at 0.9 evaluates its middle, where the other indicator is returning.
         let z = |t: f64| vec![(t - 0.4) * (0.6 - t), t - 0.9];
         let mut d = Domains::default();
         d.begin(2, |i| if i == 0 { Direction::Down } else { Direction::Both });
@@ -466,7 +478,8 @@ mod tests {
         let (t, _, mut d) = locate(|t| vec![0.5 - t, t - 0.5, 1.0], 0.0, 1.0, 1e-12);
         assert!((t - 0.5).abs() <= 1e-12);
         d.mark(1.0, 0.0);
-        // 0.5 - t leaves the positive domain at 0.5 itself, t - 0.5 enters it just after: both within the bracket.
+        // 0.5 - t leaves the positive domain at 0.5 itself, t - 0.5 enters it just after: both within the
+        // bracket.
         assert_eq!(d.crossings[0], -1);
     }
 

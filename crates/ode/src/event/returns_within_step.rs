@@ -1,28 +1,30 @@
-//! Indicators that are next to zero when a step begins, and may leave their domain and come back within it.
+//! Indicators that are near zero when a step begins, and may leave their domain and return within it.
 
 use super::domains::{CLEAN_STEPS, Domains, SinceEvent, flipped, is_behind};
 use crate::system::CallResult;
 use crate::system::Direction;
 
-/// The slopes of indicators are differences over this share of a step.
+/// Step of the differences for the slopes of indicators, as a fraction of the step of the method.
 pub(crate) const SLOPE_STEP: f64 = 1.0 / 256.0;
 
-/// Where they are not straight over that, so many times shorter ones are tried, each an eighth of the one
-/// before: an indicator may turn many times in a step.
+/// Number of shorter differences to try if the indicators are not linear over that distance, each an eighth
+/// of
+/// the one before. An indicator may turn many times in a step.
 const SHORTER: i32 = 4;
 
-/// Indicators below this share of their largest values so far are small: that events turn them back to zero
-/// again and again may be what their bounces have come to.
+/// Indicators below this fraction of their largest value so far are small. If events repeatedly turn a small
+/// indicator back to zero, these may be the last of its bounces.
 pub(super) const SMALL: f64 = 0.1;
 
-/// After an event that has changed states an indicator just goes on if the flow at the start makes more than
-/// this share of its way in the step; else the event may have stopped it, and what is left of its slope be
-/// rounding.
+/// Minimum fraction of an indicator's change in the step that the flow at the start must produce, after an
+/// event that changed states. The indicator then continues. Otherwise, the event may have stopped it, and the
+/// rest of its slope may be rounding.
 const GOES_ON: f64 = 1.0 / 16.0;
 
 impl Domains {
-    /// After any event the indicators were read anew: those that crossed and are still next to zero may have
-    /// turned back. `reset`: the event has changed states.
+    /// Updates the indicators after an event. Those that crossed and are still near zero may have turned
+    /// back.
+    /// `reset`: the event has changed states.
     pub(crate) fn begin_after_event(&mut self, reset: bool) {
         for i in 0..self.len() {
             let leaves_origin = self.crossings[i] != 0 && (self.crossings[i] < 0) == self.from_above[i];
@@ -34,7 +36,7 @@ impl Domains {
             let beyond = |size: f64| if self.from_above[i] { -size } else { size };
             let depth = match self.crossings[i] {
                 0 => self.since_event[i].depth(),
-                // One that slides is wherever the step has ended.
+                // A sliding indicator is at its value at the end of the step.
                 _ if self.slides(i) => Some(beyond(z.abs())),
                 _ => Some(beyond(z.abs() + near)).filter(|_| z.abs() <= near),
             };
@@ -48,8 +50,9 @@ impl Domains {
         self.is_calm = false;
     }
 
-    /// A step is over, with events at its end or not: those that are seen in the domain they came from are
-    /// settled, and of the others none has been seen to go on.
+    /// Updates the indicators after a step, with or without events at its end. Indicators seen in the domain
+    /// they
+    /// came from are settled. The others have not been seen to continue.
     pub(crate) fn settle(&mut self) {
         for (largest, z) in self.largest.iter_mut().zip(&self.end) {
             *largest = if z.abs() > *largest { z.abs() } else { *largest };
@@ -64,7 +67,7 @@ impl Domains {
             self.bounces[i] = (self.bounces[i] || came_back) && z.abs() <= SMALL * self.largest[i];
             if self.crossings[i] == 0 {
                 self.since_event[i] = match depth {
-                    // The flow leads on, but not yet farther than the location of the event explains.
+                    // The flow leads on, but not yet beyond the error of the event location.
                     Some(depth) if !came_back && self.onward[i] => SinceEvent::New { depth },
                     Some(depth) if !came_back => SinceEvent::TurnedBack { depth },
                     _ => SinceEvent::Settled,
@@ -76,20 +79,21 @@ impl Domains {
         self.is_calm = is_calm;
     }
 
-    /// True if indicator `i` crosses up to the end, and has been next to zero since an event has turned it
-    /// back.
+    /// True if indicator `i` crosses in the step and has been near zero since an event turned it back.
     pub(crate) fn crosses_in_bounces(&self, i: usize) -> bool {
         self.bounces[i] && self.is_located(i, self.reference()[i], self.end[i])
     }
 
-    /// True if this slope of indicator `i` is against its crossing.
+    /// True if this slope of indicator `i` is opposite to its crossing.
     pub(crate) fn contradicts(&self, i: usize, slope: f64) -> bool {
         if self.end[i] > 0.0 { slope < 0.0 } else { slope > 0.0 }
     }
 
-    /// The slope of indicator `i`, of the value `z0` now, along the flow: `evaluate(s, z)` gives the
-    /// indicators after the time `s` if the flow stays as it is. It is taken over as short a time, from
-    /// `step` to `reach`, as rounding lets it; 0: over none.
+    /// Returns the slope of indicator `i`, whose current value is `z0`, along the flow. `evaluate(s, z)`
+    /// computes
+    /// the indicators after the time `s` along the current flow. The slope is the difference over the
+    /// shortest time
+    /// from `step` to `reach` that rounding allows. Returns 0 if there is none.
     pub(crate) fn slope_along(
         &mut self,
         i: usize,
@@ -105,7 +109,7 @@ impl Domains {
                 evaluate(s, &mut self.mid)?;
                 Ok(self.mid[i] - z0)
             };
-            // Else it is rounding.
+            // Otherwise the difference is rounding.
             let is_twice = |d2: f64, d1: f64| d2 != 0.0 && (d2 - 2.0 * d1).abs() <= 0.25 * d2.abs();
             let (d1, d2) = (change(s)?, change(2.0 * s)?);
             if is_twice(d2, d1) && is_twice(change(4.0 * s)?, d2) {
@@ -115,8 +119,9 @@ impl Domains {
         Ok(0.0)
     }
 
-    /// True if indicator `i` may have left its domain and come back in the trial: after its event, or, where
-    /// nothing is known of the time before the step, from next to zero.
+    /// True if indicator `i` may have left its domain and returned in the trial. It starts near zero after
+    /// its
+    /// event, or the time before the step is unknown.
     fn may_return(&self, i: usize) -> bool {
         let (z0, z2) = (self.base[i], self.end[i]);
         let may = match self.since_event[i].depth() {
@@ -131,10 +136,12 @@ impl Domains {
         !(self.is_calm && self.before_time.is_some()) && (0..self.len()).any(|i| self.may_return(i))
     }
 
-    /// Of these the slopes at the start of the step of size `h`, where they point out of the domain: by
-    /// differences along the flow, `evaluate(s, z)` being the indicators after the time `s`, at most `reach`,
-    /// if the flow stayed as it is at the start. Those that go on into their domain after their event are
-    /// settled.
+    /// Computes the slopes of these indicators at the start of the step of size `h`, if they point out of the
+    /// domain. The slopes are differences along the flow: `evaluate(s, z)` computes the indicators after the
+    /// time
+    /// `s`, at most `reach`, with the flow at the start. Indicators that continue into their domain after
+    /// their
+    /// event are settled.
     pub(crate) fn find_slopes(
         &mut self,
         h: f64,
@@ -147,7 +154,7 @@ impl Domains {
         evaluate(step, &mut self.mid)?;
         for i in 0..self.len() {
             let (z0, z1, z2) = (self.base[i], self.mid[i], self.end[i]);
-            // As fast at the start as in the whole step, on into the domain.
+            // The speed at the start is similar to the one over the whole step, further into the domain.
             let goes_on = !self.resets[i]
                 && z2.abs() > z0.abs()
                 && (0.25..4.0).contains(&((z1 - z0) / step / ((z2 - z0) / h)));
@@ -187,9 +194,11 @@ impl Domains {
         Ok(())
     }
 
-    /// True if the flow at the start leads indicator `i` on into its domain all the way through the step of
-    /// size `h`, and explains where the step ends: it needs no slope at zero for that (`v^3` has none,
-    /// `sqrt(v)` no finite one).
+    /// True if the flow at the start leads indicator `i` further into its domain during the whole step of
+    /// size
+    /// `h`, and explains its value at the end. This does not require a slope at zero (`v^3` has none,
+    /// `sqrt(v)` has
+    /// no finite one).
     fn flows_on(
         &mut self,
         i: usize,
@@ -209,15 +218,17 @@ impl Domains {
         Ok(far > GOES_ON)
     }
 
-    /// The size of a step in which the slope of indicator `i`, which leads on into its domain but far more
-    /// slowly than the step of size `h` does, counts as much as what bends it.
+    /// Returns the step size at which the slope of indicator `i` matters as much as its curvature. The slope
+    /// leads
+    /// further into the domain, but far more slowly than the step of size `h`.
     pub(crate) fn step_of_slope(&self, i: usize, h: f64) -> Option<f64> {
         let share = self.slopes[i] * h / (self.end[i] - self.base[i]);
         (share > 0.0 && self.slopes[i] != 0.0).then_some(2.0 * share * h)
     }
 
-    /// Indicator `i` moves on into its domain. Right after its event it just goes on; what is returned is the
-    /// slope of no interest then. One that had turned back points back no more.
+    /// Handles indicator `i` moving further into its domain. Right after its event, it continues and the
+    /// returned
+    /// slope is NaN (unused). An indicator that had turned back no longer does; the slope is then 0.
     fn goes_on(&mut self, i: usize) -> f64 {
         if matches!(self.since_event[i], SinceEvent::TurnedBack { .. }) {
             return 0.0;
@@ -226,20 +237,21 @@ impl Domains {
         f64::NAN
     }
 
-    /// The slope that [`find_slopes`](Self::find_slopes) has found.
+    /// Slope computed by [`find_slopes`](Self::find_slopes).
     pub(crate) fn slope(&self, i: usize) -> Option<f64> {
         Some(self.slopes[i]).filter(|slope| !slope.is_nan())
     }
 
-    /// When after the start the parabola through the value of such an indicator there, with its slope, and
-    /// that at the time `s`, which is `z`, turns, and its value there.
+    /// Returns the turning point, relative to the start, of a parabola and its value there. The parabola
+    /// passes
+    /// through the value and slope of the indicator at the start and the value `z` at the time `s`.
     pub(crate) fn turn(&self, i: usize, s: f64, z: f64) -> (f64, f64) {
         let (z0, slope) = (self.base[i], self.slopes[i]);
         let curvature = ((z - z0) / s - slope) / s;
         (-0.5 * slope / curvature, z0 - 0.25 * slope * slope / curvature)
     }
 
-    /// Reads the indicators at a point inside the step; the value of indicator `i`.
+    /// Reads the indicators at a point inside the step and returns the value of indicator `i`.
     pub(crate) fn value_at(
         &mut self,
         i: usize,
@@ -254,8 +266,8 @@ impl Domains {
         flipped(self.base[i], z)
     }
 
-    /// To where indicator `i`, of this value behind zero, can be moved so that it does not cross again: its
-    /// next crossing may be an event.
+    /// Returns the value to which indicator `i`, now `z` beyond zero, can be moved so that it does not cross
+    /// again. Its next crossing may be an event.
     pub(crate) fn next_to_zero(&self, i: usize, z: f64) -> f64 {
         let is_event = flipped(z, 0.0) && self.directions[i] == Direction::Both;
         if is_event { 1e-3 * z } else { 0.0 }
@@ -266,10 +278,12 @@ impl Domains {
         self.is_held(i) && self.crossings[i] != 0 && self.base[i] != 0.0 && self.is_beyond(i, self.base[i])
     }
 
-    /// The share of the bounce of indicator `i`, which has changed its slope from `before` to `after`, that
-    /// is to be added for it to come back to zero against its `curvature`. `None`: it does so by itself; or
-    /// it is no body that bounces, whose impact has the speed that its curvature makes in the steps of
-    /// sliding.
+    /// Returns the fraction of the bounce of indicator `i` to add so that it returns to zero against its
+    /// `curvature`. The bounce changed its slope from `before` to `after`. `None` if the indicator returns
+    /// without
+    /// it. `None` also if it is not a bouncing body, whose impact speed results from the curvature during the
+    /// steps
+    /// of sliding.
     pub(crate) fn share_of_bounce(
         &self,
         i: usize,
@@ -284,8 +298,9 @@ impl Domains {
         (is_bounce && share > 0.0 && share.is_finite()).then_some(share)
     }
 
-    /// True if the event of indicator `i` has let it pass: it leads on away from the domain it came from,
-    /// with this slope after the event and that before it.
+    /// True if the event of indicator `i` has let it pass: it leads further away from the domain it came
+    /// from,
+    /// with slope `before` the event and `after` it.
     pub(crate) fn passes(&self, i: usize, after: f64, before: f64) -> bool {
         let outwards = if self.from_above[i] { -1.0 } else { 1.0 };
         after * outwards > 0.0 && after * outwards > 0.5 * before * outwards

@@ -6,7 +6,7 @@ use crate::tableau::{StageWeights, Tableau};
 
 pub(super) const TERMS: usize = 7;
 
-/// The terms of the continuous extension of a step of size `h`.
+/// Computes the terms of the continuous extension of a step of size `h`.
 pub(super) fn dense_terms<const S: usize>(
     tableau: &Tableau<S>,
     highest: &[StageWeights; 4],
@@ -26,7 +26,7 @@ pub(super) fn dense_terms<const S: usize>(
     }
 }
 
-/// The factor of each term at `theta`.
+/// Factor of each term at `theta`.
 pub(super) fn factors(theta: f64) -> [f64; TERMS] {
     let mut product = theta;
     std::array::from_fn(|term| {

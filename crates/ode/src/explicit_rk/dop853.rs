@@ -1,9 +1,10 @@
-//! The coefficients of DOP853: twelve stages of order 8 with embedded methods of orders 5 and 3, and a
-//! continuous extension of order 7 on four more (the first of them is the right-hand side at the end of the
-//! step).
+//! The coefficients of DOP853: twelve stages of order 8, embedded methods of orders 5 and 3, and a continuous
+//! extension of order 7. The extension uses four more stages, of which the first is the right-hand side at
+//! the
+//! end of the step.
 //!
-//! E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, second edition, section
-//! II.5 and II.6. The numbers are checked against the order conditions below.
+//! E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, second edition, sections
+//! II.5 and II.6. The tests below check the numbers against the order conditions.
 
 use crate::tableau::{Dense, Estimate, Explicit, StageWeights, Tableau};
 
@@ -26,7 +27,7 @@ impl Explicit<STAGES> for Dop853 {
 #[rustfmt::skip]
 const C: [f64; STAGES] = [0.0, 0.052_600_151_958_767_73, 0.078_900_227_938_151_6, 0.118_350_341_907_227_4, 0.281_649_658_092_772_6, 0.333_333_333_333_333_3, 0.25, 0.307_692_307_692_307_7, 0.651_282_051_282_051_3, 0.6, 0.857_142_857_142_857_1, 1.0, 1.0, 0.1, 0.2, 0.777_777_777_777_777_8];
 
-/// Weights of the stages; row 12 is the solution of order 8 itself, rows 13 to 15 belong to the continuous
+/// Weights of the stages. Row 12 is the solution of order 8; rows 13 to 15 belong to the continuous
 /// extension.
 #[rustfmt::skip]
 const A: [StageWeights; STAGES] = [
@@ -48,12 +49,12 @@ const A: [StageWeights; STAGES] = [
     &[(0, -0.428_896_301_583_791_94), (5, -4.697_621_415_361_164), (6, 7.683_421_196_062_599), (7, 4.068_989_818_397_11), (8, 0.356_727_187_455_281_1), (12, -0.001_399_024_165_159_014_5), (13, 2.947_514_789_152_772_4), (14, -9.150_958_472_179_87)],
 ];
 
-/// The solution minus the embedded one of order 5.
+/// The solution minus the embedded solution of order 5.
 #[rustfmt::skip]
 const ERROR_5: StageWeights =
     &[(0, 0.013_120_044_994_194_88), (5, -1.225_156_446_376_204_4), (6, -0.495_758_949_657_250_2), (7, 1.664_377_182_454_986_4), (8, -0.350_328_848_749_973_66), (9, 0.334_179_118_713_017_5), (10, 0.081_923_206_485_115_71), (11, -0.022_355_307_863_886_294)];
 
-/// The solution minus the embedded one of order 3.
+/// The solution minus the embedded solution of order 3.
 #[rustfmt::skip]
 const ERROR_3: StageWeights =
     &[(0, -0.189_800_754_072_407_62), (5, 4.450_312_892_752_409), (6, 1.891_517_899_314_500_3), (7, -5.801_203_960_010_585), (8, -0.422_682_321_323_791_9), (9, -0.152_160_949_662_516_1), (10, 0.201_365_400_804_030_34), (11, 0.022_651_792_198_360_82)];
@@ -73,14 +74,14 @@ mod tests {
     use crate::explicit_rk::continuous::{dense_terms, factors};
     use crate::stages::Stages;
 
-    /// A rooted tree: its order, its density, and the trees that hang on its root.
+    /// A rooted tree: its order, its density, and the subtrees of its root.
     struct Tree {
         order: usize,
         density: f64,
         children: Vec<usize>,
     }
 
-    /// Every rooted tree up to an order, children before parents.
+    /// All rooted trees up to an order, children before parents.
     fn trees(most: usize) -> Vec<Tree> {
         fn grow(
             found: &[Tree],
@@ -132,7 +133,7 @@ mod tests {
         weights.iter().map(|(j, w)| w * v[*j]).sum()
     }
 
-    /// For every tree: its order, its density, and its elementary weights of the stages.
+    /// Order, density and elementary weights of the stages for every tree.
     fn elementary_weights(most: usize) -> Vec<(usize, f64, [f64; STAGES])> {
         let trees = trees(most);
         let mut on_stages: Vec<[f64; STAGES]> = Vec::new();

@@ -18,13 +18,13 @@ pub(crate) use dop853::Dop853;
 #[derive(Debug)]
 pub(crate) struct ExplicitRk<const S: usize, T> {
     tableau: PhantomData<T>,
-    /// The coefficients of the continuous extension, where it is one of polynomials.
+    /// Coefficients of the continuous extension, if it is polynomial.
     polynomials: Option<[[f64; S]; 4]>,
     k: Stages<S>,
     stage: Vec<f64>,
     error: Vec<f64>,
     error_norm: f64,
-    /// The terms of a continuous extension that has stages of its own.
+    /// Terms of a continuous extension that has additional stages.
     dense: Stages<TERMS>,
     controller: StepController,
 }
@@ -46,15 +46,17 @@ impl<const S: usize, T: Explicit<S>> ExplicitRk<S, T> {
         }
     }
 
-    /// Estimate of the largest eigenvalue: the change of the right-hand side per change of the state between
-    /// the last two stages, which lie at the end of the step both. For methods whose last but one abscissa is
-    /// 1.
+    /// Estimates the largest eigenvalue: the change of the right-hand side per change of the state between
+    /// the
+    /// last two stages. Requires a method whose last but one abscissa is 1, so that both stages are at the
+    /// end of
+    /// the step.
     pub(crate) fn response(&self, x: &[f64], x_new: &[f64], weights: &ErrorWeights) -> f64 {
         let end = T::TABLEAU.end;
         weights.ratio(x, [self.k.get(end), self.k.get(end - 1)], [x_new, &self.stage])
     }
 
-    /// Takes over in the middle of a run from a method that knows the right-hand side at the current point.
+    /// Continues a run of another method that knows the right-hand side at the current point.
     pub(crate) fn take_over(&mut self, f: &[f64]) {
         self.k.get_mut(0).copy_from_slice(f);
         self.forget();
@@ -64,7 +66,7 @@ impl<const S: usize, T: Explicit<S>> ExplicitRk<S, T> {
         T::TABLEAU.end + 1 < S
     }
 
-    /// The state at which a stage is evaluated.
+    /// Computes the state at which a stage is evaluated.
     #[inline]
     fn sum(k: &Stages<S>, s: usize, h: f64, x: &[f64], out: &mut [f64]) {
         macro_rules! of_stage {
@@ -81,7 +83,7 @@ impl<const S: usize, T: Explicit<S>> ExplicitRk<S, T> {
         of_stage!(1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
     }
 
-    /// Evaluates a stage that is not the solution.
+    /// Evaluates a stage other than the solution.
     fn stage(
         &mut self,
         equations: &mut Equations<'_>,
@@ -89,13 +91,14 @@ impl<const S: usize, T: Explicit<S>> ExplicitRk<S, T> {
         Trial { t, end, h, x }: Trial<'_>,
     ) -> CallResult<()> {
         Self::sum(&self.k, s, h, x, &mut self.stage);
-        // The end of the step is met exactly: an input that jumps there must be asked at that very time.
+        // The end of the step is used exactly, because an input that jumps there must be evaluated at that
+        // time.
         let c = T::TABLEAU.c[s];
         let time = if c == 1.0 { end } else { t + c * h };
         equations.derivatives(time, &self.stage, self.k.get_mut(s))
     }
 
-    /// The norm of the error by these weights.
+    /// Computes the error with these weights and returns its norm.
     #[inline(always)]
     fn error_by(
         &mut self,
@@ -165,7 +168,7 @@ impl<const S: usize, T: Explicit<S>> Stepper for ExplicitRk<S, T> {
             self.stage(equations, s, trial)?;
         }
         Self::sum(&self.k, last, h, x, x_new);
-        // An estimate without the stage at the end spares its evaluation where the step is rejected.
+        // If the estimate does not use the stage at the end, a rejected step saves that evaluation.
         let spares_end = matches!(T::TABLEAU.error, Estimate::Two(..));
         if !spares_end {
             equations.derivatives(end, x_new, self.k.get_mut(last))?;
@@ -178,7 +181,7 @@ impl<const S: usize, T: Explicit<S>> Stepper for ExplicitRk<S, T> {
                 let both = fifth.hypot(0.1 * third);
                 if both == 0.0 { 0.0 } else { fifth * (fifth / both) }
             }
-            // A sum is finite unless something in it is not; no need to look at each number.
+            // The sum is finite only if all values are, so they are not checked one by one.
             Estimate::None if x_new.iter().sum::<f64>().is_finite() => 0.0,
             Estimate::None => f64::NAN,
         };

@@ -1,9 +1,10 @@
-//! The equations of `M x' = f(t, x)` in which no derivative stands, for a singular `M`, and the states that
-//! they decide.
+//! The equations of `M x' = f(t, x)` that contain no derivative, for a singular `M`, and the states that they
+//! determine.
 //!
-//! Where `l M = 0` for a row `l`, every solution has `l f(t, x) = 0`; where `M z = 0`, moving the state along
-//! `z` leaves what the other equations start from, `M x`, as it is. For systems of index 1 the matrix of `l J
-//! z` over all `l` and `z` is regular, so that Newton's method along the `z` finds consistent states (K. E.
+//! If `l M = 0` for a row `l`, every solution satisfies `l f(t, x) = 0`. If `M z = 0`, moving the state along
+//! `z` does not change `M x`, from which the other equations start. For systems of index 1, the matrix of `l
+//! J
+//! z` over all `l` and `z` is regular. Newton's method along the `z` then finds consistent states (K. E.
 //! Brenan, S. L. Campbell, L. R. Petzold, Numerical Solution of Initial-Value Problems in
 //! Differential-Algebraic Equations, 1996, section 5.3.4; damped as in P. Deuflhard, Newton Methods for
 //! Nonlinear Problems, 2004, section 3.3).
@@ -17,31 +18,30 @@ use crate::system::{CallError, CallResult};
 
 const U: f64 = f64::EPSILON / 2.0;
 
-/// States that Newton's method would move by less than this share of their tolerance are consistent.
+/// States are consistent if Newton's method would move them by less than this fraction of their tolerance.
 const CONSISTENT: f64 = 0.1;
-/// Newton's method goes on until it would move them by less than this.
+/// Newton's method has converged if the next step would move the states by less than this fraction.
 const CONVERGED: f64 = 1e-3;
 const MAX_NEWTON: u32 = 30;
 const LEAST_DAMPING: f64 = 1e-3;
-/// Entries below this are zero, as far as differences of right-hand sides can tell: some hundred times the
-/// square root of the unit round-off.
+/// Entries below this are zero within the accuracy of finite differences: a hundred times the square root of
+/// the unit round-off.
 const SINGULAR: f64 = 1e-6;
 
-/// The algebraic part of a mass matrix, and room for Newton's method.
+/// The algebraic part of a mass matrix, and work space for Newton's method.
 #[derive(Debug, Default)]
 pub(super) struct Algebraic {
     n: usize,
     mass: Vec<f64>,
-    /// Entries of the mass matrix below this share of their row and column are zero.
+    /// Entries of the mass matrix below this fraction of their row and column are zero.
     noise: f64,
-    /// The rows `l`, one after the other, and for each the equation that it is named after: there it is 1.
+    /// The rows `l`, one after the other, and the equation that identifies each. Its entry in the row is 1.
     rows: Vec<f64>,
     names: Vec<usize>,
-    /// The columns `z`, one after the other, and for each the state that it is named after.
+    /// The columns `z`, one after the other, and the state that identifies each.
     columns: Vec<f64>,
     states: Vec<usize>,
-    /// For each state that the algebraic part is named after its equation, and what completes the matrix
-    /// there.
+    /// For each state that identifies a column, its equation, whose entry completes the matrix.
     partner: Vec<usize>,
     largest: f64,
     lu: Lu<f64>,
@@ -57,8 +57,8 @@ pub(super) struct Algebraic {
 }
 
 impl Algebraic {
-    /// For a mass matrix of `n` states, by columns, exact up to this share. `true`: it is another one than
-    /// before.
+    /// Sets a mass matrix of `n` states, by columns, with the relative accuracy `noise`. Returns `true` if it
+    /// differs from the previous one.
     pub(super) fn begin(&mut self, n: usize, mass: &[f64], noise: f64) -> CallResult<bool> {
         if self.n == n && self.mass == mass && self.noise == noise {
             return Ok(false);
@@ -84,8 +84,9 @@ impl Algebraic {
         self.names.len()
     }
 
-    /// Makes of `x` the state nearest to it, by the states that the algebraic part is named after, that
-    /// differs from `guess` in the algebraic part only.
+    /// Replaces `x` by a state that differs from `guess` only in the algebraic part. The states that identify
+    /// the
+    /// columns keep their values.
     pub(super) fn move_from(&self, guess: &[f64], x: &mut [f64]) {
         let along: Vec<f64> = self.states.iter().map(|k| x[*k] - guess[*k]).collect();
         x.copy_from_slice(guess);
@@ -94,15 +95,18 @@ impl Algebraic {
         }
     }
 
-    /// Addition to the entry of the mass matrix at place `p`, by columns, so that it can be decomposed, where
-    /// it has no pivot: solutions of its equations without a residual in their algebraic part are as with the
-    /// matrix itself, and zero in the states that the algebraic part is named after.
+    /// Returns the value to add to entry `p` (by columns) of the mass matrix, so that a singular matrix can
+    /// be
+    /// decomposed. If the algebraic part of the residual is zero, the solution also solves the original
+    /// equations,
+    /// and is zero in the states that identify the columns.
     pub(super) fn completion(&self, p: usize) -> f64 {
         if self.partner.get(p / self.n) == Some(&(p % self.n)) { self.largest } else { 0.0 }
     }
 
-    /// Gaussian elimination with complete pivoting of the matrix, its rows and columns scaled to a largest
-    /// entry of 1.
+    /// Decomposes the matrix by Gaussian elimination with complete pivoting. Its rows and columns are scaled
+    /// to a
+    /// largest entry of 1.
     fn split(&mut self) {
         let n = self.n;
         let mut a = self.mass.clone();
@@ -115,7 +119,7 @@ impl Algebraic {
         let of_columns: Vec<f64> =
             (0..n).map(|k| scale(&mut a[n * k..n * (k + 1)].iter().copied())).collect();
         (0..n * n).for_each(|p| a[p] *= of_columns[p / n]);
-        // `done` is what makes of the scaled matrix what is left of it.
+        // `done` is the product of the elimination steps: it transforms the scaled matrix into its remainder.
         let mut done = vec![0.0; n * n];
         (0..n).for_each(|i| done[i * (n + 1)] = 1.0);
         let (mut row, mut column): (Vec<usize>, Vec<usize>) = ((0..n).collect(), (0..n).collect());
@@ -162,7 +166,7 @@ impl Algebraic {
         }
     }
 
-    /// Fills in the residuals for the right-hand side `f`; `true`: none is left.
+    /// Fills in the residuals for the right-hand side `f`. Returns `true` if all are zero.
     fn measure(&mut self, f: &[f64]) -> bool {
         for (r, row) in self.residual.iter_mut().zip(self.rows.chunks_exact(self.n.max(1))) {
             *r = row.iter().zip(f).map(|(l, f)| l * f).sum();
@@ -170,13 +174,13 @@ impl Algebraic {
         self.residual.iter().all(|r| *r == 0.0)
     }
 
-    /// `false`: they do not decide the states, by this Jacobian.
+    /// Decomposes the matrix of this Jacobian. Returns `false` if the equations do not determine the states.
     fn decompose(&mut self, jacobian: &Jacobian) -> bool {
         self.fill_matrix(jacobian);
         self.lu.decompose(|p, _| self.matrix[p])
     }
 
-    /// `l J z` over all `l` and `z`.
+    /// Fills in the matrix of `l J z` over all `l` and `z`.
     fn fill_matrix(&mut self, jacobian: &Jacobian) {
         let (n, m) = (self.n, self.names.len());
         self.matrix.fill(0.0);
@@ -189,7 +193,8 @@ impl Algebraic {
         }
     }
 
-    /// Makes Newton's step of the residuals; the largest share of a tolerance by which it moves a state.
+    /// Computes Newton's step for the residuals. Returns the largest change of a state relative to its
+    /// tolerance.
     fn solve(&mut self) -> f64 {
         self.lu.solve(&mut self.residual);
         self.step.fill(0.0);
@@ -202,9 +207,11 @@ impl Algebraic {
         shares.fold(0.0, |a, b| if b.is_nan() { f64::INFINITY } else { a.max(b) })
     }
 
-    /// Sees to it that the algebraic equations hold at a point, where the slopes are the right-hand side;
-    /// changes state and slopes if they do not. `known`: there is a Jacobian, though perhaps not of this
-    /// point; it is one of this point afterwards where there was none.
+    /// Ensures that the algebraic equations hold at a point where the slopes are the right-hand side. Changes
+    /// state
+    /// and slopes if the equations do not hold. `known`: a Jacobian exists, possibly from another point. If
+    /// there was
+    /// none, it is evaluated at this point.
     pub(super) fn make_consistent(
         &mut self,
         equations: &mut Equations<'_>,
@@ -245,16 +252,20 @@ impl Algebraic {
         if let Some((equation, residual)) = worst {
             return Ok(Consistency::Impossible { equation, residual });
         }
-        // They hold, though they do not decide the states: a system of higher index.
+        // The equations hold but do not determine the states, so this is a system of higher index.
         x.copy_from_slice(&self.start);
         equations.derivatives(t, x, f)?;
         jacobian.evaluate(equations, Point { t, x, slopes: f })?;
         Ok(Consistency::Holds)
     }
 
-    /// An equation that does not determine the states it should, near `(t, x)`: at a point where each state
-    /// is moved by a share of its size, so that an index that rises at `(t, x)` alone, where solutions end,
-    /// is not taken for a higher index. `None`: there is none, or that point cannot be evaluated.
+    /// Returns an equation that does not determine the states it should, near `(t, x)`. The test is made at a
+    /// point
+    /// where each state is moved by a fraction of its size. An index that rises only at `(t, x)`, where
+    /// solutions
+    /// end, is therefore not reported as a higher index. `None` if there is no such equation or the point
+    /// cannot be
+    /// evaluated.
     pub(super) fn undetermined(
         &mut self,
         equations: &mut Equations<'_>,
@@ -265,7 +276,7 @@ impl Algebraic {
         let n = self.n;
         let mut sizes = vec![0.0; n];
         self::sizes(equations.weights, x, &mut sizes);
-        // Shares that have nothing in common.
+        // Fractions without a common divisor.
         let near: Vec<f64> =
             (0..n).map(|i| x[i] + (0.05 + 0.05 * ((i + 1) as f64).sqrt().fract()) * sizes[i]).collect();
         let mut f = vec![0.0; n];
@@ -274,11 +285,13 @@ impl Algebraic {
         self.deficit(jacobian, &sizes)
     }
 
-    /// An equation that does not determine the states it should, which are of these sizes, by this Jacobian.
+    /// Returns an equation that does not determine the states it should, for this Jacobian. `sizes` are the
+    /// sizes
+    /// of the states.
     pub(super) fn deficit(&mut self, jacobian: &Jacobian, sizes: &[f64]) -> Option<Undetermined> {
         let (n, m) = (self.n, self.names.len());
         self.fill_matrix(jacobian);
-        // Rows in units of the largest effect of a state of its size.
+        // Scales each row by the largest effect of changing a state by its size.
         for (a, l) in self.rows.chunks_exact(n).enumerate() {
             self.along.fill(0.0);
             jacobian.each(|i, k, j| self.along[k] += l[i] * j);
@@ -296,8 +309,8 @@ impl Algebraic {
         Some(Undetermined { equation: self.names[rows[done]], states, pivot })
     }
 
-    /// The equation with the largest residual, seen against what changes of the states within their
-    /// tolerances make, if it is larger than that.
+    /// Returns the equation with the largest residual, relative to the effect of changing the states by their
+    /// tolerances. `None` if no residual exceeds this effect.
     fn worst(&mut self, jacobian: &Jacobian) -> Option<(usize, f64)> {
         let mut largest = 1.0;
         let mut worst = None;
@@ -315,8 +328,10 @@ impl Algebraic {
         worst
     }
 
-    /// Goes along the step as far as the next one, by the same matrix, becomes smaller for it; the size of
-    /// that one. `None`: nowhere.
+    /// Searches along the step for a point at which the next step, with the same matrix, is sufficiently
+    /// smaller.
+    /// Returns the size of that next step, or infinity if the step was damped. `None` if there is no such
+    /// point.
     fn search(
         &mut self,
         equations: &mut Equations<'_>,
@@ -350,14 +365,15 @@ impl Algebraic {
     }
 }
 
-/// Fills in the sizes of the states, for what a change of them may mean.
+/// Fills in the sizes of the states, which determine the effect of changing them.
 pub(super) fn sizes(weights: &ErrorWeights, x: &[f64], sizes: &mut [f64]) {
     sizes.iter_mut().enumerate().for_each(|(i, size)| *size = x[i].abs().max(weights.scale(i)));
 }
 
-/// Gaussian elimination with complete pivoting of a matrix of `m` rows, by columns: the number of its pivots
-/// where some are missing, as far as differences can tell, and the largest entry that is left for one. Rows
-/// and columns are put in the order of their pivots.
+/// Gaussian elimination with complete pivoting of a matrix of `m` rows, by columns. If pivots are missing
+/// within the accuracy of finite differences, returns the number of pivots and the largest remaining entry.
+/// Sorts
+/// the rows and columns in the order of their pivots.
 fn rank_deficit(
     matrix: &mut [f64],
     m: usize,
@@ -393,7 +409,7 @@ fn rank_deficit(
 mod tests {
     use super::*;
 
-    /// Names, rows and columns of the algebraic part of a matrix that is given by rows.
+    /// Names, rows and columns of the algebraic part of a matrix given by rows.
     fn split<const N: usize>(m: [[f64; N]; N]) -> (Vec<usize>, Vec<f64>, Vec<f64>) {
         let mut a = Algebraic::default();
         let by_columns: Vec<f64> = (0..N * N).map(|p| m[p % N][p / N]).collect();
@@ -416,7 +432,7 @@ mod tests {
         {
             assert_eq!(split(regular).0, Vec::<usize>::new(), "{regular:?}");
         }
-        // Rows in the proportion 1 to 1e-6, columns in that of 0.1 to 0.3.
+        // The rows have the ratio 1 to 1e-6, the columns the ratio 0.1 to 0.3.
         let m = [[0.1, 0.3], [1e-7, 3e-7]];
         let (names, rows, columns) = split(m);
         assert_eq!(names.len(), 1);

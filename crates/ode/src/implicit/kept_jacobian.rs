@@ -1,4 +1,4 @@
-//! When the Jacobian is evaluated anew, and when the matrix of Newton's method is decomposed anew.
+//! Rules for evaluating the Jacobian again and for decomposing the matrix of Newton's method again.
 
 use super::newton::INITIAL_RATE;
 use crate::jacobian::Jacobian;
@@ -6,26 +6,29 @@ use crate::stats::Stats;
 use crate::stepper::{Equations, Point};
 use crate::system::{CallResult, HybridSystem};
 
-/// More iterations than this are slow.
+/// Convergence with more iterations than this is slow.
 const ITERATIONS: u32 = 2;
-/// After a failure the Jacobian is taken as the cause where the coefficient has changed by less than this
-/// since the decomposition.
+/// After a failure, the Jacobian is assumed to be the cause if the coefficient has changed by less than this
+/// fraction since the decomposition.
 const SAME_MATRIX: f64 = 0.2;
 
-/// The numbers of a method.
+/// Parameters of a method.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Rules {
-    /// The decomposition is kept while the coefficient of its matrix changes by no more than this share of
-    /// it, and for so many steps.
+    /// The decomposition is kept while its coefficient changes by at most this fraction, for at most
+    /// `decomposition_steps` steps.
     pub(super) change: f64,
     pub(super) decomposition_steps: u32,
-    /// The Jacobian is kept for so many steps.
+    /// Number of steps for which the Jacobian is kept.
     pub(super) jacobian_steps: u32,
-    /// A Jacobian of so few evaluations is made anew as soon as convergence slows down or a step fails; a
-    /// dearer one only when the slow convergence costs iterations.
+    /// A Jacobian that requires at most this number of evaluations is cheap. It is evaluated again as soon as
+    /// convergence slows down or a step fails. A more expensive one is evaluated only if slow convergence
+    /// costs
+    /// iterations.
     pub(super) cheap: usize,
-    /// Slow convergence is a reason for a new Jacobian only where the last one is from before an event:
-    /// elsewhere it comes from the matrix, of another coefficient.
+    /// If true, slow convergence causes a new Jacobian only if the last one is from before an event.
+    /// Otherwise, slow
+    /// convergence is attributed to the different coefficient of the matrix.
     pub(super) only_after_events: bool,
 }
 
@@ -34,20 +37,20 @@ pub(super) struct Rules {
 pub(super) enum Matrix {
     Kept,
     New,
-    /// With a fresh Jacobian too.
+    /// The matrix is singular even with a fresh Jacobian.
     Singular,
 }
 
-/// The Jacobian, and how old it and the decomposition are.
+/// The Jacobian, and the ages of the Jacobian and the decomposition.
 #[derive(Debug)]
 pub(crate) struct KeptJacobian {
     rules: Rules,
     jacobian: Jacobian,
     has_jacobian: bool,
     wants_jacobian: bool,
-    /// Steps since the Jacobian was made; 0: at the current point.
+    /// Steps since the Jacobian was evaluated; 0: at the current point.
     age: u32,
-    /// The Jacobian is from before an event.
+    /// True if the Jacobian is from before an event.
     is_before_event: bool,
     /// Coefficient of the decomposed matrix; 0: none.
     coefficient: f64,
@@ -68,10 +71,10 @@ impl KeptJacobian {
         }
     }
 
-    /// Makes room for the system.
+    /// Allocates the work space for the system.
     ///
     /// # Errors
-    /// There is none for a dense matrix of this size.
+    /// Returns an error if memory is insufficient for a dense matrix of this size.
     pub(super) fn begin(&mut self, system: &dyn HybridSystem) -> CallResult<()> {
         self.drop_jacobian();
         self.wants_jacobian = false;
@@ -87,7 +90,7 @@ impl KeptJacobian {
         self.has_jacobian && self.age == 0
     }
 
-    /// The Jacobian, for a change of it, and whether there is one.
+    /// The Jacobian to be changed, and whether it is valid.
     pub(super) fn jacobian_mut(&mut self) -> (&mut Jacobian, bool) {
         (&mut self.jacobian, self.has_jacobian)
     }
@@ -97,13 +100,14 @@ impl KeptJacobian {
         self.coefficient
     }
 
-    /// There is no Jacobian any more.
+    /// Discards the Jacobian.
     pub(super) fn drop_jacobian(&mut self) {
         self.has_jacobian = false;
         self.coefficient = 0.0;
     }
 
-    /// The Jacobian was evaluated by another part: at the current point, or elsewhere, where it is of no use.
+    /// Reports that other code has evaluated the Jacobian: at the current point, or elsewhere, so that it is
+    /// invalid.
     pub(super) fn take_new(&mut self, is_here: bool) {
         self.has_jacobian = is_here;
         self.age = u32::from(!is_here);
@@ -118,20 +122,21 @@ impl KeptJacobian {
         self.take_new(true);
     }
 
-    /// The right-hand side may be another one from here on.
+    /// Reports an event, after which the right-hand side may differ.
     pub(super) fn event(&mut self) {
         self.coefficient = 0.0;
         self.is_before_event = true;
         self.wants_jacobian = false;
     }
 
-    /// The current point is another one.
+    /// Reports that the current point has changed.
     pub(super) fn moved(&mut self) {
         self.age = self.age.max(1);
     }
 
-    /// Sees to it that there is a Jacobian, evaluated at a point whose slopes are the right-hand side
-    /// where it must be a new one, and a decomposition for this coefficient, which `decompose` makes.
+    /// Ensures that there is a Jacobian and a decomposition for this coefficient, computed by `decompose`. A
+    /// new
+    /// Jacobian is evaluated at `point`, whose slopes must be the right-hand side.
     pub(super) fn prepare(
         &mut self,
         equations: &mut Equations<'_>,
@@ -163,12 +168,12 @@ impl KeptJacobian {
         }
     }
 
-    /// By which share the coefficient has changed since the decomposition.
+    /// Relative change of the coefficient since the decomposition.
     fn change(&self, coefficient: f64) -> f64 {
         if self.coefficient == 0.0 { f64::INFINITY } else { (coefficient / self.coefficient - 1.0).abs() }
     }
 
-    /// Newton's method has failed. `true`: with what is made anew now it may not.
+    /// Reacts to a failure of Newton's method. Returns `true` if a new Jacobian or decomposition may help.
     pub(super) fn renew_after_failure(&mut self, coefficient: f64) -> bool {
         if self.age == 0 && self.coefficient == coefficient {
             return false;
@@ -178,13 +183,13 @@ impl KeptJacobian {
         true
     }
 
-    /// A step was not good.
+    /// Reacts to a rejected step.
     pub(super) fn rejected(&mut self) {
         self.wants_jacobian = self.wants_jacobian || (self.age > 0 && self.is_cheap());
         self.coefficient = 0.0;
     }
 
-    /// The step failed for want of a Jacobian at its end.
+    /// Requests a Jacobian because the step failed without one at its end.
     pub(super) fn want_jacobian(&mut self) {
         self.wants_jacobian = true;
     }
@@ -198,7 +203,7 @@ impl KeptJacobian {
         self.jacobian.cost() <= self.rules.cheap
     }
 
-    /// A step was accepted, in which Newton's method took so many iterations at this rate.
+    /// Reacts to an accepted step in which Newton's method made this number of iterations at this rate.
     pub(super) fn accepted(&mut self, iterations: u32, rate: f64) {
         self.age += 1;
         self.decomposition_age += 1;

@@ -1,4 +1,5 @@
-//! Implicit methods for stiff systems: Newton's method and the age of its matrices are the same for all.
+//! Implicit methods for stiff systems, with a common Newton's method and common rules for reusing its
+//! matrices.
 
 mod algebraic;
 mod bdf;

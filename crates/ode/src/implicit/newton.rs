@@ -1,25 +1,28 @@
-//! Simplified Newton iterations, and when they have converged or never will (Hairer and Wanner II, section
+//! Simplified Newton iterations and their tests for convergence and failure (Hairer and Wanner II, section
 //! IV.8).
 //!
-//! BDF takes the same test as Radau5. With the test of VODE and CVODE (the larger of the last quotient and
-//! 0.3 times the rate before, times the increment, against the same share 0.1 of the error test) it takes 10
-//! % more right-hand sides and 29 % more decompositions over the 52 stiff rows of `tests/all/vectors.rs`
-//! (rtol 1e-4 to 1e-10), and reaches 0.2 digits less on average.
+//! BDF uses the test of Radau5. The test of VODE and CVODE takes the larger of the last quotient and 0.3
+//! times
+//! the previous rate, times the increment, and compares it with the share 0.1 of the error test. With that
+//! test,
+//! BDF needs 10 % more right-hand sides and 29 % more decompositions over the 52 stiff rows of
+//! `tests/all/vectors.rs` (rtol 1e-4 to 1e-10), and its results have 0.2 fewer correct digits on average.
 
 use crate::stepper::Equations;
 use crate::system::{CallError, CallResult};
 
 const U: f64 = f64::EPSILON / 2.0;
-/// The rate of convergence before two increments have shown it.
+/// Rate of convergence before two increments have been computed.
 pub(super) const INITIAL_RATE: f64 = 1e-3;
 
 /// The equations of a step at the current iterate.
 pub(super) trait Iteration {
-    /// Evaluates the residual at the iterate and solves for the increment with the decomposed matrix; its
-    /// norm.
+    /// Evaluates the residual at the iterate and solves for the increment with the decomposed matrix. Returns
+    /// the
+    /// norm of the increment.
     fn solve(&mut self, equations: &mut Equations<'_>, is_first: bool) -> CallResult<f64>;
 
-    /// Takes the increment.
+    /// Adds the increment to the iterate.
     fn advance(&mut self);
 }
 
@@ -27,18 +30,18 @@ pub(super) trait Iteration {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Newton {
     Converged,
-    /// With a fresh Jacobian the step should be this share of its size.
+    /// Fraction by which to multiply the step size, with a fresh Jacobian.
     Failed(f64),
 }
 
-/// Convergence of the iterations, as observed.
+/// Observed convergence of the iterations.
 #[derive(Debug)]
 pub(super) struct Convergence {
-    /// Iterations of a step, at most one less than this (radau5's NIT).
+    /// Maximum number of iterations per step plus one (radau5's NIT).
     limit: u32,
     count: u32,
     rate: f64,
-    /// The error after an increment, in units of that increment: theta / (1 - theta), radau5's FACCON.
+    /// Error after an increment divided by that increment: theta / (1 - theta), radau5's FACCON.
     error_per_increment: f64,
 }
 
@@ -47,23 +50,24 @@ impl Convergence {
         Self { limit, count: 0, rate: INITIAL_RATE, error_per_increment: 1.0 }
     }
 
-    /// Nothing is known of the equations any more, or their matrix is another one.
+    /// Discards the observed convergence, because the equations or their matrix have changed.
     pub(super) fn forget(&mut self) {
         (self.rate, self.error_per_increment) = (INITIAL_RATE, 1.0);
     }
 
-    /// Iterations of the last step.
+    /// Number of iterations of the last step.
     pub(super) fn count(&self) -> u32 {
         self.count
     }
 
-    /// The rate of convergence in the last step.
+    /// Rate of convergence in the last step.
     pub(super) fn rate(&self) -> f64 {
         self.rate
     }
 
-    /// Iterates until the error is below the tolerance. `change` is the rate known beforehand, from a
-    /// coefficient of the matrix that is not that of the equations.
+    /// Iterates until the error is below the tolerance. `change` is the rate of convergence that results from
+    /// the
+    /// different coefficients of matrix and equations.
     pub(super) fn iterate(
         &mut self,
         equations: &mut Equations<'_>,
@@ -128,7 +132,7 @@ mod tests {
         }
     }
 
-    /// Increments that become smaller by the same factor, from 1 on.
+    /// Increments that start at 1 and decrease by a constant factor.
     struct Geometric {
         norm: f64,
         rate: f64,
@@ -162,8 +166,9 @@ mod tests {
         assert_eq!(iterate(&mut convergence, 1.5, 1e-3, 0.0), Newton::Failed(0.5));
     }
 
-    /// A fast convergence before is trusted in the first iteration, unless the coefficient of the matrix has
-    /// changed.
+    /// The first iteration relies on a fast convergence of the previous step, unless the coefficient of the
+    /// matrix
+    /// has changed.
     #[test]
     fn a_changed_coefficient_is_no_reason_to_trust_the_rate_before() {
         for (change, count) in [(0.0, 1), (0.1, 2)] {

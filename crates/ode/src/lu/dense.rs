@@ -4,10 +4,10 @@ use super::scalar::Scalar;
 use crate::error::TooLargeForDense;
 use crate::system::{CallError, CallResult};
 
-/// Dense matrices of more rows are refused: 2 GB each (4 GB if complex), and hours for one decomposition.
+/// Maximum number of rows of a dense matrix: 2 GB each (4 GB if complex), and hours per decomposition.
 const MOST_DENSE_ROWS: usize = 16384;
 
-/// Makes a list of the entries of a dense matrix of `n` rows, unless there is no room for it.
+/// Resizes a list to the entries of a dense matrix of `n` rows. Returns an error if memory is insufficient.
 pub(crate) fn make_room<T: Clone>(list: &mut Vec<T>, n: usize, zero: T) -> CallResult<()> {
     let entries = n.saturating_mul(n);
     list.clear();
@@ -32,10 +32,10 @@ impl<T: Scalar> Default for DenseLu<T> {
 }
 
 impl<T: Scalar> DenseLu<T> {
-    /// Makes room for `n` rows.
+    /// Allocates the work space for `n` rows.
     ///
     /// # Errors
-    /// There is none.
+    /// Returns an error if memory is insufficient.
     pub(super) fn resize(&mut self, n: usize) -> CallResult<()> {
         if self.pivots.len() != n {
             make_room(&mut self.a, n, T::zero())?;
@@ -44,8 +44,8 @@ impl<T: Scalar> DenseLu<T> {
         Ok(())
     }
 
-    /// Fills in the matrix entry by entry and decomposes it; `false`: it is singular, or has entries that are
-    /// not finite.
+    /// Fills in the matrix entry by entry and decomposes it. Returns `false` if the matrix is singular or has
+    /// entries that are not finite.
     pub(super) fn decompose(&mut self, mut entry: impl FnMut(usize, bool) -> T) -> bool {
         let n = self.pivots.len();
         let a = &mut self.a[..];
@@ -89,7 +89,7 @@ impl<T: Scalar> DenseLu<T> {
     pub(super) fn solve(&self, b: &mut [T]) {
         let n = self.pivots.len();
         let a = &self.a[..];
-        // The rows of earlier columns of L are not exchanged along, so exchanges and elimination alternate.
+        // Row exchanges are not applied to the earlier columns of L, so exchanges and elimination alternate.
         for k in 0..n {
             b.swap(k, self.pivots[k]);
             let factor = b[k];

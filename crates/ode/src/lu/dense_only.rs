@@ -1,5 +1,4 @@
-//! Stands in for the sparse decomposition where the feature `sparse` is off: there is none, and no value of
-//! its type.
+//! Replacement for the sparse decomposition if the feature `sparse` is off. Its type has no values.
 
 use crate::sparsity::JacobianPattern;
 use std::convert::Infallible;
@@ -13,7 +12,7 @@ pub(crate) struct SparseLu<T> {
 }
 
 impl<T> SparseLu<T> {
-    /// `None`.
+    /// Returns `None`.
     pub(crate) fn new(_: &JacobianPattern) -> Option<Self> {
         None
     }

@@ -1,5 +1,5 @@
-//! Decompositions of real and complex matrices: dense with partial pivoting, in place, without allocation
-//! once there is room; sparse where the pattern is known and it is worth it.
+//! Decompositions of real and complex matrices. Dense matrices are decomposed in place with partial pivoting,
+//! without further allocation. Sparse decompositions are used if the pattern is known and they are faster.
 
 use crate::sparsity::JacobianPattern;
 use crate::stats::Stats;
@@ -15,15 +15,16 @@ mod sparse;
 
 pub(crate) use dense::make_room;
 
-/// From so many rows on, and with at most this share of places that may differ from zero, matrices are
-/// sparse. Measured: a chain of 100 states (4 % of the places) is decomposed in half the time of a dense
-/// matrix, one of 1000 (0.4 %) in a ninetieth (74 us instead of 6.9 ms); a square grid of 196 states (2.4 %)
-/// in the same time and solved in a quarter.
+/// Matrices are sparse if they have at least this number of rows and at most this share of entries that may
+/// be
+/// nonzero. Measured: a chain of 100 states (4 % of the entries) is decomposed in half the time of a dense
+/// matrix. A chain of 1000 states (0.4 %) needs a ninetieth (74 us instead of 6.9 ms). A square grid of 196
+/// states (2.4 %) needs the same time for the decomposition and a quarter for the solution.
 const SPARSE_ROWS: usize = 100;
 const SPARSE_SHARE: f64 = 0.05;
 
-/// True if matrices of this pattern are kept and decomposed as sparse ones: none without the feature
-/// `sparse`.
+/// True if matrices of this pattern are stored and decomposed as sparse matrices. Always false without the
+/// feature `sparse`.
 pub(crate) fn is_sparse(pattern: &JacobianPattern) -> bool {
     cfg!(feature = "sparse") && is_large_and_empty(pattern)
 }
@@ -33,8 +34,8 @@ fn is_large_and_empty(pattern: &JacobianPattern) -> bool {
     n >= SPARSE_ROWS && (pattern.n_entries() as f64) <= SPARSE_SHARE * (n as f64) * (n as f64)
 }
 
-/// Right-hand sides that take as long as the real and the complex decomposition of a matrix of this pattern,
-/// where it is dense only for want of the feature `sparse`; else 0.
+/// Returns the cost of the real and the complex decomposition of a matrix of this pattern, in right-hand
+/// sides, if it is dense only because the feature `sparse` is off. Otherwise 0.
 pub(crate) fn needless_work(pattern: &JacobianPattern) -> f64 {
     if cfg!(feature = "sparse") || !is_large_and_empty(pattern) {
         return 0.0;
@@ -44,7 +45,9 @@ pub(crate) fn needless_work(pattern: &JacobianPattern) -> f64 {
     Stats { linear_algebra, ..Stats::default() }.work(pattern.n_states())
 }
 
-/// Floating-point operations of a dense decomposition, of which each of a place takes `per_place`.
+/// Returns the number of floating-point operations of a dense decomposition. `per_place` is the number of
+/// real
+/// operations per operation on an entry.
 fn dense_operations(n: u64, per_place: u64) -> u64 {
     per_place * 2 * n * n * n / 3
 }
@@ -63,11 +66,12 @@ impl<T: Scalar> Default for Lu<T> {
 }
 
 impl<T: Scalar> Lu<T> {
-    /// Makes room for `n` rows; for all their places, or for those of a [sparse](is_sparse) pattern and the
-    /// diagonal.
+    /// Allocates the work space for `n` rows: for all entries, or for those of a [sparse](is_sparse) pattern
+    /// and
+    /// the diagonal.
     ///
     /// # Errors
-    /// There is no room for a dense matrix of this size.
+    /// Returns an error if memory is insufficient for a dense matrix of this size.
     pub(crate) fn begin(&mut self, n: usize, pattern: Option<&JacobianPattern>) -> CallResult<()> {
         match (pattern.filter(|p| is_sparse(p)), &self.sparse) {
             (None, _) => self.sparse = None,
@@ -77,9 +81,12 @@ impl<T: Scalar> Lu<T> {
         self.dense.resize(if self.sparse.is_some() { 0 } else { n })
     }
 
-    /// Fills in the matrix entry by entry and decomposes it; `entry` gets the position in the list of all
-    /// places by columns (of those of the pattern and the diagonal if it is sparse), and whether it lies on
-    /// the diagonal. `false`: it is singular or has entries that are not finite.
+    /// Fills in the matrix entry by entry and decomposes it. The arguments of `entry` are the position in the
+    /// list
+    /// of entries by columns, and whether the entry is on the diagonal. If the matrix is sparse, the list
+    /// contains
+    /// the entries of the pattern and the diagonal, otherwise all entries. Returns `false` if the matrix is
+    /// singular or has entries that are not finite.
     pub(crate) fn decompose(&mut self, entry: impl FnMut(usize, bool) -> T) -> bool {
         match &mut self.sparse {
             Some(sparse) => sparse.decompose(entry),
@@ -87,8 +94,9 @@ impl<T: Scalar> Lu<T> {
         }
     }
 
-    /// Floating-point operations of a decomposition and of a solution. The factors of a sparse matrix are
-    /// taken to have three times its places, evenly spread.
+    /// Returns the floating-point operations of a decomposition and of a solution. The factors of a sparse
+    /// matrix
+    /// are assumed to have three times its entries, evenly distributed.
     pub(crate) fn operations(&self) -> (u64, u64) {
         let per_place = (size_of::<T>() / size_of::<f64>()).pow(2) as u64;
         match &self.sparse {
@@ -118,7 +126,7 @@ mod tests {
     use super::*;
     use nalgebra::{Complex, DMatrix, DVector};
 
-    /// Numbers in (-1, 1) without a pattern.
+    /// Pseudorandom numbers in (-1, 1).
     fn noise(seed: &mut u64) -> f64 {
         *seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (*seed >> 11) as f64 / (1u64 << 52) as f64 - 1.0
@@ -148,14 +156,14 @@ mod tests {
         }
     }
 
-    /// Where the places of a sparse matrix, and those of its diagonal, lie in a list of all.
+    /// Positions of the entries of a sparse matrix, with its diagonal, in the list of all entries.
     fn positions(pattern: &JacobianPattern) -> Vec<usize> {
         let n = pattern.n_states();
         let whole = pattern.with_diagonal();
         (0..n).flat_map(|k| whole.column(k).iter().map(move |i| i + n * k).collect::<Vec<_>>()).collect()
     }
 
-    /// A square grid of `m * m` places, each depending on its neighbours.
+    /// A square grid of `m * m` points, each depending on its neighbours.
     fn grid(m: usize) -> JacobianPattern {
         let place = |i: usize, j: usize| i * m + j;
         let mut entries = Vec::new();
@@ -208,7 +216,7 @@ mod tests {
         assert!(!lu.decompose(|p, _| if p == 0 { f64::INFINITY } else { 1.0 }));
         lu.begin(99, None).unwrap();
         assert!(lu.sparse.is_none());
-        // Small or full: dense.
+        // Small or full matrices are dense.
         lu.begin(64, Some(&grid(8))).unwrap();
         assert!(lu.sparse.is_none());
         let full = JacobianPattern::new(100, (0..100).flat_map(|i| (0..100).map(move |k| (i, k)))).unwrap();
@@ -238,13 +246,13 @@ mod tests {
         complex.begin(30, None).unwrap();
         assert_eq!(real.operations(), (18_000, 1800));
         assert_eq!(complex.operations(), (72_000, 7200));
-        // 10 * 10 places, 180 neighbours in both directions: 460 places, 1380 in the factors.
+        // 10 * 10 points with 180 neighbours in both directions: 460 entries, 1380 in the factors.
         real.begin(100, Some(&grid(10))).unwrap();
         assert!(real.sparse.is_some());
         assert_eq!(real.operations(), (1380 * 1380 / 100, 2 * 1380));
     }
 
-    /// Shortest of several runs, in microseconds.
+    /// Shortest of seven runs, in microseconds.
     fn microseconds(mut f: impl FnMut()) -> f64 {
         let once = |_| {
             let start = std::time::Instant::now();

@@ -1,10 +1,10 @@
-//! The numbers of matrices: real or complex.
+//! The scalars of matrices: real or complex.
 
 use num_complex::ComplexFloat;
 use num_traits::NumAssignOps;
 use std::fmt::Debug;
 
-/// A real or complex number, as both sorts of decompositions take it.
+/// A real or complex number, as required by both decompositions.
 #[cfg(feature = "sparse")]
 pub(crate) trait Scalar:
     ComplexFloat<Real = f64> + NumAssignOps + Debug + faer::traits::ComplexField

@@ -1,8 +1,9 @@
-//! Sparse decomposition by the library faer: the pattern is analysed once, numbers are decomposed as often as
-//! wanted.
+//! Sparse decomposition by the library faer. The pattern is analysed once; values can be decomposed
+//! repeatedly.
 //!
-//! Unlike the dense one it allocates: 39 times for a decomposition (its factors, and room to work in), once
-//! for a solution. Everything is given back with the next decomposition.
+//! Unlike the dense decomposition, this one allocates: 39 times per decomposition (factors and work space)
+//! and
+//! once per solution. The next decomposition frees all of it.
 
 use super::scalar::Scalar;
 use crate::sparsity::JacobianPattern;
@@ -15,19 +16,20 @@ use num_complex::ComplexFloat;
 /// The factors of a sparse matrix.
 #[derive(Debug)]
 pub(crate) struct SparseLu<T> {
-    /// As it was given.
+    /// The pattern as given, without the diagonal.
     pattern: JacobianPattern,
-    /// With the diagonal.
+    /// The pattern with the diagonal.
     places: SymbolicSparseColMat<usize>,
     analysis: SymbolicLu<usize>,
-    /// Of each place whether it lies on the diagonal, and its number.
+    /// For each entry, true if it is on the diagonal.
     on_diagonal: Vec<bool>,
     values: Vec<T>,
     factors: Option<Lu<usize, T>>,
 }
 
 impl<T: Scalar> SparseLu<T> {
-    /// For matrices of this pattern and a full diagonal. `None`: the library cannot take it.
+    /// Analyses matrices of this pattern and a full diagonal. Returns `None` if the library fails to analyse
+    /// it.
     pub(crate) fn new(pattern: &JacobianPattern) -> Option<Self> {
         let n = pattern.n_states();
         let whole = pattern.with_diagonal();
@@ -44,8 +46,9 @@ impl<T: Scalar> SparseLu<T> {
         &self.pattern
     }
 
-    /// Reads the entries of the pattern and decomposes; `false`: some are not finite, or the matrix is
-    /// singular: the factors of one that is so by its numbers give solutions that are not finite.
+    /// Reads the entries of the pattern and decomposes the matrix. Returns `false` if some entries are not
+    /// finite
+    /// or the matrix is singular. A numerically singular matrix is detected by a solution that is not finite.
     pub(crate) fn decompose(&mut self, mut entry: impl FnMut(usize, bool) -> T) -> bool {
         for (p, (value, on_diagonal)) in self.values.iter_mut().zip(&self.on_diagonal).enumerate() {
             *value = entry(p, *on_diagonal);

@@ -2,26 +2,29 @@
 
 pub(super) const MAX_ORDER: usize = 5;
 
-/// Coefficients of one step: they follow from its size, its order and the sizes of the steps before.
+/// Coefficients of one step, computed from its size, its order and the sizes of the previous steps.
 #[derive(Debug, Default, Clone, Copy)]
 pub(super) struct Coefficients {
-    /// Factors of the correction that is added to each row of the array.
+    /// Factors of the correction for each row of the array.
     pub(super) l: [f64; MAX_ORDER + 1],
-    /// Error constants: of the order below (times `z_q`), of this order (times `e`), of the order above.
+    /// Error constants: of the next lower order (times `z_q`), of this order (times `e`), of the next higher
+    /// order.
     pub(super) below: f64,
     pub(super) here: f64,
     pub(super) above: f64,
-    /// The constant that makes differences of `e` over steps of several sizes comparable.
+    /// Constant that makes differences of `e` comparable between steps of different sizes.
     pub(super) scale: f64,
 }
 
 impl Coefficients {
-    /// For order `q` and step `h` after steps `past[0]` (the last one), `past[1]`, ...
+    /// Computes the coefficients for order `q` and step `h` after steps `past[0]` (the last one), `past[1]`,
+    /// ...
     pub(super) fn new(q: usize, h: f64, past: &[f64; MAX_ORDER + 1]) -> Self {
         let order = q as f64;
         let mut l = [0.0; MAX_ORDER + 1];
         (l[0], l[1]) = (1.0, 1.0);
-        // The polynomial l(s) has the roots -1/xi_j of the past points, but for one that is moved so that the leading
+        // The polynomial l(s) has the roots -1/xi_j of the past points, except one. This one is moved so that
+        // the leading
         // coefficient is that of equal steps.
         let (mut alpha, mut alpha_hat) = (-1.0, -1.0);
         let (mut xi, mut xi_fixed) = (1.0, 1.0);
@@ -67,7 +70,7 @@ impl Coefficients {
 mod tests {
     use super::*;
 
-    /// Equal steps give the classical formulae: `l_1` is the harmonic number; the error is
+    /// Equal steps give the classical formulae: `l_1` is the harmonic number, and the error is
     /// `e / ((q + 1) l_1)`.
     #[test]
     fn equal_steps_give_the_classical_formulae() {
@@ -76,7 +79,7 @@ mod tests {
             let harmonic: f64 = (1..=q).map(|j| 1.0 / j as f64).sum();
             assert!((c.l[1] - harmonic).abs() < 1e-14, "order {q}: {:?}", c.l);
             assert!((c.here * (q as f64 + 1.0) * harmonic - 1.0).abs() < 1e-14, "order {q}: {}", c.here);
-            // l(s) vanishes at the past points but the present one: sum l_j (-1)^j = 0.
+            // l(s) vanishes at the past points except the present one: sum l_j (-1)^j = 0.
             let at_last: f64 = (0..=q).map(|j| c.l[j] * (-1f64).powi(j as i32)).sum();
             assert!(at_last.abs() < 1e-14, "order {q}: {at_last}");
         }

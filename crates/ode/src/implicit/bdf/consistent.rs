@@ -1,8 +1,10 @@
-//! Consistent initial values of systems with a matrix in front of the slopes.
+//! Consistent initial values of systems with a matrix of the slopes, `M`.
 //!
 //! P. N. Brown, A. C. Hindmarsh, L. R. Petzold, Consistent initial condition calculation for
-//! differential-algebraic systems, SIAM Journal on Scientific Computing 19 (1998) 1495-1512. What they let
-//! the user mark, the algebraic variables, is what `M` has no part in here, be it a state or a sum of states.
+//! differential-algebraic systems, SIAM Journal on Scientific Computing 19 (1998) 1495-1512. In that paper,
+//! the
+//! user marks the algebraic variables. Here, they are the states, or sums of states, that do not appear in
+//! `M x'`.
 
 use super::given_slopes::{AtSlopes, Kind};
 use super::left_side::{LeftSide, NOISE};
@@ -13,20 +15,22 @@ use crate::lu::make_room;
 use crate::stepper::{Consistency, Equations, Point, PointMut};
 use crate::system::{CallError, CallResult};
 
-/// Slopes that Newton's method would change by less than this share are consistent.
+/// Slopes are consistent if Newton's method would change them by less than this fraction.
 const CONVERGED: f64 = 1e-6;
-/// States that it would move by less than this share of their tolerance are.
+/// States are consistent if Newton's method would move them by less than this fraction of their tolerance.
 const CONSISTENT: f64 = 1e-3;
 const MAX_ROUNDS: u32 = 20;
-/// Sparse matrices of up to so many rows are looked at as dense ones where nothing else tells their algebraic
+/// Sparse matrices of up to this number of rows are treated as dense if nothing else determines their
+/// algebraic
 /// part.
 const MAX_DENSE: usize = 500;
-/// Newton's method has not converged; equation and residual are filled in for the guess.
+/// Newton's method has not converged. Equation and residual are filled in later, for the guess.
 const NO_SLOPES: Consistency = Consistency::NoSlopes { equation: 0, residual: 0.0, is_singular: false };
 
 impl LeftSide {
-    /// Sees to it that the equations hold at `(t, x)`, by changing states that `M` has no part in, and the
-    /// slopes; `defect` is what is left of zero there. The first time in a run the index is looked at, too.
+    /// Ensures that the equations hold at `(t, x)` by changing the slopes and the states that do not appear
+    /// in
+    /// `M x'`. `defect` is the residual there. The first call in a run also checks the index.
     pub(super) fn make_consistent(
         &mut self,
         equations: &mut Equations<'_>,
@@ -71,7 +75,7 @@ impl LeftSide {
             return Ok(Consistency::NoSlopes { equation, residual: -defect[equation], is_singular });
         }
         Ok(match found {
-            // The right-hand side is the residual with the other sign.
+            // The right-hand side is the negative residual.
             Consistency::Impossible { equation, residual } => {
                 Consistency::Impossible { equation, residual: -residual }
             }
@@ -79,7 +83,7 @@ impl LeftSide {
         })
     }
 
-    /// `dF/dx'` at a point, by columns.
+    /// Computes `dF/dx'` at a point, by columns.
     fn matrix_at(&mut self, equations: &mut Equations<'_>, point: Point<'_>) -> CallResult<Vec<f64>> {
         let n = point.x.len();
         let mut defect = vec![0.0; n];
@@ -91,9 +95,10 @@ impl LeftSide {
         Ok(matrix)
     }
 
-    /// True if `dF/dx'` has a larger rank near this point, at other slopes (and states, where
-    /// `moves_states`); at other slopes alone only if it acts there on the difference between the states and
-    /// the guess.
+    /// True if `dF/dx'` has a larger rank near this point, at other slopes and, if `moves_states`, at other
+    /// states.
+    /// With other slopes alone, `dF/dx'` must also act there on the difference between the states and the
+    /// guess.
     fn is_singular_only_here(
         &mut self,
         equations: &mut Equations<'_>,
@@ -107,7 +112,7 @@ impl LeftSide {
         let mut here = self.matrix_at(equations, Point { t, x, slopes })?;
         let kept = self.slopes.values.clone();
         sizes(equations.weights, x, &mut self.point);
-        // Shares that have nothing in common.
+        // Fractions without a common divisor.
         let share = |i: usize| 1.0 + 0.5 * ((i + 2) as f64).sqrt().fract();
         let states = if moves_states { 0.1 } else { 0.0 };
         let near_x: Vec<f64> = (0..n).map(|i| x[i] + states * share(i) * self.point[i]).collect();
@@ -136,7 +141,7 @@ impl LeftSide {
         Ok((moves_states || acts) && rank(&near)? > rank(&here)?)
     }
 
-    /// The same where matrices are dense, or to be looked at as such.
+    /// Implements `make_consistent` for dense matrices, or for sparse ones treated as dense.
     fn make_dense_consistent(
         &mut self,
         equations: &mut Equations<'_>,
@@ -168,7 +173,7 @@ impl LeftSide {
             }
             self.is_split = true;
             if self.algebraic.count() < fewest {
-                // States that have a slope after all are as they were given.
+                // States that turn out to have a slope are reset to their given values.
                 fewest = self.algebraic.count();
                 if outcome == Consistency::Corrected {
                     self.algebraic.move_from(&self.guess.0, x);
@@ -228,9 +233,11 @@ impl LeftSide {
         Ok(NO_SLOPES)
     }
 
-    /// The same where matrices are sparse, for systems in which a state either has a slope or not: Newton's
-    /// method for the slopes of those that have one, and for the others themselves. `None`: the system is
-    /// another one, or of a higher index; states and slopes are as they were.
+    /// Implements `make_consistent` for sparse matrices, if each state either has a slope or does not.
+    /// Newton's
+    /// method determines the slopes of the former and the values of the latter. `None` if the system has
+    /// another form
+    /// or a higher index; states and slopes are then unchanged.
     fn make_sparse_consistent(
         &mut self,
         equations: &mut Equations<'_>,
@@ -292,15 +299,16 @@ impl LeftSide {
             }
             self.defect(equations, Point { t, x, slopes }, defect)?;
         }
-        // A matrix that is singular by its numbers may have been decomposed all the same.
+        // A numerically singular matrix may have been decomposed without an error.
         x.copy_from_slice(&self.guess.0);
         slopes.copy_from_slice(&self.guess.1);
         self.defect(equations, Point { t, x, slopes }, defect)?;
         Ok((!is_singular && x.len() > MAX_DENSE).then_some(NO_SLOPES))
     }
 
-    /// Of large sparse systems without a regular matrix: an equation in which no slope stands, and that does
-    /// not hold within the tolerances of the states.
+    /// Checks large sparse systems without a regular matrix. Returns an equation without a slope that does
+    /// not hold
+    /// within the tolerances of the states.
     fn unmet(
         &mut self,
         weights: &ErrorWeights,
@@ -319,8 +327,9 @@ impl LeftSide {
         }
     }
 
-    /// Before a new start on the way: what Newton's method has left of the equations without derivatives
-    /// would stand as an error of the steps to come, however short they are.
+    /// Corrects the residuals that Newton's method has left in the equations without derivatives, before a
+    /// restart
+    /// during a run. They would otherwise appear as an error of the following steps, however short.
     pub(super) fn correct(
         &mut self,
         equations: &mut Equations<'_>,

@@ -7,12 +7,12 @@ use crate::lu::Lu;
 use crate::stepper::{Equations, Point};
 use crate::system::CallResult;
 
-/// Where the corrector stands.
+/// Current iterate of the corrector.
 #[derive(Debug, Default)]
 pub(super) struct Iterate {
     /// The sum of the corrections, `e`.
     pub(super) correction: Vec<f64>,
-    /// States and slopes with it, and what is left of zero there.
+    /// States and slopes with the correction, and the residual there.
     pub(super) x: Vec<f64>,
     pub(super) slopes: Vec<f64>,
     pub(super) rhs: Vec<f64>,

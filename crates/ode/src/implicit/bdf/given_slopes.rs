@@ -1,4 +1,4 @@
-//! A system with slopes, or with a state, that are given: what is left of zero as a function of the other.
+//! A system with given slopes or with a given state: the residual as a function of the other argument.
 
 use crate::sparsity::JacobianPattern;
 use crate::system::{Argument, CallError, CallResult, EventOutcome, HybridSystem};
@@ -12,8 +12,8 @@ pub(super) enum Kind {
     Residual,
 }
 
-/// The system `M x' = f(t, x)` or `F(t, x, x') = 0` with slopes that are given: its right-hand side is what
-/// is left of zero, `f(t, x) - M x'` or `-F(t, x, x')`.
+/// The system `M x' = f(t, x)` or `F(t, x, x') = 0` with given slopes. Its right-hand side is the residual,
+/// `f(t, x) - M x'` or `-F(t, x, x')`.
 pub(super) struct AtSlopes<'a> {
     pub(super) system: &'a mut dyn HybridSystem,
     pub(super) kind: Kind,
@@ -72,7 +72,7 @@ impl HybridSystem for AtSlopes<'_> {
     }
 }
 
-/// The residual as a function of the slopes at a state that is given.
+/// The residual as a function of the slopes at a given state.
 pub(super) struct AtState<'a> {
     pub(super) system: &'a mut dyn HybridSystem,
     pub(super) x: &'a [f64],

@@ -1,8 +1,9 @@
-//! Left side of the equations: `x'`, `M x'`, or `F(t, x, x') = 0` as a whole.
+//! Left side of the equations: `x'`, `M x'`, or the whole of `F(t, x, x') = 0`.
 //!
-//! Near a point all three are `M x' = f(t, x)`, with `M = dF/dx'`, and a Jacobian `-dF/dx` of the right-hand
-//! side. The two are kept apart, so that a change of the step size takes no evaluation: a new `M` is made
-//! where one evaluation along a vector shows that it has changed.
+//! Near a point, all three are `M x' = f(t, x)` with `M = dF/dx'` and the Jacobian `-dF/dx` of the right-hand
+//! side. The two matrices are stored separately, so that a change of the step size requires no evaluation.
+//! `M` is
+//! evaluated again if one evaluation along a vector shows that it has changed.
 
 use super::given_slopes::{AtSlopes, AtState, Kind};
 use crate::error::Undetermined;
@@ -15,35 +16,36 @@ use crate::options::Options;
 use crate::stepper::{Equations, Point};
 use crate::system::{CallError, CallResult, HybridSystem};
 
-/// Entries of a matrix of differences below this share of its largest ones are zero.
+/// Entries of a finite-difference matrix below this fraction of its largest entries are zero.
 pub(super) const NOISE: f64 = 1e-6;
-/// A matrix in front of the slopes that is off by less than this share is not evaluated anew: Newton's method
-/// loses no iteration by it.
+/// A matrix of the slopes with a relative error below this is not evaluated again, because Newton's method
+/// then
+/// needs no additional iteration.
 const SAME: f64 = 1e-4;
-/// Rounding of residuals, as a share of them.
+/// Relative rounding error of residuals.
 const ROUNDING: f64 = 1e-12;
 
-/// The matrix in front of the slopes.
+/// The matrix of the slopes.
 #[derive(Debug, Default)]
 pub(super) struct LeftSide {
     pub(super) kind: Kind,
-    /// By columns: the mass matrix, or `dF/dx'` where it is dense.
+    /// The mass matrix, or `dF/dx'` if it is dense, by columns.
     pub(super) mass: Vec<f64>,
     /// `dF/dx'`.
     pub(super) slopes: Jacobian,
     pub(super) is_known: bool,
-    /// The residual is an affine function of the slopes; `None`: not known yet.
+    /// True if the residual is an affine function of the slopes; `None`: not known yet.
     pub(super) is_affine: Option<bool>,
-    /// The algebraic part is that of this run; the index was found to be 0 or 1.
+    /// `is_split`: the algebraic part is valid for this run. `is_checked`: the index was found to be 0 or 1.
     pub(super) is_split: bool,
     pub(super) is_checked: bool,
     pub(super) algebraic: Algebraic,
-    /// Of `M`, [completed](Algebraic::completion).
+    /// Factors of `M`, [completed](Algebraic::completion).
     pub(super) lu: Lu<f64>,
     pub(super) has_factors: bool,
-    /// States that `M` has no part in are not to be in the error test.
+    /// True if states that do not appear in `M x'` are excluded from the error test.
     exclude: bool,
-    /// True for states that `M` has a part in.
+    /// True for states that appear in `M x'`.
     pub(super) has_slope: Vec<bool>,
     weights: ErrorWeights,
     nominals: Vec<f64>,
@@ -51,25 +53,25 @@ pub(super) struct LeftSide {
     pub(super) point: Vec<f64>,
     pub(super) value: Vec<f64>,
     last: Vec<f64>,
-    /// States and slopes that consistent ones are looked for from.
+    /// States and slopes from which consistent ones are searched.
     pub(super) guess: (Vec<f64>, Vec<f64>),
 }
 
 impl LeftSide {
-    /// `exclude`: the error test is to leave out the states that `M` has no part in.
+    /// Creates the left side. `exclude`: the error test excludes the states that do not appear in `M x'`.
     pub(super) fn new(exclude: bool) -> Self {
         Self { exclude, ..Self::default() }
     }
 
-    /// `x'` alone: the equations are those of an ordinary system.
+    /// True if the left side is `x'`, that is, the system is an ordinary one.
     pub(super) fn is_identity(&self) -> bool {
         self.kind == Kind::Identity
     }
 
-    /// Makes room for the system.
+    /// Allocates the work space for the system.
     ///
     /// # Errors
-    /// There is none for matrices of this size.
+    /// Returns an error if memory is insufficient for matrices of this size.
     pub(super) fn begin(&mut self, system: &dyn HybridSystem) -> CallResult<()> {
         let n = system.n_states();
         self.kind = match system.mass_matrix() {
@@ -102,7 +104,7 @@ impl LeftSide {
         Ok(())
     }
 
-    /// The entry of `M` at a place of the matrix that is decomposed.
+    /// Entry of `M` at a position of the matrix to be decomposed.
     pub(super) fn entry(&self, place: usize, is_on_diagonal: bool) -> f64 {
         match self.kind {
             Kind::Identity => f64::from(is_on_diagonal),
@@ -111,7 +113,7 @@ impl LeftSide {
         }
     }
 
-    /// The system at these slopes.
+    /// Returns the system with these slopes.
     pub(super) fn at_slopes<'a>(
         &'a self,
         system: &'a mut dyn HybridSystem,
@@ -120,7 +122,8 @@ impl LeftSide {
         AtSlopes { system, kind: self.kind, mass: &self.mass, slopes }
     }
 
-    /// Residual of the equations at a point; without slopes of its own (`x'` alone) the right-hand side.
+    /// Computes the residual of the equations at a point. If the left side is `x'`, this is the right-hand
+    /// side.
     pub(super) fn defect(
         &self,
         equations: &mut Equations<'_>,
@@ -131,7 +134,7 @@ impl LeftSide {
         self.at_slopes(equations.system, slopes).derivatives(t, x, defect)
     }
 
-    /// Leaves out of the error test what is to be left out of it, by inverse weights of zero.
+    /// Excludes states from the error test by setting their inverse weights to zero.
     pub(super) fn choose_tested(&self, inverse: &mut [f64]) {
         if self.exclude && self.kind != Kind::Identity {
             let untested = inverse.iter_mut().zip(&self.has_slope).filter(|(_, has_slope)| !**has_slope);
@@ -139,7 +142,7 @@ impl LeftSide {
         }
     }
 
-    /// After `M` was made: which states it has a part in.
+    /// Determines the states that appear in `M x'`, after `M` was computed.
     pub(super) fn find_slopes(&mut self) {
         let Self { kind, mass, slopes, has_slope, nominals, .. } = self;
         has_slope.clear();
@@ -150,8 +153,9 @@ impl LeftSide {
         }
     }
 
-    /// After the Jacobian was evaluated at a point, where this is left of zero: evaluates `dF/dx'` there
-    /// unless it is as it was. `true`: it has changed.
+    /// Evaluates `dF/dx'` at a point unless it is unchanged, after the Jacobian was evaluated there. `defect`
+    /// is
+    /// the residual at the point. Returns `true` if `dF/dx'` has changed.
     pub(super) fn renew(
         &mut self,
         equations: &mut Equations<'_>,
@@ -172,7 +176,7 @@ impl LeftSide {
         if self.is_known && is_affine && self.is_as_before(equations, point, defect)? {
             return Ok(false);
         }
-        // Where the residual is affine, differences are the more exact the longer they are.
+        // If the residual is affine, longer differences are more accurate.
         let longer = if is_affine { (f64::EPSILON / 2.0).sqrt().recip() } else { 1.0 };
         self.nominals.iter_mut().for_each(|nominal| *nominal *= longer);
         let options = Options { relative_tolerance: equations.weights.rtol(), ..Options::default() };
@@ -195,14 +199,14 @@ impl LeftSide {
         Ok(has_changed)
     }
 
-    /// The residual at slopes that are further along the direction.
+    /// Evaluates the residual at slopes further along the direction.
     fn ahead(
         &mut self,
         equations: &mut Equations<'_>,
         Point { t, x, slopes }: Point<'_>,
         share: f64,
     ) -> CallResult<bool> {
-        // Shares that have nothing in common.
+        // Fractions without a common divisor.
         for (i, d) in self.direction.iter_mut().enumerate() {
             *d = share * self.nominals[i] * (1.0 + 0.5 * ((i + 2) as f64).sqrt().fract());
         }
@@ -238,7 +242,7 @@ impl LeftSide {
         Ok(is_there? && affine)
     }
 
-    /// True if one evaluation shows `dF/dx'` to be as it was.
+    /// True if one evaluation shows that `dF/dx'` is unchanged.
     fn is_as_before(
         &mut self,
         equations: &mut Equations<'_>,
@@ -260,7 +264,7 @@ impl LeftSide {
         Ok(value.iter().zip(allowed).all(|(v, allowed)| v.abs() <= *allowed))
     }
 
-    /// After a failure: what equations without derivatives do not determine.
+    /// Returns the states that equations without derivatives do not determine, after a failure.
     pub(super) fn undetermined(
         &mut self,
         equations: &mut Equations<'_>,

@@ -1,18 +1,20 @@
-//! Backward differentiation formulae of order 1 to 5, step size and order variable, in
+//! Backward differentiation formulae of order 1 to 5 with variable step size and order, in
 //! fixed-leading-coefficient form.
 //!
 //! G. D. Byrne, A. C. Hindmarsh, A polyalgorithm for the numerical solution of ordinary differential
 //! equations, ACM Transactions on Mathematical Software 1 (1975) 71-96; K. R. Jackson, R. Sacks-Davis, An
-//! alternative implementation of variable step-size multistep formulas for stiff ODEs, the same 6 (1980)
-//! 295-318; P. N. Brown, G. D. Byrne, A. C. Hindmarsh, VODE: a variable-coefficient ODE solver, SIAM Journal
-//! on Scientific and Statistical Computing 10 (1989) 1038-1051.
+//! alternative implementation of variable step-size multistep formulas for stiff ODEs, ACM Transactions on
+//! Mathematical Software 6 (1980) 295-318; P. N. Brown, G. D. Byrne, A. C. Hindmarsh, VODE: a
+//! variable-coefficient ODE solver, SIAM Journal on Scientific and Statistical Computing 10 (1989) 1038-1051.
 //!
-//! The past is kept as the Nordsieck array `z_j = h^j x^(j) / j!`: the polynomial behind the formula,
-//! expanded at the current point. A step predicts by continuing it; the corrector adds `l_j e` to each `z_j`,
-//! where `e` solves `G(e) = e + z_1 / l_1 - gamma f(t, z_0 + e) = 0`, `gamma = h / l_1`. Systems `M x' = f(t,
-//! x)` and `F(t, x, x') = 0` are solved in the same way, with `x' = (e + z_1 / l_1) / gamma` (K. E. Brenan,
-//! S. L. Campbell, L. R. Petzold, Numerical Solution of Initial-Value Problems in Differential-Algebraic
-//! Equations, 1996, chapter 5).
+//! The history is stored as the Nordsieck array `z_j = h^j x^(j) / j!`: the polynomial of the formula,
+//! expanded
+//! at the current point. A step extrapolates this polynomial as its prediction. The corrector adds `l_j e` to
+//! each `z_j`, where `e` solves `G(e) = e + z_1 / l_1 - gamma f(t, z_0 + e) = 0` with `gamma = h / l_1`.
+//! Systems
+//! `M x' = f(t, x)` and `F(t, x, x') = 0` are solved similarly, with `x' = (e + z_1 / l_1) / gamma` (K. E.
+//! Brenan, S. L. Campbell, L. R. Petzold, Numerical Solution of Initial-Value Problems in
+//! Differential-Algebraic Equations, 1996, chapter 5).
 
 use super::kept_jacobian::{KeptJacobian, Matrix, Rules};
 use super::newton::{Convergence, Newton};
@@ -38,23 +40,26 @@ use nordsieck::add_multiple;
 
 /// Three iterations, as in VODE.
 const MAX_NEWTON: u32 = 4;
-/// Newton's error, as a share of the error test, as in VODE.
+/// Tolerance of Newton's method as a fraction of the error test, as in VODE.
 const NEWTON_SHARE: f64 = 0.1;
-/// Newton's error in units of the tolerances where equations without derivatives may stand among the others
-/// (IDA: 0.33): the error test of a step of lower order takes what they are off by for an error, which no
-/// step size makes smaller.
+/// Tolerance of Newton's method in units of the tolerances of the states, for systems that may contain
+/// equations without derivatives (IDA: 0.33). The error test of a later step of lower order counts the
+/// remaining
+/// residual of these equations as an error, which no step size reduces.
 const NEWTON_ERROR: f64 = 0.2;
 const RULES: Rules =
     Rules { change: 0.3, decomposition_steps: 20, jacobian_steps: 50, cheap: 0, only_after_events: true };
-/// Where an input changes its slope the second derivative jumps; the rows of the array above it are of the
-/// past only, and are left out. Measured on an exhaust pipe driven by inputs with a kink each second: steps
-/// that go over the kinks take 17 % more right-hand sides and are off by 50 times as much at rtol 1e-8, and
-/// the noise of a cost at rtol 1e-6 is 2e-5 instead of 5e-9. All rows kept: 5 % less at rtol 1e-8, but a
-/// noise of 1e-7 instead of 6e-9. Order 1: 10 % more.
+/// Maximum order of the array kept at a kink of an input. The second derivative jumps there, so higher rows
+/// of
+/// the array describe only the past and are dropped. Measured on an exhaust pipe driven by inputs with a kink
+/// each second. Steps across the kinks need 17 % more right-hand sides, and their error is 50 times as large
+/// at
+/// rtol 1e-8. The noise of a cost at rtol 1e-6 is then 2e-5 instead of 5e-9. With all rows kept, 5 % fewer
+/// right-hand sides at rtol 1e-8, but a noise of 1e-7 instead of 6e-9. Order 1: 10 % more.
 const KINK_ORDER: usize = 2;
-/// The step size is left alone unless it can grow by this factor.
+/// The step size is changed only if it can grow by this factor.
 const WORTH_IT: f64 = 1.5;
-/// Growth allowed after the first step, and after each other one.
+/// Maximum growth after the first step, and after any other step.
 const FIRST_GROWTH: f64 = 1e4;
 const GROWTH: f64 = 10.0;
 
@@ -64,39 +69,40 @@ pub(crate) struct Bdf {
     convergence: Convergence,
     lu: Lu<f64>,
     left: LeftSide,
-    /// The array at the current point, and at the end of the trial.
+    /// The array at the current point and at the end of the trial.
     z: [Vec<f64>; MAX_ORDER + 1],
     z_new: [Vec<f64>; MAX_ORDER + 1],
     order: usize,
     next_order: usize,
-    /// The step size that the array is scaled by.
+    /// Step size by which the array is scaled.
     h: f64,
     past: [f64; MAX_ORDER + 1],
     coefficients: Coefficients,
-    /// The slopes at the current point.
+    /// Slopes at the current point.
     f: Vec<f64>,
-    /// Those at the start of the run are known.
+    /// True if the slopes at the start of the run are known.
     has_started: bool,
-    /// The array holds nothing but the state.
+    /// True if only the state in the array is valid.
     fresh: bool,
-    /// Steps since the start of the array.
+    /// Steps since the array was restarted.
     steps: u32,
     /// Steps until a change of order is considered.
     wait: u32,
     growth: f64,
     error_failures: u32,
-    /// The corrector; of the step before its sum `e` (with its constant) for the order above.
+    /// The corrector. From the previous step, its sum `e` and the constant of that step, for the next higher
+    /// order.
     iterate: Iterate,
     correction_norm: f64,
     last_correction: Vec<f64>,
     last_scale: f64,
-    /// Inverse weights of the norm, and of that of the error test.
+    /// Inverse weights of the norm of Newton's method, and of the norm of the error test.
     inverse: Vec<f64>,
     tested: Vec<f64>,
 }
 
 impl Bdf {
-    /// `exclude`: the error test is to leave out states that have no derivative in the equations.
+    /// Creates the method. `exclude`: states without a derivative in the equations are not in the error test.
     pub(crate) fn new(exclude: bool) -> Self {
         Self {
             freshness: KeptJacobian::new(RULES),
@@ -126,20 +132,19 @@ impl Bdf {
         }
     }
 
-    /// Takes over in the middle of a run from a method that knows the right-hand side at `x` and has a
-    /// Jacobian.
+    /// Continues a run of another method that knows the right-hand side at `x` and has a Jacobian.
     pub(crate) fn take_over(&mut self, x: &[f64], f: &[f64]) {
         self.forget();
         self.z[0].copy_from_slice(x);
         self.f.copy_from_slice(f);
     }
 
-    /// The Jacobian, to be taken over.
+    /// The Jacobian, to be taken over from another method.
     pub(crate) fn freshness_mut(&mut self) -> &mut KeptJacobian {
         &mut self.freshness
     }
 
-    /// Takes the decided order.
+    /// Changes to the selected order.
     fn change_order(&mut self) {
         let q = self.order;
         if self.next_order < q {
@@ -151,11 +156,12 @@ impl Bdf {
         self.wait = self.order as u32 + 1;
     }
 
-    /// Makes the array ready for a step of size `h`.
+    /// Prepares the array for a step of size `h`.
     fn prepare(&mut self, equations: &mut Equations<'_>, Trial { t, h, x, .. }: Trial<'_>) -> CallResult<()> {
         if !self.fresh && self.error_failures >= 3 {
-            // The derivatives in the array are not those of the solution: a new start at order 1, as in DASSL; where equations
-            // without derivatives stand among the others one order less, which takes fewer steps (`tests/all/dae.rs`, amplifier).
+            // The derivatives in the array are wrong: restart at order 1, as in DASSL. If there are equations
+            // without derivatives,
+            // reduce the order by one instead, which needs fewer steps (`tests/all/dae.rs`, amplifier).
             let order = if self.left.is_identity() { 1 } else { self.order - 1 };
             if order > 1 {
                 (self.next_order, self.error_failures) = (order, 0);
@@ -175,7 +181,7 @@ impl Bdf {
             self.h = h;
             self.z[1].iter_mut().zip(&self.f).for_each(|(z, f)| *z = h * f);
             if self.order == 2 {
-                // In `z_2` is half the second derivative; the point before is the one that the parabola passes.
+                // `z_2` contains half the second derivative. The parabola passes through the previous point.
                 self.z[2].iter_mut().for_each(|z| *z *= h * h);
                 self.past[0] = h;
                 self.wait = 3;
@@ -191,7 +197,7 @@ impl Bdf {
         Ok(())
     }
 
-    /// Predicts and corrects. `false`: the equations could not be solved with a fresh Jacobian.
+    /// Predicts and corrects. Returns `false` if the equations could not be solved with a fresh Jacobian.
     fn correct(&mut self, equations: &mut Equations<'_>, end: f64) -> CallResult<bool> {
         for (new, old) in self.z_new.iter_mut().zip(&self.z).take(self.order + 1) {
             new.copy_from_slice(old);
@@ -231,7 +237,9 @@ impl Bdf {
                 Matrix::Singular => return Ok(false),
             }
             self.iterate.correction.fill(0.0);
-            // Half a correction for the change of gamma since the decomposition; what it leaves of stiff components.
+            // Corrects for the change of gamma since the decomposition (by about half of it). `change` is the
+            // remaining error of
+            // stiff components.
             let ratio = gamma / self.freshness.coefficient();
             let (relaxation, change) = (2.0 / (1.0 + ratio), (1.0 - ratio).abs() / (1.0 + ratio));
             let mut iteration = Corrector {
@@ -258,14 +266,14 @@ impl Bdf {
         }
     }
 
-    /// The step size to go on with: considers the orders next to this one once in a while.
+    /// Returns the next step size. Sometimes considers the neighbouring orders.
     fn choose(&mut self) -> f64 {
         let q = self.order;
         let order = q as f64;
         let growth = std::mem::replace(&mut self.growth, GROWTH);
         self.next_order = q;
         if growth == 1.0 {
-            // After a failure: stay a while.
+            // After a failure, the order and step size are kept for some steps.
             self.wait = self.wait.max(2);
             return self.h;
         }
@@ -327,7 +335,7 @@ impl Stepper for Bdf {
         let n = system.n_states();
         self.freshness.begin(system)?;
         self.left.begin(system)?;
-        // A mass matrix has places of its own.
+        // The mass matrix has entries outside the pattern.
         let pattern = self.freshness.jacobian().pattern().filter(|_| system.mass_matrix().is_none());
         self.lu.begin(n, pattern)?;
         self.has_started = false;

@@ -1,11 +1,11 @@
 //! The Nordsieck array: rows `z_j = h^j x^(j) / j!` of a polynomial, expanded at a point, in units of a step
 //! `h`.
 //!
-//! The functions take the rows that count, one more than the order; each row has one number per state.
+//! The functions take the rows in use, one more than the order. Each row has one number per state.
 
 use super::coefficients::MAX_ORDER;
 
-/// In units of a step `ratio` times as long.
+/// Changes the unit to a step `ratio` times as long.
 pub(super) fn rescale(z: &mut [Vec<f64>], ratio: f64) {
     let mut factor = 1.0;
     for z in &mut z[1..] {
@@ -14,7 +14,7 @@ pub(super) fn rescale(z: &mut [Vec<f64>], ratio: f64) {
     }
 }
 
-/// Moves the point of expansion by one step: multiplies with Pascal's triangle.
+/// Moves the point of expansion forward by one step: multiplies by Pascal's triangle.
 pub(super) fn advance(z: &mut [Vec<f64>]) {
     for k in 1..z.len() {
         for j in (k..z.len()).rev() {
@@ -24,8 +24,9 @@ pub(super) fn advance(z: &mut [Vec<f64>]) {
     }
 }
 
-/// Moves the point of expansion back within the last step, to `theta` from its start; the unit is the shorter
-/// step then.
+/// Moves the point of expansion back within the last step, to the fraction `theta` from its start. The unit
+/// is
+/// then the shorter step.
 pub(super) fn retreat(z: &mut [Vec<f64>], theta: f64) {
     let s = theta - 1.0;
     rescale(z, s);
@@ -33,10 +34,10 @@ pub(super) fn retreat(z: &mut [Vec<f64>], theta: f64) {
     rescale(z, theta / s);
 }
 
-/// Of one order less: the polynomial loses the term that belongs to the oldest point, `sum(past)` away.
+/// Reduces the order by one: removes the term of the oldest point, which is `sum(past)` away.
 pub(super) fn lower(z: &mut [Vec<f64>], h: f64, past: &[f64]) {
     let q = z.len() - 1;
-    // The product of s and the distances to the points that stay, as a polynomial in s.
+    // The product of s and the distances to the remaining points, as a polynomial in s.
     let mut l = [0.0; MAX_ORDER + 1];
     l[2] = 1.0;
     let mut sum = 0.0;
@@ -53,8 +54,8 @@ pub(super) fn lower(z: &mut [Vec<f64>], h: f64, past: &[f64]) {
     }
 }
 
-/// Of one order more, which the last row has room for: the polynomial gains a term that belongs to one more
-/// point of the past, from the last correction of the corrector.
+/// Increases the order by one. The last row must be allocated. The last correction of the corrector gives the
+/// term of one more past point.
 pub(super) fn raise(z: &mut [Vec<f64>], h: f64, past: &[f64], last_correction: &[f64]) {
     let q = z.len() - 2;
     let mut l = [0.0; MAX_ORDER + 1];
@@ -82,7 +83,7 @@ pub(super) fn raise(z: &mut [Vec<f64>], h: f64, past: &[f64], last_correction: &
     }
 }
 
-/// The polynomial at `s` steps from the point of expansion.
+/// Evaluates the polynomial `s` steps from the point of expansion.
 pub(super) fn value(z: &[Vec<f64>], s: f64, x: &mut [f64]) {
     x.fill(0.0);
     for z in z.iter().rev() {
@@ -92,7 +93,7 @@ pub(super) fn value(z: &[Vec<f64>], s: f64, x: &mut [f64]) {
     }
 }
 
-/// `y += factor x`.
+/// Computes `y += factor x`.
 pub(super) fn add_multiple(y: &mut [f64], factor: f64, x: &[f64]) {
     for (y, x) in y.iter_mut().zip(x) {
         *y += factor * x;
@@ -103,7 +104,7 @@ pub(super) fn add_multiple(y: &mut [f64], factor: f64, x: &[f64]) {
 mod tests {
     use super::*;
 
-    /// A polynomial of the degree of the order is continued exactly, whatever the step sizes.
+    /// A polynomial of the degree of the order is continued exactly for any step sizes.
     #[test]
     fn the_array_is_a_polynomial() {
         let at = |t: f64| 1.0 + t * (2.0 + t * (3.0 + 4.0 * t));
@@ -124,8 +125,9 @@ mod tests {
         assert!((z[3][0] / 0.05_f64.powi(3) - 4.0).abs() < 1e-9);
     }
 
-    /// Of one order less, the polynomial keeps its value and slope and passes the points that stay; of one
-    /// order more it passes the one that came.
+    /// With the order reduced, the polynomial keeps its value and slope and passes through the remaining
+    /// points.
+    /// With the order increased, it passes through the additional point.
     #[test]
     fn lower_orders_forget_the_oldest_point() {
         let at = |t: f64| 1.0 + t * (2.0 + t * (3.0 + 4.0 * t));

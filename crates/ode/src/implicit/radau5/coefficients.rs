@@ -1,4 +1,4 @@
-//! The numbers of Radau IIA of order 5 and of the transformation that separates its stages.
+//! Coefficients of Radau IIA of order 5 and of the transformation that separates its stages.
 
 const SQRT_6: f64 = 2.449_489_742_783_178_098_2;
 
@@ -6,13 +6,14 @@ const SQRT_6: f64 = 2.449_489_742_783_178_098_2;
 pub(super) const C1: f64 = (4.0 - SQRT_6) / 10.0;
 pub(super) const C2: f64 = (4.0 + SQRT_6) / 10.0;
 
-/// The inverse of the matrix of the method has this real eigenvalue and the complex pair `ALPHA +- i BETA`.
+/// The inverse of the matrix of the method has the real eigenvalue `GAMMA` and the complex pair
+/// `ALPHA +- i BETA`.
 pub(super) const GAMMA: f64 = 3.637_834_252_744_495_732_2;
 pub(super) const ALPHA: f64 = 2.681_082_873_627_752_133_9;
 pub(super) const BETA: f64 = 3.050_430_199_247_410_569_4;
 
-/// Columns of `T`: the real eigenvector, real and imaginary part of the complex one (Hairer and Wanner,
-/// (IV.8.14)).
+/// Columns of `T`: the real eigenvector, and the real and imaginary parts of the complex one (Hairer and
+/// Wanner, (IV.8.14)).
 pub(super) const T: [[f64; 3]; 3] = [
     [9.123_239_487_089_294_279_2e-2, -0.141_255_295_020_954_208_43, -3.002_919_410_514_742_449_2e-2],
     [0.241_717_932_707_107_018_96, 0.204_129_352_293_799_931_99, 0.382_942_112_757_261_937_79],
@@ -37,8 +38,9 @@ mod tests {
         Matrix3::from_fn(|i, j| rows[i][j])
     }
 
-    /// The matrix of the method from its abscissae: `a_ij` integrates the Lagrange polynomial of `c_j` up to
-    /// `c_i`.
+    /// Computes the matrix of the method from its abscissae: `a_ij` is the integral of the Lagrange
+    /// polynomial of
+    /// `c_j` up to `c_i`.
     fn method() -> Matrix3<f64> {
         let c = [C1, C2, 1.0];
         let powers = Matrix3::from_fn(|i, k| c[i].powi(k as i32));
@@ -63,7 +65,7 @@ mod tests {
             let sum: f64 = (0..3).map(|j| a[(2, j)] * c[j].powi(q - 1)).sum();
             assert!((sum - 1.0 / f64::from(q)).abs() < 1e-15, "B({q}): {sum}");
         }
-        // z = A (h f); the error weights are those of A^-1 and the embedded formula of order 3.
+        // z = A (h f), so the error weights are those of A^-1 and the embedded formula of order 3.
         let e = Matrix3::from_fn(|i, j| if i == 0 { E[j] } else { 0.0 });
         let on_slopes = e * a;
         for q in 0..=2 {

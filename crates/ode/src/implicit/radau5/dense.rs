@@ -1,27 +1,29 @@
 //! Dense output of a step of Radau5, and its error.
 //!
-//! The collocation polynomial `p` of degree 3 passes the stages, and so can its own error be written down.
-//! With `M(theta)`, the product of the distances to the abscissae, and stages that are off by `e_i` it is
-//! `(h^4 x'''' / 24) theta M(theta)` plus the cubic through `e_i` at the abscissae and 0 at the start of the
-//! step (for `x' = lambda x + g(t)`; the same to leading order elsewhere). Two terms undo it.
+//! The collocation polynomial `p` of degree 3 passes through the stages, so its error can be written down.
+//! `M(theta)` is the product of the distances to the abscissae, and `e_i` are the errors of the stages. The
+//! error is `(h^4 x'''' / 24) theta M(theta)` plus the cubic through `e_i` at the abscissae and 0 at the
+//! start
+//! of the step (for `x' = lambda x + g(t)`; equal to leading order for other systems). Two terms correct it.
 //!
-//! *Defect.* `q(theta) d`, where `q` is the integral of `M` with slope 1 at 0 and `d` the difference between
-//! the slope at the start and that of `p`, filtered like the error estimate. Where the system is not stiff
-//! this is all of it. Where it is, `d` vanishes, because stiff components are held to their slow path
-//! whatever the step: the stages are exact, the polynomial between them is not, and nothing inside of the
-//! step tells.
+//! *Defect.* `q(theta) d`, where `q` is the integral of `M` with slope 1 at 0. `d` is the difference between
+//! the slope at the start and the slope of `p`, filtered like the error estimate. If the system is not stiff,
+//! this is the whole error. If it is stiff, `d` vanishes, because stiff components follow their slow path for
+//! any step size. The stages are then exact but the polynomial between them is not, and no value inside the
+//! step
+//! shows this.
 //!
-//! *Bend.* `c theta M(theta)` leaves the ends and the stages alone; `c` follows from the point where the step
-//! before began, through which the solution went. Both terms together are of order 4, stiff or not.
+//! *Bend.* `c theta M(theta)` does not change the ends and the stages. `c` follows from the point where the
+//! previous step began, through which the solution passed. Both terms together are of order 4, stiff or not.
 //!
-//! The bend measures how far the two orders differ, and so how far the inside of the step can be trusted.
+//! The bend measures the difference between the two orders, and thus the accuracy inside the step.
 
 use super::coefficients::{C1, C2};
 use crate::error_norm::scaled_norm;
 
-/// The largest value of `|theta M(theta)|` within a step.
+/// Maximum of `|theta M(theta)|` within a step.
 const LARGEST_BEND: f64 = 0.018_25;
-/// The largest value of `|q(theta)|` within a step.
+/// Maximum of `|q(theta)|` within a step.
 const LARGEST_CORRECTION: f64 = 0.067_8;
 
 /// The collocation polynomial of a step of size `h`: `end + s (p0 + (s - C2 + 1) (p1 + (s - C1 + 1) p2))`
@@ -33,7 +35,7 @@ pub(super) struct Collocation {
 }
 
 impl Collocation {
-    /// Room for `n` states.
+    /// Allocates the work space for `n` states.
     pub(super) fn begin(&mut self, n: usize) {
         for p in &mut self.p {
             p.clear();
@@ -41,7 +43,7 @@ impl Collocation {
         }
     }
 
-    /// The polynomial of a step of size `h` with these stage increments.
+    /// Sets the polynomial of a step of size `h` with these stage increments.
     pub(super) fn set(&mut self, h: f64, [z1, z2, z3]: &[Vec<f64>; 3]) {
         self.h = h;
         for i in 0..z1.len() {
@@ -54,18 +56,18 @@ impl Collocation {
         }
     }
 
-    /// The size of its step.
+    /// Size of the step.
     pub(super) fn h(&self) -> f64 {
         self.h
     }
 
-    /// State `i` at `s = theta - 1`, less that at the end of the step.
+    /// Returns state `i` at `s = theta - 1`, minus its value at the end of the step.
     pub(super) fn value(&self, i: usize, s: f64) -> f64 {
         s * (self.p[0][i] + (s + 1.0 - C2) * (self.p[1][i] + (s + 1.0 - C1) * self.p[2][i]))
     }
 }
 
-/// The terms beyond the collocation polynomial.
+/// The correction terms of the collocation polynomial.
 #[derive(Debug, Default)]
 pub(super) struct Terms {
     /// The filtered difference of slopes at the start of the step.
@@ -74,7 +76,7 @@ pub(super) struct Terms {
 }
 
 impl Terms {
-    /// Room for `n` states.
+    /// Allocates the work space for `n` states.
     pub(super) fn begin(&mut self, n: usize) {
         for v in [&mut self.defect, &mut self.bend] {
             v.clear();
@@ -82,8 +84,9 @@ impl Terms {
         }
     }
 
-    /// Finds the bend of the step `trial` from the step that ended where it starts. Returns the norm, by
-    /// these inverse weights, of what is not certain inside of the step.
+    /// Computes the bend of the step `trial` from the previous step, `last`. Returns the norm, with these
+    /// inverse
+    /// weights, of the uncertainty inside the step.
     pub(super) fn bend(&mut self, trial: &Collocation, last: Option<&Collocation>, inverse: &[f64]) -> f64 {
         let Some(last) = last else {
             self.bend.fill(0.0);
@@ -92,7 +95,7 @@ impl Terms {
         let theta = -last.h / trial.h;
         let (q, w) = (correction(theta), theta * nodes(theta));
         for (i, bend) in self.bend.iter_mut().enumerate() {
-            // Both counted from the point where the steps meet.
+            // Both values are relative to the point where the steps meet.
             let known = last.value(i, -1.0);
             let continued = trial.value(i, theta - 1.0) - trial.value(i, -1.0) + q * self.defect[i];
             *bend = (known - continued) / w;
@@ -100,7 +103,7 @@ impl Terms {
         LARGEST_BEND * scaled_norm(&self.bend, inverse)
     }
 
-    /// State `i` at `theta` within the step, less that at its end.
+    /// Returns state `i` at `theta` within the step, minus its value at the end of the step.
     pub(super) fn value(&self, step: &Collocation, theta: f64) -> impl Fn(usize) -> f64 {
         let (q, w) = (correction(theta), theta * nodes(theta));
         move |i| step.value(i, theta - 1.0) + q * self.defect[i] + w * self.bend[i]
@@ -112,7 +115,8 @@ fn nodes(theta: f64) -> f64 {
     (theta - C1) * (theta - C2) * (theta - 1.0)
 }
 
-/// `q`: the integral of `M` over its value at 0: zero at 0 and 1, slope 1 at 0, slope 0 at the abscissae.
+/// `q`: the integral of `M` divided by its value at 0. Zero at 0 and 1, slope 1 at 0, slope 0 at the
+/// abscissae.
 fn correction(theta: f64) -> f64 {
     theta * (1.0 + theta * (-4.5 + theta * (6.0 - 2.5 * theta)))
 }
@@ -140,7 +144,7 @@ mod tests {
         assert!((largest(&correction) / LARGEST_CORRECTION - 1.0).abs() < 0.01);
     }
 
-    /// With exact stages, as stiff components have them, the inside is exact for polynomials of degree 4.
+    /// With exact stages, as for stiff components, the interpolation is exact for polynomials of degree 4.
     #[test]
     fn a_quartic_is_interpolated() {
         let x = |t: f64| 2.0 + t * (1.0 + t * (-3.0 + t * (0.5 + 0.25 * t)));

@@ -1,10 +1,11 @@
-//! Radau IIA of order 5: three implicit stages, L-stable; for stiff systems and systems with a mass matrix.
+//! Radau IIA of order 5: three implicit stages, L-stable. For stiff systems and systems with a mass matrix.
 //!
 //! E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section IV.8, and: Stiff differential
 //! equations solved by Radau methods, Journal of Computational and Applied Mathematics 111 (1999) 93-111.
 //!
-//! The stages are written as increments `z_i = X_i - x`, transformed by `T` to the variables `w` in which the
-//! Newton matrix falls apart into a real and a complex block of the size of the system.
+//! The stages are written as increments `z_i = X_i - x` and transformed by `T` to the variables `w`. In
+//! these,
+//! the Newton matrix separates into a real and a complex block of the size of the system.
 
 use super::algebraic::Algebraic;
 use super::kept_jacobian::{KeptJacobian, Matrix, Rules};
@@ -28,8 +29,9 @@ use stages::{StageEquations, Stages};
 const U: f64 = f64::EPSILON / 2.0;
 /// As in radau5 (its NIT).
 const MAX_NEWTON: u32 = 7;
-/// A step keeps its size where a little more is not worth a decomposition: the decomposed matrix is that of
-/// the step.
+/// The decomposed matrix depends on the step size. The step size is therefore kept if a slightly larger one
+/// does
+/// not justify a decomposition.
 const RULES: Rules = Rules {
     change: 0.0,
     decomposition_steps: u32::MAX,
@@ -38,8 +40,9 @@ const RULES: Rules = Rules {
     only_after_events: false,
 };
 const SAFETY: f64 = 0.9;
-/// The estimates at the end of a step are held against this times `rtol^(2/3)`: they are of order 3, the end
-/// itself of order 5, and this makes the error about what was asked for (radau5 has 0.1 here).
+/// Factor of the tolerance of the error estimate, with `rtol^(2/3)`. The estimate is of order 3 and the
+/// solution
+/// of order 5. This factor makes the error roughly equal to the tolerance (radau5 uses 0.1).
 const TRANSFORM: f64 = 0.08;
 
 #[derive(Debug)]
@@ -57,10 +60,9 @@ pub(crate) struct Radau5 {
     trial: Collocation,
     last: Collocation,
     terms: Terms,
-    /// The last step led to the current point, and the solution goes on from there as if nothing had
-    /// happened.
+    /// True if the last step ended at the current point and the solution continues without an event.
     can_extrapolate: bool,
-    /// The next trial is the last good one made shorter.
+    /// True if the next trial repeats the last good one with an earlier end.
     is_repetition: bool,
     error_norm: f64,
     /// Error and size of the last accepted step, for the predictive controller.
@@ -68,7 +70,7 @@ pub(crate) struct Radau5 {
     last_h: f64,
     after_rejection: bool,
     first: bool,
-    /// The current point is a kink; the step size that the step after the last one would have had.
+    /// True if the current point is a kink. `kink_h` is the step size proposed there by the last step.
     at_kink: bool,
     kink_h: f64,
 }
@@ -102,10 +104,12 @@ impl Default for Radau5 {
 }
 
 impl Radau5 {
-    /// The spectral radius of the last Jacobian, by vector iteration (the mean growth over the last half of
-    /// twenty products, so that complex pairs count with their modulus), and the cosine between the last
-    /// vector and its image: -1 where the largest eigenvalue is real and negative. Found once for each
-    /// Jacobian.
+    /// Returns the spectral radius of the last Jacobian and the cosine between the last vector and its image.
+    /// Vector iteration gives the radius as the mean growth over the last half of twenty products, so that
+    /// complex
+    /// pairs contribute their modulus. The cosine is -1 if the largest eigenvalue is real and negative.
+    /// Computed once
+    /// per Jacobian.
     pub(crate) fn spectrum(&mut self) -> (f64, f64) {
         const HALF: i32 = 10;
         if let Some(known) = self.spectrum {
@@ -135,25 +139,26 @@ impl Radau5 {
         *self.spectrum.insert((growth, cosine))
     }
 
-    /// The rate of convergence of Newton's method in the last step; 0 where one iteration was enough.
+    /// Rate of convergence of Newton's method in the last step; 0 if one iteration was enough.
     pub(crate) fn contraction(&self) -> f64 {
         if self.convergence.count() > 1 { self.convergence.rate() } else { 0.0 }
     }
 
-    /// The Jacobian, to be taken over.
+    /// The Jacobian, to be transferred to another method.
     pub(crate) fn freshness_mut(&mut self) -> &mut KeptJacobian {
         &mut self.freshness
     }
 
-    /// Takes over in the middle of a run from a method that knows the right-hand side at the current point.
+    /// Continues a run of another method that knows the right-hand side at the current point.
     pub(crate) fn take_over(&mut self, f: &[f64]) {
         self.f.copy_from_slice(f);
         self.freshness.drop_jacobian();
         self.forget();
     }
 
-    /// The weighted error of the embedded formula; the second time from the point that the first estimate
-    /// leads to.
+    /// Computes the weighted error of the embedded formula. If necessary, it is computed again from the point
+    /// that
+    /// the first estimate leads to.
     fn estimate_error(
         &mut self,
         equations: &mut Equations<'_>,
@@ -190,7 +195,7 @@ impl Radau5 {
         }
         match equations.derivatives(t, point, &mut stage_f[1]) {
             Ok(()) => {}
-            // The first estimate stands.
+            // The first estimate is used.
             Err(CallError::Discard) => return Ok(norm),
             Err(failed) => return Err(failed),
         }
@@ -203,7 +208,7 @@ impl Radau5 {
         Ok(scaled_norm(&self.error, &self.inverse).max(1e-10))
     }
 
-    /// The step size that the error alone asks for.
+    /// Returns the step size required by the error alone.
     fn wanted(&self, h: f64) -> f64 {
         let newton = f64::from(1 + 2 * MAX_NEWTON) / f64::from(self.convergence.count() + 2 * MAX_NEWTON);
         h / (self.error_norm.powf(0.25) / (SAFETY * newton.min(1.0))).clamp(0.125, 5.0)
@@ -237,7 +242,7 @@ impl Stepper for Radau5 {
             self.algebraic.begin(n, mass, 0.0)?;
         }
         let Self { f, f_new, inverse, error, stages, .. } = self;
-        // A mass matrix has places of its own.
+        // The mass matrix has entries outside the pattern.
         let pattern = self.freshness.jacobian().pattern().filter(|_| stages.mass.is_none());
         stages.real.begin(n, pattern)?;
         stages.complex.begin(n, pattern)?;
@@ -260,7 +265,7 @@ impl Stepper for Radau5 {
         self.freshness.moved();
         self.f_new.copy_from_slice(&self.f);
         equations.derivatives(t, x, &mut self.f)?;
-        // A change below the tolerance is one all the same: crossings are looked for inside of steps.
+        // A change below the tolerance also counts, because crossings are located inside steps.
         self.can_extrapolate &= self.f == self.f_new;
         Ok(())
     }
@@ -280,7 +285,7 @@ impl Stepper for Radau5 {
         let point = PointMut { t, x, slopes: f };
         let found = algebraic.make_consistent(equations, point, jacobian, is_known)?;
         if equations.stats.jacobians > before {
-            // Where nothing was changed it is of the current point.
+            // If nothing was changed, the Jacobian is valid for the current point.
             freshness.take_new(found == Consistency::Holds);
         }
         Ok(found)
@@ -328,8 +333,9 @@ impl Stepper for Radau5 {
         if x.is_empty() {
             return Ok(Attempt::Good);
         }
-        // The error estimate is of order 3, the solution of order 5: a larger tolerance for the estimate, so that the
-        // error of the solution is about what was asked for (radau5, "tolerance transform").
+        // The error estimate is of order 3, the solution of order 5. The tolerance of the estimate is
+        // enlarged so that the
+        // error of the solution roughly equals the requested tolerance (radau5, "tolerance transform").
         let rtol = TRANSFORM * equations.weights.rtol().powf(2.0 / 3.0);
         equations.weights.inverse_at(x, equations.weights.rtol() / rtol, &mut self.inverse);
         let newton_tolerance = (10.0 * U / rtol).max(rtol.sqrt().min(0.03));
@@ -422,7 +428,7 @@ impl Stepper for Radau5 {
             std::mem::swap(&mut self.f, &mut self.f_new);
             std::mem::swap(&mut self.trial, &mut self.last);
         }
-        // A little more is not worth a decomposition.
+        // A slightly larger step does not justify a decomposition.
         if !self.freshness.wants_jacobian() && (1.0..=1.2).contains(&(proposed / h)) { h } else { proposed }
     }
 }

@@ -1,4 +1,5 @@
-//! The equations of the stages: transformed by `T` they fall apart into a real and a complex block of the
+//! The equations of the stages. The transformation by `T` separates them into a real and a complex block of
+//! the
 //! size of the system.
 
 use super::super::newton::Iteration;
@@ -12,7 +13,7 @@ use crate::stepper::{Equations, Trial};
 use crate::system::CallResult;
 use num_complex::Complex;
 
-/// The increments of the stages, and their matrices.
+/// The increments of the stages and their matrices.
 #[derive(Debug, Default)]
 pub(super) struct Stages {
     pub(super) mass: Option<Vec<f64>>,
@@ -39,10 +40,11 @@ impl Stages {
             && self.complex.decompose(|p, d| eigen * m(p, d) - Complex::new(j[p], 0.0))
     }
 
-    /// Stage increments of a step of size `h` extrapolated from the last step, or from a longer one from the
-    /// same point; or zero.
+    /// Fills in the initial stage increments of a step of size `h`: extrapolated from the last step or from a
+    /// longer
+    /// one from this point, or zero.
     pub(super) fn guess(&mut self, h: f64, last: Option<&Collocation>, longer: Option<&Collocation>) {
-        // Counted from the end of the last step, or from the end of the longer step.
+        // Positions are counted from the end of the step used.
         let Some((from, before)) = longer.map(|c| (c, 1.0)).or(last.map(|c| (c, 0.0))) else {
             self.z.iter_mut().chain(&mut self.w).for_each(|v| v.fill(0.0));
             return;
@@ -59,7 +61,7 @@ impl Stages {
         }
     }
 
-    /// Turns the right-hand sides of the stages into the increments of `w`, in place.
+    /// Replaces the right-hand sides of the stages by the increments of `w`, in place.
     fn solve_for_increment(&mut self, h: f64) {
         let n = self.point.len();
         let (gamma, alpha, beta) = (GAMMA / h, ALPHA / h, BETA / h);
@@ -96,7 +98,7 @@ impl Stages {
     }
 }
 
-/// The equations of a trial, in a norm of these inverse weights.
+/// The equations of a trial, with the inverse weights of its norm.
 pub(super) struct StageEquations<'a> {
     pub(super) stages: &'a mut Stages,
     pub(super) trial: Trial<'a>,
