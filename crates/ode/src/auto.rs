@@ -6,11 +6,9 @@
 //! the system. It differs between real and imaginary eigenvalues, and is smaller for tight tolerances.
 //!
 //! The time of a trial depends only on cost. A trial starts at once if the product of step size and
-//! eigenvalue
-//! stays at the end of the interval of stability. The last two stages give an estimate of the eigenvalue
-//! (E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section IV.2). Otherwise, a trial
-//! starts
-//! when the right-hand sides since the last trial justify its cost.
+//! eigenvalue stays at the end of the interval of stability. The last two stages give an estimate of the
+//! eigenvalue (E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section IV.2). Otherwise, a
+//! trial starts when the right-hand sides since the last trial justify its cost.
 
 use crate::error::Undetermined;
 use crate::explicit_rk::{Dop853, ExplicitRk};
@@ -27,8 +25,7 @@ const TIGHT: f64 = 1e-7;
 /// nonlinear. BDF then needs fewer right-hand sides and a fifth of the linear algebra for the same error. For
 /// linear systems, Radau5 needs one iteration per step and is better (dense diffusion and advection of
 /// `--tuning` in `benches/auto.rs`: half the right-hand sides). Radau5 is also better near the imaginary
-/// axis,
-/// where BDF of order 3 to 5 is unstable, and for small systems, whose Jacobians are cheap.
+/// axis, where BDF of order 3 to 5 is unstable, and for small systems, whose Jacobians are cheap.
 const LARGE: usize = 16;
 /// If the product of step size and largest eigenvalue is below this, stability limits no explicit method.
 const FREE: f64 = 1.0;
@@ -48,8 +45,8 @@ const PATIENCE: f64 = 2.5;
 /// a non-stiff system.
 const AFFORDABLE: f64 = 100.0;
 /// A trial is won if this many more of its steps advanced more per right-hand side than advanced less. It is
-/// lost in the opposite case. The first steps must damp the fast components left by the explicit method,
-/// and then grow.
+/// lost in the opposite case. The first steps must damp the fast components left by the explicit method, and
+/// then grow.
 const DECIDED: i32 = 4;
 /// The system is nonlinear if the contraction of Newton's iterations exceeds `LINEAR` in this number of
 /// steps. For a linear system, rounding leaves about 1e-8, the error of a finite-difference Jacobian.
@@ -109,15 +106,13 @@ pub(crate) struct Auto {
     /// Size of the first step of BDF (order 1) as a fraction of a step of Radau5 (order 5).
     first_share: f64,
     /// Estimate of the right-hand sides that the explicit method would have saved in the steps of Radau5 so
-    /// far.
-    /// `caution` multiplies the required number after returns that increased the cost.
+    /// far. `caution` multiplies the required number after returns that increased the cost.
     saved: f64,
     caution: f64,
     /// Right-hand sides that Radau5 has saved since it was chosen, including its trial, by the same estimate.
     ledger: f64,
     /// Means over the last steps of Radau5. `left_at` is their quotient when the explicit method returned,
-    /// and
-    /// `since_return` counts its steps since.
+    /// and `since_return` counts its steps since.
     radau5_work: f64,
     radau5_advance: f64,
     left_at: Option<f64>,
@@ -284,8 +279,7 @@ impl Auto {
 
     /// Counts a step of Radau5. Returns the right-hand sides that the explicit method would have saved, or a
     /// negative number if it would need more. The estimate uses the steps that its stability and the error
-    /// test
-    /// allow.
+    /// test allow.
     fn enter(&mut self, work: f64, h: f64) -> f64 {
         let (stages, limit) = self.stages_and_limit();
         let saved = work - stages * (h * self.radau5.spectrum().0 / limit).max(1.0 / self.reach());
@@ -460,8 +454,7 @@ impl Stepper for Auto {
         let is_hopeless = matches!(attempt, Ok(Attempt::NotSolved { .. }) | Err(CallError::Discard));
         if self.on_trial && is_hopeless {
             // The equations cannot be solved here, or the Jacobian cannot be evaluated. The explicit method
-            // needs
-            // neither.
+            // needs neither.
             self.give_up_trial();
             return Ok(Attempt::NotSolved { h: self.explicit_h });
         }

@@ -111,8 +111,7 @@ pub enum ErrorKind {
         /// The residual.
         residual: f64,
         /// True if `dF/dx'` has a smaller rank at the given values than near them. It then does not show
-        /// which
-        /// states have a slope.
+        /// which states have a slope.
         is_singular: bool,
     },
     /// The model refused its own starting point (or the point right after an event), or a state or derivative
@@ -260,8 +259,7 @@ pub struct Undetermined {
     pub states: Vec<usize>,
     /// Largest pivot that remains for these states in the Jacobian of the equations without derivatives. The
     /// Jacobian is scaled: 1 is the largest effect on an equation of changing a state by its size. The pivot
-    /// is
-    /// below 1e-6.
+    /// is below 1e-6.
     pub pivot: f64,
 }
 
@@ -320,8 +318,7 @@ pub struct SimulationError {
     /// The value that was not finite when the model could not be evaluated, if one was found.
     pub not_finite: Option<NotFinite>,
     /// States that the equations of a differential-algebraic system do not determine, which happens in
-    /// systems
-    /// of index 2 or higher. Determined if steps failed or no consistent states were found.
+    /// systems of index 2 or higher. Determined if steps failed or no consistent states were found.
     pub undetermined: Option<Undetermined>,
     /// Message of the system about the point it refused. The caller that created the system fills it in.
     pub refusal: Option<String>,

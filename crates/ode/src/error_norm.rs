@@ -58,8 +58,8 @@ impl ErrorWeights {
     }
 
     /// Size below which a state counts as small: its nominal value, or a smaller one derived from the
-    /// absolute
-    /// tolerance. The derivation inverts the rule that computes absolute tolerances from nominal values.
+    /// absolute tolerance. The derivation inverts the rule that computes absolute tolerances from nominal
+    /// values.
     pub(crate) fn scale(&self, i: usize) -> f64 {
         self.scale[i]
     }

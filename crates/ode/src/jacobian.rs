@@ -34,9 +34,8 @@ pub(crate) struct Jacobian {
     groups: Groups,
     is_sparse: bool,
     /// `values[i + n * k]` is the derivative of `f_i` with respect to `x_k`. If the matrix is sparse, only
-    /// the
-    /// entries of the pattern and of the diagonal are stored, one after the other, as a sparse decomposition
-    /// expects them.
+    /// the entries of the pattern and of the diagonal are stored, one after the other, as a sparse
+    /// decomposition expects them.
     pub(crate) values: Vec<f64>,
     /// Buffer for the system to fill in if its layout differs from `values`: the entries of the pattern, or a
     /// whole matrix.
@@ -208,10 +207,8 @@ impl Jacobian {
     }
 
     /// Computes a group of columns from one finite difference. The difference is forward along the flow, so
-    /// that
-    /// the point stays in the domain of the model. If the model refuses that point, the difference is
-    /// backward or
-    /// shorter.
+    /// that the point stays in the domain of the model. If the model refuses that point, the difference is
+    /// backward or shorter.
     fn difference(&mut self, equations: &mut Equations<'_>, point: Point<'_>, g: usize) -> CallResult<()> {
         let Point { t, x, slopes: f } = point;
         let columns = self.groups.range(g);

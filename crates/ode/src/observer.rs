@@ -55,8 +55,7 @@ impl<'a> StepView<'a> {
     }
 
     /// Fills in the states at a time between [`start`](Self::start) and [`end`](Self::end). At the end, fills
-    /// in
-    /// the left limit, before any event. `states` must have one element per state.
+    /// in the left limit, before any event. `states` must have one element per state.
     pub fn states_at(&self, time: f64, states: &mut [f64]) {
         (self.interpolate)(time, states);
     }
@@ -75,8 +74,7 @@ pub trait Observer {
     fn sample(&mut self, sample: &Sample<'_>) -> ControlFlow<()>;
 
     /// True if [`step`](Self::step) should be called for accepted steps. Methods whose interpolation needs
-    /// extra
-    /// evaluations (DOP853) then evaluate it for every step.
+    /// extra evaluations (DOP853) then evaluate it for every step.
     fn wants_steps(&self) -> bool {
         false
     }

@@ -14,9 +14,8 @@ use std::time::Duration;
 pub enum Method {
     /// [`Tsit5`](Self::Tsit5), or [`Dop853`](Self::Dop853) below a relative tolerance of 1e-7. Switches to
     /// [`Radau5`](Self::Radau5) if trial steps of an implicit method advance more per right-hand side.
-    /// Switches to
-    /// [`Bdf`](Self::Bdf) instead for nonlinear systems of 16 or more states whose largest eigenvalue is
-    /// real.
+    /// Switches to [`Bdf`](Self::Bdf) instead for nonlinear systems of 16 or more states whose largest
+    /// eigenvalue is real.
     #[default]
     Auto,
     /// Tsitouras 5(4), explicit, adaptive.
@@ -113,25 +112,19 @@ pub enum ChatteringPolicy {
     Warn,
     /// Continues in steps of [`SLIDING_STEP`](Self::SLIDING_STEP) times the span. Events of the chattering
     /// indicators happen at the ends of these steps, wherever in the step the indicators crossed. An
-    /// indicator
-    /// leaves this mode after a hundred such steps without its event.
+    /// indicator leaves this mode after a hundred such steps without its event.
     ///
     /// If the vector fields on both sides point towards each other, the solution slides between them as
-    /// Filippov
-    /// defines it, with an error of the order of this step (A. F. Filippov, Differential Equations with
-    /// Discontinuous Righthand Sides, 1988, section 8).
+    /// Filippov defines it, with an error of the order of this step (A. F. Filippov, Differential Equations
+    /// with Discontinuous Righthand Sides, 1988, section 8).
     ///
     /// If events change states and accumulate (bounces), the indicator is held at zero, on the side from
-    /// which it
-    /// came in the run. Its sign is ignored: it crosses if it is found on the other side. If its event leaves
-    /// the
-    /// indicator there without letting it pass, the change made by the event is scaled. If the indicator
-    /// depends
-    /// on the changed states, the scaled change sets it to zero at once. Otherwise (a body whose speed is
-    /// reversed), the scaled change sets the speed that leads back to zero. States that the event did not
-    /// change
-    /// are never moved. For this case, the threshold is a hundred such events within ten steps of sliding (at
-    /// most a thousandth of a unit of time).
+    /// which it came in the run. Its sign is ignored: it crosses if it is found on the other side. If its
+    /// event leaves the indicator there without letting it pass, the change made by the event is scaled. If
+    /// the indicator depends on the changed states, the scaled change sets it to zero at once. Otherwise (a
+    /// body whose speed is reversed), the scaled change sets the speed that leads back to zero. States that
+    /// the event did not change are never moved. For this case, the threshold is a hundred such events within
+    /// ten steps of sliding (at most a thousandth of a unit of time).
     ///
     /// The other indicators are located as usual. [`Stats::chattering`](crate::Stats::chattering) counts the
     /// occurrences. Methods with a fixed step end with the error.
@@ -177,8 +170,7 @@ pub enum AbsoluteTolerance {
     #[default]
     FromNominals,
     /// One tolerance for all states. Zero means a purely relative tolerance. A state of value zero then has
-    /// no
-    /// tolerance, which is [an error](crate::ErrorKind::NoTolerance) when it happens.
+    /// no tolerance, which is [an error](crate::ErrorKind::NoTolerance) when it happens.
     Scalar(f64),
     /// One tolerance per state, with the meaning of [`Scalar`](Self::Scalar).
     PerState(Vec<f64>),
@@ -201,8 +193,7 @@ pub struct Options {
     /// event. Useful for comparison with a run that does not split them. Default `false`.
     pub halve_steps: bool,
     /// Maximum step of the adaptive methods; default: the span. A value that cannot distinguish instants of
-    /// the
-    /// span is an [error](crate::ErrorKind::StepBelowRounding) of the run.
+    /// the span is an [error](crate::ErrorKind::StepBelowRounding) of the run.
     pub max_step: Option<f64>,
     /// First step of the adaptive methods; default: estimated. It is enlarged if it would not advance time.
     pub first_step: Option<f64>,
@@ -213,28 +204,23 @@ pub struct Options {
     /// before.
     ///
     /// The default is one point, or three with DOP853 and Radau5, whose steps are long. By default, no points
-    /// are
-    /// used if the step is known to contain an event. Up to 32 points are added if three neighbouring values
-    /// bend by
-    /// more than their distance from zero. Each is in the middle of an adjacent interval.
+    /// are used if the step is known to contain an event. Up to 32 points are added if three neighbouring
+    /// values bend by more than their distance from zero. Each is in the middle of an adjacent interval.
     ///
     /// Two further checks do not depend on this option. First, the turning points of parabolas through three
     /// neighbouring values are evaluated if they are near zero (below a quarter of these values). This
-    /// repeats while
-    /// they approach zero. Second, an indicator near zero after its event that leads out of its domain is
-    /// followed
-    /// until it is seen there, or until the run ends with [`ErrorKind::EventsAccumulate`](crate::ErrorKind).
+    /// repeats while they approach zero. Second, an indicator near zero after its event that leads out of its
+    /// domain is followed until it is seen there, or until the run ends with
+    /// [`ErrorKind::EventsAccumulate`](crate::ErrorKind).
     pub interior_samples: Option<u32>,
     /// Locates indicators that only jump between a value and its negative to `1e-10 max(|t|, step)` instead
-    /// of to
-    /// rounding. This saves a fifth of the evaluations in models with many such indicators. Default `false`.
+    /// of to rounding. This saves a fifth of the evaluations in models with many such indicators. Default
+    /// `false`.
     pub loose_jump_indicators: bool,
     /// Excludes states without a derivative in the equations from the error test, but not from the test of
     /// Newton's method. Applies to differential-algebraic systems integrated by [`Method::Bdf`]. Default
-    /// `false`,
-    /// because their errors in systems of index 1 are of the order of the others' and nothing else would
-    /// limit
-    /// them.
+    /// `false`, because their errors in systems of index 1 are of the order of the others' and nothing else
+    /// would limit them.
     pub exclude_algebraic: bool,
     /// Limits of the run; default none.
     pub limits: Limits,

@@ -26,8 +26,7 @@ pub(crate) struct Here<'a> {
 
 impl Sampler {
     /// Index of the first invalid time: not finite, smaller than its predecessor, the third equal one, or
-    /// outside
-    /// `[lo, hi]`.
+    /// outside `[lo, hi]`.
     pub(crate) fn first_bad_time(times: &[f64], lo: f64, hi: f64) -> Option<usize> {
         (0..times.len()).find(|&i| {
             let t = times[i];

@@ -11,8 +11,7 @@ pub struct JacobianPattern {
 
 impl JacobianPattern {
     /// Creates the pattern of `n` states from pairs `(i, k)`: the derivative of state `i` depends on state
-    /// `k`.
-    /// Pairs may repeat. Returns `None` if an index is not below `n`.
+    /// `k`. Pairs may repeat. Returns `None` if an index is not below `n`.
     ///
     /// ```
     /// let tridiagonal = (0..5usize).flat_map(|k| (k.saturating_sub(1)..(k + 2).min(5)).map(move |i| (i, k)));
@@ -94,9 +93,9 @@ impl JacobianPattern {
     }
 }
 
-/// Groups of columns that share no row, so that one evaluation yields the whole group. A. R. Curtis,
-/// M. J. D. Powell, J. K. Reid, On the estimation of sparse Jacobian matrices, IMA Journal of Applied
-/// Mathematics 13 (1974) 117-119; greedy, columns with most rows first.
+/// Groups of columns that share no row, so that one evaluation yields the whole group. A. R. Curtis, M. J. D.
+/// Powell, J. K. Reid, On the estimation of sparse Jacobian matrices, IMA Journal of Applied Mathematics 13
+/// (1974) 117-119; greedy, columns with most rows first.
 #[derive(Debug, Default)]
 pub(crate) struct Groups {
     /// The columns of group `g` are `columns[starts[g]..starts[g + 1]]`.

@@ -107,8 +107,7 @@ pub struct Stats {
     /// Iterations of Newton's method.
     pub newton_iterations: u64,
     /// Floating-point operations of decompositions and solutions, estimated from the sizes and patterns of
-    /// the
-    /// matrices.
+    /// the matrices.
     pub linear_algebra: u64,
     /// Evaluations of the event indicators.
     pub event_indicators: u64,
@@ -141,12 +140,9 @@ pub struct Stats {
 
 impl Stats {
     /// Returns the work in equivalents of a right-hand side of a system of `n_states`. Methods are compared
-    /// by
-    /// this number. Right-hand sides, directional derivatives and event indicators count one each. Linear
-    /// algebra
-    /// counts one per 300 operations, plus 30 operations per state. The work is counted, not measured, so a
-    /// run
-    /// has the same work on every machine.
+    /// by this number. Right-hand sides, directional derivatives and event indicators count one each. Linear
+    /// algebra counts one per 300 operations, plus 30 operations per state. The work is counted, not
+    /// measured, so a run has the same work on every machine.
     pub fn work(&self, n_states: usize) -> f64 {
         let calls = self.right_hand_sides + self.directional_derivatives + self.event_indicators;
         calls as f64 + self.linear_algebra as f64 / (OPERATIONS + OPERATIONS_PER_STATE * n_states as f64)
@@ -159,8 +155,7 @@ impl Stats {
     }
 
     /// Returns these counts as additional runs. `runs` is the number of runs; additional runs already
-    /// included
-    /// are added.
+    /// included are added.
     pub fn as_checks(&self, runs: u64) -> Checks {
         Checks {
             runs: runs + self.checks.runs,

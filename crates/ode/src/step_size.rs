@@ -17,8 +17,7 @@ impl StepController {
     const SAFETY: f64 = 0.9;
 
     /// Creates the controller. For methods of order 5: `beta = 0.04`, factor between 0.2 and 10. For methods
-    /// of
-    /// order 8: no memory, factor between 1/3 and 6.
+    /// of order 8: no memory, factor between 1/3 and 6.
     pub(crate) fn new(order: u32) -> Self {
         let (beta, growth, reduction) = if order < 8 { (0.04, 10.0, 0.2) } else { (0.0, 6.0, 1.0 / 3.0) };
         Self {

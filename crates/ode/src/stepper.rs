@@ -71,8 +71,7 @@ pub(crate) enum Consistency {
     /// The equations do not determine the states.
     HigherIndex,
     /// No slopes were found for which the residual is zero. `equation` has this `residual` at the given
-    /// values.
-    /// `is_singular`: the matrix of the slopes has a smaller rank there than near these values.
+    /// values. `is_singular`: the matrix of the slopes has a smaller rank there than near these values.
     NoSlopes { equation: usize, residual: f64, is_singular: bool },
 }
 
@@ -82,8 +81,7 @@ pub(crate) enum StepWithEvent {
     /// The state at the event is interpolated.
     Interpolated,
     /// The step is repeated up to the event, because the method is more accurate at the ends of its steps
-    /// than
-    /// inside them.
+    /// than inside them.
     RepeatedToIt,
     /// The step is repeated up to just before the event. The interpolant has additional right-hand sides that
     /// the error test does not cover, and one of them may have been evaluated after the event.
@@ -101,14 +99,12 @@ pub(crate) struct Properties {
     pub(crate) takes_mass_matrix: bool,
     pub(crate) takes_residual: bool,
     /// True if this run has no right-hand side to evaluate. [`Stepper::derivative`] is then the only source
-    /// of
-    /// slopes.
+    /// of slopes.
     pub(crate) only_own_slopes: bool,
     /// Treatment of a step that contains a located event.
     pub(crate) step_with_event: StepWithEvent,
     /// Default number of points inside each step at which event indicators are evaluated. More points if
-    /// steps
-    /// are longer relative to the curvature of the solution.
+    /// steps are longer relative to the curvature of the solution.
     pub(crate) interior_samples: u32,
     /// True if the method [begins](Stepper::begin_with) with the second derivative while indicators slide.
     pub(crate) wants_second_derivative: bool,
@@ -150,8 +146,7 @@ pub(crate) trait Stepper: Debug + Send + Sync {
     fn properties(&self) -> Properties;
 
     /// Starts a run: allocates the work space and discards the previous state. Fails if memory is
-    /// insufficient
-    /// for its matrices.
+    /// insufficient for its matrices.
     fn begin(&mut self, system: &dyn HybridSystem) -> CallResult<()>;
 
     /// Makes `(t, x)` the current point and evaluates the right-hand side there. Keeps the step sizes and the
@@ -159,8 +154,8 @@ pub(crate) trait Stepper: Debug + Send + Sync {
     fn evaluate(&mut self, equations: &mut Equations<'_>, t: f64, x: &[f64]) -> CallResult<()>;
 
     /// Ensures that the algebraic equations of a singular mass matrix hold at `(t, x)`, by changing the
-    /// states
-    /// that they determine. The right-hand side was [evaluated](Self::evaluate) at this point just before.
+    /// states that they determine. The right-hand side was [evaluated](Self::evaluate) at this point just
+    /// before.
     fn make_consistent(
         &mut self,
         equations: &mut Equations<'_>,
@@ -176,10 +171,8 @@ pub(crate) trait Stepper: Debug + Send + Sync {
 
     /// Sets the second derivative after [`forget`](Self::forget), while indicators slide. `dx` is the
     /// right-hand side at the time `s` after the current point, reached along the current slopes. The
-    /// difference
-    /// of the two gives the second derivative, so a multistep method can begin at order 2. Its steps of order
-    /// 1
-    /// would be far shorter than those of sliding if the tolerance is tight.
+    /// difference of the two gives the second derivative, so a multistep method can begin at order 2. Its
+    /// steps of order 1 would be far shorter than those of sliding if the tolerance is tight.
     fn begin_with(&mut self, s: f64, dx: &[f64]) {
         let _ = (s, dx);
     }
@@ -194,8 +187,7 @@ pub(crate) trait Stepper: Debug + Send + Sync {
     fn repeat(&mut self) {}
 
     /// After a failure at `(t, x)`, returns the states that the equations without derivatives determine
-    /// neither
-    /// there nor nearby, as in systems of index 2 or higher. `None` if there are no such states.
+    /// neither there nor nearby, as in systems of index 2 or higher. `None` if there are no such states.
     fn undetermined(&mut self, equations: &mut Equations<'_>, t: f64, x: &[f64]) -> Option<Undetermined> {
         let _ = (equations, t, x);
         None
@@ -205,8 +197,7 @@ pub(crate) trait Stepper: Debug + Send + Sync {
     fn derivative(&self) -> &[f64];
 
     /// Tries a step and writes its end to `x_new`. Returns [`Discard`](crate::CallError::Discard) if the
-    /// model
-    /// refuses a point or a value is not finite.
+    /// model refuses a point or a value is not finite.
     fn try_step(
         &mut self,
         equations: &mut Equations<'_>,
@@ -218,8 +209,7 @@ pub(crate) trait Stepper: Debug + Send + Sync {
     fn error(&self) -> &[f64];
 
     /// Reports that a point of the last trial was refused, or that the trial is unusable. Returns the next
-    /// step
-    /// size.
+    /// step size.
     fn refused(&mut self, h: f64) -> f64;
 
     /// Prepares the interpolation inside the last trial, which was good and ended at `x_new`.

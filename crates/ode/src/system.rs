@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 /// Reason why a call into the model returned no result.
 #[derive(Debug, thiserror::Error)]
 pub enum CallError {
-    /// The model cannot be evaluated at this point (FMI's *discard*, a NaN or an infinite value).
-    /// The driver retries with a smaller step, without losing the run and without allocating.
+    /// The model cannot be evaluated at this point (FMI's *discard*, a NaN or an infinite value). The driver
+    /// retries with a smaller step, without losing the run and without allocating.
     #[error("the model cannot be evaluated at this point")]
     Discard,
     /// The model failed. The run ends with this error.
@@ -32,8 +32,7 @@ pub enum Direction {
     #[default]
     Both,
     /// All changes but one. If an event changed the states and turned the indicator back near zero (a
-    /// bounce),
-    /// its return to the domain it came from is not an event.
+    /// bounce), its return to the domain it came from is not an event.
     Either,
     /// Changes into the domain `z > 0`.
     Up,
@@ -58,8 +57,8 @@ pub struct EventCause {
 #[derive(Debug, Clone, Copy)]
 pub struct EventVisit<'a> {
     /// Time of the event. If the model announced a time event within [rounding](crate::time_tolerance) of
-    /// this
-    /// instant, this is the announced time, even if it is later than the end of the run by that rounding.
+    /// this instant, this is the announced time, even if it is later than the end of the run by that
+    /// rounding.
     pub time: f64,
     /// Causes of the event.
     pub cause: EventCause,
@@ -106,14 +105,13 @@ pub struct InputStop {
     /// The instant.
     pub time: f64,
     /// `true` if the input jumps: an event with [`EventCause::input`] follows. `false` if only its slope
-    /// changes:
-    /// there is no event and no restart.
+    /// changes: there is no event and no restart.
     pub jump: bool,
 }
 
-/// A hybrid ordinary differential equation: `x' = f(t, x)` between events.
-/// A state event happens if an event indicator `z(t, x)` changes its domain (`z > 0` or `z <= 0`, the rule of
-/// FMI). Time events and step events are also supported.
+/// A hybrid ordinary differential equation: `x' = f(t, x)` between events. A state event happens if an event
+/// indicator `z(t, x)` changes its domain (`z > 0` or `z <= 0`, the rule of FMI). Time events and step events
+/// are also supported.
 ///
 /// The driver calls the functions in the order that FMI requires: [`start`](Self::start) once, then steps.
 /// Each step ends with one call of [`step_completed`](Self::step_completed) at its final point.
@@ -151,8 +149,7 @@ pub trait HybridSystem {
 
     /// True if a state can grow far beyond its nominal value without its error growing too, such as the angle
     /// of a rotating shaft (FMI's `unbounded`). Only its absolute tolerance then applies. Read once per run
-    /// and
-    /// after each change of the nominal values.
+    /// and after each change of the nominal values.
     fn is_unbounded(&self, state: usize) -> bool {
         let _ = state;
         false
@@ -165,8 +162,7 @@ pub trait HybridSystem {
     fn derivatives(&mut self, t: f64, x: &[f64], dx: &mut [f64]) -> CallResult<()>;
 
     /// Sparsity pattern of the Jacobian, if the model provides it. `None` if each derivative may depend on
-    /// each
-    /// state. Read once per run.
+    /// each state. Read once per run.
     fn jacobian_pattern(&self) -> Option<&JacobianPattern> {
         None
     }
@@ -187,9 +183,8 @@ pub trait HybridSystem {
 
     /// Fills in the whole Jacobian by columns: `j[i + n * k]` is the derivative of `dx[i]` with respect to
     /// `x[k]`. All entries are zero on entry. Returns `Ok(false)` if the model provides no Jacobian (decided
-    /// once
-    /// per run). Called only if there are no [entries](Self::jacobian_entries). For a sparse system, only the
-    /// entries at the positions of the pattern are used.
+    /// once per run). Called only if there are no [entries](Self::jacobian_entries). For a sparse system,
+    /// only the entries at the positions of the pattern are used.
     fn jacobian(&mut self, t: f64, x: &[f64], j: &mut [f64]) -> CallResult<bool> {
         let _ = (t, x, j);
         Ok(false)
@@ -209,18 +204,15 @@ pub trait HybridSystem {
         Ok(false)
     }
 
-    /// Constant matrix `M` of `M x' = f(t, x)`, by columns (`n * n` numbers); `None` for the identity.
-    /// The matrix may be singular (a differential-algebraic system of index 1). Some equations, or sums of
+    /// Constant matrix `M` of `M x' = f(t, x)`, by columns (`n * n` numbers); `None` for the identity. The
+    /// matrix may be singular (a differential-algebraic system of index 1). Some equations, or sums of
     /// equations, then contain no derivative. They must hold within the tolerances of the states at the start
-    /// and
-    /// after each event. If they do not, Newton's method changes the states until they hold. The correction
-    /// does
-    /// not change `M x`, so the other equations continue from the values given.
+    /// and after each event. If they do not, Newton's method changes the states until they hold. The
+    /// correction does not change `M x`, so the other equations continue from the values given.
     /// [`states_corrected`](Self::states_corrected) reports the correction. If there are no such states
-    /// nearby,
-    /// the run ends with [`ErrorKind::Inconsistent`](crate::ErrorKind).
-    /// Only [`Method::Radau5`](crate::Method), [`Method::Bdf`](crate::Method) and
-    /// [`Method::Auto`](crate::Method) support a mass matrix.
+    /// nearby, the run ends with [`ErrorKind::Inconsistent`](crate::ErrorKind). Only
+    /// [`Method::Radau5`](crate::Method), [`Method::Bdf`](crate::Method) and [`Method::Auto`](crate::Method)
+    /// support a mass matrix.
     fn mass_matrix(&self) -> Option<&[f64]> {
         None
     }
@@ -239,10 +231,8 @@ pub trait HybridSystem {
     }
 
     /// Fills in the Jacobian of the residual with respect to one of its arguments, by columns. All entries
-    /// are
-    /// zero on entry. Called only if [`has_jacobian`](Self::has_jacobian) is true. Returns `Ok(false)` if
-    /// there is
-    /// no Jacobian. The [pattern](Self::jacobian_pattern) must cover both Jacobians.
+    /// are zero on entry. Called only if [`has_jacobian`](Self::has_jacobian) is true. Returns `Ok(false)` if
+    /// there is no Jacobian. The [pattern](Self::jacobian_pattern) must cover both Jacobians.
     fn residual_jacobian(
         &mut self,
         t: f64,
@@ -266,8 +256,8 @@ pub trait HybridSystem {
     }
 
     /// Called at the start and after an event if states were changed so that the equations without
-    /// derivatives
-    /// hold. `x` contains all states after the correction. No other function is called there before this one.
+    /// derivatives hold. `x` contains all states after the correction. No other function is called there
+    /// before this one.
     fn states_corrected(&mut self, t: f64, x: &[f64]) -> CallResult<()> {
         let _ = (t, x);
         Ok(())

@@ -41,16 +41,15 @@ pub(crate) enum Estimate {
     /// Solution minus embedded solution.
     Embedded(StageWeights),
     /// Solution minus embedded solutions of order 5 and of order 3. The first is reduced if the second is
-    /// still
-    /// larger (Hairer, Norsett, Wanner I, section II.10).
+    /// still larger (Hairer, Norsett, Wanner I, section II.10).
     Two(StageWeights, StageWeights),
 }
 
 /// The continuous extension.
 #[derive(Debug)]
 pub(crate) enum Dense<const S: usize> {
-    /// Coefficients of `theta, theta^2, theta^3, theta^4` per stage:
-    /// `x(t + theta h) = x + h * sum_i (sum_k p[i][k] theta^(k+1)) k_i`.
+    /// Coefficients of `theta, theta^2, theta^3, theta^4` per stage: `x(t + theta h) = x + h * sum_i (sum_k
+    /// p[i][k] theta^(k+1)) k_i`.
     Polynomials([[f64; 4]; S]),
     /// Weights of the four highest of the seven terms of dop853.f. They use stages after the end, which are
     /// evaluated only for steps that contain samples or events.
@@ -94,9 +93,9 @@ impl Explicit<7> for Tsit5 {
     };
 }
 
-/// The classical method of order 4 (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I,
-/// table II.1.2). Its continuous extension is the cubic Hermite polynomial through both ends, written as
-/// weights of the stages.
+/// The classical method of order 4 (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, table
+/// II.1.2). Its continuous extension is the cubic Hermite polynomial through both ends, written as weights of
+/// the stages.
 #[derive(Debug)]
 pub(crate) struct Rk4;
 

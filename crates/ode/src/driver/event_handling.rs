@@ -27,8 +27,7 @@ fn or_change(evaluated: CallResult<()>, slope: &mut [f64]) -> Step<()> {
 
 impl Run<'_> {
     /// Checks the events at the end of a step for chattering. `crossed` is an indicator that has crossed; one
-    /// that
-    /// does not slide, if any.
+    /// that does not slide, if any.
     pub(super) fn watch_events(&mut self, cause: EventCause, crossed: Option<usize>) -> Step<()> {
         let slides = crossed.is_some_and(|i| self.space.domains.slides(i));
         if self.sliding.step().is_some() {
@@ -107,8 +106,7 @@ impl Run<'_> {
 
     /// Determines the right-hand side on the left side of an event without a crossing. It decides whether the
     /// method must restart. The right-hand side is evaluated if it is not known. The slopes of interpolants
-    /// are too
-    /// inaccurate for this decision, and can have any error near stiff components.
+    /// are too inaccurate for this decision, and can have any error near stiff components.
     pub(super) fn take_slope(&mut self, known: bool) -> Step<()> {
         let Space { x, slope, weights, .. } = &mut *self.space;
         if known || x.is_empty() || self.fixed_step.is_some() || self.stepper.properties().only_own_slopes {
@@ -120,10 +118,8 @@ impl Run<'_> {
     }
 
     /// Reads the right-hand side and the indicators after an event. The method continues if nothing has
-    /// changed
-    /// significantly, and otherwise restarts with a new step size. The test uses the states (`x_mid` contains
-    /// those
-    /// before the event), the slopes on both sides, and the indicators if one of them crossed.
+    /// changed significantly, and otherwise restarts with a new step size. The test uses the states (`x_mid`
+    /// contains those before the event), the slopes on both sides, and the indicators if one of them crossed.
     fn resume(&mut self, outcome: EventOutcome, cause: EventCause) -> Step<()> {
         let before = self.h;
         let on_zero = self.space.domains.crossed_on_zero();
@@ -160,9 +156,8 @@ impl Run<'_> {
     }
 
     /// Determines the right-hand side before a state event, at the time `before`. The trial of size `h` that
-    /// ends
-    /// at `end` has not been accepted yet. After this time, a right-hand side that depends on time may have
-    /// switched.
+    /// ends at `end` has not been accepted yet. After this time, a right-hand side that depends on time may
+    /// have switched.
     pub(super) fn take_slope_before(&mut self, before: f64, end: f64, h: f64) -> Step<()> {
         if self.space.x.is_empty() || self.fixed_step.is_some() {
             return Ok(());
@@ -179,10 +174,8 @@ impl Run<'_> {
     }
 
     /// True if the right-hand side right after the event equals the one at the event, or differs only because
-    /// the
-    /// solution moves. A right-hand side that switches at the event may switch just after it. The new
-    /// right-hand
-    /// side is then used.
+    /// the solution moves. A right-hand side that switches at the event may switch just after it. The new
+    /// right-hand side is then used.
     fn goes_on_as_here(&mut self, h: f64) -> Step<bool> {
         let (behind, beyond) = (self.t + self.time_tolerance, self.t + 2.0 * self.time_tolerance);
         if self.space.x.is_empty() || beyond > self.end || self.stepper.properties().only_own_slopes {
@@ -213,8 +206,7 @@ impl Run<'_> {
     }
 
     /// Evaluates the right-hand side and the event indicators at the current point. `reset`: an event has
-    /// changed
-    /// states here. Returns `true` if states were changed to satisfy the algebraic equations.
+    /// changed states here. Returns `true` if states were changed to satisfy the algebraic equations.
     pub(super) fn evaluate_here(&mut self, reset: bool) -> Step<bool> {
         let mut corrected = false;
         let space = &mut *self.space;
@@ -256,8 +248,7 @@ impl Run<'_> {
     }
 
     /// Returns the step size of a system without states. No error is measured, so this step determines how
-    /// often
-    /// indicators that depend only on time are evaluated.
+    /// often indicators that depend only on time are evaluated.
     pub(super) fn step_without_states(&self) -> f64 {
         (self.end - self.start) / 500.0
     }
@@ -334,10 +325,8 @@ impl Run<'_> {
     }
 
     /// Handles time events and input stops at the current instant for which the step did not end. The start
-    /// or an
-    /// event announced them for this instant, or they are too close to be separate targets. Returns `true` if
-    /// there
-    /// was an event. `is_evaluated`: the right-hand side is known here.
+    /// or an event announced them for this instant, or they are too close to be separate targets. Returns
+    /// `true` if there was an event. `is_evaluated`: the right-hand side is known here.
     pub(super) fn more_events_here(&mut self, is_evaluated: bool) -> Step<bool> {
         let mut any = false;
         let mut looks = 0;

@@ -10,8 +10,7 @@ use crate::system::{CallError, CallResult};
 const MAX_REPETITIONS: u32 = 12;
 
 /// Maximum number of searches for the turning point of an indicator in a step. Each must be nearer to zero by
-/// a
-/// factor of four, or the search ends.
+/// a factor of four, or the search ends.
 const MAX_TURNS: u32 = 5;
 
 /// Maximum number of additional points in a step at which the indicators are evaluated if their values do not
@@ -20,8 +19,7 @@ const MAX_LOOKS: u32 = 32;
 
 impl Run<'_> {
     /// Finds the first crossing in the trial step and prepares the interpolation for samples. Afterwards,
-    /// `x_new`
-    /// contains the state at which the step is cut, and `domains.end` the indicators there.
+    /// `x_new` contains the state at which the step is cut, and `domains.end` the indicators there.
     pub(super) fn look_inside(&mut self, end: f64, h: f64) -> Step<Inside> {
         let mut ready = false;
         self.space.domains.look();
@@ -52,10 +50,8 @@ impl Run<'_> {
     }
 
     /// Returns the right end of a bracket of the first event in the trial, or of one of the first. The
-    /// indicators
-    /// are evaluated at the time `behind` of a return. They are also evaluated at interior points, if these
-    /// are
-    /// requested or the step is long, and where the indicators may have turned.
+    /// indicators are evaluated at the time `behind` of a return. They are also evaluated at interior points,
+    /// if these are requested or the step is long, and where the indicators may have turned.
     fn bracket(
         &mut self,
         behind: Option<f64>,
@@ -114,8 +110,7 @@ impl Run<'_> {
     }
 
     /// Evaluates the indicators at a point inside the trial, unless changes count only from a later point.
-    /// Returns
-    /// `true` if an indicator has an event before this point.
+    /// Returns `true` if an indicator has an event before this point.
     fn changed_at(&mut self, at: f64, end: f64, h: f64, ready: &mut bool) -> CallResult<bool> {
         let since = self.space.domains.counts_since().unwrap_or(self.t);
         if at <= since || at >= end {
@@ -176,10 +171,8 @@ impl Run<'_> {
     }
 
     /// Repeats the step so that it ends just before the first event. The interpolant of the repeated step
-    /// covers
-    /// the remaining time, which is below the resolution of times. If this does not reach the event, the step
-    /// ends
-    /// without one.
+    /// covers the remaining time, which is below the resolution of times. If this does not reach the event,
+    /// the step ends without one.
     fn step_to_before(&mut self, before: f64, time: f64) -> Step<Inside> {
         let h = before - self.t;
         self.stepper.repeat();
@@ -213,9 +206,8 @@ impl Run<'_> {
 
     /// Repeats the step so that it ends at the event, because the method is more accurate at the ends of its
     /// steps than inside them. The end of a repeated step is the event under two conditions. The indicators
-    /// have
-    /// changed there, and they have not changed significantly before it by the interpolant of that step. This
-    /// interpolant is exact at its end.
+    /// have changed there, and they have not changed significantly before it by the interpolant of that step.
+    /// This interpolant is exact at its end.
     fn polish(&mut self, first_guess: f64, end: f64, tight: f64) -> Step<Inside> {
         let enough = tight.max(1e-3 * self.options.rtol_or_like() * (end - self.t));
         let (mut lo, mut hi) = (self.t, end);
@@ -267,8 +259,7 @@ impl Run<'_> {
     }
 
     /// Returns a bracket of the first crossing between `lo` and `hi`, from the interpolant of the trial of
-    /// size
-    /// `h` that ends at `end`. `domains.end` contains the indicators at `hi`, at least one of which has
+    /// size `h` that ends at `end`. `domains.end` contains the indicators at `hi`, at least one of which has
     /// changed.
     fn root_between(&mut self, lo: f64, hi: f64, end: f64, h: f64, tight: f64) -> CallResult<(f64, f64)> {
         let Space { x, x_mid, domains, .. } = &mut *self.space;
@@ -285,8 +276,7 @@ impl Run<'_> {
 
     /// Returns the first crossing after the end of the trial of size `h`. The interpolant of the trial is
     /// extrapolated in growing steps, up to a little more than 0.1 `h` and at most up to `hi`. If no crossing
-    /// is
-    /// found, returns a guess between the end and `hi`: the geometric mean of both step sizes.
+    /// is found, returns a guess between the end and `hi`: the geometric mean of both step sizes.
     fn root_beyond(&mut self, end: f64, hi: f64, h: f64, tight: f64) -> CallResult<(f64, f64)> {
         let mut reach = tight;
         loop {

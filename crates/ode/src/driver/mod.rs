@@ -118,20 +118,16 @@ impl Driver {
     ///
     /// The end may be before the start if the system [can run backward](HybridSystem::can_run_backward).
     /// Crossings of event indicators then follow the direction of the integration: a downward crossing has
-    /// the
-    /// higher value at the later time.
+    /// the higher value at the later time.
     ///
     /// `times` must be in the order of the integration and within the span. A time listed twice yields the
-    /// left
-    /// limit and then the value after the events of that instant. A time listed once yields only the latter.
-    /// Times
-    /// are equal if they differ by at most the [tolerance](crate::time_tolerance) of the span. Each run is
-    /// independent of earlier runs.
+    /// left limit and then the value after the events of that instant. A time listed once yields only the
+    /// latter. Times are equal if they differ by at most the [tolerance](crate::time_tolerance) of the span.
+    /// Each run is independent of earlier runs.
     ///
     /// # Errors
     /// Returns [`SimulationError`] with the reason, the point of failure and the numbers at that point.
-    /// Samples
-    /// delivered before the error remain valid.
+    /// Samples delivered before the error remain valid.
     pub fn run(
         &mut self,
         system: &mut dyn HybridSystem,
@@ -275,8 +271,7 @@ impl Run<'_> {
         let hits_target = h == target - self.t;
         let end = if hits_target { target } else { self.t + h };
         // Far from zero, the resolution of times is coarse and the actual step is their difference. Otherwise
-        // the proposed
-        // number is used unchanged.
+        // the proposed number is used unchanged.
         let between = end - self.t;
         let h = if (between - h).abs() > COARSE * h { between } else { h };
         self.h_tried = h;

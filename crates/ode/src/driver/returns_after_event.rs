@@ -17,10 +17,8 @@ const RESOLVED: f64 = 100.0;
 
 impl Run<'_> {
     /// Looks for an indicator that returns in the trial of size `h`. The slopes at the start of the trial
-    /// decide.
-    /// In most cases, one evaluation of the indicators shows that those near zero continue. Sliding
-    /// indicators are
-    /// handled at the end of the step.
+    /// decide. In most cases, one evaluation of the indicators shows that those near zero continue. Sliding
+    /// indicators are handled at the end of the step.
     pub(super) fn look_for_return(&mut self, end: f64, h: f64, ready: &mut bool) -> CallResult<Return> {
         if self.space.x.is_empty() || !self.space.domains.any_may_return() {
             return Ok(Return::Nothing);
@@ -64,8 +62,8 @@ impl Run<'_> {
     }
 
     /// Returns a bouncing indicator whose located crossing contradicts the right-hand side there. Positions
-    /// and
-    /// speeds then differ by more than such small bounces allow, because of rounding or within the tolerance.
+    /// and speeds then differ by more than such small bounces allow, because of rounding or within the
+    /// tolerance.
     pub(super) fn contradiction(&mut self, at: f64) -> CallResult<Option<usize>> {
         let h = at - self.t;
         let reach = h.max(SLOPE_REACH * (self.end - self.start));
@@ -147,9 +145,8 @@ impl Run<'_> {
 
     /// Holds indicators at zero after an event while indicators slide. `x_mid` contains the states before the
     /// event. If the event left an indicator beyond zero without letting it pass, its change is scaled until
-    /// the
-    /// indicator returns. States that the event did not change are not moved. Returns `true` if states were
-    /// moved.
+    /// the indicator returns. States that the event did not change are not moved. Returns `true` if states
+    /// were moved.
     pub(super) fn hold_at_zero(&mut self) -> Step<bool> {
         let Space { x, x_mid, jump, .. } = &mut *self.space;
         jump.iter_mut().zip(x.iter().zip(&*x_mid)).for_each(|(jump, (x, before))| *jump = x - before);
@@ -172,11 +169,9 @@ impl Run<'_> {
     }
 
     /// Returns the multiple of the event's change that brings indicator `i` back to zero when it is added
-    /// again.
-    /// If the indicator depends on a changed state, it returns at once. If only its slope does (a body that
-    /// bounces), it returns along the flow. `None` if nothing is needed, or if the event has let the
-    /// indicator pass,
-    /// which then no longer slides.
+    /// again. If the indicator depends on a changed state, it returns at once. If only its slope does (a body
+    /// that bounces), it returns along the flow. `None` if nothing is needed, or if the event has let the
+    /// indicator pass, which then no longer slides.
     fn share_to_zero(&mut self, i: usize) -> CallResult<Option<f64>> {
         let Space { x, x_mid, x_new, jump, slope: before, domains, weights, .. } = &mut *self.space;
         let (z0, t, step) = (domains.base[i], self.t, self.sliding.usual());

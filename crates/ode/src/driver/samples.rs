@@ -11,8 +11,7 @@ use std::ops::ControlFlow;
 
 impl Run<'_> {
     /// Delivers the samples inside the step, before `at`. Returns `false` if the model refused a sample
-    /// point.
-    /// The step is then not accepted yet, so a smaller step can follow.
+    /// point. The step is then not accepted yet, so a smaller step can follow.
     pub(super) fn sample_before(&mut self, at: f64, end: f64, h: f64) -> Step<bool> {
         while let Some(t) = self.space.sampler.due_before(self.times, at - self.time_tolerance) {
             self.check_stop()?;
@@ -47,8 +46,7 @@ impl Run<'_> {
     }
 
     /// True if samples are due at the current time and an indicator also crosses there, within rounding after
-    /// it.
-    /// The samples then follow the crossing.
+    /// it. The samples then follow the crossing.
     pub(super) fn is_about_to_cross(&mut self) -> Step<bool> {
         let Space { x, x_mid, domains, sampler, .. } = &mut *self.space;
         let is_due = sampler.due_before(self.times, self.t + self.time_tolerance).is_some();

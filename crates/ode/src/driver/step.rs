@@ -11,8 +11,7 @@ const MAX_DISCARDS: u32 = 12;
 
 impl Run<'_> {
     /// Returns the next instant at which a step must end exactly: the end, a time event, or a kink or jump of
-    /// an
-    /// input.
+    /// an input.
     pub(super) fn target(&self) -> f64 {
         let mut target = self.end;
         for stop in [self.next_time_event, self.input_stop.map(|s| s.time)].into_iter().flatten() {
@@ -29,8 +28,7 @@ impl Run<'_> {
         let remaining = target - self.t;
         if let Some(step) = self.fixed_step {
             // Grid points are start + k * step, not sums, and events do not shift them. The current grid
-            // point, up to
-            // rounding, is not the next one.
+            // point, up to rounding, is not the next one.
             let mut k = ((self.t - self.start) / step).floor() + 1.0;
             while self.start + k * step <= self.t + self.time_tolerance {
                 k += 1.0;
@@ -59,8 +57,7 @@ impl Run<'_> {
     }
 
     /// Smallest meaningful step of an adaptive method. In a smaller step, rounding moves the end by more than
-    /// a
-    /// fraction of the step.
+    /// a fraction of the step.
     fn least_step(&self) -> f64 {
         16.0 * U * self.t.abs().max(1e-6 * (self.end - self.start))
     }

@@ -9,8 +9,8 @@ const NEXT_TO_ZERO: f64 = 1e-6;
 
 impl Domains {
     /// Records the direction of every crossing in the step, of duration `elapsed`, that is an event. Returns
-    /// the
-    /// first indicator that crossed, with those that do not slide first. Times within `tolerance` are equal.
+    /// the first indicator that crossed, with those that do not slide first. Times within `tolerance` are
+    /// equal.
     pub(crate) fn mark(&mut self, elapsed: f64, tolerance: f64) -> Option<usize> {
         // Filling an empty vector is a store without elements, which takes 30 ns on some processors.
         if self.crossings.is_empty() {
@@ -77,8 +77,7 @@ impl Domains {
     }
 
     /// True if the event at the end of the step has not changed the indicators. `base` contains their values
-    /// after
-    /// the event.
+    /// after the event.
     pub(crate) fn unmoved(&self) -> bool {
         self.base.iter().zip(&self.end).all(|(after, before)| (after - before).abs() <= 1e-3 * before.abs())
     }
@@ -89,8 +88,7 @@ impl Domains {
     }
 
     /// True if an indicator is very small relative to its largest value so far. Such an indicator is usually
-    /// near
-    /// zero in time, unless it passes through all its values in a tiny part of a run.
+    /// near zero in time, unless it passes through all its values in a tiny part of a run.
     pub(crate) fn any_next_to_zero(&self) -> bool {
         self.base.iter().zip(&self.largest).any(|(z, largest)| z.abs() < NEXT_TO_ZERO * largest)
     }
@@ -106,8 +104,7 @@ impl Domains {
     }
 
     /// Records the domain from which the crossing indicator `i` comes. This is the domain it leaves, unless
-    /// an
-    /// event left it there near zero.
+    /// an event left it there near zero.
     pub(super) fn find_origin(&mut self, i: usize) {
         let ends_above = self.end[i] > 0.0;
         let was_left_behind = self.since_event[i].depth().is_some_and(|depth| !is_behind(depth, self.end[i]));
@@ -117,8 +114,7 @@ impl Domains {
     }
 
     /// True if indicator `i`, which is held, leaves the domain it came from in the step, or moves further
-    /// away
-    /// from it.
+    /// away from it.
     pub(super) fn falls(&self, i: usize) -> bool {
         let (base, end) = (self.base[i], self.end[i]);
         self.is_beyond(i, end) && (!self.is_beyond(i, base) || end.abs() > base.abs())

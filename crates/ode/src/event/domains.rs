@@ -6,8 +6,7 @@ use crate::system::Direction;
 pub(super) const CLEAN_STEPS: u32 = 100;
 
 /// State of an indicator since its last event. `depth` is a value in the domain into which it crossed, with
-/// the
-/// sign of that domain. Values up to `depth` are explained by the error of the event location.
+/// the sign of that domain. Values up to `depth` are explained by the error of the event location.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) enum SinceEvent {
     /// The indicator is in the domain of its value.
@@ -16,8 +15,7 @@ pub(super) enum SinceEvent {
     /// The indicator is near zero and has not moved yet.
     New { depth: f64 },
     /// The indicator is near zero, and its event has turned it back or stopped it. It must be seen in the
-    /// domain it
-    /// came from before it is seen beyond this depth. Otherwise it is lost.
+    /// domain it came from before it is seen beyond this depth. Otherwise it is lost.
     TurnedBack { depth: f64 },
 }
 
@@ -68,13 +66,11 @@ pub(crate) struct Domains {
     pub(super) discarded: Vec<f64>,
     pub(super) directions: Vec<Direction>,
     /// Indicators and time at a point inside the step at which one changed its domain in a direction that is
-    /// not
-    /// an event. Later changes are counted from this point. `None`: from the start of the step.
+    /// not an event. Later changes are counted from this point. `None`: from the start of the step.
     pub(super) from: Vec<f64>,
     pub(super) counts_since: Option<f64>,
     /// Times inside the step at which the indicators were evaluated, ascending, and their values, one time
-    /// after
-    /// the other.
+    /// after the other.
     pub(super) looked_at: Vec<f64>,
     pub(super) looked: Vec<f64>,
     /// Indicators and time at the start of the previous step, if no event has happened since.
@@ -219,16 +215,14 @@ impl Domains {
     }
 
     /// True if indicator `i` ends the trial at a value that an event which turned it back, or stopped it,
-    /// does not
-    /// explain.
+    /// does not explain.
     pub(crate) fn is_lost(&self, i: usize) -> bool {
         let is_beyond = |depth: f64| is_behind(depth, self.end[i]) && self.end[i].abs() > depth.abs();
         self.since_event[i].depth().is_some_and(is_beyond)
     }
 
     /// Direction in which a change of indicator `i` is an event. If the return from near zero to the domain
-    /// it
-    /// came from is not an event, only the other direction counts until it has returned.
+    /// it came from is not an event, only the other direction counts until it has returned.
     pub(super) fn direction(&self, i: usize) -> Direction {
         match (self.directions[i], self.since_event[i].depth()) {
             (Direction::Either, Some(depth)) if self.resets[i] => {

@@ -51,8 +51,7 @@ fn is_clear([(t0, z0), (t1, z1), (t2, z2)]: [(f64, f64); 3]) -> bool {
 
 impl Domains {
     /// Returns time and value of indicator `i` at the known point `k` of the step from `start` to `end`.
-    /// Point 0 is
-    /// the start, the points evaluated inside follow, and the last one is the end.
+    /// Point 0 is the start, the points evaluated inside follow, and the last one is the end.
     #[inline]
     fn known(&self, i: usize, k: usize, start: f64, end: f64) -> (f64, f64) {
         match k.checked_sub(1) {
@@ -67,8 +66,7 @@ impl Domains {
     /// True if indicator `i` is so far from zero that [`turning_point`](Self::turning_point) and
     /// [`unresolved`](Self::unresolved) find nothing. The test uses three neighbouring values: their largest
     /// difference d and the ratio r of their distances in time bound the curvature of the parabola through
-    /// them. The
-    /// parabola extends at most d r / 4 beyond the smallest value.
+    /// them. The parabola extends at most d r / 4 beyond the smallest value.
     #[inline]
     pub(crate) fn keeps_clear(&self, i: usize, start: f64, end: f64) -> bool {
         let sign = if self.base[i] > 0.0 { 1.0 } else { -1.0 };
@@ -109,9 +107,8 @@ impl Domains {
 
     /// Returns a point between `start` and `end` at which a crossing of indicator `i` and its return may be
     /// hidden. Two neighbouring intervals of length `least` or more are unresolved if their three ends are in
-    /// one
-    /// domain and the graph bends by more than its distance from zero. The point is the middle of the wider
-    /// one.
+    /// one domain and the graph bends by more than its distance from zero. The point is the middle of the
+    /// wider one.
     pub(crate) fn unresolved(&self, i: usize, start: f64, end: f64, least: f64) -> Option<f64> {
         if self.slides(i) {
             return None;
@@ -134,8 +131,7 @@ impl Domains {
 
     /// Reads the indicators at a point inside the step after those examined before. Returns `true` if an
     /// indicator has an event before this point; `end` then contains the indicators there. If an indicator
-    /// has
-    /// changed in another way, changes count from this point.
+    /// has changed in another way, changes count from this point.
     pub(crate) fn changed_at(
         &mut self,
         t: f64,
@@ -163,8 +159,7 @@ impl Domains {
     }
 
     /// True if all indicators that change in the bracket only jump between a value and its negative. Their
-    /// values
-    /// then determine only the domain.
+    /// values then determine only the domain.
     fn only_jumps(&self) -> bool {
         let from = self.reference();
         let located = |i: &usize| self.is_located(*i, self.lo[*i], self.end[*i]);
@@ -172,20 +167,15 @@ impl Domains {
     }
 
     /// Finds the first event in `(t_lo, t_hi]`. `end` contains the indicators at `t_hi`, and `base` (or the
-    /// point
-    /// from which changes count) those at `t_lo`. The change of at least one of them must be an event.
+    /// point from which changes count) those at `t_lo`. The change of at least one of them must be an event.
     /// `evaluate(t, z)` fills in the indicators at a time between.
     ///
     /// T. R. Chandrupatla, A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear
     /// function, Advances in Engineering Software 28 (1997) 145-149, on one bracket common to all indicators.
-    /// Each
-    /// iteration uses the changed indicator whose secant crosses first. The iterations end when the width of
-    /// the
-    /// bracket is at most `tolerance`, for any values. The function returns the right end, at which the
-    /// change has
-    /// happened, and `end` then contains the indicators there. If all changing indicators only jump, a
-    /// bracket of
-    /// `for_jumps` is sufficient.
+    /// Each iteration uses the changed indicator whose secant crosses first. The iterations end when the
+    /// width of the bracket is at most `tolerance`, for any values. The function returns the right end, at
+    /// which the change has happened, and `end` then contains the indicators there. If all changing
+    /// indicators only jump, a bracket of `for_jumps` is sufficient.
     pub(crate) fn locate(
         &mut self,
         t_lo: f64,
@@ -311,8 +301,7 @@ mod tests {
     }
 
     /// Values at uneven times in either domain, with zeros. No event is missed, and most indicators far from
-    /// zero
-    /// are not examined further.
+    /// zero are not examined further.
     #[test]
     fn what_keeps_clear_of_zero_does_not_turn_there() {
         let mut state = 7_u64;

@@ -8,8 +8,7 @@ use crate::system::Direction;
 pub(crate) const SLOPE_STEP: f64 = 1.0 / 256.0;
 
 /// Number of shorter differences to try if the indicators are not linear over that distance, each an eighth
-/// of
-/// the one before. An indicator may turn many times in a step.
+/// of the one before. An indicator may turn many times in a step.
 const SHORTER: i32 = 4;
 
 /// Indicators below this fraction of their largest value so far are small. If events repeatedly turn a small
@@ -23,8 +22,7 @@ const GOES_ON: f64 = 1.0 / 16.0;
 
 impl Domains {
     /// Updates the indicators after an event. Those that crossed and are still near zero may have turned
-    /// back.
-    /// `reset`: the event has changed states.
+    /// back. `reset`: the event has changed states.
     pub(crate) fn begin_after_event(&mut self, reset: bool) {
         for i in 0..self.len() {
             let leaves_origin = self.crossings[i] != 0 && (self.crossings[i] < 0) == self.from_above[i];
@@ -51,8 +49,7 @@ impl Domains {
     }
 
     /// Updates the indicators after a step, with or without events at its end. Indicators seen in the domain
-    /// they
-    /// came from are settled. The others have not been seen to continue.
+    /// they came from are settled. The others have not been seen to continue.
     pub(crate) fn settle(&mut self) {
         for (largest, z) in self.largest.iter_mut().zip(&self.end) {
             *largest = if z.abs() > *largest { z.abs() } else { *largest };
@@ -90,10 +87,8 @@ impl Domains {
     }
 
     /// Returns the slope of indicator `i`, whose current value is `z0`, along the flow. `evaluate(s, z)`
-    /// computes
-    /// the indicators after the time `s` along the current flow. The slope is the difference over the
-    /// shortest time
-    /// from `step` to `reach` that rounding allows. Returns 0 if there is none.
+    /// computes the indicators after the time `s` along the current flow. The slope is the difference over
+    /// the shortest time from `step` to `reach` that rounding allows. Returns 0 if there is none.
     pub(crate) fn slope_along(
         &mut self,
         i: usize,
@@ -120,8 +115,7 @@ impl Domains {
     }
 
     /// True if indicator `i` may have left its domain and returned in the trial. It starts near zero after
-    /// its
-    /// event, or the time before the step is unknown.
+    /// its event, or the time before the step is unknown.
     fn may_return(&self, i: usize) -> bool {
         let (z0, z2) = (self.base[i], self.end[i]);
         let may = match self.since_event[i].depth() {
@@ -138,10 +132,8 @@ impl Domains {
 
     /// Computes the slopes of these indicators at the start of the step of size `h`, if they point out of the
     /// domain. The slopes are differences along the flow: `evaluate(s, z)` computes the indicators after the
-    /// time
-    /// `s`, at most `reach`, with the flow at the start. Indicators that continue into their domain after
-    /// their
-    /// event are settled.
+    /// time `s`, at most `reach`, with the flow at the start. Indicators that continue into their domain
+    /// after their event are settled.
     pub(crate) fn find_slopes(
         &mut self,
         h: f64,
@@ -195,10 +187,8 @@ impl Domains {
     }
 
     /// True if the flow at the start leads indicator `i` further into its domain during the whole step of
-    /// size
-    /// `h`, and explains its value at the end. This does not require a slope at zero (`v^3` has none,
-    /// `sqrt(v)` has
-    /// no finite one).
+    /// size `h`, and explains its value at the end. This does not require a slope at zero (`v^3` has none,
+    /// `sqrt(v)` has no finite one).
     fn flows_on(
         &mut self,
         i: usize,
@@ -219,16 +209,14 @@ impl Domains {
     }
 
     /// Returns the step size at which the slope of indicator `i` matters as much as its curvature. The slope
-    /// leads
-    /// further into the domain, but far more slowly than the step of size `h`.
+    /// leads further into the domain, but far more slowly than the step of size `h`.
     pub(crate) fn step_of_slope(&self, i: usize, h: f64) -> Option<f64> {
         let share = self.slopes[i] * h / (self.end[i] - self.base[i]);
         (share > 0.0 && self.slopes[i] != 0.0).then_some(2.0 * share * h)
     }
 
     /// Handles indicator `i` moving further into its domain. Right after its event, it continues and the
-    /// returned
-    /// slope is NaN (unused). An indicator that had turned back no longer does; the slope is then 0.
+    /// returned slope is NaN (unused). An indicator that had turned back no longer does; the slope is then 0.
     fn goes_on(&mut self, i: usize) -> f64 {
         if matches!(self.since_event[i], SinceEvent::TurnedBack { .. }) {
             return 0.0;
@@ -243,8 +231,7 @@ impl Domains {
     }
 
     /// Returns the turning point, relative to the start, of a parabola and its value there. The parabola
-    /// passes
-    /// through the value and slope of the indicator at the start and the value `z` at the time `s`.
+    /// passes through the value and slope of the indicator at the start and the value `z` at the time `s`.
     pub(crate) fn turn(&self, i: usize, s: f64, z: f64) -> (f64, f64) {
         let (z0, slope) = (self.base[i], self.slopes[i]);
         let curvature = ((z - z0) / s - slope) / s;
@@ -280,10 +267,8 @@ impl Domains {
 
     /// Returns the fraction of the bounce of indicator `i` to add so that it returns to zero against its
     /// `curvature`. The bounce changed its slope from `before` to `after`. `None` if the indicator returns
-    /// without
-    /// it. `None` also if it is not a bouncing body, whose impact speed results from the curvature during the
-    /// steps
-    /// of sliding.
+    /// without it. `None` also if it is not a bouncing body, whose impact speed results from the curvature
+    /// during the steps of sliding.
     pub(crate) fn share_of_bounce(
         &self,
         i: usize,
@@ -299,8 +284,7 @@ impl Domains {
     }
 
     /// True if the event of indicator `i` has let it pass: it leads further away from the domain it came
-    /// from,
-    /// with slope `before` the event and `after` it.
+    /// from, with slope `before` the event and `after` it.
     pub(crate) fn passes(&self, i: usize, after: f64, before: f64) -> bool {
         let outwards = if self.from_above[i] { -1.0 } else { 1.0 };
         after * outwards > 0.0 && after * outwards > 0.5 * before * outwards

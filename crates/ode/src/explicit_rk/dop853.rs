@@ -1,7 +1,6 @@
 //! The coefficients of DOP853: twelve stages of order 8, embedded methods of orders 5 and 3, and a continuous
 //! extension of order 7. The extension uses four more stages, of which the first is the right-hand side at
-//! the
-//! end of the step.
+//! the end of the step.
 //!
 //! E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, second edition, sections
 //! II.5 and II.6. The tests below check the numbers against the order conditions.

@@ -47,10 +47,8 @@ impl<const S: usize, T: Explicit<S>> ExplicitRk<S, T> {
     }
 
     /// Estimates the largest eigenvalue: the change of the right-hand side per change of the state between
-    /// the
-    /// last two stages. Requires a method whose last but one abscissa is 1, so that both stages are at the
-    /// end of
-    /// the step.
+    /// the last two stages. Requires a method whose last but one abscissa is 1, so that both stages are at
+    /// the end of the step.
     pub(crate) fn response(&self, x: &[f64], x_new: &[f64], weights: &ErrorWeights) -> f64 {
         let end = T::TABLEAU.end;
         weights.ratio(x, [self.k.get(end), self.k.get(end - 1)], [x_new, &self.stage])

@@ -3,8 +3,7 @@
 //!
 //! If `l M = 0` for a row `l`, every solution satisfies `l f(t, x) = 0`. If `M z = 0`, moving the state along
 //! `z` does not change `M x`, from which the other equations start. For systems of index 1, the matrix of `l
-//! J
-//! z` over all `l` and `z` is regular. Newton's method along the `z` then finds consistent states (K. E.
+//! J z` over all `l` and `z` is regular. Newton's method along the `z` then finds consistent states (K. E.
 //! Brenan, S. L. Campbell, L. R. Petzold, Numerical Solution of Initial-Value Problems in
 //! Differential-Algebraic Equations, 1996, section 5.3.4; damped as in P. Deuflhard, Newton Methods for
 //! Nonlinear Problems, 2004, section 3.3).
@@ -85,8 +84,7 @@ impl Algebraic {
     }
 
     /// Replaces `x` by a state that differs from `guess` only in the algebraic part. The states that identify
-    /// the
-    /// columns keep their values.
+    /// the columns keep their values.
     pub(super) fn move_from(&self, guess: &[f64], x: &mut [f64]) {
         let along: Vec<f64> = self.states.iter().map(|k| x[*k] - guess[*k]).collect();
         x.copy_from_slice(guess);
@@ -96,17 +94,14 @@ impl Algebraic {
     }
 
     /// Returns the value to add to entry `p` (by columns) of the mass matrix, so that a singular matrix can
-    /// be
-    /// decomposed. If the algebraic part of the residual is zero, the solution also solves the original
-    /// equations,
-    /// and is zero in the states that identify the columns.
+    /// be decomposed. If the algebraic part of the residual is zero, the solution also solves the original
+    /// equations, and is zero in the states that identify the columns.
     pub(super) fn completion(&self, p: usize) -> f64 {
         if self.partner.get(p / self.n) == Some(&(p % self.n)) { self.largest } else { 0.0 }
     }
 
     /// Decomposes the matrix by Gaussian elimination with complete pivoting. Its rows and columns are scaled
-    /// to a
-    /// largest entry of 1.
+    /// to a largest entry of 1.
     fn split(&mut self) {
         let n = self.n;
         let mut a = self.mass.clone();
@@ -208,10 +203,8 @@ impl Algebraic {
     }
 
     /// Ensures that the algebraic equations hold at a point where the slopes are the right-hand side. Changes
-    /// state
-    /// and slopes if the equations do not hold. `known`: a Jacobian exists, possibly from another point. If
-    /// there was
-    /// none, it is evaluated at this point.
+    /// state and slopes if the equations do not hold. `known`: a Jacobian exists, possibly from another
+    /// point. If there was none, it is evaluated at this point.
     pub(super) fn make_consistent(
         &mut self,
         equations: &mut Equations<'_>,
@@ -260,12 +253,9 @@ impl Algebraic {
     }
 
     /// Returns an equation that does not determine the states it should, near `(t, x)`. The test is made at a
-    /// point
-    /// where each state is moved by a fraction of its size. An index that rises only at `(t, x)`, where
-    /// solutions
-    /// end, is therefore not reported as a higher index. `None` if there is no such equation or the point
-    /// cannot be
-    /// evaluated.
+    /// point where each state is moved by a fraction of its size. An index that rises only at `(t, x)`, where
+    /// solutions end, is therefore not reported as a higher index. `None` if there is no such equation or the
+    /// point cannot be evaluated.
     pub(super) fn undetermined(
         &mut self,
         equations: &mut Equations<'_>,
@@ -286,8 +276,7 @@ impl Algebraic {
     }
 
     /// Returns an equation that does not determine the states it should, for this Jacobian. `sizes` are the
-    /// sizes
-    /// of the states.
+    /// sizes of the states.
     pub(super) fn deficit(&mut self, jacobian: &Jacobian, sizes: &[f64]) -> Option<Undetermined> {
         let (n, m) = (self.n, self.names.len());
         self.fill_matrix(jacobian);
@@ -329,9 +318,8 @@ impl Algebraic {
     }
 
     /// Searches along the step for a point at which the next step, with the same matrix, is sufficiently
-    /// smaller.
-    /// Returns the size of that next step, or infinity if the step was damped. `None` if there is no such
-    /// point.
+    /// smaller. Returns the size of that next step, or infinity if the step was damped. `None` if there is no
+    /// such point.
     fn search(
         &mut self,
         equations: &mut Equations<'_>,
@@ -372,8 +360,7 @@ pub(super) fn sizes(weights: &ErrorWeights, x: &[f64], sizes: &mut [f64]) {
 
 /// Gaussian elimination with complete pivoting of a matrix of `m` rows, by columns. If pivots are missing
 /// within the accuracy of finite differences, returns the number of pivots and the largest remaining entry.
-/// Sorts
-/// the rows and columns in the order of their pivots.
+/// Sorts the rows and columns in the order of their pivots.
 fn rank_deficit(
     matrix: &mut [f64],
     m: usize,

@@ -23,12 +23,10 @@ pub(super) struct Rules {
     pub(super) jacobian_steps: u32,
     /// A Jacobian that requires at most this number of evaluations is cheap. It is evaluated again as soon as
     /// convergence slows down or a step fails. A more expensive one is evaluated only if slow convergence
-    /// costs
-    /// iterations.
+    /// costs iterations.
     pub(super) cheap: usize,
     /// If true, slow convergence causes a new Jacobian only if the last one is from before an event.
-    /// Otherwise, slow
-    /// convergence is attributed to the different coefficient of the matrix.
+    /// Otherwise, slow convergence is attributed to the different coefficient of the matrix.
     pub(super) only_after_events: bool,
 }
 
@@ -135,8 +133,7 @@ impl KeptJacobian {
     }
 
     /// Ensures that there is a Jacobian and a decomposition for this coefficient, computed by `decompose`. A
-    /// new
-    /// Jacobian is evaluated at `point`, whose slopes must be the right-hand side.
+    /// new Jacobian is evaluated at `point`, whose slopes must be the right-hand side.
     pub(super) fn prepare(
         &mut self,
         equations: &mut Equations<'_>,

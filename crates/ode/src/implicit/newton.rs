@@ -2,10 +2,8 @@
 //! IV.8).
 //!
 //! BDF uses the test of Radau5. The test of VODE and CVODE takes the larger of the last quotient and 0.3
-//! times
-//! the previous rate, times the increment, and compares it with the share 0.1 of the error test. With that
-//! test,
-//! BDF needs 10 % more right-hand sides and 29 % more decompositions over the 52 stiff rows of
+//! times the previous rate, times the increment, and compares it with the share 0.1 of the error test. With
+//! that test, BDF needs 10 % more right-hand sides and 29 % more decompositions over the 52 stiff rows of
 //! `tests/all/vectors.rs` (rtol 1e-4 to 1e-10), and its results have 0.2 fewer correct digits on average.
 
 use crate::stepper::Equations;
@@ -18,8 +16,7 @@ pub(super) const INITIAL_RATE: f64 = 1e-3;
 /// The equations of a step at the current iterate.
 pub(super) trait Iteration {
     /// Evaluates the residual at the iterate and solves for the increment with the decomposed matrix. Returns
-    /// the
-    /// norm of the increment.
+    /// the norm of the increment.
     fn solve(&mut self, equations: &mut Equations<'_>, is_first: bool) -> CallResult<f64>;
 
     /// Adds the increment to the iterate.
@@ -66,8 +63,7 @@ impl Convergence {
     }
 
     /// Iterates until the error is below the tolerance. `change` is the rate of convergence that results from
-    /// the
-    /// different coefficients of matrix and equations.
+    /// the different coefficients of matrix and equations.
     pub(super) fn iterate(
         &mut self,
         equations: &mut Equations<'_>,
@@ -167,8 +163,7 @@ mod tests {
     }
 
     /// The first iteration relies on a fast convergence of the previous step, unless the coefficient of the
-    /// matrix
-    /// has changed.
+    /// matrix has changed.
     #[test]
     fn a_changed_coefficient_is_no_reason_to_trust_the_rate_before() {
         for (change, count) in [(0.0, 1), (0.1, 2)] {

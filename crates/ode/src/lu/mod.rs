@@ -16,8 +16,7 @@ mod sparse;
 pub(crate) use dense::make_room;
 
 /// Matrices are sparse if they have at least this number of rows and at most this share of entries that may
-/// be
-/// nonzero. Measured: a chain of 100 states (4 % of the entries) is decomposed in half the time of a dense
+/// be nonzero. Measured: a chain of 100 states (4 % of the entries) is decomposed in half the time of a dense
 /// matrix. A chain of 1000 states (0.4 %) needs a ninetieth (74 us instead of 6.9 ms). A square grid of 196
 /// states (2.4 %) needs the same time for the decomposition and a quarter for the solution.
 const SPARSE_ROWS: usize = 100;
@@ -46,8 +45,7 @@ pub(crate) fn needless_work(pattern: &JacobianPattern) -> f64 {
 }
 
 /// Returns the number of floating-point operations of a dense decomposition. `per_place` is the number of
-/// real
-/// operations per operation on an entry.
+/// real operations per operation on an entry.
 fn dense_operations(n: u64, per_place: u64) -> u64 {
     per_place * 2 * n * n * n / 3
 }
@@ -67,8 +65,7 @@ impl<T: Scalar> Default for Lu<T> {
 
 impl<T: Scalar> Lu<T> {
     /// Allocates the work space for `n` rows: for all entries, or for those of a [sparse](is_sparse) pattern
-    /// and
-    /// the diagonal.
+    /// and the diagonal.
     ///
     /// # Errors
     /// Returns an error if memory is insufficient for a dense matrix of this size.
@@ -82,11 +79,9 @@ impl<T: Scalar> Lu<T> {
     }
 
     /// Fills in the matrix entry by entry and decomposes it. The arguments of `entry` are the position in the
-    /// list
-    /// of entries by columns, and whether the entry is on the diagonal. If the matrix is sparse, the list
-    /// contains
-    /// the entries of the pattern and the diagonal, otherwise all entries. Returns `false` if the matrix is
-    /// singular or has entries that are not finite.
+    /// list of entries by columns, and whether the entry is on the diagonal. If the matrix is sparse, the
+    /// list contains the entries of the pattern and the diagonal, otherwise all entries. Returns `false` if
+    /// the matrix is singular or has entries that are not finite.
     pub(crate) fn decompose(&mut self, entry: impl FnMut(usize, bool) -> T) -> bool {
         match &mut self.sparse {
             Some(sparse) => sparse.decompose(entry),
@@ -95,8 +90,7 @@ impl<T: Scalar> Lu<T> {
     }
 
     /// Returns the floating-point operations of a decomposition and of a solution. The factors of a sparse
-    /// matrix
-    /// are assumed to have three times its entries, evenly distributed.
+    /// matrix are assumed to have three times its entries, evenly distributed.
     pub(crate) fn operations(&self) -> (u64, u64) {
         let per_place = (size_of::<T>() / size_of::<f64>()).pow(2) as u64;
         match &self.sparse {

@@ -2,8 +2,7 @@
 //! repeatedly.
 //!
 //! Unlike the dense decomposition, this one allocates: 39 times per decomposition (factors and work space)
-//! and
-//! once per solution. The next decomposition frees all of it.
+//! and once per solution. The next decomposition frees all of it.
 
 use super::scalar::Scalar;
 use crate::sparsity::JacobianPattern;
@@ -47,8 +46,8 @@ impl<T: Scalar> SparseLu<T> {
     }
 
     /// Reads the entries of the pattern and decomposes the matrix. Returns `false` if some entries are not
-    /// finite
-    /// or the matrix is singular. A numerically singular matrix is detected by a solution that is not finite.
+    /// finite or the matrix is singular. A numerically singular matrix is detected by a solution that is not
+    /// finite.
     pub(crate) fn decompose(&mut self, mut entry: impl FnMut(usize, bool) -> T) -> bool {
         for (p, (value, on_diagonal)) in self.values.iter_mut().zip(&self.on_diagonal).enumerate() {
             *value = entry(p, *on_diagonal);

@@ -40,9 +40,8 @@ pub fn solve<'a>(rhs: impl FnMut(f64, &[f64], &mut [f64]) + 'a, span: Range<f64>
 /// and all of `dx0` are guesses, which are corrected until the equations hold.
 ///
 /// A system of a higher index ends with [`ErrorKind::HigherIndex`](crate::ErrorKind), which reports the
-/// states
-/// concerned (except with sparse matrices of more than 500 states). If `dF/dx'` is singular at the guess but
-/// regular near it, the run ends with [`ErrorKind::InconsistentSlopes`](crate::ErrorKind).
+/// states concerned (except with sparse matrices of more than 500 states). If `dF/dx'` is singular at the
+/// guess but regular near it, the run ends with [`ErrorKind::InconsistentSlopes`](crate::ErrorKind).
 ///
 /// ```
 /// // x' = -y with y = 2 x, from a wrong guess of y.

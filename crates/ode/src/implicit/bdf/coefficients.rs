@@ -24,8 +24,7 @@ impl Coefficients {
         let mut l = [0.0; MAX_ORDER + 1];
         (l[0], l[1]) = (1.0, 1.0);
         // The polynomial l(s) has the roots -1/xi_j of the past points, except one. This one is moved so that
-        // the leading
-        // coefficient is that of equal steps.
+        // the leading coefficient is that of equal steps.
         let (mut alpha, mut alpha_hat) = (-1.0, -1.0);
         let (mut xi, mut xi_fixed) = (1.0, 1.0);
         let mut sum = h;
@@ -70,8 +69,8 @@ impl Coefficients {
 mod tests {
     use super::*;
 
-    /// Equal steps give the classical formulae: `l_1` is the harmonic number, and the error is
-    /// `e / ((q + 1) l_1)`.
+    /// Equal steps give the classical formulae: `l_1` is the harmonic number, and the error is `e / ((q + 1)
+    /// l_1)`.
     #[test]
     fn equal_steps_give_the_classical_formulae() {
         for q in 1..=MAX_ORDER {

@@ -2,9 +2,8 @@
 //!
 //! P. N. Brown, A. C. Hindmarsh, L. R. Petzold, Consistent initial condition calculation for
 //! differential-algebraic systems, SIAM Journal on Scientific Computing 19 (1998) 1495-1512. In that paper,
-//! the
-//! user marks the algebraic variables. Here, they are the states, or sums of states, that do not appear in
-//! `M x'`.
+//! the user marks the algebraic variables. Here, they are the states, or sums of states, that do not appear
+//! in `M x'`.
 
 use super::given_slopes::{AtSlopes, Kind};
 use super::left_side::{LeftSide, NOISE};
@@ -21,16 +20,14 @@ const CONVERGED: f64 = 1e-6;
 const CONSISTENT: f64 = 1e-3;
 const MAX_ROUNDS: u32 = 20;
 /// Sparse matrices of up to this number of rows are treated as dense if nothing else determines their
-/// algebraic
-/// part.
+/// algebraic part.
 const MAX_DENSE: usize = 500;
 /// Newton's method has not converged. Equation and residual are filled in later, for the guess.
 const NO_SLOPES: Consistency = Consistency::NoSlopes { equation: 0, residual: 0.0, is_singular: false };
 
 impl LeftSide {
     /// Ensures that the equations hold at `(t, x)` by changing the slopes and the states that do not appear
-    /// in
-    /// `M x'`. `defect` is the residual there. The first call in a run also checks the index.
+    /// in `M x'`. `defect` is the residual there. The first call in a run also checks the index.
     pub(super) fn make_consistent(
         &mut self,
         equations: &mut Equations<'_>,
@@ -96,9 +93,8 @@ impl LeftSide {
     }
 
     /// True if `dF/dx'` has a larger rank near this point, at other slopes and, if `moves_states`, at other
-    /// states.
-    /// With other slopes alone, `dF/dx'` must also act there on the difference between the states and the
-    /// guess.
+    /// states. With other slopes alone, `dF/dx'` must also act there on the difference between the states and
+    /// the guess.
     fn is_singular_only_here(
         &mut self,
         equations: &mut Equations<'_>,
@@ -234,10 +230,8 @@ impl LeftSide {
     }
 
     /// Implements `make_consistent` for sparse matrices, if each state either has a slope or does not.
-    /// Newton's
-    /// method determines the slopes of the former and the values of the latter. `None` if the system has
-    /// another form
-    /// or a higher index; states and slopes are then unchanged.
+    /// Newton's method determines the slopes of the former and the values of the latter. `None` if the system
+    /// has another form or a higher index; states and slopes are then unchanged.
     fn make_sparse_consistent(
         &mut self,
         equations: &mut Equations<'_>,
@@ -307,8 +301,7 @@ impl LeftSide {
     }
 
     /// Checks large sparse systems without a regular matrix. Returns an equation without a slope that does
-    /// not hold
-    /// within the tolerances of the states.
+    /// not hold within the tolerances of the states.
     fn unmet(
         &mut self,
         weights: &ErrorWeights,
@@ -328,8 +321,7 @@ impl LeftSide {
     }
 
     /// Corrects the residuals that Newton's method has left in the equations without derivatives, before a
-    /// restart
-    /// during a run. They would otherwise appear as an error of the following steps, however short.
+    /// restart during a run. They would otherwise appear as an error of the following steps, however short.
     pub(super) fn correct(
         &mut self,
         equations: &mut Equations<'_>,

@@ -2,8 +2,7 @@
 //!
 //! Near a point, all three are `M x' = f(t, x)` with `M = dF/dx'` and the Jacobian `-dF/dx` of the right-hand
 //! side. The two matrices are stored separately, so that a change of the step size requires no evaluation.
-//! `M` is
-//! evaluated again if one evaluation along a vector shows that it has changed.
+//! `M` is evaluated again if one evaluation along a vector shows that it has changed.
 
 use super::given_slopes::{AtSlopes, AtState, Kind};
 use crate::error::Undetermined;
@@ -19,8 +18,7 @@ use crate::system::{CallError, CallResult, HybridSystem};
 /// Entries of a finite-difference matrix below this fraction of its largest entries are zero.
 pub(super) const NOISE: f64 = 1e-6;
 /// A matrix of the slopes with a relative error below this is not evaluated again, because Newton's method
-/// then
-/// needs no additional iteration.
+/// then needs no additional iteration.
 const SAME: f64 = 1e-4;
 /// Relative rounding error of residuals.
 const ROUNDING: f64 = 1e-12;
@@ -154,8 +152,7 @@ impl LeftSide {
     }
 
     /// Evaluates `dF/dx'` at a point unless it is unchanged, after the Jacobian was evaluated there. `defect`
-    /// is
-    /// the residual at the point. Returns `true` if `dF/dx'` has changed.
+    /// is the residual at the point. Returns `true` if `dF/dx'` has changed.
     pub(super) fn renew(
         &mut self,
         equations: &mut Equations<'_>,

@@ -8,12 +8,10 @@
 //! variable-coefficient ODE solver, SIAM Journal on Scientific and Statistical Computing 10 (1989) 1038-1051.
 //!
 //! The history is stored as the Nordsieck array `z_j = h^j x^(j) / j!`: the polynomial of the formula,
-//! expanded
-//! at the current point. A step extrapolates this polynomial as its prediction. The corrector adds `l_j e` to
-//! each `z_j`, where `e` solves `G(e) = e + z_1 / l_1 - gamma f(t, z_0 + e) = 0` with `gamma = h / l_1`.
-//! Systems
-//! `M x' = f(t, x)` and `F(t, x, x') = 0` are solved similarly, with `x' = (e + z_1 / l_1) / gamma` (K. E.
-//! Brenan, S. L. Campbell, L. R. Petzold, Numerical Solution of Initial-Value Problems in
+//! expanded at the current point. A step extrapolates this polynomial as its prediction. The corrector adds
+//! `l_j e` to each `z_j`, where `e` solves `G(e) = e + z_1 / l_1 - gamma f(t, z_0 + e) = 0` with `gamma = h /
+//! l_1`. Systems `M x' = f(t, x)` and `F(t, x, x') = 0` are solved similarly, with `x' = (e + z_1 / l_1) /
+//! gamma` (K. E. Brenan, S. L. Campbell, L. R. Petzold, Numerical Solution of Initial-Value Problems in
 //! Differential-Algebraic Equations, 1996, chapter 5).
 
 use super::kept_jacobian::{KeptJacobian, Matrix, Rules};
@@ -44,18 +42,15 @@ const MAX_NEWTON: u32 = 4;
 const NEWTON_SHARE: f64 = 0.1;
 /// Tolerance of Newton's method in units of the tolerances of the states, for systems that may contain
 /// equations without derivatives (IDA: 0.33). The error test of a later step of lower order counts the
-/// remaining
-/// residual of these equations as an error, which no step size reduces.
+/// remaining residual of these equations as an error, which no step size reduces.
 const NEWTON_ERROR: f64 = 0.2;
 const RULES: Rules =
     Rules { change: 0.3, decomposition_steps: 20, jacobian_steps: 50, cheap: 0, only_after_events: true };
 /// Maximum order of the array kept at a kink of an input. The second derivative jumps there, so higher rows
-/// of
-/// the array describe only the past and are dropped. Measured on an exhaust pipe driven by inputs with a kink
-/// each second. Steps across the kinks need 17 % more right-hand sides, and their error is 50 times as large
-/// at
-/// rtol 1e-8. The noise of a cost at rtol 1e-6 is then 2e-5 instead of 5e-9. With all rows kept, 5 % fewer
-/// right-hand sides at rtol 1e-8, but a noise of 1e-7 instead of 6e-9. Order 1: 10 % more.
+/// of the array describe only the past and are dropped. Measured on an exhaust pipe driven by inputs with a
+/// kink each second. Steps across the kinks need 17 % more right-hand sides, and their error is 50 times as
+/// large at rtol 1e-8. The noise of a cost at rtol 1e-6 is then 2e-5 instead of 5e-9. With all rows kept, 5 %
+/// fewer right-hand sides at rtol 1e-8, but a noise of 1e-7 instead of 6e-9. Order 1: 10 % more.
 const KINK_ORDER: usize = 2;
 /// The step size is changed only if it can grow by this factor.
 const WORTH_IT: f64 = 1.5;
@@ -160,8 +155,8 @@ impl Bdf {
     fn prepare(&mut self, equations: &mut Equations<'_>, Trial { t, h, x, .. }: Trial<'_>) -> CallResult<()> {
         if !self.fresh && self.error_failures >= 3 {
             // The derivatives in the array are wrong: restart at order 1, as in DASSL. If there are equations
-            // without derivatives,
-            // reduce the order by one instead, which needs fewer steps (`tests/all/dae.rs`, amplifier).
+            // without derivatives, reduce the order by one instead, which needs fewer steps
+            // (`tests/all/dae.rs`, amplifier).
             let order = if self.left.is_identity() { 1 } else { self.order - 1 };
             if order > 1 {
                 (self.next_order, self.error_failures) = (order, 0);
@@ -238,8 +233,7 @@ impl Bdf {
             }
             self.iterate.correction.fill(0.0);
             // Corrects for the change of gamma since the decomposition (by about half of it). `change` is the
-            // remaining error of
-            // stiff components.
+            // remaining error of stiff components.
             let ratio = gamma / self.freshness.coefficient();
             let (relaxation, change) = (2.0 / (1.0 + ratio), (1.0 - ratio).abs() / (1.0 + ratio));
             let mut iteration = Corrector {

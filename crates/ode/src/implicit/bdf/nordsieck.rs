@@ -25,8 +25,7 @@ pub(super) fn advance(z: &mut [Vec<f64>]) {
 }
 
 /// Moves the point of expansion back within the last step, to the fraction `theta` from its start. The unit
-/// is
-/// then the shorter step.
+/// is then the shorter step.
 pub(super) fn retreat(z: &mut [Vec<f64>], theta: f64) {
     let s = theta - 1.0;
     rescale(z, s);
@@ -126,8 +125,7 @@ mod tests {
     }
 
     /// With the order reduced, the polynomial keeps its value and slope and passes through the remaining
-    /// points.
-    /// With the order increased, it passes through the additional point.
+    /// points. With the order increased, it passes through the additional point.
     #[test]
     fn lower_orders_forget_the_oldest_point() {
         let at = |t: f64| 1.0 + t * (2.0 + t * (3.0 + 4.0 * t));

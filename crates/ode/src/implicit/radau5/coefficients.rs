@@ -6,8 +6,8 @@ const SQRT_6: f64 = 2.449_489_742_783_178_098_2;
 pub(super) const C1: f64 = (4.0 - SQRT_6) / 10.0;
 pub(super) const C2: f64 = (4.0 + SQRT_6) / 10.0;
 
-/// The inverse of the matrix of the method has the real eigenvalue `GAMMA` and the complex pair
-/// `ALPHA +- i BETA`.
+/// The inverse of the matrix of the method has the real eigenvalue `GAMMA` and the complex pair `ALPHA +- i
+/// BETA`.
 pub(super) const GAMMA: f64 = 3.637_834_252_744_495_732_2;
 pub(super) const ALPHA: f64 = 2.681_082_873_627_752_133_9;
 pub(super) const BETA: f64 = 3.050_430_199_247_410_569_4;
@@ -39,8 +39,7 @@ mod tests {
     }
 
     /// Computes the matrix of the method from its abscissae: `a_ij` is the integral of the Lagrange
-    /// polynomial of
-    /// `c_j` up to `c_i`.
+    /// polynomial of `c_j` up to `c_i`.
     fn method() -> Matrix3<f64> {
         let c = [C1, C2, 1.0];
         let powers = Matrix3::from_fn(|i, k| c[i].powi(k as i32));

@@ -3,15 +3,14 @@
 //! The collocation polynomial `p` of degree 3 passes through the stages, so its error can be written down.
 //! `M(theta)` is the product of the distances to the abscissae, and `e_i` are the errors of the stages. The
 //! error is `(h^4 x'''' / 24) theta M(theta)` plus the cubic through `e_i` at the abscissae and 0 at the
-//! start
-//! of the step (for `x' = lambda x + g(t)`; equal to leading order for other systems). Two terms correct it.
+//! start of the step (for `x' = lambda x + g(t)`; equal to leading order for other systems). Two terms
+//! correct it.
 //!
 //! *Defect.* `q(theta) d`, where `q` is the integral of `M` with slope 1 at 0. `d` is the difference between
 //! the slope at the start and the slope of `p`, filtered like the error estimate. If the system is not stiff,
 //! this is the whole error. If it is stiff, `d` vanishes, because stiff components follow their slow path for
 //! any step size. The stages are then exact but the polynomial between them is not, and no value inside the
-//! step
-//! shows this.
+//! step shows this.
 //!
 //! *Bend.* `c theta M(theta)` does not change the ends and the stages. `c` follows from the point where the
 //! previous step began, through which the solution passed. Both terms together are of order 4, stiff or not.
@@ -85,8 +84,7 @@ impl Terms {
     }
 
     /// Computes the bend of the step `trial` from the previous step, `last`. Returns the norm, with these
-    /// inverse
-    /// weights, of the uncertainty inside the step.
+    /// inverse weights, of the uncertainty inside the step.
     pub(super) fn bend(&mut self, trial: &Collocation, last: Option<&Collocation>, inverse: &[f64]) -> f64 {
         let Some(last) = last else {
             self.bend.fill(0.0);

@@ -4,8 +4,7 @@
 //! equations solved by Radau methods, Journal of Computational and Applied Mathematics 111 (1999) 93-111.
 //!
 //! The stages are written as increments `z_i = X_i - x` and transformed by `T` to the variables `w`. In
-//! these,
-//! the Newton matrix separates into a real and a complex block of the size of the system.
+//! these, the Newton matrix separates into a real and a complex block of the size of the system.
 
 use super::algebraic::Algebraic;
 use super::kept_jacobian::{KeptJacobian, Matrix, Rules};
@@ -30,8 +29,7 @@ const U: f64 = f64::EPSILON / 2.0;
 /// As in radau5 (its NIT).
 const MAX_NEWTON: u32 = 7;
 /// The decomposed matrix depends on the step size. The step size is therefore kept if a slightly larger one
-/// does
-/// not justify a decomposition.
+/// does not justify a decomposition.
 const RULES: Rules = Rules {
     change: 0.0,
     decomposition_steps: u32::MAX,
@@ -41,8 +39,7 @@ const RULES: Rules = Rules {
 };
 const SAFETY: f64 = 0.9;
 /// Factor of the tolerance of the error estimate, with `rtol^(2/3)`. The estimate is of order 3 and the
-/// solution
-/// of order 5. This factor makes the error roughly equal to the tolerance (radau5 uses 0.1).
+/// solution of order 5. This factor makes the error roughly equal to the tolerance (radau5 uses 0.1).
 const TRANSFORM: f64 = 0.08;
 
 #[derive(Debug)]
@@ -106,10 +103,8 @@ impl Default for Radau5 {
 impl Radau5 {
     /// Returns the spectral radius of the last Jacobian and the cosine between the last vector and its image.
     /// Vector iteration gives the radius as the mean growth over the last half of twenty products, so that
-    /// complex
-    /// pairs contribute their modulus. The cosine is -1 if the largest eigenvalue is real and negative.
-    /// Computed once
-    /// per Jacobian.
+    /// complex pairs contribute their modulus. The cosine is -1 if the largest eigenvalue is real and
+    /// negative. Computed once per Jacobian.
     pub(crate) fn spectrum(&mut self) -> (f64, f64) {
         const HALF: i32 = 10;
         if let Some(known) = self.spectrum {
@@ -157,8 +152,7 @@ impl Radau5 {
     }
 
     /// Computes the weighted error of the embedded formula. If necessary, it is computed again from the point
-    /// that
-    /// the first estimate leads to.
+    /// that the first estimate leads to.
     fn estimate_error(
         &mut self,
         equations: &mut Equations<'_>,
@@ -334,8 +328,8 @@ impl Stepper for Radau5 {
             return Ok(Attempt::Good);
         }
         // The error estimate is of order 3, the solution of order 5. The tolerance of the estimate is
-        // enlarged so that the
-        // error of the solution roughly equals the requested tolerance (radau5, "tolerance transform").
+        // enlarged so that the error of the solution roughly equals the requested tolerance (radau5,
+        // "tolerance transform").
         let rtol = TRANSFORM * equations.weights.rtol().powf(2.0 / 3.0);
         equations.weights.inverse_at(x, equations.weights.rtol() / rtol, &mut self.inverse);
         let newton_tolerance = (10.0 * U / rtol).max(rtol.sqrt().min(0.03));

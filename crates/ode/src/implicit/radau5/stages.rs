@@ -1,6 +1,5 @@
 //! The equations of the stages. The transformation by `T` separates them into a real and a complex block of
-//! the
-//! size of the system.
+//! the size of the system.
 
 use super::super::newton::Iteration;
 use super::coefficients::{ALPHA, BETA, C1, C2, GAMMA, T, T_INVERSE};
@@ -41,8 +40,7 @@ impl Stages {
     }
 
     /// Fills in the initial stage increments of a step of size `h`: extrapolated from the last step or from a
-    /// longer
-    /// one from this point, or zero.
+    /// longer one from this point, or zero.
     pub(super) fn guess(&mut self, h: f64, last: Option<&Collocation>, longer: Option<&Collocation>) {
         // Positions are counted from the end of the step used.
         let Some((from, before)) = longer.map(|c| (c, 1.0)).or(last.map(|c| (c, 0.0))) else {
