@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn the_norm_is_the_root_mean_square_of_the_weighted_error() {
+    fn norm_is_root_mean_square_of_weighted_error() {
         let mut w = ErrorWeights::default();
         let absolute_tolerance = AbsoluteTolerance::Scalar(1.0);
         w.set(

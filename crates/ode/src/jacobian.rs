@@ -340,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn differences_take_one_evaluation_per_colour() {
+    fn differences_need_one_evaluation_per_colour() {
         let x: Vec<f64> = (0..10).map(|i| 0.3 + 0.1 * f64::from(i)).collect();
         let mut chain = Chain { n: 10, pattern: None, limit: f64::INFINITY, own: false, directional: false };
         let (result, worst, stats) = evaluated(&mut chain, &x);
@@ -353,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn the_model_s_own_derivatives_come_first() {
+    fn model_derivatives_take_precedence() {
         let x = [0.5, 0.6, 0.7, 0.8];
         let pattern = Some(tridiagonal(4));
         let mut chain = Chain { n: 4, pattern, limit: f64::INFINITY, own: true, directional: true };
@@ -368,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn refused_points_are_left_backward() {
+    fn differences_go_backward_at_refused_points() {
         // All states increase (f > 0) and are at the limit, so every forward difference is refused.
         let x = [0.5; 3];
         let mut chain = Chain { n: 3, pattern: None, limit: 0.5, own: false, directional: false };

@@ -153,7 +153,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn patterns_are_checked_and_coloured() {
+    fn patterns_are_validated_and_coloured() {
         assert!(JacobianPattern::new(2, [(2, 0)]).is_none());
         assert!(JacobianPattern::new(2, [(0, 2)]).is_none());
         let arrow = (0..6).flat_map(|i| [(i, i), (0, i), (i, 0)]);

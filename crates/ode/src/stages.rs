@@ -100,7 +100,7 @@ mod tests {
 
     /// Blocks and the remaining components give bit-for-bit the same results as separate components.
     #[test]
-    fn components_do_not_see_each_other() {
+    fn blocked_sums_equal_componentwise_sums() {
         let wave = |a: f64, n| (0..n).map(|i| (a * (i as f64 + 0.3)).sin()).collect::<Vec<f64>>();
         let weights = [0.1, -2.7, 1e-9];
         for n in [0, 1, 2, 3, 4, 5, 7, 8, 9, 14, 24, 29] {

@@ -87,7 +87,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_growth_right_after_a_rejection() {
+    fn step_does_not_grow_right_after_rejection() {
         let mut c = StepController::new(5);
         assert!(c.rejected(100.0) < 0.5);
         assert!(c.accepted(1e-8) <= 1.0);

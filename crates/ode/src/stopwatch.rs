@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn of_fast_calls_one_stands_for_many() {
+    fn fast_calls_are_sampled() {
         // The first 8, then each 61st.
         assert_eq!(estimate([20.0; 8 + 610]), (8 + 10, 618.0 * 20.0));
         // The last calls are not timed, but they count.
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn slow_calls_are_timed_each() {
+    fn every_slow_call_is_timed() {
         assert_eq!(estimate([2000.0; 50]), (50, 100_000.0));
         // The first slow call that is timed also counts for those before it. From then on, each call is
         // timed.
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_call_among_fast_ones_counts_once() {
+    fn long_call_among_fast_ones_counts_once() {
         // The 69th call is timed and takes 4 ms.
         let calls = (0..900).map(|k| if k == 68 { 4e6 } else { 20.0 });
         let (timed, estimate) = estimate(calls);
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn kinds_are_apart_and_what_is_fast_stays_known() {
+    fn kinds_are_independent_and_reset_keeps_fast_kinds() {
         let mut watch = Stopwatch::<2>::new();
         for _ in 0..TRUST {
             watch.enter(0, 1e-7);
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn a_call_that_is_not_timed_is_said_to_take_as_long_as_the_last() {
+    fn untimed_call_returns_last_fast_duration() {
         let mut watch = Stopwatch::<1>::new();
         for nanoseconds in [2000.0, 10.0, 10.0, 10.0, 10.0, 10.0, 10.0, 10.0, 20.0] {
             assert_eq!(watch.enter(0, 1e-9 * nanoseconds), 1e-9 * nanoseconds);

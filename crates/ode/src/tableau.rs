@@ -214,14 +214,14 @@ mod tests {
     }
 
     #[test]
-    fn order_conditions_hold() {
+    fn tableaux_satisfy_order_conditions() {
         check(&Tsit5::TABLEAU, 4);
         check(&Rk4::TABLEAU, 3);
         check(&Euler::TABLEAU, 1);
     }
 
     #[test]
-    fn the_embedded_method_has_order_four_and_not_five() {
+    fn tsit5_embedded_method_has_order_four() {
         let Estimate::Embedded(error) = Tsit5::TABLEAU.error else { unreachable!() };
         let (b, e): ([f64; 7], [f64; 7]) = (row(Tsit5::TABLEAU.a[6]), row(error));
         let hat: [f64; 7] = std::array::from_fn(|i| b[i] - e[i]);

@@ -18,7 +18,7 @@ impl Observer for Sum {
 }
 
 #[test]
-fn a_warm_driver_allocates_nothing() {
+fn warm_driver_does_not_allocate() {
     let times: Vec<f64> = (0..=400).map(|k| f64::from(k) * 0.01).collect();
     for method in
         [Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf, Method::Rk4, Method::Euler]
@@ -78,7 +78,7 @@ impl HybridSystem for Valve {
 }
 
 #[test]
-fn algebraic_states_are_corrected_without_allocating() {
+fn algebraic_correction_does_not_allocate() {
     for (method, has_residual) in [(Method::Radau5, false), (Method::Bdf, false), (Method::Bdf, true)] {
         let mut driver = Driver::new(Options { method, ..Options::default() }).unwrap();
         let mass = (!has_residual).then_some([1.0, 0.0, 0.0, 0.0]);
@@ -119,7 +119,7 @@ impl HybridSystem for Rod {
 /// The library for sparse matrices allocates 37 times for a decomposition and once for a solution, and gives everything
 /// back; steps and right-hand sides allocate nothing there either.
 #[test]
-fn a_sparse_run_allocates_for_its_decompositions_and_solutions_alone() {
+fn sparse_run_allocates_only_in_decompositions_and_solutions() {
     let n = 150;
     let places = (0..n).flat_map(|i| (i.max(1) - 1..(i + 2).min(n)).map(move |k| (i, k)));
     let mut rod = Rod(JacobianPattern::new(n, places).unwrap());

@@ -85,7 +85,7 @@ impl Observer for Last {
 
 /// A matrix of `N * N` numbers takes 800 MB, and even one of bits 12.5 MB.
 #[test]
-fn ten_thousand_states_in_a_row_take_some_megabytes() {
+fn sparse_run_of_ten_thousand_states_uses_few_megabytes() {
     let rate = -4e8 * (0.5 * std::f64::consts::PI / (N + 1) as f64).sin().powi(2);
     for method in [Method::Radau5, Method::Bdf] {
         let mut ends = Vec::new();
@@ -112,7 +112,7 @@ fn ten_thousand_states_in_a_row_take_some_megabytes() {
 
 /// Each column has an entry of its own and one in the last row: no two of them share a group.
 #[test]
-fn colouring_takes_no_room_for_a_square_either() {
+fn colouring_avoids_quadratic_memory() {
     let counted = allocation_counter::measure(|| {
         let arrow = (0..N).flat_map(|k| [(k, k), (N - 1, k)]);
         assert_eq!(JacobianPattern::new(N, arrow).unwrap().n_colours(), N);

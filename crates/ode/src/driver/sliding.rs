@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_guard_looks_at_time_not_at_the_count() {
+    fn chattering_guard_uses_elapsed_time() {
         let mut guard = ChatteringGuard::new();
         assert!((0..10_000).all(|i| guard.record(f64::from(i) * 1e-4, 1e-6).is_none()));
         let mut guard = ChatteringGuard::new();

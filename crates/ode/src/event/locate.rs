@@ -303,7 +303,7 @@ mod tests {
     /// Values at uneven times in either domain, with zeros. No event is missed, and most indicators far from
     /// zero are not examined further.
     #[test]
-    fn what_keeps_clear_of_zero_does_not_turn_there() {
+    fn clear_indicators_have_no_turning_point_near_zero() {
         let mut state = 7_u64;
         let mut random = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -336,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn returns_the_right_end_of_a_tight_bracket() {
+    fn locate_returns_right_end_of_tight_bracket() {
         for root in [0.1, 0.437, 0.9999] {
             let (t, n, d) = locate(|t| vec![(t - root) * 3.0], 0.0, 1.0, 1e-13);
             assert!(t > root && t - root <= 1e-13, "{t} for {root}");
@@ -346,7 +346,7 @@ mod tests {
     }
 
     #[test]
-    fn smooth_curves_take_few_evaluations() {
+    fn smooth_curves_need_few_evaluations() {
         let (t, n, _) = locate(|t| vec![(8.0 * t).exp() - 20.0], 0.0, 1.0, 1e-13);
         assert!((t - 20f64.ln() / 8.0).abs() < 1e-13);
         assert!(n <= 14, "{n}");
@@ -356,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn indicators_that_only_jump_are_bisected() {
+    fn jump_indicators_are_bisected() {
         let (t, n, _) = locate(|t| vec![if t < 0.7 { -1.0 } else { 1.0 }], 0.0, 1.0, 1e-13);
         assert!((0.7..0.7 + 1e-13).contains(&t));
         assert!(n <= 60, "{n}");
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wider_bracket_does_for_jumps_alone() {
+    fn wider_bracket_is_accepted_for_jumps_only() {
         let found = |z: fn(f64) -> f64| {
             let mut d = Domains::default();
             d.begin(1, |_| Direction::Both);
@@ -384,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn a_parabola_shows_where_a_crossing_may_hide() {
+    fn parabola_locates_possible_hidden_crossing() {
         let mut d = Domains::default();
         d.begin(2, |_| Direction::Both);
         let z = |t: f64| [(t - 2.4) * (t - 2.6), 1.0 + t];
@@ -400,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_of_several_crossings_is_found() {
+    fn first_of_several_crossings_is_located() {
         let (t, _, mut d) = locate(|t| vec![0.8 - t, t - 0.3, (t - 0.55).powi(3)], 0.0, 1.0, 1e-12);
         assert!((t - 0.3).abs() <= 1e-12);
         assert_eq!(d.mark(1.0, 0.0), Some(1));
@@ -408,7 +408,7 @@ mod tests {
     }
 
     #[test]
-    fn changes_count_in_the_directions_asked_for() {
+    fn changes_count_only_in_requested_directions() {
         // The first indicator is positive between 0.3 and 0.5; the second crosses at 0.8.
         let z = |t: f64| [(t - 0.3) * (0.5 - t), t - 0.8];
         let at = |look: Option<f64>, directions: [Direction; 2]| {
@@ -445,7 +445,7 @@ mod tests {
     }
 
     #[test]
-    fn a_return_found_on_the_way_is_the_event() {
+    fn return_found_during_search_is_the_event() {
         // The search for the crossing at 0.9 evaluates its middle, where the other indicator is returning.
         let z = |t: f64| vec![(t - 0.4) * (0.6 - t), t - 0.9];
         let mut d = Domains::default();
@@ -463,7 +463,7 @@ mod tests {
     }
 
     #[test]
-    fn simultaneous_crossings_are_one_event() {
+    fn simultaneous_crossings_share_one_event() {
         let (t, _, mut d) = locate(|t| vec![0.5 - t, t - 0.5, 1.0], 0.0, 1.0, 1e-12);
         assert!((t - 0.5).abs() <= 1e-12);
         d.mark(1.0, 0.0);

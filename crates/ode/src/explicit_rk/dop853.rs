@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rows_sum_to_the_abscissae() {
+    fn dop853_rows_sum_to_abscissae() {
         for (a, c) in A.iter().zip(C) {
             let sum: f64 = a.iter().map(|(_, w)| w).sum();
             assert!((sum - c).abs() < 1e-14, "{sum} {c}");
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn the_solution_has_order_eight_and_the_embedded_ones_five_and_three() {
+    fn dop853_has_order_eight_with_embedded_orders_five_and_three() {
         let all = elementary_weights(9);
         // Numbers of rooted trees: A. Cayley's 1, 1, 2, 4, 9, 20, 48, 115, 286.
         assert_eq!(all.iter().filter(|t| t.0 <= 8).count(), 200);
@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn the_continuous_extension_has_order_seven() {
+    fn dop853_continuous_extension_has_order_seven() {
         for theta in [0.0, 0.1, 0.35, 0.5, 0.77, 1.0] {
             let weights = dense_weights(theta);
             for (order, density, phi) in elementary_weights(7) {

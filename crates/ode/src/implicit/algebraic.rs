@@ -405,7 +405,7 @@ mod tests {
     }
 
     #[test]
-    fn zero_rows_and_columns_are_the_algebraic_part() {
+    fn split_finds_zero_rows_and_columns() {
         let (names, rows, columns) = split([[0.0, 0.0, 2.0], [0.0, 0.0, 0.0], [3.0, 0.0, 1.0]]);
         assert_eq!((names, rows, columns), (vec![1], vec![0.0, 1.0, 0.0], vec![0.0, 1.0, 0.0]));
         let (names, rows, columns) = split([[0.0; 2]; 2]);
@@ -414,7 +414,7 @@ mod tests {
     }
 
     #[test]
-    fn small_is_not_zero_and_dependent_rows_are_seen() {
+    fn split_keeps_small_entries_and_finds_dependent_rows() {
         for regular in [[[1.0, 0.0], [0.0, 1e-30]], [[1.0, 1e-20], [1.0, 2e-20]], [[1e-9, 1.0], [0.0, 1e-9]]]
         {
             assert_eq!(split(regular).0, Vec::<usize>::new(), "{regular:?}");

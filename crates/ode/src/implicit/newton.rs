@@ -152,7 +152,7 @@ mod tests {
 
     /// By hand: after the second increment 1/2 the error is 1/2, after four more iterations it would be 1/32.
     #[test]
-    fn a_failure_is_predicted_from_the_rate() {
+    fn iterate_predicts_failure_from_rate() {
         let mut convergence = Convergence::new(7);
         assert_eq!(iterate(&mut convergence, 0.5, 1.0 / 31.0, 0.0), Newton::Converged);
         assert_eq!((convergence.count(), convergence.rate()), (6, 0.5));
@@ -165,7 +165,7 @@ mod tests {
     /// The first iteration relies on a fast convergence of the previous step, unless the coefficient of the
     /// matrix has changed.
     #[test]
-    fn a_changed_coefficient_is_no_reason_to_trust_the_rate_before() {
+    fn previous_rate_is_ignored_when_coefficient_changes() {
         for (change, count) in [(0.0, 1), (0.1, 2)] {
             let mut convergence = Convergence::new(4);
             assert_eq!(iterate(&mut convergence, 1e-6, 1e-3, 0.0), Newton::Converged);

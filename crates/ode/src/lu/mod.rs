@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn solves_what_it_decomposed() {
+    fn dense_decomposition_solves_linear_systems() {
         let mut seed = 7;
         for n in [1, 2, 3, 8, 30] {
             let a = DMatrix::from_fn(n, n, |_, _| noise(&mut seed));
@@ -174,7 +174,7 @@ mod tests {
 
     #[test]
     #[cfg(feature = "sparse")]
-    fn sparse_matrices_are_solved_like_dense_ones() {
+    fn sparse_and_dense_solutions_agree() {
         let mut seed = 3;
         for m in [10, 17] {
             let (n, pattern) = (m * m, grid(m));
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn singular_and_broken_matrices_are_refused() {
+    fn rejects_singular_and_non_finite_matrices() {
         let mut lu = Lu::default();
         lu.begin(2, None).unwrap();
         assert!(!lu.decompose(|p, _| [1.0, 2.0, 2.0, 4.0][p]));
@@ -233,7 +233,7 @@ mod tests {
 
     #[test]
     #[cfg(feature = "sparse")]
-    fn operations_follow_from_sizes() {
+    fn operation_counts_follow_from_sizes() {
         let (mut real, mut complex) = (Lu::<f64>::default(), Lu::<Complex<f64>>::default());
         assert_eq!(real.operations(), (0, 0));
         real.begin(30, None).unwrap();

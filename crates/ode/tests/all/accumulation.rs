@@ -213,13 +213,13 @@ fn run_cases(seed: u64, count: usize) {
 }
 
 #[test]
-fn no_ball_falls_through_the_floor() {
+fn balls_stay_above_floor() {
     run_cases(1, 300);
 }
 
 #[test]
 #[ignore = "long"]
-fn no_ball_of_many_falls_through_the_floor() {
+fn many_balls_stay_above_floor() {
     for seed in 1..=20 {
         run_cases(seed, 1500);
     }
@@ -227,7 +227,7 @@ fn no_ball_of_many_falls_through_the_floor() {
 
 /// One ball, put exactly on the floor: all of its bounces until they cannot be told apart are found, and then it is said.
 #[test]
-fn the_error_names_the_indicator_and_comes_at_the_limit() {
+fn accumulation_error_reports_indicator_at_zeno_limit() {
     // Not Euler: its balls come to rest, a step of it being a straight line.
     for &method in &METHODS[..6] {
         for factor in [0.2, 0.5, 0.8] {
@@ -263,7 +263,7 @@ fn the_error_names_the_indicator_and_comes_at_the_limit() {
 /// Crossings that just go on cost no right-hand side and one look at the indicators each; a fall that begins far below the
 /// floor is none that comes back.
 #[test]
-fn what_just_goes_on_is_left_alone() {
+fn plain_crossings_need_few_extra_evaluations() {
     /// x'' = -g; z = x; what the event does with the speed.
     struct Fall(Event);
     type Event = fn(&mut [f64]);
@@ -318,7 +318,7 @@ fn what_just_goes_on_is_left_alone() {
 
 /// A ball that its event stops at the floor has not gone on: it does not fall from there, seen by nobody.
 #[test]
-fn a_ball_that_stops_at_the_floor_does_not_fall_on() {
+fn ball_stopped_at_floor_does_not_fall_through() {
     for method in METHODS {
         for put_on_floor in [true, false] {
             for chattering in [ChatteringPolicy::Error, ChatteringPolicy::Slide] {
@@ -348,7 +348,7 @@ fn a_ball_that_stops_at_the_floor_does_not_fall_on() {
 /// With [`Direction::Either`] a handler that reverses the speed whatever has crossed makes a ball bounce: leaving the floor
 /// is no event.
 #[test]
-fn leaving_the_floor_is_no_event_where_only_the_sign_counts() {
+fn leaving_the_floor_is_ignored_with_direction_either() {
     for method in METHODS {
         for put_on_floor in [true, false] {
             let balls = vec![BallSpec { height: 1.0, factor: 0.8, put_on_floor }];

@@ -41,7 +41,7 @@ const VAN_DER_POL: [f64; 2] = [2.008_149_762_174_948_592, -0.042_508_875_273_202
 const BRUSSELATOR: [f64; 2] = [0.498_637_071_268_347_848_6, 4.596_780_349_452_011_183];
 
 #[test]
-fn tsit5_meets_the_bars() {
+fn tsit5_reaches_required_digits_on_smooth_problems() {
     let (d, _) = digits(van_der_pol, &[2.0, 0.0], 20.0, &VAN_DER_POL, 1e-6);
     assert!(d > 3.3, "Van der Pol at 1e-6: {d}");
     let (d, _) = digits(van_der_pol, &[2.0, 0.0], 20.0, &VAN_DER_POL, 1e-10);
@@ -53,7 +53,7 @@ fn tsit5_meets_the_bars() {
 }
 
 #[test]
-fn the_error_follows_the_tolerance() {
+fn error_decreases_with_tolerance() {
     let points: Vec<(f64, f64)> = (4..=10)
         .map(|k| {
             let rtol = 10f64.powi(-k);
@@ -72,7 +72,7 @@ fn the_error_follows_the_tolerance() {
 
 /// x'' = -x from (1, 0): errors at the samples between the steps must be of the size of those at the steps.
 #[test]
-fn samples_between_steps_are_as_good_as_the_steps() {
+fn samples_between_steps_are_as_accurate_as_steps() {
     let times: Vec<f64> = (0..=2000).map(|k| f64::from(k) * 0.01).collect();
     let mut seen = Recorder::default();
     let mut system = Smooth {
@@ -89,7 +89,7 @@ fn samples_between_steps_are_as_good_as_the_steps() {
 }
 
 #[test]
-fn fixed_step_methods_have_their_order() {
+fn fixed_step_methods_converge_with_their_order() {
     let error = |method: Method, step: f64| {
         let mut seen = Recorder::default();
         let options = Options { method, step_size: Some(step), ..Options::default() };
@@ -106,7 +106,7 @@ fn fixed_step_methods_have_their_order() {
 
 /// Steps that an input has cut are halved as well: Euler's method multiplies with 1 + h in each.
 #[test]
-fn halved_steps_are_half_of_those_that_were_taken() {
+fn halve_steps_splits_every_step() {
     let stops: Vec<f64> = (1..20).map(|k| 0.05 * f64::from(k)).collect();
     let run = |step: f64, halve_steps: bool, stops: &[f64]| {
         let mut seen = Recorder::default();
@@ -153,7 +153,7 @@ impl HybridSystem for Stopped {
 
 /// An angle that turns on and on: against its size its error would be allowed to grow, and does.
 #[test]
-fn the_error_of_unbounded_states_does_not_grow_with_them() {
+fn error_of_unbounded_states_is_independent_of_their_size() {
     struct Rotor {
         unbounded: bool,
     }

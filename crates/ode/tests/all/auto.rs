@@ -12,7 +12,7 @@ use problems::{Problem, large, nonstiff, stiff};
 /// The right-hand sides that it may take, those for Jacobians included, and the digits that it must have: the best method's at equal
 /// digits times 1.3 or less (the table is in `benches/work_precision.md`).
 #[test]
-fn auto_takes_about_as_many_right_hand_sides_as_the_best_method() {
+fn auto_needs_about_as_many_right_hand_sides_as_the_best_method() {
     let bars: [(Problem, f64, u64, f64); 14] = [
         (stiff::vdpol(), 1e-4, 2900, 5.0),
         (stiff::hires(), 1e-6, 1900, 6.5),
@@ -38,7 +38,7 @@ fn auto_takes_about_as_many_right_hand_sides_as_the_best_method() {
 
 /// What the explicit method leaves of fast oscillations Radau5 would have to follow.
 #[test]
-fn a_stiff_oscillator_is_left_to_radau5_before_its_oscillations_are_excited() {
+fn auto_switches_to_radau5_before_exciting_stiff_oscillations() {
     for rtol in [1e-3, 1e-4, 1e-6] {
         let beam = Problem { end: 1.0, ..large::beam() };
         let work = |method| beam.run(method, rtol).1.right_hand_sides;
@@ -49,7 +49,7 @@ fn a_stiff_oscillator_is_left_to_radau5_before_its_oscillations_are_excited() {
 
 /// Slow phases that are a little stiff, and fast ones that are not.
 #[test]
-fn an_oscillator_costs_little_more_than_by_the_explicit_method_alone() {
+fn auto_costs_little_more_than_the_explicit_method_for_oscillators() {
     let work = |method, mu: f64, rtol, end| {
         let f = move |_: f64, x: &[f64], dx: &mut [f64]| {
             (dx[0], dx[1]) = (x[1], mu * (1.0 - x[0] * x[0]) * x[1] - x[0]);
@@ -80,7 +80,7 @@ fn run(method: Method, system: &mut dyn HybridSystem, end: f64) -> Result<Report
 const MANY: usize = 100_000;
 
 #[test]
-fn many_states_take_no_matrix_while_they_are_not_stiff() {
+fn auto_allocates_no_matrix_for_large_non_stiff_systems() {
     let decay = |_: f64, x: &[f64], dx: &mut [f64]| x.iter().zip(dx).for_each(|(x, dx)| *dx = -x);
     for method in [Method::Auto, Method::Tsit5] {
         let report = run(method, &mut Smooth { x0: vec![1.0; MANY], f: decay }, 1.0).unwrap();
@@ -95,7 +95,7 @@ fn many_states_take_no_matrix_while_they_are_not_stiff() {
 }
 
 #[test]
-fn many_states_with_a_pattern_take_room_for_their_places_only() {
+fn auto_stores_only_pattern_entries_for_large_sparse_systems() {
     const N: usize = 30_000;
     let near = |i: usize| (i.saturating_sub(1)..(i + 2).min(N)).map(move |k| (i, k));
     let chain = Problem {
@@ -120,7 +120,7 @@ fn many_states_with_a_pattern_take_room_for_their_places_only() {
 
 /// A right-hand side that refuses every point but those of a smooth path: no Jacobian can be had there.
 #[test]
-fn a_trial_that_cannot_be_made_ends_no_run() {
+fn auto_continues_when_a_trial_is_impossible() {
     struct Refusing(u64);
     impl HybridSystem for Refusing {
         fn n_states(&self) -> usize {

@@ -11,7 +11,7 @@ const ADAPTIVE: [Method; 5] = [Method::Auto, Method::Tsit5, Method::Dop853, Meth
 
 /// `x'' = -x` from t = 2 back to -1, with samples on the way, one listed twice, and the whole as a function of time.
 #[test]
-fn solutions_lead_back() {
+fn backward_run_returns_to_start() {
     let times = [2.0, 1.0, 1.0, 0.0, -1.0];
     for method in ADAPTIVE {
         let solution =
@@ -37,7 +37,7 @@ fn solutions_lead_back() {
 
 /// The same steps as those of the system with its time turned.
 #[test]
-fn a_run_back_is_a_run_of_the_turned_system() {
+fn backward_run_equals_run_of_time_reversed_system() {
     let forward = solve(|t, x, dx| dx[0] = -(0.3 - t).sin() * x[0], 0.0..3.0, &[1.0]).run().unwrap();
     let back = solve(|t, x, dx| dx[0] = (0.3 + t).sin() * x[0], 0.0..-3.0, &[1.0]).run().unwrap();
     assert_eq!(forward.states, back.states);
@@ -46,7 +46,7 @@ fn a_run_back_is_a_run_of_the_turned_system() {
 
 /// `x = t`: back from 2 it crosses 1 downward, as seen along the integration.
 #[test]
-fn directions_are_those_along_the_integration() {
+fn event_directions_follow_the_integration() {
     for (direction, crossings) in [(Direction::Down, 1), (Direction::Up, 0), (Direction::Both, 1)] {
         let solution = solve(|_, _, dx| dx[0] = 1.0, 2.0..0.0, &[2.0])
             .event(Event::new(|_, x| x[0] - 1.0).direction(direction))
@@ -66,7 +66,7 @@ fn directions_are_those_along_the_integration() {
 }
 
 #[test]
-fn differential_algebraic_systems_lead_back() {
+fn differential_algebraic_systems_run_backward() {
     let residual = |t: f64, x: &[f64], d: &[f64], r: &mut [f64]| {
         r.copy_from_slice(&[d[0] + x[1] - t, x[1] - x[0]]);
     };
@@ -90,7 +90,7 @@ fn differential_algebraic_systems_lead_back() {
 }
 
 #[test]
-fn errors_name_the_times_of_the_system() {
+fn backward_errors_report_system_times() {
     let run = |times: &[f64]| solve(|_, x, dx| dx[0] = -1.0 / x[0], 0.0..-1.0, &[1.0]).times(times).run();
     let error = run(&[-0.5, -0.25]).unwrap_err();
     assert!(error.to_string().contains("requested time -0.25 at position 1"), "{error}");

@@ -53,7 +53,7 @@ impl HybridSystem for Switched {
 }
 
 #[test]
-fn sliding_follows_filippov() {
+fn sliding_matches_filippov_solution() {
     // Above x' = -0.5, y' = 1, below x' = 1.5, y' = 3. It reaches x = 0 at t = 2 with y = 2. The mixture that stays there
     // has three parts of the upper field and one of the lower: y' = 1.5.
     for &method in ADAPTIVE {
@@ -73,7 +73,7 @@ fn sliding_follows_filippov() {
 }
 
 #[test]
-fn sliding_ends_where_the_fields_let_go() {
+fn sliding_ends_when_fields_point_away() {
     // x' = t - 1.5 - s: comes down to 0, slides until t = 2.5, then leaves upwards as (t - 2.5)^2 / 2.
     for &method in ADAPTIVE {
         let mut seen = Recorder::default();
@@ -137,7 +137,7 @@ impl HybridSystem for Relay {
 
 /// On the surface `v = -weight x`, so `x` decays from where the parabola has reached it.
 #[test]
-fn states_that_an_event_does_not_change_are_never_moved_when_it_slides() {
+fn sliding_never_moves_states_unchanged_by_event() {
     for &method in ADAPTIVE {
         for (weight, force, end) in [(1.0, 3.0, 1.0), (1.0, 3.0, 5.0), (2.0, 6.0, 2.0), (0.5, 2.0, 3.0)] {
             for two_indicators in [true, false] {
@@ -162,7 +162,7 @@ fn states_that_an_event_does_not_change_are_never_moved_when_it_slides() {
 }
 
 #[test]
-fn a_ball_that_never_rests_slides_on_the_floor() {
+fn ball_with_accumulating_bounces_slides_on_floor() {
     let limit = 2.558_633_965_585_808_4;
     // Not BDF: its first steps after a bounce are as inexact as the tolerance allows, and this ball, which has no least
     // speed, sinks into the floor when it is not above it after a bounce.
@@ -184,7 +184,7 @@ fn a_ball_that_never_rests_slides_on_the_floor() {
 }
 
 #[test]
-fn a_warning_goes_on_and_is_counted() {
+fn warn_policy_continues_and_counts_chattering() {
     // It switches every 2e-7 of time, in a span of 10: a hundred times within 2e-5, above 1e-6 of the span; a fifth of
     // that is below.
     for (hysteresis, fired) in [(1e-7, 0), (4e-9, 20)] {
@@ -221,7 +221,7 @@ impl HybridSystem for Clock {
 }
 
 #[test]
-fn clocks_may_be_fast_but_must_not_stand_still() {
+fn fast_clock_is_accepted_and_stalled_clock_is_rejected() {
     for policy in [ChatteringPolicy::Error, ChatteringPolicy::Warn, ChatteringPolicy::Slide] {
         let mut fast = Clock { period: 1e-5, ticks: 0 };
         driver(Method::Tsit5, policy).run(&mut fast, 0.0, 1.0, &[], &mut Ignore).unwrap();
@@ -237,7 +237,7 @@ fn clocks_may_be_fast_but_must_not_stand_still() {
 }
 
 #[test]
-fn policies_have_names() {
+fn policies_parse_from_names() {
     for name in ChatteringPolicy::NAMES {
         let policy: ChatteringPolicy = name.parse().unwrap();
         assert_eq!(format!("{policy:?}").to_lowercase(), name);
@@ -248,7 +248,7 @@ fn policies_have_names() {
 /// A relay that switches 2000 times a second, or a clock of 1 kHz, is no chattering, however long the run is; a solution
 /// that cannot leave the border of a domain, or a clock that stands still, is.
 #[test]
-fn long_runs_may_have_events_as_often_as_short_ones() {
+fn allowed_event_rate_is_independent_of_span() {
     for span in [10.0, 1e4, 1e7, 1e9] {
         for &method in ADAPTIVE {
             let limits = Limits { max_events: Some(1000), ..Limits::default() };
@@ -285,7 +285,7 @@ fn long_runs_may_have_events_as_often_as_short_ones() {
 /// A ball that an event puts on the floor exactly, with arcs that become shorter than any step: it never falls through.
 /// (BDF's first step is a straight line: it does.)
 #[test]
-fn a_ball_on_the_floor_does_not_fall_through() {
+fn ball_on_floor_does_not_fall_through() {
     struct Bare {
         direction: Direction,
     }

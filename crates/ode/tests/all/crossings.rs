@@ -55,7 +55,7 @@ const SHAPES: [Shape; 10] = [
 ];
 
 #[test]
-fn the_shape_of_an_event_function_at_zero_does_not_matter() {
+fn crossings_are_located_for_any_shape_at_zero() {
     for method in [Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf, Method::Rk4] {
         for relative_tolerance in [1e-3, 1e-6, 1e-9] {
             for (name, shape) in SHAPES {
@@ -107,7 +107,7 @@ impl HybridSystem for Step {
 }
 
 #[test]
-fn steps_after_an_event_that_are_shorter_than_its_location_show_nothing_of_a_return() {
+fn returns_are_ignored_in_steps_shorter_than_event_location() {
     for method in ADAPTIVE {
         for (start, length) in [(0.0, 1.0), (-7.3, 0.01), (100.0, 0.01), (1e4, 0.01), (1e4, 1.0), (1e6, 1.0)]
         {
@@ -173,7 +173,7 @@ fn crossings((w, offset): (f64, f64)) -> impl Iterator<Item = f64> {
 
 /// Every crossing and its return in short dips below zero, which lie between long steps.
 #[test]
-fn short_dips_between_long_steps_are_found() {
+fn short_dips_in_long_steps_are_located() {
     for method in ADAPTIVE {
         for shape in [(7.0, 0.99), (7.0, 0.9), (5.0, 0.99), (3.3, 0.95)] {
             let found = dips(method, Options::default().relative_tolerance, shape).unwrap();
@@ -188,7 +188,7 @@ fn short_dips_between_long_steps_are_found() {
 
 /// Steps that begin at a dip and end in another one, periods later, may miss those between, but they show no return that is none.
 #[test]
-fn steps_longer_than_a_period_of_an_event_function_find_crossings_and_nothing_else() {
+fn steps_longer_than_indicator_period_locate_only_true_crossings() {
     for method in ADAPTIVE {
         for rtol in [1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8] {
             for w in [3.3, 7.0, 9.1, 13.0, 20.0, 61.0] {
@@ -210,7 +210,7 @@ fn steps_longer_than_a_period_of_an_event_function_find_crossings_and_nothing_el
 
 /// An event function that is below zero for 0.12 of each period.
 #[test]
-fn a_crossing_and_its_return_do_not_hide_in_a_step_that_shows_them() {
+fn crossing_and_return_are_located_when_step_resolves_them() {
     for method in [Method::Dop853, Method::Radau5, Method::Bdf] {
         for relative_tolerance in [1e-5, 1e-6, 1e-7, 1e-8, 1e-9] {
             let mut system = Oscillator { z: |_, x| x + 0.99833, times: Vec::new() };

@@ -43,7 +43,7 @@ fn table() {
 
 /// Digits, and residuals at most: at 1e-6 and 1e-8 as many as IDA of SUNDIALS 7 takes (`benches/dae.md`).
 #[test]
-fn problems_of_the_test_set_have_their_digits_for_the_residuals_of_ida() {
+fn residual_solutions_match_test_set_digits() {
     for (problem, rtol, bar, most) in [
         (ROBERTSON, 1e-4, 3.0, 240),
         (ROBERTSON, 1e-6, 4.9, 340),
@@ -63,7 +63,7 @@ fn problems_of_the_test_set_have_their_digits_for_the_residuals_of_ida() {
 
 /// Wherever the error test fails again and again, a start with consistent values is found: no tolerance ends the run.
 #[test]
-fn the_amplifier_is_solved_at_every_tolerance() {
+fn amplifier_is_solved_at_every_tolerance() {
     for k in 12..36 {
         let rtol = 10f64.powf(-0.25 * f64::from(k));
         let (digits, stats) = solved(&AMPLIFIER, rtol);
@@ -90,7 +90,7 @@ fn exact(t: f64) -> f64 {
 }
 
 #[test]
-fn guesses_of_what_has_no_derivative_are_corrected() {
+fn guesses_of_states_without_derivative_are_corrected() {
     for (y, slope) in [(1.0, -1.0), (0.0, 0.0), (-50.0, 1e3), (1e6, -1e6)] {
         let solution = solve_dae(linear, 0.0..2.0, &[1.0, y], &[slope, 0.0])
             .relative_tolerance(1e-8)
@@ -116,7 +116,7 @@ fn guesses_of_what_has_no_derivative_are_corrected() {
 
 /// The slopes are what a nonlinear equation makes them: `x'^3 + x' = x`.
 #[test]
-fn residuals_may_be_nonlinear_in_the_slopes() {
+fn residual_nonlinear_in_slopes_is_solved() {
     let residual = |_: f64, x: &[f64], d: &[f64], r: &mut [f64]| r[0] = d[0].powi(3) + d[0] - x[0];
     // With p = x': x = p^3 + p, dx = (3 p^2 + 1) dp = p dt: t = 1.5 p^2 + ln p + c; p goes from 1 to 2.
     let end = 1.5 * 3.0 + 2f64.ln();
@@ -129,7 +129,7 @@ fn residuals_may_be_nonlinear_in_the_slopes() {
 
 /// The matrix in front of the slopes depends on the states: `(1 + x^2) x' = -x`, so that `ln x + x^2 / 2 = 1 / 2 - t`.
 #[test]
-fn what_stands_in_front_of_the_slopes_may_change() {
+fn variable_matrix_of_slopes_is_supported() {
     let residual = |_: f64, x: &[f64], d: &[f64], r: &mut [f64]| r[0] = (1.0 + x[0] * x[0]) * d[0] + x[0];
     let solution = solve_dae(residual, 0.0..5.0, &[1.0], &[0.0]).relative_tolerance(1e-8).run().unwrap();
     let x = solution.last()[0];
@@ -155,7 +155,7 @@ fn pendulum(depth: u32) -> impl Fn(f64, &[f64], &[f64], &mut [f64]) {
 }
 
 #[test]
-fn a_pendulum_of_index_1_swings_and_those_of_higher_index_are_named() {
+fn pendulum_of_index_1_is_solved_and_higher_index_is_reported() {
     let x0 = [1.0, 0.0, 0.0, 0.0, 7.0];
     // A quarter of the period: K(sin 45 deg) / sqrt(g), Gauss's arithmetic-geometric mean.
     let (mut a, mut b) = (1.0f64, 0.5f64.sqrt());
@@ -180,7 +180,7 @@ fn a_pendulum_of_index_1_swings_and_those_of_higher_index_are_named() {
 }
 
 #[test]
-fn what_cannot_be_solved_is_an_error() {
+fn unsolvable_residuals_are_errors() {
     let length = solve_dae(linear, 0.0..1.0, &[1.0, 1.0], &[0.0]).run().unwrap_err();
     assert_eq!(length.to_string(), "dx0 has 1 values instead of 2");
     let tolerances = solve_dae(linear, 0.0..1.0, &[1.0, 1.0], &[0.0; 2]).absolute_tolerances(&[1e-6]).run();
@@ -208,7 +208,7 @@ fn what_cannot_be_solved_is_an_error() {
 
 /// `dF/dx'` is singular at the guess alone: states that have a derivative at consistent values keep theirs.
 #[test]
-fn guesses_at_which_a_derivative_has_no_part_do_not_change_its_state() {
+fn state_is_unchanged_when_its_derivative_vanishes_at_guess() {
     let product = |_: f64, x: &[f64], d: &[f64], r: &mut [f64]| {
         r.copy_from_slice(&[x[1] * d[0] + x[0], x[1] - 2.0]);
     };
@@ -241,7 +241,7 @@ fn guesses_at_which_a_derivative_has_no_part_do_not_change_its_state() {
 
 /// Slopes of 0 as a guess, where `dF/dx'` is 0: no state is moved, and the message has the residual of what was given.
 #[test]
-fn slopes_at_which_the_jacobian_is_singular_are_an_error() {
+fn singular_jacobian_of_slopes_is_an_error() {
     type Scalar = fn(f64, f64) -> f64;
     let cases: [(Scalar, f64, f64); 4] = [
         (|x, d| d.powi(3) + x - 1.0, 0.0, 1.0),
@@ -296,7 +296,7 @@ fn bound(n: usize, index: usize, start: f64, exclude: bool) -> Result<Solution, 
 }
 
 #[test]
-fn a_higher_index_is_named_where_matrices_are_sparse() {
+fn higher_index_is_reported_for_sparse_matrices() {
     for (index, start, exclude) in [(2, 1.0, false), (2, 1.0, true), (2, 5.0, true), (3, 1.0, false)] {
         let Err(SolveError::Simulation(error)) = bound(40, index, start, exclude) else { panic!("solved") };
         let undetermined = error.undetermined.as_ref().unwrap_or_else(|| panic!("{error}"));
@@ -331,7 +331,7 @@ fn mixed_states_of_sparse_systems_are_corrected() {
 
 /// Where the residual is NaN smaller steps are tried, up to the place itself.
 #[test]
-fn a_residual_that_is_nan_ends_the_run_there() {
+fn nan_residual_ends_run_at_its_time() {
     let root = |_: f64, x: &[f64], d: &[f64], r: &mut [f64]| r[0] = d[0] + 1.0 - 0.0 * x[0].sqrt();
     let Err(SolveError::Simulation(error)) = solve_dae(root, 0.0..3.0, &[2.0], &[-1.0]).run() else {
         panic!("solved")
@@ -345,13 +345,13 @@ fn a_residual_that_is_nan_ends_the_run_there() {
 
 #[test]
 #[should_panic(expected = "of the user")]
-fn a_panic_comes_out() {
+fn panic_in_residual_propagates() {
     let _ = solve_dae(|_, _, _, _| panic!("of the user"), 0.0..1.0, &[1.0], &[0.0]).run();
 }
 
 /// Jacobians of the user, a pattern, and differences: the same solution; the first two take fewer residuals.
 #[test]
-fn jacobians_may_be_given() {
+fn user_jacobians_give_the_same_solution() {
     let plain = solved(&AKZO, 1e-6);
     let pattern = JacobianPattern::new(6, (0..6).flat_map(|i| (0..6).map(move |k| (i, k)))).unwrap();
     let whole = asked(&AKZO, 1e-6).pattern(pattern).run().unwrap();
@@ -371,7 +371,7 @@ fn jacobians_may_be_given() {
 
 /// A chain of masses on springs with sparse Jacobians, and its forces as algebraic states.
 #[test]
-fn large_systems_are_sparse() {
+fn large_sparse_dae_is_solved() {
     let n = 100;
     let residual = move |_: f64, x: &[f64], d: &[f64], r: &mut [f64]| {
         for i in 0..n {
@@ -406,7 +406,7 @@ fn large_systems_are_sparse() {
 
 /// Leaving algebraic states out of the error test takes fewer steps, and the differential ones keep their digits.
 #[test]
-fn algebraic_states_may_be_left_out_of_the_error_test() {
+fn algebraic_states_can_be_excluded_from_error_test() {
     let plain = solved(&AKZO, 1e-6);
     let without = asked(&AKZO, 1e-6).options(|o| o.exclude_algebraic = true).run().unwrap();
     assert!(AKZO.digits(without.last()) > 5.0);

@@ -58,7 +58,7 @@ fn options(method: Method, max_step: Option<f64>) -> Options {
 }
 
 #[test]
-fn crossings_in_the_other_direction_are_no_events() {
+fn crossings_in_opposite_direction_are_ignored() {
     for method in ALL {
         // Euler's circle grows by 2 pi^2 h a turn, and its turns are as long as they should be up to h^2.
         let bar = if method == Method::Euler { 1e-4 } else { 1e-7 };
@@ -82,7 +82,7 @@ fn crossings_in_the_other_direction_are_no_events() {
 }
 
 #[test]
-fn crossings_that_are_no_events_leave_the_steps_alone() {
+fn ignored_crossings_do_not_change_steps() {
     for method in ALL {
         let run = |direction: Option<Direction>| {
             let mut seen = Recorder::default();
@@ -102,7 +102,7 @@ fn crossings_that_are_no_events_leave_the_steps_alone() {
 }
 
 #[test]
-fn a_return_inside_a_step_is_an_event() {
+fn return_inside_a_step_is_an_event() {
     // Below zero from 0.727 to 0.773 only: steps of 0.1 go over it.
     let (down, up) = (0.727_473_293_177_793_95, 0.772_526_706_822_206_05);
     for method in [Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf] {
@@ -147,7 +147,7 @@ impl HybridSystem for Thrice {
 }
 
 #[test]
-fn interior_samples_see_each_crossing_of_a_long_step() {
+fn interior_samples_find_every_crossing_of_a_long_step() {
     for (direction, expected) in [
         (Direction::Both, vec![0.32, 0.5, 0.68]),
         (Direction::Down, vec![0.5]),

@@ -77,7 +77,7 @@ fn run(system: &mut Scripted, span: (f64, f64), times: &[f64], options: Options)
 }
 
 #[test]
-fn fixed_steps_make_progress_at_large_times() {
+fn fixed_steps_advance_at_large_times() {
     for (start, step) in [(86_400.0, 1e-3), (1e6, 0.01), (1.7e9, 0.01), (1.7e9, 0.1), (-1.7e9, 0.1)] {
         for method in [Method::Rk4, Method::Euler] {
             let limits = Limits { max_steps: Some(2000), ..Limits::default() };
@@ -95,7 +95,7 @@ fn fixed_steps_make_progress_at_large_times() {
 }
 
 #[test]
-fn a_model_may_end_in_its_start() {
+fn model_can_terminate_at_its_start() {
     let mut system = Scripted { terminate_at_start: true, started_only: true, ..Scripted::default() };
     let (report, seen) = run(&mut system, (0.0, 1.0), &[0.0, 1.0], Options::default());
     assert_eq!((report.termination, report.time), (Termination::StoppedByModel, 0.0));
@@ -103,7 +103,7 @@ fn a_model_may_end_in_its_start() {
 }
 
 #[test]
-fn events_that_change_nothing_cost_no_restart_even_if_they_claim_to() {
+fn events_without_changes_avoid_restart_even_if_reported_as_changes() {
     let time_events: Vec<f64> = (0..1000).map(|k| 0.02 * f64::from(k)).collect();
     let with = |claims_change| {
         let mut system = Scripted { time_events: time_events.clone(), claims_change, ..Scripted::default() };
@@ -115,7 +115,7 @@ fn events_that_change_nothing_cost_no_restart_even_if_they_claim_to() {
 }
 
 #[test]
-fn jumps_of_an_input_cost_no_more_than_time_events() {
+fn input_jumps_cost_no_more_than_time_events() {
     let instants: Vec<f64> = (1..100).map(|k| 0.2 * f64::from(k)).collect();
     let stops = instants.iter().map(|t| InputStop { time: *t, jump: true }).collect();
     let by = |mut system: Scripted| {
@@ -134,7 +134,7 @@ fn jumps_of_an_input_cost_no_more_than_time_events() {
 }
 
 #[test]
-fn a_refused_sample_makes_a_smaller_step() {
+fn refused_sample_shrinks_step() {
     // x' = -50 x: interpolants of large steps dip below zero, where the output has no value.
     let mut system = Scripted {
         x0: vec![1.0],
@@ -149,7 +149,7 @@ fn a_refused_sample_makes_a_smaller_step() {
 }
 
 #[test]
-fn instants_that_differ_by_rounding_are_one() {
+fn instants_within_rounding_are_merged() {
     let at = 0.1 + 0.2; // 0.30000000000000004
     let stop = |time: f64| InputStop { time, jump: true };
     let mut system = Scripted {
@@ -169,7 +169,7 @@ fn instants_that_differ_by_rounding_are_one() {
 }
 
 #[test]
-fn a_time_event_that_never_moves_on_is_an_error() {
+fn repeated_time_event_is_an_error() {
     struct Stuck;
     impl HybridSystem for Stuck {
         fn n_states(&self) -> usize {
@@ -193,7 +193,7 @@ fn a_time_event_that_never_moves_on_is_an_error() {
 
 /// Contrary to its contract, an input announces the same instant over and over.
 #[test]
-fn an_input_stop_that_never_moves_on_is_an_error() {
+fn repeated_input_stop_is_an_error() {
     struct Stuck {
         jump: bool,
     }
@@ -221,7 +221,7 @@ fn an_input_stop_that_never_moves_on_is_an_error() {
 
 /// Without states nothing but a refused point makes a step smaller; the next one is as long as ever.
 #[test]
-fn a_refused_point_without_states_costs_one_step() {
+fn refused_point_without_states_shrinks_one_step() {
     struct Clock {
         looks: u64,
     }

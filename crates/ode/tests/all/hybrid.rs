@@ -12,7 +12,7 @@ fn driver(method: Method, options: Options) -> Driver {
 }
 
 #[test]
-fn bounce_times_are_the_closed_form() {
+fn bounce_times_match_closed_form() {
     let expected = bounce_times(0.1, 100);
     assert_eq!(expected.len(), 11);
     assert!((expected[10] - 2.499_113_314_224_620_7).abs() < 1e-14);
@@ -31,7 +31,7 @@ fn bounce_times_are_the_closed_form() {
 }
 
 #[test]
-fn zeno_is_caught() {
+fn zeno_behaviour_is_an_error() {
     let mut ball = Ball { v_min: 0.0, resting: false };
     let error =
         driver(Method::Tsit5, Options::default()).run(&mut ball, 0.0, 3.0, &[], &mut Ignore).unwrap_err();
@@ -70,7 +70,7 @@ impl HybridSystem for Relay {
 }
 
 #[test]
-fn sliding_is_caught_and_does_not_hang() {
+fn sliding_is_reported_as_chattering() {
     let error = driver(Method::Tsit5, Options::default())
         .run(&mut Relay { sign: 1.0 }, 0.0, 2.0, &[], &mut Ignore)
         .unwrap_err();
@@ -112,7 +112,7 @@ impl HybridSystem for Coulomb {
 }
 
 #[test]
-fn dry_friction_turns_every_pi_and_sticks() {
+fn dry_friction_turning_points_match_closed_form() {
     let mut seen = Recorder::default();
     let options = Options { relative_tolerance: 1e-10, record_events: true, ..Options::default() };
     driver(Method::Tsit5, options).run(&mut Coulomb { mode: 0.0 }, 0.0, 20.0, &[20.0], &mut seen).unwrap();
@@ -161,7 +161,7 @@ impl HybridSystem for Stair {
 }
 
 #[test]
-fn time_events_without_states_and_both_limits() {
+fn time_events_without_states_yield_both_limits() {
     let mut seen = Recorder::default();
     let times = [0.0, 0.5, 1.0, 1.0, 2.0, 2.5, 5.0];
     let mut d = driver(Method::Auto, Options::default());
@@ -178,7 +178,7 @@ fn time_events_without_states_and_both_limits() {
 }
 
 #[test]
-fn recorded_events_have_two_rows_each_and_requested_ones_their_index() {
+fn recorded_events_have_two_rows_and_requested_times_have_index() {
     let mut seen = Recorder::default();
     let options = Options { record_events: true, ..Options::default() };
     driver(Method::Auto, options)
@@ -235,7 +235,7 @@ impl HybridSystem for Driven {
 }
 
 #[test]
-fn input_jumps_are_events_and_kinks_are_step_ends() {
+fn input_jumps_are_events_and_kinks_end_steps() {
     for method in [Method::Tsit5, Method::Rk4] {
         let mut seen = Recorder::default();
         let mut system = Driven { after_jump: false, inputs_seen: vec![] };
@@ -282,7 +282,7 @@ impl HybridSystem for Odd {
 }
 
 #[test]
-fn step_events_cost_no_restart_when_they_change_nothing() {
+fn step_events_avoid_restart_when_nothing_changes() {
     let mut odd = Odd { step_events: true, discard_below: -1.0, fail_after: 9.0 };
     let report = driver(Method::Tsit5, Options::default()).run(&mut odd, 0.0, 1.0, &[], &mut Ignore).unwrap();
     assert_eq!(report.stats.step_events, report.stats.accepted_steps);
@@ -317,7 +317,7 @@ impl HybridSystem for Silent {
 
 /// That the slope of what was interpolated is not the right-hand side is no reason for a restart.
 #[test]
-fn state_events_cost_no_restart_when_they_change_nothing() {
+fn state_events_avoid_restart_when_nothing_changes() {
     for rate in [1.0, 50.0, 1e5] {
         for method in [Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf] {
             if rate > 1e3 && matches!(method, Method::Tsit5 | Method::Dop853) {
@@ -347,7 +347,7 @@ fn state_events_cost_no_restart_when_they_change_nothing() {
 }
 
 #[test]
-fn refused_points_make_smaller_steps_then_an_error_with_numbers() {
+fn refused_points_shrink_steps_and_error_reports_numbers() {
     // x = (1 - t/2)^2 reaches 0 at t = 2; at 1.9 all is well, beyond 2 nothing can be evaluated.
     let mut odd = Odd { step_events: false, discard_below: 0.0, fail_after: 9.0 };
     let mut d = driver(Method::Tsit5, Options { relative_tolerance: 1e-8, ..Options::default() });
@@ -368,7 +368,7 @@ fn refused_points_make_smaller_steps_then_an_error_with_numbers() {
 }
 
 #[test]
-fn errors_of_the_model_come_out_with_their_text() {
+fn model_errors_keep_their_message() {
     let mut odd = Odd { step_events: false, discard_below: -1.0, fail_after: 0.5 };
     let error =
         driver(Method::Tsit5, Options::default()).run(&mut odd, 0.0, 1.0, &[], &mut Ignore).unwrap_err();
@@ -377,7 +377,7 @@ fn errors_of_the_model_come_out_with_their_text() {
 }
 
 #[test]
-fn limits_and_cancel_are_typed() {
+fn limits_and_cancel_return_typed_errors() {
     let limited = |limits: Limits| {
         let mut ball = Ball { v_min: 0.1, resting: false };
         let options = Options { limits, max_step: Some(0.001), ..Options::default() };
@@ -405,7 +405,7 @@ fn limits_and_cancel_are_typed() {
 }
 
 #[test]
-fn the_observer_can_stop() {
+fn observer_can_stop_run() {
     let mut seen = Recorder { stop_after: Some(3), ..Recorder::default() };
     let times: Vec<f64> = (0..=40).map(|k| f64::from(k) * 0.1).collect();
     let mut ball = Ball { v_min: 0.1, resting: false };
@@ -416,7 +416,7 @@ fn the_observer_can_stop() {
 }
 
 #[test]
-fn bad_spans_times_and_tolerances_are_refused() {
+fn rejects_invalid_spans_times_and_tolerances() {
     let mut d = driver(Method::Tsit5, Options::default());
     let mut ball = Ball { v_min: 0.1, resting: false };
     let mut fails = |start: f64, end: f64, times: &[f64]| {
@@ -437,7 +437,7 @@ fn bad_spans_times_and_tolerances_are_refused() {
 }
 
 #[test]
-fn a_span_of_length_zero_and_times_near_1e9() {
+fn zero_span_and_times_near_1e9_are_supported() {
     let mut seen = Recorder::default();
     let mut d = driver(Method::Tsit5, Options::default());
     let mut ball = Ball { v_min: 0.1, resting: false };
@@ -454,7 +454,7 @@ fn a_span_of_length_zero_and_times_near_1e9() {
 }
 
 #[test]
-fn a_second_run_gives_the_same_bits() {
+fn second_run_is_bitwise_identical() {
     let times: Vec<f64> = (0..=400).map(|k| f64::from(k) * 0.01).collect();
     let run = |d: &mut Driver| {
         let mut seen = Recorder::default();
@@ -469,7 +469,7 @@ fn a_second_run_gives_the_same_bits() {
 }
 
 #[test]
-fn samples_do_not_change_the_steps() {
+fn samples_do_not_change_steps() {
     let steps = |times: &[f64]| {
         let mut d = driver(Method::Tsit5, Options::default());
         d.run(&mut Ball { v_min: 0.1, resting: false }, 0.0, 4.0, times, &mut Ignore)

@@ -49,7 +49,7 @@ fn largest(points: &[(f64, f64)], exact: impl Fn(f64) -> f64) -> f64 {
 /// x' = -1e4 (x - sin t) + cos t (A. Prothero, A. Robinson, Mathematics of Computation 28 (1974) 145-162): the fast
 /// component follows a slow path, and the steps are long.
 #[test]
-fn a_stiff_component_on_a_slow_path() {
+fn interpolation_is_accurate_for_stiff_component_on_slow_path() {
     for method in [Method::Radau5, Method::Bdf, Method::Auto] {
         for tolerance in [1e-4, 1e-6, 1e-8, 1e-10] {
             let f = |t: f64, x: &[f64], dx: &mut [f64]| {
@@ -92,7 +92,7 @@ impl HybridSystem for Clocked {
 }
 
 #[test]
-fn beside_a_clock_that_changes_nothing() {
+fn interpolation_is_accurate_with_clock_events() {
     for method in [Method::Radau5, Method::Bdf, Method::Auto] {
         for tolerance in [1e-4, 1e-6, 1e-8] {
             let mut points = Points::default();
@@ -127,7 +127,7 @@ impl HybridSystem for Algebraic {
 }
 
 #[test]
-fn an_algebraic_state() {
+fn interpolation_is_accurate_for_algebraic_state() {
     for tolerance in [1e-4, 1e-6, 1e-8, 1e-10] {
         let mut points = Points::default();
         driver(Method::Radau5, tolerance).run(&mut Algebraic, 0.0, 10.0, &[], &mut points).unwrap();
@@ -140,7 +140,7 @@ fn an_algebraic_state() {
 }
 
 #[test]
-fn a_smooth_oscillation() {
+fn interpolation_is_accurate_for_smooth_oscillation() {
     for method in [Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf, Method::Auto] {
         for tolerance in [1e-4, 1e-6, 1e-8, 1e-10] {
             let f = |_: f64, x: &[f64], dx: &mut [f64]| dx.copy_from_slice(&[x[1], -x[0]]);
@@ -201,7 +201,7 @@ impl HybridSystem for Follower {
 }
 
 #[test]
-fn after_a_kink_of_an_input() {
+fn interpolation_is_accurate_after_input_kink() {
     let times: Vec<f64> = (0..=4000).map(|k| f64::from(k) * 0.005).collect();
     for method in [Method::Tsit5, Method::Radau5, Method::Bdf, Method::Auto] {
         for rate in [10.0, 100.0, 1000.0] {

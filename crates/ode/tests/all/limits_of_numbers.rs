@@ -18,7 +18,7 @@ fn oscillator() -> Smooth<impl FnMut(f64, &[f64], &mut [f64])> {
 /// A system that knows no time goes the same way wherever its time begins: what rounding takes from one step it must
 /// give to the next.
 #[test]
-fn times_far_from_zero_cost_no_digits() {
+fn accuracy_is_kept_at_times_far_from_zero() {
     for method in ADAPTIVE {
         let error = |start: f64| {
             let options = Options { method, relative_tolerance: 1e-9, ..Options::default() };
@@ -36,7 +36,7 @@ fn times_far_from_zero_cost_no_digits() {
 }
 
 #[test]
-fn steps_too_small_to_see_are_refused_or_made_larger() {
+fn steps_below_rounding_are_rejected_or_enlarged() {
     for method in ADAPTIVE {
         let limits = Limits { max_steps: Some(1000), ..Limits::default() };
         for max_step in [1e-300, 1e-17, 2e-14] {
@@ -61,7 +61,7 @@ fn steps_too_small_to_see_are_refused_or_made_larger() {
 
 /// Solutions that grow without bound end in an error about steps, not in a swarm of steps that do not advance.
 #[test]
-fn a_solution_without_end_is_an_error() {
+fn diverging_solution_is_an_error() {
     for method in ADAPTIVE {
         let limits = Limits { max_steps: Some(20_000), ..Limits::default() };
         let mut explosion =
@@ -81,7 +81,7 @@ fn a_solution_without_end_is_an_error() {
 
 /// A right-hand side that is not finite where a run begins has nothing to do with its steps.
 #[test]
-fn a_start_that_cannot_be_evaluated_is_said_to_be_one() {
+fn error_reports_start_that_cannot_be_evaluated() {
     for method in ALL {
         for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             let mut calls = 0;
@@ -101,7 +101,7 @@ fn a_start_that_cannot_be_evaluated_is_said_to_be_one() {
 }
 
 #[test]
-fn absolute_tolerances_that_vanish_stand_for_none() {
+fn vanishing_absolute_tolerances_count_as_zero() {
     for method in ADAPTIVE {
         for tolerance in [f64::MIN_POSITIVE, 1e-320] {
             let mut decay = Smooth {
@@ -122,7 +122,7 @@ fn absolute_tolerances_that_vanish_stand_for_none() {
 
 /// Where times are tiny, or huge, messages do not count zeros.
 #[test]
-fn messages_show_numbers_with_exponents() {
+fn messages_format_numbers_with_exponents() {
     let mut driver = Driver::new(Options::default()).unwrap();
     let mut message = |start: f64, end: f64, times: &[f64]| {
         driver.run(&mut oscillator(), start, end, times, &mut Ignore).unwrap_err().to_string()
@@ -143,7 +143,7 @@ fn messages_show_numbers_with_exponents() {
 
 /// Either tolerance may be zero: SciPy and CVODE take that, too.
 #[test]
-fn one_of_the_tolerances_may_be_zero() {
+fn either_tolerance_can_be_zero() {
     let (sine, cosine) = 10f64.sin_cos();
     let exact = [1e4 + cosine + 1e4 * sine, 1e4 * cosine - sine];
     let is_near = |method, rtol, atol: [f64; 2]| {
@@ -170,7 +170,7 @@ fn one_of_the_tolerances_may_be_zero() {
 }
 
 #[test]
-fn a_state_of_zero_without_an_absolute_tolerance_is_named() {
+fn error_reports_zero_state_without_absolute_tolerance() {
     let options = Options { absolute_tolerance: AbsoluteTolerance::Scalar(0.0), ..Options::default() };
     let mut system = Smooth { x0: vec![1.0, 0.0], f: |_: f64, _: &[f64], dx: &mut [f64]| dx.fill(1.0) };
     let error = Driver::new(options).unwrap().run(&mut system, 0.0, 1.0, &[], &mut Ignore).unwrap_err();

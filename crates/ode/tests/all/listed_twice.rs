@@ -77,7 +77,7 @@ impl HybridSystem for Jump {
 }
 
 #[test]
-fn before_and_after() {
+fn time_listed_twice_yields_values_before_and_after_event() {
     const CAUSES: [Cause; 6] =
         [Cause::Indicator, Cause::FallingIndicator, Cause::Clock, Cause::Time, Cause::Step, Cause::Input];
     let mut wrong = Vec::new();
@@ -117,7 +117,7 @@ fn before_and_after() {
 
 /// Two requested times that rounding alone tells apart are one time that is listed twice.
 #[test]
-fn nearly_the_same_time_counts_as_the_same() {
+fn times_within_rounding_count_as_listed_twice() {
     for method in Method::ALL {
         let name = method.name();
         let at = 0.3 * 3.0 + 0.1;

@@ -45,7 +45,7 @@ fn solve<F: FnMut(f64, &[f64], &mut [f64])>(
 
 /// Robertson's reaction with the last equation replaced by conservation: the same solution.
 #[test]
-fn robertson_with_conservation_is_robertson() {
+fn robertson_with_conservation_matches_robertson() {
     let exact = [7.158270687194050905e-1, 9.185534764557763904e-6, 2.841637457458303518e-1];
     for (method, factor) in [(Method::Radau5, 1.0), (Method::Auto, 1.0), (Method::Bdf, 10.0)] {
         for (rtol, bar) in [(1e-4, 1e-4), (1e-6, 1e-6), (1e-9, 1e-8)] {
@@ -69,7 +69,7 @@ fn robertson_with_conservation_is_robertson() {
 /// The chemical Akzo Nobel problem of the IVP test set (F. Mazzia, C. Magherini, Test Set for Initial Value Problem
 /// Solvers, 2008, II-1), in which an equilibrium decides the last concentration; its values at t = 180 are theirs.
 #[test]
-fn an_equilibrium_of_the_test_set_has_its_digits_from_any_guess() {
+fn akzo_nobel_is_accurate_from_any_guess() {
     let exact = [
         1.150_794_920_661_702e-1,
         1.203_831_471_567_715e-3,
@@ -124,7 +124,7 @@ fn an_equilibrium_of_the_test_set_has_its_digits_from_any_guess() {
 /// x' = z with 0 = x^2 + z^2 - 1 on the branch z > 0 from x = 0: sin and cos. Then the same with equations mixed, so that
 /// the matrix is singular but has no zero row.
 #[test]
-fn algebraic_states_and_mixed_equations() {
+fn algebraic_states_are_solved_with_mixed_equations() {
     let plain =
         |_: f64, x: &[f64], d: &mut [f64]| d.copy_from_slice(&[x[1], x[0] * x[0] + x[1] * x[1] - 1.0]);
     let mut dae = Dae { x0: vec![0.0, 1.0], mass: vec![1.0, 0.0, 0.0, 0.0], f: plain };
@@ -149,7 +149,7 @@ fn algebraic_states_and_mixed_equations() {
 }
 
 #[test]
-fn a_mass_matrix_of_an_ordinary_system_scales_it() {
+fn regular_mass_matrix_scales_right_hand_side() {
     let mut dae = Dae {
         x0: vec![1.0, 1.0],
         mass: vec![2.0, 0.0, 0.0, 0.5],
@@ -162,7 +162,7 @@ fn a_mass_matrix_of_an_ordinary_system_scales_it() {
 }
 
 #[test]
-fn what_cannot_be_done_is_refused() {
+fn rejects_unsupported_mass_matrices() {
     let mut dae = Dae { x0: vec![1.0], mass: vec![2.0], f: |_: f64, x: &[f64], d: &mut [f64]| d[0] = -x[0] };
     for method in [Method::Tsit5, Method::Dop853, Method::Rk4, Method::Euler] {
         let options = Options { method, ..Options::default() };
@@ -179,7 +179,7 @@ fn what_cannot_be_done_is_refused() {
 
 /// What the equations without derivatives decide may be given as a guess.
 #[test]
-fn a_guess_of_the_algebraic_states_is_corrected_at_the_start() {
+fn algebraic_guess_is_corrected_at_start() {
     struct Told<F> {
         dae: Dae<F>,
         corrections: Vec<(f64, Vec<f64>)>,
@@ -271,7 +271,7 @@ fn a_guess_of_the_algebraic_states_is_corrected_at_the_start() {
 }
 
 #[test]
-fn a_start_that_cannot_be_made_consistent_is_an_error_with_numbers() {
+fn inconsistent_start_is_an_error_with_equation_and_residual() {
     let run = |x0: Vec<f64>, mass: Vec<f64>, f: fn(&[f64], &mut [f64])| {
         let mut dae = Dae { x0, mass, f: |_: f64, x: &[f64], d: &mut [f64]| f(x, d) };
         Driver::new(Options::default()).unwrap().run(&mut dae, 0.5, 1.0, &[], &mut Ignore)
@@ -294,7 +294,7 @@ fn a_start_that_cannot_be_made_consistent_is_an_error_with_numbers() {
 
 /// At t = 1 a valve is opened: the states stay, the flow that they make jumps.
 #[test]
-fn algebraic_states_jump_at_events() {
+fn algebraic_states_are_corrected_at_events() {
     struct Valve {
         mass: [f64; 4],
         opening: f64,

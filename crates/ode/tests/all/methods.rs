@@ -16,7 +16,7 @@ fn driver(method: Method, rtol: f64) -> Driver {
 }
 
 #[test]
-fn bounces_are_where_they_belong() {
+fn bounce_times_match_closed_form_for_every_method() {
     let expected = bounce_times(0.1, 100);
     for &method in ADAPTIVE {
         for rtol in [1e-4, 1e-6, 1e-9] {
@@ -37,7 +37,7 @@ fn bounces_are_where_they_belong() {
 }
 
 #[test]
-fn sliding_is_caught() {
+fn sliding_is_reported_as_chattering_by_every_method() {
     for &method in ADAPTIVE {
         let error = driver(method, 1e-6).run(&mut Relay(1.0), 0.0, 2.0, &[], &mut Ignore).unwrap_err();
         assert!(
@@ -50,7 +50,7 @@ fn sliding_is_caught() {
 }
 
 #[test]
-fn dry_friction_turns_every_pi_and_sticks() {
+fn dry_friction_turning_points_match_closed_form_for_every_method() {
     for &method in ADAPTIVE {
         let mut seen = Recorder::default();
         driver(method, 1e-8).run(&mut Coulomb(0.0), 0.0, 20.0, &[20.0], &mut seen).unwrap();
@@ -64,7 +64,7 @@ fn dry_friction_turns_every_pi_and_sticks() {
 }
 
 #[test]
-fn samples_between_steps_are_as_good_as_the_steps() {
+fn samples_between_steps_are_as_accurate_as_steps_for_every_method() {
     let times: Vec<f64> = (0..=4000).map(|k| f64::from(k) * 0.005).collect();
     for &method in ADAPTIVE {
         for rtol in [1e-4, 1e-6, 1e-8, 1e-10] {
@@ -87,7 +87,7 @@ fn samples_between_steps_are_as_good_as_the_steps() {
 }
 
 #[test]
-fn coincident_events_are_one_visit() {
+fn coincident_events_share_one_visit() {
     for &method in ADAPTIVE {
         let also = |t: f64| vec![t - 0.5, 0.5 - t, if t > 0.5 { 1.0 } else { -1.0 }];
         let mut turning = Turning { also, seen: vec![], announced: Some(0.5) };
@@ -104,7 +104,7 @@ fn coincident_events_are_one_visit() {
 
 /// sin(2 pi t) dips below -0.99 for 0.045 only.
 #[test]
-fn a_crossing_and_its_return_within_a_step_are_found() {
+fn crossing_and_return_within_a_step_are_located() {
     for &method in ADAPTIVE {
         let mut turning = Turning { also: |_| vec![], seen: vec![], announced: None };
         let relative_tolerance = if method == Method::Bdf { 1e-13 } else { 1e-12 };
@@ -129,7 +129,7 @@ fn a_crossing_and_its_return_within_a_step_are_found() {
 }
 
 #[test]
-fn indicators_that_only_jump_are_located_as_loosely_as_allowed() {
+fn jump_indicators_are_located_loosely_when_allowed() {
     for &method in ADAPTIVE {
         let run = |loose_jump_indicators: bool| {
             let also = |t: f64| vec![if t < 0.3 { 1.0 } else { -1.0 }];
@@ -148,7 +148,7 @@ fn indicators_that_only_jump_are_located_as_loosely_as_allowed() {
 }
 
 #[test]
-fn a_second_run_gives_the_same_bits() {
+fn second_run_is_bitwise_identical_for_every_method() {
     let times: Vec<f64> = (0..=400).map(|k| f64::from(k) * 0.01).collect();
     for &method in ADAPTIVE {
         let run = |d: &mut Driver| {
@@ -195,7 +195,7 @@ impl HybridSystem for Follower {
 }
 
 #[test]
-fn jumps_of_inputs_are_met_whether_or_not_kinks_are() {
+fn input_jumps_are_hit_with_and_without_kinks() {
     for &method in ADAPTIVE {
         let mut follower = Follower(vec![]);
         let mut seen = Recorder::default();
@@ -212,7 +212,7 @@ fn jumps_of_inputs_are_met_whether_or_not_kinks_are() {
 
 /// x' = -sqrt(x), refused below zero, or x' = log(1 - t) with a NaN beyond 1.
 #[test]
-fn refused_points_make_smaller_steps_then_an_error() {
+fn refused_points_shrink_steps_and_then_fail() {
     for &method in ADAPTIVE {
         let mut root = Smooth { x0: vec![1.0], f: |_: f64, x: &[f64], dx: &mut [f64]| dx[0] = -x[0].sqrt() };
         let mut seen = Recorder::default();
@@ -227,7 +227,7 @@ fn refused_points_make_smaller_steps_then_an_error() {
 }
 
 #[test]
-fn no_states_and_no_span() {
+fn systems_without_states_or_span_finish() {
     for &method in ADAPTIVE {
         let mut nothing = Smooth { x0: vec![], f: |_: f64, _: &[f64], _: &mut [f64]| panic!("no states") };
         let report = driver(method, 1e-6).run(&mut nothing, 0.0, 3.0, &[1.0, 3.0], &mut Ignore).unwrap();
@@ -266,7 +266,7 @@ impl Observer for Steps {
 }
 
 #[test]
-fn steps_can_be_looked_into() {
+fn observer_can_interpolate_inside_steps() {
     for &method in ADAPTIVE {
         let mut steps = Steps::default();
         let f = |_: f64, x: &[f64], dx: &mut [f64]| dx.copy_from_slice(&[x[1], -x[0]]);
@@ -299,7 +299,7 @@ fn steps_can_be_looked_into() {
 }
 
 #[test]
-fn the_same_bits_on_every_thread_and_in_every_instance() {
+fn results_are_bitwise_identical_across_threads_and_instances() {
     let methods = [ADAPTIVE, &[Method::Rk4, Method::Euler]].concat();
     for method in methods {
         let run = move || {
@@ -327,7 +327,7 @@ fn the_same_bits_on_every_thread_and_in_every_instance() {
 
 /// A right-hand side that jumps each half second, and no event tells of it.
 #[test]
-fn bdf_starts_anew_at_order_1_after_three_failures() {
+fn bdf_restarts_at_order_1_after_three_failures() {
     let problem = problems::Problem {
         x0: vec![1.0, 1.0],
         end: 10.0,

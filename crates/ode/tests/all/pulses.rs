@@ -92,7 +92,7 @@ const KINDS: [Kind; 7] =
     [Kind::Rising, Kind::Falling, Kind::Closed, Kind::Mode, Kind::Clock, Kind::ClockMode, Kind::State];
 
 #[test]
-fn a_force_between_two_events_is_never_lost() {
+fn force_between_two_events_is_integrated() {
     let mut wrong = Vec::new();
     for method in ADAPTIVE.into_iter().chain([Method::Rk4, Method::Euler]) {
         for kind in KINDS {

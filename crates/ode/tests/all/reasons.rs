@@ -54,7 +54,7 @@ impl HybridSystem for Bad {
 }
 
 #[test]
-fn values_that_are_not_finite_are_named() {
+fn error_reports_non_finite_value() {
     for method in Method::ALL {
         let name = method.name();
         assert_eq!(name.parse(), Ok(method));
@@ -124,7 +124,7 @@ fn diagonal(entries: &[f64]) -> Vec<f64> {
 }
 
 #[test]
-fn a_higher_index_is_named_and_an_index_of_one_is_not() {
+fn error_reports_higher_index_only_for_index_above_one() {
     const G: f64 = 9.81;
     let ones = [1.0, 1.0, 1.0, 1.0, 0.0];
     let high: [System; 4] = [

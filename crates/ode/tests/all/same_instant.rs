@@ -51,7 +51,7 @@ impl HybridSystem for Ticks {
 
 /// The end of a run is what a person writes for `start + k * period`.
 #[test]
-fn a_tick_at_the_end_counts_when_rounding_puts_it_behind_the_end() {
+fn tick_at_end_counts_when_rounded_past_end() {
     let mut behind = 0;
     for method in Method::ALL {
         for start in [0.0, -3.0, 0.1, 1e3, 1e6] {
@@ -113,7 +113,7 @@ impl HybridSystem for Two {
 }
 
 #[test]
-fn a_row_shows_what_comes_of_all_events_of_its_time_when_there_are_two() {
+fn row_follows_all_events_of_its_time() {
     let mut wrong = Vec::new();
     for method in Method::ALL {
         for relative_tolerance in [1e-4, 1e-6, 1e-9] {

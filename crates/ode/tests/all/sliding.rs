@@ -211,13 +211,13 @@ fn run_cases(seed: u64, count: usize) {
 }
 
 #[test]
-fn bodies_rest_on_the_side_they_came_from() {
+fn sliding_bodies_stay_on_their_initial_side() {
     run_cases(1, 8);
 }
 
 #[test]
 #[ignore = "long"]
-fn many_bodies_rest_on_the_side_they_came_from() {
+fn many_sliding_bodies_stay_on_their_initial_side() {
     for seed in 1..=20 {
         run_cases(seed, 100);
     }

@@ -70,7 +70,7 @@ fn solve(method: Method, heat: &mut Heat) -> (Vec<f64>, Stats) {
 }
 
 #[test]
-fn heat_decays_as_its_closed_form_says() {
+fn heat_equation_matches_closed_form() {
     for method in [Method::Radau5, Method::Bdf, Method::Auto] {
         let mut heat = Heat::new(18, true);
         let (x, stats) = solve(method, &mut heat);
@@ -86,7 +86,7 @@ fn heat_decays_as_its_closed_form_says() {
 }
 
 #[test]
-fn sparse_and_dense_agree_and_repeat_their_bits() {
+fn sparse_and_dense_results_agree_and_are_reproducible() {
     for method in [Method::Radau5, Method::Bdf] {
         let (sparse, a) = solve(method, &mut Heat::new(12, true));
         let (dense, b) = solve(method, &mut Heat::new(12, false));
@@ -127,7 +127,7 @@ impl HybridSystem for Chain {
 /// It is not stiff, and the explicit method is as good as any. A trial of Radau5 is cheap where its matrices are sparse; where they
 /// are dense, one takes as long as thousands of right-hand sides. x_k(t) = exp(-t) t^k / k!.
 #[test]
-fn an_explicit_method_of_auto_decomposes_no_dense_matrix_when_the_pattern_is_sparse() {
+fn auto_avoids_dense_decompositions_when_pattern_is_sparse() {
     let n = 1000;
     let entries = (0..n).flat_map(|i: usize| [(i, i), (i, i.saturating_sub(1))]);
     let mut system = Chain { n, pattern: JacobianPattern::new(n, entries).unwrap() };

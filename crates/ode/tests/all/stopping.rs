@@ -76,7 +76,7 @@ fn run(
 }
 
 #[test]
-fn nothing_is_evaluated_once_cancelled() {
+fn cancelled_run_makes_no_further_evaluations() {
     for &method in METHODS {
         // The first differences of a Jacobian are evaluations 3 to 42 or so; later ones are Newton's, stages, indicators.
         for at in (1..60).chain([97, 150, 151, 152, 153, 154, 155, 1003]) {
@@ -91,7 +91,7 @@ fn nothing_is_evaluated_once_cancelled() {
 }
 
 #[test]
-fn nothing_is_evaluated_once_the_time_is_up() {
+fn timed_out_run_makes_no_further_evaluations() {
     let limit = Duration::from_millis(60);
     for method in [Method::Tsit5, Method::Radau5, Method::Bdf] {
         for at in [2, 20, 60] {
@@ -126,7 +126,7 @@ impl Observer for Rows {
 }
 
 #[test]
-fn rows_inside_of_a_step_end_with_the_run() {
+fn stopped_run_delivers_no_further_samples_inside_a_step() {
     let times: Vec<f64> = (0..1000).map(|k| 1e-3 * f64::from(k)).collect();
     for flag in [None, Some(Arc::<AtomicBool>::default())] {
         let options =

@@ -62,7 +62,7 @@ fn naps(n: u32) -> f64 {
 }
 
 #[test]
-fn slow_calls_count_as_time_in_the_model() {
+fn slow_calls_count_as_time_in_model() {
     for (in_derivatives, in_events) in [(true, false), (false, true)] {
         let mut system = Sleepy { in_derivatives, in_events, naps: 0 };
         let mut driver = Driver::new(Options::default()).unwrap();
@@ -75,7 +75,7 @@ fn slow_calls_count_as_time_in_the_model() {
 }
 
 #[test]
-fn what_the_observer_does_is_not_in_the_model() {
+fn observer_time_is_excluded_from_time_in_model() {
     let mut system = Sleepy { in_derivatives: false, in_events: false, naps: 0 };
     let mut observer = SleepyObserver(0);
     let mut driver = Driver::new(Options::default()).unwrap();
@@ -87,7 +87,7 @@ fn what_the_observer_does_is_not_in_the_model() {
 }
 
 #[test]
-fn runs_that_fail_have_times_too_and_runs_are_compared_by_their_counts() {
+fn failed_runs_report_times_and_stats_compare_by_counts() {
     let mut system = Sleepy { in_derivatives: true, in_events: false, naps: 0 };
     let limits = Limits { max_right_hand_sides: Some(20), ..Limits::default() };
     let mut driver = Driver::new(Options { limits, ..Options::default() }).unwrap();

@@ -33,7 +33,7 @@ fn follows_the_tolerance(method: Method, problem: &Problem) {
 }
 
 #[test]
-fn radau5_has_its_digits() {
+fn radau5_reaches_required_digits() {
     for p in stiff::all() {
         meets(Method::Radau5, &p, if p.name == "E5 1e5" { [3.0, 6.0] } else { [6.0, 8.0] });
         follows_the_tolerance(Method::Radau5, &p);
@@ -41,7 +41,7 @@ fn radau5_has_its_digits() {
 }
 
 #[test]
-fn bdf_has_its_digits() {
+fn bdf_reaches_required_digits() {
     for p in stiff::all() {
         meets(Method::Bdf, &p, [3.5, 7.0]);
         follows_the_tolerance(Method::Bdf, &p);
@@ -52,7 +52,7 @@ fn bdf_has_its_digits() {
 /// thousands of right-hand sides that Tsit5 alone would, and what is not
 /// stiff it solves by Tsit5 alone.
 #[test]
-fn auto_switches() {
+fn auto_switches_only_for_stiff_problems() {
     for p in stiff::all() {
         let bars = match p.name {
             "E5 1e5" => [3.0, 6.0],
@@ -79,12 +79,12 @@ fn auto_switches() {
 }
 
 #[test]
-fn tsit5_has_its_digits() {
+fn tsit5_reaches_required_digits() {
     explicit(Method::Tsit5);
 }
 
 #[test]
-fn dop853_has_its_digits() {
+fn dop853_reaches_required_digits() {
     explicit(Method::Dop853);
 }
 
@@ -132,7 +132,7 @@ fn table() {
 }
 
 #[test]
-fn auto_needs_little_more_than_radau5_where_it_is_stiff() {
+fn auto_needs_little_more_than_radau5_for_stiff_problems() {
     // At tight tolerances accuracy keeps Tsit5's steps well within its stability: the products of step and eigenvalue say
     // nothing, and a trial has to tell.
     for problem in problems::stiff::all() {

@@ -105,7 +105,7 @@ mod tests {
 
     /// A polynomial of the degree of the order is continued exactly for any step sizes.
     #[test]
-    fn the_array_is_a_polynomial() {
+    fn nordsieck_array_represents_polynomial() {
         let at = |t: f64| 1.0 + t * (2.0 + t * (3.0 + 4.0 * t));
         let slope_at = |t: f64| 2.0 + t * (6.0 + 12.0 * t);
         let (h, t) = (0.5, 1.0);
@@ -127,7 +127,7 @@ mod tests {
     /// With the order reduced, the polynomial keeps its value and slope and passes through the remaining
     /// points. With the order increased, it passes through the additional point.
     #[test]
-    fn lower_orders_forget_the_oldest_point() {
+    fn order_changes_drop_or_add_one_point() {
         let at = |t: f64| 1.0 + t * (2.0 + t * (3.0 + 4.0 * t));
         let (h, past) = (0.5, [0.5, 0.3, 0.2]);
         let mut z = [1.0, h * 2.0, h * h * 3.0, h * h * h * 4.0].map(|z| vec![z]);

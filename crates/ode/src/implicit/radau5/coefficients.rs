@@ -48,7 +48,7 @@ mod tests {
     }
 
     #[test]
-    fn the_transformation_makes_two_blocks_of_the_inverse() {
+    fn transformation_splits_inverse_into_two_blocks() {
         let (t, t_inverse) = (matrix(T), matrix(T_INVERSE));
         assert!((t * t_inverse - Matrix3::identity()).amax() < 1e-14);
         let blocks = t_inverse * method().try_inverse().unwrap() * t;
@@ -57,7 +57,7 @@ mod tests {
     }
 
     #[test]
-    fn the_method_has_order_five() {
+    fn radau5_coefficients_have_order_five() {
         let (a, c) = (method(), [C1, C2, 1.0]);
         // Simplifying assumptions B(5) and C(3) give order 5 (Hairer, Wanner II, theorem IV.5.1).
         for q in 1..=5 {

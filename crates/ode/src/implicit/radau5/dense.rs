@@ -124,7 +124,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_correction_keeps_ends_and_slopes() {
+    fn correction_preserves_ends_and_slopes() {
         let slope = |s: f64| (correction(s + 1e-6) - correction(s - 1e-6)) / 2e-6;
         assert_eq!(correction(0.0), 0.0);
         assert!(correction(1.0).abs() < 1e-15);
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_values_are_those() {
+    fn largest_values_match_constants() {
         let largest =
             |f: &dyn Fn(f64) -> f64| (0..=10_000).map(|k| f(f64::from(k) * 1e-4).abs()).fold(0.0, f64::max);
         assert!((largest(&|s| s * nodes(s)) / LARGEST_BEND - 1.0).abs() < 0.01);
@@ -144,7 +144,7 @@ mod tests {
 
     /// With exact stages, as for stiff components, the interpolation is exact for polynomials of degree 4.
     #[test]
-    fn a_quartic_is_interpolated() {
+    fn quartic_is_interpolated_exactly() {
         let x = |t: f64| 2.0 + t * (1.0 + t * (-3.0 + t * (0.5 + 0.25 * t)));
         let step = |t: f64, h: f64| {
             let mut c = Collocation::default();
