@@ -1,5 +1,6 @@
-//! What a process of its own costs an evaluation: beside a raw ping-pong of as many bytes over a socket pair, and beside the same
-//! evaluation in this process. `cargo bench -p fmufit-calibration --bench isolation`
+//! Cost of process isolation per evaluation, compared with a plain exchange of the same number of bytes over
+//! a socket pair, and with the same evaluation in this process. `cargo bench -p fmufit-calibration --bench
+//! isolation`
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 use calibration::RunContext;
@@ -17,7 +18,7 @@ const ROWS: usize = 800;
 const CALLS: usize = 400;
 const ROUNDS: usize = 15;
 
-/// Bytes of a question and of an answer: two outputs.
+/// Bytes of a request and of a response with two outputs.
 const ASKED: usize = 160;
 const ANSWER: usize = 8 * 2 * ROWS + 160;
 
@@ -97,7 +98,7 @@ fn overhead() {
     child.wait().unwrap();
 }
 
-/// Whole fits, with opening, by turns.
+/// Whole fits, including opening the model, with and without isolation in turn.
 fn fits() {
     let fit = |isolation| {
         let began = Instant::now();

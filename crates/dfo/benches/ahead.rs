@@ -1,7 +1,8 @@
-//! What Nelder-Mead gains by looking ahead, by a clock of its own: several functions and starts, one
-//! evaluation in ten ten times as long. Prints the time with one worker over that with more (the median of
-//! the starts), and in brackets the most calls per evaluation of the path. Rosenbrock's function and `decay`
-//! have chosen how many guesses are under way at once (`evaluation/speculative_evaluations.rs`); the others judge it.
+//! Speed-up of Nelder-Mead by speculative evaluations, measured with a simulated clock: several functions and
+//! starts, one evaluation in ten takes ten times as long. Prints the time with one worker divided by the time
+//! with more workers (the median over the starts). The number in brackets is the maximum number of calls per
+//! evaluation of the path. Rosenbrock's function and `decay` were used to choose how many speculative
+//! evaluations run at once (`evaluation/speculative_evaluations.rs`); the other functions judge the choice.
 #![allow(clippy::print_stdout, clippy::unwrap_used, unreachable_pub)]
 
 #[path = "../tests/common/clocked.rs"]
@@ -20,7 +21,7 @@ fn ellipsoid(x: &[f64]) -> f64 {
     x.iter().enumerate().map(|(k, x)| 1e3f64.powf(k as f64 / last) * (x - 0.3).powi(2)).sum()
 }
 
-/// Residuals of the sine of a sum of exponential functions, whose factors are the parameters.
+/// Residuals of the sine of a sum of exponential functions. The parameters are the factors of the sum.
 fn decay(x: &[f64]) -> f64 {
     let model = |t: f64| {
         let terms = x.iter().enumerate().map(|(k, x)| (x, (-0.4 * t * (k as f64 + 1.0)).exp()));
@@ -38,7 +39,7 @@ fn noise(x: &[f64]) -> f64 {
     rosenbrock(x) * (1.0 + 1e-6 * (hash(x) % 1000) as f64)
 }
 
-/// Time of a run by the clock, and calls per evaluation of the path.
+/// Simulated time of a run, and calls per evaluation of the path.
 fn run(answer: Evaluate, n: usize, width: usize, seed: u64) -> (f64, f64) {
     let (mut clocked, seen) = Clocked::new(width, one_in(10));
     clocked.answer = answer;

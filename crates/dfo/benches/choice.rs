@@ -1,10 +1,11 @@
-//! What the choice of a method for costs without residuals is judged by: `auto` beside the methods it could take, on smooth, noisy,
-//! non-smooth, bounded and calibration-like problems. Share solved and median of the evaluations in units of n + 1, unsolved ones
-//! counting as infinite; `ratio`: the median in units of the least of the single methods.
+//! Benchmark for the choice of a method for costs without residuals: `auto` and the methods it can choose, on
+//! smooth, noisy, non-smooth, bounded and calibration-like problems. Prints the share of solved problems and
+//! the median number of evaluations in units of n + 1, in which unsolved problems count as infinite. `ratio`:
+//! the median in units of the smallest number of the single methods.
 //!
-//! `cargo bench --bench choice -- [seed K] [set PART] [each] [own]`: other starts (each parameter times 1 + u/4, u uniform in
-//! (-1, 1)) and other noise; only sets whose name has this part; a line per problem; `own`: runs with default tolerances up to
-//! their own end.
+//! `cargo bench --bench choice -- [seed K] [set PART] [each] [own]`. `seed`: other starts (each parameter
+//! times 1 + u/4, u uniform in (-1, 1)) and other noise. `set`: only sets whose name contains PART. `each`: a
+//! line per problem. `own`: runs with default tolerances until they terminate.
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::panic)]
 
 #[path = "../tests/problems/mod.rs"]
@@ -19,7 +20,7 @@ use problems::{Instance, instances, residuals, start};
 
 type Cost = Box<dyn Fn(&[f64]) -> f64 + Send + Sync>;
 
-/// What a method sees, and what it is judged by.
+/// A problem: the cost that a method evaluates, and the cost that judges its result.
 struct Problem {
     name: String,
     start: Vec<f64>,
@@ -55,7 +56,8 @@ fn mixed(mut z: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// Uniform in (-1, 1), a function of the point: what an adaptive integrator makes of a smooth cost.
+/// Noise that is uniform in (-1, 1) and a function of the point, as an adaptive integrator adds to a smooth
+/// cost.
 fn noise(x: &[f64], seed: u64, number: usize) -> f64 {
     let bits = x.iter().fold(seed + 1, |h, v| mixed(h ^ v.to_bits()));
     let bits = mixed(bits.wrapping_add(0x9e37_79b9_7f4a_7c15_u64.wrapping_mul(number as u64 + 1)));
@@ -148,7 +150,7 @@ fn sets(seed: u64) -> Vec<Set> {
         for (k, which) in (0..fits().len()).flat_map(|k| [(k, 0), (k, 1), (k, 2)]) {
             let fit = std::sync::Arc::new(fits().remove(k));
             let (start, truth) = (fit.starts()[which].clone(), fit.truth.clone());
-            // Measurements with noise of 1 % of a range of four standard deviations.
+            // Measurement noise of 1 % of a range of four standard deviations.
             let errors = move |m: usize| {
                 (0..m).map(move |i| 0.04 / (m as f64).sqrt() * 1.7 * noise(&[k as f64], seed, i))
             };
@@ -213,7 +215,7 @@ fn run(p: &Problem, method: AnyMethod, budget: usize, own: bool) -> Report {
     run.run().unwrap()
 }
 
-/// Costs without noise of all evaluations, the least so far.
+/// Running minimum of the noise-free costs of all evaluations.
 fn history(p: &Problem, report: &Report) -> Vec<f64> {
     let mut least = f64::INFINITY;
     let each = report.trace.iter().map(|e| {

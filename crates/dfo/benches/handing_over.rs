@@ -1,6 +1,7 @@
-//! What workers cost and gain for Nelder-Mead with evaluations of 1 us to 10 ms, which keep a core busy: the bar is that no
-//! number of workers is slower than one by more than 5 %. Each run with several workers stands beside one with one worker,
-//! which goes before it and after it by turns; what counts is the median of the ratios of these pairs.
+//! Cost and gain of workers for Nelder-Mead with evaluations of 1 us to 10 ms that keep a core busy.
+//! Requirement: no number of workers is more than 5 % slower than one worker. Each run with several workers
+//! is paired with a run with one worker, alternately before and after it. The result is the median of the
+//! ratios of these pairs.
 #![allow(clippy::print_stdout, clippy::unwrap_used)]
 
 use dfo::minimize;
@@ -9,7 +10,7 @@ use std::time::{Duration, Instant};
 const WORKERS: [usize; 4] = [2, 3, 4, 8];
 const BAR: f64 = 1.05;
 
-/// A cost that takes so long.
+/// A cost function that takes the given time.
 fn busy(x: &[f64], time: Duration) -> f64 {
     let start = Instant::now();
     let cost = x.windows(2).map(|w| 100.0 * (w[1] - w[0] * w[0]).powi(2) + (1.0 - w[0]).powi(2)).sum();
@@ -19,7 +20,7 @@ fn busy(x: &[f64], time: Duration) -> f64 {
     cost
 }
 
-/// Seconds of a run, rounds, and evaluations made ahead of need.
+/// Seconds of a run, rounds, and speculative evaluations.
 fn run(time: Duration, workers: usize, evaluations: usize) -> (f64, usize, usize) {
     let start = Instant::now();
     let report = minimize(|x: &[f64]| busy(x, time))

@@ -1,5 +1,6 @@
-//! What a lag of CMA-ES costs and gains: evaluations to a target, and how many times as fast 16 workers come
-//! to it as one does without a lag, by a clock of their own: one evaluation in ten takes ten times as long.
+//! Cost and gain of a lag of CMA-ES, measured with a simulated clock: one evaluation in ten takes ten times
+//! as long. Prints the number of evaluations to a target, and the speed-up of 16 workers relative to one
+//! worker without a lag.
 #![allow(clippy::print_stdout, clippy::unwrap_used, unreachable_pub)]
 
 #[path = "../tests/common/clocked.rs"]
@@ -15,7 +16,7 @@ fn sphere(x: &[f64]) -> f64 {
     x.iter().map(|x| x * x).sum()
 }
 
-/// A quadratic with condition number 1e6 whose axes are those of a reflection.
+/// A quadratic with condition number 1e6 whose axes are rotated by a reflection.
 fn ellipsoid(x: &[f64]) -> f64 {
     let n = x.len() as f64;
     let along: f64 = x.iter().enumerate().map(|(k, x)| (k as f64 + 1.0) * x).sum();
@@ -28,7 +29,7 @@ fn rastrigin(x: &[f64]) -> f64 {
     x.iter().map(|x| 10.0 + (x - 0.7).powi(2) - 10.0 * (std::f64::consts::TAU * (x - 0.7)).cos()).sum()
 }
 
-/// A function, its name, the start, the first step size, the most evaluations per parameter.
+/// Function, name, start, first step size, and maximum number of evaluations per parameter.
 type Problem = (fn(&[f64], &Query<'_>) -> Answer, &'static str, f64, f64, usize);
 
 fn run(problem: Problem, n: usize, options: &CmaEs, width: usize, seed: u64) -> (Report, f64) {
@@ -41,7 +42,8 @@ fn run(problem: Problem, n: usize, options: &CmaEs, width: usize, seed: u64) -> 
     (report, seen.now.get())
 }
 
-/// Sums over the runs of some seeds, divided by those that came to the target: evaluations and time.
+/// Evaluations and time: sums over the runs of several seeds, divided by the number of runs that reached the
+/// target.
 fn spent(problem: Problem, n: usize, options: &CmaEs, width: usize) -> (f64, f64, usize) {
     let runs: Vec<(Report, f64)> = (0..SEEDS).map(|seed| run(problem, n, options, width, seed)).collect();
     let solved = runs.iter().filter(|(report, _)| report.fun <= TARGET).count();

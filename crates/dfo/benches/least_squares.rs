@@ -1,9 +1,10 @@
-//! Where least squares ends, and what it has reached then: evaluations to the end in units of n + 1 (median and mean), the share of
-//! problems solved at the end (`f - best <= tau (f_0 - best)`), and the digits of the cost: the median of `-log10` of
-//! `(f - best) / (f_0 - best)`, at most 20.
+//! Termination of least squares: evaluations until the end in units of n + 1 (median and mean), and the share
+//! of problems solved at the end (`f - best <= tau (f_0 - best)`). Also prints the digits of the cost: the
+//! median of `-log10` of `(f - best) / (f_0 - best)`, at most 20.
 //!
-//! `cargo bench --bench least_squares -- [seed K] [set PART] [each]`: other starts (each parameter times 1 + u/4, u uniform in
-//! (-1, 1)); only sets whose name has this part; a line per problem.
+//! `cargo bench --bench least_squares -- [seed K] [set PART] [each]`. `seed`: other starts (each parameter
+//! times 1 + u/4, u uniform in (-1, 1)). `set`: only sets whose name contains PART. `each`: a line per
+//! problem.
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::panic)]
 
 #[path = "../tests/problems/mod.rs"]
@@ -40,7 +41,7 @@ fn squares(r: &[f64]) -> f64 {
     r.iter().map(|r| r * r).sum()
 }
 
-/// Fits to data with noise of this share of their range; each from three starts.
+/// Fits to data with noise of this fraction of their range, from three starts each.
 fn fits_with(share: f64) -> Vec<Problem> {
     let each = |(k, which): (usize, usize)| {
         let fit = fits().remove(k);

@@ -1,5 +1,6 @@
-//! What tunes the constants of quadratic models: share solved and median of the evaluations in units of n + 1, on the even
-//! halves of the smooth instances, fits and boxes (`cargo bench --bench quadratic`), or on the odd ones, which judge (`-- judge`).
+//! Tuning of the constants of quadratic models: share of solved problems and median of the evaluations in
+//! units of n + 1. The even halves of the smooth instances, fits and boxes tune the constants (`cargo bench
+//! --bench quadratic`). The odd halves judge them (`-- judge`).
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::panic)]
 
 #[path = "../tests/problems/mod.rs"]
@@ -10,7 +11,8 @@ use problems::boxes::boxes;
 use problems::calibration::fits;
 use problems::instances;
 
-/// Units of n + 1 evaluations, infinite where a run was not right, and whether it says success although it was not.
+/// Evaluations in units of n + 1, infinite if the result is wrong, and whether a wrong result was reported as
+/// a success.
 type Run = (f64, bool);
 
 fn show(title: &str, mut runs: Vec<Run>) {

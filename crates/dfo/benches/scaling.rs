@@ -1,5 +1,6 @@
-//! What many workers gain, by a clock of their own: each evaluation takes one unit of time, one in so many ten.
-//! Prints the table of benches/scaling.md and writes its picture to the path that is given after `--`.
+//! Speed-up by many workers, measured with a simulated clock: each evaluation takes one unit of time, and a
+//! fixed share of them ten. Prints the table of benches/scaling.md and writes its plot to the path given
+//! after `--`.
 #![allow(clippy::print_stdout, clippy::unwrap_used, unreachable_pub)]
 
 #[path = "../tests/common/clocked.rs"]
@@ -12,14 +13,14 @@ use std::fmt::Write;
 const WIDTHS: [usize; 5] = [1, 4, 10, 100, 1000];
 const SEEDS: u64 = 2;
 
-/// Rosenbrock's function, as a sum of squares where residuals are wanted.
+/// Rosenbrock's function, as a sum of squares if residuals are requested.
 fn answer(x: &[f64], query: &Query<'_>) -> Answer {
     let pairs = || x.windows(2).flat_map(|w| [10.0 * (w[1] - w[0] * w[0]), 1.0 - w[0]]);
     let residuals = if query.want == Want::Residuals { pairs().collect() } else { Vec::new() };
     Answer { residuals, ..Outcome::Value(rosenbrock(x)).into() }
 }
 
-/// Mean time of a run by the clock.
+/// Mean simulated time of a run.
 fn time(method: &AnyMethod, n: usize, width: usize, length: impl Fn(&[f64]) -> f64 + Copy) -> f64 {
     let run = |seed: u64| {
         let (mut clocked, seen) = Clocked::new(width, length);
@@ -34,7 +35,7 @@ fn time(method: &AnyMethod, n: usize, width: usize, length: impl Fn(&[f64]) -> f
     (0..SEEDS).map(run).sum::<f64>() / SEEDS as f64
 }
 
-/// A line for each method over the logarithm of the number of workers.
+/// Plots a line for each method over the logarithm of the number of workers.
 fn picture(lines: &[(String, Vec<f64>)]) -> String {
     let most = (WIDTHS[WIDTHS.len() - 1] as f64).log10();
     let place = |width: usize, gain: f64| {

@@ -1,6 +1,6 @@
-//! What tunes the constants of Nelder-Mead: share solved and median of the evaluations, on the even halves of the fits
-//! and of the boxes (`cargo bench --bench simplex`), or on the odd ones, which judge (`-- judge`), and on the problems of
-//! Moré and Wild, which only judge.
+//! Tuning of the constants of Nelder-Mead: share of solved problems and median of the evaluations. The even
+//! halves of the fits and of the boxes tune the constants (`cargo bench --bench simplex`). The odd halves
+//! (`-- judge`) and the problems of Moré and Wild judge them.
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 #[path = "../tests/problems/mod.rs"]
@@ -11,7 +11,7 @@ use problems::boxes::boxes;
 use problems::calibration::fits;
 use problems::instances;
 
-/// Whether a run was right, how many evaluations it took, whether it says success.
+/// Outcome of a run: whether its result is right, its number of evaluations, and whether it reported success.
 struct Run {
     solved: bool,
     evaluations: usize,

@@ -1,6 +1,6 @@
-//! A thousand workers for a population of a thousand, beside a plain pool of as many threads that evaluates
-//! the same points a generation at a time: differential evolution, an evaluation waits for 20 ms. Prints the
-//! median ratio of the times; the bar is 1.2.
+//! A thousand workers for a population of a thousand, compared with a plain pool of a thousand threads that
+//! evaluates the same points one generation at a time. Differential evolution; an evaluation waits for 20 ms.
+//! Prints the median ratio of the times. Requirement: 1.2.
 #![allow(clippy::print_stdout, clippy::unwrap_used)]
 
 use dfo::{DifferentialEvolution, minimize};
@@ -17,7 +17,7 @@ fn cost(x: &[f64]) -> f64 {
     x.windows(2).map(|w| 100.0 * (w[1] - w[0] * w[0]).powi(2) + (1.0 - w[0]).powi(2)).sum()
 }
 
-/// Points on their way to the threads and costs on their way back.
+/// Sender of points to the threads, and receiver of their costs.
 struct Pool(Sender<Vec<f64>>, Receiver<f64>);
 
 impl Pool {
@@ -60,7 +60,7 @@ fn main() {
     for (name, method) in [
         ("de-classic", DifferentialEvolution::classic()),
         ("de-classic, lag 1000", DifferentialEvolution::classic().lag(WORKERS)),
-        // Its population does not shrink as long as so little of the budget is spent.
+        // The population does not shrink while only such a small part of the budget is spent.
         ("de", DifferentialEvolution::default().budget(100 * GENERATIONS * WORKERS)),
     ] {
         let pairs: Vec<(f64, f64)> = (0..PAIRS).map(|_| (evolution(method.clone()), plain())).collect();

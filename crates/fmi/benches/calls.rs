@@ -1,5 +1,5 @@
-//! What the safe layer adds to one call into an FMU: the same calls from here and from a C program
-//! (`raw_calls.c`), on the same library, in one run. `cargo bench -p fmufit-fmi --bench calls`.
+//! Overhead of the safe layer per call into an FMU: the same calls from Rust and from a C program
+//! (`raw_calls.c`), with the same library, in one run. `cargo bench -p fmufit-fmi --bench calls`.
 
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
@@ -11,7 +11,8 @@ use std::time::Instant;
 
 const CALLS: u32 = 200_000;
 
-/// Nanoseconds per call, the smallest of 30 repetitions: everything else on the machine only adds.
+/// Nanoseconds per call: the minimum of 30 repetitions, because other load on the machine only increases the
+/// time.
 fn best(mut call: impl FnMut(u32)) -> f64 {
     let mut best = f64::INFINITY;
     for _ in 0..30 {
@@ -24,7 +25,7 @@ fn best(mut call: impl FnMut(u32)) -> f64 {
     1e9 * best / f64::from(CALLS)
 }
 
-/// The same calls made from C: name and nanoseconds.
+/// Names and nanoseconds of the same calls from C.
 fn raw(library: &Path, token: &str, n_states: usize) -> Vec<(String, f64)> {
     let folder = tempfile::tempdir().unwrap();
     let program = folder.path().join("raw_calls");

@@ -1,5 +1,5 @@
-//! Opening large model descriptions: 1 000 to 100 000 variables, all three versions. Ten times the variables must take
-//! ten times as long, not a hundred. `cargo bench -p fmufit-fmi --bench open`.
+//! Opening of large model descriptions: 1 000 to 100 000 variables, all three versions. Requirement: ten
+//! times the variables take ten times as long, not a hundred times. `cargo bench -p fmufit-fmi --bench open`.
 
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
@@ -71,7 +71,7 @@ fn version_3(n: usize) -> String {
     text + "</ModelStructure></fmiModelDescription>"
 }
 
-/// Milliseconds, the smallest of five.
+/// Milliseconds: the minimum of five repetitions.
 fn best(text: &str) -> f64 {
     let times = (0..5).map(|_| {
         let begin = Instant::now();

@@ -1,6 +1,7 @@
-//! `auto` beside the best of our methods: right-hand sides, those for Jacobians included, at equal digits, as a table. Run with
-//! `cargo bench -p fmufit-ode --bench auto`, with names of problems to restrict it to those, and `--tuning` for the problems that
-//! the constants of `auto` were tried on; the table kept is in `benches/work_precision.md`.
+//! `auto` compared with the best of the other methods: right-hand sides, including those for Jacobians, at
+//! equal digits, as a table. Run with `cargo bench -p fmufit-ode --bench auto`. Names of problems restrict
+//! the run to these. `--tuning` selects the problems used to tune the constants of `auto`. The recorded table
+//! is in `benches/work_precision.md`.
 
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
@@ -11,10 +12,10 @@ use ode::Method;
 use problems::Problem;
 
 const METHODS: [Method; 4] = [Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf];
-/// More right-hand sides than this are not needed to know who is best.
+/// Maximum number of right-hand sides; more are not needed to find the best method.
 const MOST: u64 = 200_000;
 
-/// Digits and right-hand sides; `None` where the run fails.
+/// Digits and logarithm of the right-hand sides; `None` if the run fails.
 fn point(problem: &Problem, method: Method, rtol: f64) -> Option<(f64, f64)> {
     let mut options = problem.options(method, rtol);
     options.limits.max_right_hand_sides =
@@ -23,8 +24,8 @@ fn point(problem: &Problem, method: Method, rtol: f64) -> Option<(f64, f64)> {
     Some((digits, (stats.right_hand_sides as f64).ln()))
 }
 
-/// The curve of a method: of its runs over all tolerances, ascending in work, with digits that ascend, too (runs out of order are
-/// replaced by their mean).
+/// Work-precision curve of a method over all tolerances, ascending in work and in digits (runs out of order
+/// are replaced by their mean).
 fn curve(problem: &Problem, method: Method) -> Vec<(f64, f64)> {
     let mut points: Vec<_> =
         (4..=24).filter_map(|k| point(problem, method, 10f64.powf(-f64::from(k) / 2.0))).collect();
@@ -42,7 +43,8 @@ fn curve(problem: &Problem, method: Method) -> Vec<(f64, f64)> {
     pools.into_iter().map(|(digits, work, _)| (digits, work)).collect()
 }
 
-/// The logarithm of the work for so many digits; beyond the ends that of the end.
+/// Logarithm of the work for the given number of digits. Below the first point of the curve, the work of that
+/// point; `None` beyond the last point.
 fn at(curve: &[(f64, f64)], digits: f64) -> Option<f64> {
     let after = curve.iter().position(|p| p.0 >= digits)?;
     let (b, a) = (curve[after], curve[after.saturating_sub(1)]);

@@ -1,5 +1,5 @@
-//! What the stepper adds to a right-hand side: time per right-hand side of a whole run, minus the time of the function
-//! alone, both measured here and now. Run with `cargo bench -p fmufit-ode`.
+//! Overhead of the stepper per right-hand side: time per right-hand side of a whole run, minus the time of
+//! the function alone, both measured in this run. Run with `cargo bench -p fmufit-ode`.
 
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
@@ -34,7 +34,7 @@ impl HybridSystem for Oscillators {
     }
 }
 
-/// Smallest of 30 repetitions: everything else on the machine only adds.
+/// Minimum of 30 repetitions, because other load on the machine only increases the time.
 fn best(mut f: impl FnMut()) -> f64 {
     (0..30)
         .map(|_| {

@@ -1,6 +1,7 @@
-//! Correct digits and right-hand sides (those for Jacobians included) of every method on the test problems, as lines of
-//! `method,problem,rtol,digits,right-hand sides,steps,rejected,jacobians,decompositions,newton,seconds`.
-//! `benches/work_precision.py` sets them beside those of CVODE and SciPy.
+//! Correct digits and right-hand sides (including those for Jacobians) of every method on the test problems,
+//! as lines of `method,problem,rtol,digits,right-hand
+//! sides,steps,rejected,jacobians,decompositions,newton,seconds`. `benches/work_precision.py` compares them
+//! with CVODE and SciPy.
 
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 

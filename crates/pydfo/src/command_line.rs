@@ -1,16 +1,17 @@
-//! The command line `fmufit`, as a wheel installs it.
+//! The command line `fmufit`, as installed by a wheel.
 
 use pyo3::prelude::*;
 use std::ffi::OsString;
 
-/// Runs the command line with these arguments, the name of the program first; returns the exit code.
+/// Runs the command line with these arguments, of which the first is the name of the program. Returns the
+/// exit code.
 #[cfg(feature = "cli")]
 #[pyfunction]
 pub(crate) fn command_line(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
     py.detach(|| fmufit_cli::main(arguments))
 }
 
-/// Says that this module was built without it.
+/// Raises an error, because this module was built without the command line.
 #[cfg(not(feature = "cli"))]
 #[pyfunction]
 pub(crate) fn command_line(arguments: Vec<OsString>) -> PyResult<u8> {

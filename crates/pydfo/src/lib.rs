@@ -1,5 +1,5 @@
-//! The Python module `pydfo._core`: thin bindings. What is computed lives in the crates, what users meet in
-//! `python/pydfo`.
+//! The Python module `pydfo._core`: thin bindings. The crates contain the computations, and `python/pydfo`
+//! contains the public Python interface.
 #![deny(unsafe_code)]
 
 mod calibration;
@@ -12,8 +12,9 @@ mod optimize;
 
 use pyo3::prelude::*;
 
-// Free-threaded interpreters take the lock for it: a wheel of the stable interface does not load there, one for them alone has never
-// been tested, and an objective in Python relies on being called by one thread at a time unless workers are asked for.
+// Free-threaded interpreters enable the lock for this module. A wheel of the stable interface does not load
+// there, and a separate wheel has never been tested. Objectives in Python also rely on being called by one
+// thread at a time, unless workers are requested.
 #[pymodule(name = "_core", gil_used = true)]
 mod core_module {
     use pyo3::prelude::*;

@@ -1,5 +1,5 @@
-//! `Calibration`: a model, measurements and parameters; costs, residuals and fits without the interpreter
-//! lock.
+//! `Calibration`: a model, measurements and parameters. Costs, residuals and fits are computed without the
+//! interpreter lock.
 
 use crate::calibration::cost::{self, CostFields};
 use crate::calibration::experiment::{ExperimentFields, PyParameter, SignalFunctions};
@@ -48,7 +48,7 @@ impl PyCalibration {
     }
 }
 
-/// Gives the experiments of a stored problem the functions of time that drive their inputs.
+/// Adds the functions of time that drive inputs to the experiments of a stored problem.
 pub(crate) fn give_functions(problem: &mut Problem, functions: SignalFunctions) -> Callbacks {
     let mut callbacks = Callbacks::default();
     for (k, input, function) in functions {
@@ -60,7 +60,7 @@ pub(crate) fn give_functions(problem: &mut Problem, functions: SignalFunctions) 
     callbacks
 }
 
-/// Options of a fit beside those of its run.
+/// Options of a fit that do not belong to its run.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 struct FitFields {
@@ -70,11 +70,11 @@ struct FitFields {
     objective: Option<CostFields>,
     /// A `_engine.Simulations`.
     engine: Option<Py<PyAny>>,
-    /// Takes the page that shows it, which there is once the options are checked.
+    /// Callable that receives the live page once the options are checked.
     page: Option<Py<PyAny>>,
 }
 
-/// The model: as it was opened, or where it is.
+/// The model: opened, or its path.
 #[derive(FromPyObject)]
 enum Source<'py> {
     #[pyo3(transparent)]
@@ -99,7 +99,7 @@ impl PyCalibration {
             Source::Path(path) => files::open(py, path, &settings.open_options())?,
         };
         let parameters = parameters.into_iter().map(|p| p.check(py)).collect::<PyResult<Vec<_>>>()?;
-        // The name of an experiment, where there are several.
+        // The name of the experiment, if there are several.
         let is_one = experiments.len() == 1;
         let mut callbacks = Callbacks::default();
         let mut named = |(k, mut experiment): (usize, ExperimentFields)| {
@@ -133,13 +133,13 @@ impl PyCalibration {
         Ok(Self { shared: Shared::finish(py, built, callbacks)? })
     }
 
-    /// The problem: what a pickle holds.
+    /// Returns the problem, which is the content of a pickle.
     fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         Ok(PyBytes::new(py, &state(self.inner())?))
     }
 
-    /// The answer of a simulation to a fit elsewhere, as bytes. `loss`: what residuals count, likewise;
-    /// `seconds`: the time that the fit has left, if it has a limit.
+    /// Returns the answer of a simulation for a fit elsewhere, as bytes. `loss`: the loss of the residuals,
+    /// as bytes. `seconds`: the remaining time of the fit, if it has a limit.
     #[pyo3(signature = (x, cutoff, loss, seconds = None))]
     fn answer<'py>(
         &self,
@@ -169,14 +169,14 @@ impl PyCalibration {
         Ok(PyBytes::new(py, &object::to_bytes(&answered)?))
     }
 
-    /// The path and the content hash of the model of a state.
+    /// Returns the path and the content hash of the model of a state.
     #[staticmethod]
     fn model_of(state: &[u8]) -> PyResult<(PathBuf, String)> {
         let problem = stored(state)?;
         Ok((problem.model.path, problem.model.content_hash))
     }
 
-    /// A calibration from a state, its model, and the functions that a state does not hold.
+    /// Creates a calibration from a state, its model, and the functions, which a state does not contain.
     #[staticmethod]
     fn restore(
         py: Python<'_>,
@@ -196,17 +196,17 @@ impl PyCalibration {
         self.inner().parameters().iter().map(|p| p.name()).collect()
     }
 
-    /// Names of the parameters that are tied, and their values.
+    /// Returns names and values of the tied parameters.
     fn tied(&self, x: Vec<f64>) -> Vec<(String, f64)> {
         self.inner().tied_values(&x)
     }
 
-    /// Variables that are set in the model at `x` in the simulation of an experiment, and their values.
+    /// Returns the variables set in the model at `x` for the simulation of an experiment, and their values.
     fn model_values(&self, experiment: usize, x: Vec<f64>) -> Vec<(String, f64)> {
         self.inner().model_values(experiment, &x)
     }
 
-    /// Their start values.
+    /// Start values of the entries of `x`.
     fn start(&self) -> Vec<f64> {
         self.inner().start()
     }
@@ -235,7 +235,7 @@ impl PyCalibration {
         self.inner().n_measurements()
     }
 
-    /// The rms at `x`, from the cost without a loss.
+    /// Returns the rms at `x`, from the cost without a loss.
     fn rms(&self, x: Vec<f64>, cost: f64) -> f64 {
         self.inner().rms(&x, cost)
     }
@@ -255,8 +255,8 @@ impl PyCalibration {
         Ok(PyArray1::from_vec(py, residuals))
     }
 
-    /// Per experiment, or of one of them, `time` and the compared outputs, at the measured times or at those
-    /// given.
+    /// Simulates all experiments, or one of them. Returns per experiment `time` and the compared outputs, at
+    /// the measured times or at `times`.
     #[pyo3(signature = (x, times=None, experiment=None))]
     fn simulate<'py>(
         &self,
@@ -277,7 +277,7 @@ impl PyCalibration {
         trajectories.into_iter().map(columns).collect()
     }
 
-    /// Per experiment: its times, and per output the variable and its values (NaN where missing).
+    /// Returns per experiment its times, and per output the variable and its values (NaN if missing).
     fn measurements<'py>(&self, py: Python<'py>) -> PyResult<Vec<Recording<'py>>> {
         let recording = |experiment: &Experiment| {
             let data = experiment.data();
@@ -290,14 +290,14 @@ impl PyCalibration {
         self.inner().problem().experiments.iter().map(recording).collect()
     }
 
-    /// The measurements that count, as a function of the user's sees them.
+    /// Returns the measurements that count, in the form passed to a cost function of the user.
     fn measured_series<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let outputs = &self.inner().residual_layout().outputs;
         let measured = outputs.iter().map(|o| (o.experiment, o.variable.as_str(), &o.measured[..]));
         cost::series(py, &self.inner().problem().experiment_names(), measured)
     }
 
-    /// The place of the model, and the arguments of the `pydfo.Parameter` of each parameter.
+    /// Returns the path of the model, and the arguments of `pydfo.Parameter` for each parameter.
     fn arguments<'py>(&self, py: Python<'py>) -> PyResult<(PathBuf, Vec<Bound<'py, PyDict>>)> {
         let problem = self.inner().problem();
         let arguments = |parameter: &calibration::Parameter| {
@@ -308,7 +308,7 @@ impl PyCalibration {
         Ok((problem.model.path.clone(), all))
     }
 
-    /// The variables that the parameters set, and their values at `x`.
+    /// Returns the variables that the parameters set, and their values at `x`.
     fn variable_values(
         &self,
         py: Python<'_>,
@@ -318,7 +318,8 @@ impl PyCalibration {
         self.inner().variable_values(&x, experiment).map_err(|e| error::calibration(py, &e))
     }
 
-    /// Per experiment what `pydfo.SimulationResult` is made of: these variables of the model at `x`.
+    /// Simulates all experiments at `x` and records the given variables. Returns per experiment the fields of
+    /// `pydfo.SimulationResult`.
     fn simulate_variables<'py>(
         &self,
         py: Python<'py>,
@@ -334,7 +335,8 @@ impl PyCalibration {
         trajectories.into_iter().map(|trajectory| trajectory::record(py, description, trajectory)).collect()
     }
 
-    /// Uncertainty of the parameters at a point; all but those of the numbers `held` are free.
+    /// Computes the uncertainty of the parameters at a point. `held` contains the indices of the fixed
+    /// parameters; all others are free.
     fn uncertainty(
         &self,
         py: Python<'_>,
@@ -349,7 +351,7 @@ impl PyCalibration {
         Ok(PyUncertainty::new(found))
     }
 
-    /// The fields of `pydfo.Preflight`, found at `x`.
+    /// Returns the fields of `pydfo.Preflight` at `x`.
     fn preflight<'py>(
         &self,
         py: Python<'py>,
@@ -361,7 +363,7 @@ impl PyCalibration {
         uncertainty::preflight(py, &found)
     }
 
-    /// A page for the fit that is about to begin.
+    /// Runs a fit. `page` receives the live page before the fit starts.
     fn fit<'py>(&self, py: Python<'py>, asked: PyRecord, objects: FitFields) -> PyResult<Bound<'py, PyAny>> {
         let FitFields { start, observer, stages, objective, engine, page } = objects;
         let n_parameters = self.inner().parameters().len();
@@ -440,7 +442,7 @@ impl PyCalibration {
                 if let (Ok(fit), Some(page)) = (&fit, &page)
                     && !asked.is_asked()
                 {
-                    // It is a way to look at a fit that there is.
+                    // The page only shows an existing fit, so its errors do not fail the fit.
                     page.show_report(&inner, fit, &RunContext::new().flagged(&flag))
                         .unwrap_or_else(|error| log::warn!("the page cannot show the report: {error}"));
                 }
@@ -460,14 +462,14 @@ impl PyCalibration {
             raised.or_else(|| lock(&of_objective).take()).or_else(|| self.shared.callbacks.take_raised());
         let result = match outcome {
             Ok(mut fit) => {
-                // No simulation can be made any more.
+                // No further simulation is possible.
                 if let (None, Termination::Aborted(reason)) = (&raised, &fit.report.termination) {
                     raised = Some(fmu_error::unusable(reason));
                 }
                 report::set_raised(&mut fit.report, raised.as_ref());
                 Some(fit::result(py, &self.shared, fit)?)
             }
-            // The button of the page does what Ctrl-C does.
+            // The button of the page acts like Ctrl-C.
             Err(e) if e.is_interrupt() && stopped.is_some_and(|page| page.is_stop_asked()) => {
                 return Err(error::interrupted(py, None, raised));
             }

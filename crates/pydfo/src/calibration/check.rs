@@ -6,8 +6,8 @@ use crate::convert::record::time_limit;
 use calibration::CheckOptions;
 use pyo3::prelude::*;
 
-/// The findings of a check, the same as a table, how many evaluations were made, and whether there are notes
-/// only.
+/// Returns the findings of a check, the findings as a table, the number of evaluations, and whether there are
+/// only notes.
 #[pyfunction]
 pub(crate) fn check<'py>(
     py: Python<'py>,

@@ -1,4 +1,4 @@
-//! The cost of a fit by name, or a Python function of what was measured and simulated.
+//! The cost of a fit: a name, or a Python function of the measurements and the simulated values.
 
 use crate::interrupt::interrupt_guard::{EndRequest, Inside};
 use crate::interrupt::lock::lock;
@@ -21,7 +21,8 @@ pub(crate) struct CostFields {
     gives_residuals: bool,
 }
 
-/// One array per output by its variable; with several experiments a dict of such by their names.
+/// Returns one array per output, by its variable. With several experiments, returns a dict of such dicts by
+/// the names of the experiments.
 pub(crate) fn series<'py, 'a>(
     py: Python<'py>,
     names: &[String],
@@ -45,7 +46,7 @@ pub(crate) fn series<'py, 'a>(
     Ok(all)
 }
 
-/// The cost that was asked for. What a function raises goes to `raised` and ends the fit.
+/// Creates the requested cost. An exception of a function is stored in `raised` and ends the fit.
 pub(crate) fn kind(
     given: CostFields,
     calibration: &Calibration,

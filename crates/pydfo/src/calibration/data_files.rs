@@ -1,4 +1,4 @@
-//! Recordings: what Python asks of the native code while it reads them.
+//! Functions for reading recordings that Python calls.
 
 use crate::convert::error;
 use crate::convert::object;
@@ -11,10 +11,10 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use std::path::PathBuf;
 
-/// Local times before and after, and whether an hour is doubled: see [`ClockChange`].
+/// Local times before and after the change, and whether an hour is repeated: see [`ClockChange`].
 type Change = (String, String, bool);
 
-/// Position of the column of times among columns of these names, and the length of its unit in s as a
+/// Returns the position of the time column among columns of these names, and the length of its unit in s as a
 /// fraction.
 #[pyfunction]
 #[pyo3(signature = (names, time=None))]
@@ -23,14 +23,14 @@ pub(crate) fn find_time(names: Vec<String>, time: Option<&str>) -> PyResult<(usi
     found.map(|column| (column.index, column.unit)).map_err(PyValueError::new_err)
 }
 
-/// Position of a column that is named in full or without its unit.
+/// Returns the position of a column by its full name or by its name without the unit.
 #[pyfunction]
 pub(crate) fn find_column(names: Vec<String>, wanted: &str) -> PyResult<usize> {
     calibration::find_column(names.iter().map(String::as_str), wanted).map_err(PyValueError::new_err)
 }
 
-/// Dates and times of day in s since the first, and what is said about an hour that is missing in them; the
-/// name of the column may say what two numbers (`10:02`) are.
+/// Converts dates and times of day to s since the first one. Also returns the clock change (a missing hour),
+/// if any. The name of the column can determine the meaning of two numbers (`10:02`).
 #[pyfunction]
 pub(crate) fn date_seconds<'py>(
     py: Python<'py>,
@@ -46,8 +46,8 @@ pub(crate) fn date_seconds<'py>(
     }
 }
 
-/// Change of clocks (an hour that is missing or doubled) in times without a zone, in s, of which the first is
-/// `start` in s since 1970; `None` if there is none.
+/// Finds a clock change (a missing or repeated hour) in times without a zone. The times are in s, and the
+/// first is `start` in s since 1970. Returns `None` if there is no change.
 #[pyfunction]
 pub(crate) fn clock_change(start: f64, times: PyReadonlyArray1<'_, f64>) -> PyResult<Option<Change>> {
     match calibration::clock_change(start, times.as_slice()?) {
@@ -64,7 +64,8 @@ fn at_row(row: usize, message: &str) -> PyErr {
     PyValueError::new_err(format!("row {row}: {message}"))
 }
 
-/// Refuses what is no regular file: the libraries that read it would wait for a named pipe.
+/// Raises an error if the path is not a regular file, because the reading libraries would wait for a named
+/// pipe.
 #[pyfunction]
 pub(crate) fn check_regular(py: Python<'_>, path: PathBuf) -> PyResult<()> {
     match py.detach(|| base::files::open_regular(&path)) {
@@ -82,9 +83,10 @@ pub(crate) struct PyTable {
 
 #[pymethods]
 impl PyTable {
-    /// Columns (an iterator of names and arrays, each of which is needed no longer than the next one) of
-    /// which one, `time`, holds the times; the names of others; an hour that is missing in the times; whether
-    /// these were dates or durations.
+    /// Creates a recording. `columns` is an iterator of names and arrays; each array is needed only until the
+    /// next one is requested. `time` is the name of the time column and `left_out` contains the names of
+    /// other columns. `clock_change`: a missing hour in the times. `has_dates`: true if the times were dates
+    /// or durations.
     #[new]
     fn new(
         py: Python<'_>,
@@ -106,8 +108,8 @@ impl PyTable {
         Ok(Self { inner: inner.left_out(left_out).with_clock_change(change).with_dates(has_dates) })
     }
 
-    /// The times and those columns of a CSV text that are needed; the names of others that it was made
-    /// without.
+    /// Creates a recording from the times and the needed columns of a CSV text. `left_out` contains the names
+    /// of the columns that it omits.
     #[staticmethod]
     fn from_csv(
         py: Python<'_>,
@@ -128,7 +130,7 @@ impl PyTable {
         }
     }
 
-    /// The same, as read from this file, whose hash goes into records.
+    /// Returns this recording as read from a file, whose hash is stored in records.
     fn of_file(&self, py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let watch = InterruptGuard::without_handler(py);
         match watch.run_here(|context| self.inner.clone().of_file(&path, context)) {
@@ -138,7 +140,7 @@ impl PyTable {
         }
     }
 
-    /// One that was pickled.
+    /// Restores a pickled recording.
     #[staticmethod]
     fn restore(state: &[u8]) -> PyResult<Self> {
         let inner = ciborium::from_reader(state).map_err(|e| PyValueError::new_err(e.to_string()))?;
@@ -150,12 +152,12 @@ impl PyTable {
         Ok((slf.get_type().getattr("restore")?, (PyBytes::new(slf.py(), &state),)))
     }
 
-    /// Names of the columns beside the times, also of those that were left out.
+    /// Names of the columns other than the times, including those that were left out.
     fn names(&self) -> Vec<&str> {
         self.inner.all_names().collect()
     }
 
-    /// Its rows.
+    /// Number of rows.
     fn __len__(&self) -> usize {
         self.inner.time().len()
     }

@@ -34,7 +34,7 @@ impl PyParameter {
     }
 }
 
-/// The fields of a `pydfo.Parameter`, checked and as they are by default where none are said.
+/// Checks the fields of a `pydfo.Parameter` and fills in the defaults.
 #[pyfunction]
 pub(crate) fn check_parameter(py: Python<'_>, given: PyRecord) -> PyResult<Bound<'_, PyDict>> {
     let record = given.parameter(py)?.record().map_err(|e| error::calibration(py, &e))?;
@@ -48,11 +48,11 @@ pub(crate) struct ExperimentFields {
     /// A CSV file; None: `table`.
     path: Option<PathBuf>,
     table: Option<Py<PyTable>>,
-    /// Name of the column of times of the file; None: "time".
+    /// Name of the time column of the file; None: "time".
     time: Option<String>,
     /// Variable, column, weight.
     outputs: Vec<(String, String, WeightFields)>,
-    /// Variable, and what drives it.
+    /// Variable and the source of its values.
     inputs: Vec<(String, InputFields)>,
     start_values: Vec<(String, Py<PyAny>)>,
     /// An SSP parameter file.
@@ -61,10 +61,10 @@ pub(crate) struct ExperimentFields {
     windows: Vec<(f64, f64)>,
     warm_up: Option<f64>,
     start_time: Option<f64>,
-    /// Rows whose measurements count, or the column that says so.
+    /// Rows whose measurements count, or the column that marks them.
     mask: Option<Vec<bool>>,
     mask_column: Option<String>,
-    /// Interval in s over which means are taken.
+    /// Averaging interval in s.
     resample: Option<f64>,
     delays: Vec<(String, f64)>,
     hold_inputs: bool,
@@ -77,14 +77,14 @@ enum WeightFields {
     Constant(f64),
     #[pyo3(transparent)]
     Column(String),
-    /// By a scale of this name.
+    /// Name of a scale; the weight is its inverse.
     #[pyo3(transparent)]
     Inverse((String,)),
     #[pyo3(transparent)]
     Rows(Numbers),
 }
 
-/// Numbers as their bytes.
+/// Numbers as bytes.
 struct Numbers(Series);
 
 impl<'a, 'py> FromPyObject<'a, 'py> for Numbers {
@@ -109,7 +109,7 @@ enum InputFields {
 }
 
 /// Initial value of a state.
-// It lives as long as it is read.
+// The value exists only while it is read.
 #[allow(clippy::large_enum_variant)]
 #[derive(FromPyObject)]
 enum StateFields {
@@ -121,7 +121,7 @@ enum StateFields {
     Fitted(PyParameter),
 }
 
-/// The functions of time among the inputs of an experiment: its number, the variable, the function.
+/// The functions of time among the inputs: index of the experiment, variable, function.
 pub(crate) type SignalFunctions = Vec<(usize, String, Py<PyAny>)>;
 
 /// Parts of an experiment that come from Python objects, read with the interpreter lock held.
@@ -132,7 +132,7 @@ pub(crate) struct Resolved {
 }
 
 impl ExperimentFields {
-    /// Start values of the model, and of local parameters.
+    /// Reads the start values of the model and of local parameters.
     pub(crate) fn resolve(
         &mut self,
         py: Python<'_>,
@@ -173,7 +173,7 @@ impl ExperimentFields {
         Ok(Resolved { start_values, initial_states, functions: functions.collect() })
     }
 
-    /// The columns that are used.
+    /// Names of the columns in use.
     fn columns(&self) -> Vec<String> {
         let measured = self.outputs.iter().map(|(_, column, _)| column);
         let weights = self.outputs.iter().filter_map(|(_, _, weight)| match weight {
@@ -187,7 +187,7 @@ impl ExperimentFields {
         measured.chain(weights).chain(driving).chain(&self.mask_column).cloned().collect()
     }
 
-    /// The experiment with its recording, which is read unless the context is over.
+    /// Creates the experiment with its recording. The recording is read unless the context has ended.
     pub(crate) fn experiment(
         self,
         resolved: Resolved,

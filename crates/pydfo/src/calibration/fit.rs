@@ -1,5 +1,4 @@
-//! `Fit`: the native result of a fit with its calibration, which `pydfo.Fit` holds, and what it is handed on
-//! as.
+//! `Fit`: the native result of a fit and its calibration, stored by `pydfo.Fit`, and its conversions.
 
 use crate::calibration::shared::Shared;
 use crate::calibration::uncertainty::{PyUncertainty, preflight};
@@ -16,14 +15,14 @@ use pyo3::types::{IntoPyDict, PyBytes, PyDict};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// A fit and what was fitted.
+/// A fit and its calibration.
 #[pyclass(frozen, module = "pydfo._core", name = "Fit")]
 pub(crate) struct PyFit {
     pub(crate) inner: Arc<Fit>,
     pub(crate) calibration: Shared,
 }
 
-/// A fit as `pydfo.OptimizeResult`, with the native one.
+/// Returns a fit as `pydfo.OptimizeResult`, with the native fit attached.
 pub(crate) fn result<'py>(py: Python<'py>, calibration: &Shared, fit: Fit) -> PyResult<Bound<'py, PyAny>> {
     let result = report::to_python(py, fit.report.clone(), ResultKind::Cost, &|| false)?;
     result.setattr("_native", PyFit { inner: Arc::new(fit), calibration: calibration.clone() })?;
@@ -31,7 +30,7 @@ pub(crate) fn result<'py>(py: Python<'py>, calibration: &Shared, fit: Fit) -> Py
 }
 
 impl PyFit {
-    /// Computes with the fit and its calibration, as [`Shared::compute`].
+    /// Computes with the fit and its calibration, like [`Shared::compute`].
     pub(crate) fn compute<T: Send + 'static>(
         &self,
         py: Python<'_>,
@@ -41,7 +40,7 @@ impl PyFit {
         self.calibration.compute(py, move |calibration, context| work(calibration, &inner, context))
     }
 
-    /// Does what takes no simulation, without the interpreter lock.
+    /// Runs work without simulations, without the interpreter lock.
     fn write<T: Send>(
         &self,
         py: Python<'_>,
@@ -53,7 +52,7 @@ impl PyFit {
 
 #[pymethods]
 impl PyFit {
-    /// What `pydfo.Fit` has beside the fields of its run.
+    /// Returns the fields of `pydfo.Fit` that its run does not contain.
     fn fields<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let fit = &*self.inner;
         let at_bound = fit.at_bound.iter().map(|(i, side)| (&fit.names[*i], side.name()));
@@ -83,7 +82,7 @@ impl PyFit {
         ))
     }
 
-    /// Where it started.
+    /// Start point of the fit.
     #[getter]
     fn start(&self) -> Vec<f64> {
         self.inner.start.clone()
@@ -110,13 +109,13 @@ impl PyFit {
         self.compute(py, |calibration, fit, context| calibration.report(fit, path, context))
     }
 
-    /// Curves to be drawn, per experiment.
+    /// Returns the curves to plot, per experiment.
     fn curves<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         object::to_python(py, &self.compute(py, Calibration::curves)?)
     }
 
-    /// Changes of each output for a relative change of each parameter: per output its name, its times, and a
-    /// row per parameter. Empty: not known.
+    /// Returns the changes of each output for a relative change of each parameter. Per output: its name, its
+    /// times, and a row per parameter. Empty if unknown.
     fn sensitivities<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
         let calibration = &self.calibration.inner;
         let names = calibration.problem().experiment_names();
@@ -138,17 +137,17 @@ impl PyFit {
         self.write(py, |fit, calibration| fit.save(calibration, path))
     }
 
-    /// The bytes of that file.
+    /// Returns the bytes of the file that `save` writes.
     fn to_bytes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         Ok(PyBytes::new(py, &self.write(py, Fit::to_bytes)?))
     }
 
-    /// The numbers as JSON.
+    /// Returns the numbers as JSON.
     fn to_json(&self, py: Python<'_>) -> PyResult<String> {
         self.write(py, Fit::to_json)
     }
 
-    /// A table as text; written to `path`, where there is one.
+    /// Returns a table as text. If `path` is given, writes the table there instead.
     #[pyo3(signature = (table, path=None))]
     fn to_csv(&self, py: Python<'_>, table: &str, path: Option<PathBuf>) -> PyResult<String> {
         let table: Table = read("what", table)?;
@@ -163,7 +162,7 @@ impl PyFit {
         self.write(py, |fit, calibration| fit.export_ssv(calibration, path, experiment))
     }
 
-    /// Writes a copy of the FMU: the copy, the parameter file and the warning, as far as there are any.
+    /// Writes a copy of the FMU. Returns the copy, the parameter file and the warning, if there are any.
     fn export_fmu(
         &self,
         py: Python<'_>,

@@ -1,4 +1,4 @@
-//! Calibrations, fits, and what follows from them.
+//! Calibrations, fits, and the computations based on them.
 
 pub(crate) mod calibration_class;
 pub(crate) mod check;

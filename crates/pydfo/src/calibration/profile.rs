@@ -11,8 +11,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
 
-/// `Fit.profile`, to an extent of a level, whether it is corrected for autocorrelated residuals, and a number
-/// of points per side; an interrupt carries the fields of what there is.
+/// Implements `Fit.profile`. `extent`: level, correction for autocorrelated residuals, and number of points
+/// per side. An interrupt carries the fields of the partial result.
 #[pyfunction]
 pub(crate) fn profile<'py>(
     py: Python<'py>,

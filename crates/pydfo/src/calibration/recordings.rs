@@ -1,4 +1,4 @@
-//! Recordings of a calibration, and the inputs that a model finds in them.
+//! Recordings of a calibration, and the inputs of a model found in them.
 
 use crate::calibration::calibration_class::PyCalibration;
 use crate::calibration::data_files::PyTable;
@@ -9,13 +9,13 @@ use numpy::PyArray1;
 use pyo3::prelude::*;
 use std::path::PathBuf;
 
-/// Variable, column, unit, values, whether it is an input.
+/// Variable, column, unit, values, and whether it is an input.
 type Series<'py> = (String, String, Option<String>, Bound<'py, PyArray1<f64>>, bool);
 
 /// Times, columns in use, windows.
 type Recording<'py> = (Bound<'py, PyArray1<f64>>, Vec<Series<'py>>, Vec<(f64, f64)>);
 
-/// The recordings of a calibration, in the units of the model.
+/// Returns the recordings of a calibration, in the units of the model.
 #[pyfunction]
 pub(crate) fn recorded<'py>(py: Python<'py>, calibration: &PyCalibration) -> Vec<Recording<'py>> {
     let description = calibration.inner().fmu().description();
@@ -36,9 +36,9 @@ pub(crate) fn recorded<'py>(py: Python<'py>, calibration: &PyCalibration) -> Vec
 /// Input, times, values.
 type InputSeries<'py> = (String, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
 
-/// The columns of a recording (a CSV file, or one in memory) that have the names of inputs of a model, in
-/// its units, with the times at which they are known. Inputs without a column are named, but for those with
-/// start values that are `given`, or in a parameter set.
+/// Returns the columns of a recording (a CSV file or a table in memory) with the names of model inputs, in
+/// the units of the model and with their times. Warns of inputs without a column, except those with start
+/// values in `given` or in a parameter set.
 #[pyfunction]
 pub(crate) fn recorded_inputs<'py>(
     py: Python<'py>,
@@ -54,7 +54,7 @@ pub(crate) fn recorded_inputs<'py>(
         (path, None) => Data::from_csv(path.unwrap_or_default()),
     };
     let description = fmu.get().fmu.description();
-    // One that cannot be read is refused where it is applied.
+    // An unreadable parameter set is reported when it is applied.
     let set =
         parameter_set.and_then(|path| ParameterSet::read(path).and_then(|set| set.values(description)).ok());
     given.extend(set.into_iter().flatten().map(|(name, _)| name));

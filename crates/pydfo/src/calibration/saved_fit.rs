@@ -1,4 +1,4 @@
-//! Fits that are read back from files.
+//! Fits read from files.
 
 use crate::calibration::calibration_class::{PyCalibration, give_functions};
 use crate::calibration::experiment::SignalFunctions;
@@ -11,7 +11,8 @@ use calibration::SavedFit;
 use pyo3::prelude::*;
 use std::path::PathBuf;
 
-/// The inputs of a fit in a file that functions drove: number and name of the experiment, input.
+/// Returns the inputs of a saved fit that were driven by functions: index and name of the experiment, and
+/// input.
 #[pyfunction]
 pub(crate) fn functions_of_fit(py: Python<'_>, path: PathBuf) -> PyResult<Vec<(usize, String, String)>> {
     let saved = py.detach(|| SavedFit::load(&path)).map_err(|e| error::calibration(py, &e))?;
@@ -22,8 +23,8 @@ pub(crate) fn functions_of_fit(py: Python<'_>, path: PathBuf) -> PyResult<Vec<(u
     Ok(lost.collect())
 }
 
-/// A fit from a file, or from its bytes, with its model: the one given, else the one at its place if that has
-/// the content. Its calibration, and what a `pydfo.Fit` is made of.
+/// Reads a fit from a file, or from its bytes, with its model: the given one, otherwise the one at its stored
+/// path if its content matches. Returns its calibration, and the fields of a `pydfo.Fit`.
 #[pyfunction]
 #[pyo3(signature = (path, content=None, model=None, functions=Vec::new()))]
 pub(crate) fn load_fit<'py>(

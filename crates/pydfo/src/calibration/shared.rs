@@ -1,4 +1,4 @@
-//! A calibration that several Python objects share, and how it is computed with without the interpreter lock.
+//! A calibration shared by several Python objects, with computations without the interpreter lock.
 
 use crate::convert::error;
 use crate::interrupt::interrupt_guard::InterruptGuard;
@@ -17,7 +17,7 @@ pub(crate) struct Shared {
 }
 
 impl Shared {
-    /// One that was built, unless a function of time has raised an exception.
+    /// Wraps a calibration that was built. Raises the exception of a function of time, if any.
     pub(crate) fn finish(
         py: Python<'_>,
         built: Result<Calibration, CalibrationError>,
@@ -43,7 +43,8 @@ impl Shared {
         }
     }
 
-    /// The same for work that has a result where Ctrl-C ends it. Whether it did comes with the result.
+    /// Computes like `compute`, for work that still has a result when Ctrl-C ends it. Also returns whether it
+    /// was interrupted.
     pub(crate) fn compute_to_end<T: Send>(
         &self,
         py: Python<'_>,

@@ -1,5 +1,5 @@
-//! `Uncertainty` and the preflight: the uncertainty of a fit, and what is found before it;
-//! `pydfo.Uncertainty` and `pydfo.Preflight` in Python.
+//! `Uncertainty` and the preflight: the uncertainty of a fit, and the findings before it. In Python,
+//! `pydfo.Uncertainty` and `pydfo.Preflight`.
 
 use crate::convert::dict::dict;
 use crate::convert::error;
@@ -11,13 +11,13 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use std::sync::Arc;
 
-/// Uncertainty of the parameters at a point, as the result of a fit.
+/// Uncertainty of the parameters at a point, in the form that a fit returns.
 #[pyclass(frozen, module = "pydfo._core", name = "Uncertainty")]
 pub(crate) struct PyUncertainty {
     inner: Arc<Uncertainty>,
 }
 
-/// The fields of `pydfo.Preflight`.
+/// Returns the fields of `pydfo.Preflight`.
 pub(crate) fn preflight<'py>(py: Python<'py>, found: &Preflight) -> PyResult<Bound<'py, PyDict>> {
     object::with_text(py, found)
 }
@@ -30,12 +30,12 @@ impl PyUncertainty {
 
 #[pymethods]
 impl PyUncertainty {
-    /// All of it: what a pickle holds.
+    /// Returns the complete state, which is the content of a pickle.
     fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         Ok(PyBytes::new(py, &object::to_bytes(&*self.inner)?))
     }
 
-    /// From its state.
+    /// Creates an uncertainty from its state.
     #[staticmethod]
     fn restore(state: &[u8]) -> PyResult<Self> {
         let bad = |what: String| PyValueError::new_err(format!("this is no state of a Uncertainty: {what}"));
@@ -44,7 +44,7 @@ impl PyUncertainty {
         Ok(Self::new(uncertainty))
     }
 
-    /// The fields of `pydfo.Uncertainty`.
+    /// Returns the fields of `pydfo.Uncertainty`.
     fn fields<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let fields = object::fields(py, &*self.inner)?;
         let computed = dict!(py;;
@@ -55,7 +55,7 @@ impl PyUncertainty {
         Ok(fields)
     }
 
-    /// Lower and upper ends, n x 2; not `corrected`: with the standard errors that suppose independent
+    /// Returns lower and upper ends, n x 2. Without `corrected`, uses the standard errors for independent
     /// residuals.
     fn intervals<'py>(
         &self,
@@ -73,7 +73,7 @@ impl PyUncertainty {
         Ok(PyArray2::from_vec2(py, &ends)?)
     }
 
-    /// Findings about the covariance in words; empty if there are none.
+    /// Returns findings about the covariance as text; empty if there are none.
     fn message(&self) -> String {
         self.inner.message()
     }

@@ -1,4 +1,5 @@
-//! Validations, cross-validations and prediction bands of fits, as dicts of what their Python classes hold.
+//! Validations, cross-validations and prediction bands of fits, as dicts with the fields of their Python
+//! classes.
 
 use crate::calibration::calibration_class::PyCalibration;
 use crate::calibration::experiment::ExperimentFields;
@@ -17,7 +18,8 @@ use calibration::{
 use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyDict};
 
-/// Recordings from the fields of their Python class; errors name the recording where there are several.
+/// Creates experiments from the fields of their Python class. Errors contain the name of the recording if
+/// there are several.
 fn experiments(
     py: Python<'_>,
     calibration: &Calibration,
@@ -42,7 +44,7 @@ fn experiments(
     given.into_iter().enumerate().map(made).collect()
 }
 
-/// `Fit.validate`: on other recordings where there are some, else in these windows.
+/// Implements `Fit.validate`: on other recordings if given, otherwise in these windows.
 #[pyfunction]
 pub(crate) fn validate<'py>(
     py: Python<'py>,
@@ -59,21 +61,21 @@ pub(crate) fn validate<'py>(
     };
     let validation =
         fit.compute(py, move |calibration, fit, context| calibration.validate(fit, &set, context));
-    // An exception of an input function is why the simulation failed.
+    // An exception of an input function is the reason why the simulation failed.
     if let Some(e) = callbacks.take_raised() {
         return Err(e);
     }
     to_python(py, &validation?)
 }
 
-/// The fields of `pydfo.Validation`.
+/// Returns the fields of `pydfo.Validation`.
 fn to_python<'py>(py: Python<'py>, validation: &Validation) -> PyResult<Bound<'py, PyDict>> {
     let fields = object::with_text(py, validation)?;
     fields.update(dict!(py;; "stats": Counts::new(&validation.stats)).as_mapping())?;
     Ok(fields)
 }
 
-/// `Calibration.cross_validate`.
+/// Implements `Calibration.cross_validate`.
 #[pyfunction]
 pub(crate) fn cross_validate<'py>(
     py: Python<'py>,
@@ -104,7 +106,7 @@ pub(crate) fn cross_validate<'py>(
     ))
 }
 
-/// `Fit.prediction_band`: per experiment and output, to an extent of a level and whether it is corrected for
+/// Implements `Fit.prediction_band`, per experiment and output. `extent`: level, and correction for
 /// autocorrelated residuals.
 #[pyfunction]
 pub(crate) fn prediction_bands<'py>(

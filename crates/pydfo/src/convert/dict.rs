@@ -1,6 +1,6 @@
-//! Dictionaries for Python, with each field named once.
+//! Dictionaries for Python in which each field is written once.
 
-/// A dictionary of fields of a structure under their names, and of other values.
+/// Creates a dictionary from fields of a structure, under their names, and from other values.
 macro_rules! dict {
     ($py:expr; $($source:expr => $($field:ident),+ $(,)?)? $(; $($name:literal: $value:expr),+ $(,)?)?) => {{
         let dict = pyo3::types::PyDict::new($py);

@@ -1,5 +1,5 @@
-//! Errors of optimisers and calibrations as Python exceptions, and how a run ends for the user. (Errors of
-//! models: `fmu_error`.) The exception classes themselves are defined, and documented, in `pydfo/_errors.py`.
+//! Errors of optimisers and calibrations as Python exceptions, and how a run ends for the user. `fmu_error`
+//! converts the errors of models. `pydfo/_errors.py` defines and documents the exception classes.
 
 use crate::convert::dict::dict;
 use crate::convert::fmu_error;
@@ -22,7 +22,8 @@ pyo3::import_exception!(pydfo._errors, NoResult);
 pyo3::import_exception!(pydfo._errors, SimulationError);
 pyo3::import_exception!(pydfo._errors, SimulationWarning);
 
-/// An error of the optimiser: bad options are ValueErrors, a run that found nothing carries what it saw.
+/// Converts an error of the optimiser. Bad options become ValueErrors; the error of a run without a result
+/// carries its observations.
 pub(crate) fn optimiser(py: Python<'_>, error: &dfo::Error) -> PyErr {
     let message = calibration::visible_error(error);
     let (exception, found) = match error {
@@ -53,7 +54,7 @@ pub(crate) fn optimiser(py: Python<'_>, error: &dfo::Error) -> PyErr {
     fmu_error::with_attributes(py, exception, attributes())
 }
 
-/// An error of a calibration.
+/// Converts an error of a calibration.
 pub(crate) fn calibration(py: Python<'_>, error: &calibration::CalibrationError) -> PyErr {
     use calibration::CalibrationError as E;
     let message = calibration::visible_error(error);
@@ -69,7 +70,8 @@ pub(crate) fn calibration(py: Python<'_>, error: &calibration::CalibrationError)
         | E::OptimiserParameter { .. } => BadCalibrationError::new_err(message),
         E::Model(e) => fmu_error::raise(py, e),
         E::Simulation { source: None, .. } => SimulationError::new_err(message),
-        // Of the class and with the numbers of the cause, but with the parameters or the experiment in the message.
+        // With the class and the numbers of the cause, but with the parameters or the experiment in the
+        // message.
         E::Simulation { source: Some(e), .. } => reworded(py, fmu_error::raise(py, e), message),
         E::Experiment { source, .. } | E::Stage { source, .. } => {
             reworded(py, calibration(py, source), message)
@@ -80,7 +82,7 @@ pub(crate) fn calibration(py: Python<'_>, error: &calibration::CalibrationError)
     }
 }
 
-/// A value that does not fit: a TypeError where it is of another type.
+/// Converts an invalid value: a TypeError if its type is wrong, otherwise a ValueError.
 pub(crate) fn refused(error: &dfo::RecordError, message: &str) -> PyErr {
     match error.is_type() {
         true => PyTypeError::new_err(message.to_owned()),
@@ -88,21 +90,21 @@ pub(crate) fn refused(error: &dfo::RecordError, message: &str) -> PyErr {
     }
 }
 
-/// The exception with another message.
+/// Replaces the message of an exception.
 pub(crate) fn reworded(py: Python<'_>, exception: PyErr, message: String) -> PyErr {
     let done = exception.value(py).setattr("args", (message,));
     done.err().unwrap_or(exception)
 }
 
-/// Warns the user of the function of `pydfo` that is being called, through Python's `warnings`.
+/// Warns the user through Python's `warnings`, at the call of the `pydfo` function.
 pub(crate) fn warn(py: Python<'_>, message: &str) -> PyResult<()> {
     warn_as(py, &py.get_type::<PyUserWarning>(), message)
 }
 
-/// The same with a warning of this class.
+/// Warns the user with a warning of this class.
 pub(crate) fn warn_as(py: Python<'_>, class: &Bound<'_, PyAny>, message: &str) -> PyResult<()> {
     let text = std::ffi::CString::new(&*calibration::visible_line(message)).unwrap_or_default();
-    // From here over the functions of the package to the line that called the first of them.
+    // From this frame, through the functions of the package, to the line that called the first of them.
     let (mut frame, mut level) = (py.import("sys")?.call_method1("_getframe", (0,))?, 1);
     while frame.getattr("f_globals")?.get_item("__name__")?.extract::<String>()?.starts_with("pydfo.") {
         frame = frame.getattr("f_back")?;
@@ -111,7 +113,8 @@ pub(crate) fn warn_as(py: Python<'_>, class: &Bound<'_, PyAny>, message: &str) -
     PyErr::warn(py, class, &text, level)
 }
 
-/// An error of the operating system; Python chooses FileNotFoundError and its like by the number.
+/// Converts an error of the operating system. Python selects the subclass, such as FileNotFoundError, from
+/// the number.
 fn file(action: &str, path: &Path, error: &io::Error) -> PyErr {
     match error.raw_os_error() {
         _ if error.kind() == io::ErrorKind::OutOfMemory => {
@@ -126,7 +129,7 @@ fn file(action: &str, path: &Path, error: &io::Error) -> PyErr {
     }
 }
 
-/// `Interrupted` with the best point in hand.
+/// Creates `Interrupted` with the best point so far.
 pub(crate) fn interrupted(py: Python<'_>, result: Option<&Bound<'_, PyAny>>, cause: Option<PyErr>) -> PyErr {
     let exception = Interrupted::new_err(match result {
         Some(_) => "interrupted; the result so far is in .result",
@@ -139,8 +142,8 @@ pub(crate) fn interrupted(py: Python<'_>, result: Option<&Bound<'_, PyAny>>, cau
     }
 }
 
-/// Result of a run, or the exception that ends it: an interrupt takes precedence over an exception, an
-/// exception over a result; both carry the result.
+/// Returns the result of a run, or the exception that ends it. An interrupt takes precedence over an
+/// exception, and an exception over a result. Both carry the result.
 pub(crate) fn ended<'py>(
     py: Python<'py>,
     stop: &EndRequest,
@@ -153,7 +156,7 @@ pub(crate) fn ended<'py>(
             Err(interrupted(py, result.as_ref(), Some(e)))
         }
         (Some(e), result) => {
-            // An exception that takes no attributes is raised all the same.
+            // An exception that rejects attributes is raised without them.
             let _ = e.value(py).setattr("partial_result", result);
             Err(e)
         }
@@ -163,7 +166,8 @@ pub(crate) fn ended<'py>(
     }
 }
 
-/// A name or another text of one line with hidden characters as their numbers, `\u{a}` for a line break.
+/// Replaces hidden characters of a name or of another one-line string by their numbers, for example `\u{a}`
+/// for a line break.
 #[pyfunction]
 pub(crate) fn visible_line(text: &str) -> std::borrow::Cow<'_, str> {
     calibration::visible_line(text)

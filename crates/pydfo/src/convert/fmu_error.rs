@@ -1,5 +1,4 @@
-//! Errors of models as Python exceptions: a class for each sort of mistake, and numbers to work with where
-//! there are any.
+//! Errors of models as Python exceptions: a class for each kind of mistake, with numbers if there are any.
 
 use crate::convert::dict::dict;
 use calibration::visible_error;
@@ -19,7 +18,7 @@ pyo3::import_exception!(pydfo._errors, ModelTypeError);
 pyo3::import_exception!(pydfo._errors, SimulationError);
 pyo3::import_exception!(pydfo._errors, UnknownVariableError);
 
-/// The exception for an error of a model, the same wherever it ran.
+/// Converts an error of a model. The exception does not depend on where the model ran.
 pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
     let message = visible_error(error);
     if let FmiError::Io { path, source, .. } = error {
@@ -34,18 +33,18 @@ pub(crate) fn raise(py: Python<'_>, error: &FmiError) -> PyErr {
         ReportedErrorKind::WrongType => ModelTypeError::new_err(message),
         ReportedErrorKind::Setting => BadModelValueError::new_err(message),
         ReportedErrorKind::Simulation => simulation(py, told, message),
-        // A call that failed, without a simulation.
+        // A call failed outside a simulation.
         _ if told.status.is_some() => simulation(py, told, message),
         _ => FmuError::new_err(message),
     }
 }
 
-/// The exception for a model of which no simulation can be made any more.
+/// Creates the exception for a model that can no longer be simulated.
 pub(crate) fn unusable(reason: &str) -> PyErr {
     FmuError::new_err(reason.to_owned())
 }
 
-/// `FileNotFoundError` and its like, with number and path as Python's own functions raise them.
+/// Creates `FileNotFoundError` or another OSError, with number and path as Python's functions do.
 fn os_error(py: Python<'_>, path: &Path, source: &io::Error, message: String) -> PyErr {
     // Errors that passed through other libraries have lost their number.
     let number = match (source.raw_os_error(), source.kind()) {
@@ -59,7 +58,7 @@ fn os_error(py: Python<'_>, path: &Path, source: &io::Error, message: String) ->
     let make = || -> PyResult<PyErr> {
         let number = number?;
         let reason = py.import("os")?.call_method1("strerror", (&number,))?;
-        // Called, not raised by class: OSError picks the subclass that fits the number when it is called.
+        // Called, not raised by class, because OSError selects the subclass for the number when it is called.
         let exception = py.get_type::<PyOSError>().call1((number, reason, path.as_os_str()))?;
         Ok(PyErr::from_value(exception))
     };
@@ -71,7 +70,7 @@ fn simulation(py: Python<'_>, told: ReportedError, message: String) -> PyErr {
     with_attributes(py, SimulationError::new_err(message), attributes())
 }
 
-/// The exception with these attributes, or what went wrong when they were made.
+/// Adds these attributes to the exception. Returns the error instead if the attributes could not be created.
 pub(crate) fn with_attributes(
     py: Python<'_>,
     exception: PyErr,

@@ -1,4 +1,4 @@
-//! Records and results as Python objects by their serialisation.
+//! Records and results as Python objects, by serialisation.
 
 use ciborium::Value;
 use numpy::PyArray1;
@@ -9,18 +9,18 @@ use pyo3::types::{PyBytes, PyDict, PyList};
 use serde::Serialize;
 use std::fmt::Display;
 
-/// The serialised form of a value: of a structure a dict by the names of its fields, of a series of numbers
-/// an array.
+/// Returns the serialised form of a value. A structure becomes a dict of its fields, a series of numbers an
+/// array.
 pub(crate) fn to_python<'py, T: Serialize>(py: Python<'py>, value: &T) -> PyResult<Bound<'py, PyAny>> {
     object(py, Value::serialized(value).map_err(|e| PyValueError::new_err(e.to_string()))?)
 }
 
-/// The fields of a structure.
+/// Returns the fields of a structure.
 pub(crate) fn fields<'py, T: Serialize>(py: Python<'py>, value: &T) -> PyResult<Bound<'py, PyDict>> {
     Ok(to_python(py, value)?.cast_into()?)
 }
 
-/// The fields of a structure, and its `Display` as `text`.
+/// Returns the fields of a structure, with its `Display` as `text`.
 pub(crate) fn with_text<'py, T: Serialize + Display>(
     py: Python<'py>,
     value: &T,
@@ -30,7 +30,7 @@ pub(crate) fn with_text<'py, T: Serialize + Display>(
     Ok(fields)
 }
 
-/// A value as bytes (CBOR).
+/// Returns a value as bytes (CBOR).
 pub(crate) fn to_bytes(value: &impl Serialize) -> PyResult<Vec<u8>> {
     let mut bytes = Vec::new();
     ciborium::into_writer(value, &mut bytes).map_err(|e| PyValueError::new_err(e.to_string()))?;

@@ -1,5 +1,5 @@
-//! Conversion of the options that a Python user gives by name into the record that the crates read: the one
-//! place where Python objects become plain data.
+//! Conversion of the options that a Python user gives by name into the record that the crates read. This is
+//! the only place where Python objects become plain data.
 
 use crate::convert::error;
 use calibration::{CalibrationError, Parameter, SimulationSettings};
@@ -9,7 +9,7 @@ use pyo3::types::{PyBool, PyDict, PyFloat, PyMapping, PyString};
 use serde::de::DeserializeOwned;
 use std::time::Duration;
 
-/// Values by name, and the dict that they come from.
+/// Values by name, and the dict they come from.
 pub(crate) struct PyRecord {
     pub(crate) values: dfo::Record,
     given: Py<PyDict>,
@@ -28,7 +28,8 @@ impl<'a, 'py> FromPyObject<'a, 'py> for PyRecord {
 }
 
 impl PyRecord {
-    /// The run of the record, over so many parameters; `default` holds where it says nothing.
+    /// Reads the run of the record for `n_parameters` parameters. `default` applies to options that are not
+    /// given.
     pub(crate) fn run(
         &self,
         py: Python<'_>,
@@ -38,12 +39,12 @@ impl PyRecord {
         RequestedRun::new(default, &self.values, n_parameters).map_err(|e| self.error(py, &e))
     }
 
-    /// The settings of simulations.
+    /// Reads the settings of simulations.
     pub(crate) fn settings(&self, py: Python<'_>) -> PyResult<SimulationSettings> {
         SimulationSettings::from_record(&self.values).map_err(|e| self.refused(py, &e))
     }
 
-    /// The parameter of the record.
+    /// Reads the parameter of the record.
     pub(crate) fn parameter(&self, py: Python<'_>) -> PyResult<Parameter> {
         Parameter::from_record(&self.values).map_err(|e| match &e {
             CalibrationError::Record(e) => self.refused(py, e),
@@ -51,7 +52,8 @@ impl PyRecord {
         })
     }
 
-    /// An error of the optimiser; one about a value of the record shows it as the user wrote it.
+    /// Converts an error of the optimiser. An error about a value of the record shows the value as the user
+    /// wrote it.
     pub(crate) fn error(&self, py: Python<'_>, error: &dfo::Error) -> PyErr {
         match error {
             dfo::Error::Record(e) => self.refused(py, e),
@@ -68,12 +70,12 @@ impl PyRecord {
     }
 }
 
-/// A value of Python's for an argument of this name.
+/// Reads a string given in Python for the argument `name`.
 pub(crate) fn read<T: DeserializeOwned>(name: &str, given: &str) -> PyResult<T> {
     Value::Text(given.to_owned()).read(name).map_err(|e| error::refused(&e, &e.to_string()))
 }
 
-/// A Python value as plain data.
+/// Converts a Python value to plain data.
 fn plain(value: &Bound<'_, PyAny>) -> Value {
     if value.is_none() {
         Value::Nothing
@@ -105,12 +107,12 @@ fn plain(value: &Bound<'_, PyAny>) -> Value {
     }
 }
 
-/// Value of an object that is no data: its representation.
+/// Converts an object that is not plain data to its representation.
 fn other(value: &Bound<'_, PyAny>) -> Value {
     Value::Other(value.repr().map_or_else(|_| "?".to_owned(), |shown| shown.to_string()))
 }
 
-/// A limit of wall-clock time in s; None and infinity are no limit.
+/// Reads a limit of wall-clock time in s; None and infinity mean no limit.
 pub(crate) fn time_limit(name: &str, seconds: Option<f64>) -> PyResult<Option<Duration>> {
     let seconds = seconds.map_or(Value::Nothing, Value::Number);
     seconds.read_time(name).map_err(|e| error::refused(&e, &e.to_string()))

@@ -14,8 +14,8 @@ use serde::Serialize;
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex};
 
-/// The state of a run after an iteration, to be kept and passed between threads: the fields of a [`Report`]
-/// that are known by then.
+/// State of a run after an iteration, for storage and for transfer between threads. Contains the fields of a
+/// [`Report`] that are known at that time.
 #[derive(Clone, Serialize)]
 pub(crate) struct Snapshot {
     n_iterations: usize,
@@ -29,7 +29,7 @@ pub(crate) struct Snapshot {
     tests: Option<ToleranceTests>,
     final_simplex: Option<Simplex>,
     final_population: Option<Simplex>,
-    /// The evaluations of the iteration, if wanted: the point, what became of it, and whether it was used.
+    /// Evaluations of the iteration, if requested: the point, its outcome, and whether it was used.
     recent: Vec<(Vec<f64>, String, bool)>,
 }
 
@@ -52,7 +52,7 @@ impl Snapshot {
         }
     }
 
-    /// A result made of what is known while the run has not ended.
+    /// Creates a result from the known fields while the run has not ended.
     fn to_result<'py>(&self, py: Python<'py>, kind: ResultKind) -> PyResult<Bound<'py, PyAny>> {
         let record = object::fields(py, self)?;
         let ended = dict!(py;;
@@ -77,7 +77,8 @@ impl Listener {
         Self { function, detail, raised: Mutex::new(None) }
     }
 
-    /// Ends the run if the function returns True or raises; StopIteration ends it without an error.
+    /// Calls the function. The run ends if the function returns True or raises; StopIteration ends it without
+    /// an error.
     pub(crate) fn notify(&self, py: Python<'_>, snapshot: &Snapshot) -> ControlFlow<()> {
         let answer = object::fields(py, snapshot)
             .and_then(|record| made(&record, "progress", "Progress"))
@@ -95,13 +96,13 @@ impl Listener {
         }
     }
 
-    /// The exception that ended the run.
+    /// Takes the exception that ended the run.
     pub(crate) fn take_raised(&self) -> Option<PyErr> {
         lock(&self.raised).take()
     }
 }
 
-/// The state after the last complete iteration while a run goes on, for a user who interrupts it twice.
+/// State after the last complete iteration of a running run, for a user who interrupts it twice.
 #[derive(Default)]
 pub(crate) struct LastProgress {
     snapshot: Mutex<Option<Snapshot>>,
@@ -113,7 +114,7 @@ impl LastProgress {
         Self { snapshot: Mutex::default(), kind }
     }
 
-    /// Keeps the progress of a run on another thread, and has the listener told on the calling thread.
+    /// Stores the progress of a run on another thread, and notifies the listener on the calling thread.
     pub(crate) fn pass_on(
         &self,
         progress: &Progress<'_>,
@@ -137,12 +138,12 @@ pub(crate) enum ResultKind {
     /// `pydfo.OptimizeResult`: `fun` is the cost.
     #[default]
     Cost,
-    /// `pydfo.LeastSquaresResult`: `fun` are the residuals.
+    /// `pydfo.LeastSquaresResult`: `fun` contains the residuals.
     Residuals,
 }
 
 impl ResultKind {
-    /// That of a run in which the user gives residuals, or does not.
+    /// Returns the class for a run in which the user gives residuals, or does not.
     pub(crate) fn of(residuals: bool) -> Self {
         if residuals { Self::Residuals } else { Self::Cost }
     }
@@ -155,13 +156,13 @@ impl ResultKind {
     }
 }
 
-/// An object of a class of Python's, which knows what the fields of the record are called there.
+/// Creates an object of a Python class, which maps the fields of the record to its names.
 fn made<'py>(record: &Bound<'py, PyDict>, module: &str, class: &str) -> PyResult<Bound<'py, PyAny>> {
     let module = record.py().import(format!("pydfo._optimize.{module}"))?;
     module.getattr(class)?.call_method1("_of", (record,))
 }
 
-/// A run that an observer ended with an exception was not stopped, but aborted.
+/// Changes the termination of a run that an observer ended with an exception from stopped to aborted.
 pub(crate) fn set_raised(report: &mut Report, raised: Option<&PyErr>) {
     if let (Some(e), Termination::StoppedByObserver) = (raised, report.termination.ended()) {
         report.message = format!("aborted by the callback: {e}");
@@ -169,8 +170,8 @@ pub(crate) fn set_raised(report: &mut Report, raised: Option<&PyErr>) {
     }
 }
 
-/// The result of a run that has ended: the record that is saved, with what is computed from it. What is as
-/// long as the run or its residuals goes as arrays.
+/// Returns the result of a run that has ended: the saved record, with values computed from it. Fields as long
+/// as the run or its residuals become arrays.
 pub(crate) fn to_python<'py>(
     py: Python<'py>,
     mut report: Report,
@@ -200,7 +201,7 @@ pub(crate) fn to_python<'py>(
     made(&record, "result", kind.class())
 }
 
-/// An array of `n` columns, from its rows one after the other.
+/// Creates an array of `n` columns from consecutive rows.
 fn matrix(py: Python<'_>, rows: Vec<f64>, n: usize) -> PyResult<Bound<'_, PyArray2<f64>>> {
     let m = rows.len() / n.max(1);
     PyArray1::from_vec(py, rows).reshape([m, n])
@@ -222,7 +223,7 @@ pub(crate) fn trace<'py>(py: Python<'py>, trace: &Trace) -> PyResult<Bound<'py, 
     let points: Vec<f64> = all().flat_map(|e| e.x.iter().copied()).collect();
     let above = |outcome: &Outcome| if let Outcome::Above(cutoff) = outcome { *cutoff } else { f64::NAN };
     let failed = |(_, e): &(usize, TraceEntry<'_>)| match e.outcome {
-        // Nothing of the point.
+        // Failures that do not belong to the point are left out.
         Outcome::Failed(failure) => failure.kind.is_of_point(),
         outcome => matches!(outcome, Outcome::Abort(_)),
     };

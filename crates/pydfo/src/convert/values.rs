@@ -1,4 +1,4 @@
-//! Values on their way between Python and models.
+//! Conversion of values between Python and models.
 
 use crate::convert::fmu_error::{self, BadModelValueError, ModelTypeError};
 use fmi::description::{Dimension, EnumerationItem, ModelDescription, VariableKind};
@@ -7,7 +7,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyBytes, PyDict, PyFloat, PyInt, PyList, PyString, PyTuple};
 use std::collections::HashMap;
 
-/// A value of a model in Python; an array becomes one of NumPy's with these extents.
+/// Converts a value of a model to Python. An array becomes a NumPy array with these extents.
 pub(crate) fn to_python<'py>(
     py: Python<'py>,
     value: Value,
@@ -30,7 +30,7 @@ pub(crate) fn to_python<'py>(
             dtype.set_item("dtype", dtype_of(kind))?;
             let array =
                 py.import("numpy")?.getattr("array")?.call((PyList::new(py, items)?,), Some(&dtype))?;
-            // Sizes that are not known (of a model that is about to be given others) leave it flat.
+            // If the sizes are unknown (the model is about to be given others), the array stays flat.
             if !extents.is_empty() && extents.iter().product::<usize>() == count {
                 array.call_method1("reshape", (extents.to_vec(),))?
             } else {
@@ -41,7 +41,7 @@ pub(crate) fn to_python<'py>(
     })
 }
 
-/// Names and what is given for them, as values for the model.
+/// Converts names and given values to values for the model.
 pub(crate) fn all_from_python<'py>(
     py: Python<'py>,
     description: &ModelDescription,
@@ -56,7 +56,7 @@ pub(crate) fn all_from_python<'py>(
         .collect()
 }
 
-/// The variable of a name, and whether the name is that of all of it, not of an element.
+/// Returns the variable of a name, and whether the name refers to the whole variable instead of an element.
 pub(crate) fn find<'a>(
     py: Python<'_>,
     description: &'a ModelDescription,
@@ -72,7 +72,7 @@ pub(crate) fn find<'a>(
     })
 }
 
-/// NumPy's type for the values of each kind of variable.
+/// NumPy type of the values of each kind of variable.
 const DTYPES: [(VariableKind, &str); 15] = [
     (VariableKind::Real, "float64"),
     (VariableKind::Float32, "float32"),
@@ -95,15 +95,15 @@ fn dtype_of(kind: VariableKind) -> &'static str {
     DTYPES.iter().find(|(known, _)| *known == kind).map_or("object", |(_, dtype)| dtype)
 }
 
-/// The same by the names of the kinds.
+/// NumPy types by the names of the kinds.
 #[pyfunction]
 pub(crate) fn dtypes() -> HashMap<&'static str, &'static str> {
     DTYPES.iter().map(|(kind, dtype)| (kind.name(), *dtype)).collect()
 }
 
-/// The value given for a variable, or an element of one: a Python or NumPy scalar, or one such in an array,
-/// list or tuple; for an array (`whole`) its elements, in its shape or one after the other. An item of an
-/// enumeration may be given by its name.
+/// Converts the value given for a variable or for one of its elements. Accepts a Python or NumPy scalar, or a
+/// single one in an array, list or tuple. For an array (`whole`), accepts its elements in its shape or one
+/// after the other. An item of an enumeration can be given by its name.
 fn from_python(
     description: &ModelDescription,
     variable: &Variable,
@@ -136,7 +136,8 @@ fn array(description: &ModelDescription, variable: &Variable, given: &Bound<'_, 
 }
 
 fn scalar(description: &ModelDescription, variable: &Variable, given: &Bound<'_, PyAny>) -> PyResult<Value> {
-    // NumPy's doubles are floats, too. All others are asked for attributes first, which takes a microsecond.
+    // NumPy's doubles are also floats. All others are first checked for attributes, which takes a
+    // microsecond.
     if let Ok(number) = given.cast::<PyFloat>() {
         return Ok(Value::Real(number.value()));
     }
@@ -167,7 +168,7 @@ fn scalar(description: &ModelDescription, variable: &Variable, given: &Bound<'_,
     given.extract().map(Value::Real).map_err(|_| unfit(variable, given))
 }
 
-/// The only element of an array, a list or a tuple; other objects as they are.
+/// Returns the only element of an array, a list or a tuple. Returns other objects unchanged.
 fn single<'py>(variable: &Variable, given: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
     let many = |count: usize| {
         BadModelValueError::new_err(format!("{}: one value is needed, {count} are given", variable.name))

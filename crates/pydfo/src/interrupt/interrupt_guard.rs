@@ -1,10 +1,10 @@
-//! Ctrl-C: the calling thread looks for Python's signals while it waits for a worker process or another
-//! thread, between two steps of a simulation, or inside of a Python function.
+//! Ctrl-C: the calling thread checks for Python's signals while it waits for a worker process or another
+//! thread, between two steps of a simulation, or inside a Python function.
 //!
-//! While there is a [`InterruptGuard`], SIGINT is handled by us: the first one raises a flag, so that no
-//! further evaluation starts and simulations stop at their next step, while a Python function that is running
-//! is left to end; from the second one on KeyboardInterrupt is raised, as always. A handler of the user's is
-//! left in place. Work that runs inside of other work (a simulation inside of an objective) stops with it.
+//! While an [`InterruptGuard`] exists, this module handles SIGINT. The first SIGINT sets a flag: no further
+//! evaluation starts and simulations stop at their next step, but a running Python function is not
+//! interrupted. From the second SIGINT on, KeyboardInterrupt is raised as usual. A handler set by the user
+//! stays in place. Work that runs inside other work (a simulation inside an objective) stops with it.
 
 use crate::interrupt::lock::lock;
 use crate::interrupt::logs;
@@ -30,28 +30,29 @@ const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Shortest time between two reports of progress on the calling thread.
 const TICK: Duration = Duration::from_millis(250);
 
-/// Stack of a thread that works for the calling one: compiled models put large arrays there.
+/// Stack size of a thread that works for the calling thread, because compiled models put large arrays on the
+/// stack.
 const STACK_SIZE: usize = 16 << 20;
 
-/// A request to end one piece of work.
+/// A request to end some work.
 #[derive(Default)]
 pub(crate) struct EndRequest {
     flag: Arc<AtomicBool>,
     asked: AtomicU32,
-    /// The work that this one is part of.
+    /// The work that contains this work.
     parent: Option<Arc<EndRequest>>,
     /// Exception raised by a signal handler of the user.
     raised: Mutex<Option<PyErr>>,
 }
 
 impl EndRequest {
-    /// The flag for optimisers and simulations to look at. Work may raise it to end itself (an input function
-    /// that raised an exception); it is never lowered.
+    /// Flag that optimisers and simulations check. Work may set it to end itself (an input function that
+    /// raised an exception). It is never cleared.
     pub(crate) fn flag(&self) -> Arc<AtomicBool> {
         Arc::clone(&self.flag)
     }
 
-    /// True if the user, or the work around this one, has requested its end.
+    /// True if the user, or the surrounding work, has requested the end of this work.
     pub(crate) fn is_asked(&self) -> bool {
         if self.asked.load(Ordering::Relaxed) > 0 {
             return true;
@@ -63,7 +64,7 @@ impl EndRequest {
         by_parent
     }
 
-    /// True if this is part of other work, whose end must be checked for.
+    /// True if this is part of other work, whose end must also be checked.
     pub(crate) fn has_parent(&self) -> bool {
         self.parent.is_some()
     }
@@ -74,14 +75,14 @@ impl EndRequest {
         self.flag.store(true, Ordering::Relaxed);
     }
 
-    /// Asks for the end; returns how often that was done before.
+    /// Requests the end. Returns the number of earlier requests.
     fn ask(&self) -> u32 {
         self.flag.store(true, Ordering::Relaxed);
         self.asked.fetch_add(1, Ordering::Relaxed)
     }
 
-    /// Passes on what was logged meanwhile, and lets Python handle its signals. True: the user has
-    /// interrupted it twice.
+    /// Passes on log lines and lets Python handle its signals. Returns true if the user has interrupted the
+    /// work twice.
     fn look(&self, py: Python<'_>) -> bool {
         let Err(e) = logs::pass_on(py).and_then(|()| py.check_signals()) else {
             self.is_asked();
@@ -93,24 +94,25 @@ impl EndRequest {
         self.ask() > 0
     }
 
-    /// For loops on the calling thread: handles signals; true ends the loop.
+    /// Handles signals in a loop on the calling thread. Returns true if the loop must end.
     pub(crate) fn poll(&self, py: Python<'_>) -> bool {
         self.look(py);
         self.is_asked()
     }
 
-    /// The exception with which a signal handler of the user's, or a handler of log lines, ended the work.
+    /// Takes the exception with which a signal handler of the user, or a handler of log lines, ended the
+    /// work.
     pub(crate) fn take_raised(&self) -> Option<PyErr> {
         lock(&self.raised).take()
     }
 }
 
 thread_local! {
-    /// The work inside of which this thread is calling a Python function.
+    /// The work during which this thread is calling a Python function.
     static AROUND: RefCell<Vec<Arc<EndRequest>>> = const { RefCell::new(Vec::new()) };
 }
 
-/// Until it is dropped, work that this thread starts counts as part of the work given.
+/// Guard: work that this thread starts before the guard is dropped counts as part of the given work.
 pub(crate) struct Inside;
 
 impl Inside {
@@ -126,8 +128,8 @@ impl Drop for Inside {
     }
 }
 
-/// Python's handling of SIGINT: the C module under `signal`, whose wrappers in Python cost as much as a short
-/// simulation.
+/// Python's handling of SIGINT: the C module behind `signal`, because its Python wrappers cost as much as a
+/// short simulation.
 struct Signals {
     module: Py<PyModule>,
     sigint: Py<PyAny>,
@@ -149,18 +151,18 @@ impl Signals {
         self.module.bind(py).call_method1(intern!(py, "getsignal"), (&self.sigint,))
     }
 
-    /// Refused on other threads than the main one, which get no signals anyway.
+    /// Sets the handler. Fails on threads other than the main thread, which receive no signals.
     fn handle_by(&self, py: Python<'_>, handler: &Bound<'_, PyAny>) -> PyResult<()> {
         self.module.bind(py).call_method1(intern!(py, "signal"), (&self.sigint, handler)).map(drop)
     }
 
-    /// True if `handler` is Python's own, which raises KeyboardInterrupt.
+    /// True if `handler` is Python's default handler, which raises KeyboardInterrupt.
     fn is_raising(&self, handler: &Bound<'_, PyAny>) -> bool {
         handler.is(&self.raising)
     }
 }
 
-/// Signal handler that is installed for SIGINT.
+/// Signal handler for SIGINT.
 #[pyclass(frozen, module = "pydfo._core", name = "_SigintHandler")]
 pub(crate) struct SigintHandler {
     active: Mutex<Vec<Arc<EndRequest>>>,
@@ -171,7 +173,7 @@ impl SigintHandler {
     #[pyo3(signature = (*_args))]
     fn __call__(&self, _args: &Bound<'_, PyTuple>) -> PyResult<()> {
         let active = lock(&self.active);
-        // No work is left to end: as Python's own handler.
+        // No work is left to end, so this behaves like Python's default handler.
         let mut raise = active.is_empty();
         for stop in active.iter() {
             raise |= stop.ask() > 0;
@@ -180,18 +182,18 @@ impl SigintHandler {
     }
 }
 
-/// Handles SIGINT for one piece of work, until it is dropped.
+/// Handles SIGINT for some work until it is dropped.
 pub(crate) struct InterruptGuard<'py> {
     py: Python<'py>,
     stop: Arc<EndRequest>,
     handler: Option<Bound<'py, SigintHandler>>,
-    /// The handler to put back, if ours was installed for this work.
+    /// The handler to restore, if ours was installed for this work.
     previous: Option<Bound<'py, PyAny>>,
 }
 
 impl<'py> InterruptGuard<'py> {
-    /// Leaves SIGINT to the handler that is there: for work that calls no Python function, on the calling
-    /// thread, which looks for signals itself and otherwise leaves them to whatever comes next.
+    /// Keeps the current SIGINT handler. For work on the calling thread that calls no Python function: it
+    /// checks for signals itself and otherwise leaves them to later code.
     pub(crate) fn without_handler(py: Python<'py>) -> Self {
         let parent = AROUND.with_borrow(|around| around.last().cloned());
         let stop = Arc::new(EndRequest { parent, ..EndRequest::default() });
@@ -203,8 +205,8 @@ impl<'py> InterruptGuard<'py> {
         let signals = Signals::get(py)?;
         let current = signals.handler(py)?;
         if let Ok(ours) = current.cast::<SigintHandler>() {
-            // Inside of other work on the main thread, or on another thread while the main thread works: in the
-            // second case the work around this one, if any, is known as its parent.
+            // This is inside other work on the main thread, or on another thread while the main thread works.
+            // In the second case, the surrounding work, if any, is known as the parent.
             let threading = py.import("threading")?;
             let main = threading.call_method0("main_thread")?;
             if threading.call_method0("current_thread")?.is(&main) {
@@ -218,7 +220,7 @@ impl<'py> InterruptGuard<'py> {
                     watch.handler = Some(ours);
                     watch.previous = Some(current);
                 }
-                // One that was pending has been handled before ours was in place.
+                // A pending signal was handled before our handler was installed.
                 Err(e) if e.is_instance_of::<PyKeyboardInterrupt>(py) => return Err(e),
                 Err(_) => {}
             }
@@ -230,13 +232,13 @@ impl<'py> InterruptGuard<'py> {
         &self.stop
     }
 
-    /// Exception to raise where the work was ended: the one raised by a signal handler, else `Interrupted`.
+    /// Exception to raise if the work was ended: the exception of a signal handler, otherwise `Interrupted`.
     pub(crate) fn interrupted(&self) -> PyErr {
         self.stop.take_raised().unwrap_or_else(|| Interrupted::new_err("interrupted"))
     }
 
-    /// Function that handles signals every 20 ms, for the calling thread without the interpreter lock; it
-    /// returns true if the work is to end.
+    /// Returns a function that handles signals every 20 ms, for the calling thread without the interpreter
+    /// lock. The function returns true if the work must end.
     pub(crate) fn poller(&self) -> impl Fn() -> bool + Send + Sync + use<> {
         let (stop, next) = (Arc::clone(&self.stop), Mutex::new(Instant::now() + POLL_INTERVAL));
         move || {
@@ -248,17 +250,17 @@ impl<'py> InterruptGuard<'py> {
         }
     }
 
-    /// Runs `work` on the calling thread without the interpreter lock. Its context looks for signals every
+    /// Runs `work` on the calling thread without the interpreter lock. Its context checks for signals every
     /// 20 ms.
     pub(crate) fn run_here<T: Send>(&self, work: impl FnOnce(&RunContext<'_>) -> T + Send) -> T {
         let (flag, ask) = (self.stop.flag(), self.poller());
         self.py.detach(|| work(&RunContext::new().flagged(&flag).asking(&ask)))
     }
 
-    /// Runs work that calls Python functions on several threads on a thread of its own without the
-    /// interpreter lock, while this thread handles signals, does what `work` asks for at the
-    /// [`CallingThread`], and calls `tick` every quarter of a second. `None`: the user has interrupted it
-    /// twice; `work` will end on its own some time.
+    /// Runs work that calls Python functions on several threads. The work runs on a separate thread without
+    /// the interpreter lock. Meanwhile, this thread handles signals, runs the jobs sent to the
+    /// [`CallingThread`], and calls `tick` every quarter of a second. Returns `None` if the user has
+    /// interrupted it twice; `work` then ends later without being joined.
     pub(crate) fn run<T: Send + 'static>(
         &self,
         work: impl FnOnce(&CallingThread) -> T + Send + 'static,
@@ -267,7 +269,7 @@ impl<'py> InterruptGuard<'py> {
         let (sender, mut jobs) = channel();
         let caller = CallingThread { sender };
         let thread = Builder::new().name("pydfo-run".to_owned()).stack_size(STACK_SIZE);
-        // The channel is closed when the work has ended, and with it `caller`.
+        // The channel closes when the work ends, because `caller` is then dropped.
         let thread = thread.spawn(move || work(&caller))?;
         let mut last = Instant::now();
         loop {
@@ -277,7 +279,7 @@ impl<'py> InterruptGuard<'py> {
                 Ok(job) => job(self.py),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
-                    // Short work has ended before anybody looked.
+                    // Short work can end before the first check for signals.
                     self.stop.look(self.py);
                     let result = self.py.detach(|| thread.join());
                     return result.map(Some).or_else(|panic| resume_unwind(panic));
@@ -295,7 +297,7 @@ impl<'py> InterruptGuard<'py> {
 }
 
 impl InterruptGuard<'_> {
-    /// Restores the handler from before, unless ours has been replaced.
+    /// Restores the previous handler, unless ours has been replaced.
     fn restore(&self, ours: &Bound<'_, SigintHandler>, previous: &Bound<'_, PyAny>) -> PyResult<()> {
         let signals = Signals::get(self.py)?;
         match signals.handler(self.py)?.is(ours) {
@@ -310,8 +312,8 @@ impl Drop for InterruptGuard<'_> {
         let Some(handler) = &self.handler else { return };
         let mut came_late = false;
         if let Some(previous) = &self.previous {
-            // Python lets pending signals be handled before it changes a handler: one that came after the last look
-            // reaches this work, which has ended.
+            // Python handles pending signals before it changes a handler. A signal that arrived after the
+            // last check reaches this work, which has ended.
             let asked = self.stop.asked.load(Ordering::Relaxed);
             let restored = match self.restore(handler, previous) {
                 Err(e) if e.is_instance_of::<PyKeyboardInterrupt>(self.py) => self.restore(handler, previous),
@@ -324,7 +326,7 @@ impl Drop for InterruptGuard<'_> {
         }
         lock(&handler.get().active).retain(|s| !Arc::ptr_eq(s, &self.stop));
         if came_late {
-            // So it is handed on to the handler from before.
+            // The signal is therefore passed on to the previous handler.
             let again = self.py.import("_thread").and_then(|thread| thread.call_method0("interrupt_main"));
             if let Err(e) = again {
                 e.write_unraisable(self.py, None);
@@ -335,13 +337,14 @@ impl Drop for InterruptGuard<'_> {
 
 type Job = Box<dyn FnOnce(Python<'_>) + Send>;
 
-/// Where work on another thread asks for something to be done on the calling thread.
+/// Sender of jobs that other threads run on the calling thread.
 pub(crate) struct CallingThread {
     sender: Sender<Job>,
 }
 
 impl CallingThread {
-    /// Has `job` done on the calling thread, with the interpreter lock. `None`: the calling thread has gone.
+    /// Runs `job` on the calling thread, with the interpreter lock. Returns `None` if the calling thread no
+    /// longer receives jobs.
     pub(crate) fn call<R: Send + 'static>(
         &self,
         job: impl FnOnce(Python<'_>) -> R + Send + 'static,

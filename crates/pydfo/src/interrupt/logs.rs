@@ -1,7 +1,7 @@
-//! Log lines of the libraries (warnings about models, mostly) go to Python's `logging`, logger "pydfo".
+//! Log lines of the libraries (mostly warnings about models) for Python's `logging`, logger "pydfo".
 //!
-//! Lines are kept until the calling thread next looks for signals, or returns: the threads that simulate must
-//! not wait for the interpreter lock.
+//! Lines are stored until the calling thread next checks for signals or returns, because simulating threads
+//! must not wait for the interpreter lock.
 
 use crate::interrupt::lock::lock;
 use calibration::SETUP_LOG_TARGET;
@@ -9,7 +9,7 @@ use log::{Level, LevelFilter, Log, Metadata, Record};
 use pyo3::prelude::*;
 use std::sync::Mutex;
 
-/// More lines than this meanwhile are not kept.
+/// Maximum number of stored lines; further lines are dropped.
 const MOST_LINES: usize = 1000;
 
 struct Keeper {
@@ -20,7 +20,7 @@ static KEEPER: Keeper = Keeper { lines: Mutex::new(Vec::new()) };
 
 impl Log for Keeper {
     fn enabled(&self, metadata: &Metadata<'_>) -> bool {
-        // What is doubtful about a setup is shown as a Python warning.
+        // Doubts about a setup are shown as Python warnings.
         metadata.level() <= Level::Info && metadata.target() != SETUP_LOG_TARGET
     }
 
@@ -38,19 +38,19 @@ impl Log for Keeper {
     fn flush(&self) {}
 }
 
-/// Starts to listen to the libraries.
+/// Installs the logger for the libraries.
 pub(crate) fn install() {
     if fmi::worker::is_asked() {
-        // A worker process has a logger of its own.
+        // A worker process has a separate logger.
         return;
     }
-    // Fails if a logger is set already, which in this extension module can only be this one.
+    // Fails if a logger is already set. In this extension module, it can only be this one.
     if log::set_logger(&KEEPER).is_ok() {
         log::set_max_level(LevelFilter::Info);
     }
 }
 
-/// Passes on the lines since the last call.
+/// Passes the lines since the last call to Python.
 pub(crate) fn pass_on(py: Python<'_>) -> PyResult<()> {
     let lines = std::mem::take(&mut *lock(&KEEPER.lines));
     if lines.is_empty() {

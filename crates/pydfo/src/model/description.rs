@@ -1,5 +1,5 @@
-//! The model description for Python: plain dictionaries, made when they are asked for;
-//! `_model/description.py` gives them their classes.
+//! The model description for Python: plain dictionaries, created on request. `_model/description.py` converts
+//! them to classes.
 
 use crate::convert::dict::dict;
 use crate::convert::fmu_error;
@@ -30,7 +30,7 @@ struct OpenFields {
 
 impl From<OpenFields> for OpenOptions {
     fn from(fields: OpenFields) -> Self {
-        // PyFMI's levels: nothing, fatal, error, warning, and four that let everything pass.
+        // PyFMI's levels: nothing, fatal, error, warning, and four levels that pass everything.
         let filter = match fields.log_level {
             0 => LogFilter::Nothing,
             1 | 2 => LogFilter::Errors,
@@ -94,19 +94,19 @@ impl Fmu {
         Ok(Self { fmu: files::open(py, path, &options)? })
     }
 
-    /// The same FMU with units of variables of which its description states none.
+    /// Returns the FMU with units of variables for which its description declares none.
     fn with_units(&self, py: Python<'_>, units: Vec<(String, String)>) -> PyResult<Self> {
         let units = units.iter().map(|(variable, unit)| (&variable[..], &unit[..]));
         Ok(Self { fmu: self.fmu.with_units(units).map_err(|e| fmu_error::raise(py, &e))? })
     }
 
-    /// The bytes of its model description.
+    /// Returns the bytes of the model description.
     fn description_file<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         let bytes = py.detach(|| self.fmu.description_file()).map_err(|e| fmu_error::raise(py, &e))?;
         Ok(PyBytes::new(py, &bytes))
     }
 
-    /// The FMU that was at `path` with this content, where there is nothing but its model description.
+    /// Returns an FMU with this content that was at `path`, of which only the model description is available.
     #[staticmethod]
     fn described(
         py: Python<'_>,
@@ -120,8 +120,8 @@ impl Fmu {
         Ok(Self { fmu: fmu.map_err(|e| fmu_error::raise(py, &e))? })
     }
 
-    /// How the model is returned to its start between simulations, as far as comparisons with fresh processes
-    /// have shown.
+    /// Returns the way in which the model is reset between simulations, as far as comparisons with new
+    /// processes have shown.
     fn reuse(&self) -> &'static str {
         match self.fmu.reuse() {
             fmi::Reuse::Reset => "reset",
@@ -130,8 +130,8 @@ impl Fmu {
         }
     }
 
-    /// Raises what keeps the FMU from being simulated in this way, as far as its description tells; else "ME"
-    /// or "CS".
+    /// Raises the reason why the FMU cannot be simulated as this kind, as far as its description shows.
+    /// Otherwise returns "ME" or "CS".
     fn check_runnable(&self, py: Python<'_>, kind: &str) -> PyResult<&'static str> {
         let chosen = kind.parse().and_then(|kind| self.fmu.check_runnable_as(kind));
         match chosen.map_err(|e| fmu_error::raise(py, &e))? {
@@ -155,7 +155,7 @@ impl Fmu {
         self.description().names().count()
     }
 
-    /// Everything but the lists.
+    /// Returns everything but the lists.
     fn header<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let d = self.description();
         Ok(dict!(py;
@@ -175,12 +175,12 @@ impl Fmu {
         PyList::new(py, names)
     }
 
-    /// Names of the states in the order of the state vector; None where the file does not tell.
+    /// Names of the states in the order of the state vector; None if the file does not declare it.
     fn state_names(&self) -> Vec<Option<&str>> {
         self.description().state_names()
     }
 
-    /// The terminals, each with those inside of it.
+    /// Returns the terminals, each with its nested terminals.
     fn terminals<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         let terminals = py.detach(|| self.fmu.terminals()).map_err(|e| fmu_error::raise(py, &e))?;
         list_of_terminals(py, &terminals)
@@ -192,7 +192,7 @@ impl Fmu {
         variables.filter(|v| v.is_tunable_parameter()).map(|v| v.name.as_str()).collect()
     }
 
-    /// Names of the variables of a causality.
+    /// Names of the variables with this causality.
     fn names_of(&self, causality: &str) -> Vec<&str> {
         let variables = self.description().variables.iter();
         variables.filter(|v| v.causality.to_string() == causality).map(|v| v.name.as_str()).collect()
@@ -203,12 +203,12 @@ impl Fmu {
         self.description().variable_index(name).is_some()
     }
 
-    /// Names that resemble `name`.
+    /// Returns names that resemble `name`.
     fn nearest(&self, name: &str) -> Vec<&str> {
         self.description().nearest_names(name, 3)
     }
 
-    /// The attributes of a variable under one of its names; None if there is none of this name.
+    /// Returns the attributes of the variable with this name; None if there is no such variable.
     fn variable<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Option<Bound<'py, PyDict>>> {
         let description = self.description();
         description.variable_index(name).map(|index| attributes(py, description, index, name)).transpose()
@@ -230,8 +230,8 @@ impl Fmu {
             .collect()
     }
 
-    /// Kind, message and line (None: the file as a whole) of each departure from the standard: those of the
-    /// description, and those that have shown when the FMU was run.
+    /// Kind, message and line (None: the whole file) of each violation of the standard, in the description or
+    /// observed while the FMU was run.
     fn quirks(&self) -> Vec<(String, String, Option<u32>)> {
         let quirks = self.description().quirks.iter().cloned().chain(self.fmu.quirks_seen());
         quirks.map(|q| (q.kind.to_string(), q.message, Some(q.line).filter(|line| *line > 0))).collect()

@@ -1,4 +1,4 @@
-//! Opening FMUs, each file once as long as it does not change; packing folders; the bundled examples.
+//! Opening FMUs (unchanged files only once), packing folders, and the bundled examples.
 
 use crate::convert::fmu_error;
 use crate::interrupt::interrupt_guard::InterruptGuard;
@@ -10,29 +10,29 @@ use pyo3::prelude::*;
 use std::path::PathBuf;
 use std::sync::LazyLock;
 
-/// FMUs that stay open after their last use: scripts open their model at every evaluation.
+/// Number of FMUs that stay open after their last use, because scripts open their model at every evaluation.
 const KEPT_OPEN: usize = 32;
 
 static OPEN: LazyLock<FmuCache> = LazyLock::new(|| FmuCache::new(KEPT_OPEN));
 
-/// The FMU at `path`, opened now or before with the same options.
+/// Returns the FMU at `path`, opened now or earlier with equal options.
 pub(crate) fn open(py: Python<'_>, path: PathBuf, options: &OpenOptions) -> PyResult<fmi::Fmu> {
     try_open(py, path, options)?.map_err(|e| fmu_error::raise(py, &e))
 }
 
-/// The same, with an error of the model as it is.
+/// Returns the FMU at `path` like `open`, with the unconverted error of the model.
 pub(crate) fn try_open(
     py: Python<'_>,
     path: PathBuf,
     options: &OpenOptions,
 ) -> PyResult<Result<fmi::Fmu, FmiError>> {
-    // Small files can hold large descriptions.
+    // Small files can contain large descriptions.
     let opened = watched(py, |cancel| OPEN.open_with(&path, &OpenOptions { cancel, ..options.clone() }))?;
     logs::pass_on(py)?;
     Ok(opened)
 }
 
-/// Does work that may take seconds without the interpreter lock: Ctrl-C ends it.
+/// Runs work that may take seconds without the interpreter lock. Ctrl-C ends it.
 pub(crate) fn watched<T: Send>(py: Python<'_>, work: impl FnOnce(CancelRequest) -> T + Send) -> PyResult<T> {
     let watch = InterruptGuard::without_handler(py);
     let cancel = CancelRequest::asking(watch.poller());
@@ -40,8 +40,7 @@ pub(crate) fn watched<T: Send>(py: Python<'_>, work: impl FnOnce(CancelRequest) 
     if watch.stop().is_asked() { Err(watch.interrupted()) } else { Ok(done) }
 }
 
-/// Forgets the FMUs that were kept open; called when the interpreter ends, so that no unpacked folder stays
-/// behind.
+/// Closes the FMUs that were kept open. Called when the interpreter ends, so that no unpacked folder remains.
 #[pyfunction]
 pub(crate) fn close_unused(py: Python<'_>) {
     py.detach(|| OPEN.clear());
@@ -55,7 +54,7 @@ pub(crate) fn build_fmu(py: Python<'_>, folder: PathBuf, out: PathBuf) -> PyResu
     done.map_err(|e| fmu_error::raise(py, &e))
 }
 
-/// Path of the FMU of a bundled model.
+/// Returns the path of the FMU of a bundled model.
 #[pyfunction]
 pub(crate) fn example_fmu(py: Python<'_>, name: &str, version: &str, kind: &str) -> PyResult<PathBuf> {
     let kind = match (version, kind.to_ascii_uppercase().as_str()) {
@@ -77,13 +76,13 @@ pub(crate) fn example_fmu(py: Python<'_>, name: &str, version: &str, kind: &str)
     path.map_err(|e| fmu_error::raise(py, &e))
 }
 
-/// Names of the bundled models.
+/// Returns the names of the bundled models.
 #[pyfunction]
 pub(crate) fn example_names() -> Vec<&'static str> {
     example_models::example_names().collect()
 }
 
-/// Removes built libraries and packed examples from the disk, and forgets the FMUs that were kept open.
+/// Removes built libraries and packed examples from the disk, and closes the FMUs that were kept open.
 #[pyfunction]
 pub(crate) fn clear_caches(py: Python<'_>) -> PyResult<()> {
     let done = py.detach(|| {

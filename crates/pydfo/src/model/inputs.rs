@@ -1,5 +1,5 @@
-//! Inputs from Python: tables as arrays, and functions that are called with the interpreter lock taken only
-//! inside.
+//! Inputs from Python: tables as arrays, and functions. The interpreter lock is held only during calls of the
+//! functions.
 
 use crate::interrupt::lock::lock;
 use fmi::{Inputs, Value};
@@ -17,7 +17,7 @@ pub(crate) struct Table<'py> {
     values: Vec<(String, Vec<Exact>)>,
 }
 
-/// A value of an input that no double may hold.
+/// A value of an input that a double cannot represent.
 #[derive(FromPyObject)]
 enum Exact {
     #[pyo3(transparent, annotation = "str")]
@@ -38,7 +38,7 @@ impl From<Exact> for Value {
     }
 }
 
-/// A function of time for one input, or one that returns the values of several.
+/// A function of time for one input, or a function that returns the values of several inputs.
 #[derive(FromPyObject)]
 pub(crate) struct Function {
     names: Vec<String>,
@@ -69,13 +69,13 @@ impl Callbacks {
         self.all.iter().any(|callback| lock(&callback.raised).is_some())
     }
 
-    /// The exception that one of them raised.
+    /// Takes the exception that a callback raised.
     pub(crate) fn take_raised(&self) -> Option<PyErr> {
         self.all.iter().find_map(|callback| lock(&callback.raised).take())
     }
 
-    /// Releases the functions. What a simulation leaves behind shall not keep alive what the functions refer
-    /// to (the model itself, perhaps).
+    /// Releases the functions. The results of a simulation must not keep alive the objects that the functions
+    /// refer to (the model itself, perhaps).
     pub(crate) fn release(&self) {
         for callback in &self.all {
             drop(lock(&callback.function).take());
@@ -83,7 +83,7 @@ impl Callbacks {
     }
 }
 
-/// Makes inputs of tables and functions; `stop` is raised when a function raises an exception.
+/// Creates inputs from tables and functions. `stop` is set when a function raises an exception.
 pub(crate) fn inputs(
     tables: Vec<Table<'_>>,
     functions: Vec<Function>,
@@ -110,10 +110,10 @@ pub(crate) fn inputs(
     Ok((inputs, callbacks))
 }
 
-/// A function of time in Python, from any thread.
+/// A function of time in Python, callable from any thread.
 pub(crate) struct Callback {
     function: Mutex<Option<Py<PyAny>>>,
-    /// The latest time and the values there: the inputs of one function are asked for one after the other.
+    /// The last time and its values, because the inputs of one function are evaluated one after the other.
     last: Mutex<Option<(f64, Vec<f64>)>>,
     raised: Mutex<Option<PyErr>>,
     stop: Arc<AtomicBool>,
@@ -126,11 +126,11 @@ impl Callback {
         Self { function: Mutex::new(Some(function)), last, raised, stop, count }
     }
 
-    /// One of the values at `time`; NaN, which no simulation survives, after an exception.
+    /// Returns one of the values at `time`. After an exception, returns NaN, which ends any simulation.
     pub(crate) fn value(&self, time: f64, position: usize) -> f64 {
         let mut last = lock(&self.last);
         if last.as_ref().is_none_or(|(known, _)| known.to_bits() != time.to_bits()) {
-            // After an exception there is nothing to remember.
+            // After an exception, there is nothing to store.
             *last = Some((time, self.call(time))).filter(|(_, values)| !values.is_empty());
         }
         last.as_ref().and_then(|(_, values)| values.get(position)).copied().unwrap_or(f64::NAN)
@@ -154,7 +154,7 @@ impl Callback {
         })
     }
 
-    /// A number, or as many numbers as there are inputs.
+    /// Converts the result to a number, or to one number per input.
     fn numbers(&self, time: f64, result: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
         let bad = || {
             let text = result.repr().map_or_else(|_| "?".to_owned(), |text| text.to_string());

@@ -1,4 +1,4 @@
-//! One instance of an FMU, driven by hand: the functions of FMI one by one, in whichever phase it is.
+//! One instance of an FMU for direct control: the functions of FMI one by one, in any phase.
 
 use crate::convert::dict::dict;
 use crate::convert::fmu_error;
@@ -32,7 +32,7 @@ impl Drop for PySavedState {
     }
 }
 
-/// An instance that is driven by hand.
+/// An instance for direct control.
 #[pyclass(frozen, module = "pydfo._core", name = "Instance")]
 pub(crate) struct PyInstance {
     fmu: fmi::Fmu,
@@ -42,7 +42,7 @@ pub(crate) struct PyInstance {
     dropped: Arc<Mutex<Vec<u64>>>,
 }
 
-/// The value of an answer, which has the form that the call has.
+/// Extracts the value of an answer, which must have the form that belongs to the call.
 macro_rules! answered {
     ($answer:expr, $pattern:pat => $out:expr) => {
         match $answer {
@@ -53,7 +53,7 @@ macro_rules! answered {
 }
 
 impl PyInstance {
-    /// Makes a call; the answer and the vector.
+    /// Makes a call and returns the answer and the vector.
     fn ask(&self, py: Python<'_>, call: Call, given: &[f64]) -> PyResult<(Answer, Vec<f64>)> {
         let watch = InterruptGuard::without_handler(py);
         let mut vector = Vec::new();
@@ -99,7 +99,7 @@ impl PyInstance {
         let fmu = fmu.fmu.clone();
         let raise = |e: FmiError| fmu_error::raise(py, &e);
         let kind = kind.parse().and_then(|kind| fmu.check_runnable_as(kind)).map_err(raise)?;
-        // Where this program cannot start processes, only whoever asks for one is told.
+        // If this program cannot start processes, only an explicit request for one is an error.
         let possible = if Launcher::is_known() { Isolation::Process } else { Isolation::None };
         let isolation = isolation.map_or(Ok(possible), str::parse).map_err(raise)?;
         let options =
@@ -165,7 +165,7 @@ impl PyInstance {
         self.call(py, Call::ExitInitialization).map(drop)
     }
 
-    /// The fields of `pydfo.fmi.EventInfo`.
+    /// Returns the fields of `pydfo.fmi.EventInfo`.
     fn update_discrete_states<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let outcome =
             answered!(self.call(py, Call::UpdateDiscreteStates)?, Answer::Events(outcome) => outcome)?;
@@ -213,7 +213,7 @@ impl PyInstance {
         answered!(answer, Answer::StepEnd(event, terminate) => (event, terminate))
     }
 
-    /// Integrates to `end`, in model exchange. The time that is reached, and whether the model has ended the
+    /// Integrates to `end`, for model exchange. Returns the time reached and whether the model has ended the
     /// simulation.
     fn integrate(
         &self,
@@ -229,7 +229,7 @@ impl PyInstance {
         answered!(self.call(py, call)?, Answer::Reached(time, is_over) => (time, is_over))
     }
 
-    /// The fields of `pydfo.fmi.StepInfo`.
+    /// Returns the fields of `pydfo.fmi.StepInfo`.
     fn do_step<'py>(&self, py: Python<'py>, time: f64, step: f64) -> PyResult<Bound<'py, PyDict>> {
         let outcome =
             answered!(self.call(py, Call::DoStep { time, step })?, Answer::Step(outcome) => outcome)?;
@@ -265,7 +265,7 @@ impl PyInstance {
         self.vector(py, Call::Derivative { unknowns: of, knowns: by, n, is_adjoint }, &seed)
     }
 
-    /// Names of states, inputs and outputs, and the four matrices by rows.
+    /// Returns the names of states, inputs and outputs, and the four matrices by rows.
     fn linearize<'py>(&self, py: Python<'py>, differences: bool) -> PyResult<Bound<'py, PyDict>> {
         let answer = self.call(py, Call::Linearize(differences))?;
         let linear = answered!(answer, Answer::Linearization(linear) => linear)?;
@@ -314,7 +314,7 @@ impl PyInstance {
     }
 }
 
-/// The error of an answer to another call.
+/// Creates the error for an answer that belongs to another call.
 fn unexpected(answer: &Answer) -> PyErr {
     PyRuntimeError::new_err(format!("the worker process gave another answer: {answer:?}"))
 }

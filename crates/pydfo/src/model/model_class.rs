@@ -1,4 +1,4 @@
-//! A model as scripts use it: values set and read, simulations without the interpreter lock.
+//! A model for scripts: setting and reading values, and simulations without the interpreter lock.
 
 use crate::convert::error;
 use crate::convert::fmu_error;
@@ -31,8 +31,8 @@ pyo3::import_exception!(pydfo._errors, Interrupted);
 const RESTARTED: &str =
     "the process of the model ended in an earlier call; a new one is started with the same values set";
 
-/// A model with the values set since it was opened or reset. Whatever waits for its session, or frees an
-/// instance, does so without the lock of the interpreter, which the functions of a simulation may need.
+/// A model with the values set since it was opened or reset. Code that waits for its session, or frees an
+/// instance, does not hold the interpreter lock, because the functions of a simulation may need it.
 #[pyclass(frozen, module = "pydfo._core")]
 pub(crate) struct Model {
     fmu: fmi::Fmu,
@@ -40,28 +40,29 @@ pub(crate) struct Model {
     slot: Arc<Mutex<Slot>>,
 }
 
-/// The values set, and where the model runs.
+/// The values set and the session or process that runs the model.
 struct Own {
     session: Session,
     kind: InterfaceChoice,
-    /// Processes that simulate the model, once one was needed.
+    /// Processes that simulate the model, once one has been needed.
     process: Option<ModelProcess>,
-    /// Options of the last simulation, where it was made in a process.
+    /// Options of the last simulation, if it ran in a process.
     last: Option<SimulateOptions>,
-    /// The process has ended in a call.
+    /// True if the process has ended in a call.
     has_ended: bool,
-    /// That was logged.
+    /// True if this end was logged.
     is_end_logged: bool,
 }
 
-/// Holds the model. A simulation takes it out, so that other calls are refused and do not wait for a lock.
+/// State of the model. A simulation takes the model out, so that other calls fail instead of waiting for a
+/// lock.
 enum Slot {
     Here(Box<Own>),
     Simulating,
     Closed,
 }
 
-/// The model during a simulation. It goes back when this is dropped.
+/// The model during a simulation. It is returned when this is dropped.
 struct Loan {
     own: Option<Box<Own>>,
     slot: Arc<Mutex<Slot>>,
@@ -77,7 +78,7 @@ impl Drop for Loan {
     }
 }
 
-/// The interval between the ticks of a clock: a number, or counter and resolution.
+/// Interval between the ticks of a clock: a number, or counter and resolution.
 #[derive(FromPyObject)]
 enum ClockInterval {
     #[pyo3(transparent, annotation = "tuple[int, int]")]
@@ -95,7 +96,7 @@ impl From<ClockInterval> for Interval {
     }
 }
 
-/// `pydfo._model.model.Request`, by places: names would take a lookup each.
+/// `pydfo._model.model.Request` by position, because names would cost a lookup each.
 #[derive(FromPyObject)]
 pub(crate) struct Request<'py> {
     #[pyo3(item(0))]
@@ -112,14 +113,14 @@ pub(crate) struct Request<'py> {
     start_values: Vec<(String, Bound<'py, PyAny>)>,
     #[pyo3(item(6))]
     clock_intervals: Vec<(String, ClockInterval)>,
-    /// None: those that the model shows by default.
+    /// None: the default outputs of the model.
     #[pyo3(item(7))]
     outputs: Option<Vec<String>>,
     #[pyo3(item(8))]
     tables: Vec<Table<'py>>,
     #[pyo3(item(9))]
     functions: Vec<Function>,
-    /// How the model is run, where that is not the default.
+    /// Settings of the run that differ from the default.
     #[pyo3(item(10))]
     settings: PyRecord,
     #[pyo3(item(11))]
@@ -128,27 +129,27 @@ pub(crate) struct Request<'py> {
     record_events: bool,
     #[pyo3(item(13))]
     between_steps: String,
-    /// None: as the sandbox needs it.
+    /// None: as required by the sandbox.
     #[pyo3(item(14))]
     isolation: Option<String>,
     /// An SSP parameter file.
     #[pyo3(item(15))]
     parameter_set: Option<PathBuf>,
-    /// The FMU with units that its description does not state.
+    /// The FMU with units that its description does not declare.
     #[pyo3(item(16))]
     described: Option<Bound<'py, Fmu>>,
     #[pyo3(item(17))]
     sandbox: bool,
-    /// Those of the start values that are initial states.
+    /// Names of the start values that are initial states.
     #[pyo3(item(18))]
     initial_states: Vec<String>,
 }
 
 impl Request<'_> {
-    /// Limits of the process of the simulation; None: it is made in this one.
+    /// Returns the limits of the simulation process; None if the simulation runs in this process.
     fn worker_limits(&self) -> Result<Option<WorkerLimits>, FmiError> {
         let isolation = self.isolation.as_deref().map(str::parse).transpose()?;
-        // If this program cannot start processes, only a request for one is an error.
+        // If this program cannot start processes, only an explicit request for one is an error.
         let possible = if Launcher::is_known() { Isolation::Process } else { Isolation::None };
         let isolation = isolation.unwrap_or(if self.sandbox { Isolation::Process } else { possible });
         match isolation {
@@ -175,9 +176,9 @@ impl Model {
         Ok(Self { fmu, kind, slot })
     }
 
-    /// Values of variables.
+    /// Returns the values of variables.
     fn get<'py>(&self, py: Python<'py>, names: Vec<String>) -> PyResult<Vec<Bound<'py, PyAny>>> {
-        // Initial values may need the model to be initialized, and for that to be built and loaded.
+        // Initial values may require initializing the model, and thus building and loading it.
         let watch = InterruptGuard::without_handler(py);
         let found = watch.run_here(|context| self.with_own(|own| own.values(&names, context)));
         logs::pass_on(py)?;
@@ -194,12 +195,13 @@ impl Model {
             .collect()
     }
 
-    /// Sets variables: all of them, or none if one of them cannot be set.
+    /// Sets all variables, or none if one of them cannot be set.
     fn set(&self, py: Python<'_>, names: Vec<String>, given: Vec<Bound<'_, PyAny>>) -> PyResult<()> {
         let pairs = values::all_from_python(py, self.fmu.description(), names.into_iter().zip(given))?;
         let pairs = pairs.iter().map(|(name, value)| (name.as_str(), value.clone()));
         let pairs: Vec<_> = pairs.collect();
-        // Without the lock of the interpreter: initial values that are out of date go, and an instance with them.
+        // Without the interpreter lock, because outdated initial values are dropped, and an instance with
+        // them.
         let set = py.detach(|| self.with_own(|own| own.session.set_all(pairs)));
         set?.map_err(|e| fmu_error::raise(py, &e))
     }
@@ -213,7 +215,7 @@ impl Model {
         })
     }
 
-    /// Frees the instance; everything but the description is refused afterwards.
+    /// Frees the instance. Only the description is available afterwards.
     fn close(&self, py: Python<'_>) {
         py.detach(|| {
             let left = std::mem::replace(&mut *lock(&self.slot), Slot::Closed);
@@ -239,17 +241,17 @@ impl Model {
         let description = self.fmu.description();
         let shown = set.into_iter().map(|(name, value)| {
             let kind = values::find(py, description, &name)?.0.kind;
-            // Flat: sizes may be those of structural parameters that are set, too.
+            // Flat, because structural parameters that are also set may determine the sizes.
             Ok((name, values::to_python(py, value, kind, &[])?))
         });
         shown.collect()
     }
 
-    /// In a worker process, unless it is asked for otherwise.
+    /// Simulates the model, in a worker process by default.
     fn simulate<'py>(&self, py: Python<'py>, request: Request<'py>) -> PyResult<Bound<'py, PyDict>> {
         let limits = request.worker_limits().map_err(|e| fmu_error::raise(py, &e))?;
         let mut loan = self.lend()?;
-        // An input function is Python code: what a Ctrl-C does to it is up to our handler.
+        // An input function is Python code, so our handler decides how Ctrl-C affects it.
         let watch = match request.functions.is_empty() {
             true => InterruptGuard::without_handler(py),
             false => InterruptGuard::new(py)?,
@@ -287,14 +289,14 @@ impl Model {
 }
 
 impl Own {
-    /// The processes of the model, with these limits.
+    /// Returns the processes of the model with these limits.
     fn process(&mut self, limits: WorkerLimits) -> Result<&ModelProcess, FmiError> {
         if self.has_ended && !self.is_end_logged {
             let model = &self.session.fmu().description().model_name;
             log::warn!("{model}: {RESTARTED}");
             self.is_end_logged = true;
         }
-        // One with other limits is not asked.
+        // A process with other limits is not reused.
         drop(self.process.take_if(|process| *process.limits() != limits));
         Ok(match &mut self.process {
             Some(process) => process,
@@ -302,7 +304,7 @@ impl Own {
         })
     }
 
-    /// Notes whether the process has ended in a call.
+    /// Records whether the process has ended in a call.
     fn note_end<T>(&mut self, outcome: Result<T, FmiError>) -> Result<T, FmiError> {
         self.has_ended |= matches!(outcome, Err(FmiError::WorkerEnded(_)));
         outcome
@@ -350,8 +352,8 @@ impl Own {
         }
     }
 
-    /// Values of variables, and their extents: the final ones of the last simulation, else those set or the
-    /// initial ones.
+    /// Returns values of variables and their extents: the final values of the last simulation, otherwise the
+    /// values set or the initial values.
     fn values(
         &mut self,
         names: &[String],
@@ -378,7 +380,7 @@ impl Own {
             .collect()
     }
 
-    /// Values that only the model knows, from a process of it.
+    /// Requests values that only the model knows from one of its processes.
     fn ask(&mut self, names: &[String], context: &RunContext<'_>) -> Result<Vec<Value>, FmiError> {
         let limits = self.process.as_ref().map_or_else(WorkerLimits::default, |process| *process.limits());
         let last = self.last.take();
@@ -461,7 +463,7 @@ fn closed() -> PyErr {
     PyValueError::new_err("the model has been closed")
 }
 
-/// Ctrl-C, at this time of the simulation.
+/// Creates the exception for Ctrl-C at this time of the simulation.
 fn interrupted(time: Option<f64>) -> PyErr {
     let at = time.map_or_else(String::new, |time| format!(" at t = {}", base::Number(time)));
     Interrupted::new_err(format!("the simulation was interrupted{at}"))

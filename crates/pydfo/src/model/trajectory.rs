@@ -1,4 +1,4 @@
-//! A recorded simulation for Python: its columns become NumPy arrays without being copied.
+//! A recorded simulation for Python. Its columns become NumPy arrays without copying.
 
 use crate::convert::dict::dict;
 use crate::convert::values;
@@ -12,7 +12,7 @@ use std::borrow::Cow;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 
-/// Counts of a simulation, or of several.
+/// Counts of one or several simulations.
 pub(crate) struct Counts(Stats);
 
 impl Counts {
@@ -41,9 +41,9 @@ impl<'py> IntoPyObject<'py> for Counts {
     }
 }
 
-/// Fields of `pydfo._model.trajectory.SimulationResult`: of each variable its type, its unit, its columns
-/// (arrays have one for each element) and its extents; of each row a flag for the limit from the left; of
-/// each tick of a clock its time and its clock.
+/// Returns the fields of `pydfo._model.trajectory.SimulationResult`. For each variable: type, unit, columns
+/// (arrays have one per element) and extents. For each row: a flag for the limit from the left. For each tick
+/// of a clock: time and clock.
 pub(crate) fn record<'py>(
     py: Python<'py>,
     description: &ModelDescription,
@@ -92,8 +92,8 @@ pub(crate) fn record<'py>(
     ))
 }
 
-/// A column of 64-bit integers as an array of them, one of texts or bytes as an array of objects, of which
-/// each value has one.
+/// Converts a column of 64-bit integers to an array of such integers, and a column of strings or bytes to an
+/// array of objects, with one object per distinct value.
 fn exactly<'py>(py: Python<'py>, kind: VariableKind, column: &ValueColumn) -> PyResult<Bound<'py, PyAny>> {
     let integer = |value: &Value| if let Value::Integer(i) = value { *i } else { 0 };
     Ok(match kind {
@@ -120,7 +120,7 @@ fn exactly<'py>(py: Python<'py>, kind: VariableKind, column: &ValueColumn) -> Py
     })
 }
 
-/// The causes of an event: "state", "time", "step", "input", or several with a plus between them.
+/// Causes of an event: "state", "time", "step", "input", or several joined by plus signs.
 fn causes(cause: &EventCause) -> Cow<'static, str> {
     let all = [(cause.state, "state"), (cause.time, "time"), (cause.step, "step"), (cause.input, "input")];
     let mut there = all.into_iter().filter(|(is, _)| *is).map(|(_, name)| name);
@@ -128,7 +128,7 @@ fn causes(cause: &EventCause) -> Cow<'static, str> {
     there.fold(first, |names, name| Cow::Owned(format!("{names}+{name}")))
 }
 
-/// The largest difference of two numbers that are the same time, in a span from `start` to `end`.
+/// Returns the largest difference of two numbers that count as equal times, in a span from `start` to `end`.
 #[pyfunction]
 pub(crate) fn time_tolerance(start: f64, end: f64) -> f64 {
     base::time_tolerance(start, end)

@@ -19,7 +19,7 @@ use pyo3::prelude::*;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-/// What is integrated and how, by name.
+/// Arguments of an integration, by name.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub(crate) struct Problem<'py> {
@@ -49,7 +49,7 @@ pub(crate) struct Problem<'py> {
     exclude_algebraic: bool,
 }
 
-/// Keeps what the driver shows: requested samples, and each step as its values at nodes.
+/// Stores the reports of the driver: requested samples, and each step as its values at nodes.
 struct Keeper<'a, 'py> {
     py: Python<'py>,
     stop: &'a EndRequest,
@@ -142,8 +142,8 @@ impl<'py> Problem<'py> {
         let jacobian = match &self.jacobian {
             None => JacobianSource::Differences,
             Some(given) => {
-                // Where a function may return entries is not known without a pattern. What it raises here it raises again
-                // in the run.
+                // Without a pattern, the positions of the entries that a function may return are unknown. An
+                // exception raised here is raised again in the run.
                 let called = given.is_callable();
                 let first = match &places {
                     Some(_) if called && self.slopes.is_none() => {
@@ -203,7 +203,7 @@ impl<'py> Problem<'py> {
     }
 }
 
-/// Name of the method that stands for one of another tool; None: the name is none of those.
+/// Returns the method that corresponds to a method name of another tool; None if there is none.
 #[pyfunction]
 pub(crate) fn solver_standing_for(name: &str) -> Option<&'static str> {
     Method::standing_for(name).map(Method::name)
@@ -249,7 +249,7 @@ pub(crate) fn solve<'py>(py: Python<'py>, problem: Problem<'py>) -> PyResult<Bou
     error::ended(py, stop, raised, Some(result))
 }
 
-/// The error with the names that the arguments of `pydfo.ode.solve` have.
+/// Replaces the name in the error by the argument name of `pydfo.ode.solve`.
 fn in_words_of_solve(error: OptionsError) -> OptionsError {
     match error {
         OptionsError::OutOfRange { name, value, range } => {
@@ -265,7 +265,7 @@ fn in_words_of_solve(error: OptionsError) -> OptionsError {
     }
 }
 
-/// A constant matrix that was given as the argument `name`, by columns.
+/// Reads a constant matrix, given as the argument `name`, by columns.
 fn constant(value: &Bound<'_, PyAny>, n: usize, name: &str) -> PyResult<Vec<f64>> {
     let entries = matrix(value, n, name)?;
     match entries.iter().position(|v| !v.is_finite()) {
@@ -277,7 +277,7 @@ fn constant(value: &Bound<'_, PyAny>, n: usize, name: &str) -> PyResult<Vec<f64>
     }
 }
 
-/// Errors of the caller, not of the integration.
+/// True for errors of the caller, not of the integration.
 fn is_misuse(kind: &ErrorKind) -> bool {
     matches!(
         kind,
@@ -291,7 +291,8 @@ fn is_misuse(kind: &ErrorKind) -> bool {
     )
 }
 
-/// The error in the words of `pydfo.ode.solve`: what returned a value that is not finite.
+/// Returns the message of the error in the terms of `pydfo.ode.solve`, with the function that returned a
+/// value that is not finite.
 fn message(error: &SimulationError, n: usize, rhs: &str) -> String {
     let message = error.to_string();
     let Some(value) = &error.not_finite else { return message };
@@ -307,7 +308,7 @@ fn message(error: &SimulationError, n: usize, rhs: &str) -> String {
     message.replacen(&value.to_string(), &words, 1)
 }
 
-/// `pydfo.ode.OdeResult`
+/// Creates a `pydfo.ode.OdeResult`.
 fn result<'py>(
     py: Python<'py>,
     system: PySystem<'py>,

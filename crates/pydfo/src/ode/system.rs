@@ -1,5 +1,5 @@
-//! A hybrid system written in Python: right-hand side, events, Jacobian as functions. Called on the thread
-//! that holds the interpreter lock.
+//! A hybrid system written in Python: right-hand side, events and Jacobian as functions. They are called on
+//! the thread that holds the interpreter lock.
 
 use crate::interrupt::interrupt_guard::{EndRequest, Inside};
 use crate::optimize::objective::number;
@@ -13,18 +13,18 @@ use pyo3::prelude::*;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-/// One event function and what was seen of it.
+/// An event function and its observed occurrences.
 pub(crate) struct Event<'py> {
     pub(crate) function: Bound<'py, PyAny>,
     pub(crate) direction: Direction,
-    /// The run ends with this occurrence; 0: never.
+    /// Occurrence at which the run ends; 0: never.
     pub(crate) terminal: usize,
     pub(crate) times: Vec<f64>,
     /// States before the event, one occurrence after the other.
     pub(crate) states: Vec<f64>,
 }
 
-/// Where Jacobians come from.
+/// Source of the Jacobians.
 pub(crate) enum JacobianSource<'py> {
     Differences,
     Function(Bound<'py, PyAny>),
@@ -39,7 +39,7 @@ pub(crate) struct SparseJacobian<'py> {
     pub(crate) function: Option<Bound<'py, PyAny>>,
     /// Row, column and value, if it is constant.
     pub(crate) entries: Vec<(usize, usize, f64)>,
-    /// The numbers of the places of the pattern.
+    /// Indices of the positions of the pattern.
     pub(crate) places: HashMap<(usize, usize), usize>,
 }
 
@@ -50,7 +50,7 @@ impl SparseJacobian<'_> {
         self.fill(&sparse_entries(&function.call1((t, x))?, n)?, t, into)
     }
 
-    /// Adds entries at their places; refuses those that have none.
+    /// Adds entries at their positions. Returns an error for nonzero entries outside the pattern.
     pub(crate) fn fill(&self, entries: &[(usize, usize, f64)], t: f64, into: &mut [f64]) -> PyResult<()> {
         for (i, k, value) in entries {
             match self.places.get(&(*i, *k)) {
@@ -67,11 +67,11 @@ impl SparseJacobian<'_> {
     }
 }
 
-/// The system, and what it keeps of a run.
+/// The system and the results stored during a run.
 pub(crate) struct PySystem<'py> {
     pub(crate) py: Python<'py>,
     pub(crate) stop: Arc<EndRequest>,
-    /// The right-hand side; the residual where there are slopes at the start.
+    /// The right-hand side, or the residual if there are slopes at the start.
     pub(crate) rhs: Bound<'py, PyAny>,
     pub(crate) slopes: Option<Vec<f64>>,
     pub(crate) x0: Vec<f64>,
@@ -81,18 +81,18 @@ pub(crate) struct PySystem<'py> {
     pub(crate) pattern: Option<JacobianPattern>,
     /// By columns.
     pub(crate) mass: Option<Vec<f64>>,
-    /// Keep the ends of all steps and the states that events make.
+    /// True if the ends of all steps and the states after events are stored.
     pub(crate) keeps_steps: bool,
     pub(crate) times: Vec<f64>,
     pub(crate) states: Vec<f64>,
-    /// The last of these was made by the start or an event.
+    /// True if the start or an event added the last row.
     pub(crate) is_made: bool,
     /// The exception that ended the run.
     pub(crate) raised: Option<PyErr>,
 }
 
 impl<'py> PySystem<'py> {
-    /// Calls into Python and keeps the exception if there is one.
+    /// Calls into Python and stores the exception, if any.
     fn ask<T>(&mut self, call: impl FnOnce(&Self) -> PyResult<T>) -> CallResult<T> {
         let inside = Inside::new(&self.stop);
         let answer = call(self);
@@ -104,7 +104,7 @@ impl<'py> PySystem<'py> {
         })
     }
 
-    /// Name of the user's function of the equations: "residual" or "rhs".
+    /// Name of the user's function that defines the equations: "residual" or "rhs".
     pub(crate) fn rhs_name(&self) -> &'static str {
         if self.slopes.is_some() { "residual" } else { "rhs" }
     }
@@ -272,7 +272,7 @@ impl HybridSystem for PySystem<'_> {
             if answer.is_none() && states.readonly().as_slice()? == x {
                 return Ok(false);
             }
-            // What was changed in place counts where nothing is returned.
+            // If nothing is returned, the states changed in place are used.
             vector(if answer.is_none() { &states } else { &answer }, x, "on_event")?;
             match x.iter().position(|v| !v.is_finite()) {
                 Some(i) => Err(PyValueError::new_err(format!(
@@ -290,7 +290,7 @@ impl HybridSystem for PySystem<'_> {
     }
 }
 
-/// An array of doubles from whatever NumPy makes one of, except complex numbers and texts.
+/// Converts a value to an array of doubles with NumPy. Rejects complex numbers and strings.
 fn doubles<'py>(value: &Bound<'py, PyAny>, who: &str) -> PyResult<Bound<'py, PyAny>> {
     let numpy = value.py().import("numpy")?;
     let array = numpy.call_method1("asarray", (value,))?;
@@ -356,7 +356,7 @@ pub(crate) fn sparse_entries(value: &Bound<'_, PyAny>, n: usize) -> PyResult<Vec
     Ok(rows.into_iter().zip(columns).zip(values).map(|((i, k), value)| (i, k, value)).collect())
 }
 
-/// A square matrix by columns; sparse ones are made dense.
+/// Reads a square matrix by columns. Sparse matrices are converted to dense ones.
 pub(crate) fn matrix(value: &Bound<'_, PyAny>, n: usize, who: &str) -> PyResult<Vec<f64>> {
     let dense = if value.hasattr("toarray")? { value.call_method0("toarray")? } else { value.clone() };
     let array = doubles(&dense, who)?;

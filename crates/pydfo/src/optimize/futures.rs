@@ -1,5 +1,5 @@
-//! An executor of Python's as an evaluator: points go to it one by one, for a function of the user's or for
-//! the simulations of a fit.
+//! A Python executor as an evaluator. Points are submitted one by one, for a function of the user or for the
+//! simulations of a fit.
 
 use crate::convert::object::to_bytes;
 use crate::interrupt::interrupt_guard::{EndRequest, Inside};
@@ -13,7 +13,7 @@ use pyo3::types::PyBytes;
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
-/// A problem.
+/// Serialises the problem of a calibration.
 pub(crate) fn state(calibration: &Calibration) -> PyResult<Vec<u8>> {
     to_bytes(calibration.problem())
 }
@@ -35,7 +35,7 @@ enum PolledAnswer {
         id: u64,
         why: PyErr,
     },
-    /// It will not evaluate any.
+    /// The executor will not evaluate any points.
     Broken {
         id: u64,
         x: Vec<f64>,
@@ -45,7 +45,7 @@ enum PolledAnswer {
     Idle,
 }
 
-/// An object of `_evaluate.Futures`, and what is under way there.
+/// An object of `_evaluate.Futures`, and the points being evaluated there.
 struct Futures {
     futures: Py<PyAny>,
     stop: Arc<EndRequest>,
@@ -97,7 +97,7 @@ impl Futures {
         });
         match polled {
             Ok(taken) => taken.unwrap_or(PolledAnswer::Waiting),
-            // Ctrl-C for the second time, for example.
+            // A second Ctrl-C, for example.
             Err(e) => {
                 self.stop.end_with(e);
                 self.under_way.clear();
@@ -113,12 +113,12 @@ impl Futures {
     }
 }
 
-/// What the answers of an executor mean.
+/// Interpretation of the answers of an executor.
 pub(crate) trait Answers {
-    /// Fills `answer` from the value that came back for a point.
+    /// Fills in `answer` from the value returned for a point.
     fn read(&mut self, x: &[f64], value: Py<PyAny>, answer: &mut Answer);
 
-    /// The outcome where the executor does not evaluate any point.
+    /// Returns the outcome if the executor does not evaluate any points.
     fn broken(&mut self, x: &[f64], why: PyErr) -> Outcome;
 
     /// As [`Evaluator::cutoff_use`].
@@ -127,7 +127,7 @@ pub(crate) trait Answers {
     }
 }
 
-/// Points on an executor.
+/// Evaluator that submits points to an executor.
 pub(crate) struct OnExecutor<A> {
     futures: Futures,
     answers: A,
@@ -173,13 +173,13 @@ impl<A: Answers> Evaluator for OnExecutor<A> {
         self.answers.cutoff_use()
     }
 
-    /// Always true: an executor finishes without this evaluator what it has begun.
+    /// Always true: an executor finishes the evaluations it has begun without this evaluator.
     fn leave(&mut self) -> bool {
         true
     }
 }
 
-/// Values of a function of the user's.
+/// Values of a function of the user.
 impl Answers for &PyObjective {
     fn read(&mut self, x: &[f64], value: Py<PyAny>, answer: &mut Answer) {
         Python::attach(|py| self.answer_from(py, x, value.into_bound(py), answer));
@@ -194,10 +194,10 @@ impl Answers for &PyObjective {
     }
 }
 
-/// A function of the user's on an executor; `futures`: a `_evaluate.Futures`.
+/// Creates an evaluator for a function of the user on an executor. `futures`: a `_evaluate.Futures`.
 ///
 /// # Errors
-/// It is none.
+/// Returns an error if `futures` is another object.
 pub(crate) fn of_function<'a>(
     futures: &Bound<'_, PyAny>,
     objective: &'a PyObjective,
@@ -216,10 +216,10 @@ pub(crate) struct Simulated {
 pub(crate) type PySimulationExecutor = OnExecutor<Simulated>;
 
 impl PySimulationExecutor {
-    /// `futures`: a `_engine.Simulations`.
+    /// Creates the evaluator. `futures`: a `_engine.Simulations`.
     ///
     /// # Errors
-    /// It is none.
+    /// Returns an error if `futures` is another object.
     pub(crate) fn new(futures: &Bound<'_, PyAny>, stop: Arc<EndRequest>) -> PyResult<Self> {
         let answers = Simulated { stats: Stats::default(), stop: Arc::clone(&stop) };
         Ok(Self { futures: Futures::new(futures, stop)?, answers })

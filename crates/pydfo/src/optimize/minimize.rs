@@ -1,5 +1,4 @@
-//! Minimising a Python function: on the calling thread, on threads of a pool, or in batches that it takes as
-//! a whole.
+//! Minimisation of a Python function: on the calling thread, on the threads of a pool, or in whole batches.
 
 use crate::convert::error;
 use crate::convert::record::PyRecord;
@@ -18,7 +17,7 @@ use std::sync::Arc;
 
 type Observer<'a> = dyn FnMut(&Progress<'_>) -> ControlFlow<()> + 'a;
 
-/// A minimisation without its objective: owned, to be moved to another thread.
+/// A minimisation without its objective. It is owned, so that it can be moved to another thread.
 pub(crate) struct RunSetup {
     x0: Option<Vec<f64>>,
     lower: Vec<f64>,
@@ -31,7 +30,7 @@ impl RunSetup {
         Self { x0, lower, upper, asked }
     }
 
-    /// The same for the optimiser.
+    /// Passes this setup to the optimiser.
     pub(crate) fn describe<'a, D>(
         self,
         run: Minimize<'a, NelderMead, D>,
@@ -59,10 +58,11 @@ impl RunSetup {
     }
 }
 
-/// Minimises a Python function. With one worker it is called on the calling thread, with more on threads of a
-/// pool; with `batches` it takes whole batches on the calling thread, see [`PyObjective::evaluate_batch`], or
-/// points one by one, see [`OnExecutor`](futures::OnExecutor); with `cutoffs` it is told the cutoff of each
-/// point; with a `loss` and its scale among the options it returns residuals.
+/// Minimises a Python function. With one worker, the function is called on the calling thread; with more
+/// workers, on the threads of a pool. With `batches`, it receives whole batches on the calling thread, see
+/// [`PyObjective::evaluate_batch`], or points one by one, see [`OnExecutor`](futures::OnExecutor). With
+/// `cutoffs`, it receives the cutoff of each point. With a `loss` and its scale among the options, it returns
+/// residuals.
 #[pyfunction]
 #[pyo3(signature = (
     func, x0, lower, upper, options, *, tolerant=false, observer=None, detail=false, batches=false, cutoffs=false
@@ -127,14 +127,14 @@ pub(crate) fn minimize<'py>(
             None => return Err(error::interrupted(py, last_progress.result(py)?.as_ref(), None)),
         }
     };
-    // What a handler of the log raises costs no result.
+    // An exception of a log handler must not discard the result.
     let by_log = logs::pass_on(py).err();
     let raised =
         objective.take_raised(&outcome).or_else(|| listener.and_then(|l| l.take_raised())).or(by_log);
     conclude(py, &stop, raised, outcome, kind)
 }
 
-/// The result, or the exception that ended the run with the result attached to it.
+/// Returns the result, or the exception that ended the run with the result attached to it.
 fn conclude<'py>(
     py: Python<'py>,
     stop: &EndRequest,

@@ -1,5 +1,5 @@
-//! A Python function as an objective: called with the lock held only inside of it, from whatever thread
-//! evaluates.
+//! A Python function as an objective. Any thread may evaluate it; the interpreter lock is held only during
+//! the call.
 
 use crate::interrupt::interrupt_guard::{EndRequest, Inside};
 use crate::interrupt::lock::lock;
@@ -10,7 +10,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyCFunction, PyDict, PyFloat, PyTuple};
 use std::sync::{Arc, Mutex};
 
-/// A Python function `f(x) -> float`, or `f(x, *, cutoff) -> float | Above`, or one that returns a vector of
+/// A Python function `f(x) -> float`, `f(x, *, cutoff) -> float | Above`, or one that returns a vector of
 /// residuals.
 pub(crate) struct PyObjective {
     function: Py<PyAny>,
@@ -21,8 +21,8 @@ pub(crate) struct PyObjective {
     /// Loss function of the residuals; `None`: the function returns a cost.
     loss: Option<RobustLoss>,
     stop: Arc<EndRequest>,
-    /// Exceptions, by the points at which they were raised: the run ends with that of the first point of its
-    /// path.
+    /// Exceptions and the points at which they were raised. The run ends with the exception of the first such
+    /// point on its path.
     raised: Mutex<Vec<(Vec<u64>, PyErr)>>,
 }
 
@@ -37,17 +37,17 @@ impl PyObjective {
         Self { function, tolerant, takes_cutoff, loss, stop, raised: Mutex::default() }
     }
 
-    /// `CutoffUse::Yes` if costs above the cutoff count as given up.
+    /// Returns `CutoffUse::Yes` if costs above the cutoff count as given up.
     pub(crate) fn cutoff_use(&self) -> CutoffUse {
         if self.takes_cutoff { CutoffUse::Yes } else { CutoffUse::No }
     }
 
-    /// The function, or what hands points to it.
+    /// Returns the function, or the callable that passes points to it.
     pub(crate) fn function<'py>(&self, py: Python<'py>) -> Bound<'py, PyAny> {
         self.function.bind(py).clone()
     }
 
-    /// The exception that ended the run: the one raised at the point of its path that ended it.
+    /// Takes the exception that ended the run, raised at the point of the path that ended it.
     pub(crate) fn take_raised(&self, run: &Result<Report, dfo::Error>) -> Option<PyErr> {
         let trace = run.as_ref().map_or_else(|e| e.trace(), |report| Some(&report.trace))?;
         let end = trace.iter().rev().find(|entry| matches!(entry.outcome, Outcome::Abort(_)))?;
@@ -56,14 +56,15 @@ impl PyObjective {
         Some(raised.swap_remove(place).1)
     }
 
-    /// The end of the run, with this exception.
+    /// Records this exception and returns the outcome that ends the run.
     pub(crate) fn abort(&self, x: &[f64], exception: PyErr) -> Outcome {
         let message = exception.to_string();
         lock(&self.raised).push((bits(x), exception));
         Outcome::Abort(message)
     }
 
-    /// Outcome of a call of the user's function; residuals, if it returns such, go to `out`.
+    /// Returns the outcome of a call of the user's function. Residuals, if it returns them, are stored in
+    /// `out`.
     fn outcome(
         &self,
         py: Python<'_>,
@@ -83,16 +84,16 @@ impl PyObjective {
                     Some(loss) => residuals(&value, out).map(|()| loss.cost(out, f64::INFINITY)),
                     None => number(&value, "the objective").map(Outcome::Value),
                 };
-                // Always an error in the program, never one of the model.
+                // Always an error of the program, never of the model.
                 outcome.unwrap_or_else(|e| self.abort(x, e))
             }
-            // The user's wish, also at a point that is evaluated ahead of need.
+            // The user requested the end, even if the point is evaluated speculatively.
             Err(e) if e.is_instance_of::<PyKeyboardInterrupt>(py) => {
                 let message = e.to_string();
                 self.stop.end_with(e);
                 Outcome::Abort(message)
             }
-            // SystemExit and its like end the run whenever its path comes to them.
+            // SystemExit and similar exceptions end the run when its path reaches the point.
             Err(e) if self.tolerant && e.is_instance_of::<PyException>(py) => Outcome::failed(e.to_string()),
             Err(e) => self.abort(x, e),
         }
@@ -111,9 +112,9 @@ impl PyObjective {
         answer.outcome = self.outcome(py, x, returned, &mut answer.residuals);
     }
 
-    /// Outcomes of a batch from a function that takes all its points, shape (points, parameters), their
-    /// cutoffs, and a function that says whether to stop; it returns for each point a cost, the exception
-    /// that was raised, or Ellipsis for a point that was left out. Called on the calling thread.
+    /// Evaluates a batch. The function receives all points, shape (points, parameters), their cutoffs, and a
+    /// function that returns whether to stop. It returns for each point a cost, the exception that was
+    /// raised, or Ellipsis for a point that was left out. Called on the calling thread.
     pub(crate) fn evaluate_batch(&self, py: Python<'_>, batch: &BatchView<'_>) -> Vec<Outcome> {
         let _inside = Inside::new(&self.stop);
         let mut outcomes = vec![Outcome::Skipped; batch.len()];
@@ -125,7 +126,7 @@ impl PyObjective {
                     if answer.is(py.Ellipsis()) {
                         continue;
                     }
-                    // With its own time, or without.
+                    // With or without its evaluation time.
                     let answer = match answer.cast_into::<PyTuple>() {
                         Ok(timed) if timed.get_type().is(py.get_type::<PyTuple>()) && timed.len() == 2 => {
                             if let Ok(seconds) = timed.get_item(0).and_then(|s| s.extract()) {
@@ -204,14 +205,14 @@ fn is_above(value: &Bound<'_, PyAny>) -> bool {
     !value.is_instance_of::<PyFloat>() && class().and_then(|class| value.is_instance(&class)).unwrap_or(false)
 }
 
-/// The residuals that a Python function returned, into `out`: whatever NumPy makes a one-dimensional array
-/// of.
+/// Reads the residuals that a Python function returned into `out`. Accepts any object that NumPy converts to
+/// a one-dimensional array.
 ///
 /// # Errors
-/// TypeError: something else.
+/// Raises TypeError for other objects.
 pub(crate) fn residuals(value: &Bound<'_, PyAny>, out: &mut Vec<f64>) -> PyResult<()> {
     out.clear();
-    // Of subclasses NumPy knows more: what is masked, for example.
+    // NumPy treats subclasses differently, for example masked arrays.
     let is_plain = value.cast_exact::<PyUntypedArray>().is_ok();
     if let (true, Ok(array)) = (is_plain, value.cast::<PyArray1<f64>>()) {
         out.extend(array.try_readonly()?.as_array());
@@ -222,10 +223,11 @@ pub(crate) fn residuals(value: &Bound<'_, PyAny>, out: &mut Vec<f64>) -> PyResul
     Ok(())
 }
 
-/// The number that a Python function returned: a float or an int, a NumPy scalar, an array of one element.
+/// Reads the number that a Python function returned: a float or an int, a NumPy scalar, or an array of one
+/// element.
 ///
 /// # Errors
-/// TypeError: `who` returned something else.
+/// Raises TypeError if `who` returned another object.
 pub(crate) fn number(value: &Bound<'_, PyAny>, who: &str) -> PyResult<f64> {
     if let Ok(number) = value.cast::<PyFloat>() {
         return Ok(number.value());
@@ -242,7 +244,7 @@ pub(crate) fn number(value: &Bound<'_, PyAny>, who: &str) -> PyResult<f64> {
         if !value.getattr("size").and_then(|s| s.extract::<usize>()).is_ok_and(|size| size == 1) {
             return Err(bad(format!("an array of shape {shape}")));
         }
-        // What is masked is no number, whatever lies under the mask.
+        // A masked value is not a number, whatever the data under the mask.
         if value.getattr("mask").and_then(|mask| mask.call_method0("any")?.is_truthy()).unwrap_or(false) {
             return Ok(f64::NAN);
         }
@@ -251,7 +253,7 @@ pub(crate) fn number(value: &Bound<'_, PyAny>, who: &str) -> PyResult<f64> {
             _ => Err(bad(format!("an array or scalar of type {dtype}"))),
         };
     }
-    // Whatever can be a float: int, Fraction, Decimal, a tensor of another library.
+    // Any object that converts to a float: int, Fraction, Decimal, a tensor of another library.
     value.extract().map_err(|_| {
         let name = value.get_type().name().map_or_else(|_| "?".to_owned(), |n| n.to_string());
         let text = value.repr().map_or_else(|_| String::new(), |r| r.to_string());

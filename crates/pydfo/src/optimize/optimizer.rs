@@ -1,4 +1,4 @@
-//! A run that Python drives, point by point.
+//! A run that Python controls, point by point.
 
 use crate::convert::error;
 use crate::convert::record::PyRecord;
@@ -14,7 +14,7 @@ use pyo3::exceptions::{PyBaseException, PyTypeError};
 use pyo3::prelude::*;
 use std::sync::Mutex;
 
-/// An optimiser that is asked and told; `pydfo.Optimizer` is its Python class.
+/// An optimiser with ask and tell; `pydfo.Optimizer` is its Python class.
 #[pyclass(frozen, module = "pydfo._core", name = "Optimizer")]
 pub(crate) struct PyOptimizer {
     inner: Mutex<dfo::Optimizer>,
@@ -61,9 +61,9 @@ impl PyOptimizer {
         ))
     }
 
-    /// The value of a point: a number, or a vector of residuals where the method wants these, None or an
-    /// exception (it failed), Ellipsis (it is given back), or `above`: the number is one that the cost
-    /// exceeds.
+    /// Reports the value of a point: a number, or a vector of residuals if the method needs residuals. None
+    /// or an exception means that the evaluation failed, and Ellipsis that the point is returned. With
+    /// `above`, the cost exceeds the number.
     fn tell(&self, py: Python<'_>, id: u64, value: &Bound<'_, PyAny>, above: bool) -> PyResult<()> {
         let mut answer = Answer::default();
         answer.outcome = if above {
@@ -82,7 +82,8 @@ impl PyOptimizer {
         } else {
             Outcome::Value(objective::number(value, "the objective")?)
         };
-        // It may write the checkpoint, and another thread that waits for us may hold the interpreter lock.
+        // This may write the checkpoint, and another thread waiting for this one may hold the interpreter
+        // lock.
         let watch = InterruptGuard::without_handler(py);
         let told = watch.run_here(|context| lock(&self.inner).tell_unless(id, answer, context));
         logs::pass_on(py)?;
@@ -100,7 +101,7 @@ impl PyOptimizer {
         lock(&self.inner).n_pending()
     }
 
-    /// Why the run is over; None while it is not.
+    /// Reason why the run has ended; None while it is running.
     #[getter]
     fn termination(&self) -> Option<&'static str> {
         lock(&self.inner).termination().map(|t| t.name())

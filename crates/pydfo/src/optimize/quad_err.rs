@@ -4,7 +4,7 @@ use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-/// Rows are quantities; all arrays contiguous, of type float64.
+/// Computes the sum. Rows are quantities; all arrays must be contiguous and of type float64.
 #[pyfunction]
 #[pyo3(signature = (t_meas, y_meas, t_sim, y_sim, w=None))]
 pub(crate) fn quad_err(
