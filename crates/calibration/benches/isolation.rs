@@ -1,6 +1,7 @@
-//! Cost of process isolation per evaluation, compared with a plain exchange of the same number of bytes over
-//! a socket pair, and with the same evaluation in this process. `cargo bench -p fmufit-calibration --bench
-//! isolation`
+//! Cost of process isolation per evaluation. It is compared with a plain exchange of the same number of bytes
+//! over a socket pair, and with the same evaluation in this process.
+//!
+//! `cargo bench -p fmufit-calibration --bench isolation`
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 use calibration::RunContext;

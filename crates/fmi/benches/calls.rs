@@ -1,4 +1,4 @@
-//! Overhead of the safe layer per call into an FMU: the same calls from Rust and from a C program
+//! Overhead of the safe layer per call into an FMU. The same calls are made from Rust and from a C program
 //! (`raw_calls.c`), with the same library, in one run. `cargo bench -p fmufit-fmi --bench calls`.
 
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]

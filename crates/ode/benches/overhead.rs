@@ -1,5 +1,5 @@
-//! Overhead of the stepper per right-hand side: time per right-hand side of a whole run, minus the time of
-//! the function alone, both measured in this run. Run with `cargo bench -p fmufit-ode`.
+//! Overhead of the stepper: time per right-hand side of a whole run, minus the time of the function alone.
+//! Both are measured in this run. Run with `cargo bench -p fmufit-ode`.
 
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 

@@ -95,8 +95,8 @@ pub enum ErrorKind {
     /// The equations do not determine some of the states at the start because the index is above 1.
     /// [`SimulationError::undetermined`] contains these states.
     HigherIndex,
-    /// Equations of a singular mass matrix that contain no derivative do not hold at the start or after an
-    /// event, and no states were found for which they hold.
+    /// The equations of a singular mass matrix that contain no derivative do not hold at the start or after
+    /// an event. No states were found for which they hold.
     Inconsistent {
         /// The equation with the largest residual relative to the tolerances of the states.
         equation: usize,

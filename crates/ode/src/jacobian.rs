@@ -34,8 +34,8 @@ pub(crate) struct Jacobian {
     groups: Groups,
     is_sparse: bool,
     /// `values[i + n * k]` is the derivative of `f_i` with respect to `x_k`. If the matrix is sparse, only
-    /// the entries of the pattern and of the diagonal are stored, one after the other, as a sparse
-    /// decomposition expects them.
+    /// the entries of the pattern and of the diagonal are stored, one after the other. This is the layout of
+    /// a sparse decomposition.
     pub(crate) values: Vec<f64>,
     /// Buffer for the system to fill in if its layout differs from `values`: the entries of the pattern, or a
     /// whole matrix.

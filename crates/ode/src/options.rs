@@ -98,8 +98,8 @@ pub struct Limits {
 }
 
 /// Policy for state events that follow each other so closely that time hardly advances. The threshold is a
-/// hundred state events within 1e-6 of the span. For spans above 1000 units of time, it is a hundred events
-/// within a thousandth of a unit, or within the resolution of times if that is larger.
+/// hundred state events within 1e-6 of the span. For spans above 1000 units of time, the limit is a
+/// thousandth of a unit instead, or the resolution of times if that is larger.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
@@ -115,7 +115,7 @@ pub enum ChatteringPolicy {
     /// indicator leaves this mode after a hundred such steps without its event.
     ///
     /// If the vector fields on both sides point towards each other, the solution slides between them as
-    /// Filippov defines it, with an error of the order of this step (A. F. Filippov, Differential Equations
+    /// Filippov defines it. Its error is of the order of this step (A. F. Filippov, Differential Equations
     /// with Discontinuous Righthand Sides, 1988, section 8).
     ///
     /// If events change states and accumulate (bounces), the indicator is held at zero, on the side from
@@ -172,7 +172,7 @@ pub enum AbsoluteTolerance {
     /// One tolerance for all states. Zero means a purely relative tolerance. A state of value zero then has
     /// no tolerance, which is [an error](crate::ErrorKind::NoTolerance) when it happens.
     Scalar(f64),
-    /// One tolerance per state, with the meaning of [`Scalar`](Self::Scalar).
+    /// One tolerance per state, with the meaning of `Scalar`.
     PerState(Vec<f64>),
 }
 
@@ -210,7 +210,7 @@ pub struct Options {
     /// Two further checks do not depend on this option. First, the turning points of parabolas through three
     /// neighbouring values are evaluated if they are near zero (below a quarter of these values). This
     /// repeats while they approach zero. Second, an indicator near zero after its event that leads out of its
-    /// domain is followed until it is seen there, or until the run ends with
+    /// domain is followed. This ends when it is seen there, or when the run ends with
     /// [`ErrorKind::EventsAccumulate`](crate::ErrorKind).
     pub interior_samples: Option<u32>,
     /// Locates indicators that only jump between a value and its negative to `1e-10 max(|t|, step)` instead

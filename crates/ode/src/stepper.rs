@@ -186,8 +186,9 @@ pub(crate) trait Stepper: Debug + Send + Sync {
     /// Announces that the next trial is the last good one with an earlier end.
     fn repeat(&mut self) {}
 
-    /// After a failure at `(t, x)`, returns the states that the equations without derivatives determine
-    /// neither there nor nearby, as in systems of index 2 or higher. `None` if there are no such states.
+    /// Returns the states that the equations without derivatives do not determine, after a failure at `(t,
+    /// x)`. They are determined neither there nor nearby, as in systems of index 2 or higher. `None` if there
+    /// are no such states.
     fn undetermined(&mut self, equations: &mut Equations<'_>, t: f64, x: &[f64]) -> Option<Undetermined> {
         let _ = (equations, t, x);
         None

@@ -42,10 +42,10 @@ impl Tally {
 /// Estimates the time spent in calls of `KINDS` kinds.
 ///
 /// Reading the clock takes as long as a short call (20 to 30 ns). After 8 consecutive calls of a kind below 1
-/// us, only one of 61 calls is timed, and its time also counts for the untimed calls before it. This ends
-/// when a timed call takes longer. Otherwise, each call is timed. The time of reading the clock is measured
-/// once and subtracted. A call of more than 0.1 ms among fast calls counts only once, because the scheduler,
-/// for example, may have interrupted it.
+/// us, only one of 61 calls is timed. Its time also counts for the untimed calls before it. This ends when a
+/// timed call takes longer. Otherwise, each call is timed. The time of reading the clock is measured once and
+/// subtracted. A call of more than 0.1 ms among fast calls counts only once, because the scheduler, for
+/// example, may have interrupted it.
 ///
 /// ```
 /// let mut watch = ode::Stopwatch::<1>::new();

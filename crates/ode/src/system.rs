@@ -31,8 +31,8 @@ pub enum Direction {
     /// All changes: the rule of FMI.
     #[default]
     Both,
-    /// All changes but one. If an event changed the states and turned the indicator back near zero (a
-    /// bounce), its return to the domain it came from is not an event.
+    /// All changes except the return after a bounce. If an event changed the states and turned the indicator
+    /// back near zero, its return to the domain it came from is not an event.
     Either,
     /// Changes into the domain `z > 0`.
     Up,
@@ -57,13 +57,13 @@ pub struct EventCause {
 #[derive(Debug, Clone, Copy)]
 pub struct EventVisit<'a> {
     /// Time of the event. If the model announced a time event within [rounding](crate::time_tolerance) of
-    /// this instant, this is the announced time, even if it is later than the end of the run by that
+    /// this instant, this is the announced time. It may then be later than the end of the run by that
     /// rounding.
     pub time: f64,
     /// Causes of the event.
     pub cause: EventCause,
-    /// Crossing of each event indicator: +1 if it became positive, -1 if it left the positive domain. 0 if it
-    /// kept its domain, or if it crossed in a [direction](HybridSystem::event_direction) that is not an
+    /// Crossing of each event indicator: +1 if it became positive, -1 if it left the positive domain. 0 means
+    /// that it kept its domain, or crossed in a [direction](HybridSystem::event_direction) that is not an
     /// event.
     pub crossings: &'a [i8],
 }

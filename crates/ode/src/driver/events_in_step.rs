@@ -13,8 +13,8 @@ const MAX_REPETITIONS: u32 = 12;
 /// a factor of four, or the search ends.
 const MAX_TURNS: u32 = 5;
 
-/// Maximum number of additional points in a step at which the indicators are evaluated if their values do not
-/// show how they change between known points.
+/// Maximum number of additional points in a step at which the indicators are evaluated. They are used if the
+/// known values do not show how the indicators change between them.
 const MAX_LOOKS: u32 = 32;
 
 impl Run<'_> {

@@ -164,8 +164,8 @@ pub(super) fn read_indicators(
     if z.iter().fold(0.0, |sum, z| sum + 0.0 * z) == 0.0 { Ok(()) } else { Err(CallError::Discard) }
 }
 
-/// Converts the error of a call that cannot be retried with a smaller step: the start of the model, its state
-/// after an event, or a sample.
+/// Converts the error of a call that cannot be retried with a smaller step. Such calls are the start of the
+/// model, its state after an event, and a sample.
 pub(super) fn no_retreat(error: CallError) -> Exit {
     match error {
         CallError::Discard => ErrorKind::DiscardedAtRestart.into(),

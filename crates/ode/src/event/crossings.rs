@@ -93,8 +93,8 @@ impl Domains {
         self.base.iter().zip(&self.largest).any(|(z, largest)| z.abs() < NEXT_TO_ZERO * largest)
     }
 
-    /// True if an indicator has an event between the start of the next step and a point after it, at which
-    /// `evaluate` fills in the indicators.
+    /// True if an indicator has an event between the start of the next step and a later point. `evaluate`
+    /// fills in the indicators at that point.
     pub(crate) fn crosses_up_to(
         &mut self,
         evaluate: impl FnOnce(&mut [f64]) -> CallResult<()>,

@@ -18,8 +18,8 @@ pub(crate) struct Located {
     pub(crate) evaluations: u64,
 }
 
-/// Returns the turning point after `start` of the parabola through three points `(t, z)` in one domain, if it
-/// is in the other domain or near it.
+/// Returns the turning point after `start` of the parabola through three points `(t, z)` in one domain.
+/// `None` if the turning point is neither in the other domain nor near it.
 fn turning_point([(t0, z0), (t1, z1), (t2, z2)]: [(f64, f64); 3], start: f64) -> Option<f64> {
     if flipped(z0, z1) || flipped(z1, z2) {
         return None;
@@ -64,9 +64,9 @@ impl Domains {
     }
 
     /// True if indicator `i` is so far from zero that [`turning_point`](Self::turning_point) and
-    /// [`unresolved`](Self::unresolved) find nothing. The test uses three neighbouring values: their largest
-    /// difference d and the ratio r of their distances in time bound the curvature of the parabola through
-    /// them. The parabola extends at most d r / 4 beyond the smallest value.
+    /// [`unresolved`](Self::unresolved) find nothing. The test bounds the curvature of the parabola through
+    /// three neighbouring values by their largest difference d and the ratio r of their distances in time.
+    /// The parabola extends at most d r / 4 beyond the smallest value.
     #[inline]
     pub(crate) fn keeps_clear(&self, i: usize, start: f64, end: f64) -> bool {
         let sign = if self.base[i] > 0.0 { 1.0 } else { -1.0 };
@@ -90,7 +90,8 @@ impl Domains {
     }
 
     /// Returns the turning point between `start` and `end` of a parabola through three neighbouring values of
-    /// indicator `i`, if it is in the other domain or near it. A crossing and its return may be hidden there.
+    /// indicator `i`. `None` if no turning point is in the other domain or near it. A crossing and its return
+    /// may be hidden there.
     pub(crate) fn turning_point(&self, i: usize, start: f64, end: f64) -> Option<f64> {
         let known = |k| self.known(i, k, start, end);
         let (mut a, mut b, next) = match self.before_time {
@@ -106,9 +107,9 @@ impl Domains {
     }
 
     /// Returns a point between `start` and `end` at which a crossing of indicator `i` and its return may be
-    /// hidden. Two neighbouring intervals of length `least` or more are unresolved if their three ends are in
-    /// one domain and the graph bends by more than its distance from zero. The point is the middle of the
-    /// wider one.
+    /// hidden. The test uses two neighbouring intervals whose three ends are in one domain. They are
+    /// unresolved if the graph bends by more than its distance from zero. The point is the middle of the
+    /// wider one, if its length is at least `least`.
     pub(crate) fn unresolved(&self, i: usize, start: f64, end: f64, least: f64) -> Option<f64> {
         if self.slides(i) {
             return None;
@@ -170,11 +171,11 @@ impl Domains {
     /// point from which changes count) those at `t_lo`. The change of at least one of them must be an event.
     /// `evaluate(t, z)` fills in the indicators at a time between.
     ///
-    /// T. R. Chandrupatla, A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear
-    /// function, Advances in Engineering Software 28 (1997) 145-149, on one bracket common to all indicators.
-    /// Each iteration uses the changed indicator whose secant crosses first. The iterations end when the
-    /// width of the bracket is at most `tolerance`, for any values. The function returns the right end, at
-    /// which the change has happened, and `end` then contains the indicators there. If all changing
+    /// The method is from T. R. Chandrupatla, A new hybrid quadratic/bisection algorithm for finding the zero
+    /// of a nonlinear function, Advances in Engineering Software 28 (1997) 145-149. All indicators share one
+    /// bracket. Each iteration uses the changed indicator whose secant crosses first. The iterations end when
+    /// the width of the bracket is at most `tolerance`, for any values. The function returns the right end,
+    /// at which the change has happened, and `end` then contains the indicators there. If all changing
     /// indicators only jump, a bracket of `for_jumps` is sufficient.
     pub(crate) fn locate(
         &mut self,

@@ -187,8 +187,8 @@ impl Domains {
     }
 
     /// True if the flow at the start leads indicator `i` further into its domain during the whole step of
-    /// size `h`, and explains its value at the end. This does not require a slope at zero (`v^3` has none,
-    /// `sqrt(v)` has no finite one).
+    /// size `h`. The flow must also explain the value at the end. This does not require a slope at zero
+    /// (`v^3` has none, `sqrt(v)` has no finite one).
     fn flows_on(
         &mut self,
         i: usize,
@@ -283,8 +283,8 @@ impl Domains {
         (is_bounce && share > 0.0 && share.is_finite()).then_some(share)
     }
 
-    /// True if the event of indicator `i` has let it pass: it leads further away from the domain it came
-    /// from, with slope `before` the event and `after` it.
+    /// True if the event of indicator `i` has let it pass, so that it leads further away from the domain it
+    /// came from. The slopes are those before and after the event.
     pub(crate) fn passes(&self, i: usize, after: f64, before: f64) -> bool {
         let outwards = if self.from_above[i] { -1.0 } else { 1.0 };
         after * outwards > 0.0 && after * outwards > 0.5 * before * outwards

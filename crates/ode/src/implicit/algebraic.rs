@@ -95,7 +95,7 @@ impl Algebraic {
 
     /// Returns the value to add to entry `p` (by columns) of the mass matrix, so that a singular matrix can
     /// be decomposed. If the algebraic part of the residual is zero, the solution also solves the original
-    /// equations, and is zero in the states that identify the columns.
+    /// equations. It is then zero in the states that identify the columns.
     pub(super) fn completion(&self, p: usize) -> f64 {
         if self.partner.get(p / self.n) == Some(&(p % self.n)) { self.largest } else { 0.0 }
     }

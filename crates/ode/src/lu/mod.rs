@@ -34,7 +34,7 @@ fn is_large_and_empty(pattern: &JacobianPattern) -> bool {
 }
 
 /// Returns the cost of the real and the complex decomposition of a matrix of this pattern, in right-hand
-/// sides, if it is dense only because the feature `sparse` is off. Otherwise 0.
+/// sides. Returns 0 unless the matrix is dense only because the feature `sparse` is off.
 pub(crate) fn needless_work(pattern: &JacobianPattern) -> f64 {
     if cfg!(feature = "sparse") || !is_large_and_empty(pattern) {
         return 0.0;

@@ -15,7 +15,7 @@ use num_complex::ComplexFloat;
 /// The factors of a sparse matrix.
 #[derive(Debug)]
 pub(crate) struct SparseLu<T> {
-    /// The pattern as given, without the diagonal.
+    /// The pattern as given.
     pattern: JacobianPattern,
     /// The pattern with the diagonal.
     places: SymbolicSparseColMat<usize>,

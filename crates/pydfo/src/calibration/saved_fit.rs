@@ -23,8 +23,8 @@ pub(crate) fn functions_of_fit(py: Python<'_>, path: PathBuf) -> PyResult<Vec<(u
     Ok(lost.collect())
 }
 
-/// Reads a fit from a file, or from its bytes, with its model: the given one, otherwise the one at its stored
-/// path if its content matches. Returns its calibration, and the fields of a `pydfo.Fit`.
+/// Reads a fit from a file, or from its bytes, with its model. The model is the given one, otherwise the one
+/// at its stored path if its content matches. Returns its calibration, and the fields of a `pydfo.Fit`.
 #[pyfunction]
 #[pyo3(signature = (path, content=None, model=None, functions=Vec::new()))]
 pub(crate) fn load_fit<'py>(

@@ -1,5 +1,5 @@
-//! Ctrl-C: the calling thread checks for Python's signals while it waits for a worker process or another
-//! thread, between two steps of a simulation, or inside a Python function.
+//! Handling of Ctrl-C. The calling thread checks for Python's signals while it waits for a worker process or
+//! another thread. It also checks between two steps of a simulation and inside Python functions.
 //!
 //! While an [`InterruptGuard`] exists, this module handles SIGINT. The first SIGINT sets a flag: no further
 //! evaluation starts and simulations stop at their next step, but a running Python function is not

@@ -327,7 +327,7 @@ impl Own {
     }
 
     /// Simulates in this process. If a call fails and the model has logged no reason, the simulation is
-    /// repeated in a worker process with the log of the model switched on.
+    /// repeated. The repetition runs in a worker process with the log of the model switched on.
     fn simulate_here(
         &mut self,
         options: &SimulateOptions,

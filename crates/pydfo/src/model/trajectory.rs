@@ -92,8 +92,8 @@ pub(crate) fn record<'py>(
     ))
 }
 
-/// Converts a column of 64-bit integers to an array of such integers, and a column of strings or bytes to an
-/// array of objects, with one object per distinct value.
+/// Converts a column of 64-bit integers to an array of such integers. Converts a column of strings or bytes
+/// to an array of objects, with one object per distinct value.
 fn exactly<'py>(py: Python<'py>, kind: VariableKind, column: &ValueColumn) -> PyResult<Bound<'py, PyAny>> {
     let integer = |value: &Value| if let Value::Integer(i) = value { *i } else { 0 };
     Ok(match kind {

@@ -39,8 +39,8 @@ impl Stages {
             && self.complex.decompose(|p, d| eigen * m(p, d) - Complex::new(j[p], 0.0))
     }
 
-    /// Fills in the initial stage increments of a step of size `h`: extrapolated from the last step or from a
-    /// longer one from this point, or zero.
+    /// Fills in the initial stage increments of a step of size `h`. They are extrapolated from the last step,
+    /// or from a longer one from this point. Without either, they are zero.
     pub(super) fn guess(&mut self, h: f64, last: Option<&Collocation>, longer: Option<&Collocation>) {
         // Positions are counted from the end of the step used.
         let Some((from, before)) = longer.map(|c| (c, 1.0)).or(last.map(|c| (c, 0.0))) else {
