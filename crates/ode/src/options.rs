@@ -63,7 +63,7 @@ impl Method {
         OTHERS.into_iter().find(|(other, _)| other.eq_ignore_ascii_case(name)).map(|(_, own)| own)
     }
 
-    /// True if the user sets the step size, rather than an error estimate.
+    /// True if the step size is set by the user, not by an error estimate.
     pub fn is_fixed_step(self) -> bool {
         matches!(self, Self::Rk4 | Self::Euler)
     }
@@ -83,8 +83,8 @@ impl FromStr for Method {
     }
 }
 
-/// Limits that end a run before its final time; `None` means no limit. The counts are checked before each
-/// trial step.
+/// Limits that end a run before its final time; `None` means no limit. The numbers of steps and right-hand
+/// sides are checked before each trial step, and the number of events before each event.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Limits {
     /// Maximum number of steps, accepted and rejected.

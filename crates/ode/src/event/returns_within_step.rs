@@ -87,8 +87,9 @@ impl Domains {
     }
 
     /// Returns the slope of indicator `i`, whose current value is `z0`, along the flow. `evaluate(s, z)`
-    /// computes the indicators after the time `s` along the current flow. The slope is the difference over
-    /// the shortest time from `step` to `reach` that rounding allows. Returns 0 if there is none.
+    /// computes the indicators after the time `s` along the current flow. The slope is a difference over the
+    /// time `step`. If the indicator is not straight over that time, shorter times are tried, then longer
+    /// times up to `reach`. Returns 0 if no time is suitable.
     pub(crate) fn slope_along(
         &mut self,
         i: usize,
@@ -114,8 +115,8 @@ impl Domains {
         Ok(0.0)
     }
 
-    /// True if indicator `i` may have left its domain and returned in the trial. It starts near zero after
-    /// its event, or the time before the step is unknown.
+    /// True if indicator `i` may have left its domain and returned in the trial. It is still next to zero
+    /// after its event, or starts next to zero and the time before the step is unknown.
     fn may_return(&self, i: usize) -> bool {
         let (z0, z2) = (self.base[i], self.end[i]);
         let may = match self.since_event[i].depth() {

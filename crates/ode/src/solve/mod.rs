@@ -290,8 +290,7 @@ impl Observer for Kept {
 }
 
 impl<'a> Event<'a> {
-    /// Creates an event at each change of sign of `function(t, x)`: when it becomes positive or stops being
-    /// positive.
+    /// Creates an event that occurs when `function(t, x)` becomes positive or stops being positive.
     pub fn new(function: impl FnMut(f64, &[f64]) -> f64 + 'a) -> Self {
         Self {
             function: Box::new(function),
