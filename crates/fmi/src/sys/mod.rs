@@ -3,38 +3,38 @@
 //! # Invariants
 //!
 //! 1. **A library outlives its instances.** A [`RawInstance`] has an `Arc` of the [`Library`] that provides
-//! its functions. The function pointers of a binding are only called through a `Library` that is alive. A
-//! library is never closed, because its code may be called later (destructors of threads, functions that it
-//! registered).
+//!    its functions. The function pointers of a binding are only called through a `Library` that is alive. A
+//!    library is never closed, because its code may be called later (destructors of threads, functions that
+//!    it registered).
 //! 2. **One owner per component.** A component pointer is in exactly one `RawInstance` and is never copied
 //!    out of it. It is freed once, on drop. `RawInstance` may move to another thread (`Send`). FMI functions
 //!    of one instance may be called from any thread, but not from two at a time (FMI 2.0.x, section 2.1.1).
 //!    `RawInstance` is therefore not `Sync`, and every method takes `&mut self`.
 //! 3. **Addresses that an FMU keeps do not change.** The data for callbacks
-//! ([`Callbacks`](callbacks::Callbacks)) are on the heap (in `Arc`s, whose contents do not move). They are
-//! never freed, because threads of an FMU may outlive its component and its destructors may log. C code
-//! shares these data, but reaches only a mutex around the log lines. No foreign code is called while that
-//! mutex is locked.
+//!    ([`Callbacks`](callbacks::Callbacks)) are on the heap (in `Arc`s, whose contents do not move). They are
+//!    never freed, because threads of an FMU may outlive its component and its destructors may log. C code
+//!    shares these data, but reaches only a mutex around the log lines. No foreign code is called while that
+//!    mutex is locked.
 //! 4. **Lengths are checked in release builds.** Slices passed to an FMU together with a count have that
-//! count. Vectors of states, derivatives, nominals and indicators have the model's sizes, fixed at
-//! instantiation. A mismatch is a typed error and the FMU is not called.
+//!    count. Vectors of states, derivatives, nominals and indicators have the model's sizes, fixed at
+//!    instantiation. A mismatch is a typed error and the FMU is not called.
 //! 5. **The layer above enforces the state machine of FMI**: [`Instance`](crate::Instance) makes calls in a
-//! wrong phase a compile-time error. This module relies on it for correct use of the FMU, not for its own
-//! memory safety.
+//!    wrong phase a compile-time error. This module relies on it for correct use of the FMU, not for its own
+//!    memory safety.
 //! 6. **After `Fatal` an instance is unusable, and so are all others of its loaded copy of the library.** No
 //!    function of them is called again, not even the one that frees an instance (FMI 2.0.x, section 2.1.3:
 //!    all instances are corrupted). Data that the FMU might still reach (callbacks, environment, library) are
 //!    leaked.
 //! 7. **No panic crosses into C.** The sink of the logger catches unwinding. The rest of the callbacks is C
-//! code.
+//!    code.
 //! 8. **Saved states belong to their instance**: pointers stay in a table of the `RawInstance`. The caller
-//! receives tokens that identify their owner. The table is freed with the instance.
+//!    receives tokens that identify their owner. The table is freed with the instance.
 //! 9. **A run starts in the default floating-point mode**, regardless of earlier changes on the same thread.
 //!    The loading of an FMU or an earlier run may have changed the mode. [`Inside`] restores the previous
 //!    mode. One thread at a time is inside a loaded library, for a call or for a whole run.
 //! 10. **Buffers of small numbers** are passed with the element type that the FMU expects
-//! (`packed_integers.rs`). There are never more elements than 64-bit words, and any bits are a valid value of
-//! these types.
+//!     (`packed_integers.rs`). There are never more elements than 64-bit words, and any bits are a valid
+//!     value of these types.
 //!
 //! Other modules do not depend on the version of FMI. Functions with one type in several versions are in the
 //! tables of `functions.rs`, with their names. All others are in [`Version`](versioned_functions::Version),
