@@ -48,110 +48,126 @@ _log = logging.getLogger("pydfo")
 
 
 class Calibration(Evaluation):
-    """A model, measurements and parameters to be fitted.
+    """A model, measurements and the parameters to fit.
 
-    The cost is the sum of the squared weighted residuals (simulated minus measured, times weight) over all outputs and
-    measured times, added up in the order of `residuals`. Simulations run without the interpreter lock, and stop early
-    in a fit when their cost can no longer matter. The same parameters give the same bits, always.
+    The cost is the sum of the squared weighted residuals over all outputs and measured times. A residual is simulated
+    minus measured, times weight. The terms are added in the order of `residuals`. Simulations run without the
+    interpreter lock. During a fit, a simulation stops early if its cost can no longer change the result. Equal
+    parameters always give bit-for-bit identical costs.
 
-    One recording is given by `data` and `outputs`; several by a list of `Experiment`, each with its own inputs, window,
-    weights and start values: ``Calibration(model, [Experiment(...), ...], parameters)``. The cost is then the sum over all
-    of them.
+    Pass a single recording as `data` and `outputs`. Pass several recordings as a list of `Experiment`, each with its
+    own inputs, window, weights and start values: ``Calibration(model, [Experiment(...), ...], parameters)``. The cost
+    is then the sum over all experiments.
 
-    It can be pickled and copied: with the recordings by value, and the model by the path of its file and a hash of the content,
-    which must be the same where it is unpickled.
+    A calibration can be pickled and copied. The pickle contains the recordings by value and the model as the path of
+    its file and a hash of its content. The file must have the same hash when the calibration is unpickled.
 
     Parameters
     ----------
     model : path or FMUModel
-        The FMU. Values that were set in an FMUModel do not count (a warning says so); give them as `start_values`.
+        The FMU. Values set in an FMUModel are ignored, with a warning. Pass them as `start_values`.
     data : path, dict of arrays, DataFrame, Series, xarray or structured array
-        The recording (or a list of `Experiment`): a column of times (ascending, intervals as they come) and what was measured. NaN, None and
-        empty cells are missing values. A CSV file has one line of names, which a line of units may follow; commas, semicolons or tabs
-        separate, and where no commas do, numbers may have decimal commas (all of them: a file with commas and points is refused).
-        Other files are read by the library that Python people use for them: ``.mat`` (SciPy; h5py for version 7.3), ``.xlsx``
-        (openpyxl; the first sheet, as a CSV file) and ``.parquet`` (pyarrow). Of a ``.mat`` file all variables that are as long as the
-        times are columns: fields of structs are called ``rig.x``, the columns of a matrix ``y[1]``, ``y[2]``.
-        The times are those of the column (or the named index of a DataFrame) ``time``, in any case, or of an index of dates; a unit in
-        brackets or parentheses is read, ``time [ms]``: s, ms, us, ns, min, h, d (exactly so). Durations
-        (``timedelta64``, ``datetime.timedelta``) are times, too, and so are dates and times of day (``datetime64``, ``datetime``, texts as
-        2024-05-31T13:45:10.5 or 31.05.2024 13:45:10): s since the first.
-        A column may state its unit (``phi [deg]``, ``T (degC)``), and be named without (``phi``). Where the model states that of the
-        variable, too, it is converted; units of another quantity are an error. Costs, results and plots are in the units of the model.
+        The recording, or a list of `Experiment`: a column of ascending times, which need not be equally spaced, and
+        the measured columns. NaN, None and empty cells are missing values.
+
+        A CSV file has one line of names, optionally followed by a line of units. The separators are commas,
+        semicolons or tabs. If the separator is not a comma, all numbers may have decimal commas. A file with both
+        decimal commas and points is rejected. Other formats are ``.mat`` (read by SciPy, or by h5py for version 7.3),
+        ``.xlsx`` (openpyxl; the first sheet, like a CSV file) and ``.parquet`` (pyarrow). In a ``.mat`` file, every
+        variable as long as the times is a column. Fields of structs are named ``rig.x``, and the columns of a matrix
+        ``y[1]``, ``y[2]``.
+
+        The times are the column ``time`` in any case, the index of a DataFrame with this name, or an index of dates.
+        The name may include a unit in brackets or parentheses, such as ``time [ms]``. The units are s, ms, us, ns,
+        min, h and d, spelled exactly so. Durations (``timedelta64``, ``datetime.timedelta``) are also times. Dates
+        and times of day (``datetime64``, ``datetime``, strings such as 2024-05-31T13:45:10.5 or 31.05.2024 13:45:10)
+        are converted to seconds since the first one.
+
+        A column name may include a unit (``phi [deg]``, ``T (degC)``), which may be omitted in arguments (``phi``).
+        If the model also declares a unit of the variable, the column is converted. Units of different quantities are
+        an error. Costs, results and plots use the units of the model.
     outputs : dict of str to str, or list of str
-        Which output of the model was measured by which column; a list if they have the same names. A simulation in which
-        one of them is NaN or infinite where something was measured counts as failed.
+        Maps outputs of the model to the columns that measured them. Use a list if both have the same names. A
+        simulation counts as failed if an output is NaN or infinite at a time when it was measured.
     parameters : sequence of Parameter
-        What is fitted. The entries of every ``x`` are in this order; a local parameter has one entry per experiment in its
-        place.
+        The parameters to fit. The entries of every ``x`` are in this order. A local parameter occupies one entry per
+        experiment.
     inputs : dict, or list of str, optional
-        Which input of the model is driven by which column: linearly between the rows if the input is continuous, else
-        held. A time that stands there twice is a jump. In a dict also by a number or a function of time, see `Experiment`.
+        Maps inputs of the model to the columns that drive them. Continuous inputs are interpolated linearly between
+        the rows; other inputs are held constant. A time that occurs twice is a jump. Values of a dict may also be
+        numbers or functions of time, see `Experiment`.
     window : (float, float), optional
-        Only measurements at times in this interval count, in s; the simulation still starts at its start time.
+        Interval of time in s. Only measurements in this interval count. The simulation still starts at its start
+        time.
     timeout : float, optional
-        Wall-clock limit of one simulation in s. One that reaches it counts as failed. (The limit of a whole fit is the `max_time` of
-        `fit`.)
+        Wall-clock limit of one simulation in s. A simulation that reaches the limit counts as failed. The limit of a
+        whole fit is the argument `max_time` of `fit`.
     weights : dict, or sequence, optional
-        Per output, what its residuals are multiplied with (default 1): the inverse of the standard deviation of its noise,
-        if that is known; or a weight per measurement, or "range", "mean", "sd", see `Experiment`.
+        Factor of the residuals of each output; default 1. Use the inverse of the standard deviation of the noise if
+        it is known. A weight per measurement, or "range", "mean" or "sd", is also possible, see `Experiment`.
     start_values : dict, optional
-        Values of other parameters and start values of variables, by name; not of those that are fitted.
+        Values of other parameters and start values of variables, by name. Fitted parameters are not allowed.
     relative_tolerance : float, optional
-        Of the integration; default: that of the model's default experiment, but at most 1e-6 (a larger one makes the cost noisy), else
-        1e-6. A fit simulates with a smaller one where it needs it: unless its `f_tol` is 100 times the model's tolerance or more, it
-        takes so many tenths that errors of that part of the measurements leave the cost uncertain by less than `f_tol` near the best
-        values (``fit.tolerance``, and a note among the findings).
+        Relative tolerance of the integration. The default is the tolerance of the model's default experiment, but at
+        most 1e-6, because a larger one makes the cost noisy. Without a default experiment, it is 1e-6. A fit uses a
+        smaller tolerance if necessary. Unless `f_tol` is at least 100 times the model's tolerance, the fit divides
+        the tolerance by a power of ten. The power is chosen such that the cost is uncertain by less than `f_tol` near
+        the best values, if the measurements have errors of that relative size. ``fit.tolerance`` and a note among the
+        findings report the choice.
     solver : str
-        "auto", "tsit5", "dop853", "radau5", "bdf", "rk4" or "euler". With "auto" each simulation begins with an explicit method and
-        changes to an implicit one where the model is stiff.
+        "auto", "tsit5", "dop853", "radau5", "bdf", "rk4" or "euler". With "auto", each simulation starts with an
+        explicit method and switches to an implicit one if the model is stiff.
     step_size, max_step : float, optional
-        Step of the fixed-step methods, or the communication step of co-simulation; largest step of the other methods;
-        in s. Measurements between the steps of a co-simulation that cannot stop there are compared with values interpolated
-        linearly between the steps, see `between_steps` in `FMUModel.simulate`.
+        `step_size` is the step size of the fixed-step methods, or the communication step of co-simulation, in s.
+        `max_step` is the largest step of the other methods, in s. If a co-simulation cannot stop at the measured
+        times, values are interpolated linearly between its steps, see `between_steps` in `FMUModel.simulate`.
     interior_samples : int, optional
-        Points within each step at which event indicators are looked at, as in `FMUModel.simulate`.
+        Number of points within each step at which event indicators are evaluated, as in `FMUModel.simulate`.
     chattering : {"error", "warn", "slide"}
-        What happens when state events follow each other so closely that time hardly advances, as in `FMUModel.simulate`;
-        a simulation that ends with the error counts as failed.
+        Action if state events follow each other so closely that time hardly advances, as in `FMUModel.simulate`. A
+        simulation that ends with this error counts as failed.
     start_time : float, optional
-        Where simulations start, in s; default: the model's default experiment, else 0. It must be given where the recording
-        begins more than ten of its sampling intervals later.
+        Start time of the simulations in s. It defaults to the start time of the model's default experiment, or 0. It
+        is required if the recording starts more than ten of its sampling intervals later.
     kind : {"auto", "ME", "CS"}, optional
-        How the model is run, as in `FMUModel`; default: as the FMUModel that is given, else "auto".
+        Interface used to run the model, as in `FMUModel`. It defaults to the kind of the given FMUModel, otherwise
+        "auto".
     input_derivatives : bool
-        Whether co-simulations are told the derivatives of their inputs, as in `FMUModel.simulate`.
+        If True, co-simulations receive the derivatives of their inputs, as in `FMUModel.simulate`.
     isolation : {"process", "none"}
-        Where the FMU runs; no cost depends on it. "process": in processes of its own, one per worker, started when they are needed
-        and ended with the calibration, at the latest with this process. Whatever happens there (a crash, a hang beyond
-        `timeout`, `exit`, more memory than `memory_limit`) is an evaluation that failed, with its reason. "none": in this
-        process, one simulation at a time. Inputs that are functions are always called in this process.
+        Process in which the FMU runs. The costs do not depend on it. "process": separate processes, one per worker,
+        that start when they are needed and end with the calibration, or at the latest with this process. A crash, a
+        hang beyond `timeout`, a call of `exit` or use of more than `memory_limit` is a failed evaluation with its
+        reason. "none": this process, one simulation at a time. Inputs that are functions are always called in this
+        process.
     memory_limit : float, optional
-        Bytes of memory that a process of the FMU may have; default: the memory of the machine.
+        Maximum memory of a process of the FMU in bytes; default: the memory of the machine.
     sandbox : bool
-        Confine the processes of the FMU: they write into a folder of their own only, which is removed with them, open no
-        connections and reach no other process (Linux with Landlock; SECURITY.md lists what remains possible). An error where the
-        system cannot do that, and with ``isolation="none"``.
+        Confines the processes of the FMU. They can write only into a private folder, which is removed with them. They
+        cannot open connections or reach other processes. Requires Linux with Landlock; SECURITY.md lists what remains
+        possible. Raises an error if the system does not support it, and with ``isolation="none"``.
     max_description_bytes : int, optional
-        Largest size of ``modelDescription.xml`` where `model` is a path; default 64 MiB. An FMUModel has its own limit.
+        Largest size of ``modelDescription.xml`` if `model` is a path; default 64 MiB. An FMUModel has its own limit.
     units : dict of str to str, optional
-        Units of outputs and inputs of which the model states none: ``{"room.T": "K"}``. Columns that state a unit are converted to it.
+        Units of outputs and inputs for which the model declares no unit: ``{"room.T": "K"}``. Columns with a unit are
+        converted to it.
     time : str, optional
-        Name of the column of times, where it is not ``time``; its unit may be left out.
+        Name of the time column if it is not ``time``. The unit may be omitted.
     mask : array of bool or str, optional
-        Rows whose measurements count, one entry per row, or the column that says so (neither 0 nor missing). Inputs count in all rows.
+        Selects the rows whose measurements count. Pass one entry per row, or the name of a column, which selects a
+        row if its value is neither 0 nor missing. Inputs count in all rows.
     resample : float, optional
-        Interval in s over which the times and all columns are replaced by their means (of what the mask leaves); at least that of the
-        recording. Weights become those of the means, see `Experiment`.
+        Interval in s, at least the sampling interval of the recording. Times and columns are replaced by their means
+        over each interval, excluding masked rows. The weights become weights of the means, see `Experiment`.
     initial_states, windows, warm_up, delays, hold_inputs : optional
-        Of the one recording, as in `Experiment`.
+        Settings of the single recording, as in `Experiment`.
 
     Warns
     -----
     CalibrationWarning
-        A column that is not used has the name of an input that nothing drives, but for its case perhaps;
-        values set in an FMUModel do not count; a setting has no effect (`step_size` with a solver that chooses its
-        steps itself, `max_step` with one that does not, ...).
+        An unused column has the name of an undriven input, possibly in another case; values set in an FMUModel are
+        ignored; a setting has no effect (`step_size` with an adaptive solver, `max_step` with a fixed-step solver,
+        ...).
 
     Raises
     ------
@@ -160,9 +176,9 @@ class Calibration(Evaluation):
     FmuError
         The FMU cannot be used.
     KeyError
-        The model has no such variable; the nearest names are offered.
+        The model has no such variable. The message suggests the nearest names.
     ValueError, TypeError
-        Data, parameters or settings that do not fit together; the message says which, where, and with which numbers.
+        Data, parameters or settings do not match. The message reports the arguments, the place and the numbers.
     """
 
     @also_called(input="inputs", output="outputs")
@@ -302,119 +318,137 @@ class Calibration(Evaluation):
         noise: Literal["auto", "stated", "estimated"] = "auto",
         watch: bool = False,
     ) -> Fit:
-        """Fits the parameters, without the interpreter lock.
+        """Fits the parameters without the interpreter lock.
 
         Parameters
         ----------
         method : str
-            The optimiser: "least-squares", which takes the residuals of the simulations one by one (see `least_squares`), and those
-            of `minimize`: "nelder-mead", "barrier", "quadratic-model", "cma-es", "pattern-search", "multistart", "de", "de-classic",
-            "ga". The last four need two finite bounds for every parameter. "auto" is "least-squares", with integer parameters "de", with categorical
-            ones "ga"; where an option is given that only "nelder-mead" has, it is that. The fit has the reason
-            (``method_reason``).
+            The optimiser. "least-squares" uses the individual residuals of the simulations (see `least_squares`). The
+            methods of `minimize` are "nelder-mead", "barrier", "quadratic-model", "cma-es", "pattern-search",
+            "multistart", "de", "de-classic" and "ga". The last four require two finite bounds for every parameter.
+            "auto" selects "least-squares". With integer parameters it selects "de", and with categorical ones "ga".
+            If an option exists only for "nelder-mead", it selects that method. The fit records the reason in
+            ``method_reason``.
         workers : int or concurrent.futures.Executor, optional
-            Simulations that may run at once; None and -1: all cores. Or an executor (of `concurrent.futures`, Dask, MPI, joblib, Ray) that
-            makes the simulations of the search point by point: problem and model travel to each of its processes once. What comes
-            before the search and after it is simulated here. The fit is the same, bit for bit, for any number and any executor.
+            Number of simulations that may run at once; None and -1: all cores. Alternatively, an executor (of
+            `concurrent.futures`, Dask, MPI, joblib or Ray) that runs the simulations of the search point by point.
+            Problem and model are sent to each of its processes once. Simulations before and after the search run in
+            this process. The fit is bit-for-bit identical for any number of workers and any executor.
         x_tol : float, optional
-            Tolerance of the x test (default 1e-4): extent of the simplex in units of the parameters' sizes (see `Parameter`). For a log
-            scale: of the logarithm.
+            Tolerance of the x test (default 1e-4): extent of the simplex in units of the sizes of the parameters (see
+            `Parameter`). For a parameter on a log scale, it applies to the logarithm.
         f_tol : float, optional
-            Tolerance of the f test (default 1e-4): difference between the worst and the best vertex as a fraction of the best cost.
+            Tolerance of the f test (default 1e-4): difference between the worst and the best vertex relative to the
+            best cost.
         max_evaluations, max_iterations : int, optional
-            Exact limits of the search: simulations (those of `Fit.n_checks` come after it) and iterations.
+            Exact limits on the simulations and iterations of the search. The simulations counted in `Fit.n_checks`
+            follow after it.
         max_time : float, optional
-            Limit of wall-clock time in s.
+            Limit on the wall-clock time in s.
         target : float, optional
-            End the fit with the first evaluation whose cost is at or below this, for any number of workers. What was evaluated
-            at once with it and comes after it counts as speculative.
+            The fit ends with the first evaluation whose cost is at or below this value, for any number of workers.
+            Simultaneous evaluations that come later in the order count as speculative.
         stop : {"all", "any"}, optional
-            Whether both tests must hold (the default), or one ends the fit.
+            "all" (the default): both tests must pass. "any": one test ends the fit.
         batch : {"auto", "serial", "ahead"}, "rounds", "workers" or int
-            Nelder-Mead and barrier: how many trial points are simulated at once in an iteration; see `fmin`. Least squares:
-            "serial", "rounds", a number of points, or "workers"; see `least_squares`.
+            For Nelder-Mead and barrier: number of trial points simulated at once in an iteration, see `fmin`. For
+            least squares: "serial", "rounds", a number of points, or "workers", see `least_squares`.
         disp : bool, optional
-            True: show a line that follows the fit where standard error is a terminal or a notebook (by rich, where that is
-            installed), else print a line per iteration, as `fmin` does; and how the fit ended. False: show nothing. None: show the
-            line in a terminal or a notebook where the fit lasts more than 2 s.
+            True: show a live line if standard error is a terminal or a notebook, using rich if it is installed.
+            Otherwise print one line per iteration, as `fmin` does. In both cases, report how the fit ended. False:
+            show nothing. None: show the live line in a terminal or a notebook if the fit lasts more than 2 s.
         callback : callable, optional
-            Called after each iteration with a `Progress`, on the calling thread; StopIteration or True end the fit.
+            Called after each iteration with a `Progress` on the calling thread. StopIteration or True ends the fit.
         loss, f_scale : optional
-            What a residual of a measurement counts, see `least_squares`, by every method: "soft_l1", "huber" and "cauchy" keep outliers
-            from deciding. Priors count by their squares.
-            Cost and rms of the fit are those of what the residuals count then; `Fit.residuals` has the plain ones.
+            Function of the residuals that is summed up, for every method, see `least_squares`. "soft_l1", "huber" and
+            "cauchy" limit the influence of outliers. Priors always contribute their squares. Cost and rms of the fit
+            use the function; `Fit.residuals` returns the plain residuals.
         start : array_like or dict, optional
-            Another start than that of the parameters.
+            Start that replaces the start values of the parameters.
         initial_simplex : array_like, optional
-            Vertices or steps; see `fmin`. Steps of parameters on a log scale are steps of the logarithm.
+            Vertices or steps, see `fmin`. Steps of parameters on a log scale are steps of the logarithm.
         rng : int or numpy.random.Generator, optional
-            The seed of what is random, or a generator to draw it from; None draws one. It stands in the fit (``seed``).
+            Seed of the random numbers, or a generator from which to draw the seed; None draws one. The fit stores the
+            seed in ``seed``.
         options : dict, optional
-            What else the method can be told, see `minimize` (scales and sizes are those of the parameters). ``max_failed``: the share of
-            evaluations whose failure ends the fit, with its best point.
+            Further options of the method, see `minimize`. Scales and sizes are properties of the parameters.
+            ``max_failed`` is the fraction of failed evaluations at which the fit ends with its best point.
         checkpoint, resume : optional
-            A file for the state of the fit, and whether to continue from it; see `minimize`. A file that belongs to
-            another model, other data, parameters, settings or, where `objective` is a function, to a function with another name is
-            refused, saying what differs. The message of a fit that was continued says so.
+            File for the state of the fit, and the rule for continuing from it, see `minimize`. The file is rejected
+            if it belongs to another model, other data, parameters or settings, or to an `objective` function with
+            another name. The error reports the difference. The message of a resumed fit reports that it was resumed.
         search : {"local", "global"}
-            With method "auto": the minimum next to the start, or the best within the bounds of the parameters, by least squares from
-            several starts ("multistart"), which needs two finite bounds for every parameter; the minima found are the
-            fit's ``optima``.
+            With method "auto", "local" finds the minimum next to the start. "global" searches for the best minimum
+            within the bounds by least squares from several starts ("multistart"), which requires two finite bounds
+            for every parameter. The fit lists the minima found in ``optima``.
         stages : list of Stage, or of lists of names, optional
-            ``[["C2", "G2"], ["C1", "G1"]]``: each stage frees these parameters, from where the last one left them, and holds the
-            others. Limits hold for all stages together, ``nfev`` and the trace are those of all; the fit has that of each stage in
-            ``stages``. A checkpoint has a file for each: ``fit.ckpt.stage1``, ``fit.ckpt.stage2`` and so on.
+            ``[["C2", "G2"], ["C1", "G1"]]``: each stage frees these parameters and holds the others at the values of
+            the previous stage. Limits apply to all stages together, and ``nfev`` and the trace cover all stages. The
+            fits of the stages are in ``stages``. A checkpoint has one file per stage: ``fit.ckpt.stage1``,
+            ``fit.ckpt.stage2`` and so on.
         objective : str or callable
-            What is minimised: "sum-of-squares" of the residuals (with weights of 1/sigma, the inverse standard deviation of the noise, the
-            likelihood with known noise), "mae" (mean absolute error), "rmse", "nrmse" (mean over the outputs of RMSE over the range of
-            the measurements), "likelihood" (with an unknown standard deviation of the noise for each output:
-            ``sum N_o / 2 ln(r_o' r_o / N_o)``); or a function of (measured, simulated), dicts of arrays by output (with several
-            experiments: dicts of such by their names), that returns a cost or a vector of residuals, whose sum of squares is minimised.
-            It is called with the interpreter lock, by one thread at a time, and once before the fit; what it raises ends the fit. It is
-            no part of the calibration, which can be pickled in any case. Only the sum of squares has standard errors and robust losses;
-            where there are no residuals, method "auto" is "quadratic-model", which hands over to Nelder-Mead where noise or kinks show.
+            The function to minimise. "sum-of-squares": the sum of the squared residuals. It is the likelihood with
+            known noise if the weights are 1/sigma, the inverse standard deviation of the noise. "mae": mean absolute
+            error. "rmse": root mean squared error. "nrmse": mean over the outputs of the RMSE divided by the range of
+            the measurements. "likelihood": likelihood with an unknown standard deviation of the noise for each
+            output, ``sum N_o / 2 ln(r_o' r_o / N_o)``.
+
+            A callable receives (measured, simulated), which are dicts of arrays by output. With several experiments,
+            they are dicts of such dicts by experiment name. It returns a cost, or a vector of residuals whose sum of
+            squares is minimised. It is called with the interpreter lock, by one thread at a time, and once before the
+            fit. An exception ends the fit. The callable is not part of the calibration, so the calibration can be
+            pickled in any case.
+
+            Only the sum of squares supports standard errors and robust losses. If there are no residuals, method
+            "auto" is "quadratic-model", which switches to Nelder-Mead if it detects noise or kinks.
         covariance : {"sandwich", "pooled"} or None
-            How the standard errors of the fit are estimated, see `uncertainty`. Found out after the run, with simulations that do not
-            count in ``nfev``: at least two for each parameter and an accurate one, in parallel. None: not at all.
+            Estimator of the standard errors of the fit, see `uncertainty`. They are computed after the search from
+            simulations that are not included in ``nfev``: at least two per parameter and one with a tighter
+            tolerance, in parallel. None: no standard errors.
         preflight : bool
-            Look at the start first, see `preflight`; the fit has what was found (``fit.preflight``), and `disp` prints it. A
-            relative `f_tol` below the noise of the simulations is raised to it, with a word in the message.
+            If True, examine the start first, see `preflight`. ``fit.preflight`` contains the results, and `disp`
+            prints them. A relative `f_tol` below the noise of the simulations is raised to the noise, and the message
+            reports it.
         noise : {"auto", "stated", "estimated"}
-            Where the noise of the measurements is taken from, beside which priors count in units of their standard deviations. "stated":
-            weights are 1 over its standard deviation, also those of 1. "estimated": of all outputs with the parameters; weights are
-            relative. "auto": where there are priors, that of outputs whose weights state none (1, or by a scale) is estimated, for the
-            sum of squares without a robust loss. The first estimate is that of the differences between neighbouring measurements; then
-            searches take turns with estimates from their residuals, until these change by less than 1 %: mostly two or three searches,
-            each from where the last one ended. Limits and ``nfev`` are those of all together, the trace is that of the last, and a
-            checkpoint has a file for each (``fit.ckpt``, ``fit.ckpt.round2`` and so on). ``fit.noise`` has the estimates; ``fit.cost``,
-            ``fit.uncertainty``, profiles and bands are those with weights over them, ``fit.rms`` that with the weights as given.
+            Source of the noise level of the measurements, which scales them relative to the priors. The priors count
+            in units of their standard deviations. "stated": weights are 1 divided by the standard deviation of the
+            noise, including weights of 1. "estimated": the noise of all outputs is estimated with the parameters, and
+            weights are relative. "auto": if there are priors, the noise is estimated for outputs whose weights do not
+            state it (1, or a scale). This applies to the sum of squares without a robust loss.
+
+            The first estimate uses the differences between neighbouring measurements. Then searches alternate with
+            estimates from their residuals until the estimates change by less than 1 %. This usually takes two or
+            three searches, each starting where the previous one ended. Limits and ``nfev`` cover all searches
+            together, and the trace covers the last one. A checkpoint has one file per search (``fit.ckpt``,
+            ``fit.ckpt.round2`` and so on). ``fit.noise`` contains the estimates. ``fit.cost``, ``fit.uncertainty``,
+            profiles and bands use the weights divided by the noise; ``fit.rms`` uses the given weights.
         watch : bool
-            Serve a page for a browser of this machine that shows the fit while it runs: measured against simulated, the costs, the
-            parameters, what is under way, what failed, with a button that ends the fit with the best point. Its address, without
-            which nobody gets at it, is printed to standard error. Afterwards it shows the report, until the page is closed,
-            the `Fit` that is returned is gone, or the program ends.
+            If True, serve a page for a browser on this machine that shows the running fit. The page shows measured
+            and simulated values, costs, parameters, running simulations and failures. A button ends the fit with the
+            best point. The address is printed to standard error, and the page cannot be reached without it. After the
+            fit, the page shows the report until it is closed, the returned `Fit` is deleted or the program ends.
 
         Returns
         -------
         Fit
-            However the fit ends, with the best point that was seen.
+            The fit with the best point found, regardless of how the fit ended.
 
         Raises
         ------
         AllStartsFailed
-            The simulation failed at every starting point; the reasons are counted in its ``failures``.
+            The simulation failed at every starting point. ``failures`` counts the reasons.
         Interrupted
-            Ctrl-C: a KeyboardInterrupt with the fit so far in ``result``.
+            Ctrl-C was pressed. This KeyboardInterrupt contains the fit so far in ``result``.
         FmuError
-            No simulation can be made any more: the FMU has answered "fatal" too often, and no further copy of its library can
-            be loaded. The fit so far is in ``partial_result``.
+            No further simulation is possible: the FMU has returned "fatal" too often, and no further copy of its
+            library can be loaded. ``partial_result`` contains the fit so far.
         ValueError, TypeError
-            Arguments that cannot be used.
+            Invalid arguments.
 
         Notes
         -----
-        Without any of the three limits the method's own hold: for Nelder-Mead 1000 (n + 1) iterations or 5000 (n + 1)
-        evaluations.
+        If none of the three limits is set, the limits of the method apply. For Nelder-Mead, they are 1000 (n + 1)
+        iterations and 5000 (n + 1) evaluations.
         """
         check_callback(callback)
         own = given_once(
@@ -485,7 +519,7 @@ class Calibration(Evaluation):
             listeners.append(listen(callback))
         observer = combine(listeners)
         if live:
-            # Called between iterations, too.
+            # The function is also called between iterations.
             setattr(observer, "tick", live.tick)
         try:
             with closing(live) if live else nullcontext():
@@ -494,14 +528,14 @@ class Calibration(Evaluation):
         except BaseException as e:
             if page is not None:
                 page.show_error(f"{type(e).__name__}: {e}")
-            # What the native code attached becomes a fit, too.
+            # Results attached by the native code also become fits.
             for name in ("result", "partial_result"):
                 attached = getattr(e, name, None)
                 if isinstance(attached, OptimizeResult) and not isinstance(attached, Fit):
                     setattr(e, name, self._fit(attached, begin))
             raise
         fit = self._fit(result, begin)
-        # It is served as long as there is the fit.
+        # The page is served as long as the fit exists.
         if page is not None:
             fit._page = page
         _log.info("fit: %s; cost %r after %d evaluations", fit.message, fit.cost, fit.nfev)
@@ -513,25 +547,28 @@ class Calibration(Evaluation):
 
     @explained
     def check(self, simulate: bool = True, *, max_time: SupportsFloat | None = None) -> _check.Check:
-        """Looks for what does not fit between model, recordings and parameters, and says what to do about it.
+        """Checks model, recordings and parameters for mismatches and suggests remedies.
 
-        It compares the times (unit, start), the recorded values (constant, placeholders, in other units than the model, far from the
-        simulation at the start, columns that are swapped), inputs that nothing drives, that end early, or whose column is all zero,
-        missing for long or in another unit, values, ranges and start values that the model states for its parameters, and the accuracy
-        of the simulations.
+        The check covers the times (unit, start) and the recorded values: constant columns, placeholders, units that
+        differ from the model, values far from the simulation at the start, and swapped columns. It reports inputs
+        that are not driven, that end early, or whose column is all zero, missing for long or in another unit. It also
+        compares values, ranges and start values with those the model declares for its parameters, and checks the
+        accuracy of the simulations.
 
         Parameters
         ----------
         simulate : bool
-            Whether to simulate all experiments once at the start values (and once with half the step, where that is fixed, or half
-            the communication step).
+            If True, simulate all experiments once at the start values. With a fixed-step solver or co-simulation,
+            also simulate them with half the step or half the communication step.
         max_time : float, optional
-            Wall-clock limit of the whole check in s; default: none. What was found until then is the result, with a finding that says so.
+            Wall-clock limit of the whole check in s; default: no limit. If the limit is reached, the check returns
+            the findings so far and a finding that reports the limit.
 
         Returns
         -------
         Check
-            A sequence of findings, causes and the gravest first, which prints as a table; its ``ok`` says whether there are neither errors nor warnings.
+            A sequence of findings that prints as a table. Causes come first, and more severe findings before less
+            severe ones. ``ok`` is True if there are no errors and no warnings.
 
         Examples
         --------
@@ -546,13 +583,15 @@ class Calibration(Evaluation):
         return _check.of(self._native, _values.flag("simulate", simulate), _values.optional_number("max_time", max_time))
 
     def plot_data(self) -> Figure:
-        """Draws the recordings before anything is simulated: measurements and inputs in the units of the model, the rows outside of the
-        windows in grey; a column per experiment. Needs matplotlib.
+        """Draws the recordings before any simulation: measurements and inputs in the units of the model, in one
+        column per experiment.
+
+        Rows outside the windows are grey. Needs matplotlib.
 
         Returns
         -------
         matplotlib.figure.Figure
-            Nothing is shown or saved: ``calibration.plot_data().savefig("data.png")``.
+            The figure is not shown or saved. Save it with ``calibration.plot_data().savefig("data.png")``.
 
         Raises
         ------
@@ -565,24 +604,24 @@ class Calibration(Evaluation):
 
     @explained
     def preflight(self, start: npt.ArrayLike | Mapping[str, float] | None = None, workers: SupportsIndex | None = None) -> Preflight:
-        """Looks before a fit at what would spoil it; ``print(calibration.preflight())`` shows a table.
+        """Checks the start of a fit for problems; ``print(calibration.preflight())`` shows a table.
 
-        Each parameter is moved by a hundredth of its size (one simulation each, in parallel), and the start is simulated once
-        more with a tenth of the relative tolerance (with a fixed-step solver: half the step).
+        Each parameter is moved by a hundredth of its size, with one simulation each, in parallel. The start is
+        simulated once more with a tenth of the relative tolerance, or with half the step of a fixed-step solver.
 
         Parameters
         ----------
         start : array_like or dict, optional
             As in `cost`.
         workers : int, optional
-            Simulations that may run at once; None: all cores.
+            Number of simulations that may run at once; None: all cores.
 
         Raises
         ------
         SimulationError
             The simulation fails at the start.
         ValueError, TypeError
-            Arguments that cannot be used.
+            Invalid arguments.
         """
         return _uncertainty.before(self, self._values(start, "start"), workers)
 
@@ -594,31 +633,35 @@ class Calibration(Evaluation):
         parameters: Sequence[str] | None = None,
         workers: SupportsIndex | None = None,
     ) -> Uncertainty:
-        """Uncertainty of a point as the result of a fit: standard errors, correlation, what the data cannot tell.
+        """Returns the uncertainty of a point as the result of a fit: standard errors, correlation and parameters that
+        the data do not determine.
 
-        From central differences of the residuals over steps of about one standard error along the principal axes of the
-        covariance, and one simulation with a tenth of the relative tolerance (with a fixed-step solver: half the step); all in parallel.
+        The derivatives are central differences of the residuals. Their steps are about one standard error along the
+        principal axes of the covariance. One further simulation uses a tenth of the relative tolerance, or half the
+        step of a fixed-step solver. All simulations run in parallel.
 
         Parameters
         ----------
         x : array_like or dict, optional
             As in `cost`.
         covariance : {"sandwich", "pooled"}
-            With one residual variance per output of the model, over all of its recordings:
-            ``inv(J.T @ J) @ J.T @ S @ J @ inv(J.T @ J)``; or with one for all: ``s**2 * inv(J.T @ J)``. Of a fit with a robust loss it is
-            that of an M-estimator, of one with the likelihood the inverse of its information; where the residuals of an output are
-            autocorrelated they are taken for a first-order autoregression (Seber and Wild, Nonlinear Regression, 1989, chapter 6).
+            "sandwich": one residual variance per output of the model over all recordings, ``inv(J.T @ J) @ J.T @ S @
+            J @ inv(J.T @ J)``. "pooled": one residual variance for all outputs, ``s**2 * inv(J.T @ J)``. A fit with a
+            robust loss uses the covariance of an M-estimator. A fit with the likelihood uses the inverse of the
+            information. Autocorrelated residuals of an output are modelled as a first-order autoregression (Seber and
+            Wild, Nonlinear Regression, 1989, chapter 6).
         parameters : sequence of str, optional
-            Only these are free, the others are taken as known: the standard errors are conditional then.
+            Names of the free parameters. The other parameters are assumed known, so the standard errors are
+            conditional.
         workers : int, optional
-            Simulations that may run at once; None: all cores. The result does not depend on it.
+            Number of simulations that may run at once; None: all cores. The result does not depend on it.
 
         Raises
         ------
         SimulationError
-            The simulation fails there, or on both sides of it.
+            The simulation fails at the point, or on both sides of it.
         ValueError, TypeError
-            Arguments that cannot be used.
+            Invalid arguments.
         """
         return _uncertainty.at(self, self._values(x), _values.choice("covariance", covariance), parameters, workers)
 
@@ -640,27 +683,28 @@ class Calibration(Evaluation):
         options: Mapping[str, Any] | None = None,
         noise: Literal["auto", "stated", "estimated"] = "auto",
     ) -> CrossValidation:
-        """Fits without some of the recordings, and validates on those that were left out.
+        """Fits without some of the recordings and validates on the omitted ones.
 
-        A fit that describes the machine predicts a recording as well as it reproduces those that it was fitted to, with much the same
-        parameters whichever is left out. Local parameters of a recording that is held out are fitted to it, all others held.
+        A good model predicts an omitted recording as well as it reproduces the fitted recordings. Its parameters are
+        similar whichever recording is omitted. Local parameters of an omitted recording are fitted to that recording
+        while all others are held fixed.
 
         Parameters
         ----------
         folds : int, optional
-            Into how many groups the recordings are divided (each k-th recording in one), of which one is held out at a time; default:
-            each recording alone.
+            Number of groups of recordings. The recordings are dealt to the groups in turn. One group at a time is
+            omitted. By default, each recording is its own group.
         method, x_tol, f_tol, max_evaluations, max_iterations, loss, f_scale, rng, options, noise : optional
-            Of each fit, as in `fit`.
+            Settings of each fit, as in `fit`.
         workers : int, optional
-            Simulations that may run at once; the fits run side by side. None and -1: all cores.
+            Number of simulations that may run at once; None and -1: all cores. The fits run in parallel.
         max_time : float, optional
-            Limit of wall-clock time of all fits together, in s.
+            Limit on the wall-clock time of all fits together, in s.
 
         Returns
         -------
         CrossValidation
-            RMS of each recording when it was held out, and the parameters of each fit.
+            RMS of each recording when it was omitted, and the parameters of each fit.
 
         Raises
         ------
@@ -689,7 +733,7 @@ class Calibration(Evaluation):
         return Fit(self, result, np.array(start), self._native.solver())
 
     def __setattr__(self, name: str, value: object) -> None:
-        # An attribute of that name would have no effect.
+        # An attribute with the name of an argument would have no effect.
         if name in argument_names(Calibration.__init__):
             raise AttributeError(f"{name} cannot be changed: make another Calibration({name}=...)")
         super().__setattr__(name, value)
@@ -702,7 +746,7 @@ class Calibration(Evaluation):
 
 
 def _solver(name: str) -> str:
-    """The name of an integration method; says which one stands for that of another tool."""
+    """Returns the name of an integration method, and warns if it replaces the method of another tool."""
     ours = _options.solver(name)
     if ours != name:
         warnings.warn(f"there is no {name} here: solver={ours!r} is used instead", CalibrationWarning, stacklevel=4)
@@ -716,7 +760,7 @@ def _restore(
     opened: OpenOptions | None,
     functions: list[tuple[int, str, Any]],
 ) -> Calibration:
-    """A pickled calibration."""
+    """Restores a pickled calibration."""
     path, content = _core.Calibration.model_of(state)
     try:
         fmu = _core.Fmu(path, opened)

@@ -39,53 +39,57 @@ class OutputFit(NamedTuple):
     """How well a fit reproduces one output of one experiment."""
 
     experiment: str
-    """The experiment."""
+    """Name of the experiment."""
     variable: str
-    """The variable of the model."""
+    """Name of the variable in the model."""
     column: str
-    """The column that measured it."""
+    """Name of the measured column."""
     unit: str | None
-    """The unit of the variable, where the model states it."""
+    """Unit of the variable, if the model declares one."""
     n: int
-    """How many measurements count."""
+    """Number of measurements that count."""
     rms: float
-    """Root of the mean squared difference between simulation and measurement, without weights, in the unit of the variable."""
+    """Root of the mean squared difference between simulation and measurement, without weights, in the unit of the
+    variable."""
     start_rms: float | None
-    """The same at the start; None if the simulation failed there."""
+    """RMS at the start; None if the simulation failed there."""
     fit_percent: float
-    """Fit percentage: ``100 (1 - norm(simulated - measured) / norm(measured - mean))``; NaN where the measurements do not vary."""
+    """Fit percentage: ``100 (1 - norm(simulated - measured) / norm(measured - mean))``; NaN if the measurements do
+    not vary."""
 
 
 class FitNoise(NamedTuple):
-    """Where a fit has the noise of the measurements from, beside which priors count."""
+    """Noise of the measurements that a fit with priors uses, and its source."""
 
     source: Literal["stated", "estimated"]
-    """By the weights, which are 1 over its standard deviation, or estimated with the parameters."""
+    """Source: "stated" if the weights are 1 divided by the standard deviation, "estimated" if it is estimated with
+    the parameters."""
     sd: dict[str, float]
-    """The estimated standard deviation of each variable, in its unit; where its weights state something, times the weight."""
+    """Estimated standard deviation of each variable, in its unit. If the weights of the variable state a scale, it is
+    multiplied by the weight."""
     of_residuals: dict[str, bool]
-    """Whether it is that of the residuals; else of the differences between neighbouring measurements: there were too few residuals, or
-    the search was ended."""
+    """True if the estimate uses the residuals of the variable. False if it uses the differences between neighbouring
+    measurements, because there were too few residuals or the search was ended."""
     n_rounds: int
-    """Searches that were made."""
+    """Number of searches."""
     settled: bool
-    """Whether the residuals of the last one confirm the estimates to 1 %."""
+    """True if the residuals of the last search confirm the estimates to 1 %."""
 
 
 class ChosenTolerance(NamedTuple):
-    """The relative tolerance that a fit has chosen for its simulations."""
+    """The relative tolerance that a fit chose for its simulations."""
 
     used: float
-    """That of the simulations."""
+    """Relative tolerance of the simulations."""
     stated: float
-    """That of the model, or the default."""
+    """Relative tolerance of the model, or the default."""
     noise: float | None
-    """How uncertain the cost is expected to be near the best values, as part of it, with the tolerance of the calibration; None: it
-    was not looked at."""
+    """Expected relative uncertainty of the cost near the best values with the tolerance of the calibration; None if
+    it was not estimated."""
 
 
 def _noise(found: Any) -> FitNoise | None:
-    """The noise as the native code has it: nothing, "stated", or the estimates."""
+    """Converts the noise from the native code: None, "stated" or the estimates."""
     if not isinstance(found, dict):
         return None if found is None else FitNoise("stated", {}, {}, 0, True)
     estimated = found["estimated"]
@@ -94,7 +98,7 @@ def _noise(found: Any) -> FitNoise | None:
     return FitNoise("estimated", sds, of_residuals, estimated["n_rounds"], estimated["is_settled"])
 
 
-#: The fields of a fit of which there is no more than the last iteration.
+#: Fields of an interrupted fit of which only the last iteration is known.
 _UNKNOWN: dict[str, Any] = {
     **dict.fromkeys(("noise", "tolerance", "stats", "preflight", "uncertainty", "start_cost", "start_rms")),
     **{name: [] for name in ("stages", "findings", "outputs", "without_effect")},
@@ -108,74 +112,81 @@ _UNKNOWN: dict[str, Any] = {
 
 
 class Fit(OptimizeResult):
-    """The result of a fit: all that an `OptimizeResult` has, with names and in terms of the measurements.
+    """The result of a fit: an `OptimizeResult` with names, in terms of the measurements.
 
-    ``print(fit)`` shows it as a table, a notebook as a better one, and `report` writes a page.
+    ``print(fit)`` shows a text table, a notebook shows an HTML table, and `report` writes a page.
 
     Attributes
     ----------
     x : ndarray, shape (n,)
-        The fitted values, in the order of the parameters; fixed ones included.
+        The fitted values in the order of the parameters, including fixed parameters.
     parameters : dict of str to float
-        The same by name.
+        The fitted values by name.
     cost : float
-        Sum of the squared weighted residuals there (the same as ``fun``), by weights over the `noise` where that was estimated; with a
-        loss, of what they count; with another `objective`, its value.
+        Sum of the squared weighted residuals at ``x``; equal to ``fun``. If the `noise` was estimated, the weights
+        are divided by it. With a loss, the sum of the losses. With another `objective`, the value of the objective.
     objective : str
-        Name of the cost that was minimised.
+        Name of the cost function that was minimised.
     rms : float
-        Root of the mean squared weighted residual there, by the weights of the calibration, before a loss.
+        Root of the mean squared weighted residual at ``x``, with the weights of the calibration and without the loss.
     noise : FitNoise or None
-        Where the noise of the measurements was taken from, beside which priors count: ``fit.noise.source``, ``fit.noise.sd``. None:
-        nothing depended on it (no priors, or another objective than the sum of squares).
+        Noise of the measurements relative to the priors: ``fit.noise.source``, ``fit.noise.sd``. None if nothing
+        depends on it (no priors, or an objective other than the sum of squares).
     tolerance : ChosenTolerance or None
-        The relative tolerance that was chosen for the simulations; None: it was given, or that of the calibration.
+        The relative tolerance chosen for the simulations; None if it was given, or is the tolerance of the
+        calibration.
     start : ndarray, shape (n,)
-        Where the fit started.
+        Starting point of the fit.
     solver : str
         The integration method of all simulations; see `Calibration.solver`.
     start_cost, start_rms : float or None
-        The same as `cost` and `rms` at the start; None if the simulation failed there.
+        `cost` and `rms` at the start; None if the simulation failed there.
     at_bound : dict of str to {"lower", "upper"}
-        Parameters that ended at one of their bounds: the best values may lie beyond.
+        Parameters that ended at one of their bounds. The best values may be outside the bounds.
     without_effect : list of str
-        Parameters that did not change the cost, by more than the relative tolerance of the simulations: their values say
-        nothing.
+        Parameters that did not change the cost by more than the relative tolerance of the simulations. Their values
+        are meaningless.
     n_checks : int
-        Simulations made after the run to find out about both: at the bound, for each parameter that ended as near to it as
-        `x_tol`; with the parameter moved, for each that an evaluation has shown not to change the cost, and without standard errors,
-        which show it, for each that none has shown to change it (those of a first simplex show it, because they differ in one
-        parameter alone). They do not count in ``nfev`` nor in its limit, are not made after an interrupt or when the time is up, and are part of `stats`.
+        Number of simulations after the search that determine `at_bound` and `without_effect`. One simulation at the
+        bound is made for each parameter that ended within `x_tol` of it. One with the parameter moved is made for
+        each parameter that did not change the cost in an evaluation. Without standard errors, which show the effect
+        of a parameter, one is also made for each parameter whose effect no evaluation has shown. The evaluations of a
+        first simplex show effects, because they differ in one parameter. These simulations are not included in
+        ``nfev`` or its limit. They are skipped after an interrupt or if the time is up. They are included in `stats`.
     skipped : list of str
-        What was not looked at after the search because the search was short. All that is simulated besides the search and the
-        standard errors takes at most a quarter of the evaluations of the search, and no more than four simulations of the result.
-        A "simulation of higher accuracy" that was skipped leaves `Uncertainty.accurate_cost` None.
+        Checks after the search that were skipped because the search was short. Simulations other than those of the
+        search and the standard errors use at most a quarter of the evaluations of the search, and at most four of
+        them simulate the result. If "simulation of higher accuracy" was skipped, `Uncertainty.accurate_cost` is None.
     outputs : list of OutputFit
-        How well each output is reproduced: RMS at the end and at the start, fit percentage. (Empty: interrupted twice.)
+        Quality of each output: RMS at the end and at the start, fit percentage. Empty if the fit was interrupted
+        twice.
     scaled_rms : float or None
-        The RMS over that at the start, on the same measurements.
+        RMS relative to the RMS at the start, on the same measurements.
     stages : list of Fit
-        The fit of each stage; empty if there were none. Standard errors of a stage are conditional: they take
-        what the stage holds as known. ``success`` of the whole fit is that of all its stages.
-        (Of a fit without stages it is False, too, where one more step of least squares makes the cost less: the first line says so.)
+        The fit of each stage; empty without stages. Standard errors of a stage are conditional, because the
+        parameters held by the stage are assumed known. ``success`` of the whole fit requires success of all its
+        stages. Without stages, ``success`` is also False if one more step of least squares lowers the cost; the first
+        printed line reports it.
     uncertainty : Uncertainty or None
-        Standard errors, correlation, and what the data cannot tell, in words (``print(fit.uncertainty)``). None: not asked for, the fit
-        was ended by an interrupt, an error or its time, or simulations around the result fail.
+        Standard errors, correlation and parameters that the data do not determine (``print(fit.uncertainty)``). None
+        if it was not requested, if an interrupt, an error or the time limit ended the fit, or if simulations around
+        the result fail.
     preflight : Preflight or None
-        What was found at the start, where ``preflight=True`` was given.
+        The results of the check at the start, with ``preflight=True``.
     message : str
-        How the search ended, in one sentence. What is to be said of the result is among the `findings`.
+        How the search ended, in one sentence. Remarks on the result are among the `findings`.
     findings : list of Finding
-        What is to be said of the fit, with a severity ("error", "warning", "note"), causes first, notes last: what `Calibration.check`
-        finds, judged again with the fitted values, parameters at a bound or without effect, what the data cannot tell, what the
-        residuals look like.
+        Remarks on the fit with their severity ("error", "warning", "note"). Causes come first, notes last. They
+        include the findings of `Calibration.check`, reassessed at the fitted values, parameters at a bound or without
+        effect, parameters that the data do not determine, and properties of the residuals.
     usable : bool
-        Whether no finding is an error, such as a simulation that is worse than a constant; ``success`` says how the search ended.
+        False if a finding is an error, such as a simulation that is worse than a constant. ``success`` reports how
+        the search ended.
     cov, cov_message
-        The covariance of `uncertainty` and what is to be said of it.
+        The covariance of `uncertainty` and remarks on it.
     stats : SimulationStats or None
-        What all simulations of the fit took together, those that failed or were given up included, those of a resumed fit
-        from before not. (None: interrupted twice, and the simulations under way were left behind.)
+        Cost of all simulations of the fit, including failed and abandoned ones. Simulations before a fit was resumed
+        are not included. None if the fit was interrupted twice and running simulations were abandoned.
     """
 
     noise: FitNoise | None
@@ -189,7 +200,7 @@ class Fit(OptimizeResult):
     n_checks: int
     skipped: list[str]
     usable: bool
-    # The page that shows it, see `Calibration.fit`.
+    # Page that shows the fit, see `Calibration.fit`.
     _page: _core.LivePage | None = None
 
     def __init__(self, calibration: Calibration, result: OptimizeResult, start: FloatArray, solver: str) -> None:
@@ -197,7 +208,7 @@ class Fit(OptimizeResult):
         self._calibration = calibration
         self._native: _core.Fit | None = vars(self).get("_native")
         if self._native is None:
-            # Interrupted twice.
+            # The fit was interrupted twice.
             fields = {**_UNKNOWN, "rms": calibration._native.rms(list(map(float, self.x)), self.fun)}
         else:
             fields = self._native.fields()
@@ -217,13 +228,15 @@ class Fit(OptimizeResult):
 
     @property
     def stderr(self) -> FloatArray | None:
-        """Standard errors of the parameters, shape (n,): zero for those that are fixed or at a bound, infinite for those that the
-        data do not determine; None where there is no `uncertainty`."""
+        """Standard errors of the parameters, shape (n,); None if there is no `uncertainty`.
+
+        They are zero for parameters that are fixed or at a bound, and infinite for parameters that the data do not
+        determine."""
         return None if self.uncertainty is None else self.uncertainty.stderr
 
     @property
     def covariance(self) -> FloatArray | None:
-        """Covariance of the parameters, shape (n, n); the same as ``cov``."""
+        """Covariance of the parameters, shape (n, n); equal to ``cov``."""
         return self.cov
 
     @property
@@ -233,12 +246,13 @@ class Fit(OptimizeResult):
 
     @explained
     def confidence_intervals(self, level: SupportsFloat = 0.95, *, corrected: bool = True) -> FloatArray:
-        """Lower and upper ends of the confidence intervals, shape (n, 2); see `Uncertainty.confidence_intervals`.
+        """Returns the lower and upper ends of the confidence intervals, shape (n, 2); see
+        `Uncertainty.confidence_intervals`.
 
         Raises
         ------
         ValueError
-            A level that does not lie between 0 and 1; the fit has no `uncertainty`.
+            The level is not between 0 and 1, or the fit has no `uncertainty`.
         """
         if self.uncertainty is None:
             raise ValueError("the uncertainty of the fit was not found: it was interrupted, or covariance=None was given")
@@ -246,7 +260,7 @@ class Fit(OptimizeResult):
 
     @property
     def parameters(self) -> dict[str, float]:
-        """The fitted values by name, those of parameters that are tied to others last."""
+        """The fitted values by name. Tied parameters come last."""
         x = np.asarray(self.x).tolist()
         return {**dict(zip(self._calibration.names, x)), **dict(self._calibration._native.tied(x))}
 
@@ -258,7 +272,8 @@ class Fit(OptimizeResult):
 
     @property
     def scaled_rms(self) -> float | None:
-        """RMS over that at the start, on the same measurements; None if the simulation failed at the start."""
+        """RMS relative to the RMS at the start, on the same measurements; None if the simulation failed at the
+        start."""
         return None if self.start_rms is None else self.rms / self.start_rms
 
     @explained
@@ -273,18 +288,18 @@ class Fit(OptimizeResult):
         Parameters
         ----------
         x : array_like, shape (n,), optional
-            Other values of the parameters.
+            Values of the parameters that replace the fitted ones.
         times : array_like, optional
             Times of the rows in s; default: the measured times.
         outputs : str or iterable of str, optional
-            Variables of the model to be recorded as they are, without delays or offsets of outputs: names, elements of arrays,
-            patterns with ``*`` and ``?``, or "all".
+            Variables of the model to record directly, without the delays or offsets of outputs. Pass names, elements
+            of arrays, patterns with ``*`` and ``?``, or "all".
 
         Returns
         -------
         dict of str to ndarray, or SimulationResult
-            ``"time"`` and the compared outputs by their names in the model. With `outputs`: a `SimulationResult`, with
-            units. With several experiments: a dict of such by their names.
+            ``"time"`` and the compared outputs by their names in the model. With `outputs`: a `SimulationResult` with
+            units. With several experiments: a dict of these results by experiment name.
         """
         return self._calibration.simulate(self.x if x is None else x, times, outputs)
 
@@ -292,31 +307,34 @@ class Fit(OptimizeResult):
     def validate(
         self, experiment: Experiment | Sequence[Experiment] | None = None, windows: Windows | None = None
     ) -> Validation:
-        """Compares with measurements that the fit has not seen: of other recordings, or of other parts of the same ones.
+        """Compares the fitted model with other measurements: other recordings, or other parts of the fitted
+        recordings.
 
-        Hold part of a recording back by fitting to a window of it: ``fit = Calibration(..., window=(0, 600)).fit()``, then
+        To reserve part of a recording for validation, fit to a window: ``fit = Calibration(..., window=(0,
+        600)).fit()``, then
         ``fit.validate(windows=(601, 1800))``.
 
         Parameters
         ----------
         experiment : Experiment or list of Experiment, optional
-            Other recordings. Local parameters, which the fit does not know for them, are fitted to these recordings first, from
-            their start values there, with all others held.
+            Other recordings. Local parameters are unknown for these recordings. They are first fitted to them from
+            their start values, with all other parameters held fixed.
         windows : (float, float) or list of such, optional
-            Other windows of the recordings of the calibration, in s. Simulations start where they always do, so that the model
-            comes to a window with its history.
+            Other windows of the recordings of the calibration, in s. Simulations start at their usual start time, so
+            the state at the start of a window is simulated.
 
         Returns
         -------
         Validation
-            RMS, scaled RMS and fit percentage of each output, what was measured and simulated; ``print`` and ``plot``.
+            RMS, scaled RMS and fit percentage of each output, and the measured and simulated values; has ``print``
+            and ``plot``.
 
         Raises
         ------
         SimulationError
             The simulation failed.
         ValueError, KeyError, TypeError
-            Recordings or windows that cannot be used.
+            Invalid recordings or windows.
         """
         return _validation.validate(self, experiment, windows)
 
@@ -329,30 +347,34 @@ class Fit(OptimizeResult):
         *,
         corrected: bool = True,
     ) -> dict[str, Any]:
-        """What the model predicts at the fitted values, with the uncertainty that the covariance of the parameters leaves (delta
-        method) and, for a new measurement, with its noise.
+        """Returns the model's predictions at the fitted values with their uncertainty.
+
+        The uncertainty follows from the covariance of the parameters by the delta method. For a new measurement, it
+        includes the noise.
 
         Parameters
         ----------
         times : array_like, optional
             Times of the predictions in s, ascending; default: the measured times.
         level : float
-            The probability that each interval shall hold.
+            Probability covered by each interval.
         outputs : list of str, optional
-            Only these of the compared outputs.
+            Names of the compared outputs to include; default: all.
         corrected : bool
-            Whether autocorrelated residuals are taken account of, as in `Uncertainty.covariance`; False: independent ones are supposed.
+            If True, correct for autocorrelated residuals, as in `Uncertainty.covariance`. If False, assume
+            independent residuals.
 
         Returns
         -------
         dict of str to PredictionBand
-            By output: ``lower``, ``upper`` of the model's output, ``measured_lower``, ``measured_upper`` of a new measurement. With
-            several experiments: a dict of such by their names.
+            By output: ``lower``, ``upper`` of the model's output, ``measured_lower``, ``measured_upper`` of a new
+            measurement. With several experiments: a dict of such dicts by experiment name.
 
         Raises
         ------
         ValueError
-            The fit has no covariance or no degrees of freedom, or parameters that the data do not determine; a level that does not lie between 0 and 1.
+            The fit has no covariance or no degrees of freedom, the data do not determine some parameters, or the
+            level is not between 0 and 1.
         """
         return _validation.prediction_band(self, times, level, outputs, corrected)
 
@@ -367,59 +389,66 @@ class Fit(OptimizeResult):
         *,
         corrected: bool = True,
     ) -> Profile:
-        """Profile likelihoods: each parameter is held at values farther and farther from its best one, and the others are fitted
-        again, until the cost has risen so much that the data exclude the value.
+        """Computes profile likelihoods of the parameters.
 
-        The intervals need not be symmetric as those of `confidence_intervals` are, and they are open where the data do not bound a
-        parameter. The cost is that of the fit, with its weights and loss; its rise is measured in the standard errors of `uncertainty`, so
-        that the interval of a linear model is that of `confidence_intervals`. The threshold is the quantile of F with 1 and N - p degrees of freedom
-        (Bates and Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1).
+        Each parameter is fixed at values farther and farther from its best value, and the others are refitted. A side
+        ends when the cost has risen so much that the data exclude the value.
+
+        Unlike the intervals of `confidence_intervals`, profile intervals need not be symmetric. They are open if the
+        data do not bound a parameter. The cost is the cost of the fit, with its weights and loss. Its rise is scaled
+        with the standard errors of `uncertainty`, so for a linear model the intervals equal those of
+        `confidence_intervals`. The threshold is the quantile of F with 1 and N - p degrees of freedom (Bates and
+        Watts, Nonlinear Regression Analysis and Its Applications, 1988, section 6.1).
 
         Parameters
         ----------
         parameters : str or list of str, optional
-            Names; default: all that were fitted.
+            Names; default: all fitted parameters.
         level : float
-            The level of the intervals, between 0 and 1.
+            Level of the intervals, between 0 and 1.
         max_points : int, optional
-            Points on each side before a side that has not reached the threshold is said to be open; default 20.
+            Maximum number of points on each side; default 20. A side that has not reached the threshold by then is
+            reported as open.
         workers : int, optional
-            Sides that run at once; default: all cores. The result does not depend on it.
+            Number of sides computed at once; default: all cores. The result does not depend on it.
         checkpoint : path, optional
-            A file that keeps the sides that are complete. If it exists, the profile is continued from it.
+            File that stores the complete sides. If it exists, the profile continues from it.
         corrected : bool
-            Whether autocorrelated residuals are taken account of, as in `Uncertainty.covariance`; False: independent ones are supposed.
+            If True, correct for autocorrelated residuals, as in `Uncertainty.covariance`. If False, assume
+            independent residuals.
 
         Returns
         -------
         Profile
-            ``intervals``, ``values``, ``costs`` by parameter; ``print`` and ``plot``.
+            ``intervals``, ``values``, ``costs`` by parameter; has ``print`` and ``plot``.
 
         Raises
         ------
         Interrupted
-            Ctrl-C; what there is so far is in its ``result``.
+            Ctrl-C was pressed; ``result`` contains the profile so far.
         ValueError
-            The fit minimised something else than a sum of squares, or its residuals are all zero; parameters that were not
-            fitted; a level that does not lie between 0 and 1; a file of another problem.
+            The objective of the fit is not a sum of squares, its residuals are all zero, parameters were not fitted,
+            the level is not between 0 and 1, or the file belongs to another problem.
         OSError
             The file cannot be read or written.
         """
         return _profile.of_fit(self, parameters, level, corrected, max_points, workers, checkpoint)
 
     def residuals(self) -> FloatArray:
-        """The residuals at the fitted values, simulated minus measured times weight, by the weights of the calibration;
-        see `Calibration.residuals`."""
+        """Returns the residuals at the fitted values: simulated minus measured, times the weight of the calibration.
+
+        See `Calibration.residuals`."""
         return self._calibration.residuals(self.x)
 
     def plot(self) -> Figure:
-        """Draws measurements, the response at the start and the fitted one, below them the residuals of the fitted one, at the
-        bottom the inputs.
+        """Draws the measurements with the responses at the start and at the fitted values, the residuals of the fit,
+        and the inputs.
 
         Returns
         -------
         matplotlib.figure.Figure
-            Two panels per output of each experiment. Nothing is shown or saved: ``fit.plot().savefig("fit.png")``.
+            Two panels per output of each experiment. The figure is not shown or saved. Save it with
+            ``fit.plot().savefig("fit.png")``.
 
         Raises
         ------
@@ -431,48 +460,56 @@ class Fit(OptimizeResult):
         return _plot.fit(self, _export.native_of(self))
 
     def plot_convergence(self) -> Figure:
-        """Draws the cost of each evaluation and the best so far, and below them how the best point moved; as `plot`."""
+        """Draws the cost of each evaluation and the best cost so far, and below them the best point. Returns a
+        figure, as `plot`."""
         from .. import _plot
 
         return _plot.convergence(self, self._shown_names())
 
     def plot_waterfall(self) -> Figure:
-        """Draws the costs at which local searches from several starts ended, sorted: what lies on one level is one minimum; as
-        `plot`. ValueError: the method was another one than "multistart"."""
+        """Draws the sorted final costs of the local searches from several starts. Equal costs belong to one minimum.
+
+        Returns a figure, as `plot`. Raises ValueError if the method was not "multistart"."""
         from .. import _plot
 
         return _plot.waterfall(self)
 
     def plot_correlation(self) -> Figure:
-        """Draws the correlation of the parameters as a coloured table; as `plot`. ValueError: the fit has no standard errors."""
+        """Draws the correlation of the parameters as a coloured table.
+
+        Returns a figure, as `plot`. Raises ValueError if the fit has no standard errors."""
         from .. import _plot
 
         return _plot.correlation(self.correlation, self._shown_names())
 
     def plot_profiles(self, profile: Profile | None = None) -> Figure:
-        """Draws the rise of the cost over each parameter, with the threshold and the interval; as `plot`. Without a `profile` that
-        was found before, it is found now, of all parameters."""
+        """Draws the rise of the cost against each parameter, with the threshold and the interval.
+
+        Returns a figure, as `plot`. Without `profile`, computes the profiles of all parameters first."""
         return (self.profile() if profile is None else profile).plot()
 
     def plot_sensitivity(self) -> Figure:
-        """Draws what a relative change of each parameter makes of each output, over time, or for more than six parameters its root
-        mean square; as `plot`. ValueError: the fit has no standard errors, and no derivatives."""
+        """Draws the effect of a relative change of each parameter on each output over time.
+
+        For more than six parameters, draws the root mean square of the effect. Returns a figure, as `plot`. Raises
+        ValueError if the fit has no standard errors, and therefore no derivatives."""
         from .. import _plot
 
         return _plot.sensitivity(_export.native_of(self), self._shown_names())
 
     def save(self, path: PathLike) -> None:
-        """Writes the fit to a file that `load_fit` reads: with all its numbers, bit for bit, its trace, and the calibration.
+        """Writes the fit to a file for `load_fit`, including the trace and the calibration. Numbers keep all their
+        bits.
 
-        The file is written in one step. It is a document in CBOR (RFC 8949), with a hash of its content; it holds the recordings
-        by value, and the FMU by its path, a hash of its content and its model description. Reading it runs no code that it holds, and
-        neither functions nor pickles are in it; a pickle of a fit, as any pickle, runs code when it is read: of people that you do not
-        trust take files of `save` alone.
+        The file is written in one step. It is a CBOR document (RFC 8949) with a hash of its content. It contains the
+        recordings by value, the path of the FMU, a hash of the content of the FMU and its model description. The file
+        contains no functions and no pickles, and reading it runs no code from it. A pickle of a fit, like any pickle,
+        runs code when it is read. Accept only files of `save` from people you do not trust.
 
         Parameters
         ----------
         path : path
-            The file to write; one that exists is replaced.
+            The file to write. An existing file is replaced.
 
         Raises
         ------
@@ -485,12 +522,13 @@ class Fit(OptimizeResult):
         return _export.pickled(self)
 
     def parameters_of(self, experiment: str | None = None) -> dict[str, float]:
-        """The variables of the model that the parameters set, with their values in the units of the model: what ``model.set`` takes.
+        """Returns the values of the model variables set by the parameters, in the units of the model, for
+        ``model.set``.
 
         Parameters
         ----------
         experiment : str, optional
-            Whose values, by the name of the experiment; needed where there are local parameters.
+            Name of the experiment; required if there are local parameters.
 
         Returns
         -------
@@ -499,7 +537,7 @@ class Fit(OptimizeResult):
         Raises
         ------
         ValueError
-            There is no such experiment, or none is named and each has values of its own.
+            There is no such experiment, or `experiment` is missing although the experiments have different values.
 
         Examples
         --------
@@ -508,30 +546,33 @@ class Fit(OptimizeResult):
         return dict(self._calibration._native.variable_values(np.asarray(self.x).tolist(), experiment))
 
     def to_dict(self) -> dict[str, Any]:
-        """What the fit found, as dictionaries, lists, numbers and texts: parameters with errors, start, bounds and units, those
-        that are tied to others last (with ``"tied_to"``); cost and RMS; how well each output is reproduced; the uncertainty of the fit; how it was made. Numbers that are not finite are None."""
+        """Returns the results of the fit as dictionaries, lists, numbers and strings.
+
+        They are the parameters with errors, start, bounds and units, tied parameters last (with ``"tied_to"``); cost
+        and RMS; the quality of each output; the uncertainty and the settings of the fit. Numbers that are not finite
+        are None."""
         found: dict[str, Any] = json.loads(self.to_json())
         return found
 
     def to_json(self) -> str:
-        """The same as a text in JSON."""
+        """Returns the results of `to_dict` as a JSON string."""
         return _export.native_of(self).to_json()
 
     def to_csv(
         self, path: PathLike, what: Literal["parameters", "trajectories", "trace"] = "parameters"
     ) -> None:
-        """Writes a table of the fit as comma-separated values, numbers with all their digits.
+        """Writes a table of the fit as comma-separated values with all digits.
 
-        Names stand as they are in the model and in the recordings. A spreadsheet takes a cell that begins with ``=``, ``+``, ``-`` or
-        ``@`` for a formula: import tables of models that you do not trust as text.
+        Names are written as they are in the model and in the recordings. Spreadsheets interpret a cell that starts
+        with ``=``, ``+``, ``-`` or ``@`` as a formula. Import tables of models you do not trust as text.
 
         Parameters
         ----------
         path : path
-            The file to write; one that exists is replaced.
+            The file to write. An existing file is replaced.
         what : {"parameters", "trajectories", "trace"}
-            A row for each parameter (with standard errors, start, bounds, unit; those that are tied to others last), each measurement that counts (measured and
-            simulated), or each evaluation.
+            One row for each parameter (with standard errors, start, bounds and unit; tied parameters last), for each
+            measurement that counts (measured and simulated), or for each evaluation.
 
         Raises
         ------
@@ -541,19 +582,21 @@ class Fit(OptimizeResult):
         _export.native_of(self).to_csv(_values.choice("what", what), _values.path("path", path))
 
     def to_dataframe(self, what: Literal["parameters", "trajectories", "trace"] = "parameters") -> Any:
-        """The same table as a pandas.DataFrame. Needs pandas."""
+        """Returns the table of `to_csv` as a pandas.DataFrame. Needs pandas."""
         return _export.dataframe(self, what)
 
     def export_ssv(self, path: PathLike, experiment: str | None = None) -> Path:
-        """Writes the fitted values as an SSP parameter file (System Structure Parameter Values 1.0), which tools for system structures
-        read: those of `parameters_of`, with their units.
+        """Writes the fitted values to an SSP parameter file (System Structure Parameter Values 1.0) for
+        system-simulation tools.
+
+        The file contains the values of `parameters_of` with their units.
 
         Parameters
         ----------
         path : path
             The file to write, ``.ssv``.
         experiment : str, optional
-            Whose values; see `parameters_of`.
+            Name of the experiment; see `parameters_of`.
 
         Returns
         -------
@@ -565,7 +608,7 @@ class Fit(OptimizeResult):
         OSError
             The file cannot be written.
         ValueError
-            As `parameters_of`; `path` has another suffix.
+            See `parameters_of`; also if the suffix of `path` is not ``.ssv``.
         """
         _export.native_of(self).export_ssv(_values.path("path", path), experiment)
         return Path(path)
@@ -573,32 +616,33 @@ class Fit(OptimizeResult):
     def export_fmu(self, path: PathLike, experiment: str | None = None, *, keep: bool = False) -> Path:
         """Writes a copy of the FMU that starts with the fitted values.
 
-        In ``modelDescription.xml`` the start values of `parameters_of` change, and nothing else; all other files are copied as
-        they are. The copy is simulated as it is and compared with the fit. The libraries of many FMUs ignore the start values of the
-        description, as the FMI standard allows: then a `CalibrationWarning` says so, and the values are written as an SSP parameter
-        file instead (see `export_ssv`), beside `path` with the suffix ``.ssv``.
+        Only the start values of `parameters_of` in ``modelDescription.xml`` change; all other files are copied
+        unchanged. The copy is simulated without further settings and compared with the fit. The libraries of many
+        FMUs ignore the start values of the description, as the FMI standard allows. In this case, a
+        `CalibrationWarning` reports it, and the values are written to an SSP parameter file next to `path`, with the
+        suffix ``.ssv`` (see `export_ssv`).
 
         Parameters
         ----------
         path : path
             The file to write, ``.fmu``.
         experiment : str, optional
-            Whose values; see `parameters_of`. Values that were given as `start_values` are not written.
+            Name of the experiment; see `parameters_of`. Values given as `start_values` are not written.
         keep : bool
-            Write the copy also where its library ignores the description, for tools that set the start values of the description
-            when they import it.
+            If True, write the copy even if its library ignores the description. Some importing tools set the start
+            values of the description themselves.
 
         Returns
         -------
         Path
-            `path`, or that of the parameter file where the copy is not written.
+            `path`, or the path of the parameter file if the copy was not written.
 
         Raises
         ------
         OSError
             The file cannot be written.
         ValueError
-            As `parameters_of`; `path` has another suffix, or is that of the model.
+            See `parameters_of`; also if the suffix of `path` is not ``.fmu``, or if `path` is the path of the model.
         """
         return _export.export_fmu(self, path, experiment, keep)
 
@@ -608,11 +652,11 @@ class Fit(OptimizeResult):
         return super().__getitem__(key)
 
     def report(self, path: str | os.PathLike[str]) -> None:
-        """Writes a report: one HTML page that needs no network, with parameters and their intervals, outputs, figures, settings,
-        versions, and hashes of model and data.
+        """Writes a report: one HTML page that needs no network.
 
-        Each experiment is simulated at the start and at the fitted values. An existing file is replaced once the new one is
-        whole.
+        The page contains parameters and their intervals, outputs, figures, settings, versions, and hashes of model
+        and data. Each experiment is simulated at the start and at the fitted values. An existing file is replaced
+        after the new one is complete.
 
         Parameters
         ----------
@@ -622,21 +666,21 @@ class Fit(OptimizeResult):
         Raises
         ------
         OSError
-            It cannot be written.
+            The file cannot be written.
         ValueError
-            The name of the file ends in something else than ``.html``.
+            The file name does not end in ``.html``.
         SimulationError
-            A simulation fails that did not in the fit.
+            A simulation fails that succeeded in the fit.
         """
         _export.native_of(self).report(_values.path("path", path))
 
     def _shown_names(self) -> list[str]:
-        """What figures call the parameters."""
+        """Returns the parameter names for figures."""
         return self._calibration.names if self._native is None else self._native.shown_names
 
     def __repr__(self) -> str:
         return super().__repr__() if self._native is None else self._native.text()
 
     def _repr_html_(self) -> str | None:
-        """The same for notebooks."""
+        """Returns the HTML table for notebooks."""
         return None if self._native is None else self._native.html()
