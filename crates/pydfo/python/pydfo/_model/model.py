@@ -1,4 +1,4 @@
-"""Models as scripts use them: open, set, simulate, get."""
+"""Models for scripts: open, set, simulate and get."""
 
 from __future__ import annotations
 
@@ -28,12 +28,13 @@ _log = _logging.getLogger("pydfo")
 
 FloatArray = npt.NDArray[np.float64]
 
-#: Stands where no value is given: None is one that can be.
+#: Marks a missing value, because None is a valid value.
 _NOT_GIVEN: object = object()
 
 
 class Request(NamedTuple):
-    """The options of a simulation, as the native code reads them, in this order; None: the default of the model."""
+    """The options of a simulation in the order in which the native code reads them; None: the default of the
+    model."""
 
     start_time: float | None
     final_time: float | None
@@ -51,19 +52,19 @@ class Request(NamedTuple):
     between_steps: str
     isolation: str | None
     parameter_set: str | None
-    #: The FMU with units that its description does not state.
+    #: The FMU with units that its description does not declare.
     described: _core.Fmu | None
     sandbox: bool
-    #: Those of the start values that are initial states.
+    #: Names of the start values that are initial states.
     initial_states: list[str]
 
 
 LOG_LEVELS = ("nothing", "fatal", "error", "warning", "info", "verbose", "debug", "all")
-"""PyFMI's levels of logging, by their numbers."""
+"""PyFMI's log levels, indexed by their numbers."""
 
 
 def _log_level(level: int | str | None) -> int:
-    """The number of a level."""
+    """Returns the number of a log level."""
     if level is None:
         return len(LOG_LEVELS) - 1
     names = ", ".join(f"{number} ({name})" for number, name in enumerate(LOG_LEVELS))
@@ -80,7 +81,7 @@ def _log_level(level: int | str | None) -> int:
 
 
 def _log_request(logging: bool | str | Sequence[str]) -> tuple[bool, tuple[str, ...]]:
-    """Whether the FMU is asked to log, and the categories that are asked for by name."""
+    """Returns True if the FMU shall log, and the categories requested by name."""
     names = (logging,) if isinstance(logging, str) else tuple(logging) if isinstance(logging, (list, tuple)) else ()
     if names and all(isinstance(name, str) for name in names):
         return True, names
@@ -94,52 +95,55 @@ def _log_request(logging: bool | str | Sequence[str]) -> tuple[bool, tuple[str, 
 class FMUModel:
     """A model in an FMU (FMI 1.0, 2.0 or 3.0, model exchange or co-simulation).
 
-    Opening reads the file (the second time, as long as it does not change, next to nothing is done); the FMU's code is
-    loaded, or built from its sources, when it is first needed. As a context manager the model is closed at the end.
+    Opening reads the file. Opening an unchanged file again costs almost nothing. The FMU's code is loaded, or built
+    from its sources, when it is first needed. As a context manager, the model is closed at the end.
 
-    Values are `set` for all simulations that follow, until `reset`; each simulation starts from a fresh model with these
-    values, so that the same values give the same bits.
+    Values of `set` apply to all following simulations until `reset`. Each simulation starts from a fresh model with
+    these values, so equal values give bit-for-bit identical results.
 
-    The FMU runs in a process of its own, which is kept from one call to the next. If the process ends, the next call starts another one
-    with the same values set, and the first time a warning is logged. The second simulation is also made in a new process: where that gives other bits, the FMU keeps a state
-    that no variable shows. Then it is named in ``description.quirks``, and each simulation has a new process.
+    The FMU runs in a separate process, which is reused from one call to the next. If the process ends, the next call
+    starts another process with the same values set. A warning is logged the first time. The second simulation is also
+    repeated in a new process. If the results differ, the FMU keeps a state that no variable shows. In this case,
+    ``description.quirks`` reports it, and each simulation runs in a new process.
 
     Parameters
     ----------
     path : path
         An ``.fmu`` file or an unpacked folder.
     kind : {"auto", "ME", "CS"}
-        How to run it: "ME" integrates its equations with a method of choice (model exchange), "CS" lets it integrate
-        itself from one communication point to the next (co-simulation), "auto" takes model exchange where it is
-        offered. The case of the letters does not matter.
+        Interface used to run the model. "ME" (model exchange) integrates its equations with a selectable method. "CS"
+        (co-simulation) lets the model integrate itself from one communication point to the next. "auto" selects model
+        exchange if it is available. Case is ignored.
     log_level : int or str, optional
-        Which lines of the FMU's log are kept, and shown: after each simulation they go to the logger "pydfo" of Python's
-        `logging` at the level INFO. The levels are PyFMI's: 0 "nothing", 1 "fatal", 2 "error" (both let errors of any kind
-        pass), 3 "warning", 4 "info", 5 "verbose", 6 "debug", 7 "all" (all lines, with all four). Default: all lines are
-        kept, the last of them are part of the message of every error, and none are shown.
+        Lines of the FMU's log to keep and show. After each simulation, they are sent to the logger "pydfo" of
+        Python's `logging` with the level INFO. The levels are PyFMI's: 0 "nothing", 1 "fatal", 2 "error" (both pass
+        errors of any kind), 3 "warning", 4 "info", 5 "verbose", 6 "debug", 7 "all" (also lines without a level). By
+        default, all lines are kept and none are shown. Every error message includes the last lines.
     logging : bool, str or list of str
-        The FMU is asked to log; FMUs log what they think important without being asked, too. Names: of these categories
-        only (``description.log_categories`` has their names; FMI 1.0 has none in advance, and any will do).
+        If True, the FMU is asked to log. FMUs also log important lines without being asked. A list restricts logging
+        to these categories. ``description.log_categories`` contains their names. FMI 1.0 declares no categories, so
+        any name is accepted.
     deepbind : bool
-        Symbols of the FMU's library come before those of the process (RTLD_DEEPBIND, Linux): for libraries that would get a
-        function of the same name of the host program instead of their own.
+        If True, symbols of the FMU's library take precedence over symbols of the process (RTLD_DEEPBIND, Linux). Use
+        it for libraries that would otherwise call a function of the host program with the name of their own function.
     lazy : bool
-        Functions of the library are looked up when they are first called (RTLD_LAZY): for libraries that lack some which
-        are never called.
+        If True, functions of the library are resolved at their first call (RTLD_LAZY). Use it for libraries that lack
+        functions which are never called.
     max_description_bytes : int, optional
-        How large ``modelDescription.xml`` may be; default 64 MiB. Reading it takes at most eight times as much memory.
+        Maximum size of ``modelDescription.xml``; default 64 MiB. Reading it requires at most eight times as much
+        memory.
     max_elements : int, optional
-        How many elements its array variables may have together; default 2 million.
+        Maximum total number of elements of the array variables; default 2 million.
 
     Raises
     ------
     OSError
-        The file cannot be read (FileNotFoundError if there is none).
+        The file cannot be read (FileNotFoundError if it does not exist).
     FmuError
-        The archive or its ``modelDescription.xml`` is damaged or not safe to unpack; the FMU is of a kind or version
-        that cannot be simulated (`read_description` still describes it).
+        The archive or its ``modelDescription.xml`` is damaged or not safe to unpack. Also if the kind or version of
+        the FMU cannot be simulated; `read_description` still describes it.
     ValueError
-        `kind` or `log_level` is none of those above.
+        `kind` or `log_level` is not one of the values above.
 
     Examples
     --------
@@ -182,7 +186,7 @@ class FMUModel:
         self._model = _core.Model(self._fmu, self._kind)
 
     def __setattr__(self, name: str, value: object) -> None:
-        # An attribute of that name would have no effect on the model.
+        # An attribute with the name of a variable would have no effect on the model.
         if not name.startswith("_") and name in self.description.variables:
             raise AttributeError(f"variables of the model are no attributes: set('{name}', {_text.show(value)}) sets this one")
         super().__setattr__(name, value)
@@ -192,29 +196,33 @@ class FMUModel:
 
     @property
     def path(self) -> Path:
-        """The file, as it was given."""
+        """Path of the file as given."""
         return self._fmu.path
 
     @property
     def kind(self) -> str:
-        """How it is run: "ME" or "CS"."""
+        """Interface used to run the model: "ME" or "CS"."""
         return self._kind
 
     @property
     def reuse(self) -> str:
-        """How a worker process returns the model to its start between two simulations: "reset" (the FMU's function), "reinstantiate"
-        (a new instance) or "process" (a new process). It begins with "reset", and takes the next one if a simulation differs from the
-        same one in a fresh process."""
+        """How a worker process resets the model between two simulations.
+
+        "reset" calls the function of the FMU, "reinstantiate" creates a new instance and "process" starts a new
+        process. It starts with "reset". If a simulation differs from the equal simulation in a fresh process, it
+        switches to the next way."""
         return self._fmu.reuse()
 
     @cached_property
     def description(self) -> Description:
-        """The model description."""
+        """Description of the model."""
         return Description(self._fmu)
 
     def get(self, name: str | Iterable[str]) -> Any:
-        """Values of variables: after a simulation the final ones, before it those set, else the initial ones. A simulation that was
-        interrupted or ended by an error does not count.
+        """Returns values of variables: final values after a simulation, and before it the values set or otherwise the
+        initial values.
+
+        A simulation that was interrupted or ended by an error does not count.
 
         Parameters
         ----------
@@ -224,12 +232,12 @@ class FMUModel:
         Returns
         -------
         float, int, bool, str, bytes or ndarray, or a list of them
-            One value for a name, a list for a list. Enumerations are int; arrays have their shape.
+            One value for a name, a list for a list. Enumerations are int. Arrays keep their shape.
 
         Raises
         ------
         KeyError
-            There is no such variable; the message offers the nearest names.
+            There is no such variable. The message suggests the nearest names.
         SimulationError
             Initial values were needed, and the model cannot be initialized.
         """
@@ -238,32 +246,32 @@ class FMUModel:
         return self._model.get(_values.names("name", name))
 
     def set(self, name: str | Iterable[str] | Mapping[str, object], value: object = _NOT_GIVEN) -> None:
-        """Sets parameters, start values, or constant values of inputs, for all simulations from now on.
+        """Sets parameters, start values or constant values of inputs for all following simulations.
 
         Parameters
         ----------
         name : str, iterable of str, or dict
-            Names of variables, or of elements of arrays (``name[2,1]``, counted from 1); or a dict of names and values
-            (``model.set(fit.parameters)``), then without `value`.
+            Names of variables, or of elements of arrays (``name[2,1]``, counted from 1). Alternatively, a dict of
+            names and values (``model.set(fit.parameters)``) without `value`.
         value : float, int, bool, str, bytes or array_like, or a sequence of them
-            One value for a name, as many as names for a list: all are set, or none. NumPy scalars and arrays of one element
-            are single values, too. Arrays are given in their shape or flat, the last index varying fastest. Items of
-            enumerations are given as int or by their names.
+            One value for a name, or one value per name for a list. Either all values are set or none. NumPy scalars
+            and arrays of one element are also single values. Arrays may have their shape or be flat, with the last
+            index varying fastest. Items of enumerations are int or their names.
 
         Raises
         ------
-        KeyError
+        There is no such variable. The message suggests the nearest names.
             There is no such variable; the message offers the nearest names.
-        TypeError
+        The type of the value does not match the variable.
             The value is not of the type of the variable.
         ValueError
-            The variable cannot be set (the message says why), the value is not finite, or there are not as many values as
-            names.
+            The variable cannot be set (the message states the reason), the value is not finite, or the numbers of
+            values and names differ.
         """
         self._model.set(*names_and_values(name, value))
 
     def reset(self) -> None:
-        """Forgets all values set and the last simulation."""
+        """Discards all values set and the last simulation."""
         self._model.reset()
 
     @also_called(stop_time="final_time", input="inputs", output="outputs", timeout="max_time")
@@ -294,140 +302,153 @@ class FMUModel:
         sandbox: bool = False,
         units: Mapping[str, str] | None = None,
     ) -> SimulationResult:
-        """Simulates from a freshly reset model with all values that were `set`.
+        """Simulates a freshly reset model with all values of `set`.
 
-        Times are in s. The FMU runs in a process of its own, which is kept for the next call; the interpreter lock is released
-        meanwhile. Ctrl-C ends the simulation, and its process if the FMU does not return within 0.1 s.
+        Times are in s. The FMU runs in a separate process, which is kept for the next call. The interpreter lock is
+        released during the simulation. Ctrl-C ends the simulation, and also its process if the FMU does not return
+        within 0.1 s.
 
-        Rows of co-simulations (``kind="CS"``) are read when a communication step has ended, before the inputs of the next
-        one are set: at a time when inputs jump they are the values before the jump, also of what follows the inputs
-        directly, and an input that is recorded is the one of the step that has ended. The row at the start is read after
-        the initialization with the inputs of that time. Only a model with an event mode (FMI 3.0) lets inputs jump there:
-        then the row is the one after the jump, and a time listed twice gives both.
+        In co-simulation (``kind="CS"``), rows are read at the end of a communication step, before the inputs of the
+        next step are set. If inputs jump at this time, the row contains the values before the jump, including
+        variables that follow the inputs directly. A recorded input is the input of the step that has ended. The first
+        row is read after the initialization with the inputs at the start time. Inputs can jump at a row only if the
+        model has an event mode (FMI 3.0). The row then contains the values after the jump, and a time listed twice
+        gives both rows.
 
         Parameters
         ----------
         start_time : float, optional
-            Default: that of the model's default experiment, else 0.
+            Start time; default: the start time of the model's default experiment, or 0.
         final_time : float, optional
-            Default: that of the default experiment, else the last of `times`. Also called `stop_time`.
+            End time; default: the stop time of the default experiment, or the last of `times`. Also called
+            `stop_time`.
         inputs : optional
-            What drives the inputs (also called `input`):
+            Sources of the inputs (also called `input`):
 
-            - a dict of arrays with "time", or a DataFrame with a column or an index "time", or a structured array (in a
-              dict, a number is a constant);
+            - a dict of arrays with "time", a DataFrame with a column or an index "time", or a structured array; a
+              number in a dict is a constant;
             - ``(names, matrix)`` with the times in the first column;
-            - the path of a recording (CSV, ``.mat``, ``.parquet``, ``.xlsx``), read as that of an `Experiment`: its columns that
-              have the names of inputs (in another case, too, where that can be one input only) drive them, converted to the units of the
-              model; rows where one is not known are left out;
+            - the path of a recording (CSV, ``.mat``, ``.parquet``, ``.xlsx``), read like the recording of an
+              `Experiment`. Columns drive the inputs with their names, converted to the units of the model. Case is
+              ignored if only one input matches. Rows with an unknown value are omitted;
             - a function of time, for a model with one input; a dict of functions; ``(names, function)``.
 
-            Elements of an array are inputs of their own: ``{"time": t, "u[1]": a, "u[2]": b}``.
+            Elements of an array are separate inputs: ``{"time": t, "u[1]": a, "u[2]": b}``.
 
-            Tables are linear between rows for continuous inputs of type Real (or Float32), and held for all others; a time
-            listed twice is a jump. Jumps are events, and a step ends at every row where the slope changes: no pulse is too
-            short to be seen. So a co-simulation communicates at each such row, too, also where that is more often than
-            `step_size` says (the log says so once). If the model is not told derivatives of its inputs, it communicates at every
-            row at which an input changes. One that takes steps of one length only takes the inputs over at its
-            steps. Tunable parameters are driven like inputs. They are held from row to row, and change at events in model
-            exchange and at communication points in co-simulation. Functions can drive continuous inputs of these types and should be smooth. Of a triggered clock (FMI 3.0) the rows that hold
-            True are its ticks; a clock with an interval that can be deactivated leaves its ticks out where it holds False.
+            Tables are linear between rows for continuous inputs of type Real (or Float32), and held constant for all
+            others. A time listed twice is a jump. Jumps are events. A step ends at every row with a change of slope,
+            so no pulse is too short to be seen. A co-simulation therefore also communicates at each such row, even if
+            this is more often than `step_size`; the log reports it once. If the model does not receive derivatives of
+            its inputs, it communicates at every row with a change of an input. A model with a fixed communication
+            step receives the inputs at its steps only.
+
+            Tunable parameters are driven like inputs. They are held constant between rows. They change at events in
+            model exchange and at communication points in co-simulation. Functions can drive continuous inputs of
+            these types and should be smooth. For a triggered clock (FMI 3.0), rows with True are its ticks. A clock
+            with an interval that can be deactivated omits its ticks while the value is False.
         outputs : str or iterable of str, optional
-            Variables to record: names, elements of arrays (``name[2,1]``, counted from 1), patterns (``*`` stands for any
-            characters, ``?`` for one), or "all". Also called `output`. Default: the outputs and the states; where a model declares neither
-            (FMI 1.0), all variables that change.
+            Variables to record: names, elements of arrays (``name[2,1]``, counted from 1), patterns (``*`` matches
+            any characters, ``?`` matches one), or "all". Also called `output`. Default: the outputs and the states.
+            If a model declares neither (FMI 1.0), all variables that change.
         times : array_like, optional
-            The times of the rows, ascending. A time listed twice gives the limit from the left, then the value after the
-            events of that time.
+            Times of the rows, ascending. A time listed twice gives the limit from the left and then the value after
+            the events of that time.
         output_interval : float, optional
-            Distance of the rows; the last one is at the final time.
+            Spacing of the rows. The last row is at the final time.
         ncp : int, optional
-            Number of intervals between the rows; default 500. At most one of `times`, `output_interval` and `ncp` may be
-            given.
+            Number of intervals between the rows; default 500. Pass at most one of `times`, `output_interval` and
+            `ncp`.
         start_values : dict of str to value, or path, optional
-            Values for this simulation only, on top of those set; or the path of an SSP parameter file (``.ssv``). The start
-            value of a state with ``initial="approx"`` is a guess; a warning is logged if the state starts with another value.
+            Values for this simulation only, which take precedence over the values of `set`; or the path of an SSP
+            parameter file (``.ssv``). The start value of a state with ``initial="approx"`` is a guess. A warning is
+            logged if the state starts with another value.
         initial_states : dict of str to float, optional
-            Values of continuous states at the start of this simulation, also of those with ``initial="approx"`` or
-            ``"calculated"``. In model exchange a state that the initialization has given another value is set after the
-            initialization (``setContinuousStates``), and an event iteration follows. What the model computed from the state
-            during the initialization, such as parameters, stays as it is. A co-simulation cannot set states after the
-            initialization: it fails if a state starts with another value.
+            Values of continuous states at the start of this simulation, including states with ``initial="approx"`` or
+            ``"calculated"``. In model exchange, a state that the initialization changes is set after it
+            (``setContinuousStates``), followed by an event iteration. Values computed from the state during the
+            initialization, such as parameters, do not change. A co-simulation cannot set states after the
+            initialization. It fails if a state starts with another value.
         clock_intervals : dict of str to float or tuple of int, optional
-            Intervals in s between the ticks of input clocks whose intervals are fixed or tunable (FMI 3.0); a tuple is a
-            fraction, counter and resolution.
+            Intervals in s between the ticks of input clocks with fixed or tunable intervals (FMI 3.0). A tuple is a
+            fraction of counter and resolution.
         relative_tolerance : float, optional
-            Default: that of the default experiment, else 1e-6.
+            Relative tolerance; default: the tolerance of the default experiment, or 1e-6.
         solver : {"auto", "tsit5", "dop853", "radau5", "bdf", "rk4", "euler"}
-            The method (model exchange); the last two have a fixed step. "CVode" and SciPy's "RK45", "Radau" and "LSODA" are
-            taken as "auto", "tsit5", "radau5" and "auto".
+            Integration method of model exchange. "rk4" and "euler" have a fixed step. "CVode" and SciPy's "RK45",
+            "Radau" and "LSODA" map to "auto", "tsit5", "radau5" and "auto".
         step_size : float, optional
-            Model exchange: step of the methods with a fixed step; default: a 500th of the span. Co-simulation: the
-            communication step; default: the larger of the step of the default experiment and the distance of the rows; for
-            a model that takes steps of one length only, the step of the default experiment, unless that makes more than
-            1e6 steps. Where the model can step to any time, it communicates at the rows of the result and of the inputs, too.
+            In model exchange, the step of the fixed-step methods; default: a 500th of the span. In co-simulation, the
+            communication step. It defaults to the larger of the step of the default experiment and the row spacing.
+            If the model requires a fixed communication step, the default is the step of the default experiment,
+            unless this gives more than 1e6 steps. A model that can step to any time also communicates at the rows of
+            the result and of the inputs.
         max_step : float, optional
-            Largest step of the other methods.
+            Largest step of the adaptive methods.
         interior_samples : int, optional
-            Points within each step at which event indicators are looked at, for one that crosses zero and back within a step
-            (model exchange). Default: one ("dop853", "radau5": three), and more where the values bend.
+            Number of points within each step at which event indicators are evaluated (model exchange). They detect an
+            indicator that crosses zero and returns within a step. Default: one ("dop853", "radau5": three), and more
+            if the values curve.
         max_time : float, optional
-            Limit of wall-clock time in s; it acts between calls into the FMU. Also called `timeout`.
+            Limit on the wall-clock time in s. It is checked between calls into the FMU. Also called `timeout`.
         record_events : bool
-            Add rows for both sides of every event.
+            If True, add rows for both sides of every event.
         chattering : {"error", "warn", "slide"}
-            What happens when more than a hundred state events in a row let time hardly advance: the simulation fails; or it
-            goes on, and a warning is logged; or it goes on in small steps along the surface where the events are, which
-            is the solution where the model pushes against it from both sides.
+            Action if time hardly advances during more than a hundred consecutive state events. "error": the
+            simulation fails. "warn": it continues and a warning is logged. "slide": it continues in small steps along
+            the event surface, which is the solution if the model pushes against the surface from both sides.
         input_derivatives : bool
-            Co-simulations of FMI 1.0 and 2.0 that extrapolate continuous inputs (``canInterpolateInputs``) are told their
-            derivatives before each step: those of the line to the inputs at its end. With False inputs are held over each
-            step, as by most other tools.
+            If True, co-simulations of FMI 1.0 and 2.0 that extrapolate continuous inputs (``canInterpolateInputs``)
+            receive derivatives before each step. They are the slopes of the lines to the inputs at its end. If False,
+            inputs are held constant over each step, as in most other tools.
         between_steps : {"interpolate", "error"}
-            Rows between the steps of a co-simulation that cannot stop there, because it takes steps of one length only
-            (``canHandleVariableCommunicationStepSize`` is not set) or moves from one multiple of a step of its own to the
-            next (``fixedInternalStepSize``, FMI 3.0): they are interpolated linearly between the steps on both sides (what is
-            not continuous has the value of the step before), which the log says once, or they are an error. Fits
-            interpolate.
+            Rows between the steps of a co-simulation that cannot stop there. Such a model has a fixed communication
+            step (``canHandleVariableCommunicationStepSize`` is not set) or advances in multiples of an internal step
+            (``fixedInternalStepSize``, FMI 3.0). "interpolate": linear interpolation between the neighbouring steps,
+            which the log reports once. Variables that are not continuous keep the value of the previous step.
+            "error": such rows are an error. Fits interpolate.
         isolation : {"none", "process"}, optional
-            Where the FMU runs: in a process of its own (the default), or in this one, with the same bits. A crash, `exit`, or a call
-            that does not return within `max_time` ends the process of the FMU and is a SimulationError; the next call starts another
-            process. "none" is for programs that embed the module, and for benchmarks: there, a crash of the FMU ends Python, and Ctrl-C
-            acts between two calls into it only.
+            "process" (the default): the FMU runs in a separate process. "none": it runs in this process. The results
+            are bit-for-bit identical. In a separate process, a crash, a call of `exit`, or a call that does not
+            return within `max_time` ends the process of the FMU and raises SimulationError. The next call starts
+            another process. "none" is for programs that embed the module, and for benchmarks. With "none", a crash of
+            the FMU ends Python, and Ctrl-C acts only between two calls into the FMU.
         sandbox : bool
-            Confine the process of the FMU, as in a `Calibration`; an error where the system cannot do that.
+            If True, confine the process of the FMU, as in `Calibration`. Raises an error if the system does not
+            support it.
         units : dict of str to str, optional
-            Units of variables of which the model states none: ``{"room.T": "K"}``, as in a `Calibration`. Columns of a recording that
-            drives inputs and values of an SSP parameter file which state a unit are converted to it, and the result has it.
+            Units of variables for which the model declares no unit: ``{"room.T": "K"}``, as in `Calibration`. Columns
+            of a recording of the inputs and values of an SSP parameter file are converted if they state a unit. The
+            result reports these units.
 
         Returns
         -------
         SimulationResult
-            Its columns hold what the model says, NaN and infinities too; derivatives and states that are none end in an error.
+            The columns contain the values returned by the model, including NaN and infinities. Derivatives and states
+            that are NaN or infinite raise an error.
 
         Warns
         -----
         UserWarning
-            A setting has no effect: `step_size` with a solver that chooses its steps itself, `max_step` with one that does
-            not, `solver` and `max_step` in co-simulation. Recorded inputs end before the simulation, or begin after it, by more than a
-            row: they keep their first and last values.
+            A setting has no effect: `step_size` with an adaptive solver, `max_step` with a fixed-step solver,
+            `solver` and `max_step` in co-simulation. Also if recorded inputs end before the simulation or begin after
+            its start, by more than one row spacing. They keep their first and last values.
         CalibrationWarning
-            An input has no column in the recording that `inputs` names, and no start value is given; units that are not converted.
+            An input has no column in the recording given as `inputs` and no start value, or units are not converted.
 
         Raises
         ------
         KeyError
-            A name that is not known.
+            Unknown name.
         ValueError, TypeError
-            Arguments that make no sense, alone or together.
+            Invalid arguments or combinations of arguments.
         FmuError
             The FMU cannot be loaded or built.
         SimulationError
-            The simulation failed or took longer than `max_time`; with ``status``, ``time`` and ``log``.
+            The simulation failed or took longer than `max_time`. The error has ``status``, ``time`` and ``log``.
         Interrupted
-            Ctrl-C (a KeyboardInterrupt).
+            Ctrl-C was pressed; a KeyboardInterrupt.
         Exception
-            Whatever an input function raises comes out as it is.
+            Exceptions of an input function propagate unchanged.
         """
         values, parameter_set = _values.values_or_file("start_values", start_values)
         states: list[tuple[str, object]] = [
@@ -479,7 +500,7 @@ class FMUModel:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name):
-            # Names of PyFMI's models, in scripts that were written for it.
+            # Names of PyFMI's models in scripts written for PyFMI.
             if not name.startswith("_"):
                 from ..compat.pyfmi import FMUModelME2
 
@@ -493,14 +514,14 @@ class FMUModel:
         return [outputs] if isinstance(outputs, str) else _values.names("outputs", outputs)
 
     def _names_set(self) -> list[str]:
-        """Names of the variables that were set; none while it simulates and after it was closed."""
+        """Returns the names of the variables set; empty during a simulation and after closing."""
         try:
             return self._model.names_set()
         except (RuntimeError, ValueError):
             return []
 
     def close(self) -> None:
-        """Frees the instance of the model; only `description` and `path` can be used afterwards."""
+        """Frees the instance of the model. Afterwards, only `description` and `path` are available."""
         self._model.close()
 
     def __enter__(self) -> FMUModel:
@@ -518,7 +539,7 @@ class FMUModel:
 
 
 def names_and_values(name: str | Iterable[str] | Mapping[str, object], value: object = _NOT_GIVEN) -> tuple[list[str], list[Any]]:
-    """The names and values that are given to `set`."""
+    """Returns the names and values passed to `set`."""
     if isinstance(name, Mapping):
         if value is not _NOT_GIVEN:
             raise TypeError("set() takes a dict of names and values, or names and values, not both")

@@ -1,4 +1,4 @@
-"""`fmin`: minimises a Python function, with the signature of the tool of the paper."""
+"""`fmin`: minimises a Python function, with the signature of the paper's tool."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Callback = Callable[[Progress], Any]
 
 
 def _algorithm(alg: int | str | None) -> str:
-    """The name of a method from its number or name; None stands for Nelder-Mead."""
+    """Returns the name of a method from its number or name; None selects Nelder-Mead."""
     if alg is None:
         return "nelder-mead"
     if isinstance(alg, str):
@@ -44,7 +44,7 @@ def _algorithm(alg: int | str | None) -> str:
 
 
 def check_callback(callback: Any) -> None:
-    """Refuses what cannot be called."""
+    """Raises TypeError if `callback` cannot be called."""
     if callback is not None and not callable(callback):
         raise TypeError(f"callback must be callable, not {callback!r}")
     if inspect.iscoroutinefunction(callback):
@@ -52,7 +52,8 @@ def check_callback(callback: Any) -> None:
 
 
 def listen(callback: Callback) -> Callback:
-    """A callback that is given its argument by name if it asks for it by the name ``intermediate_result``."""
+    """Wraps a callback with a keyword-only parameter ``intermediate_result`` so that it receives its argument by
+    name."""
     try:
         parameters = inspect.signature(callback).parameters
     except (TypeError, ValueError):
@@ -101,95 +102,99 @@ def fmin(
 ) -> OptimizeResult:
     """Minimise a function of several variables without derivatives.
 
-    The signature is that of the tool that the paper describes; what is new is keyword-only.
+    The signature is that of the tool described in the paper. Additional arguments are keyword-only.
 
     Parameters
     ----------
     func : callable
-        ``func(x) -> float`` with `x` an array of shape (n,), which the function may keep. Functions, methods, partials
-        and objects with ``__call__`` will do. It may return a float, a NumPy scalar or an array of one element. NaN and
-        infinities mean that there is no cost at this point.
+        ``func(x) -> float``. `x` is an array of shape (n,), which the function may keep. Functions, methods, partials
+        and objects with ``__call__`` are accepted. The function may return a float, a NumPy scalar or an array of one
+        element. NaN and infinities mean that there is no cost at this point.
     xstart : array_like, shape (n,)
-        Where to start. May lie on a bound (not with 2, the barrier method). Methods 3 and 4 can do without.
+        Starting point, which may be on a bound (not with 2, the barrier method). It is optional for methods 3 and 4.
     lb, ub : array_like, shape (n,), or number, optional
-        Bounds; None (also as an element) where there is none. Equal bounds fix a parameter. No point outside of the
+        Bounds; None, also as an element, if there is no bound. Equal bounds fix a parameter. No point outside the
         bounds is ever evaluated.
     alg : optional
         1 or None: Nelder-Mead; 2: Nelder-Mead with a sequential barrier; 3: differential evolution as in the paper
-        (rand/1/bin); 4: genetic algorithm; or a name as in `minimize` ("de" is L-SHADE). 2 needs a bound, 3 and 4 need
-        both bounds for every parameter.
+        (rand/1/bin); 4: genetic algorithm; or a name as in `minimize` ("de" is L-SHADE). Method 2 requires a bound.
+        Methods 3 and 4 require both bounds for every parameter.
     plot : bool
-        Draw the cost as contours over two parameters, with the simplex (or the population) walking. Needs matplotlib.
+        If True, draw the contours of the cost over two parameters, with the path of the simplex or the population.
+        Needs matplotlib.
     plot_conv : bool
-        Draw how the best point and its cost change with the evaluations. Needs matplotlib.
+        If True, draw the best point and its cost against the evaluations. Needs matplotlib.
     x_tol : float
         Absolute tolerance of the x test: the largest distance, along an axis, of a vertex from the best one.
     f_tol : float
         Absolute tolerance of the f test: the difference between the worst and the best vertex.
     max_iters, max_fevals : int, optional
-        Exact limits of iterations and of evaluations, those that a run with one worker makes (``nfev``; calls ahead of need
-        are ``n_speculative``); None for no limit.
+        Exact limits on iterations and evaluations; None: no limit. The evaluations are those of a run with one worker
+        (``nfev``); calls ahead of need are counted in ``n_speculative``.
     disp : bool
-        Print a line per iteration, and how the run ended.
+        If True, print a line per iteration and how the run ended.
     nbr_cores : int, map-like or executor, optional
-        How many calls of `func` may run at once, each in a thread of its own; -1 for all cores. None stands for 1: a
-        Python function is called from several threads only if you ask for it. Only what releases the interpreter lock
-        (simulations do) gains from more. Or a ``concurrent.futures`` executor, which is given points one by one, or a function
-        like the built-in ``map`` (``multiprocessing.Pool().map``), which is given whole batches, both from the calling thread:
-        with processes, as the tool of the paper has it, `func` must be one that can be pickled. The simplices and the result are the same for any.
+        Number of simultaneous calls of `func`, each in a separate thread; -1: all cores; None: 1. A Python function
+        is called from several threads only on request. Only functions that release the interpreter lock, such as
+        simulations, run faster in several threads. Alternatively, a ``concurrent.futures`` executor, which receives
+        single points, or a function like the built-in ``map`` (``multiprocessing.Pool().map``), which receives whole
+        batches. Both are called from the calling thread. With processes, as in the paper's tool, `func` must be
+        picklable. The simplices and the result do not depend on the choice.
     debug : bool
-        Log every evaluation (logger "pydfo", level DEBUG).
+        If True, log every evaluation (logger "pydfo", level DEBUG).
     workers : optional
-        Another name for `nbr_cores`, that of `minimize`.
+        Another name for `nbr_cores`, as in `minimize`.
     callback : callable, optional
         Called after the starting points and after each iteration with a `Progress`, on the calling thread. Raising
-        StopIteration, or returning True, ends the run with the best point so far.
+        StopIteration or returning True ends the run with the best point so far.
     rng : int or numpy.random.Generator, optional
-        The seed of what is random, or a generator to draw it from; None draws one. It stands in the result (``seed``).
+        Seed of the random numbers, or a generator from which to draw the seed; None draws one. The result stores the
+        seed in ``seed``.
     stop : {"any", "all"}
-        Whether one of the two tests ends the run (as in the paper), or both must hold. A simplex that has not moved yet
-        never passes.
+        "any": one of the two tests ends the run, as in the paper. "all": both tests must pass. A simplex that has not
+        moved yet never passes.
     batch : {"auto", "serial", "ahead"} or int
-        Methods 1 and 2: how many trial points are evaluated at once, ahead of need; "auto" takes at most `nbr_cores`, as many as
-        pay; "ahead" always as many. The simplices are the same; what is evaluated in vain counts in ``n_speculative`` only.
+        Number of trial points that methods 1 and 2 evaluate at once, ahead of need. "auto" uses the most efficient
+        number up to `nbr_cores`; "ahead" always uses the maximum. The simplices do not depend on it. Unneeded
+        evaluations count only in ``n_speculative``.
     initial_simplex : array_like, optional
-        Vertices, shape (n + 1, n), or steps from `xstart` along each axis, shape (n,). By default each parameter has a
-        step of its own: a tenth of the width of its box (up to 100 abs(xstart)), else 0.3 abs(xstart); where that is 0, one that is found by steps
-        of powers of ten.
+        Vertices, shape (n + 1, n), or steps from `xstart` along each axis, shape (n,). By default, each parameter has
+        a separate step: a tenth of the width of its box (up to 100 abs(xstart)), otherwise 0.3 abs(xstart). If this
+        is 0, steps of powers of ten determine it.
     target : float, optional
-        End the run with the first evaluation whose cost is at or below this, for any number of workers. What was evaluated
-        at once with it and comes after it counts as speculative.
+        The run ends with the first evaluation whose cost is at or below this value, for any number of workers.
+        Simultaneous evaluations that come later in the order count as speculative.
     max_time : float, optional
-        Limit of wall-clock time in s: no call starts after it.
+        Limit on the wall-clock time in s. No call starts after it.
     on_error : {"raise", "fail"}
-        What an exception in `func` means: it is raised, or it counts as a failed evaluation. A return value that is no
-        number is always raised.
+        Action after an exception in `func`: raise it, or count a failed evaluation. A return value that is not a
+        number always raises an error.
     options : dict, optional
-        What else the method can be told, see `minimize`. Two defaults are others than there: ``tolerances`` are
-        "absolute", and methods 1 and 2 take the ``coefficients`` "standard", those of Table 1 of the paper, for any
-        number of parameters (`minimize` takes "auto": adaptive ones from five on, which solve more problems there).
+        Further options of the method, see `minimize`. Two defaults differ from `minimize`: ``tolerances`` is
+        "absolute", and methods 1 and 2 use the ``coefficients`` "standard" (Table 1 of the paper) for any number of
+        parameters. `minimize` uses "auto", which is adaptive from five parameters on and solves more problems there.
     checkpoint, resume : optional
-        A file for the state of the run, and whether to continue from it; see `minimize`.
+        File for the state of the run, and the rule for continuing from it; see `minimize`.
 
     Returns
     -------
     OptimizeResult
-        With fields ``x``, ``fun``, ``nit``, ``nfev``, ``nfail``, ``success``, ``message``, ``trace`` and others; unpacks
-        like the five-tuple ``(x_opt, f_opt, nbr_iters, nbr_fevals, solve_time)``. However a run ends, ``x`` is the best
-        point that was seen.
+        Fields ``x``, ``fun``, ``nit``, ``nfev``, ``nfail``, ``success``, ``message``, ``trace`` and others. The
+        result unpacks like the five-tuple ``(x_opt, f_opt, nbr_iters, nbr_fevals, solve_time)``. ``x`` is the best
+        point found, regardless of how the run ended.
 
     Raises
     ------
     ValueError, TypeError
-        Arguments that cannot be used; a return value that is no number (TypeError).
+        Invalid arguments; a return value that is not a number (TypeError).
     AllStartsFailed
-        There was no cost at any of the starting points; the reasons are counted in its ``failures``.
+        There was no cost at any of the starting points. ``failures`` counts the reasons.
     Interrupted
-        Ctrl-C: a KeyboardInterrupt with the result so far in ``result``. A call of `func` that is running is awaited;
-        a second Ctrl-C does not wait.
+        Ctrl-C was pressed. This KeyboardInterrupt contains the result so far in ``result``. It is raised after a
+        running call of `func` returns; a second Ctrl-C raises it at once.
     Exception
-        Whatever `func` or `callback` raises comes out as it is, with the result so far in ``partial_result`` (None
-        if no point had a cost yet).
+        Exceptions of `func` or `callback` propagate unchanged, with the result so far in ``partial_result`` (None if
+        no point had a cost yet).
 
     Examples
     --------
@@ -219,7 +224,7 @@ def fmin(
     )
     if method in ("nelder-mead", "barrier"):
         own.setdefault("coefficients", "standard")
-    # As the paper has them.
+    # Default of the paper.
     own.setdefault("tolerances", "absolute")
     if nbr_cores is not None and workers is not None:
         raise ValueError("nbr_cores and workers are two names for one argument: give one of them")
@@ -238,7 +243,7 @@ def fmin(
         max_iters=max_iters,
         max_time=max_time,
         target=target,
-        # Who asks for no limit has none, not even the method's own.
+        # A limit of None means no limit, so the default of the method does not apply.
         unlimited=True,
         resume=resume,
     )
@@ -287,14 +292,14 @@ def fmin(
 
 
 def _size(start: npt.NDArray[np.float64] | None, *bounds: Any) -> int:
-    """How many parameters there are: the length of the start point, else of the longest of the bounds."""
+    """Returns the number of parameters: the length of the start point, otherwise of the longest bound."""
     if start is not None:
         return len(start)
     return max(1, *(1 if b is None else np.size(b) for b in bounds))
 
 
 def combine(listeners: list[Callback]) -> Callback | None:
-    """One listener that calls all of them; True from any of them ends the run."""
+    """Returns one listener that calls all listeners. True from any of them ends the run."""
     if not listeners:
         return None
 

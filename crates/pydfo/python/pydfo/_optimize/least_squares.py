@@ -1,4 +1,4 @@
-"""`least_squares`: the parameters for which residuals are smallest, without derivatives."""
+"""`least_squares`: minimises the sum of squared residuals without derivatives."""
 
 from __future__ import annotations
 
@@ -44,70 +44,74 @@ def least_squares(
     vectorized: bool = False,
     search: Literal["local", "global"] = "local",
 ) -> LeastSquaresResult:
-    """Minimise the sum of the squares of residuals without derivatives. The result's ``cost`` is this sum, ``sum(fun**2)``,
-    without the factor 1/2 that SciPy has.
+    """Minimise the sum of the squares of residuals without derivatives.
 
-    Where a cost is made of residuals this takes a fraction of the evaluations that `minimize` needs. What holds for
-    `minimize` holds here: the same path for any number and kind of workers and after a resume, exact limits, failures that
-    are counted and enter no model.
+    The result's ``cost`` is this sum, ``sum(fun**2)``, without the factor 1/2 of SciPy. If a cost consists of
+    residuals, `least_squares` requires a fraction of the evaluations of `minimize`. It shares the properties of
+    `minimize`: the same path for any number and kind of workers and after a resume, and exact limits. Failures are
+    counted and are never used to build a model.
 
     Parameters
     ----------
     fun : callable
-        ``fun(x, *args) -> array_like, shape (m,)``: the residuals at `x`, an array of shape (n,); always the same number in the
-        same order: another number is a ValueError. Where one of them is NaN or infinite, the evaluation has failed.
+        ``fun(x, *args) -> array_like, shape (m,)`` returns the residuals at `x`, an array of shape (n,). Their number
+        and order must not change; another number raises ValueError. If a residual is NaN or infinite, the evaluation
+        has failed.
     x0 : array_like, shape (n,)
-        Where to start; may lie on a bound.
+        Starting point, which may be on a bound.
     bounds : sequence of pairs, or scipy.optimize.Bounds, optional
-        ``(low, high)`` per parameter, None or infinite where there is no bound; equal bounds fix a parameter. No point outside
-        is ever evaluated. SciPy's tuple ``(lower, upper)`` of numbers or arrays is understood, too. For two parameters a
-        tuple of two pairs could be either: that is meant in which `x0` lies, and if it lies in both, this is a
-        ValueError. A list always holds pairs.
+        ``(low, high)`` per parameter; None or infinite if there is no bound. Equal bounds fix a parameter. No point
+        outside the bounds is ever evaluated. SciPy's tuple ``(lower, upper)`` of numbers or arrays is also accepted.
+        For two parameters, a tuple of two pairs is ambiguous. The interpretation that contains `x0` is used; if both
+        contain `x0`, a ValueError is raised. A list always contains pairs.
     loss : {"linear", "soft_l1", "huber", "cauchy"}
-        What a residual r counts: ``f_scale**2 * rho(z)`` with ``z = (r / f_scale)**2`` and rho as in SciPy: z;
-        ``2 * (sqrt(1 + z) - 1)``; z up to 1, then ``2 * sqrt(z) - 1``; ``log(1 + z)``. All but the first keep outliers from
-        deciding.
+        Loss of a residual r: ``f_scale**2 * rho(z)`` with ``z = (r / f_scale)**2`` and rho as in SciPy: z;
+        ``2 * (sqrt(1 + z) - 1)``; z up to 1, then ``2 * sqrt(z) - 1``; ``log(1 + z)``. All but the first limit the
+        influence of outliers.
     f_scale : float
-        Residuals that are small against this count by their squares, whatever the loss.
+        Scale of the loss. Residuals much smaller than `f_scale` contribute their squares with every loss.
     x_tol : float, optional
-        Tolerance of the x test (1e-6): the radius in which the model is trusted, in units of the parameters' sizes.
+        Tolerance of the x test (1e-6): radius of the trust region, in units of the sizes of the parameters.
     f_tol : float, optional
-        Tolerance of the f test (1e-6): the decrease that the model predicts, as a fraction of the cost.
+        Tolerance of the f test (1e-6): predicted decrease as a fraction of the cost.
     max_evaluations, max_iterations, max_time, target
-        As in `minimize`; `target` is a cost. Without any of the first three 1000 (n + 1) evaluations.
+        As in `minimize`; `target` is a cost. If none of the first three is set, the limit is 1000 (n + 1)
+        evaluations.
     args : tuple
         Further arguments of `fun`.
     workers : int, map-like or executor
         As in `minimize`.
     batch : "auto", "serial", "rounds", "workers" or int
-        How many points the method asks for at once after the first n + 1. "auto" and "serial": one, with the fewest evaluations.
-        "rounds": n + 4, with about half as many rounds and twice the evaluations (60 fits of curves with 2 to 6 parameters: 0.2 to
-        0.7 times the rounds, 1.4 to 3.4 times the evaluations); take it where there are n + 1 workers or more. Either
-        takes one path for any number of workers. A number: so many; "workers": the number of workers.
+        Number of points requested at once after the first n + 1. "auto" and "serial": one point, with the fewest
+        evaluations. "rounds": n + 4 points, with about half as many rounds and twice the evaluations (60 fits of
+        curves with 2 to 6 parameters: 0.2 to 0.7 times the rounds, 1.4 to 3.4 times the evaluations). Use "rounds"
+        with n + 1 workers or more. Neither path depends on the number of workers. An integer sets the number of
+        points; "workers" sets it to the number of workers.
     callback, rng, checkpoint, resume, on_error : optional
         As in `minimize`; ``fun`` of a `Progress` is the cost.
     options : dict, optional
-        Those of every method, see `minimize`, among them ``nominal`` (typical sizes of the parameters) and ``scale`` ("linear" or
-        "log"); and those of "least-squares" itself: ``radius`` (the first radius of trust, 0.1 of the sizes).
+        The common options of all methods, see `minimize`, including ``nominal`` (typical sizes of the parameters) and
+        ``scale`` ("linear" or "log"), and the option ``radius`` of "least-squares" (first trust-region radius, 0.1 of
+        the sizes).
     vectorized : bool
-        ``fun(x, *args)`` takes points as columns, shape (n, S), and returns residuals of shape (m, S). `workers` must then be
-        a number.
+        If True, ``fun(x, *args)`` receives points as columns, shape (n, S), and returns residuals of shape (m, S).
+        `workers` must then be a number.
     search : {"local", "global"}
-        The minimum next to the start, or the best in the box, by searches from several starts ("multistart" of `minimize`, with
-        its options): needs two finite bounds for every parameter.
+        "local": the minimum next to the start. "global": the best minimum in the box, by searches from several starts
+        ("multistart" of `minimize`, with its options), which requires two finite bounds for every parameter.
 
     Returns
     -------
     LeastSquaresResult
-        ``x``, ``fun`` (the residuals there), ``cost``, ``jac``, ``cov`` and all that `minimize` gives. However a run ends, ``x`` is
-        the best point that was seen.
+        ``x``, ``fun`` (the residuals at ``x``), ``cost``, ``jac``, ``cov`` and the fields of `minimize`. ``x`` is the
+        best point found, regardless of how the run ended.
 
     Raises
     ------
     ValueError, TypeError
-        Arguments that cannot be used; a return value that is no vector of numbers (TypeError).
+        Invalid arguments; a return value that is not a vector of numbers (TypeError).
     CheckpointError, OSError, AllStartsFailed, Interrupted, Exception
-        As `minimize`.
+        As in `minimize`.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""`minimize`: a function of several variables, without derivatives, by any of the methods."""
+"""`minimize`: minimises a function of several variables without derivatives, by any of the methods."""
 
 from __future__ import annotations
 
@@ -47,127 +47,155 @@ def minimize(
 ) -> OptimizeResult:
     """Minimise a function of several variables without derivatives.
 
-    The same arguments and the same seed give the same path, bit for bit, for any number and kind of workers, and also if
-    the run is interrupted and continued from a checkpoint. Points that workers evaluate ahead of need are counted apart
-    (``n_speculative``); what they end with, an exception as well, means nothing unless the path comes to them.
+    Equal arguments and seeds give bit-for-bit the same path. This holds for any number and kind of workers, and for a
+    run that is interrupted and resumed from a checkpoint. Points that workers evaluate ahead of need are counted
+    separately (``n_speculative``). Their results, including exceptions, have no effect unless the path reaches these
+    points.
 
     Parameters
     ----------
     fun : callable
-        ``fun(x, *args) -> float`` with `x` an array of shape (n,), which the function may keep. NaN and infinities mean
-        that there is no cost at this point. A function with a keyword-only parameter `cutoff` is told above which cost
-        its value makes no difference (infinite: there is no such cost), and may return ``pydfo.Above(cutoff)`` as soon as
-        it knows that it is strictly above: the search decides the same, with less work.
+        ``fun(x, *args) -> float``. `x` is an array of shape (n,), which the function may keep. NaN and infinities
+        mean that there is no cost at this point. A keyword-only parameter `cutoff` receives the cost above which the
+        value makes no difference; infinite if there is none. The function may return ``pydfo.Above(cutoff)`` as soon
+        as its cost is known to be strictly above `cutoff`. The search makes the same decisions with less work.
     x0 : array_like, shape (n,), optional
-        Where to start; may lie on a bound. Methods that sample a box ("de", "de-classic", "ga") can do without;
-        so can "cma-es" and "pattern-search", which then begin in its middle.
+        Starting point, which may be on a bound. It is optional for methods that sample a box ("de", "de-classic",
+        "ga"). It is also optional for "cma-es" and "pattern-search", which then start in the middle of the box.
     bounds : sequence of pairs, or scipy.optimize.Bounds, optional
-        ``(low, high)`` per parameter, None or infinite where there is no bound. Equal bounds fix a parameter. No point
-        outside is ever evaluated. Bounds more than 100 times as wide as the nominal size, else abs(x0), tell nothing of the
-        parameter's size: methods that start from `x0` then take it from there, and those that sample the box search all of it.
+        ``(low, high)`` per parameter; None or infinite if there is no bound. Equal bounds fix a parameter. No point
+        outside the bounds is ever evaluated. Bounds more than 100 times as wide as the nominal size, or otherwise
+        abs(x0), carry no information on the size of the parameter. Methods that start from `x0` then use the nominal
+        size or abs(x0). Methods that sample the box search all of it.
     method : str
-        "nelder-mead"; "barrier" (Nelder-Mead with a sequential barrier: needs at least one finite bound, starts strictly inside);
-        "de" or "differential-evolution" (L-SHADE) and "de-classic" (rand/1/bin); "ga" or "genetic" (genetic algorithm on bit
-        strings); names in any case, with "-", "_" or a space between words; "quadratic-model" (trust
-        region on quadratic interpolation models, for smooth costs, with options `radius`, `points`, `restarts`, `hand_over`); "cma-es" (covariance matrix
-        adaptation); "pattern-search" (mesh adaptive direct search, for kinks and steps, not for smooth costs); "multistart" (differential
-        evolution, then local searches from several starts in a box; the minima they end at are the result's ``optima``).
-        "auto" is "quadratic-model" that hands over to Nelder-Mead where noise or kinks of the cost show (``hand_over``: from its best
-        point; the message says so) or nothing tells the size of a parameter, "multistart" where ``search="global"``, with integer parameters "de", with categorical ones "ga";
-        the result has the reason (``method_reason``).
+        - "nelder-mead";
+        - "barrier": Nelder-Mead with a sequential barrier; requires at least one finite bound and a start strictly
+          inside;
+        - "de" or "differential-evolution": L-SHADE;
+        - "de-classic": rand/1/bin;
+        - "ga" or "genetic": genetic algorithm on bit strings;
+        - "quadratic-model": trust region on quadratic interpolation models, for smooth costs; options `radius`,
+          `points`, `restarts`, `hand_over`;
+        - "cma-es": covariance matrix adaptation;
+        - "pattern-search": mesh adaptive direct search, for costs with kinks and steps, not for smooth costs;
+        - "multistart": differential evolution, then local searches from several starts in a box; ``optima`` of the
+          result lists the minima found.
+
+        Case is ignored in names, and "-", "_" or a space may separate the words. "auto" selects "quadratic-model",
+        which switches to Nelder-Mead if it detects noise or kinks of the cost, or if the size of a parameter is
+        unknown. In the first case, Nelder-Mead starts from the best point (``hand_over``), and the message reports
+        it. "auto" selects "multistart" with ``search="global"``, "de" with integer parameters and "ga" with
+        categorical ones. ``method_reason`` of the result gives the reason.
     args : tuple
         Further arguments of `fun`.
     workers : int, map-like or executor
-        How many calls of `fun` may run at once, each in a thread of its own; -1 for all cores. Or a
-        ``concurrent.futures`` executor (also those of Dask, MPI, joblib and Ray), which is given points one by one, or a
-        function like the built-in ``map`` (``multiprocessing.Pool().map``), which is given whole batches, both from the
-        calling thread. With processes, `fun` must be one that can be pickled. A point that an executor loses (its process was
-        killed) has failed; one that is broken ends the run. A map does not say how many workers it has: Nelder-Mead then
-        plans for all cores; pin ``options={"batch": ...}`` to be independent of the machine.
+        Number of simultaneous calls of `fun`, each in a separate thread; -1: all cores. Alternatively, a
+        ``concurrent.futures`` executor (including those of Dask, MPI, joblib and Ray), which receives single points,
+        or a function like the built-in ``map`` (``multiprocessing.Pool().map``), which receives whole batches. Both
+        are called from the calling thread. With processes, `fun` must be picklable. A point lost by an executor,
+        because its process was killed, is a failed evaluation. A broken executor ends the run. The number of workers
+        of a map is unknown, so Nelder-Mead plans for all cores. Set ``options={"batch": ...}`` to be independent of
+        the machine.
     callback : callable, optional
-        ``callback(intermediate_result)`` after the starting points and after each iteration, on the calling thread, with
-        a `Progress`. Raising StopIteration, or returning True, ends the run with the best point so far.
+        ``callback(intermediate_result)`` is called after the starting points and after each iteration, on the calling
+        thread, with a `Progress`. Raising StopIteration or returning True ends the run with the best point so far.
     rng : int or numpy.random.Generator, optional
-        The seed of what is random, or a generator to draw it from; None draws one. It stands in the result (``seed``).
+        Seed of the random numbers, or a generator from which to draw the seed; None draws one. The result stores the
+        seed in ``seed``.
     max_evaluations, max_iterations : int, optional
-        Exact limits of evaluations, those that a run with one worker makes (``nfev``; calls ahead of need are
-        ``n_speculative``), and of iterations. Without any of the first three limits the method's defaults
-        hold (for Nelder-Mead 5000 (n + 1) evaluations or 1000 (n + 1) iterations).
+        Exact limits on the evaluations and iterations. The evaluations are those of a run with one worker (``nfev``);
+        calls ahead of need are counted in ``n_speculative``. If `max_evaluations`, `max_iterations` and `max_time`
+        are all None, the defaults of the method apply. For Nelder-Mead, they are 5000 (n + 1) evaluations and 1000 (n
+        + 1) iterations.
     max_time : float, optional
-        Limit of wall-clock time in s: no call starts after it.
+        Limit on the wall-clock time in s. No call starts after it.
     target : float, optional
-        End the run with the first evaluation whose cost is at or below this, for any number of workers. What was evaluated
-        at once with it and comes after it counts as speculative.
+        The run ends with the first evaluation whose cost is at or below this value, for any number of workers.
+        Simultaneous evaluations that come later in the order count as speculative.
     options : dict, optional
         For every method: ``x_tol`` (1e-6), ``f_tol`` (1e-6), ``stop`` ("all" or "any" of both tests), ``tolerances``
-        ("relative": x_tol in units of the parameters' sizes, f_tol as a fraction of the best cost; or "absolute"),
-        ``nominal`` (typical sizes of the parameters, None where there is none to give; a parameter that starts at 0 without
-        one and without a box is first moved by powers of ten to find its size), ``scale`` ("linear" or "log", for all or each), ``kinds``
-        ("continuous", "integer" or "categorical", for all or each), ``cache`` (evaluations remembered, so that exact
-        repeats cost nothing), ``trace_limit`` (evaluations kept in the trace), ``max_failed`` (the run ends where more than this
-        share of its evaluations has failed, of at least 20), ``warm_start`` (an earlier result or trace,
-        or points and costs: where to start), ``problem`` (a word or hash for what `fun` computes, which you vouch for: the
-        costs of a warm start are reused only where it is the same in both runs), ``checkpoint_interval`` (seconds between
-        writes, 0.2).
-        Nelder-Mead: ``batch`` ("auto", "serial", "ahead" or a number of points), ``coefficients``
-        ("standard": reflection 1, expansion 2, contraction 1/2, shrink 1/2; "adaptive": those of Gao and Han, which depend on n; four
-        numbers; "auto", the default: "standard" below five free parameters, "adaptive" from there on),
+        ("relative": x_tol in units of the sizes of the parameters, f_tol as a fraction of the best cost; or
+        "absolute"), ``nominal`` (typical sizes of the parameters, None if unknown; a parameter that starts at 0
+        without a nominal size and without a box is first moved by powers of ten to find its size), ``scale``
+        ("linear" or "log", for all or each), ``kinds`` ("continuous", "integer" or "categorical", for all or each),
+        ``cache`` (number of stored evaluations, which make exact repeats free), ``trace_limit`` (evaluations kept in
+        the trace), ``max_failed`` (the run ends if more than this fraction of at least 20 evaluations has failed),
+        ``warm_start`` (an earlier result or trace, or points and costs, from which to start), ``problem`` (a word or
+        hash that identifies the function; you are responsible for it: the costs of a warm start are reused only if
+        both runs have the same one), ``checkpoint_interval`` (seconds between writes, 0.2).
+
+        Nelder-Mead: ``batch`` ("auto", "serial", "ahead" or a number of points), ``coefficients`` ("standard":
+        reflection 1, expansion 2, contraction 1/2, shrink 1/2; "adaptive": the coefficients of Gao and Han, which
+        depend on n; four numbers; "auto", the default: "standard" below five free parameters, otherwise "adaptive"),
         ``bounds_handling`` ("sine", the default: the search runs over angles, so that bounds are smooth; "mirror";
-        "clamp"), ``initial_simplex`` (vertices or steps), ``restarts`` (20: how often at most a simplex that has become flat, all
-        vertices nearly in a plane, or lies on a kink is built anew around its best vertex, as long as that lowers the
-        cost; a sound one is not, so this finds no other minima). Barrier: ``batch``, ``coefficients``, ``mu``, ``factor``. DE: ``population``, ``sampling``
-        ("uniform", "latin-hypercube", "sobol"), ``repair`` ("midpoint", "mirror", "clamp", "resample"), ``include_start``,
-        ``lag`` (number of trials made ahead of selection; 0: a whole generation at a time, best for one worker);
-        L-SHADE also ``budget``, ``p_best``, ``memory``, ``archive``, ``final_population``; classic also ``strategy``
-        ("rand1", "best1", "current-to-best1", "rand2"), ``crossover`` ("binomial", "exponential"), ``weight`` (a number,
-        or a pair to draw from), ``probability``. GA: ``population``, ``selection`` ("fitness", or the size of a
-        tournament), ``crossover_rate``, ``mutation_rate``, ``elite``, ``gray``, ``resolution``, ``sampling``,
-        ``include_start``, ``stall`` (generations without gain that end the run; None: never). Multistart: ``sample`` (points
-        of a sample), ``sampling``, ``polish`` ("auto", "nelder-mead", "cma-es", "least-squares"), ``side_by_side`` (local searches
-        at once), ``max_starts``, ``exploration`` (share of the budget for differential evolution). CMA-ES: ``population``
-        (4 + floor(3 ln n)), ``sigma`` (0.3: the first standard deviation, in units of the parameters' sizes), ``restarts``
-        ("none": the run ends when its tests pass; "ipop" and "bipop": the search begins anew with other populations until a
-        limit ends the run), ``bounds_handling`` ("smooth", "mirror"), ``lag`` (0: number of individuals drawn ahead of
-        selection; four times the workers keeps them busy, with at least 3/4 of it as population where none is given).
-        Pattern search: ``batch`` ("auto", "serial", "ahead" or a number of points), ``frame`` (0.3: the first distance of the
-        points of a poll, in units of the parameters' sizes),
-        ``restarts`` (1: so many searches in a row with new directions must gain nothing).
+        "clamp"), ``initial_simplex`` (vertices or steps), ``restarts`` (20: maximum number of times that a flat
+        simplex, with all vertices nearly in a plane, or a simplex at a kink is rebuilt around its best vertex, as
+        long as this lowers the cost; a sound simplex is not rebuilt, so restarts do not find other minima).
+
+        Barrier: ``batch``, ``coefficients``, ``mu``, ``factor``.
+
+        DE: ``population``, ``sampling`` ("uniform", "latin-hypercube", "sobol"), ``repair`` ("midpoint", "mirror",
+        "clamp", "resample"), ``include_start``, ``lag`` (number of trials made ahead of selection; 0: a whole
+        generation at a time, best for one worker); L-SHADE also ``budget``, ``p_best``, ``memory``, ``archive``,
+        ``final_population``; classic also ``strategy`` ("rand1", "best1", "current-to-best1", "rand2"), ``crossover``
+        ("binomial", "exponential"), ``weight`` (a number, or a pair to draw from), ``probability``.
+
+        GA: ``population``, ``selection`` ("fitness", or the size of a tournament), ``crossover_rate``,
+        ``mutation_rate``, ``elite``, ``gray``, ``resolution``, ``sampling``, ``include_start``, ``stall`` (number of
+        generations without gain that ends the run; None: never).
+
+        Multistart: ``sample`` (points of a sample), ``sampling``, ``polish`` ("auto", "nelder-mead", "cma-es",
+        "least-squares"), ``side_by_side`` (number of simultaneous local searches), ``max_starts``, ``exploration``
+        (fraction of the budget for differential evolution).
+
+        CMA-ES: ``population`` (4 + floor(3 ln n)), ``sigma`` (0.3: the first standard deviation, in units of the
+        sizes of the parameters), ``restarts`` ("none": the run ends when its tests pass; "ipop" and "bipop": the
+        search restarts with other populations until a limit ends the run), ``bounds_handling`` ("smooth", "mirror"),
+        ``lag`` (0: number of individuals drawn ahead of selection; four times the number of workers keeps them busy;
+        the default population is then at least 3/4 of it).
+
+        Pattern search: ``batch`` ("auto", "serial", "ahead" or a number of points), ``frame`` (0.3: the first
+        distance of the points of a poll, in units of the sizes of the parameters), ``restarts`` (1: number of
+        consecutive searches with new directions that must not improve the cost).
     checkpoint : path, optional
-        A file for the state of the run, written after batches and at the end.
+        File for the state of the run, written after batches and at the end.
     resume : {"auto", "never", "require"}
-        Whether to continue from that file: if it is there, never, or as a must. A finished run gives its stored result; a
-        file of another run is refused and left as it is. The module and the name of `fun` are part of what identifies a run. Whether
-        it still computes the same, you decide: "never" restarts after a change. If the name has changed, "require" continues all the
-        same. The option ``problem`` replaces the name. The message of a run that was continued says so.
+        "auto": continue from the checkpoint if it exists. "never": start again. "require": fail if it does not exist.
+        A finished run returns its stored result. A file of another run is rejected and left unchanged. The module and
+        the name of `fun` are part of the identity of a run. You decide if the function is unchanged: "never" restarts
+        after a change. "require" continues even if the name has changed. The option ``problem`` replaces the name.
+        The message of a resumed run reports that it was resumed.
     on_error : {"raise", "fail"}
-        What an exception in `fun` means: it is raised, or it counts as a failed evaluation. A return value that is no
-        number is always raised.
+        Action after an exception in `fun`: raise it, or count a failed evaluation. A return value that is not a
+        number always raises an error.
     vectorized : bool
-        ``fun(x, *args)`` takes points as columns, shape (n, S), and returns costs of shape (S,). `workers` must then be a
-        number; it says how many points Nelder-Mead and pattern search plan for.
+        If True, ``fun(x, *args)`` receives points as columns, shape (n, S), and returns costs of shape (S,).
+        `workers` must then be a number. It determines the number of points for which Nelder-Mead and pattern search
+        plan.
     search : {"local", "global"}
-        With method "auto": whether the minimum next to the start is looked for, or the best in the box. A global search needs two
-        finite bounds for every parameter and uses its whole budget (default 1000 (n + 1) evaluations) unless the minima found are
-        probably all there are; see "multistart". No start is needed.
+        With method "auto", "local" searches for the minimum next to the start, and "global" for the best minimum in
+        the box. A global search requires two finite bounds for every parameter; a start is optional. It uses its
+        whole budget (default 1000 (n + 1) evaluations) unless the minima found are probably all minima; see
+        "multistart".
 
     Returns
     -------
     OptimizeResult
-        Fields as in SciPy. However a run ends, ``x`` is the best point that was seen.
+        Fields as in SciPy. ``x`` is the best point found, regardless of how the run ended.
 
     Raises
     ------
     ValueError, TypeError
-        Arguments that cannot be used; a return value that is no number (TypeError).
+        Invalid arguments; a return value that is not a number (TypeError).
     CheckpointError, OSError
-        A checkpoint that belongs to another run or is damaged; one that cannot be read or written
-        (FileNotFoundError: required, but not there).
+        The checkpoint belongs to another run, is damaged, or cannot be read or written. FileNotFoundError if it is
+        required but does not exist.
     AllStartsFailed
-        There was no cost at any of the starting points; the reasons are counted in its ``failures``.
+        There was no cost at any of the starting points. ``failures`` counts the reasons.
     Interrupted
-        Ctrl-C: a KeyboardInterrupt with the result so far in ``result``.
+        Ctrl-C was pressed. This KeyboardInterrupt contains the result so far in ``result``.
     Exception
-        Whatever `fun` or `callback` raises comes out as it is, with the result so far in ``partial_result``.
+        Exceptions of `fun` or `callback` propagate unchanged, with the result so far in ``partial_result``.
 
     Examples
     --------
@@ -215,7 +243,7 @@ def run(
     of_residuals: bool = False,
     **arguments: Any,
 ) -> OptimizeResult:
-    """Minimises the cost or the residuals that `fun` returns; `of` is the function that the user called."""
+    """Minimises the cost or the residuals returned by `fun`; `of` is the function called by the user."""
     if not callable(fun):
         raise TypeError(f"fun must be callable, not {fun!r}")
     if on_error not in ("raise", "fail"):
@@ -256,7 +284,7 @@ def describe(
     options: Mapping[str, Any] | None,
     **arguments: Any,
 ) -> tuple[list[float] | None, list[float], list[float], _options.Record]:
-    """Start, bounds and options of a run, as the native code takes them; `of` is the function that the user called."""
+    """Returns start, bounds and options of a run for the native code; `of` is the function called by the user."""
     start = None if x0 is None else _values.vector("x0", x0).tolist()
     lower, upper = _bounds.pairs_of_bounds(bounds, None if start is None else len(start))
     return start, lower.tolist(), upper.tolist(), _options.record(of, method, options, len(lower), **arguments)

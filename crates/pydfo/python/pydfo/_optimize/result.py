@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 FloatArray = npt.NDArray[np.float64]
 
-#: Numbers for the ways in which a run can end. Zero and multiples of ten are successes.
+#: Status numbers of the ways in which a run can end. Zero and multiples of ten are successes.
 STATUS: Final[dict[str, int]] = {
     "converged": 0,
     "target": 10,
@@ -45,31 +45,34 @@ STATUS: Final[dict[str, int]] = {
 
 @dataclass(kw_only=True, eq=False, repr=False)
 class Trace:
-    """Every evaluation of a run: first those of its path, in request order, the same for any number of workers; then those
-    that were made ahead of need and not needed.
+    """Every evaluation of a run.
+
+    The evaluations of the path come first, in request order, and do not depend on the number of workers. The
+    speculative evaluations that were not needed follow.
 
     Attributes
     ----------
     x : ndarray, shape (m, n)
         The points, in the user's units.
     fun : ndarray, shape (m,)
-        Their costs; NaN where the evaluation failed, or was given up because the cost could not matter any more.
+        Costs of the points; NaN if the evaluation failed, or was abandoned because its cost could no longer matter.
     above : ndarray, shape (m,)
-        Where an evaluation was given up: the value that the cost is known to exceed; NaN elsewhere.
+        Lower bound of the cost of an abandoned evaluation; NaN for other evaluations.
     used : ndarray of bool, shape (m,)
-        Whether the path of the method went through the point. False for points evaluated ahead of need and not needed,
-        and for evaluations that the end of the run cut short; they are never returned as best.
+        True if the point is on the path of the method. False for speculative points that were not needed, and for
+        evaluations cut short by the end of the run. These points are never returned as best.
     id, batch : ndarray of int, shape (m,)
-        Running numbers of the point (from 2**63 on for points evaluated ahead of need) and of the batch it belonged to.
+        Sequence numbers of the point (from 2**63 on for speculative points) and of its batch.
     seconds : ndarray, shape (m,)
-        Wall-clock time of each evaluation, in s; an equal share of its batch for a vectorized objective and for a map.
+        Wall-clock time of each evaluation in s. For a vectorized objective and for a map, an equal share of the
+        batch.
     messages : dict of int to str
-        Why evaluations failed, by their position in the trace.
+        Reasons of failed evaluations, by their index in the trace.
     n_dropped : int
-        Evaluations at the beginning of the run that a limit of the trace has dropped.
+        Number of evaluations at the start of the run dropped because of a limit of the trace.
     problem : str or None
-        The problem that the costs belong to (``options={"problem": ...}``; a `Calibration` has its own): a warm start
-        reuses costs only where it is the same.
+        Problem of the costs (``options={"problem": ...}``; set by a `Calibration`). A warm start reuses costs only if
+        the problem is the same.
     """
 
     x: FloatArray
@@ -85,23 +88,24 @@ class Trace:
 
     @property
     def failed(self) -> npt.NDArray[np.bool_]:
-        """Which evaluations failed (shape (m,))."""
+        """True for failed evaluations, shape (m,)."""
         failed = np.zeros(len(self), dtype=np.bool_)
         failed[list(self.messages)] = True
         return failed
 
     def best(self) -> int | None:
-        """Position of the best used point, the first of equals; None if all failed."""
+        """Returns the index of the best used point, the first if several are equal; None if all failed."""
         candidates = np.where(self.used, self.fun, np.nan)
         return None if np.isnan(candidates).all() else int(np.nanargmin(candidates))
 
     def running_best(self) -> FloatArray:
-        """The smallest cost of the used points up to each evaluation; infinite before the first (shape (m,))."""
+        """Returns the smallest cost of the used points up to each evaluation, shape (m,); infinite before the first
+        cost."""
         costs = np.where(self.used & ~np.isnan(self.fun), self.fun, np.inf)
         return np.minimum.accumulate(costs)
 
     def to_dataframe(self) -> Any:
-        """The trace as a pandas.DataFrame, one row per evaluation. Needs pandas."""
+        """Returns the trace as a pandas.DataFrame, one row per evaluation. Needs pandas."""
         columns: dict[str, Any] = {f"x{i}": self.x[:, i] for i in range(self.x.shape[1])}
         columns |= {"fun": self.fun, "above": self.above, "used": self.used, "failed": self.failed}
         columns |= {"batch": self.batch, "seconds": self.seconds}
@@ -116,16 +120,16 @@ class Trace:
 
 
 class Optimum(NamedTuple):
-    """A minimum that local searches from several starts ended at.
+    """A minimum found by local searches from several starts.
 
     Attributes
     ----------
     x : ndarray, shape (n,)
         The point.
     fun : float
-        Its cost.
+        Cost at the point.
     n_starts : int
-        How many starts led there.
+        Number of starts that led to the point.
     """
 
     x: FloatArray
@@ -141,11 +145,11 @@ class BarrierStage(NamedTuple):
     mu : float
         The barrier parameter.
     barrier : float
-        The barrier at the end of the stage.
+        Value of the barrier at the end of the stage.
     x : ndarray, shape (n,)
-        The best point of the stage for the cost with its barrier.
+        Best point of the stage for the cost with its barrier.
     value : float
-        That cost with its barrier: ``fun + mu * barrier``.
+        Cost with the barrier at the best point: ``fun + mu * barrier``.
     nfev : int
         Calls of the objective in the stage.
     """
@@ -161,7 +165,7 @@ class BarrierStage(NamedTuple):
 class OptimizeResult:
     """The result of a minimisation.
 
-    Fields are attributes and dictionary entries (``res.x``, ``res["x"]``). Unpacked or indexed by number it is the
+    Fields are attributes and dictionary entries (``res.x``, ``res["x"]``). Unpacking and integer indices use the
     five-tuple ``(x_opt, f_opt, nbr_iters, nbr_fevals, solve_time)`` of the paper's tool: ``res[0]`` is ``res.x``.
 
     Attributes
@@ -169,41 +173,42 @@ class OptimizeResult:
     x : ndarray, shape (n,)
         The best point, in the user's units and order.
     fun : float
-        The cost there.
+        Cost at the best point.
     nit : int
-        Complete iterations.
+        Number of complete iterations.
     nfev : int
-        Evaluations of the path of the method: those of a run with one worker. What budgets count.
+        Number of evaluations of the path of the method, equal to a run with one worker. Budgets count these.
     nfail : int
-        Calls that failed (an exception where tolerated, NaN, infinities).
+        Number of calls that failed (a tolerated exception, NaN or infinity).
     n_lost : int
-        Answers that the executor lost, because a machine or a connection was gone. Their points were evaluated again and
-        count once; a run ends with status 6 if the same point is lost three times.
+        Number of results that the executor lost because a machine or a connection failed. Their points were evaluated
+        again and count once. A run ends with status 6 if a point is lost three times.
     n_speculative : int
-        Further calls of the objective: made ahead of need, and not needed. May depend on the number of workers and on how
-        long calls take.
+        Number of further calls of the objective, made ahead of need and not needed. It may depend on the number of
+        workers and on the duration of calls.
     n_cached : int
-        Answers that count as no call, because the point was known already. Where only that it lies above a lower cutoff was
-        known, it is called all the same, outside of budget and trace.
+        Number of results that needed no call because the point was known. If only a lower cutoff was known to be
+        exceeded, the objective is called again, outside of budget and trace.
     n_batches : int
-        Batches of calls that could run at once.
+        Number of batches of calls that could run at once.
     solve_time : float
-        Wall-clock time, in s.
+        Wall-clock time in s.
     success : bool
-        Whether the tolerance tests passed, or the target was reached, or all parameters are fixed. A search from several starts
-        ("multistart", ``search="global"``) that a limit ended is no success: it may have missed the best minimum.
+        True if the tolerance tests passed, the target was reached, or all parameters are fixed. A search from several
+        starts ("multistart", ``search="global"``) that a limit ended is not a success, because it may have missed the
+        best minimum.
     status : int
-        0 converged, 10 target reached, 30 all parameters fixed; 1 evaluations, 2 iterations, 3 time used up; 4 stopped by
-        a callback, 5 interrupted, 6 ended by an exception, 7 the checkpoint could not be written; 11 the simplex or
-        population has no extent left, 12 only one vertex has a cost, 13 every point failed, 14 nothing new for long, 15 the
-        cost did not change, 16 it fell without bound, 17 too many calls failed, 18 points around the best one fail, 19 the
-        fit has found that one more step of least squares lowers the cost.
+        0 converged, 10 target reached, 30 all parameters fixed; 1 limit of evaluations, 2 limit of iterations, 3
+        limit of time; 4 stopped by a callback, 5 interrupted, 6 ended by an exception, 7 the checkpoint could not be
+        written; 11 the simplex or population collapsed, 12 only one vertex has a cost, 13 every point failed, 14
+        stalled, 15 the cost did not change, 16 the cost is unbounded below, 17 too many calls failed, 18 points
+        around the best one fail, 19 one more step of least squares after the fit lowers the cost.
     termination : str
-        The same in a word.
+        The status as a word.
     message : str
-        The same in a sentence, with the test that fired and its values.
+        The status as a sentence, with the test that ended the run and its values.
     x_size, f_spread : float or None
-        Last values of the two tests: extent of the simplex or population, spread of its costs.
+        Last values of the two tests: extent of the simplex or population, and spread of its costs.
     final_simplex : tuple of ndarray or None
         Vertices (n + 1, n) and their costs (n + 1,), best first, for methods that have a simplex.
     final_population : tuple of ndarray or None
@@ -211,35 +216,38 @@ class OptimizeResult:
     schedule : tuple of BarrierStage
         The stages of a sequential barrier search.
     seed : int or None
-        The seed of the random numbers, given or drawn; None for methods that draw none.
+        Seed of the random numbers, given or drawn; None for methods without random numbers.
     failures : dict of str to int
-        The reasons of failed calls and how often each occurred.
+        Reasons of failed calls and their counts.
     trace : Trace or None
         Every evaluation.
     optima : tuple of Optimum
-        The distinct minima that local searches from several starts ended at, the lowest first ("multistart"). A run that was cut off may
-        have a result that is lower than all of them.
+        The distinct minima found by local searches from several starts, lowest first ("multistart"). The result of a
+        run that was cut off may be lower than all of them.
     method, batch : str
-        The method, and its plan of which points are evaluated ahead of need.
+        Name of the method, and its plan for evaluations ahead of need.
     method_reason : str or None
-        Why the method was chosen, where the choice was left open ("auto").
+        Reason for the chosen method if it was "auto".
     options : dict of str to str
-        The options of the method and the tolerances, by name, as text.
+        The options of the method and the tolerances by name, as strings.
     workers : int
-        Evaluations that could run at once.
+        Number of evaluations that could run at once.
     figures : tuple of matplotlib figures
-        What ``plot`` and ``plot_conv`` drew.
+        Figures of ``plot`` and ``plot_conv``.
     jac : ndarray, shape (m, n), or None
-        The derivatives of the residuals by the parameters (in the user's units, also where a parameter is searched by its
-        logarithm; zero for fixed ones), as the model of "least-squares" has them at the end; None for other methods.
+        Derivatives of the residuals with respect to the parameters from the final model of "least-squares"; None for
+        other methods. They are in the user's units, even if a parameter is searched by its logarithm, and zero for
+        fixed parameters.
     active_mask : ndarray of int, shape (n,), or None
-        With ``jac``: -1 where a parameter lies at its lower bound (fixed ones, too), 1 at its upper, else 0.
+        With ``jac``: -1 if a parameter is at its lower bound (also if it is fixed), 1 at its upper bound, otherwise
+        0.
     cov : ndarray, shape (n, n), or None
-        With ``jac``, the covariance of the parameters: ``s**2 * inv(J.T @ J)`` with ``s**2 = sum(r**2) / (m - n)`` over the
-        parameters that lie at no bound; zero for the others, infinite for those that the residuals do not determine: combinations
-        of parameters whose effect is less than curvature and rounding of the residuals make of it.
+        With ``jac``, the covariance of the parameters: ``s**2 * inv(J.T @ J)`` with ``s**2 = sum(r**2) / (m - n)``
+        over the parameters that are not at a bound. It is zero for parameters at a bound and infinite for parameters
+        that the residuals do not determine. The effect of such combinations of parameters is smaller than the
+        curvature and rounding of the residuals.
     cov_message : str
-        What is to be said of ``cov``, in words; empty if nothing is.
+        Remarks on ``cov``; empty if there are none.
     """
 
     x: FloatArray
@@ -281,7 +289,7 @@ class OptimizeResult:
 
     @classmethod
     def _of(cls, record: dict[str, Any]) -> OptimizeResult:
-        """That of a record of the native code's."""
+        """Creates the result from a record of the native code."""
         found = _progress.named(record, cls)
         if "schedule" in found:
             found["schedule"] = tuple(BarrierStage(*stage.values()) for stage in found["schedule"])
@@ -318,19 +326,19 @@ class OptimizeResult:
         return key in vars(self)
 
     def keys(self) -> KeysView[str]:
-        """Names of the fields."""
+        """Returns the names of the fields."""
         return vars(self).keys()
 
     def values(self) -> ValuesView[Any]:
-        """Values of the fields."""
+        """Returns the values of the fields."""
         return vars(self).values()
 
     def items(self) -> ItemsView[str, Any]:
-        """Pairs of name and value."""
+        """Returns pairs of name and value."""
         return vars(self).items()
 
     def get(self, key: str, default: Any = None) -> Any:
-        """The field of a name, or `default`."""
+        """Returns the field with this name, or `default`."""
         return vars(self).get(key, default)
 
     def __repr__(self) -> str:
@@ -352,24 +360,25 @@ class OptimizeResult:
 class LeastSquaresResult(OptimizeResult):
     """The result of `least_squares`: ``fun`` is the vector of residuals, and ``cost`` their sum of squares.
 
-    ``cost`` has no factor 1/2, which SciPy's has. With a loss other than "linear" it is the sum of
-    ``f_scale**2 * rho((r / f_scale)**2)``, and ``sum_of_squares`` the plain sum. All else is as in `OptimizeResult`; unpacked
-    or indexed by number it is ``(x, cost, nit, nfev, solve_time)``.
+    ``cost`` has no factor 1/2, unlike SciPy. With a loss other than "linear", it is the sum of
+    ``f_scale**2 * rho((r / f_scale)**2)``, and ``sum_of_squares`` is the plain sum. The other fields are as in
+    `OptimizeResult`. Unpacking and integer indices use ``(x, cost, nit, nfev, solve_time)``.
 
     Attributes
     ----------
     fun : ndarray, shape (m,)
-        The residuals at ``x``, whatever the loss. (Empty in the result of a run that was interrupted twice.)
+        Residuals at ``x``, without the loss. Empty if the run was interrupted twice.
     cost : float
-        What was minimised: the smallest of all evaluations.
+        The minimised function at ``x``: the smallest value of all evaluations.
     sum_of_squares : float
         The sum of the squares of ``fun``.
     jac : ndarray, shape (m, n), or None
-        The derivatives of ``fun`` by the parameters, whatever the loss, by a regression on the points around ``x``: good to a few
-        digits, not to the last. None where the run ended before there were enough points.
+        Derivatives of ``fun`` with respect to the parameters, without the loss, from a regression on the points
+        around ``x``. They are accurate to a few digits only. None if the run ended before there were enough points.
     cov : ndarray, shape (n, n), or None
-        As in `OptimizeResult`. With a loss it is that of the M-estimator, as fits of a `Calibration` use it: ``s**2`` is the mean
-        square of the scores over the square of their mean slope (Huber, Robust Statistics, 1981, section 7.6).
+        As in `OptimizeResult`. With a loss, the covariance of the M-estimator, as in fits of a `Calibration`:
+        ``s**2`` is the mean square of the scores divided by the square of their mean slope (Huber, Robust Statistics,
+        1981, section 7.6).
     """
 
     cost: float
