@@ -1,11 +1,12 @@
 """Fit the parameters of Functional Mock-up Units to measurements, without derivatives.
 
-`FMUModel` is a model to set, simulate and get values of; `example_fmu` has some to try.
-`Calibration` puts a model, measurements and `Parameter` objects together, and fits without the interpreter lock.
-`minimize` minimises any Python function, `least_squares` the sum of squares of one that returns residuals, and `Optimizer` lets you drive: ask for points, tell their costs;
-`scipy_method` makes the methods usable in ``scipy.optimize.minimize``. `fmin` has the signature of the tool of the
-paper; `pydfo.dfo` has it together with `quad_err` for scripts written for that tool. `pydfo.ode` integrates systems written
-in Python, `pydfo.fmi` drives an instance of an FMU by hand, and `pydfo.compat` has the names of FMPy and PyFMI.
+`FMUModel` opens a model to set, simulate and read values; `example_fmu` provides example models. `Calibration`
+combines a model, measurements and `Parameter` objects, and fits without the interpreter lock. `minimize` minimises
+any Python function, and `least_squares` minimises the sum of squares of residuals. `Optimizer` lets you control the
+run: ask for points and report their costs. `scipy_method` provides the methods for ``scipy.optimize.minimize``.
+`fmin` has the signature of the paper's tool; `pydfo.dfo` provides it together with `quad_err` for scripts written for
+that tool. `pydfo.ode` integrates systems written in Python, `pydfo.fmi` controls an instance of an FMU call by call,
+and `pydfo.compat` provides the names of FMPy and PyFMI.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ if TYPE_CHECKING:
     from ._optimize.scipy import scipy_method
 
 _know_interpreter()
-
+#: Modules and the names that `pydfo` exports from them. A module is imported when one of its names is first used.
 #: The modules, and what each has for `pydfo`: they are imported when something of them is used first.
 _HOMES = {
     "_calibration.calibration": "Calibration",

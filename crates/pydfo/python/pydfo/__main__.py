@@ -1,4 +1,4 @@
-"""The command line ``fmufit``, also as ``python -m pydfo``: ``fmufit --help`` says what it does."""
+"""The command line ``fmufit``, also ``python -m pydfo``; see ``fmufit --help``."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from . import _core
 
 
 def main() -> int:
-    """Runs the command of the arguments of this program; returns the exit code."""
-    # The command line watches for Ctrl-C itself: a fit ends with the best point.
+    """Runs the command given by the arguments of this program and returns the exit code."""
+    # The command line handles Ctrl-C itself: a fit ends with the best point.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
         return _core.command_line(["fmufit", *sys.argv[1:]])

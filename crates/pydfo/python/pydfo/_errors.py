@@ -1,8 +1,8 @@
 """The exceptions of pydfo.
 
-Bad arguments are ``ValueError``, ``TypeError`` or ``KeyError``, as everywhere in Python, and files that cannot be read
-are ``OSError``. What is special to models and fits derives from `PydfoError`. Where both apply, a class is both: an
-unknown variable is a `FmuError` and a ``KeyError``.
+Invalid arguments raise ``ValueError``, ``TypeError`` or ``KeyError``, as everywhere in Python. Files that cannot be
+read raise ``OSError``. Errors specific to models and fits derive from `PydfoError`. Some classes derive from both: an
+unknown variable raises a `FmuError` that is also a ``KeyError``.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ __all__ = [
 
 
 class PydfoError(Exception):
-    """Base of all errors that are special to pydfo."""
+    """Base class of all errors specific to pydfo."""
 
 
 class FmuError(PydfoError):
-    """An FMU cannot be read, built, loaded, or used as asked."""
+    """An FMU cannot be read, built, loaded or used as requested."""
 
 
 class UnknownVariableError(FmuError, KeyError):
-    """The model, or a result, has no variable of this name; the message offers the nearest names."""
+    """The model or a result has no variable with this name. The message suggests the nearest names."""
 
     def __str__(self) -> str:
         # KeyError would show the repr of the message.
@@ -51,24 +51,24 @@ class UnknownVariableError(FmuError, KeyError):
 
 
 class BadModelValueError(FmuError, ValueError):
-    """A value that a variable or a setting of the simulation cannot take."""
+    """A value is not allowed for a variable or a setting of the simulation."""
 
 
 class ModelTypeError(FmuError, TypeError):
-    """A value of the wrong type for a variable."""
+    """A value has the wrong type for a variable."""
 
 
 class SimulationError(PydfoError):
-    """A simulation that was started failed.
+    """A simulation failed after its start.
 
     Attributes
     ----------
     status : str or None
-        What the FMU returned ("error", "fatal", "discard"), if a call into it failed.
+        Status returned by the FMU ("error", "fatal", "discard") if a call into it failed.
     time : float or None
-        Simulated time that was reached, in s.
+        Simulated time reached, in s.
     log : list of str
-        The last lines that the FMU logged, oldest first.
+        The last lines logged by the FMU, oldest first.
     """
 
     status: str | None = None
@@ -85,21 +85,23 @@ class CalibrationError(PydfoError):
 
 
 class BadCalibrationError(CalibrationError, ValueError):
-    """Data, parameters or settings of a calibration that do not fit together."""
+    """Data, parameters or settings of a calibration do not match."""
 
     def __init__(self, *args: object) -> None:
-        # Names of columns and variables may hold line breaks and escapes.
+        # Names of columns and variables may contain line breaks and escapes.
         super().__init__(*(line(value) if isinstance(value, str) else value for value in args))
 
 
 class CalibrationWarning(UserWarning):
-    """A calibration can be evaluated, but perhaps it is not what was meant: a column that is not used has the name of an
-    input, the recording of an input does not cover the simulation, values set in an `FMUModel` do not count. In a
-    simulation: an input has no column in the recording of the inputs."""
+    """A calibration can be evaluated but may not be as intended.
+
+    For example, an unused column has the name of an input, the recording of an input does not cover the simulation,
+    or values set in an `FMUModel` are ignored. In a simulation, an input has no column in the recording of the
+    inputs."""
 
 
 class SimulationWarning(UserWarning):
-    """A simulation went to its end, and some of its results are NaN or infinite."""
+    """A simulation reached its end, and some of its results are NaN or infinite."""
 
 
 class NoResult(CalibrationError):
@@ -108,9 +110,9 @@ class NoResult(CalibrationError):
     Attributes
     ----------
     nfev : int
-        Evaluations made.
+        Number of evaluations.
     failures : dict of str to int
-        The reasons of the failed ones and how often each occurred, most frequent first.
+        Reasons of the failed evaluations and their counts, most frequent first.
     trace : Trace or None
         Every evaluation.
     """
@@ -125,21 +127,22 @@ class NoResult(CalibrationError):
 
 
 class AllStartsFailed(NoResult):
-    """The objective failed at every one of the starting points."""
+    """The objective failed at every starting point."""
 
 
 class CheckpointError(PydfoError, ValueError):
-    """A checkpoint that is damaged, or belongs to another run; the message names the difference. The file is untouched."""
+    """A checkpoint is damaged or belongs to another run. The message reports the difference. The file is
+    unchanged."""
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C ended a run; the best point seen, or the part of the solution that there is, is in hand.
+    """Ctrl-C ended a run; ``result`` contains the best point or the computed part of the solution.
 
     Attributes
     ----------
     result : OptimizeResult, OdeResult, Profile or None
-        The result up to the interrupt (of a fit: a `Fit`, of `pydfo.ode.solve`: an `OdeResult`, of
-        `Fit.profile`: a `Profile`); None if no point had a finite cost yet.
+        Result up to the interrupt: a `Fit` for a fit, an `OdeResult` for `pydfo.ode.solve`, a `Profile` for
+        `Fit.profile`. None if no point had a finite cost yet.
     """
 
     result: OptimizeResult | OdeResult | Profile | None = None

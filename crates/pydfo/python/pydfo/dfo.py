@@ -1,4 +1,4 @@
-"""What scripts written for the paper's tool import: ``from pydfo import dfo``."""
+"""Names for scripts written for the paper's tool: ``from pydfo import dfo``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The functions of FMI one by one: an instance of an FMU that is driven by hand, its steps and its linearisation."""
+"""The individual functions of FMI: an instance of an FMU controlled call by call, its steps and its linearisation."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Integrate systems written in Python with the stepper that simulates the models: ``pydfo.ode.solve``.
 
-Arguments and results have the shape of SciPy's ``solve_ivp``; what is new are events that change the state, mass matrices,
-and methods for stiff systems that do not slow down where the system is not stiff. `solve_dae` integrates
-``F(t, y, y') = 0``, `solve_second_order` ``x'' = f(t, x, x')``.
+Arguments and results follow SciPy's ``solve_ivp``. Additional features are events that change the state, mass
+matrices, and methods for stiff systems that do not slow down in non-stiff phases. `solve_dae` integrates
+``F(t, y, y') = 0``, and `solve_second_order` integrates ``x'' = f(t, x, x')``.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ _log = logging.getLogger("pydfo")
 
 
 class DenseOutput:
-    """The solution between the steps: a function of time, as accurate as the steps themselves.
+    """The solution between the steps as a function of time, as accurate as the steps.
 
     Attributes
     ----------
     ts : ndarray, shape (steps + 1,)
-        The ends of the steps, in the order of the integration.
+        Ends of the steps in the order of the integration.
     t_min, t_max : float
-        Where it begins and ends; it is not continued beyond.
+        First and last time; there is no extrapolation.
     """
 
     def __init__(self, spans: FloatArray, values: FloatArray) -> None:
@@ -52,9 +52,9 @@ class DenseOutput:
         self._weights[[0, -1]] *= 0.5
 
     def __call__(self, t: npt.ArrayLike) -> FloatArray:
-        """The states at the times `t`: shape (n,) for a number, (n, len(t)) for an array.
+        """Returns the states at the times `t`: shape (n,) for a number, (n, len(t)) for an array.
 
-        At the time of an event these are the values after it.
+        At the time of an event, returns the values after the event.
         """
         times = np.asarray(t, dtype=np.float64)
         if times.ndim > 1:
@@ -84,29 +84,31 @@ class OdeResult:
     Attributes
     ----------
     t : ndarray, shape (m,)
-        The times that were asked for, or the ends of the steps. Where an event changed the state, the end of a step is
-        listed twice: before and after.
+        The requested times, or the ends of the steps. If an event changed the state, the end of the step is listed
+        twice: before and after the event.
     y : ndarray, shape (n, m)
-        The states there.
+        States at these times.
     sol : DenseOutput or None
         The solution as a function of time, if ``dense_output=True``.
     t_events, y_events : list of ndarray, shapes (k,) and (k, n), or None
-        Per event function: when it occurred, and the states before `on_event` changed them. None without events.
+        Per event function, the times of the events and the states before `on_event` changed them. None without
+        events.
     nfev, njev, nlu : int
-        Right-hand sides (those for differences of a Jacobian included), Jacobians, decompositions of matrices.
+        Number of right-hand sides (including those for difference quotients of a Jacobian), Jacobians and matrix
+        decompositions.
     status : int
-        0: the final time was reached, 1: a terminal event occurred, -1: the integration failed.
+        0: the final time was reached; 1: a terminal event occurred; -1: the integration failed.
     message : str
-        How it ended, with numbers.
+        How the integration ended, with numbers.
     success : bool
-        Whether `status` is not negative.
+        True if `status` is not negative.
     end_time : float
-        The time that was reached.
+        Last time reached.
     stats : SimulationStats
-        What it cost, in more detail.
+        Computational cost in more detail.
     seconds, seconds_in_model : float
-        Wall-clock time of the integration, and the part of it that was spent in the functions given (an estimate, see
-        `SimulationStats`), in s.
+        Wall-clock time of the integration in s, and the part of it spent in the given functions (an estimate, see
+        `SimulationStats`).
     """
 
     def __init__(
@@ -128,7 +130,7 @@ class OdeResult:
         self.sol = None
         if spans is not None and values is not None:
             if not len(spans) and len(t):
-                # Without a step there is the start: a step of length zero.
+                # Without a step, store the start as a step of length zero.
                 spans, values = np.full((1, 2), t[0]), np.stack([states[:1], states[:1]], axis=1)
             self.sol = DenseOutput(spans, values) if len(spans) else None
         self.t_events = t_events if t_events else None
@@ -180,103 +182,110 @@ def solve(
     Parameters
     ----------
     rhs : callable
-        ``rhs(t, y) -> array_like, shape (n,)``. The arrays it is given are its to keep. Where it returns NaN or infinity
-        (the logarithm of a negative number, say) a smaller step is tried. A pulse in it that is shorter than the steps can
-        be missed: give two event functions, one that crosses zero where it begins and one where it ends (a single one
-        that does both is missed like the pulse), or `max_step`.
+        ``rhs(t, y) -> array_like, shape (n,)``. The function may keep its arrays. If it returns NaN or infinity, for
+        example the logarithm of a negative number, a smaller step is tried. A pulse in `rhs` that is shorter than the
+        steps can be missed. To avoid this, pass `max_step` or two event functions, one that crosses zero at the start
+        of the pulse and one at its end. A single function for both is missed like the pulse.
     t_span : (float, float)
-        Start and end. Where the end lies before the start the integration leads backward.
+        Start and end. If the end is before the start, the integration runs backward.
     x0 : array_like, shape (n,)
         States at the start.
     method : str
-        "auto" (Tsit5, below rtol 1e-7 DOP853; where an implicit method advances more per right-hand side Radau5, or BDF for
-        nonlinear systems of 16 states and more), "tsit5", "dop853" (for tight tolerances), "radau5" (stiff), "bdf" (stiff,
-        expensive right-hand side, few events); with a fixed `step`, "rk4" and "euler". SciPy's names "RK45", "Radau" and
-        "LSODA" stand for "tsit5", "radau5" and "auto". "radau5" and "bdf" take dense matrices of n x n entries unless
-        `jac_sparsity` tells otherwise; a MemoryError says so before they are too large.
+        "auto" (Tsit5, below rtol 1e-7 DOP853; switches to Radau5 if an implicit method advances more per right-hand
+        side, or to BDF for nonlinear systems with at least 16 states), "tsit5", "dop853" (for tight tolerances),
+        "radau5" (stiff), "bdf" (stiff, expensive right-hand side, few events); with a fixed `step`, "rk4" and
+        "euler". SciPy's names "RK45", "Radau" and "LSODA" map to "tsit5", "radau5" and "auto". "radau5" and "bdf" use
+        dense matrices of n x n entries without `jac_sparsity`. If they are too large, a MemoryError is raised before
+        they are allocated.
     t_eval : array_like, shape (m,), optional
-        When to store the solution: in the order of the integration, within the span. A time at which `on_event` changes the state holds the
-        value after it; listed twice, the values before and after. By default the ends of the steps are stored.
+        Times at which to store the solution, in the order of the integration and within the span. At a time at which
+        `on_event` changes the state, the value after the change is stored. A time listed twice gives the values
+        before and after. By default, the ends of the steps are stored.
     dense_output : bool
-        Keep the solution as a function of time, too (`OdeResult.sol`).
+        If True, also keep the solution as a function of time (`OdeResult.sol`).
     events : callable, or list of callables, optional
-        ``event(t, y) -> float``: an event occurs where it becomes positive or stops being positive. Its attributes are
-        those of SciPy: ``terminal`` (True, or after how many occurrences the run ends) and ``direction`` (positive: only
-        upward, negative: only downward crossings are events, as seen along the integration, also where that leads backward;
-        the others do not even end a step). A function that
-        is left at zero by a change of the states in `on_event`, on its way back to the sign it had, has no event when it
-        gets there: a ball bounces without a ``direction``, too.
+        ``event(t, y) -> float``: an event occurs when the value becomes positive or stops being positive. The
+        attributes are those of SciPy. ``terminal`` is True, or the number of occurrences after which the run ends.
+        ``direction`` selects upward (positive) or downward (negative) crossings in the direction of the integration,
+        also if it runs backward. Other crossings do not end a step. If a change of the states in `on_event` leaves a
+        function at zero, its return to its previous sign is not an event. A bouncing ball therefore needs no
+        ``direction``.
     on_event : callable, optional
-        ``on_event(t, y, which) -> array_like, shape (n,), or None``: called at each event with the list `which` of the
-        positions of the functions that have crossed; returns the states to go on with, or None: then those in `y` are taken,
-        which may be changed in place (SciPy has no such function; Julia's callbacks work like this).
+        ``on_event(t, y, which) -> array_like, shape (n,), or None`` is called at each event. `which` lists the
+        indices of the functions that have crossed zero. The integration continues with the returned states. If it
+        returns None, it continues with `y`, which may be changed in place. SciPy has no such function; Julia's
+        callbacks work like this.
     args : tuple
-        Further arguments for all of these functions.
+        Further arguments of all of these functions.
     rtol : float
         Relative tolerance.
     atol : float or array_like, shape (n,), optional
-        Absolute tolerance, in the units of the states; by default ``0.01 * rtol``. Either tolerance may be zero. A state
-        that becomes zero where it has no absolute tolerance ends the integration, which says so.
+        Absolute tolerance in the units of the states; default: ``0.01 * rtol``. Either tolerance may be zero. If a
+        state without absolute tolerance becomes zero, the integration ends with a message.
     jac : callable or array_like, shape (n, n), optional
-        ``jac(t, y)``, or the constant Jacobian: ``jac[i, k]`` is the derivative of ``rhs[i]`` with respect to ``y[k]``.
-        By default differences. A constant sparse matrix stays sparse, and so do those that a function returns where
-        `jac_sparsity` is given; without it they are made dense. Entries where `jac_sparsity` has none are an error.
+        ``jac(t, y)``, or the constant Jacobian: ``jac[i, k]`` is the derivative of ``rhs[i]`` with respect to
+        ``y[k]``. By default, difference quotients are used. A constant sparse matrix stays sparse. Sparse matrices
+        returned by a function stay sparse if `jac_sparsity` is given, otherwise they are converted to dense ones.
+        Entries outside `jac_sparsity` are an error.
     jac_sparsity : array_like or sparse matrix, shape (n, n), optional
-        Not zero where the Jacobian may differ from zero: columns that share no row then come from one difference.
+        Nonzero entries mark possible nonzero entries of the Jacobian. Columns that share no row are computed from one
+        difference.
     mass : array_like, shape (n, n), optional
-        The constant matrix on the left. It may be singular (a differential-algebraic system of index 1). Then the
-        equations in which no derivative stands must hold at the start and after each event. Where they do not, within
-        the tolerances, the states that they decide are corrected by Newton's method, with ``mass @ y`` as it was: give
-        the others exactly, and for these a guess. If that finds none the integration fails and names the equation. For
-        "radau5", "bdf" and "auto".
+        Constant matrix on the left-hand side. It may be singular (a differential-algebraic system of index 1).
+        Equations without a derivative must then hold at the start and after each event. If they do not hold within
+        the tolerances, Newton's method corrects the states that they determine and keeps ``mass @ y``. Pass exact
+        values of the other states, and guesses of these states. If Newton's method fails, the integration fails and
+        the message names the equation. For "radau5", "bdf" and "auto".
     first_step, max_step : float, optional
-        First and largest step. By default the first step is estimated, and the largest is the span.
+        First and largest step. By default, the first step is estimated, and the largest step is the span.
     step : float, optional
-        Step of "rk4" and "euler"; by default a 500th of the span.
+        Step of "rk4" and "euler"; default: a 500th of the span.
     interior_samples : int, optional
-        At how many points inside each step the events are looked at besides its end, each compared with the one before,
-        so that a crossing and its return do not hide in one step. By default one ("dop853", "radau5": three), and up to 32
-        more where three neighbouring values bend by more than they stay away from zero. An event function
-        next to zero after its event that `on_event` has turned back, or stopped, is always followed: its next crossing is
-        found, or the run fails and says so. A function that changes its sign twice within one step and shows nothing of it at these points (a
-        narrow pulse in it, a function of values like -1 and 1) is not seen: use two functions, `max_step`, or more points
-        (SciPy, MATLAB and SUNDIALS look at the ends of steps alone, Julia's OrdinaryDiffEq at ten points in each).
+        Number of points inside each step at which the events are evaluated in addition to its end. Each value is
+        compared with the previous one, so that a crossing and its return within one step are detected. The default is
+        one ("dop853", "radau5": three). Up to 32 points are added if the curvature of three neighbouring values
+        exceeds their distance from zero. An event function near zero after an event that `on_event` has turned back
+        or stopped is always followed. Its next crossing is found, or the run fails with a message. Two sign changes
+        within one step are missed if they do not show at these points, for example in a narrow pulse or a function
+        with values such as -1 and 1. To detect them, use two functions, `max_step`, or more points. SciPy, MATLAB and
+        SUNDIALS evaluate events at the ends of steps only; Julia's OrdinaryDiffEq uses ten points in each step.
     chattering : {"error", "warn", "slide"}
-        What to do where events follow each other while time hardly advances (a hundred within 1e-6 of the span, or within
-        1e-3 where the span is longer than 1000): fail; go on and log a warning (an error still where time stands still);
-        or go on in steps of 1e-5 of the span at whose ends the events happen, which slides along a border that the
-        solution cannot leave. Bodies that bounce less and less are held where their event function is zero then, on the side
-        they came from, by what `on_event` has changed, made as strong as it takes: other states are never moved. With "slide"
-        a hundred bounces within 1e-4 of the span are too many.
+        Action if events follow each other while time hardly advances: a hundred within 1e-6 of the span, or within
+        1e-3 if the span is longer than 1000. "error": the integration fails. "warn": it continues and logs a warning,
+        but fails if time does not advance at all. "slide": it continues in steps of 1e-5 of the span with the events
+        at their ends. The solution then slides along a boundary that it cannot leave. Bodies with decaying bounces
+        are held where their event function is zero, on the side from which they came. They are held through the
+        states changed by `on_event`, with the change made as strong as necessary; other states are never moved. With
+        "slide", a hundred bounces within 1e-4 of the span are the limit.
     max_steps, max_events : int, optional
-        Limits.
+        Maximum number of steps and events.
     max_time : float, optional
-        Limit of wall-clock time in s, looked at between calls of the functions (also called `timeout`).
+        Limit on the wall-clock time in s, checked between calls of the functions. Also called `timeout`.
 
     Returns
     -------
     OdeResult
-        With fields ``t``, ``y``, ``t_events``, ``y_events``, ``sol``, ``status``, ``message``, ``success``, ``nfev``,
-        ``njev``, ``nlu`` and ``stats``. An integration that fails (steps too small, a limit) has ``success=False``, says
-        why in ``message``, and holds what was reached.
+        Fields ``t``, ``y``, ``t_events``, ``y_events``, ``sol``, ``status``, ``message``, ``success``, ``nfev``,
+        ``njev``, ``nlu`` and ``stats``. If the integration fails (steps too small, a limit), ``success`` is False,
+        ``message`` states the reason, and the result contains the part that was computed.
 
     Warns
     -----
     UserWarning
-        An argument has no effect with this method (`step` where it chooses its steps itself, `jac` where it is explicit).
+        An argument has no effect with this method (`step` with an adaptive method, `jac` with an explicit method).
 
     Raises
     ------
     ValueError, TypeError
-        Arguments that cannot be used; a function that returns something of the wrong shape or type.
+        Invalid arguments, or a function that returns a wrong shape or type.
     Interrupted
-        Ctrl-C: a KeyboardInterrupt with what was reached in ``result``.
+        Ctrl-C was pressed. This KeyboardInterrupt contains the part that was computed in ``result``.
     Exception
-        Whatever a function raises comes out as it is, with what was reached in ``partial_result``.
+        Exceptions of a function propagate unchanged, with the part that was computed in ``partial_result``.
 
     Examples
     --------
-    A ball that loses a fifth of its speed at each bounce, until the third:
+    A ball that loses a fifth of its speed at each bounce, until the third bounce:
 
     >>> from pydfo import ode
     >>> def height(t, y):
@@ -342,49 +351,50 @@ def solve_dae(
 ) -> OdeResult:
     """Integrate ``residual(t, y, y') = 0``, a differential-algebraic system of index 0 or 1, by BDF of order 1 to 5.
 
-    Where the equations are ``mass @ y' = rhs(t, y)`` with a constant matrix, `solve` with its argument `mass` takes them as
-    they are.
+    For equations ``mass @ y' = rhs(t, y)`` with a constant matrix, use `solve` with its argument `mass`.
 
     Parameters
     ----------
     residual : callable
-        ``residual(t, y, dy) -> array_like, shape (n,)``: what is to be zero. Where it returns NaN or infinity a smaller step is
-        tried.
+        ``residual(t, y, dy) -> array_like, shape (n,)``, which the solution makes zero. If it returns NaN or
+        infinity, a smaller step is tried.
     t_span : (float, float)
-        Start and end. Where the end lies before the start the integration leads backward.
+        Start and end. If the end is before the start, the integration runs backward.
     x0, dx0 : array_like, shape (n,)
-        States and their derivatives at the start; `dx0` is zero by default. Of `x0` counts what has a derivative in the
-        equations (the part that ``dF/dy'`` acts on). The rest, the algebraic variables, and `dx0` are guesses: Newton's
-        method changes them until the equations hold, which need no mark of the algebraic variables. A guess at which
-        ``dF/dy'`` is singular while it is not near it (``dy**3 - y`` with ``dx0 = 0``) is an error that says so.
+        States and their derivatives at the start; `dx0` is zero by default. The part of `x0` with derivatives in the
+        equations (the part on which ``dF/dy'`` acts) is kept. The remaining part, the algebraic variables, and `dx0`
+        are guesses. Newton's method changes them until the equations hold. The algebraic variables need not be
+        marked. A guess at which ``dF/dy'`` is singular, but not in its neighbourhood (``dy**3 - y`` with
+        ``dx0 = 0``), raises an error with an explanation.
     t_eval, dense_output, events, on_event, args, rtol, atol, first_step, max_step, interior_samples, chattering
-        As for `solve`. Events are functions of time and states. After a change of the states the algebraic
-        variables are made consistent again.
+        As in `solve`. Events are functions of time and states. After a change of the states, the algebraic variables
+        are made consistent again.
     jac : callable, or a pair of array_like, optional
-        ``jac(t, y, dy) -> (dF/dy, dF/dy')``, both of shape (n, n), or these two where they are constant. By default differences:
-        the two are kept apart, so that a change of the step takes no residual, and ``dF/dy'`` is only evaluated again where
-        one residual shows that it has changed.
+        ``jac(t, y, dy) -> (dF/dy, dF/dy')``, both of shape (n, n), or the two matrices if they are constant. By
+        default, difference quotients are used. The two matrices are stored separately, so a change of the step needs
+        no residual. ``dF/dy'`` is evaluated again only if one residual shows that it has changed.
     jac_sparsity : array_like or sparse matrix, shape (n, n), optional
-        Not zero where one of the Jacobians may differ from zero: columns that share no row then come from one difference.
-        Where it makes the matrices sparse (100 states and more, at most 5 % of the places) and there are more than 500
-        states, the index is not named, and values at the start are only corrected where each variable either has a
-        derivative in the equations or not; equations without a derivative that do not hold are an error.
+        Nonzero entries mark possible nonzero entries of the Jacobians. Columns that share no row are computed from
+        one difference. The matrices are sparse for at least 100 states with at most 5 % nonzero entries. If they are
+        sparse and there are more than 500 states, the message does not report the index. Values at the start are then
+        corrected only if each variable clearly has or lacks a derivative in the equations. Equations without a
+        derivative that do not hold are an error.
     exclude_algebraic : bool
-        Leave variables without a derivative in the equations out of the error test. By default they are in it: with index 1
-        their errors are of the size of the others', and nothing else would limit them.
+        If True, exclude variables without a derivative in the equations from the error test. By default they are
+        included. With index 1, their errors are as large as the other errors, and nothing else limits them.
     max_steps, max_events, max_time
-        Limits, as for `solve`.
+        Limits, as in `solve`.
 
     Returns
     -------
     OdeResult
-        As from `solve`; ``nfev`` counts residuals, those for differences included. A system of index 2 or higher has
-        ``success=False`` and a message that names the variables which its equations do not determine (for more than 500
-        states with sparse matrices see `jac_sparsity`).
+        As in `solve`; ``nfev`` counts residuals, including those for difference quotients. For a system of index 2 or
+        higher, ``success`` is False, and the message names the variables that its equations do not determine. For
+        more than 500 states with sparse matrices, see `jac_sparsity`.
 
     Examples
     --------
-    Robertson's reaction with the conservation of mass, from a wrong guess of the last concentration:
+    Robertson's reaction with conservation of mass, from a wrong guess of the last concentration:
 
     >>> from pydfo import ode
     >>> def residual(t, y, dy):
@@ -447,12 +457,12 @@ def solve_second_order(
     x0, v0 : array_like, shape (n,)
         Positions and velocities at the start.
     *args, **options
-        The further arguments of `solve`, from `method` on; for all of them the states are ``y = [x, v]``, of shape (2 n,).
+        Further arguments of `solve`, from `method` on. Their states are ``y = [x, v]``, of shape (2 n,).
 
     Returns
     -------
     OdeResult
-        As from `solve`: ``y[:n]`` are the positions, ``y[n:]`` the velocities.
+        As in `solve`; ``y[:n]`` are the positions, ``y[n:]`` the velocities.
 
     Examples
     --------
@@ -487,8 +497,10 @@ def _run(
     args: Sequence[Any],
     **asked: Any,
 ) -> OdeResult:
-    """Checks the arguments, which have the names that they have in `solve`, and integrates; `equations` is the function with its
-    name. With slopes at the start it returns the residual."""
+    """Checks the arguments, named as in `solve`, and integrates.
+
+    `equations` is the name and the function of the equations. With slopes at the start, the function returns the residual.
+    """
     on_event, jac, sparsity = asked["on_event"], asked["jac"], asked["jac_sparsity"]
     for name, function in (equations, ("on_event", on_event)):
         if not callable(function) and (name != "on_event" or function is not None):
@@ -558,12 +570,12 @@ def _listed(events: Any) -> list[Callable[..., Any]]:
 
 
 def _marks(i: int, function: Callable[..., Any]) -> tuple[float, int]:
-    """Direction and terminal count (0: never) of an event function."""
+    """Returns direction and terminal count (0: never) of an event function."""
     direction = _values.number(f"direction of event {i}", getattr(function, "direction", None) or 0.0)
     if np.isnan(direction):
         raise ValueError(f"direction of event {i} is NaN")
     terminal = getattr(function, "terminal", None)
-    # Whatever SciPy takes: True, NumPy's True, a count as int or float.
+    # Values accepted by SciPy: True, NumPy's True, a count as int or float.
     return float(np.sign(direction)), _values.limit(f"terminal of event {i}", terminal, 0) or 0
 
 
@@ -580,7 +592,7 @@ def _count(name: str, value: SupportsIndex | None) -> int | None:
 
 
 def _tolerances(atol: npt.ArrayLike | None, rtol: float, n: int) -> list[float]:
-    """One absolute tolerance, or one per state."""
+    """Returns one absolute tolerance, or one per state."""
     if atol is None:
         if rtol == 0.0:
             raise ValueError("rtol = 0 needs a positive atol")
@@ -592,8 +604,8 @@ def _tolerances(atol: npt.ArrayLike | None, rtol: float, n: int) -> list[float]:
 
 
 def _pattern(sparsity: Any, n: int) -> list[tuple[int, int]]:
-    """The places of a matrix that are not zero."""
-    # A sparse matrix has these two as well, and is not made dense.
+    """Returns the indices of the nonzero entries of a matrix."""
+    # A sparse matrix also has `shape` and `nonzero`, and stays sparse.
     matrix = sparsity if hasattr(sparsity, "tocoo") else np.asarray(sparsity)
     if matrix.shape != (n, n):
         raise ValueError(f"jac_sparsity must have the shape ({n}, {n}), not {matrix.shape}")

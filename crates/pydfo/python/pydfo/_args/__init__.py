@@ -1,1 +1,1 @@
-"""Arguments: numbers, keywords of other tools."""
+"""Arguments: checks, conversions and keywords of other tools."""

@@ -1,4 +1,4 @@
-"""Bounds as SciPy, NumPy and people write them."""
+"""Bounds in the forms of SciPy and NumPy."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def pairs_of_bounds(bounds: Any, n: int | None) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper bounds from what SciPy takes: a sequence of pairs (None: no bound), or an object with ``lb`` and
-    ``ub``. Without a start point their number is that of the parameters."""
+    """Returns lower and upper bounds from SciPy's forms: a sequence of pairs (None: no bound), or an object with
+    ``lb`` and ``ub``.
+
+    Without a start point, the number of bounds is the number of parameters."""
     if bounds is None:
         if n is None:
             raise ValueError("x0 is needed: the point to start from (methods that sample a box need at least bounds)")
@@ -24,7 +26,7 @@ def pairs_of_bounds(bounds: Any, n: int | None) -> tuple[FloatArray, FloatArray]
     if hasattr(bounds, "lb") and hasattr(bounds, "ub"):
         if n is None:
             n = np.broadcast(np.asarray(bounds.lb), np.asarray(bounds.ub)).size
-        # SciPy makes arrays of length one of scalars, which hold for all parameters.
+        # SciPy converts scalars, which apply to all parameters, to arrays of length one.
         lower, upper = (side[0] if np.shape(side) == (1,) else side for side in (bounds.lb, bounds.ub))
         return bound("bounds.lb", lower, n, -np.inf), bound("bounds.ub", upper, n, np.inf)
     if isinstance(bounds, str):
@@ -45,16 +47,18 @@ def pairs_of_bounds(bounds: Any, n: int | None) -> tuple[FloatArray, FloatArray]
 
 
 def bounds_of_least_squares(bounds: Any, x0: FloatArray) -> Any:
-    """Bounds for `pairs_of_bounds` from what SciPy's ``least_squares`` takes: also two arrays, or numbers that hold for all
-    parameters, lower and upper bounds. Where a tuple of two pairs could be either for two parameters, that is meant in which
-    x0 lies; ValueError if it lies in both, and they differ."""
+    """Converts bounds in the forms of SciPy's ``least_squares`` for `pairs_of_bounds`.
+
+    These forms include lower and upper bounds as two arrays, or as two numbers that apply to all parameters. For two
+    parameters, a tuple of two pairs is ambiguous. The interpretation that contains x0 is used. Raises ValueError if
+    both contain x0 and differ."""
     if hasattr(bounds, "lb") or isinstance(bounds, str):
         return bounds
     try:
         first, second = bounds
         sides = [np.broadcast_to(np.asarray(side, dtype=np.float64), x0.shape) for side in (first, second)]
     except (TypeError, ValueError):
-        # Not two, or with None among them, or not of the length of x0.
+        # Not two items, a None among them, or not the length of x0.
         return bounds
     as_sides = [[lower, upper] for lower, upper in zip(*(side.tolist() for side in sides))]
     if np.shape(first) == np.shape(second) == (2,) and len(x0) == 2:
@@ -73,7 +77,7 @@ def bounds_of_least_squares(bounds: Any, x0: FloatArray) -> Any:
 
 
 def bound(name: str, value: npt.ArrayLike | Sequence[float | None] | None, n: int, default: float) -> FloatArray:
-    """A bound per parameter; None, for all or for one of them, stands for `default`; a number holds for all."""
+    """Returns a bound per parameter. `default` replaces None, for all or for one of them. A number applies to all."""
     if value is None:
         return np.full(n, default)
     given: Any = [default if v is None else v for v in value] if isinstance(value, (list, tuple)) else value

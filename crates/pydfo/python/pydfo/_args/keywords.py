@@ -1,4 +1,4 @@
-"""Keywords: messages for unknown ones, words of other tools, arguments that were positional."""
+"""Keywords: messages for unknown ones, names of other tools, formerly positional arguments."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ R = TypeVar("R")
 
 _signature = functools.cache(inspect.signature)
 
-#: Words of SciPy, PyFMI, FMPy and their likes, and what stands for them here: arguments or options, of those there are.
+#: Names of SciPy, PyFMI, FMPy and similar tools, and the corresponding arguments or options here, if they exist.
 _FOREIGN: Final[Mapping[str, tuple[str, ...]]] = {
     **dict.fromkeys(("maxiter", "maxit", "max_iter", "niter"), ("max_iterations", "max_iters")),
     **dict.fromkeys(("max_iterations", "max_iters"), ("max_iterations", "max_iters")),
@@ -56,7 +56,7 @@ _FOREIGN: Final[Mapping[str, tuple[str, ...]]] = {
     "measurements": ("data",),
 }
 
-#: What none of the functions here has, and what to do instead.
+#: Names without a counterpart here, and the alternative.
 _ABSENT: Final[Mapping[str, str]] = {
     **dict.fromkeys(("gtol", "tr_solver", "tr_options"), "the tests are x_tol and f_tol: leave it out"),
     "mutation": "method 'de' adapts it; 'de-classic' has the option weight",
@@ -72,7 +72,7 @@ _ABSENT: Final[Mapping[str, str]] = {
 
 
 def _hint(name: str, arguments: Collection[str], among_options: bool = False) -> str:
-    """What is meant, perhaps, of the arguments of a function and, where it has that argument, its ``options``."""
+    """Suggests the intended argument of a function or, if it has that argument, the intended entry of ``options``."""
     options = _core.option_names() if "options" in arguments else set()
     for ours in (name, *_FOREIGN.get(name, ())):
         parts = ours.split(" and ")
@@ -95,18 +95,18 @@ def _hint(name: str, arguments: Collection[str], among_options: bool = False) ->
 
 
 def argument_names(function: Callable[..., Any]) -> list[str]:
-    """Names of the arguments of a function or method."""
+    """Returns the names of the arguments of a function or method."""
     return [name for name in _signature(function).parameters if name != "self"]
 
 
 def explained(function: Callable[P, R]) -> Callable[P, R]:
-    """A function whose TypeError for an unknown keyword names the one that is meant."""
+    """Wraps a function so that its TypeError for an unknown keyword suggests the intended one."""
     return also_called()(function)
 
 
 def also_called(**others: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """As `explained`, for a function that takes some keywords by the words of other tools, too: those words, and what they
-    stand for."""
+    """Like `explained`, for a function that also accepts some keywords of other tools. Maps these keywords to its
+    arguments."""
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         names = list(_signature(function).parameters)
@@ -137,7 +137,7 @@ def also_called(**others: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 def positional_until(count: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """A function that still takes its keyword-only arguments by position, after `count` positional ones, but warns."""
+    """Lets a function accept its keyword-only arguments by position after `count` positional ones, with a warning."""
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         names = list(_signature(function).parameters)
@@ -159,10 +159,11 @@ def positional_until(count: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 def check_options(options: Collection[str], function: Callable[..., Any]) -> None:
-    """Refuses options that are arguments of `function`, and such as other tools have, saying what they are called here."""
+    """Rejects options that are arguments of `function`, and options of other tools, and suggests the names used
+    here."""
     arguments, known = argument_names(function), _core.option_names()
     for name in options:
-        # "rng" is the word for a seed in files.
+        # Files use "rng" as the name of a seed.
         if name in known and name != "rng":
             continue
         if name in arguments:
@@ -172,8 +173,9 @@ def check_options(options: Collection[str], function: Callable[..., Any]) -> Non
 
 
 def given_once(options: Mapping[str, Any], function: Callable[..., Any], **arguments: Any) -> dict[str, Any]:
-    """Options, and with them the arguments of `function` that are options of methods; None and "auto" leave those to the
-    method. ValueError where one is given as both."""
+    """Returns the options together with the arguments of `function` that are options of methods.
+
+    None and "auto" leave the choice to the method. Raises ValueError if a value is given as both."""
     for name, value in arguments.items():
         default = _signature(function).parameters[name].default
         is_default = value is default or (isinstance(value, (int, float, str)) and value == default)

@@ -1,4 +1,4 @@
-"""Libraries that are not always there."""
+"""Optional libraries."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def library(name: str, user: str) -> Any:
-    """A module that `user` needs and that need not be there."""
+    """Imports an optional module that `user` needs."""
     try:
         return importlib.import_module(name)
     except ImportError as e:
@@ -15,5 +15,5 @@ def library(name: str, user: str) -> Any:
 
 
 def pandas() -> Any:
-    """The module, where a table of it is asked for."""
+    """Imports pandas for a table."""
     return library("pandas", "to_dataframe()")

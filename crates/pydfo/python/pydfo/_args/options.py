@@ -1,4 +1,4 @@
-"""The options of a run, checked on the way to the native code."""
+"""The options of a run, checked before they are passed to the native code."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ FloatArray = npt.NDArray[np.float64]
 _log = logging.getLogger("pydfo")
 
 
-#: The methods that need no start: they sample a box, or begin in its middle.
+#: Methods that need no start: they sample a box, or start in its middle.
 SAMPLERS = tuple(name for name, needs_start in _core.method_names() if not needs_start)
 
 
-#: What a user asks for, by name: the native code knows the names, the defaults and what values may be.
+#: User's settings by name. The native code knows the names, the defaults and the valid values.
 Record = dict[str, Any]
 
 
@@ -42,8 +42,9 @@ def record(
     function: Callable[..., Any] | None = None,
     **arguments: Any,
 ) -> Record:
-    """What the user of the function `of` asks for of a run over `n` parameters: the options, with the arguments that name more.
-    `function`: what is minimised; None where no Python function is."""
+    """Returns the settings of a run over `n` parameters for the function `of`: the options with the other arguments.
+
+    `function` is the Python function to minimise, or None."""
     asked = dictionary(options)
     _keywords.check_options(asked, of)
     if asked.get("warm_start") is not None:
@@ -54,14 +55,16 @@ def record(
     asked.update(arguments, method=_values.choice("method", method), seed=seed(rng))
     if checkpoint is not None:
         asked["checkpoint"] = _values.path("checkpoint", checkpoint)
-        # A problem with a name is the user's word for what is minimised.
+        # A problem with a name identifies the objective on the user's responsibility.
         if function is not None and asked.get("problem") is None:
             asked["function"] = function_name(function)
     return asked
 
 
 def function_name(function: Callable[..., Any]) -> str:
-    """The module and the qualified name of a function: of a partial one those of its function, of another object those of its type."""
+    """Returns the module and the qualified name of a function.
+
+    For a partial, they are those of its function. For another object, they are those of its type."""
     while isinstance(function, functools.partial):
         function = function.func
     named: Any = function if hasattr(function, "__qualname__") else type(function)
@@ -69,7 +72,7 @@ def function_name(function: Callable[..., Any]) -> str:
 
 
 def tell_of_checkpoint(checkpoint: str | os.PathLike[str] | None, resume: str, options: Mapping[str, Any] | None) -> None:
-    """Logs that a run goes on from a file that nothing binds to what is minimised, for the costs are told by hand."""
+    """Logs that a run continues from a file that is not bound to an objective, because the user reports the costs."""
     if checkpoint is None or resume != "auto" or (options or {}).get("problem") is not None:
         return
     place = _values.path("checkpoint", checkpoint)
@@ -83,19 +86,19 @@ def tell_of_checkpoint(checkpoint: str | os.PathLike[str] | None, resume: str, o
 
 
 def dictionary(options: Mapping[str, Any] | None) -> dict[str, Any]:
-    """The argument ``options``, which must have strings for names."""
+    """Returns the argument ``options`` as a dict, whose names must be strings."""
     if options is not None and not isinstance(options, Mapping):
         raise TypeError(f"options must be a dict, not {show(options)}")
     return {_values.choice("the name of an option", name): value for name, value in (options or {}).items()}
 
 
 def method_name(method: str) -> str:
-    """The name of the method that is called so, or "auto"."""
+    """Returns the canonical name of a method, or "auto"."""
     return _core.method_name(_values.choice("method", method))
 
 
 def seed(rng: int | np.random.Generator | None) -> int | None:
-    """A seed from an integer, or drawn from a generator; None: the optimiser draws one."""
+    """Returns a seed from an integer, or drawn from a generator; None: the optimiser draws one."""
     if rng is None:
         return None
     if isinstance(rng, np.random.Generator):
@@ -110,8 +113,10 @@ def seed(rng: int | np.random.Generator | None) -> int | None:
 
 
 def warm_start(value: Any, n: int) -> tuple[list[tuple[list[float], float]], str | None]:
-    """Points and costs, and the problem that they belong to, from a trace, or from a result that has one, or from points,
-    costs and, if they are to be reused, the problem. Of a trace only the path counts, which does not depend on workers."""
+    """Returns points, costs and their problem from a trace, from a result with one, or from points and costs.
+
+    Points and costs may include the problem if they are to be reused. Only the path of a trace is used, because it
+    does not depend on workers."""
     if value is None:
         return [], None
     trace = getattr(value, "trace", value)
@@ -134,7 +139,7 @@ def warm_start(value: Any, n: int) -> tuple[list[tuple[list[float], float]], str
 
 
 def with_plan(options: Mapping[str, Any] | None, workers: int | None) -> dict[str, Any]:
-    """Options in which a batch plan "workers" stands as their number."""
+    """Replaces a batch plan "workers" among the options by the number of workers."""
     own = dictionary(options)
     plan = own.get("batch")
     if isinstance(plan, str):
@@ -143,7 +148,7 @@ def with_plan(options: Mapping[str, Any] | None, workers: int | None) -> dict[st
 
 
 def worker_count(name: str, value: SupportsIndex | None, default: int | None) -> int | None:
-    """A number of workers: None stands for `default`, -1 for all cores that this process may use."""
+    """Returns a number of workers. `default` replaces None, and -1 means all cores available to this process."""
     if value is None:
         return default
     try:
@@ -160,14 +165,14 @@ def worker_count(name: str, value: SupportsIndex | None, default: int | None) ->
 
 
 def all_cores() -> int:
-    """The number of cores that this process may use."""
+    """Returns the number of cores available to this process."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def check_simplex(value: npt.ArrayLike, n: int) -> None:
-    """Refuses what is neither vertices nor steps of a simplex."""
+    """Raises an error if `value` is neither the vertices nor the steps of a simplex."""
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -183,7 +188,7 @@ def check_simplex(value: npt.ArrayLike, n: int) -> None:
 
 
 def solver(name: str, argument: str = "solver") -> str:
-    """The name of an integration method; those of SciPy and ``CVode``, which other tools have, stand for one of ours."""
+    """Returns the name of an integration method. SciPy's names and ``CVode`` are replaced by a method of pydfo."""
     ours = _core.solver_standing_for(_values.choice(argument, name))
     if ours is None:
         return name
@@ -191,12 +196,13 @@ def solver(name: str, argument: str = "solver") -> str:
     return ours
 
 
-#: The settings of a run of a model that are not None by default.
+#: Defaults of the settings of a model run, except None.
 _USUAL = {"solver": "auto", "chattering": "error", "input_derivatives": True}
 
 
 def run_settings(**given: Any) -> Record:
-    """How a model is run, where that is not the default: the native code knows the names and what values may be."""
+    """Returns the settings of a model run that differ from the defaults. The native code knows the names and the
+    valid values."""
     given["solver"] = solver(given["solver"])
     usual = {name for name, value in given.items() if value is None or (isinstance(value, (str, bool)) and value == _USUAL.get(name))}
     return {name: value for name, value in given.items() if name not in usual}

@@ -1,4 +1,4 @@
-"""Values and names as messages show them."""
+"""Values and names for messages."""
 
 from __future__ import annotations
 
@@ -12,35 +12,36 @@ _shortened.maxstring = _shortened.maxother = 80
 
 
 def line(text: str) -> str:
-    """A name or another text of one line, with line breaks, escapes and the like as their numbers (``\\u{1b}``)."""
+    r"""Returns a name or another string as one line, with line breaks, escapes and similar characters as their
+    numbers (``\u{1b}``)."""
     try:
         return _core.visible_line(text)
     except UnicodeEncodeError:
-        # Half of a surrogate pair.
+        # The string contains half of a surrogate pair.
         return _core.visible_line(text.encode(errors="backslashreplace").decode())
 
 
 def names(words: Iterable[str]) -> str:
-    """Names with commas between them."""
+    """Returns names separated by commas."""
     return line(", ".join(words))
 
 
 def show(value: object) -> str:
-    """A value for a message: of long ones the beginning."""
+    """Returns a value for a message; a long value is truncated."""
     return " ".join(_shortened.repr(value).split())
 
 
 def beginning(text: str) -> str:
-    """A text for a message: of a long one the beginning."""
+    """Returns a string for a message; a long string is truncated."""
     return text if len(text) <= 500 else f"{text[:500]}..."
 
 
-#: Names beyond these are counted only.
+#: Maximum number of names listed. Further names are only counted.
 MOST_LISTED = 20
 
 
 def listed(words: Sequence[str]) -> str:
-    """Words in quotes, not too many of them."""
+    """Returns quoted words, at most `MOST_LISTED` of them."""
     shown = ", ".join(f"'{line(word)}'" for word in words[:MOST_LISTED])
     more = len(words) - MOST_LISTED
     return f"{shown} and {more} more" if more > 0 else shown

@@ -1,4 +1,4 @@
-"""Single arguments, checked on the way to the native code."""
+"""Single arguments, checked before they are passed to the native code."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def number(name: str, value: SupportsFloat | SupportsIndex) -> float:
-    """The argument `name` as a float."""
+    """Returns the argument `name` as a float."""
     if isinstance(value, (str, bytes)):
         raise TypeError(f"{name} must be a number, not {show(value)}")
     try:
@@ -29,12 +29,12 @@ def number(name: str, value: SupportsFloat | SupportsIndex) -> float:
 
 
 def optional_number(name: str, value: SupportsFloat | SupportsIndex | None) -> float | None:
-    """The argument `name` as a float, or None."""
+    """Returns the argument `name` as a float, or None."""
     return None if value is None else number(name, value)
 
 
 def flag(name: str, value: object) -> bool:
-    """The argument `name`, which must be True or False (or 1 or 0)."""
+    """Returns the argument `name`, which must be True or False (or 1 or 0)."""
     if isinstance(value, bool):
         return value
     if isinstance(value, (np.bool_, int, np.integer)) and value in (0, 1):
@@ -43,7 +43,7 @@ def flag(name: str, value: object) -> bool:
 
 
 def path(name: str, value: str | os.PathLike[str]) -> str:
-    """The argument `name`, which must be a path."""
+    """Returns the argument `name`, which must be a path."""
     try:
         found = os.fspath(value)
     except TypeError:
@@ -56,14 +56,14 @@ def path(name: str, value: str | os.PathLike[str]) -> str:
 
 
 def choice(name: str, value: str) -> str:
-    """The argument `name`, which must be a string."""
+    """Returns the argument `name`, which must be a string."""
     if not isinstance(value, str):
         raise TypeError(f"{name} must be a string, not {show(value)}")
     return value
 
 
 def limit(name: str, value: SupportsFloat | None, least: int) -> int | None:
-    """A count; None and infinity are no limit. Floats like 1e4 are counts, too."""
+    """Returns a count; None and infinity mean no limit. Floats like 1e4 are also counts."""
     if value is None:
         return None
     count = number(name, value)
@@ -71,12 +71,12 @@ def limit(name: str, value: SupportsFloat | None, least: int) -> int | None:
         return None
     if not (count >= least and count == int(count)):
         raise ValueError(f"{name} = {value} must be a whole number, at least {least}")
-    # More than the machine can count is no limit.
+    # A count above the maximum of the machine means no limit.
     return int(count) if count <= sys.maxsize else None
 
 
 def index(name: str, value: SupportsIndex) -> int:
-    """A whole number."""
+    """Returns an integer."""
     try:
         return operator.index(value)
     except TypeError:
@@ -84,7 +84,9 @@ def index(name: str, value: SupportsIndex) -> int:
 
 
 def vector(name: str, value: npt.ArrayLike) -> FloatArray:
-    """The argument `name` as a one-dimensional, contiguous array of floats, itself if it is one; a number becomes one."""
+    """Returns the argument `name` as a one-dimensional, contiguous float array, without a copy if possible.
+
+    A number becomes an array of length one."""
     try:
         array = np.asarray(value)
         if array.dtype.kind in "cUSM":
@@ -98,7 +100,7 @@ def vector(name: str, value: npt.ArrayLike) -> FloatArray:
 
 
 def names(argument: str, given: Iterable[str]) -> list[str]:
-    """The argument `argument`, which must be names."""
+    """Returns the argument `argument`, which must be names."""
     if not isinstance(given, list) and (isinstance(given, (bytes, Mapping)) or not isinstance(given, Iterable)):
         raise TypeError(f"{argument} must be a name or a list of names, not {show(given)}")
     listed = list(given)
@@ -109,7 +111,7 @@ def names(argument: str, given: Iterable[str]) -> list[str]:
 
 
 def pairs(argument: str, given: Mapping[str, object] | None) -> list[tuple[str, object]]:
-    """The argument `argument`, which must be names with values."""
+    """Returns the argument `argument`, which must be names with values."""
     if given is None:
         return []
     if not isinstance(given, Mapping):
@@ -119,12 +121,12 @@ def pairs(argument: str, given: Mapping[str, object] | None) -> list[tuple[str, 
 
 
 def units(given: Mapping[str, str] | None) -> list[tuple[str, str]]:
-    """Variables with their units."""
+    """Returns variables with their units."""
     return [(variable, choice("units", unit)) for variable, unit in pairs("units", given)]  # type: ignore[arg-type]
 
 
 def values_or_file(argument: str, given: Mapping[str, object] | str | os.PathLike[str] | None) -> tuple[list[tuple[str, object]], str | None]:
-    """Names with values, or the path of an SSP parameter file."""
+    """Returns names with values, or the path of an SSP parameter file."""
     if isinstance(given, (str, os.PathLike)):
         return [], os.fspath(given)
     return pairs(argument, given), None

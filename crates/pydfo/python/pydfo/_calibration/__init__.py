@@ -1,1 +1,1 @@
-"""Calibration: recordings, parameters, experiments, fits and what follows from them."""
+"""Calibration: recordings, parameters, experiments, fits and their evaluation."""

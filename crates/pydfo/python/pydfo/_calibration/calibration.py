@@ -645,8 +645,8 @@ class Calibration(Evaluation):
         x : array_like or dict, optional
             As in `cost`.
         covariance : {"sandwich", "pooled"}
-            "sandwich": one residual variance per output of the model over all recordings, ``inv(J.T @ J) @ J.T @ S @
-            J @ inv(J.T @ J)``. "pooled": one residual variance for all outputs, ``s**2 * inv(J.T @ J)``. A fit with a
+            "sandwich": one residual variance per output of the model over all recordings,
+            ``inv(J.T @ J) @ J.T @ S @ J @ inv(J.T @ J)``. "pooled": one residual variance for all outputs, ``s**2 * inv(J.T @ J)``. A fit with a
             robust loss uses the covariance of an M-estimator. A fit with the likelihood uses the inverse of the
             information. Autocorrelated residuals of an output are modelled as a first-order autoregression (Seber and
             Wild, Nonlinear Regression, 1989, chapter 6).

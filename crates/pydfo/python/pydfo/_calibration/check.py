@@ -1,4 +1,4 @@
-"""What does not fit between model, recordings and parameters, said before a fit."""
+"""Mismatches between model, recordings and parameters, found before a fit."""
 
 from __future__ import annotations
 
@@ -9,32 +9,34 @@ from .. import _core
 
 
 class Finding(NamedTuple):
-    """Something that `Calibration.check` has found, or that is to be said of a fit or a validation."""
+    """A finding of `Calibration.check`, or a remark on a fit or a validation."""
 
     severity: str
-    """"error": nothing can be fitted as it is, or the result of a fit is not to be used; "warning": it is likely not what is meant, or a value is not to be relied on; "note":
-    worth knowing."""
+    """"error": a fit is impossible, or its result should not be used; "warning": the setup is probably not as
+    intended, or a value is unreliable; "note": useful information."""
     subject: str
-    """What it is about: a recording, a column, a variable, a parameter."""
+    """Subject of the finding: a recording, a column, a variable or a parameter."""
     sentence: str
-    """What was found, with its numbers."""
+    """Description of the finding with its numbers."""
     remedy: str
-    """What to do about it; may be empty."""
+    """Suggested remedy; may be empty."""
     origin: str
-    """"problem" (model, recording, units, settings), "search" (where the parameters and the search ended) or "residuals" (residuals and
-    standard errors): the former explain the latter, and stand before them."""
+    """"problem" (model, recording, units, settings), "search" (end of the parameters and the search) or "residuals"
+    (residuals and standard errors). Earlier categories explain later ones and precede them."""
 
 
 class Check(Sequence[Finding]):
-    """What `Calibration.check` has found, causes and the gravest first, notes last: a sequence of `Finding`, true in a condition if there are any, notes
-    included; ``print(check)`` shows a table.
+    """The findings of `Calibration.check`: a sequence of `Finding`.
+
+    Causes come first, more severe findings before less severe ones, and notes last. The sequence is true in a
+    condition if it contains any finding, including notes. ``print(check)`` shows a table.
 
     Attributes
     ----------
     ok : bool
-        Whether there are no errors and no warnings: ``assert calibration.check().ok``.
+        True if there are no errors and no warnings: ``assert calibration.check().ok``.
     n_evaluations : int
-        Evaluations that were made for it, each a simulation of every experiment.
+        Number of evaluations for the check, each a simulation of every experiment.
     """
 
     def __init__(self, findings: list[dict[str, str]], table: str, n_evaluations: int, ok: bool) -> None:
@@ -65,5 +67,5 @@ class Check(Sequence[Finding]):
 
 
 def of(calibration: _core.Calibration, simulate: bool, max_time: float | None) -> Check:
-    """The check of a calibration."""
+    """Returns the check of a calibration."""
     return Check(*_core.check(calibration, simulate, max_time))

@@ -1,4 +1,4 @@
-"""What a fit minimises: a cost by its name, or a function of what was measured and simulated."""
+"""The objective of a fit: a named cost, or a function of measured and simulated values."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from .._args import values as _values
 if TYPE_CHECKING:
     from .._calibration.calibration import Calibration
 
-#: A function of (measured, simulated), dicts of arrays by output (of such by experiment, where there are several), that returns a cost
-#: or a vector of residuals.
+#: A function of (measured, simulated) that returns a cost or a vector of residuals. Both are dicts of arrays by
+#: output, or dicts of such dicts if there are several experiments.
 Objective = Callable[[dict[str, Any], dict[str, Any]], Any]
 
 
@@ -28,13 +28,14 @@ class CostFields:
 
     @property
     def has_residuals(self) -> bool:
-        """Whether it is a sum of squares."""
+        """True if the cost is a sum of squares."""
         return self.gives_residuals or (self.function is None and self.name == "sum-of-squares")
 
 
 def built(objective: Any, calibration: Calibration) -> CostFields:
-    """The argument ``objective``. A function is called once, to learn whether it returns residuals: with measurements, and the same
-    changed a little."""
+    """Converts the argument ``objective``.
+
+    Calls a function once with measurements and slightly changed measurements, to find out if it returns residuals."""
     if not callable(objective):
         return CostFields(_values.choice("objective", objective).strip().lower().replace("_", "-"), None, False)
     measured = calibration._native.measured_series()
@@ -44,7 +45,7 @@ def built(objective: Any, calibration: Calibration) -> CostFields:
 
 
 def _changed(series: Mapping[str, Any]) -> dict[str, Any]:
-    """Other values of the same shape."""
+    """Returns other values of the same shape."""
     return {
         name: _changed(values) if isinstance(values, Mapping) else values + 0.01 * (np.ptp(values) or 1.0)
         for name, values in series.items()

@@ -1,4 +1,4 @@
-"""Measurements in the shapes people have them: files, dictionaries, data frames, series, structured arrays."""
+"""Conversion of measurements: files, dictionaries, data frames, series, structured arrays."""
 
 from __future__ import annotations
 
@@ -25,25 +25,26 @@ Path = str | os.PathLike[str]
 class Table:
     """A recording, as the native code reads it."""
 
-    #: A CSV file, or None.
+    #: Path of a CSV file, or None.
     path: str | None
-    #: The times and the columns that are needed, in memory; None: they are in the file.
+    #: The times and the required columns in memory; None if they are in the file.
     table: _core.Table | None
-    #: Name of the column of times of the file; None: "time" in any case.
+    #: Name of the time column of the file; None: "time" in any case.
     time: str | None
 
 
 def read(data: Any, needed: list[str], time: str | None) -> Table:
-    """The path of a CSV file, or the columns of another file or of a table in memory; `time` names the column of times.
+    """Returns the path of a CSV file, or the columns of another file or of a table in memory; `time` is the time
+    column.
 
     Raises
     ------
     TypeError
-        `data` is nothing that holds columns.
+        `data` does not contain columns.
     ImportError
-        The library that reads files of this format is not installed; the message says how to install it.
+        The library for files of this format is not installed. The message states how to install it.
     BadCalibrationError
-        There is no column of times, or one of those needed is missing or holds text.
+        There is no time column, or a required column is missing or contains text.
     """
     if not isinstance(data, (str, os.PathLike)):
         columns = _columns(data)
@@ -66,7 +67,7 @@ def read(data: Any, needed: list[str], time: str | None) -> Table:
 
 
 def read_recording(data: Any, needed: list[str], time: str | None) -> Table:
-    """As `read`, of what is compared with a model: the record of a fit says which file it was."""
+    """Like `read`, for data compared with a model: also records the name of the file for the fit."""
     found = read(data, needed, time)
     if found.table is not None and isinstance(data, (str, os.PathLike)):
         return Table(None, found.table.of_file(os.fspath(data)), None)
@@ -81,7 +82,7 @@ def _find_time(names: list[str], time: str | None) -> tuple[int, tuple[float, fl
 
 
 def _selected(source: _data_files.Columns, needed: list[str], time: str | None) -> Table:
-    """The times and the columns that are needed."""
+    """Returns the times and the required columns."""
     names = source.names
     index, (numerator, denominator) = _find_time(names, time)
     at = names[index]
@@ -100,7 +101,7 @@ def _selected(source: _data_files.Columns, needed: list[str], time: str | None) 
         raise BadCalibrationError(
             f"data: column '{at}' holds durations or dates, which have a unit of their own; take the unit out of its name"
         )
-    # One after the other: no array that is made for it outlives its copy.
+    # Converted one by one, so that no temporary array outlives its copy.
     columns = ((name, _numbers(name, table[name]) if name != at or durations is None else durations) for name in taken)
     left_out = [name for name in names if name not in taken]
     return Table(None, _core.Table(columns, at, left_out, change, durations is not None), None)
@@ -128,8 +129,10 @@ def _columns(data: Any) -> dict[str, Any]:
 
 
 def _framed(frame: Any) -> dict[str, Any]:
-    """Columns of a pandas or polars data frame. The index holds the times if it is called so, or if it holds dates or durations
-    and no column is called so; of two lines of names the second has the units."""
+    """Returns the columns of a pandas or polars data frame.
+
+    The index contains the times if it has the name of the times. It also contains the times if it contains dates or
+    durations and no column has that name. If there are two lines of names, the second contains the units."""
     table = {}
     for label in frame.columns:
         name = _name(label)
@@ -155,7 +158,7 @@ def _name(label: Any) -> str:
 
 
 def _labelled(data: Any) -> dict[str, Any]:
-    """Vectors of an xarray Dataset or DataArray, with the units of their attributes."""
+    """Returns the vectors of an xarray Dataset or DataArray, with the units of their attributes."""
     variables = dict(data.variables) if hasattr(data, "data_vars") else {data.name or "value": data.variable}
     variables |= {name: coordinate.variable for name, coordinate in data.coords.items()}
     table = {}
@@ -167,18 +170,21 @@ def _labelled(data: Any) -> dict[str, Any]:
     return table
 
 
-#: Local times before and after an hour that is missing or doubled, and whether it is doubled.
+#: Local times before and after an hour that is missing or doubled, and a flag that is True if it is doubled.
 ClockChange = tuple[str, str, bool]
 
 
 def seconds(values: Any, column: str = "") -> FloatArray | None:
-    """Durations (``timedelta64`` of NumPy and pandas, ``datetime.timedelta``) in s, and dates (``datetime64``, ``datetime``, texts) in
-    s since the first; None if `values` are something else. The name of the column may say what `10:02` is, as in ``time [mm:ss]``."""
+    """Converts durations and dates to seconds; None if `values` are neither.
+
+    Durations (``timedelta64`` of NumPy and pandas, ``datetime.timedelta``) are converted to s. Dates (``datetime64``,
+    ``datetime``, strings) are converted to s since the first one. The name of the column may define the meaning of
+    `10:02`, as in ``time [mm:ss]``."""
     return _seconds(values, column)[0]
 
 
 def _seconds(values: Any, column: str) -> tuple[FloatArray | None, ClockChange | None]:
-    """The same, and an hour that is missing in dates without a zone."""
+    """Returns the seconds of `seconds`, and a missing or doubled hour in dates without a time zone."""
     array = np.asarray(values)
     if array.ndim != 1 or not array.size:
         return None, None
@@ -194,7 +200,7 @@ def _seconds(values: Any, column: str) -> tuple[FloatArray | None, ClockChange |
                 since = np.array([(value - dates[0]).total_seconds() for value in dates])
                 return since, _clock_change(np.datetime64(dates[0], "us"), since) if is_naive else None
     if array.dtype.kind not in "mM" or np.datetime_data(array.dtype)[0] == "generic":
-        # A timedelta64 without a unit is a number of who knows what.
+        # The unit of a timedelta64 without a unit is unknown.
         return None, None
     if array.dtype.kind == "m":
         return np.asarray(array / np.timedelta64(1, "s"), dtype=np.float64), None
@@ -203,7 +209,9 @@ def _seconds(values: Any, column: str) -> tuple[FloatArray | None, ClockChange |
 
 
 def _in_utc(dates: Any) -> tuple[Any, bool]:
-    """Dates in UTC if they have a time zone, and whether they have none. Python subtracts dates of one zone by the wall clock."""
+    """Returns dates, in UTC if they have a time zone, and a flag that is True if they have none.
+
+    Python subtracts dates of one time zone by the wall clock."""
     with_zone = [value.tzinfo is not None for value in dates]
     if not any(with_zone):
         return dates, True
@@ -217,7 +225,7 @@ def _in_utc(dates: Any) -> tuple[Any, bool]:
 
 
 def _clock_change(first: np.datetime64, since: FloatArray) -> ClockChange | None:
-    """An hour that is missing in the times since the first, a local time."""
+    """Returns a missing or doubled hour in the times since the first one, which is a local time."""
     start = (first - np.datetime64(0, "s")) / np.timedelta64(1, "s")
     with _refused():
         return _core.clock_change(float(start), since)
@@ -225,7 +233,7 @@ def _clock_change(first: np.datetime64, since: FloatArray) -> ClockChange | None
 
 @contextmanager
 def _refused() -> Iterator[None]:
-    """What native code refuses is wrong with the data."""
+    """Converts errors of the native code to errors in the data."""
     try:
         yield
     except ValueError as e:
@@ -233,7 +241,7 @@ def _refused() -> Iterator[None]:
 
 
 def mask(given: Any) -> tuple[list[bool] | None, str | None]:
-    """A mask as one truth value per row, or as the name of a column."""
+    """Returns a mask as one truth value per row, or as the name of a column."""
     if given is None or isinstance(given, str):
         return None, given
     array = np.asarray(given)
@@ -243,11 +251,11 @@ def mask(given: Any) -> tuple[list[bool] | None, str | None]:
 
 
 def _numbers(name: str, values: Any) -> FloatArray:
-    """A column as floats; what is masked, None or NA is missing (NaN)."""
+    """Returns a column as floats; masked entries, None and NA are missing (NaN)."""
     if isinstance(values, np.ma.MaskedArray):
         values = np.ma.filled(values.astype(np.float64), np.nan)
     elif hasattr(values, "to_numpy"):
-        # missing values of nullable pandas columns, which float() refuses
+        # float() rejects missing values of nullable pandas columns
         mask = values.isna() if hasattr(values, "isna") else None
         values = values.to_numpy()
         if mask is not None and values.dtype == object:

@@ -1,4 +1,4 @@
-"""Recordings in the formats of other tools, each read by the library that Python people use for it; none is needed before."""
+"""Recordings in other formats. The library for each format is imported only when it is needed."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ Array = npt.NDArray[Any]
 
 
 def suffix(path: str) -> str:
-    """The end of a file's name, in lower case."""
+    """Returns the suffix of a file name in lower case."""
     return os.path.splitext(path)[1].lower()
 
 
 def _library(path: str, names: list[str]) -> Any:
-    """The first of these modules that is installed."""
+    """Returns the first of these modules that is installed."""
     for name in names:
         try:
             return importlib.import_module(name)
@@ -46,29 +46,29 @@ def _library(path: str, names: list[str]) -> Any:
 
 @dataclass(frozen=True)
 class Columns:
-    """Columns by name, which are read when they are asked for."""
+    """Columns by name, which are read on request."""
 
     names: list[str]
     read: Callable[[list[str]], Mapping[str, Any]]
-    #: What the file has beside them, with its size.
+    #: Other contents of the file, with their sizes.
     others: list[str] = field(default_factory=list)
 
 
-#: So many bytes of values are read from a file that is smaller than an eighth of that.
+#: Maximum number of bytes of values to read, or eight times the size of the file if this is larger.
 MOST_BYTES = 1 << 30
 
-#: So many bytes of the texts of a workbook, which are kept while its rows are read.
+#: Maximum number of bytes of the strings of a workbook, which are kept while its rows are read.
 _MOST_TEXT = 1 << 26
 
-#: The most rows of a sheet in Excel.
+#: Maximum number of rows of a sheet in Excel.
 _MOST_ROWS = 1 << 20
 
-#: Values that are read at once; between two such parts Ctrl-C is answered.
+#: Number of values read at once. Ctrl-C is handled between two parts.
 _PART = 1 << 20
 
 
 def check_size(path: str, n_values: int) -> None:
-    """Refuses to read so many numbers: compressed files may claim any number of them."""
+    """Rejects columns with too many values, because compressed files may claim any number of values."""
     most = max(MOST_BYTES, 8 * os.path.getsize(path))
     if 8 * n_values > most:
         raise MemoryError(
@@ -79,7 +79,7 @@ def check_size(path: str, n_values: int) -> None:
 
 @contextmanager
 def _reading(path: str, what: str) -> Iterator[None]:
-    """What a reader of a library raises becomes an error that names the file."""
+    """Converts errors of a library's reader to errors that name the file."""
     try:
         yield
     except MemoryError:
@@ -95,7 +95,7 @@ def _reading(path: str, what: str) -> Iterator[None]:
 
 
 def parquet(path: str) -> Columns:
-    """The columns of a Parquet file."""
+    """Returns the columns of a Parquet file."""
     _core.check_regular(path)
     if importlib.util.find_spec("pyarrow") is None and importlib.util.find_spec("polars") is not None:
         return _with_polars(path)
@@ -136,7 +136,8 @@ def _with_polars(path: str) -> Columns:
 
 
 def workbook(path: str, needed: list[str], time: str | None) -> tuple[bytes, list[str]]:
-    """The columns of the first sheet of an Excel workbook that are needed as the text of a CSV file, and the names of the others."""
+    """Returns the required columns of the first sheet of an Excel workbook as CSV text, and the names of the other
+    columns."""
     _core.check_regular(path)
     import csv
     import zipfile
@@ -154,7 +155,7 @@ def workbook(path: str, needed: list[str], time: str | None) -> tuple[bytes, lis
         book = module.load_workbook(path, read_only=True, data_only=True)
         try:
             sheet = book.worksheets[0]
-            # What a sheet says of its size may be anything.
+            # The size that a sheet declares is not reliable.
             sheet.reset_dimensions()
             for row in sheet.iter_rows(max_row=_MOST_ROWS, values_only=True):
                 if all(cell is None for cell in row) or (isinstance(row[0], str) and row[0].lstrip().startswith("#")):
@@ -172,7 +173,7 @@ def workbook(path: str, needed: list[str], time: str | None) -> tuple[bytes, lis
 
 
 def _chosen(names: list[str], needed: list[str], time: str | None) -> list[int]:
-    """Positions of the times and of the columns that are needed; what is not there is refused where it is used."""
+    """Returns the indices of the times and of the required columns. A missing column is rejected when it is used."""
     try:
         chosen = {_core.find_time(names, time)[0]}
     except ValueError as e:
@@ -184,12 +185,12 @@ def _chosen(names: list[str], needed: list[str], time: str | None) -> list[int]:
 
 
 def _cell(cell: Any) -> Any:
-    # Line breaks within a cell would be rows of the table.
+    # Line breaks within a cell would become rows of the table.
     return cell.isoformat() if hasattr(cell, "isoformat") else " ".join(cell.split()) if isinstance(cell, str) else cell
 
 
 def mat(path: str, needed: list[str], time: str | None) -> Columns:
-    """The numeric variables of a MATLAB file as long as the times, those of structs as ``struct.field``."""
+    """Returns the numeric variables of a MATLAB file as long as the times; fields of structs are ``struct.field``."""
     _core.check_regular(path)
     with open(path, "rb") as file:
         head = file.read(128)
@@ -212,7 +213,7 @@ def mat(path: str, needed: list[str], time: str | None) -> Columns:
 
 
 def _find_library(path: str, name: str) -> None:
-    """Raises an error if a module is not installed; imports only the package that holds it."""
+    """Raises an error if a module is not installed. Imports only the package that contains the module."""
     try:
         is_found = importlib.util.find_spec(name) is not None
     except ImportError:
@@ -227,7 +228,8 @@ _RUN = "import json, runpy, sys; sys.path[:] = json.loads(sys.argv.pop(1)); sys.
 
 
 def _ask_reader(path: str, request: dict[str, Any]) -> bytes:
-    """The answer of `matlab_reader`, which runs in a process of its own: a damaged file can end that process, not this one."""
+    """Returns the answer of `matlab_reader`, which runs in a separate process, because a damaged file can crash its
+    reader."""
     if (program := interpreter()) is None:
         raise BadCalibrationError(f"{path}: MATLAB files are read by another Python process, and no interpreter is found (sys.executable)")
     command = [program, "-c", _RUN, json.dumps(sys.path), os.path.join(os.path.dirname(__file__), "matlab_reader.py"), os.path.abspath(path)]
@@ -243,8 +245,10 @@ def _ask_reader(path: str, request: dict[str, Any]) -> bytes:
 def _of_one_length(
     path: str, shapes: dict[str, tuple[int, ...]], time: str, others: list[str], load: Callable[[list[str]], dict[str, Array]]
 ) -> Columns:
-    """The columns of the variables that are as long as `time`: vectors under their names, the columns of a matrix `y` as
-    ``y[1]``, ``y[2]`` and so on, as MATLAB and models count them. The names of the others with their sizes come beside them."""
+    """Returns the columns of the variables as long as `time`.
+
+    Vectors keep their names. The columns of a matrix `y` are ``y[1]``, ``y[2]`` and so on, counted from 1 as in
+    MATLAB and in models. The other variables are listed with their sizes."""
     n = math.prod(shapes[time])
     if max(shapes[time], default=0) != n:
         raise BadCalibrationError(f"data: the times '{time}' are a {_size(shapes[time])} matrix, not a vector")
@@ -272,7 +276,7 @@ def _of_one_length(
     return Columns(list(sources), read, others)
 
 
-#: The most columns of a matrix.
+#: Maximum number of columns of a matrix.
 _MOST_COLUMNS = 1 << 16
 
 

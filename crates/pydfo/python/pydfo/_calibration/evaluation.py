@@ -1,4 +1,4 @@
-"""What a `Calibration` says of itself and of a point: names, cost, residuals, simulations."""
+"""Evaluation of single points of a `Calibration`: names, cost, residuals, simulations."""
 
 from __future__ import annotations
 
@@ -26,12 +26,13 @@ class Evaluation:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The parameters, as they were given."""
+        """The parameters as given."""
         return self._parameters
 
     @property
     def names(self) -> list[str]:
-        """Names of the entries of ``x``: the parameters in their order, a local one once per experiment (``T0[run1]``)."""
+        """Names of the entries of ``x``: the parameters in their order. A local parameter has one entry per
+        experiment (``T0[run1]``)."""
         return self._native.names()
 
     @property
@@ -46,28 +47,29 @@ class Evaluation:
 
     @property
     def n_residuals(self) -> int:
-        """Length of the residual vector: how many measurements count, and one for each prior."""
+        """Length of the residual vector: the number of measurements that count, plus one for each prior."""
         return self._native.n_residuals
 
     @property
     def n_measurements(self) -> int:
-        """How many measurements count."""
+        """Number of measurements that count."""
         return self._native.n_measurements
 
     def model_values(self, x: npt.ArrayLike | Mapping[str, float] | None = None, experiment: str | None = None) -> dict[str, float]:
-        """What is set in the model.
+        """Returns the values set in the model.
 
         Parameters
         ----------
         x : array_like or dict, optional
             As in `cost`.
         experiment : str, optional
-            Name of the experiment whose values are meant; default: the first.
+            Name of the experiment; default: the first one.
 
         Returns
         -------
         dict of str to float
-            The values of variables by their names, in the units of the model; of parameters that are tied or set several variables, too.
+            The values of variables by name, in the units of the model, including tied parameters and parameters that
+            set several variables.
         """
         names = self.experiments
         if experiment is not None and experiment not in names:
@@ -82,7 +84,7 @@ class Evaluation:
 
     @property
     def solver(self) -> str:
-        """Name of the integration method of all simulations, in fits and outside of them."""
+        """Name of the integration method of all simulations, inside and outside fits."""
         return self._native.solver()
 
     def _values(self, x: npt.ArrayLike | Mapping[str, float] | None, argument: str = "x") -> list[float]:
@@ -101,27 +103,28 @@ class Evaluation:
         return [float(value) for value in _values.vector(argument, x)]
 
     def cost(self, x: npt.ArrayLike | Mapping[str, float] | None = None) -> float:
-        """The sum of the squared weighted residuals.
+        """Returns the sum of the squared weighted residuals.
 
-        The interpreter lock is released meanwhile. Ctrl-C ends the simulation, and its process if the FMU does not return
-        within 0.1 s.
+        The interpreter lock is released during the simulation. Ctrl-C ends the simulation, and also its process if
+        the FMU does not return within 0.1 s.
 
         Parameters
         ----------
         x : array_like, shape (n,), or dict, optional
-            Values of the parameters, in their order or by name (those left out: start values); default: all start values.
+            Values of the parameters, in their order or by name. Omitted parameters have their start values. Default:
+            all start values.
 
         Raises
         ------
         SimulationError
-            The simulation failed; says where and why.
+            The simulation failed. The message states the time and the reason.
         ValueError
-            The wrong number of values, or values that are not finite.
+            The number of values is wrong, or a value is not finite.
         """
         return self._native.cost(self._values(x))
 
     def residuals(self, x: npt.ArrayLike | Mapping[str, float] | None = None) -> FloatArray:
-        """The residuals: simulated minus measured, times weight.
+        """Returns the residuals: simulated minus measured, times weight.
 
         Parameters
         ----------
@@ -131,13 +134,13 @@ class Evaluation:
         Returns
         -------
         ndarray, shape (n_residuals,)
-            Experiment by experiment, output by output in the order given, each in the order of time, missing values left
-            out: always the same length and order.
+            The residuals ordered by experiment, by output as given, and by time, without missing values. Length and
+            order never change.
 
         Raises
         ------
         SimulationError, ValueError
-            As `cost`.
+            See `cost`.
         """
         return self._native.residuals(self._values(x))
 
@@ -158,19 +161,19 @@ class Evaluation:
             Times of the rows in s, ascending; default: the measured times that count.
 
         outputs : str or iterable of str, optional
-            Variables of the model to be recorded as they are, without delays or offsets of outputs: names, elements of arrays,
-            patterns with ``*`` and ``?``, or "all".
+            Variables of the model to record directly, without the delays or offsets of outputs. Pass names, elements
+            of arrays, patterns with ``*`` and ``?``, or "all".
 
         Returns
         -------
         dict of str to ndarray
-            ``"time"`` and the compared outputs by their names in the model. With `outputs`: a `SimulationResult`, with
-            units. With several experiments: a dict of such by their names.
+            ``"time"`` and the compared outputs by their names in the model. With `outputs`: a `SimulationResult` with
+            units. With several experiments: a dict of these results by experiment name.
 
         Raises
         ------
         SimulationError, ValueError
-            As `cost`.
+            See `cost`.
         """
         rows = None if times is None else _values.vector("times", times).tolist()
         if outputs is not None:
@@ -180,8 +183,9 @@ class Evaluation:
         return self._by_experiment(self._native.simulate(self._values(x), rows))
 
     def measurements(self) -> dict[str, Any]:
-        """What was measured, as it was read: by output, its times in s and its values, missing ones left out. With several
-        experiments: a dict of such by their names."""
+        """Returns the measurements as read: times in s and values by output, without missing values.
+
+        With several experiments, returns a dict of these results by experiment name."""
         found: dict[str, Any] = self._by_experiment(
             [{v: (time[~np.isnan(y)], y[~np.isnan(y)]) for v, y in columns} for time, columns in self._native.measurements()]
         )

@@ -1,4 +1,4 @@
-"""A recording and how the model is to reproduce it: `Experiment`."""
+"""`Experiment`: a recording and its settings for the model."""
 
 from __future__ import annotations
 
@@ -19,73 +19,80 @@ from . import data as _data
 from .parameter import Parameter
 
 Names = Mapping[str, str] | Sequence[str] | str
-#: What drives an input: a column, a number, a function of time.
+#: Source of an input: a column, a number or a function of time.
 Source = str | float | Callable[[float], float]
 Inputs = Mapping[str, Source] | Sequence[str] | str
-#: What residuals are multiplied with: a number, a column, numbers per row (their bytes, as floats), the name of a scale.
+#: Factor of residuals: a number, a column, numbers per row (the bytes of float64 values), or the name of a scale.
 Weight = float | str | bytes | tuple[str]
 Weights = Mapping[str, Any] | Sequence[Any] | str
 
 
 @dataclass(frozen=True, init=False, repr=False)
 class Experiment:
-    """A recording of the machine, and how the model is to reproduce it: for a `Calibration` with several of them.
+    """A recording of the machine and its settings for the model, for a `Calibration` with several recordings.
 
     Parameters
     ----------
     data : path, dict of arrays, DataFrame, Series, xarray or structured array
-        The recording, as `Calibration` takes it.
+        The recording, as in `Calibration`.
     outputs : dict of str to str, or list of str
-        Which output of the model was measured by which column.
+        Maps outputs of the model to the columns that measured them.
     inputs : dict, or list of str, optional
-        What drives each input and tunable parameter of the model: a column, a number (constant), or a function of time. A function is smooth, always
-        gives the same, and can be imported where the calibration is to be pickled.
+        Source of each input and tunable parameter of the model: a column, a number (constant), or a function of time.
+        A function must be smooth and deterministic. To pickle the calibration, the function must be importable.
     window : (float, float), optional
-        Only measurements at times in this interval count, in s: one of `windows`.
+        Interval of time in s. Only measurements in this interval count. Equivalent to a single entry of `windows`.
     weights : dict, or sequence, optional
-        Per output, what its residuals are multiplied with: a number, or one number per measurement: a column, or an array as long as
-        the recording (of Booleans: a mask). Measurements with the weight 0 do not count. Weights are in the unit of the column and are
-        converted with it; a weight of 1, and weights of only 0 and 1, state no noise and stay. "range", "mean" or "sd" weighs each output by
-        the inverse of the range, mean or standard deviation of what was measured in the whole recording.
+        Factor of the residuals of each output: a number, or one number per measurement, as a column or as an array as
+        long as the recording. An array of Booleans is a mask. Measurements with weight 0 do not count. Weights refer
+        to the unit of the column and are converted with it. A weight of 1, and weights of only 0 and 1, state no
+        noise and are not converted. "range", "mean" or "sd" weights each output with the inverse of the range, mean
+        or standard deviation of its measurements in the whole recording.
     start_values : dict or path, optional
-        Values of other parameters and start values of variables in this experiment, by name; of a local parameter, where
-        its search starts here. Or the path of an SSP parameter file (``.ssv``), of which those that are fitted or driven do not count.
+        Values of other parameters and start values of variables in this experiment, by name. For a local parameter,
+        the start of its search in this experiment. Alternatively, the path of an SSP parameter file (``.ssv``). Its
+        values for fitted or driven variables are ignored.
     start_time : float, optional
-        Where the simulation starts, in s.
+        Start time of the simulation in s.
     time : str, optional
-        Name of the column of times, where it is not ``time``.
+        Name of the time column if it is not ``time``.
     mask : array of bool or str, optional
-        Rows whose measurements count, one entry per row, or the column that says so (neither 0 nor missing). Inputs count in all rows.
+        Selects the rows whose measurements count. Pass one entry per row, or the name of a column, which selects a
+        row if its value is neither 0 nor missing. Inputs count in all rows.
     resample : float, optional
-        Interval in s over which the times and all columns are replaced by their means (of what the mask leaves). Weights other than 1 are
-        those of the rows: a measured column becomes the mean with their squares as weights, and the mean counts with the root of the
-        sum of these squares. Columns of Boolean and integer inputs are not averaged; they keep the times where they change.
+        Interval in s. Times and columns are replaced by their means over each interval, excluding masked rows.
+        Weights other than 1 apply to the rows. The mean of a measured column is then weighted with their squares, and
+        the weight of the mean is the square root of the sum of these squares. Columns of Boolean and integer inputs
+        are not averaged. They keep the times at which they change.
     initial_states : dict, optional
-        What states of the model are at the start: a number, "measured" (the recording of the column that is compared with the
-        state, at the start of the simulation, without offset and delay; an error where there is none), or a `Parameter` of this experiment alone with start and bounds, whose name plays no part: it
-        is called ``x[run1]``. In model exchange a state that the initialization computes (``initial="approx"``, ``"calculated"``) is
-        set after it. In a co-simulation such a state is an error if it is fitted or measured, and a warning if it is a number.
+        Values of states of the model at the start: a number, "measured" or a `Parameter`. "measured" uses the column
+        compared with the state, at the start of the simulation, without offset and delay. It is an error if there is
+        no such column. A `Parameter` with start and bounds belongs to this experiment alone. Its name is ignored; it
+        appears as ``x[run1]``. In model exchange, a state computed by the initialization (``initial="approx"``,
+        ``"calculated"``) is set after it. In a co-simulation, such a state raises an error if it is fitted or
+        measured, and a warning if it is a number.
     windows : sequence of (float, float), optional
-        Only measurements at times in one of these intervals count, in s.
+        Intervals of time in s. Only measurements in one of these intervals count.
     warm_up : float, optional
-        For so many seconds from its start the simulation is not compared, so that it forgets its initial states. With windows and
-        without `start_time` it starts so much before the first measurement in them; else where it does without warm-up, and measurements
-        before the end of the warm-up do not count.
+        Duration in s from the start of the simulation that is not compared, so that the effect of the initial states
+        decays. With windows and without `start_time`, the simulation starts this long before the first measurement in
+        the windows. Otherwise the start time does not change, and measurements before the end of the warm-up do not
+        count.
     delays : dict of str to float, optional
-        By how many seconds an output that is compared, or an input, is late: ``y(t - delay)`` is compared with what was measured at t (before
-        the start: the value at the start), and the model is driven by ``u(t - delay)``. A delay that is fitted is a
+        Delay in s of a compared output or of an input. ``y(t - delay)`` is compared with the measurement at t, with
+        the value at the start for earlier times. The model is driven by ``u(t - delay)``. A fitted delay is a
         ``Parameter("tau", 0.05, 0, 1, delay_of="y")``.
     hold_inputs : bool
-        Hold the first and last values of inputs where the simulation goes beyond their recording by more than one of its
-        sampling intervals; else that is an error.
+        If True, hold the first and last values of inputs if the simulation extends beyond their recording by more
+        than one sampling interval. If False, this is an error.
     name : str, optional
-        Its name, in those of local parameters as well (``T0[cold]``); default: "run1", "run2" and so on. Not empty, without
-        brackets and line breaks.
+        Name of the experiment, also used in the names of local parameters (``T0[cold]``); default: "run1", "run2" and
+        so on. It must not be empty or contain brackets or line breaks.
 
     Raises
     ------
     ValueError, TypeError
-        As `Calibration`, which reads a CSV file, and raises what is wrong with it.
+        As in `Calibration`. A CSV file is read by `Calibration`, which raises its errors.
 
     Examples
     --------
@@ -187,7 +194,7 @@ class Experiment:
 
 @contextmanager
 def _errors_name(experiment: str | None) -> Iterator[None]:
-    """Errors begin with the name of the experiment, if it has one."""
+    """Prepends the name of the experiment to errors, if it has a name."""
     try:
         yield
     except (TypeError, ValueError) as e:
@@ -197,8 +204,9 @@ def _errors_name(experiment: str | None) -> Iterator[None]:
 
 
 def collected(data: Any, outputs: Any, parameters: Any, inputs: Any, **own: Any) -> tuple[list[Experiment], Any]:
-    """The experiments and the parameters of a calibration, from its arguments: one recording with what belongs to it, or
-    experiments, which the parameters follow."""
+    """Returns the experiments and the parameters of a calibration from its arguments.
+
+    The arguments are one recording with its settings, or experiments followed by the parameters."""
     experiments = listed(data)
     if experiments is not None:
         if parameters is None:
@@ -216,7 +224,7 @@ def collected(data: Any, outputs: Any, parameters: Any, inputs: Any, **own: Any)
 
 
 def listed(data: Any) -> list[Experiment] | None:
-    """The experiments, where `data` is one or several; None: it is a recording."""
+    """Returns the experiments if `data` is one or several; None if it is a recording."""
     if isinstance(data, Experiment):
         return [data]
     if isinstance(data, Mapping):
@@ -235,7 +243,7 @@ def listed(data: Any) -> list[Experiment] | None:
 
 
 def pairs_of_columns(name: str, value: Mapping[str, str] | Sequence[str] | str | None) -> list[tuple[str, str]]:
-    """Pairs of variable and column; of a list, columns that are named like the variables."""
+    """Returns pairs of variable and column. For a list, both have the same name."""
     if value is None:
         return []
     if isinstance(value, str):
@@ -248,7 +256,7 @@ def pairs_of_columns(name: str, value: Mapping[str, str] | Sequence[str] | str |
 
 
 def sources(given: Inputs | None) -> list[tuple[str, Source]]:
-    """Inputs with what drives them: a column, a number, a function of time."""
+    """Returns inputs with their sources: a column, a number or a function of time."""
     if not isinstance(given, Mapping):
         return list(pairs_of_columns("inputs", given))
     driven: list[tuple[str, Source]] = []
@@ -266,7 +274,7 @@ def sources(given: Inputs | None) -> list[tuple[str, Source]]:
 
 
 def states(given: Mapping[str, SupportsFloat | str | Parameter] | None) -> list[tuple[str, float | str | Parameter]]:
-    """Initial states with their numbers, words or parameters."""
+    """Returns initial states with their numbers, words or parameters."""
 
     def of(state: object) -> float | str | Parameter:
         return state if isinstance(state, (str, Parameter)) else _values.number("initial_states", state)  # type: ignore[arg-type]
@@ -277,7 +285,7 @@ def states(given: Mapping[str, SupportsFloat | str | Parameter] | None) -> list[
 def intervals(
     window: tuple[float, float] | None, windows: Sequence[tuple[float, float]] | None
 ) -> list[tuple[float, float]]:
-    """The windows, one or several."""
+    """Returns the list of windows from either argument."""
     if window is not None and windows is not None:
         raise ValueError("window and windows are given: put the one among the others")
     if windows is not None and (isinstance(windows, (str, Mapping)) or not isinstance(windows, Iterable)):
@@ -293,7 +301,7 @@ def intervals(
 
 
 def weighted(outputs: list[tuple[str, str]], weights: Weights | None) -> list[tuple[str, str, Weight]]:
-    """Pairs of output and column with their weights: 1 where there is none."""
+    """Returns outputs and columns with their weights; the default weight is 1."""
     if weights is None:
         return [(variable, column, 1.0) for variable, column in outputs]
     if isinstance(weights, Mapping):
@@ -314,7 +322,7 @@ def weighted(outputs: list[tuple[str, str]], weights: Weights | None) -> list[tu
 
 
 def _weight(variable: str, weight: Any) -> Weight:
-    """A number, the name of a column, or numbers for all rows."""
+    """Returns a number, the name of a column, or numbers for all rows."""
     if isinstance(weight, str):
         return weight
     if np.ndim(weight) == 0:
@@ -325,7 +333,7 @@ def _weight(variable: str, weight: Any) -> Weight:
 
 
 def path_of(model: Any) -> str:
-    """The path of a model that is given as such, or opened."""
+    """Returns the path of a model, given as a path or as an opened model."""
     if isinstance(model, (str, os.PathLike)):
         return os.fspath(model)
     path = getattr(model, "path", None)

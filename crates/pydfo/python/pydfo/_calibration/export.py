@@ -1,4 +1,4 @@
-"""Handing a fit on: to a file that is read back, to tables, to other programs."""
+"""Export of a fit: to a file for `load_fit`, to tables and to other programs."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ Inputs = Mapping[str, Callable[[float], float]]
 
 @also_called(model="fmu")
 def load_fit(path: PathLike, fmu: Any = None, inputs: Inputs | Mapping[str, Inputs] | None = None) -> Fit:
-    """A fit that `Fit.save` has written.
+    """Loads a fit written by `Fit.save`.
 
-    It has the numbers that it had, bit for bit, and simulates as it did. Where its FMU is not at its place any more, or has
-    another content there, the fit still shows all that it holds; what simulates raises FileNotFoundError, which names the
-    file and the hash of the content.
+    The loaded fit has bit-for-bit the same numbers and simulates as the saved fit. If its FMU was moved or has
+    changed, the fit still provides its stored results. Simulations then raise FileNotFoundError with the file and the
+    hash of the content.
 
     Parameters
     ----------
     path : path
-        The file. Reading it runs no code that it holds, unlike a pickle: it is the way to take fits of others.
+        The file. Unlike a pickle, reading it runs no code from it, so it is suitable for fits of other people.
     fmu : path or FMUModel, optional
-        The FMU, where it is at another place than it was when the fit was made. It must have the same content.
+        The FMU, if it was moved since the fit. It must have the same content.
     inputs : dict of str to callable, optional
-        The functions of time that drive inputs, by the names of the inputs: they are not stored. Where experiments have functions of
-        their own, a dict of such by the names of the experiments.
+        Functions of time that drive inputs, by input name. The file does not contain them. If experiments have
+        different functions, pass a dict of such dicts by experiment name.
 
     Returns
     -------
@@ -54,8 +54,9 @@ def load_fit(path: PathLike, fmu: Any = None, inputs: Inputs | Mapping[str, Inpu
     OSError
         The file cannot be read.
     BadCalibrationError
-        It holds no fit, is cut or damaged, or was written in a format that this version does not read (the message says by
-        which version it was); `fmu` has another content; functions of time are missing. A ValueError.
+        The file does not contain a fit, is truncated or damaged, or has a format that this version cannot read; the
+        message reports the version that wrote it. Also if `fmu` has another content, or functions of time are
+        missing. A ValueError.
 
     Examples
     --------
@@ -69,7 +70,7 @@ def load_fit(path: PathLike, fmu: Any = None, inputs: Inputs | Mapping[str, Inpu
 
 
 def _functions(path: str, given: Inputs | Mapping[str, Inputs]) -> list[tuple[int, str, Any]]:
-    """The functions of time of a file, from those that are given."""
+    """Returns the functions of time of a file from the given ones."""
     if not isinstance(given, Mapping):
         raise TypeError(f"inputs must be a dict of functions by the names of the inputs, not {show(given)}")
     wanted = _core.functions_of_fit(path)
@@ -119,10 +120,10 @@ def _loaded(
 
 
 def pickled(fit: Fit) -> tuple[Any, ...]:
-    """What a pickle of a fit holds: the bytes of the file that `Fit.save` writes."""
+    """Returns the pickle of a fit: the bytes that `Fit.save` writes."""
     native = vars(fit).get("_native")
     if native is None:
-        # Interrupted twice: there is no more than its fields.
+        # A fit that was interrupted twice has only its fields.
         return _restored_fields, (type(fit), vars(fit))
     calibration = fit._calibration
     return _restored, (native.to_bytes(), calibration._opened, calibration._functions)
@@ -139,7 +140,7 @@ def _restored_fields(of: type[Fit], fields: dict[str, Any]) -> Fit:
 
 
 def native_of(fit: Fit) -> _core.Fit:
-    """The native fit."""
+    """Returns the native fit."""
     native: _core.Fit | None = vars(fit).get("_native")
     if native is None:
         raise BadCalibrationError("the fit was interrupted twice, and has nothing but its last iteration: fit again")
@@ -147,13 +148,13 @@ def native_of(fit: Fit) -> _core.Fit:
 
 
 def dataframe(fit: Fit, what: str) -> Any:
-    """A table of a fit as a pandas.DataFrame."""
+    """Returns a table of a fit as a pandas.DataFrame."""
     text = native_of(fit).to_csv(_values.choice("what", what))
     return _optional_libraries.pandas().read_csv(io.StringIO(text), float_precision="round_trip")
 
 
 def export_fmu(fit: Fit, path: PathLike, experiment: str | None, keep: bool) -> Path:
-    """Writes a copy of the FMU, or what takes its place."""
+    """Writes a copy of the FMU, or the parameter file that replaces it, and returns its path."""
     fmu, ssv, warning = native_of(fit).export_fmu(_values.path("path", path), experiment, keep)
     if warning is not None:
         warnings.warn(warning, CalibrationWarning, stacklevel=3)

@@ -310,8 +310,8 @@ class Fit(OptimizeResult):
         """Compares the fitted model with other measurements: other recordings, or other parts of the fitted
         recordings.
 
-        To reserve part of a recording for validation, fit to a window: ``fit = Calibration(..., window=(0,
-        600)).fit()``, then
+        To reserve part of a recording for validation, fit to a window:
+        ``fit = Calibration(..., window=(0, 600)).fit()``, then
         ``fit.validate(windows=(601, 1800))``.
 
         Parameters

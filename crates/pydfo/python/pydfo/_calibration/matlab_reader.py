@@ -1,6 +1,7 @@
-"""Reads MATLAB files as a program in a process of its own: a damaged file can end the process that reads it.
+"""Reads MATLAB files as a program in a separate process, because a damaged file can crash its reader.
 
-`data_files` starts it with the path as its argument and a request on standard input. It imports nothing of the package.
+`data_files` starts it with the path as its argument and a request on standard input. It imports nothing from the
+package.
 """
 
 from __future__ import annotations
@@ -15,15 +16,15 @@ from typing import Any
 
 import numpy as np
 
-#: Exit code after an exception of a reader, whose message is on standard error.
+#: Exit code after an exception of a reader; the message is on standard error.
 REFUSED = 3
 
-#: The classes of numbers in MATLAB.
+#: The numeric classes of MATLAB.
 _NUMERIC = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
 
 
 def _numeric(name: str, value: Any) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
-    """Yields the numeric arrays in a variable that SciPy has read; those of structs are named ``struct.field``."""
+    """Yields the numeric arrays in a variable read by SciPy; fields of structs are named ``struct.field``."""
     if not isinstance(value, np.ndarray):
         return
     if value.dtype.names and value.size == 1:
@@ -40,9 +41,9 @@ def _load(path: str, names: list[str]) -> dict[str, np.ndarray[Any, Any]]:
 
 
 def _listed(path: str, wanted: list[str], most: int) -> tuple[dict[str, tuple[int, ...]], list[str]]:
-    """Returns the shapes of the numeric variables before version 7.3, of structs only those that are wanted, and the other names.
+    """Returns the shapes of the numeric variables before version 7.3 and the names of the other variables.
 
-    Structs are read for it, if they claim at most `most` elements.
+    Only wanted structs are included. They are read for this, if they claim at most `most` elements.
     """
     found: dict[str, tuple[int, ...]] = {}
     others = []
@@ -57,7 +58,7 @@ def _listed(path: str, wanted: list[str], most: int) -> tuple[dict[str, tuple[in
 
 
 def _datasets(group: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yields the numeric arrays of a file of version 7.3; those of structs are named ``struct.field``."""
+    """Yields the numeric arrays of a file of version 7.3; fields of structs are named ``struct.field``."""
     for name, value in group.items():
         if name.startswith("#"):
             continue
@@ -68,7 +69,7 @@ def _datasets(group: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _listed_of_hdf5(path: str) -> tuple[dict[str, tuple[int, ...]], list[str]]:
-    """Returns the same of a file of version 7.3, which holds arrays column by column."""
+    """Returns shapes and names for a file of version 7.3, which stores arrays column by column."""
     with import_module("h5py").File(path, "r") as file:
         return {name: tuple(reversed(stored.shape)) for name, stored in _datasets(file)}, []
 
@@ -80,12 +81,12 @@ def _load_of_hdf5(path: str, names: list[str]) -> dict[str, np.ndarray[Any, Any]
 
 
 def answer(path: str, request: dict[str, Any]) -> bytes:
-    """Returns the answer to a request: the list of variables as JSON, or arrays one after the other in NumPy's format."""
+    """Returns the answer to a request: the list of variables as JSON, or consecutive arrays in NumPy's format."""
     is_hdf5 = request["is_hdf5"]
     if (names := request.get("names")) is None:
         variables, others = _listed_of_hdf5(path) if is_hdf5 else _listed(path, request["wanted"], request["most"])
         return json.dumps({"variables": variables, "others": others}).encode()
-    # The fields of a struct are read with it; names of variables hold no dots.
+    # A struct is read with all its fields. Names of variables do not contain dots.
     arrays = _load_of_hdf5(path, names) if is_hdf5 else _load(path, list({name.partition(".")[0] for name in names}))
     out = io.BytesIO()
     for name in names:

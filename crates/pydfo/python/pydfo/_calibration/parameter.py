@@ -1,4 +1,4 @@
-"""What is fitted."""
+"""Parameters to fit and their priors."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from .._args.values import names, number
 
 @dataclass(frozen=True)
 class Normal:
-    """What is known of a parameter before the fit: normally distributed.
+    """Prior knowledge of a parameter: a normal distribution.
 
-    It adds one residual, ``(p - mean) / sd``, behind those of the measurements, whose weights should be 1/sigma of their
-    noise then. `Fit.rms` does not count it.
+    It adds one residual, ``(p - mean) / sd``, after the residuals of the measurements. The weights of the
+    measurements should then be 1/sigma of their noise. `Fit.rms` does not include this residual.
 
     Parameters
     ----------
@@ -40,16 +40,16 @@ class Normal:
 
 @dataclass(frozen=True)
 class LogNormal:
-    """What is known of a positive parameter before the fit: its logarithm is normally distributed.
+    """Prior knowledge of a positive parameter: a normal distribution of its logarithm.
 
     It adds one residual, ``(ln p - ln median) / sigma``; see `Normal`.
 
     Parameters
     ----------
     median : float
-        In the unit of the parameter.
+        Median in the unit of the parameter.
     sigma : float
-        Standard deviation of the natural logarithm: 0.1 is about 10 %.
+        Standard deviation of the natural logarithm; 0.1 is about 10 %.
     """
 
     median: float
@@ -72,62 +72,65 @@ def _numbers(prior: Normal | LogNormal, **given: object) -> None:
 
 @dataclass(frozen=True, init=False)
 class Parameter:
-    """A parameter of the model to be fitted.
+    """A parameter of the model to fit.
 
     Parameters
     ----------
     name : str
-        Its name in the model: that of a parameter, or of a variable whose start value is fitted, a state for example. With `variables`,
-        `delay_of` or `offset_of` the name is free.
+        Name of a parameter of the model, or of a variable whose start value is fitted, such as a state. With
+        `variables`, `delay_of` or `offset_of`, any name is allowed.
     start : float
-        Where the fit starts, in the model's unit (or in `unit`). A parameter that is tied has none.
+        Start value of the fit, in the model's unit or in `unit`. A tied parameter has no start value.
     lower, upper : float, optional
-        Bounds; None where there is none.
+        Bounds; None if there is no bound.
     scale : {"linear", "log"}
-        Whether the search runs over the value or over its logarithm (for positive parameters known only to an order of
-        magnitude). Values and bounds are in the model's unit either way.
+        "log" searches over the logarithm of the value, for positive parameters known only to an order of magnitude.
+        Values and bounds remain in the model's unit.
     nominal : float, optional
-        A typical size, from which steps and tolerances are taken; worth giving where `start` is 0 and there are no bounds.
-        Default: the nominal value in the model, else the width of the bounds if it is at most 100 times the start value, else the
-        start value; from a start at 0 with wide bounds Nelder-Mead and least squares find it by steps of powers of ten. "de" and
-        the other methods that sample the bounds search all of them, however wide.
+        Typical size, which determines steps and tolerances. Set it if `start` is 0 and there are no bounds. The
+        default is the nominal value in the model. Without it, the default is the width of the bounds if it is at most
+        100 times the start value, otherwise the start value. If the start is 0 and the bounds are wide, Nelder-Mead
+        and least squares find the size by steps of powers of ten. "de" and other methods that sample the bounds
+        always search all of them.
     kind : {"continuous", "integer", "categorical"}
-        Whether it takes any value, whole numbers, or whole numbers that stand for choices. The search is then by "de"
-        (integers) or "ga" (both).
+        Values of the parameter: any value, integers, or integers that represent choices. Discrete parameters require
+        "de" (integers) or "ga" (both).
     fixed : bool
-        Hold the parameter at `start`.
+        If True, hold the parameter at `start`.
     local : bool
-        Each experiment has a value of its own, ``T0[run1]``, ``T0[run2]``, instead of one for all. Where the `start_values` of an
-        `Experiment` name the parameter, its search starts there.
+        If True, each experiment has a separate value, ``T0[run1]``, ``T0[run2]``, instead of one for all. If the
+        `start_values` of an `Experiment` include the parameter, its search starts there.
     variables : list of str, optional
-        The variables of the model that it sets, all to the same value.
+        Variables of the model that the parameter sets, all to one value.
     delay_of : str, optional
-        It is the delay in s of this output that is compared (``y(t - tau)`` with what was measured at t; before the start the value at the
-        start), or of this input (``u(t - tau)``). It needs a finite lower bound.
+        Compared output or input with this parameter as its delay in s. ``y(t - tau)`` is compared with the
+        measurement at t, with the value at the start for earlier times. An input becomes ``u(t - tau)``. The
+        parameter requires a finite lower bound.
     offset_of : str, optional
-        It is added to this output that is compared, or to this input.
+        Compared output or input to which the parameter is added.
     tied_to : str, optional
-        Name of another parameter that it follows: its value is ``factor * other + offset``. It is no entry of ``x`` then; bounds,
-        prior and the like are those of the other, and ``fit.parameters`` has its value.
+        Name of another parameter that determines this one: its value is ``factor * other + offset``. The tied
+        parameter is not an entry of ``x``. Bounds, prior and similar settings are those of the other parameter.
+        ``fit.parameters`` includes its value.
     factor, offset : float
-        Those of `tied_to`.
+        Factor and offset of `tied_to`.
     across_units : bool
-        Whether `factor` has a unit: without it a parameter and the one that it is tied to must be quantities of one kind, and of one unit
-        where the factor is 1 (as far as the model states units).
+        If True, `factor` has a unit. Otherwise, a tied parameter and the other one must have the same quantity, and
+        the same unit if the factor is 1. The check covers units declared by the model.
     unit : str, optional
-        The unit of start, bounds and results, where the model states another one for the variable ("kJ/K", "degC"): values are converted
-        for the model.
+        Unit of start, bounds and results, if it differs from the unit in the model ("kJ/K", "degC"). Values are
+        converted for the model.
     display_name : str, optional
-        What reports and figures call it.
+        Name in reports and figures.
     prior : Normal or LogNormal, optional
-        What is known of it before the fit. (Uniform: the bounds.) The noise of the measurements that it counts beside is estimated where
-        the weights do not state it; see `noise` of `Calibration.fit`.
+        Prior knowledge of the parameter. Use bounds for a uniform prior. The noise of the measurements relative to
+        the prior is estimated if the weights do not state it; see `noise` of `Calibration.fit`.
 
     Raises
     ------
     ValueError
-        Numbers that do not fit together: bounds that cross, a start outside of them, a log scale with values that are
-        not positive, discrete values that are not whole.
+        Inconsistent numbers: bounds that cross, a start outside the bounds, values that are not positive with a log
+        scale, discrete values that are not integers.
 
     Examples
     --------
@@ -217,12 +220,12 @@ class Parameter:
             object.__setattr__(self, field, value)
 
     def _record(self) -> Record:
-        """As the native code takes it."""
+        """Returns the parameter as a record for the native code."""
         return {**vars(self), "prior": None if self.prior is None else self.prior._record()}
 
     @classmethod
     def _of(cls, record: Record) -> Parameter:
-        """The parameter of a record of the native code's."""
+        """Creates the parameter from a record of the native code."""
         prior = record["prior"]
         of_kind = None if prior is None else _PRIORS[next(iter(prior))](**next(iter(prior.values())))
         return cls(**{**record, "prior": of_kind})
@@ -240,5 +243,5 @@ class Parameter:
         return f"Parameter({', '.join(said)})"
 
 
-#: What stands in no representation; None where it is not here.
+#: Default values, which representations omit; None for all other fields.
 _DEFAULTS = {"scale": "linear", "kind": "continuous", "fixed": False, "local": False, "factor": 1.0, "offset": 0.0, "across_units": False}

@@ -1,4 +1,5 @@
-"""Profile likelihoods: how the cost rises as one parameter is held away from its best value and the others are fitted again."""
+"""Profile likelihoods: the rise of the cost if one parameter is held away from its best value and the others are
+refitted."""
 
 from __future__ import annotations
 
@@ -31,33 +32,35 @@ class Profile:
     Attributes
     ----------
     intervals : dict of str to (float, float)
-        Confidence intervals by parameter; infinite where an end is open.
+        Confidence intervals by parameter; infinite at open ends.
     messages : dict of str to str
-        Why an interval is open, in words; empty where it is not.
+        Reasons of open intervals; empty for closed intervals.
     values : dict of str to ndarray, shape (k,)
-        Where a parameter was held, ascending; the optimum is one of them.
+        Values at which a parameter was held, ascending, including the optimum.
     costs : dict of str to ndarray, shape (k,)
-        How much the cost is above that of the optimum there, the others fitted again, as the square of a distance in standard
-        errors: the rise over the variance that `Uncertainty.covariance` has for the residuals (one for each output; with a robust loss that
-        of an M-estimator; corrected where residuals are autocorrelated).
+        Rise of the cost above the optimum at these values, with the other parameters refitted. It is the square of a
+        distance in standard errors: the rise divided by the residual variance of `Uncertainty.covariance`. There is
+        one variance for each output. With a robust loss, it is the variance of an M-estimator. It is corrected for
+        autocorrelated residuals.
     points : dict of str to ndarray, shape (k, n)
-        All parameters there.
+        All parameters at these values.
     threshold : float
-        What the costs are at the ends of the intervals.
+        The value of the costs at the ends of the intervals.
     level : float
         The level of the intervals.
     parameters : dict of str to float
-        The optimum of the fit's cost, about which the intervals are: that of the fit, found more accurately.
+        Optimum of the cost of the fit, inside the intervals. It is a more accurate optimum than the result of the
+        fit.
     degrees_of_freedom : float
         Degrees of freedom of the fit, as in `Uncertainty`.
     interrupted : bool
-        Whether Ctrl-C ended it: some sides are not complete.
+        True if Ctrl-C ended the profile, so some sides are not complete.
     autocorrelated : bool
-        Whether residuals of an output are autocorrelated: the intervals are corrected for that, as those of `Uncertainty`.
+        True if residuals of an output are autocorrelated. The intervals are corrected for it, as in `Uncertainty`.
     n_simulations : int
-        Points that were simulated, those of a file that was continued included.
+        Number of points simulated, including those of a continued file.
     stats : SimulationStats
-        What the simulations took, without those of a file that was continued.
+        Computational cost of the simulations, without those of a continued file.
     """
 
     intervals: dict[str, tuple[float, float]]
@@ -79,24 +82,25 @@ class Profile:
         self.parameters: dict[str, float] = dict(zip(names, fields["x"].tolist()))
         self.stats = SimulationStats(**fields["stats"])
         self._text: str = fields["text"]
-        #: Of the parameters that have one.
+        #: Units of the parameters that have one.
         self._units = units
 
     @property
     def message(self) -> str:
-        """Which intervals are open, and why; empty if none is."""
+        """The open intervals and their reasons; empty if there are none."""
         return "; ".join(f"{_text.line(name)}: {message}" for name, message in self.messages.items() if message)
 
     def __repr__(self) -> str:
         return self._text
 
     def plot(self) -> Figure:
-        """Draws the cost over each parameter, with the threshold and the interval.
+        """Draws the cost against each parameter, with the threshold and the interval.
 
         Returns
         -------
         matplotlib.figure.Figure
-            One panel per parameter. Nothing is shown or saved: ``profile.plot().savefig("profile.png")``.
+            One panel per parameter. The figure is not shown or saved. Save it with
+            ``profile.plot().savefig("profile.png")``.
 
         Raises
         ------
@@ -117,7 +121,7 @@ def of_fit(
     workers: SupportsIndex | None,
     checkpoint: str | os.PathLike[str] | None,
 ) -> Profile:
-    """The profiles of these parameters of a fit."""
+    """Returns the profiles of these parameters of a fit."""
     names = fit._calibration.names
     chosen = None
     if parameters is not None:
@@ -135,7 +139,7 @@ def of_fit(
             None if checkpoint is None else _values.path("checkpoint", checkpoint),
         )
     except Interrupted as e:
-        # What there is so far, as the class that holds it.
+        # Convert the partial result to a Profile.
         found: Any = e.result
         if isinstance(found, dict):
             e.result = Profile(names, found, units)

@@ -1,7 +1,8 @@
-"""The simulations of a fit on an executor: what travels, and what happens where it arrives.
+"""The simulations of a fit on an executor: the data sent, and their handling in the receiving process.
 
-A task is the key of a problem and a point. A process that does not know the problem yet says so, and is sent it; one that does not
-find the model where it lies here is sent the file, which it keeps for all processes of its machine. So each travels once.
+A task contains a point and the key of its problem. A process that lacks the problem reports this and then receives
+it. A process that cannot find the model at its path receives the file and stores it for all processes of its machine.
+Problem and model are therefore sent only once.
 """
 
 from __future__ import annotations
@@ -25,24 +26,25 @@ from .._optimize import evaluate as _evaluate
 if TYPE_CHECKING:
     from .calibration import Calibration
 
-#: So many models are kept on a machine.
+#: Maximum number of models stored on a machine.
 MOST_MODELS = 8
 
-#: Problems that this process knows.
+#: Problems that this process has received.
 _problems: dict[str, Any] = {}
 
 
 class Problem(NamedTuple):
-    """What a process needs to simulate: the state of a calibration, how its model is opened, functions that are inputs."""
+    """Data that a process needs to simulate: the state of a calibration, options to open its model, input
+    functions."""
 
     state: bytes
     opened: Any
     functions: Any
-    #: The model, where it has to travel.
+    #: Content of the model, if it must be sent.
     model: bytes | None = None
 
     def open(self) -> Any:
-        """The native calibration. FileNotFoundError: the model is not here."""
+        """Returns the native calibration. Raises FileNotFoundError if the model is not on this machine."""
         path, content = _core.Calibration.model_of(self.state)
         # Another machine may have another model at the same path.
         fmu = self._opened_at(path)
@@ -51,7 +53,7 @@ class Problem(NamedTuple):
         return _core.Calibration.restore(self.state, fmu, self.functions)
 
     def _opened_at(self, path: Path) -> Any:
-        """The FMU at a path of this machine; None if there is none."""
+        """Returns the FMU at a path of this machine; None if there is none."""
         try:
             return _core.Fmu(path, self.opened)
         except (PydfoError, OSError):
@@ -59,26 +61,26 @@ class Problem(NamedTuple):
 
 
 class Deadline(NamedTuple):
-    """The time at which a fit with a time limit ends: by the clock of its machine, and in s from when a task was sent."""
+    """The end of a fit with a time limit: by the clock of its machine, and in s after the task was sent."""
 
     at: float
     machine: str
     seconds: float
 
     def left(self) -> float:
-        """The time that is left for a task, in s. Clocks of two machines are not compared."""
+        """Returns the remaining time for a task in s. Clocks of two machines are not compared."""
         return self.at - time.time() if self.machine == socket.gethostname() else self.seconds
 
 
 class Missing(NamedTuple):
-    """What a process lacks: "problem" or "model"."""
+    """The data that a process lacks: "problem" or "model"."""
 
     what: str
     machine: str
 
 
 def _kept_model(content: str, model: bytes | None) -> Path:
-    """The place of a model that travelled to this machine."""
+    """Returns the path of a model sent to this machine."""
     folder = Path(tempfile.gettempdir()) / f"fmufit-models-{os.getuid() if hasattr(os, 'getuid') else os.getlogin()}"
     folder.mkdir(mode=0o700, exist_ok=True)
     if folder.is_symlink() or (hasattr(os, "getuid") and folder.stat().st_uid != os.getuid()):
@@ -101,7 +103,7 @@ def _kept_model(content: str, model: bytes | None) -> Path:
 def simulate(
     key: str, problem: Problem | None, x: Any, cutoff: float, loss: bytes, deadline: Deadline | None = None
 ) -> tuple[float, bytes] | Missing:
-    """A task: how long it took and its answer, or what this process lacks."""
+    """Runs a task and returns its run time and its answer, or the data that this process lacks."""
     start = time.perf_counter()
     known = _problems.get(key)
     if known is None:
@@ -113,7 +115,7 @@ def simulate(
             if problem.model is not None:
                 raise
             return Missing("model", socket.gethostname())
-        # A process works for one problem at a time, as a rule.
+        # A process usually works on one problem at a time.
         _problems.clear()
         _problems[key] = known
     answer = known.answer(np.ascontiguousarray(x), cutoff, loss, deadline and deadline.left())
@@ -121,7 +123,7 @@ def simulate(
 
 
 class Simulations(_evaluate.Futures):
-    """Hands the points of a fit to an executor."""
+    """Sends the points of a fit to an executor."""
 
     def __init__(self, calibration: Calibration, executor: concurrent.futures.Executor, max_time: float | None) -> None:
         super().__init__(_no_function, executor)
@@ -130,9 +132,9 @@ class Simulations(_evaluate.Futures):
         self._tasks: dict[int, tuple[Any, ...]] = {}
 
     def begin(self, state: bytes, loss: bytes) -> None:
-        """The points from here on are of this problem."""
+        """Sets the problem of all following points."""
         self._problem = Problem(state, self._calibration._opened, self._calibration._functions)
-        # Functions that are inputs cannot be told apart by a hash.
+        # A hash cannot distinguish input functions.
         own = uuid.uuid4().bytes if self._calibration._functions else b""
         self._key = hashlib.sha256(state + own).hexdigest()
         self._loss = loss
@@ -142,13 +144,13 @@ class Simulations(_evaluate.Futures):
         self._began(number, self._executor.submit(simulate, key, problem, *point))
 
     def submit(self, number: int, x: Any, cutoff: float) -> None:
-        """Begins a point."""
+        """Starts the evaluation of a point."""
         deadline = self._end and Deadline(self._end, socket.gethostname(), self._end - time.time())
         self._tasks[number] = (self._key, x, cutoff, self._loss, deadline)
         self._send(number, None)
 
     def poll(self, seconds: float) -> tuple[int, float, Any, str] | None:
-        """As that of its base."""
+        """Extends the base method: sends the data that a process lacks."""
         polled = super().poll(seconds)
         if polled is None:
             return None

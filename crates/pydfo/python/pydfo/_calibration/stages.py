@@ -15,18 +15,19 @@ Windows = tuple[SupportsFloat, SupportsFloat] | Sequence[tuple[SupportsFloat, Su
 
 
 class Stage:
-    """One stage of a fit: it frees some of the parameters and holds the others where the last stage left them.
+    """One stage of a fit. It frees some of the parameters and holds the others at the values of the previous stage.
 
     Parameters
     ----------
     parameters : sequence of str
-        The parameters that it frees, by name: all values of a local one (``"T0"``), or one of them (``"T0[run1]"``).
+        Names of the parameters to free: all values of a local parameter (``"T0"``), or one of them (``"T0[run1]"``).
     windows : (float, float) or list of such, optional
-        Only measurements in these intervals count in this stage, in s; default: those that count in the calibration.
+        Intervals of time in s. Only measurements in these intervals count in this stage; default: the measurements
+        that count in the calibration.
     method, x_tol, f_tol, options : optional
-        As in `Calibration.fit`; default: what is said there.
+        As in `Calibration.fit`; default: the arguments of `Calibration.fit`.
     max_evaluations, max_iterations, max_time, target : optional
-        Limits of this stage, at which the next one begins; those of the fit hold for all stages together.
+        Limits of this stage, after which the next stage starts. The limits of the fit apply to all stages together.
     """
 
     @explained
@@ -61,7 +62,7 @@ class Stage:
 
 
 def names(value: Any, what: str) -> list[str]:
-    """A list of names of parameters."""
+    """Returns a list of names of parameters."""
     if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
         raise TypeError(f"{what} needs a list of names of parameters, as in [['C2', 'G2'], ['C1', 'G1']], not {_text.show(value)}")
     found = []
@@ -73,7 +74,7 @@ def names(value: Any, what: str) -> list[str]:
 
 
 def intervals(name: str, value: Any) -> list[tuple[float, float]]:
-    """One window, or several."""
+    """Returns one window, or several, as a list."""
     if value is None:
         return []
     wrong = f"{name} must be a pair (from, to) in s, or a list of pairs, not {_text.show(value)}"
@@ -96,7 +97,7 @@ def intervals(name: str, value: Any) -> list[tuple[float, float]]:
 
 
 def collected(stages: Any) -> list[Stage]:
-    """The argument ``stages``: stages, or lists of names."""
+    """Converts the argument ``stages``: stages, or lists of names."""
     if isinstance(stages, (str, bytes, Stage, Mapping)) or not isinstance(stages, Iterable):
         raise TypeError(f"stages must be a list of stages, as in [['C2', 'G2'], ['C1', 'G1']], not {_text.show(stages)}")
     return [stage if isinstance(stage, Stage) else Stage(names(stage, f"stage {k}")) for k, stage in enumerate(stages, 1)]
@@ -105,7 +106,8 @@ def collected(stages: Any) -> list[Stage]:
 def records(
     stages: Sequence[Stage], method: str, own: Mapping[str, Any], record: Callable[..., _options.Record]
 ) -> list[_options.Record]:
-    """The stages with what holds for all of them: `method` and the options `own` where a stage has no method of its own."""
+    """Returns the stages with their common settings. `method` and the options `own` apply to stages without a
+    method."""
     found = []
     for stage in stages:
         inherited = own if stage.method is None else {name: own[name] for name in ("x_tol", "f_tol", "stop") if name in own}

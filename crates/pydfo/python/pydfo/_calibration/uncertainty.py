@@ -1,4 +1,5 @@
-"""The uncertainty of a fit (standard errors, correlation, what the data cannot tell), and what is found before it."""
+"""The uncertainty of a fit (standard errors, correlation, parameters not determined by the data), and the check
+before a fit."""
 
 from __future__ import annotations
 
@@ -31,11 +32,11 @@ class ResidualCheck(NamedTuple):
     deviation: float
     """Standard deviation around the mean."""
     autocorrelation: float
-    """At lag one; NaN for fewer than three."""
+    """Autocorrelation at lag one; NaN for fewer than three residuals."""
     n_outliers: int
     """Number of residuals beyond six robust standard deviations from the median; 0 for fewer than 20 residuals."""
     n_outlier_groups: int
-    """How many groups of neighbours the outliers form."""
+    """Number of groups of neighbouring outliers."""
 
 
 class Uncertainty:
@@ -44,50 +45,57 @@ class Uncertainty:
     Attributes
     ----------
     estimator : {"sandwich", "pooled"}
-        How the covariance was estimated: with one residual variance per output of the model, or with one for all.
+        Estimator of the covariance: "sandwich" uses one residual variance per output of the model, "pooled" one for
+        all outputs.
     names : list of str
         Names of the parameters.
     x : ndarray, shape (n,)
-        The point.
+        Values of the parameters.
     covariance, correlation : ndarray, shape (n, n)
-        In the units of the parameters. Where the residuals of an output are autocorrelated they are taken for a first-order
-        autoregression; with a robust loss the covariance is that of an M-estimator. The noise of measured initial states enters it. It
-        is zero for those that are `held`, infinite on the diagonal for those that are `undetermined`; the correlation is NaN there.
+        Covariance in the units of the parameters, and correlation. Autocorrelated residuals of an output are modelled
+        as a first-order autoregression. A robust loss uses the covariance of an M-estimator. The noise of measured
+        initial states is included. The covariance is zero for `held` parameters, and infinite on the diagonal for
+        `undetermined` ones. The correlation is NaN for both.
     stderr : ndarray, shape (n,)
-        Standard errors: the roots of the diagonal.
+        Standard errors: the square roots of the diagonal.
     uncorrected_stderr : ndarray, shape (n,), or None
-        Standard errors that suppose independent residuals; None where no output has autocorrelated ones, and they are the same.
+        Standard errors that assume independent residuals; None if no output has autocorrelated residuals, because
+        they are then equal.
     autocorrelations : ndarray, shape (k,)
-        The autocorrelation at lag one that the covariance supposes for each of `residual_checks`: zero where it is no more than chance.
+        Autocorrelation at lag one assumed by the covariance for each of `residual_checks`; zero if it is not
+        significant.
     degrees_of_freedom : float
-        Number of measurements less the number of parameters that they determine: without priors the number of those that are not held; a
-        prior as good as the measurements counts one half. Measurements of weight zero do not count, nor those from which a simulation starts.
+        Number of measurements minus the number of parameters that they determine. Without priors, these are the
+        parameters that are not held. A parameter with a prior as accurate as the measurements counts one half.
+        Measurements with weight zero, and those from which a simulation starts, do not count.
     effective_degrees_of_freedom : ndarray, shape (n,)
-        Degrees of freedom of each parameter's confidence interval (Satterthwaite): fewer where its variance is mostly that of an output
-        with few measurements, or where residuals are autocorrelated; more where it is mostly that of a prior.
+        Degrees of freedom of the confidence interval of each parameter (Satterthwaite). They are lower if its
+        variance comes mostly from an output with few measurements, or if residuals are autocorrelated. They are
+        higher if it comes mostly from a prior.
     residual_checks : list of ResidualCheck
-        What the residuals of each output look like.
+        Properties of the residuals of each output.
     held : list of str
-        Parameters that are fixed, held or at a bound: taken as known.
+        Parameters that are fixed, held or at a bound, and therefore assumed known.
     undetermined, without_effect : list of str
-        Parameters that the data do not determine, and those of them that move no output.
+        Parameters that the data do not determine, and those of them that do not change any output.
     confounded : list of (str, str, float)
-        Pairs that move the outputs the same way, with their correlation: 0.9 or more.
+        Pairs with nearly the same effect on the outputs, with their correlation: 0.9 or more.
     weakest : list of str
-        The parameters of the combination that the data determine worst, where there are three or more in it and it matters.
+        Parameters of the combination that the data determine worst, if it has three or more and is relevant.
     identifiable : list of str
-        Parameters that this data can tell, the others held: with standard errors below half of their values, and no correlation of
-        0.9 or more.
+        Parameters that the data determine if the others are held: their standard errors are below half of their
+        values, and no correlation is 0.9 or more.
     findings : list of Finding
-        What is to be said of all this, with a severity.
+        Remarks on the uncertainty with their severity.
     verdict : list of str
-        The same in sentences; empty if nothing is to be said.
+        The remarks in sentences; empty if there are none.
     cost, accurate_cost : float
-        The cost, and the same with a tenth of the relative tolerance, or with half the step of a fixed-step solver (None: that simulation failed).
+        The cost, and the cost with a tenth of the relative tolerance, or with half the step of a fixed-step solver
+        (None: that simulation failed).
     jacobian : ndarray, shape (m, n)
-        Derivatives of the residuals by the parameters; zero for those that are held.
+        Derivatives of the residuals with respect to the parameters; zero for held parameters.
     n_simulations : int
-        Points that were simulated to find out.
+        Number of points simulated.
     """
 
     estimator: str
@@ -128,25 +136,25 @@ class Uncertainty:
 
     @explained
     def confidence_intervals(self, level: SupportsFloat = 0.95, *, corrected: bool = True) -> FloatArray:
-        """Confidence intervals by Student's t: ``x -+ t s``, for a parameter on a log scale ``x * exp(-+ t s / x)``.
+        """Returns confidence intervals from Student's t: ``x -+ t s``, or ``x * exp(-+ t s / x)`` on a log scale.
 
         Parameters
         ----------
         level : float
-            Between 0 and 1.
+            Level between 0 and 1.
         corrected : bool
-            Whether autocorrelated residuals are taken account of; False: with `uncorrected_stderr`.
+            If True, correct for autocorrelated residuals. If False, use `uncorrected_stderr`.
 
         Returns
         -------
         ndarray, shape (n, 2)
-            Lower and upper ends. Points for parameters that are held, without ends for those that are not determined.
+            Lower and upper ends. The ends coincide for held parameters and are infinite for undetermined parameters.
         """
         return self._native.intervals(_values.number("level", level), _values.flag("corrected", corrected))
 
     @property
     def message(self) -> str:
-        """Who is not determined, who is taken as known; empty if there is nothing to be said."""
+        """Remark on undetermined parameters and on those assumed known; empty if there are none."""
         return self._native.message()
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -161,44 +169,47 @@ def _restored(state: bytes) -> Uncertainty:
 
 
 class ParameterCheck(NamedTuple):
-    """What moving one parameter did before a fit."""
+    """The effect of moving one parameter before a fit."""
 
     name: str
     start: float
     moved_to: float | None
-    """None: the parameter is fixed."""
+    """Value to which the parameter was moved; None if it is fixed."""
     sensitivity: float | None
-    """RMS change of the residuals for a step of the parameter's size, over the RMS range of the measurements; None where nothing
-    was moved or the simulation failed."""
+    """RMS change of the residuals for a step of the parameter's size, divided by the RMS range of the measurements.
+
+    None if the parameter was not moved or the simulation failed."""
     has_effect: bool
-    """Whether it moves an output by more than the error of the simulations."""
+    """True if the parameter changes an output by more than the error of the simulations."""
     failure: str | None
-    """Why the simulation failed."""
+    """Reason of a failed simulation."""
 
 
 class Preflight:
-    """What was found before a fit (`Calibration.preflight`, ``fit.preflight``); ``print(preflight)`` shows a table.
+    """The check before a fit (`Calibration.preflight`, ``fit.preflight``); ``print(preflight)`` shows a table.
 
     Attributes
     ----------
     parameters : list of ParameterCheck
-        What moving each parameter by a hundredth of its size did.
+        Effects of moving each parameter by a hundredth of its size.
     confounded : list of (str, str, float)
-        Pairs that move the outputs the same way at the start, with the correlation that their estimates would have.
+        Pairs with nearly the same effect on the outputs at the start, with the correlation that their estimates would
+        have.
     cost, accurate_cost : float
-        The cost at the start, and with a tenth of the relative tolerance, or with half the step of a fixed-step solver (None: that simulation failed).
+        The cost at the start, and the cost with a tenth of the relative tolerance, or with half the step of a
+        fixed-step solver (None: that simulation failed).
     noise : float
-        The difference of both relative to the cost.
+        Difference between both costs relative to the cost.
     seconds_per_evaluation, expected_seconds : float
-        Time of one evaluation, and of a fit by least squares, one evaluation after the other.
+        Time in s of one evaluation, and of a fit by least squares with sequential evaluations.
     expected_evaluations : int
-        A rule of thumb for least squares: 12 for each free parameter and one more.
+        Rule of thumb for least squares: 12 for each free parameter, plus one.
     workers : int
-        Evaluations that may run at once.
+        Number of evaluations that may run at once.
     findings : list of Finding
-        What is to be said, causes first; empty if nothing is.
+        Remarks, causes first; empty if there are none.
     n_simulations : int
-        Points that were simulated.
+        Number of points simulated.
     """
 
     cost: float
@@ -223,14 +234,14 @@ class Preflight:
 
 
 def before(calibration: Calibration, x: list[float], workers: SupportsIndex | None) -> Preflight:
-    """What is found at a point before a fit."""
+    """Returns the check of a point before a fit."""
     return Preflight(calibration._native.preflight(x, _options.worker_count("workers", workers, None)))
 
 
 def at(
     calibration: Calibration, x: list[float], covariance: str, parameters: Sequence[str] | None, workers: SupportsIndex | None
 ) -> Uncertainty:
-    """Uncertainty of a point."""
+    """Returns the uncertainty of a point."""
     held: list[int] = []
     if parameters is not None:
         free = _values.names("parameters", [parameters] if isinstance(parameters, str) else parameters)

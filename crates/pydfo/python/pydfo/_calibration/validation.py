@@ -1,4 +1,4 @@
-"""How well a fit reproduces what it was not fitted to, and how uncertain its predictions are."""
+"""Validation of a fit on other measurements, and the uncertainty of its predictions."""
 
 from __future__ import annotations
 
@@ -30,38 +30,38 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, repr=False)
 class ValidatedOutput:
-    """An output of an experiment: measured, and simulated with fitted parameters."""
+    """An output of an experiment: measured values, and simulated values at the fitted parameters."""
 
     experiment: str
     """Name of the experiment."""
     variable: str
     """Name of the output in the model."""
     column: str
-    """Name of the column that measured it."""
+    """Name of the measured column."""
     unit: str | None
-    """Its unit, where the model states it."""
+    """Unit of the output, if the model declares one."""
     n: int
-    """How many measurements count."""
+    """Number of measurements that count."""
     rms: float
     """Root of the mean squared difference between simulation and measurement, without weights, in the unit of the output."""
     start_rms: float | None
-    """The same at the start of the fit; None if the simulation failed there."""
+    """RMS at the start of the fit; None if the simulation failed there."""
     fit_percent: float
-    """``100 (1 - |simulated - measured| / |measured - mean|)``; NaN where the measurements do not vary."""
+    """``100 (1 - |simulated - measured| / |measured - mean|)``; NaN if the measurements do not vary."""
     time: FloatArray
     """Times of the measurements, in s."""
     measured: FloatArray
-    """What was measured."""
+    """Measured values."""
     simulated: FloatArray
-    """What was simulated at these times."""
+    """Simulated values at these times."""
     residuals: FloatArray
     """Simulated minus measured, without weights."""
     start_residuals: FloatArray | None
-    """The same at the start of the fit; None if the simulation failed there."""
+    """Residuals at the start of the fit; None if the simulation failed there."""
 
     @property
     def scaled_rms(self) -> float | None:
-        """RMS over that at the start of the fit."""
+        """RMS relative to the RMS at the start of the fit."""
         return None if self.start_rms is None else self.rms / self.start_rms
 
     def __repr__(self) -> str:
@@ -69,25 +69,26 @@ class ValidatedOutput:
 
 
 class Validation:
-    """How well fitted parameters reproduce measurements that they were not fitted to; printed as a table.
+    """Result of a validation of fitted parameters with other measurements; printed as a table.
 
     Attributes
     ----------
     rms, start_rms, scaled_rms : float
-        Root of the mean squared weighted residual; the same at the start of the fit (None if the simulation failed there), and the
-        first over the second.
+        Root of the mean squared weighted residual, its value at the start of the fit (None if the simulation failed
+        there), and their ratio.
     n : int
-        How many measurements count.
+        Number of measurements that count.
     outputs : list of ValidatedOutput
-        Each output of each experiment: RMS, fit percentage, what was measured and simulated.
+        Each output of each experiment: RMS, fit percentage, measured and simulated values.
     parameters : dict of str to float
-        The values: those of the fit; local parameters as the validated recordings have them.
+        Values of the fit. Local parameters have the values of the validated recordings.
     findings : list of Finding
-        Measurements that the fit has seen: of these the RMS says nothing of predictions. The print has them, too.
+        Warnings about measurements used in the fit: their RMS does not assess predictions. The printed table includes
+        them.
     n_simulations : int
-        Simulations that were made.
+        Number of simulations.
     stats : SimulationStats
-        What they took.
+        Computational cost of the simulations.
     """
 
     n: int
@@ -105,14 +106,15 @@ class Validation:
 
     @property
     def scaled_rms(self) -> float | None:
-        """The RMS over that at the start of the fit."""
+        """RMS relative to the RMS at the start of the fit."""
         return None if self.start_rms is None else self.rms / self.start_rms
 
     def __repr__(self) -> str:
         return self._text
 
     def plot(self) -> Figure:
-        """Draws what was measured and simulated, at the start and as fitted, and below the residuals of both.
+        """Draws the measurements with the simulations at the start and at the fitted values, and below them the
+        residuals of both.
 
         Returns
         -------
@@ -160,39 +162,39 @@ def _validated(fields: dict[str, Any]) -> ValidatedOutput:
 
 @dataclass(frozen=True)
 class Fold:
-    """Recordings that were held out of a fit, and how well it reproduces them."""
+    """Recordings omitted from a fit, and the validation of the fit on them."""
 
     held_out: list[str]
-    """Names of the recordings that were held out."""
+    """Names of the omitted recordings."""
     parameters: dict[str, float]
-    """What was fitted to the others."""
+    """Parameters fitted to the other recordings."""
     fit_rms: float
-    """Root of the mean squared weighted residual of the others."""
+    """Root of the mean squared weighted residual of the other recordings."""
     nfev: int
     """Evaluations of the fit."""
     success: bool
-    """Whether it converged."""
+    """True if the fit converged."""
     message: str
-    """How it ended."""
+    """How the fit ended."""
     validation: Validation
-    """How well it reproduces what was held out."""
+    """Validation of the fit on the omitted recordings."""
 
 
 class CrossValidation:
-    """Fits without some of the recordings, each validated on those that it was not given; printed as a table.
+    """Fits without some of the recordings, each validated on the omitted ones; printed as a table.
 
     Attributes
     ----------
     folds : list of Fold
-        Each fit, in the order of the recordings.
+        The fits in the order of the recordings.
     unfinished : list of list of str
-        Recordings that were to be held out in folds for which the time did not suffice.
+        Omitted recordings of the folds for which there was not enough time.
     rms : float
-        Root of the mean squared weighted residual of all recordings, each when it was held out.
+        Root of the mean squared weighted residual of all recordings, each from the fit that omitted it.
     parameters : dict of str to (float, float)
-        The shared parameters: mean over the folds, and standard deviation between them.
+        Mean and standard deviation of the shared parameters over the folds.
     stats : SimulationStats
-        What all simulations took.
+        Computational cost of all simulations.
     """
 
     unfinished: list[list[str]]
@@ -211,31 +213,33 @@ class CrossValidation:
 
 @dataclass(frozen=True, repr=False)
 class PredictionBand:
-    """The prediction of an output, with its uncertainty at each time (of each alone, not of the curve as a whole)."""
+    """The prediction of an output with its pointwise uncertainty. The intervals do not apply to the whole curve."""
 
     experiment: str
     """Name of the experiment."""
     variable: str
     """Name of the output in the model."""
     unit: str | None
-    """Its unit, where the model states it."""
+    """Unit of the output, if the model declares one."""
     time: FloatArray
-    """Times, in s."""
+    """Times in s."""
     value: FloatArray
-    """The prediction."""
+    """Predicted values."""
     standard_error: FloatArray
-    """Its standard error: what the uncertainty of the parameters makes of it."""
+    """Standard error of the prediction due to the uncertainty of the parameters."""
     noise: FloatArray
-    """Standard deviation of the noise of a measurement at each time: that of the residuals over the weight of the measurement, between
-    measurements along straight lines."""
+    """Standard deviation of the noise of a measurement at each time: standard deviation of the residuals divided by
+    the weight.
+
+    It is interpolated linearly between measurements."""
     lower: FloatArray
-    """The interval of the model's output: lower end."""
+    """Lower end of the interval of the model's output."""
     upper: FloatArray
-    """Upper end."""
+    """Upper end of the interval of the model's output."""
     measured_lower: FloatArray
-    """The interval of a new measurement, which has noise: lower end."""
+    """Lower end of the interval of a new measurement, including its noise."""
     measured_upper: FloatArray
-    """Upper end."""
+    """Upper end of the interval of a new measurement, including its noise."""
 
     def __repr__(self) -> str:
         return _text.line(f"<PredictionBand of {self.variable} in {self.experiment} at {len(self.time)} times>")
@@ -244,7 +248,7 @@ class PredictionBand:
 def prediction_band(
     fit: Fit, times: npt.ArrayLike | None, level: float, outputs: Sequence[str] | str | None, corrected: bool
 ) -> dict[str, Any]:
-    """`Fit.prediction_band`."""
+    """Implements `Fit.prediction_band`."""
     rows = None if times is None else _values.vector("times", times).tolist()
     chosen = [outputs] if isinstance(outputs, str) else outputs
     names = None if chosen is None else [_values.choice("outputs", name) for name in chosen]
@@ -257,7 +261,7 @@ def prediction_band(
 
 
 def validate(fit: Fit, experiment: Experiment | Sequence[Experiment] | None, windows: Windows | None) -> Validation:
-    """`Fit.validate`."""
+    """Implements `Fit.validate`."""
     if (experiment is None) == (windows is None):
         raise BadCalibrationError("a fit is validated on another recording, experiment=Experiment(...), or in windows=(from, to): one of both")
     experiments = None

@@ -1,4 +1,4 @@
-"""How the native code starts processes in which FMUs run: this interpreter, with the native module alone."""
+"""Start of processes for FMUs by the native code: this interpreter with only the native module."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import sys
 
 from .. import _core
 
-#: Neither numpy nor anything else of the package is imported, and of the standard library only what Python starts with: the import of
-#: `importlib.util` alone would take half as long again.
+#: Neither numpy nor other parts of the package are imported. The standard library is limited to the modules of
+#: Python's start: importing `importlib.util` alone would take half as long again.
 _PROGRAM = """
 import sys
 sys.path.insert(0, sys.argv[1])
@@ -19,7 +19,7 @@ _core.serve_worker()
 
 
 def interpreter() -> str | None:
-    """The interpreter that runs here, also where `sys.executable` names a program that only embeds one."""
+    """Returns the running interpreter, even if `sys.executable` is a program that embeds one."""
     name = f"python{sys.version_info.major}.{sys.version_info.minor}"
     own = [sys.executable, getattr(sys, "_base_executable", None)]
     of_folders = [os.path.join(folder, "bin", name) for folder in (sys.exec_prefix, sys.base_exec_prefix)]
@@ -30,12 +30,12 @@ def interpreter() -> str | None:
     return None
 
 
-#: Whether worker processes can be started.
+#: True if worker processes can be started.
 is_known = False
 
 
 def know_interpreter() -> None:
-    """Has worker processes started by this interpreter."""
+    """Registers this interpreter as the one that starts worker processes."""
     global is_known
     if (program := interpreter()) is not None:
         library = os.path.abspath(_core.__file__)

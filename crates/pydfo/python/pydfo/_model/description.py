@@ -18,12 +18,12 @@ from .files import OpenOptions, PathLike, size_limit
 
 @dataclass(frozen=True)
 class DefaultExperiment:
-    """Settings that the model suggests for a simulation; None where it does not.
+    """Settings suggested by the model for a simulation; None if there is no suggestion.
 
     Attributes
     ----------
     start_time, stop_time, step_size : float or None
-        In s.
+        Start time, stop time and step size in s.
     tolerance : float or None
         Relative tolerance.
     """
@@ -36,9 +36,10 @@ class DefaultExperiment:
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What an FMU can do, in the words of FMI 2.0; those of the other versions are given the same names. FMI 3.0 alone has
-    `has_event_mode`, `might_return_early_from_do_step`, `provides_intermediate_update`, `can_return_early_after_intermediate_update`
-    and `fixed_internal_step_size` (in s, None if there is none)."""
+    """Capabilities of an FMU, with the names of FMI 2.0 for all versions.
+
+    Only FMI 3.0 has `has_event_mode`, `might_return_early_from_do_step`, `provides_intermediate_update`,
+    `can_return_early_after_intermediate_update` and `fixed_internal_step_size` (in s, None if there is none)."""
 
     needs_execution_tool: bool
     completed_integrator_step_not_needed: bool
@@ -61,14 +62,14 @@ class Capabilities:
 
 @dataclass(frozen=True)
 class Interface:
-    """Model exchange or co-simulation, as an FMU offers it.
+    """The model exchange or co-simulation interface of an FMU.
 
     Attributes
     ----------
     model_identifier : str
         Name of the library.
     source_files : list of str
-        Files in ``sources/`` that it is built from.
+        Files in ``sources/`` from which the library is built.
     capabilities : Capabilities
     """
 
@@ -95,7 +96,7 @@ class BaseUnit:
 
 @dataclass(frozen=True)
 class DisplayUnit:
-    """A unit to show values in, with ``shown value = factor * value + offset`` (``factor / value`` if `inverse`)."""
+    """A unit for display, with ``shown value = factor * value + offset`` (``factor / value`` if `inverse`)."""
 
     name: str
     factor: float
@@ -105,7 +106,7 @@ class DisplayUnit:
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit; `base` is None where the file does not define it in SI units."""
+    """A unit; `base` is None if the file does not define the unit in SI units."""
 
     name: str
     base: BaseUnit | None
@@ -114,7 +115,7 @@ class Unit:
 
 @dataclass(frozen=True)
 class EnumerationItem:
-    """One of the values of an enumeration."""
+    """A value of an enumeration."""
 
     name: str
     value: int
@@ -123,7 +124,7 @@ class EnumerationItem:
 
 @dataclass(frozen=True)
 class TypeDefinition:
-    """A type that variables refer to as their `declared_type`; `items` are those of an enumeration."""
+    """A type to which variables refer as their `declared_type`; `items` are the items of an enumeration."""
 
     name: str
     description: str | None
@@ -149,8 +150,9 @@ class LogCategory:
 
 @dataclass(frozen=True)
 class Quirk:
-    """A place where the description departs from the standard, and what was made of it; `line` is None if it is about
-    the file as a whole."""
+    """A violation of the standard in the description, and its interpretation.
+
+    `line` is None if the violation concerns the whole file."""
 
     kind: str
     message: str
@@ -159,43 +161,45 @@ class Quirk:
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable of a model. Attributes of its type definition are filled in.
+    """A variable of a model. It includes the attributes of its type definition.
 
     Attributes
     ----------
     name : str
     index : int
-        Position in the file, from 0; aliases have that of their variable.
+        Position in the file, from 0. Aliases have the position of their variable.
     value_reference : int
-        Handle within the FMU; aliases share it.
+        Handle within the FMU, shared by aliases.
     description : str or None
     type : {"Real", "Integer", "Boolean", "String", "Enumeration"}
-        Or one of FMI 3.0: "Float32", "Int8", "UInt8", "Int16", "UInt16", "UInt32", "Int64", "UInt64", "Binary", "Clock".
+        FMI 3.0 adds "Float32", "Int8", "UInt8", "Int16", "UInt16", "UInt32", "Int64", "UInt64", "Binary", "Clock".
     causality : {"parameter", "structuralParameter", "calculatedParameter", "input", "output", "local", "independent"}
     variability : {"constant", "fixed", "tunable", "discrete", "continuous"}
     initial : {"exact", "approx", "calculated"} or None
-        How the initial value comes about; None for inputs and time.
+        Origin of the initial value; None for inputs and time.
     declared_type : str or None
         Name of the type definition.
     quantity, unit, display_unit : str or None
     relative_quantity, unbounded : bool
     min, max, nominal : float or None
-        In `unit`.
+        Limits and nominal value in `unit`.
     start : float, int, bool, str, bytes, ndarray or None
-        The start value, in `unit`; that of an array has its shape.
+        Start value in `unit`. The start value of an array has its shape.
     shape : tuple of int
-        Of an array, with structural parameters at their start values; () for a single value.
+        Shape of an array, with structural parameters at their start values; () for a single value.
     dimensions : tuple of int or str
-        The extents, or the names of the structural parameters that they are.
+        Extents of an array, as numbers or as names of structural parameters.
     aliases : tuple of str
-        The other names of the variable (FMI 3.0): each is an entry of `Variables`, with its own description and display unit.
+        Other names of the variable (FMI 3.0). Each is an entry of `Variables`, with its own description and display
+        unit.
     derivative : str or None
-        Name of the variable that this one is the time derivative of.
+        Name of the variable whose time derivative this variable is.
     reinit : bool
-        A state that events may set anew.
+        True for a state that events may reset.
     can_handle_multiple_set_per_time_instant : bool
     interval_variability : str or None
-        Of a clock (FMI 3.0), who knows when it ticks: "constant", "fixed", "tunable", "changing", "countdown", "triggered".
+        For a clock (FMI 3.0), the source of its ticks: "constant", "fixed", "tunable", "changing", "countdown",
+        "triggered".
     line : int
         Line in the file, from 1.
     """
@@ -228,7 +232,7 @@ class Variable:
     line: int
 
 
-#: What a table of variables shows of them, and of how many.
+#: Columns and maximum number of rows of a table of variables.
 _COLUMNS = ("name", "type", "causality", "variability", "start", "unit", "description")
 _MOST_SHOWN = 100
 
@@ -238,8 +242,9 @@ def _cell(value: object) -> str:
 
 
 class Variables(Mapping[str, Variable]):
-    """The variables of a model by name, in the order of the file, each followed by its aliases (FMI 3.0); made when they are
-    looked at. Printed they are a table; `to_dataframe` makes one of pandas."""
+    """The variables of a model by name, in the order of the file, each followed by its aliases (FMI 3.0).
+
+    Variables are created on access. Printing shows a table, and `to_dataframe` returns a pandas table."""
 
     def __init__(self, fmu: _core.Fmu) -> None:
         self._fmu = fmu
@@ -265,7 +270,7 @@ class Variables(Mapping[str, Variable]):
         return f"<Variables: {len(self)}>"
 
     def __str__(self) -> str:
-        """A table of the first hundred variables."""
+        """Returns a table of the first hundred variables."""
         shown = list(itertools.islice(self.values(), _MOST_SHOWN))
         rows = [_COLUMNS, *(tuple(_text.line(_cell(getattr(variable, column))) for column in _COLUMNS) for variable in shown)]
         widths = [max(map(len, column)) for column in zip(*rows)]
@@ -275,15 +280,16 @@ class Variables(Mapping[str, Variable]):
         return "\n".join(lines)
 
     def to_dataframe(self) -> Any:
-        """A pandas.DataFrame with a row per variable and the attributes of `Variable` as columns; the names are its index.
-        Needs pandas."""
+        """Returns a pandas.DataFrame with a row per variable and the attributes of `Variable` as columns.
+
+        The names are its index. Needs pandas."""
         rows = [vars(variable) for variable in self.values()]
         return _optional_libraries.pandas().DataFrame(rows, columns=list(Variable.__dataclass_fields__)).set_index("name")
 
 
 @dataclass(frozen=True)
 class Terminal:
-    """Variables of the model that are connected to those of another one together.
+    """A group of variables of the model to connect to a group of another model.
 
     Attributes
     ----------
@@ -292,13 +298,13 @@ class Terminal:
         How the members of two terminals are paired: "plug", "bus", "sequence", or a name with a domain.
     kind, description : str or None
     members : dict
-        From the name of each variable to how it is connected: "signal", "inflow", "outflow", or a name with a domain.
+        Maps the name of each variable to its connection: "signal", "inflow", "outflow", or a name with a domain.
     streams : list of tuple of str
-        Pairs of variables for what is transported with a flow: into the model, and out of it.
+        Pairs of variables for quantities transported with a flow: into the model, and out of it.
     terminals : list of Terminal
-        Those inside of it.
+        Nested terminals.
     icon : str or None
-        Name of its image in the folder ``terminalsAndIcons``.
+        Name of the image in the folder ``terminalsAndIcons``.
     """
 
     name: str
@@ -316,22 +322,22 @@ def _terminal(fields: dict[str, Any]) -> Terminal:
 
 
 class Description:
-    """The model description of an FMU; reading it runs no code of the FMU.
+    """The model description of an FMU. Reading it runs no code of the FMU.
 
     Attributes
     ----------
     fmi_version : str
         "1.0", "2.0", "3.0".
     model_name, guid : str
-        The guid is the instantiation token in FMI 3.0.
+        In FMI 3.0, the guid is the instantiation token.
     description, author, version, copyright, license, generation_tool, generation_date_and_time : str or None
     variable_naming_convention : {"flat", "structured"} or None
     n_states, n_event_indicators : int
     default_experiment : DefaultExperiment
     model_exchange, co_simulation : Interface or None
-        None if it is not offered.
+        None if the FMU does not support the interface.
     path : Path
-        The file.
+        Path of the FMU.
     """
 
     fmi_version: str
@@ -370,18 +376,18 @@ class Description:
 
     @property
     def capabilities(self) -> Capabilities | None:
-        """Those of model exchange, or those of co-simulation where that alone is offered."""
+        """Capabilities of model exchange, or of co-simulation if only co-simulation is supported."""
         interface = self.model_exchange or self.co_simulation
         return interface.capabilities if interface else None
 
     @cached_property
     def states(self) -> list[str | None]:
-        """Names of the continuous states in their order; None where the file does not name them."""
+        """Names of the continuous states in their order; None if the file does not name them."""
         return self._fmu.state_names()
 
     @cached_property
     def terminals(self) -> list[Terminal]:
-        """The terminals of the model (``terminalsAndIcons.xml``); empty where it has none."""
+        """Terminals of the model (``terminalsAndIcons.xml``); empty if there are none."""
         return [_terminal(fields) for fields in self._fmu.terminals()]
 
     @cached_property
@@ -401,22 +407,22 @@ class Description:
 
     @cached_property
     def units(self) -> dict[str, Unit]:
-        """The units by name."""
+        """Units by name."""
         return {u["name"]: _unit(**u) for u in self._fmu.units()}
 
     @cached_property
     def type_definitions(self) -> dict[str, TypeDefinition]:
-        """The types by name."""
+        """Type definitions by name."""
         return {t["name"]: _type_definition(**t) for t in self._fmu.type_definitions()}
 
     @cached_property
     def log_categories(self) -> list[LogCategory]:
-        """The categories of log messages."""
+        """Categories of log messages."""
         return [LogCategory(*category) for category in self._fmu.log_categories()]
 
     @property
     def quirks(self) -> list[Quirk]:
-        """Where the file departs from the standard, and where the model was seen to when it was run."""
+        """Violations of the standard in the file, and those detected when the model was run."""
         return [Quirk(*quirk) for quirk in self._fmu.quirks()]
 
     def __repr__(self) -> str:
@@ -430,23 +436,24 @@ class Description:
 def read_description(
     path: PathLike, *, max_description_bytes: int | None = None, max_elements: int | None = None
 ) -> Description:
-    """The model description of an FMU, which need not be one that can be simulated. Runs no code of the FMU.
+    """Reads the model description of an FMU, even if the FMU cannot be simulated. Runs no code of the FMU.
 
     Parameters
     ----------
     path : path
         An ``.fmu`` file or an unpacked folder.
     max_description_bytes : int, optional
-        How large ``modelDescription.xml`` may be; default 64 MiB. Reading it takes at most eight times as much memory.
+        Maximum size of ``modelDescription.xml``; default 64 MiB. Reading it requires at most eight times as much
+        memory.
     max_elements : int, optional
-        How many elements its array variables may have together; default 2 million.
+        Maximum total number of elements of the array variables; default 2 million.
 
     Raises
     ------
     OSError
-        The file cannot be read (FileNotFoundError if there is none).
+        The file cannot be read (FileNotFoundError if it does not exist).
     FmuError
-        The archive or its ``modelDescription.xml`` is damaged, or not safe to unpack.
+        The archive or its ``modelDescription.xml`` is damaged or not safe to unpack.
     """
     options = OpenOptions(
         max_description_bytes=size_limit("max_description_bytes", max_description_bytes),
@@ -471,5 +478,5 @@ def _type_definition(items: list[dict[str, Any]], **fields: Any) -> TypeDefiniti
 
 
 def _restored(path: str, description: bytes, content_hash: str) -> Description:
-    """A description from its pickle, which needs no file."""
+    """Restores a description from its pickle without the file."""
     return Description(_core.Fmu.described(path, description, content_hash))

@@ -13,13 +13,13 @@ from .._args import values as _values
 
 PathLike = str | os.PathLike[str]
 
-# FMUs stay open for the next one who opens them; their unpacked folders go with the interpreter.
+# FMUs stay open for reuse. Their unpacked folders are removed at the exit of the interpreter.
 atexit.register(_core.close_unused)
 
 
 @dataclass(frozen=True)
 class OpenOptions:
-    """How an FMU is opened, as the native code reads it."""
+    """Options for opening an FMU, as the native code reads them."""
 
     log_level: int = 7
     logging: bool = False
@@ -32,7 +32,7 @@ class OpenOptions:
 
 
 def size_limit(name: str, value: int | None) -> int | None:
-    """A limit that counts something; None: the default."""
+    """Returns a limit on a count; None: the default."""
     if value is None:
         return None
     if isinstance(value, bool) or not hasattr(value, "__index__"):
@@ -49,10 +49,11 @@ def build_fmu(folder: PathLike, out: PathLike) -> Path:
     Parameters
     ----------
     folder : path
-        With ``modelDescription.xml`` at its root and, for an FMU that is to be built, ``sources/``. A library for this
-        platform is compiled from the sources (``CC``, else ``cc``, ``gcc`` or ``clang``) and packed with them.
+        A folder with ``modelDescription.xml`` at its root. For an FMU to be built, it also contains ``sources/``. A
+        library for this platform is compiled from the sources (``CC``, otherwise ``cc``, ``gcc`` or ``clang``) and
+        packed with them.
     out : path
-        The file to write; one that exists is replaced.
+        The file to write. An existing file is replaced.
 
     Returns
     -------
@@ -62,27 +63,27 @@ def build_fmu(folder: PathLike, out: PathLike) -> Path:
     Raises
     ------
     FmuError
-        The folder holds no FMU; there is no compiler; the sources do not compile.
+        The folder does not contain an FMU, there is no compiler, or the sources do not compile.
     OSError
         Files cannot be read or written.
     Interrupted
-        Ctrl-C (a KeyboardInterrupt): the compiler is ended, and nothing is written.
+        Ctrl-C was pressed; a KeyboardInterrupt. The compiler is ended, and nothing is written.
     """
     _core.build_fmu(_values.path("folder", folder), _values.path("out", out))
     return Path(out)
 
 
 def example_fmu(name: str, version: str = "2.0", kind: str = "ME") -> Path:
-    """The FMU of a bundled model; built at the first call, and kept in a cache folder.
+    """Returns the FMU of a bundled model. It is built at the first call and kept in a cache folder.
 
     Parameters
     ----------
     name : {"furuta", "bouncing_ball", "dahlquist", "van_der_pol", "stair", "switched_input", "quad_tank", "exhaust"}
-        The model.
+        Name of the model.
     version : {"1.0", "2.0", "3.0"}
-        The version of FMI that it is made for.
+        Version of FMI of the FMU.
     kind : {"ME", "CS"}
-        Model exchange or co-simulation; FMUs of FMI 3.0 have both.
+        Model exchange or co-simulation. FMUs of FMI 3.0 support both.
 
     Returns
     -------
@@ -92,7 +93,7 @@ def example_fmu(name: str, version: str = "2.0", kind: str = "ME") -> Path:
     Raises
     ------
     ValueError
-        There is no such model, version or kind; the message lists those there are.
+        There is no such model, version or kind. The message lists the available ones.
     FmuError
         There is no C compiler.
 
@@ -108,8 +109,8 @@ def example_fmu(name: str, version: str = "2.0", kind: str = "ME") -> Path:
 
 
 def clear_caches() -> None:
-    """Removes what is kept between runs: libraries built from sources, packed example models, open FMUs.
+    """Removes cached files and open FMUs: libraries built from sources, packed example models, unused open FMUs.
 
-    Models that are in use go on; what is missing is made again when it is needed.
+    Models in use continue to work. Missing files are created again when they are needed.
     """
     _core.clear_caches()

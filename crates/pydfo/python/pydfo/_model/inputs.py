@@ -1,4 +1,4 @@
-"""The many forms in which inputs may be given, brought into two: tables and functions of time."""
+"""Conversion of all forms of inputs into tables and functions of time."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Table:
 
     times: FloatArray
     columns: list[tuple[str, FloatArray]]
-    #: Texts, bytes, and integers that doubles cannot hold.
+    #: Strings, bytes, and integers that cannot be represented as doubles.
     values: list[tuple[str, list[Any]]]
 
 
@@ -39,7 +39,9 @@ class Function:
 def normalize(
     given: Any, fmu: _core.Fmu, start_values: list[str], parameter_set: str | None
 ) -> tuple[list[Table], list[Function]]:
-    """Tables and functions from the argument ``inputs`` of a simulation, and the names whose start values are given."""
+    """Returns tables and functions from the argument ``inputs`` of a simulation.
+
+    `start_values` lists the names whose start values are set."""
     if given is None:
         return [], []
     if isinstance(given, (str, os.PathLike)):
@@ -67,10 +69,10 @@ def normalize(
 
 
 def _recording(path: str, fmu: _core.Fmu, start_values: list[str], parameter_set: str | None) -> list[Table]:
-    """The columns of a file that have the names of inputs or tunable parameters."""
+    """Returns the columns of a file with the names of inputs or tunable parameters."""
     found = _data.read(path, [], None)
     if found.table is not None:
-        # Elements of arrays and units follow the name; its case may differ.
+        # Elements of arrays and units follow the name. Case may differ.
         driven = fmu.names_of("input") + fmu.tunable_parameters()
         inputs, names = {name.split("[")[0].lower() for name in driven}, found.table.names()
         named = [name for name in names if re.split(r"[\[(]", name)[0].strip().lower() in inputs]
@@ -80,10 +82,12 @@ def _recording(path: str, fmu: _core.Fmu, start_values: list[str], parameter_set
 
 
 def held_beyond(tables: list[Table], first: float, last: float) -> str:
-    """What is to be said of recordings of inputs that do not last as long as a simulation, by more than a row; empty if nothing is."""
+    """Returns a warning about recorded inputs that end before a simulation or start after it by more than a row.
+
+    Returns an empty string if there is none."""
     for table in tables:
         if len(table.times) < 2:
-            # A constant.
+            # A constant input.
             continue
         start, end = float(np.min(table.times)), float(np.max(table.times))
         row = float(np.median(np.diff(np.sort(table.times)))) + 2.0 * _core.time_tolerance(first, last)
@@ -103,7 +107,7 @@ def _mapping(given: Mapping[Any, Any]) -> tuple[list[Table], list[Function]]:
     functions = [Function([name], value) for name, value in given.items() if callable(value)]
     constants = {name: [value] for name, value in given.items() if not callable(value) and np.ndim(value) == 0}
     names = [name for name, value in given.items() if not callable(value) and np.ndim(value) > 0]
-    # The only row of a table holds at all times.
+    # A table with a single row is constant.
     tables = [_columns(np.zeros(1), constants)] if constants else []
     if names and names != ["time"]:
         tables.append(_table(names, lambda name: given[name], "the dict"))
@@ -120,7 +124,7 @@ def _frame(given: Any) -> Table:
 
 
 def _table(names: Sequence[str], column: Callable[[str], Any], what: str) -> Table:
-    """The columns of a table; times are those of the column "time", converted to s from the unit in its name."""
+    """Returns the columns of a table. The times are the column "time", converted to s from the unit in its name."""
     try:
         at, (numerator, denominator) = _core.find_time(list(names))
     except ValueError as e:
@@ -147,12 +151,13 @@ def _columns(times: FloatArray, given: Mapping[str, Any]) -> Table:
     return Table(times, numbers, [(name, values) for name, values in exact.items() if values is not None])
 
 
-#: Up to here a double holds every integer.
+#: Largest magnitude up to which a double represents every integer.
 _EXACT_INTEGERS = 2**53
 
 
 def _exact(values: Any) -> list[Any] | None:
-    """The values one by one, where they are texts, bytes, or integers of which a double cannot hold all; else None."""
+    """Returns the values one by one if they are strings, bytes, or integers not representable as doubles, otherwise
+    None."""
     if np.ndim(values) != 1 or len(values) == 0:
         return None
     if isinstance(values, np.ndarray) and values.dtype.kind in "iu":
@@ -191,7 +196,7 @@ def _pair(names: Any, data: Any) -> tuple[list[Table], list[Function]]:
 def _column(name: str, values: Any) -> FloatArray:
     name = _text.line(name)
     array = np.asarray(values)
-    # NumPy would make NaN of None.
+    # NumPy would convert None to NaN.
     if array.dtype.kind not in "biufO" or (array.dtype.kind == "O" and any(v is None for v in array.flat)):
         raise TypeError(f"input {name} must be numbers, not of type {array.dtype}")
     try:

@@ -1,4 +1,4 @@
-"""One instance of an FMU, driven by hand: the functions of FMI one by one, and steps."""
+"""An instance of an FMU controlled call by call: the individual functions of FMI, and steps."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class EventInfo:
-    """What an event iteration has done.
+    """The result of an event iteration.
 
     Attributes
     ----------
     states_changed, nominals_changed : bool
-        Whether states, or their nominal values, have changed.
+        True if states, or their nominal values, have changed.
     terminate : bool
-        The model wants to end the simulation.
+        True if the model requests the end of the simulation.
     next_time : float or None
-        The next time event in s; None if there is none.
+        Time of the next time event in s; None if there is none.
     """
 
     states_changed: bool
@@ -45,21 +45,21 @@ class EventInfo:
 
 @dataclass(frozen=True)
 class StepInfo:
-    """What came of a step.
+    """The result of a step.
 
     Attributes
     ----------
     time : float
-        Where the instance stands now, in s.
+        Current time of the instance in s.
     complete : bool
-        It stands at the end of the step.
+        True if the instance reached the end of the step.
     terminate : bool
-        The model wants to end the simulation here.
+        True if the model requests the end of the simulation.
     event : bool
-        Co-simulation with an event mode (FMI 3.0): the model asks for `Instance.handle_events`, or a clock is due. What is not
-        handled then is handled at the start of the next step.
+        Co-simulation with an event mode (FMI 3.0): True if the model requests `Instance.handle_events`, or a clock is
+        due. An unhandled event is handled at the start of the next step.
     early : bool
-        Co-simulation (FMI 3.0): the model has returned early.
+        Co-simulation (FMI 3.0): True if the model has returned early.
     """
 
     time: float
@@ -76,9 +76,9 @@ class LinearSystem:
     Attributes
     ----------
     A, B, C, D : ndarray
-        Of shapes (states, states), (states, inputs), (outputs, states), (outputs, inputs); in the units of the model.
+        Shapes (states, states), (states, inputs), (outputs, states), (outputs, inputs); in the units of the model.
     states, inputs, outputs : list of str
-        Names; elements of arrays one by one. Inputs and outputs are those of type Real that are continuous.
+        Names, with elements of arrays one by one. Inputs and outputs are the continuous ones of type Real.
     """
 
     A: FloatArray
@@ -91,9 +91,9 @@ class LinearSystem:
 
 
 class Instance:
-    """An instance of an FMU that is driven by hand.
+    """An instance of an FMU controlled call by call.
 
-    It is always in one `phase`, and each phase has the calls that FMI allows in it:
+    It is always in one `phase`. FMI allows the following calls in each phase:
 
     =================  =======================================================  ===============================================
     phase              calls                                                    leads on with
@@ -107,38 +107,42 @@ class Instance:
     "terminated"       `get`                                                    `reset`
     =================  =======================================================  ===============================================
 
-    A call in another phase is a ValueError that names the phase it needs. Where a call that leads to another phase fails, the
-    instance is freed. Each instance has a worker process of its own, with the working folder and the environment variables of the
-    moment when it is made. A crash of the FMU, or a Ctrl-C during a call, ends that process: the call raises, and each later one
-    is a ValueError. Instances do not wait for each other, and nothing of the FMU is checked: for simulations that shall be
-    the same each time, use `FMUModel`. As a context manager the instance is closed at the end.
+    A call in another phase raises a ValueError that names the required phase. If a call that changes the phase fails,
+    the instance is freed. Each instance has a separate worker process, with the working folder and the environment
+    variables at the time of its creation. A crash of the FMU, or Ctrl-C during a call, ends that process. The call
+    raises, and each later call raises a ValueError. Instances do not wait for each other, and the behaviour of the
+    FMU is not checked. For reproducible simulations, use `FMUModel`. As a context manager, the instance is closed at
+    the end.
 
-    Steps handle events as a simulation does. Clocks with an interval tick when they are due; triggered ones are set by hand
-    (True). An event indicator that an input takes across zero, set between two steps, is an event at the start of the next one.
-    Between two steps of a co-simulation with an event mode (FMI 3.0) all but continuous inputs wait for that mode: for
-    `handle_events`, or the start of the next step. Before the initialization an array may be given the size that structural
-    parameters will give it.
+    Steps handle events as a simulation does. Clocks with an interval tick when they are due. Set triggered clocks
+    yourself (True). If setting an input between two steps moves an event indicator across zero, the event occurs at
+    the start of the next step. In a co-simulation with an event mode (FMI 3.0), all inputs except continuous ones
+    take effect in that mode: at `handle_events`, or at the start of the next step. Before the initialization, arrays
+    may be set with the size that structural parameters will determine.
 
     Parameters
     ----------
     path : path or FMUModel
-        An ``.fmu`` file, an unpacked folder, or a model: then the values that are set in it are set in the instance.
+        An ``.fmu`` file, an unpacked folder, or a model. The values set in a model are also set in the instance.
     kind : {"auto", "ME", "CS"}
-        Model exchange or co-simulation; "auto" takes model exchange where it is offered (of an `FMUModel` its kind).
+        Model exchange or co-simulation. "auto" selects model exchange if it is available; for an `FMUModel`, it
+        selects the kind of the model.
     name : str, optional
-        Name of the instance in the FMU's log; default: that of the model, with `_2`, `_3` and so on in further worker processes.
+        Name of the instance in the FMU's log; default: the name of the model, with `_2`, `_3` and so on in further
+        worker processes.
     logging : bool, str or list of str
-        The FMU is asked to log; names: of these categories only.
+        If True, the FMU is asked to log. A list restricts logging to these categories.
     visible : bool
-        The FMU may show windows.
+        If True, the FMU may show windows.
     isolation : {"none", "process"}, optional
-        Where the FMU runs: in a worker process (the default where one can be started), or in this process, with the same bits.
-        With "none" a call takes less time, and a crash of the FMU ends Python.
+        "process": the FMU runs in a worker process (the default if one can be started). "none": it runs in this
+        process, with bit-for-bit identical results. With "none", a call takes less time, and a crash of the FMU ends
+        Python.
 
     Raises
     ------
     OSError, FmuError
-        The FMU cannot be read, loaded, or instantiated.
+        The FMU cannot be read, loaded or instantiated.
 
     Examples
     --------
@@ -181,51 +185,52 @@ class Instance:
 
     @cached_property
     def description(self) -> Description:
-        """The model description."""
+        """Description of the model."""
         return Description(self._fmu)
 
     @property
     def kind(self) -> str:
-        """How it is run: "ME" or "CS"."""
+        """Interface used to run the model: "ME" or "CS"."""
         return self._native.kind
 
     @property
     def phase(self) -> str:
-        """The phase it is in; "closed" after it was freed."""
+        """Current phase; "closed" after the instance was freed."""
         return self._native.phase
 
     @property
     def next_event(self) -> float | None:
-        """The next time event in s that the model has announced, or tick of one of its clocks; None if there is none."""
+        """Time in s of the next announced time event or of the next tick of a clock; None if there is none."""
         return self._native.next_event
 
     # --- values -------------------------------------------------------------------------------------------------------
 
     def get(self, name: str | Iterable[str]) -> Any:
-        """Values of variables, as `FMUModel.get` returns them; in all phases but "instantiated".
+        """Returns values of variables, as `FMUModel.get`, in all phases except "instantiated".
 
         Raises
         ------
         KeyError
             There is no such variable.
         ValueError
-            The phase is another one.
+            The phase does not allow the call.
         SimulationError
-            The FMU refuses.
+            The FMU rejects the call.
         """
         if isinstance(name, str):
             return self._native.get([name])[0]
         return self._native.get(_values.names("name", name))
 
     def set(self, name: str | Iterable[str] | Mapping[str, object], *value: object) -> None:
-        """Sets variables, given as for `FMUModel.set`; those that FMI allows to be set in this phase.
+        """Sets variables that FMI allows to be set in this phase, with the arguments of `FMUModel.set`.
 
         Raises
         ------
         KeyError, TypeError, ValueError
-            There is no such variable, the value does not fit it, or it cannot be set in this phase (the message says why).
+            There is no such variable, the value does not match it, or it cannot be set in this phase (the message
+            states the reason).
         SimulationError
-            The FMU refuses.
+            The FMU rejects the call.
         """
         self._native.set(*names_and_values(name, *value))
 
@@ -234,10 +239,10 @@ class Instance:
     def enter_initialization(
         self, start_time: SupportsFloat | None = None, stop_time: SupportsFloat | None = None, tolerance: SupportsFloat | None = None
     ) -> None:
-        """Sets the experiment up (times in s, relative tolerance) and enters initialization mode.
+        """Sets up the experiment (times in s, relative tolerance) and enters initialization mode.
 
-        The start time is by default that of the default experiment, else 0; the FMU is told of a stop time and a tolerance only
-        if they are given.
+        The start time defaults to the start time of the default experiment, or 0. A stop time and a tolerance are
+        passed to the FMU only if they are given.
         """
         default = self.description.default_experiment.start_time
         start = _values.optional_number("start_time", start_time)
@@ -247,19 +252,22 @@ class Instance:
         self._time = start
 
     def exit_initialization(self) -> None:
-        """Ends the initialization: model exchange is in event mode then, co-simulation in step mode."""
+        """Ends the initialization. Model exchange is then in event mode, co-simulation in step mode."""
         self._native.exit_initialization()
 
     def initialize(
         self, start_time: SupportsFloat | None = None, stop_time: SupportsFloat | None = None, tolerance: SupportsFloat | None = None
     ) -> EventInfo | None:
-        """Initializes: enters and exits initialization mode (which may have been entered before, for inputs to be set in), and
-        in model exchange lets the initial events happen and goes on in continuous time.
+        """Initializes the instance: enters and exits initialization mode.
+
+        Initialization mode may already have been entered to set inputs. In model exchange, the initial events are
+        handled, and the instance enters continuous time.
 
         Returns
         -------
         EventInfo or None
-            What the initial events have done (model exchange). If the model wants to end the simulation, it stays in event mode.
+            The result of the initial events (model exchange). If the model requests the end of the simulation, the
+            instance stays in event mode.
         """
         if self.phase != "initialization":
             self.enter_initialization(start_time, stop_time, tolerance)
@@ -275,11 +283,11 @@ class Instance:
         return info
 
     def update_discrete_states(self) -> EventInfo:
-        """Lets the discrete states settle (event mode): as many rounds as that takes, at most 100."""
+        """Updates the discrete states in event mode until they no longer change, in at most 100 rounds."""
         return EventInfo(**self._native.update_discrete_states())
 
     def enter_event_mode(self) -> None:
-        """Enters event mode, where discrete inputs can be set."""
+        """Enters event mode, in which discrete inputs can be set."""
         self._native.enter_event_mode()
 
     def enter_continuous_time(self) -> None:
@@ -288,7 +296,7 @@ class Instance:
 
     @property
     def time(self) -> float | None:
-        """The time in s at which the instance stands; can be set in continuous-time mode. None before the initialization."""
+        """Current time of the instance in s; can be set in continuous-time mode. None before the initialization."""
         return self._time
 
     @time.setter
@@ -299,7 +307,7 @@ class Instance:
 
     @property
     def states(self) -> FloatArray:
-        """The continuous states; can be set in continuous-time mode."""
+        """Continuous states; can be set in continuous-time mode."""
         return self._native.states()
 
     @states.setter
@@ -308,12 +316,12 @@ class Instance:
 
     @property
     def state_names(self) -> list[str | None]:
-        """Names of the continuous states in their order; None for those that are no variables."""
+        """Names of the continuous states in their order; None for states that are not variables."""
         return self._native.state_names()
 
     @property
     def nominals(self) -> FloatArray:
-        """Nominal values of the states, as the FMU gives them."""
+        """Nominal values of the states, as returned by the FMU."""
         return self._native.nominals()
 
     @property
@@ -323,31 +331,35 @@ class Instance:
 
     @property
     def event_indicators(self) -> FloatArray:
-        """The event indicators: a change of sign is a state event."""
+        """Event indicators; a change of sign is a state event."""
         return self._native.event_indicators()
 
     def completed_integrator_step(self) -> tuple[bool, bool]:
-        """Tells the model that a step is completed. Returns whether it wants to enter event mode, and whether it wants to end
-        the simulation."""
+        """Notifies the model that a step is complete.
+
+        Returns two flags: the model requests event mode, and the model requests the end of the simulation."""
         return self._native.completed_integrator_step()
 
     def directional_derivative(
         self, unknowns: str | Iterable[str], knowns: str | Iterable[str], seed: npt.ArrayLike | None = None
     ) -> FloatArray:
-        """Derivative of the variables `unknowns` in the direction `seed` of the variables `knowns` (default: ones); an array has
-        as many elements in `seed` as it has values.
+        """Returns the derivative of the variables `unknowns` in the direction `seed` of the variables `knowns`
+        (default: ones).
+
+        An array has as many elements in `seed` as it has values.
 
         Raises
         ------
         FmuError
-            The FMU provides none (`linearize` makes differences then).
+            The FMU does not provide directional derivatives. `linearize` then uses differences.
         """
         return self._along(unknowns, knowns, seed, False)
 
     def adjoint_derivative(
         self, unknowns: str | Iterable[str], knowns: str | Iterable[str], seed: npt.ArrayLike | None = None
     ) -> FloatArray:
-        """Derivative of the sum of `unknowns`, weighted with `seed` (default: ones), with respect to each of `knowns` (FMI 3.0)."""
+        """Returns the derivative of the sum of `unknowns`, weighted with `seed` (default: ones), with respect to each
+        of `knowns` (FMI 3.0)."""
         return self._along(unknowns, knowns, seed, True)
 
     def _along(self, unknowns: str | Iterable[str], knowns: str | Iterable[str], seed: npt.ArrayLike | None, adjoint: bool) -> FloatArray:
@@ -361,18 +373,20 @@ class Instance:
         return self._native.directional_derivative(of, by, along.tolist(), adjoint)
 
     def linearize(self, *, differences: bool = False) -> LinearSystem:
-        """The linear system at the point where the instance stands (continuous-time mode), by directional derivatives of the
-        model where it provides them, else by central differences: there about 10 digits are right where the model is smooth.
+        """Returns the linear system at the current point of the instance (continuous-time mode).
+
+        The derivatives are directional derivatives if the model provides them, otherwise central differences. For a
+        smooth model, central differences are accurate to about 10 digits.
 
         Parameters
         ----------
         differences : bool
-            Make differences in any case.
+            If True, always use differences.
 
         Raises
         ------
         ValueError
-            The phase is another one (co-simulation has none that can be linearised), or a derivative is not finite here.
+            The phase does not allow the call (co-simulation cannot be linearised), or a derivative is not finite.
         """
         found = self._native.linearize(_values.flag("differences", differences))
         n, m, p = (len(found[vector]) for vector in ("states", "inputs", "outputs"))
@@ -389,25 +403,26 @@ class Instance:
         relative_tolerance: SupportsFloat = 1e-6,
         step_size: SupportsFloat | None = None,
     ) -> StepInfo:
-        """Goes on by `step` s, with the inputs as they are.
+        """Advances the instance by `step` s with the current inputs.
 
-        Co-simulation lets the model make the step; where a clock ticks within it, its events happen there. Model exchange integrates it with a method of `FMUModel.simulate` and handles
-        the events on the way; from event mode, where discrete inputs are set, it goes on in continuous time first. Each step
-        starts its method anew, so many small steps take longer than one simulation.
+        In co-simulation, the model performs the step. If a clock ticks within the step, its events are handled at the
+        tick. In model exchange, the step is integrated with a method of `FMUModel.simulate`, and events are handled
+        on the way. From event mode, in which discrete inputs are set, the instance first enters continuous time. Each
+        step restarts its method, so many small steps take longer than one simulation.
 
         Parameters
         ----------
         step : float
-            In s, positive.
+            Length of the step in s, positive.
         solver, relative_tolerance, step_size : optional
-            As for `FMUModel.simulate` (model exchange only).
+            As in `FMUModel.simulate` (model exchange only).
 
         Raises
         ------
         ValueError
-            The instance is in another phase.
+            The phase does not allow the call.
         SimulationError
-            The integration fails, or the FMU refuses.
+            The integration fails, or the FMU rejects the call.
         """
         length = _values.number("step", step)
         if not (0.0 < length < float("inf")):
@@ -430,7 +445,7 @@ class Instance:
         return StepInfo(time=self._time, complete=not is_over, terminate=is_over)
 
     def handle_events(self) -> EventInfo:
-        """Lets the events happen that are due at the end of the last step, and sets the inputs that wait for them
+        """Handles the events that are due at the end of the last step, and sets the inputs that wait for event mode
         (co-simulation, FMI 3.0)."""
         return EventInfo(**self._native.handle_events(self._time if self._time is not None else 0.0))
 
@@ -442,39 +457,41 @@ class Instance:
     # --- states, log, end ---------------------------------------------------------------------------------------------
 
     def save_state(self) -> SavedState:
-        """A copy of the complete state of the instance, for `restore_state`: that of the FMU, the time, the events and ticks
-        to come, and values that were set and are not in effect yet.
+        """Returns a copy of the complete state of the instance for `restore_state`.
+
+        It includes the state of the FMU, the time, pending events and ticks, and values that were set but are not yet
+        in effect.
 
         Raises
         ------
         FmuError
-            The FMU cannot (``description.capabilities.can_get_and_set_state``).
+            The FMU does not support it (``description.capabilities.can_get_and_set_state``).
         """
         return SavedState(self._native.save_state(), self._time)
 
     def restore_state(self, state: SavedState) -> None:
-        """Brings back a state that this instance saved in the phase that it is in now."""
+        """Restores a state that this instance saved in its current phase."""
         if not isinstance(state, SavedState):
             raise TypeError(f"state must be one that save_state() gave, not {_text.show(state)}")
         self._native.restore_state(state._native)
         self._time = state.time
 
     def set_logging(self, logging: bool | str | Sequence[str] = True) -> None:
-        """Switches the FMU's log on (True), off (False), or on for some categories by their names."""
+        """Switches the FMU's log on (True), off (False), or on for the given categories."""
         is_asked, categories = _log_request(logging)
         self._native.set_logging(is_asked, list(categories))
 
     @property
     def log(self) -> list[str]:
-        """The last lines that the FMU logged, oldest first."""
+        """The last lines logged by the FMU, oldest first."""
         return self._native.log()[0]
 
     def terminate(self) -> None:
-        """Ends the simulation; values can be read afterwards."""
+        """Ends the simulation. Values can still be read."""
         self._native.terminate()
 
     def reset(self) -> None:
-        """Brings the instance back to the phase "instantiated", where all variables have their start values."""
+        """Returns the instance to the phase "instantiated", in which all variables have their start values."""
         self._native.reset()
         self._time = None
 
@@ -500,7 +517,7 @@ class SavedState:
     Attributes
     ----------
     time : float or None
-        The time in s at which it was saved.
+        Time in s at which the state was saved.
     """
 
     _native: _core.SavedState
@@ -516,5 +533,6 @@ def instantiate(
     visible: bool = False,
     isolation: Literal["none", "process"] | None = None,
 ) -> Instance:
-    """Makes an `Instance` of an FMU; **this loads its library and runs its code**. The arguments are those of `Instance`."""
+    """Creates an `Instance` of an FMU. **This loads its library and runs its code.** The arguments are those of
+    `Instance`."""
     return Instance(path, kind, name=name, logging=logging, visible=visible, isolation=isolation)

@@ -1,4 +1,4 @@
-"""Recorded simulations."""
+"""Results of simulations."""
 
 from __future__ import annotations
 
@@ -25,50 +25,52 @@ FloatArray = npt.NDArray[np.float64]
 Column = npt.NDArray[Any]
 
 _DTYPES: dict[str, np.dtype[Any]] = {kind: np.dtype(name) for kind, name in _core.dtypes().items()}
-"""NumPy's type for the values of each kind of variable."""
+"""NumPy's type of the values of each kind of variable."""
 
 
 @dataclass(frozen=True)
 class SimulationStats:
-    """What a simulation cost, or all simulations of a fit. Two of them are equal if their counts are.
+    """Computational cost of a simulation, or of all simulations of a fit. Two objects are equal if their counts are
+    equal.
 
     Attributes
     ----------
     runs : int
-        Simulations that these are the counts of.
+        Number of simulations counted here.
     accepted_steps, rejected_steps : int
     right_hand_sides, event_indicators : int
-        Evaluations; the right-hand sides for differences of a Jacobian count.
+        Number of evaluations, including the right-hand sides for difference quotients of a Jacobian.
     jacobians, directional_derivatives : int
-        Jacobians made, and directional derivatives that the model was asked for.
+        Number of Jacobians, and of directional derivatives requested from the model.
     decompositions : int
-        Decompositions of matrices; Radau5 makes two at a time, a real and a complex one.
+        Number of matrix decompositions. Radau5 computes two at a time, a real and a complex one.
     newton_iterations : int
     samples : int
-        Rows.
+        Number of rows.
     events : int
-        Visits of event mode after the start; the four counts that follow tell their causes, of which one visit may have
-        several.
+        Number of times event mode was entered after the start. The following four counts list the causes; one entry
+        may have several causes.
     state_events, time_events, step_events, input_events : int
     restarts : int
-        Restarts of the method after events that changed something.
+        Number of restarts of the method after events that changed a value.
     chattering : int
-        How often state events were found to follow each other while time hardly advanced, and the run went on.
+        Number of times state events followed each other while time hardly advanced and the run continued.
     check_runs, check_steps, check_right_hand_sides : int
-        Simulations made besides, their steps and right-hand sides: short ones to check how the model can be brought back to its
-        beginning, and after a fit its best point again in a fresh worker. They are in no other count, but in `seconds`.
+        Additional simulations with their steps and right-hand sides. Short ones check how the model can be reset.
+        After a fit, one repeats the best point in a fresh worker. They are included only in `seconds`.
     seconds : float
-        Wall-clock time in s, from bringing the model to its beginning. Loading it and waiting for other simulations of it
-        do not count. Of a fit: the sum over all simulations, so with several workers more than the fit took.
+        Wall-clock time in s, from resetting the model. Loading the model and waiting for its other simulations are
+        not included. For a fit, the sum over all simulations. With several workers, it exceeds the duration of the
+        fit.
     seconds_in_model : float
-        The part of it that was spent inside of the model: in the calls of the FMU, or of the functions given to
-        `pydfo.ode.solve`; at most what input functions leave of the run. An estimate: where calls take less than
-        1 us, one of 61 is timed and stands for all.
+        Part of `seconds` spent inside the model: in the calls of the FMU, or of the functions given to
+        `pydfo.ode.solve`. It is at most the run time minus the time of input functions. It is an estimate: if calls
+        take less than 1 us, one of 61 is timed and represents all.
     phases : dict
-        Of a fit: what each of its phases took, as ``{"simulations": .., "right_hand_sides": .., "seconds": ..}`` (wall-clock
-        time) under the names ``model_test``, ``preflight``, ``search``, ``checks`` (of the result),
-        ``fresh_process`` and ``uncertainty`` (standard errors: two simulations for each parameter). The simulations of `check_runs`
-        are not among them, their time is.
+        Cost of each phase of a fit, as ``{"simulations": .., "right_hand_sides": .., "seconds": ..}`` (wall-clock
+        time). The phases are ``model_test``, ``preflight``, ``search``, ``checks`` (of the result), ``fresh_process``
+        and ``uncertainty`` (standard errors: two simulations for each parameter). The simulations of `check_runs` are
+        not included, but their time is.
     """
 
     runs: int
@@ -97,26 +99,26 @@ class SimulationStats:
 
 
 class SimulationResult(Mapping[str, Column]):
-    """The result of a simulation: columns by name, ``res["time"]`` among them.
+    """The result of a simulation: columns by name, including ``res["time"]``.
 
-    A mapping of the names of variables to arrays of shape (rows,). Those of numbers are float64, also for Integers and
-    Booleans (`to_structured` and `to_dataframe` give them their types), but 64-bit integers, which not all floats can
-    hold, are int64 or uint64; texts are arrays of str, binary variables arrays of bytes (dtype object). An array of the
-    model has its extents as further axes: ``res["A"]`` of a 2 x 3 matrix has the shape (rows, 2, 3), and its element
-    ``res["A[1,2]"]`` (counted from 1) the shape (rows,). At the time of an event a row holds the values after it. A time that was asked
-    for twice, and with ``record_events=True`` every event, has two rows: the limit from the left, then the values after
-    the event.
+    A mapping of the names of variables to arrays of shape (rows,). Numbers are float64, also for Integers and
+    Booleans. `to_structured` and `to_dataframe` return them with their types. 64-bit integers, which may not be
+    representable as floats, are int64 or uint64. Strings are arrays of str, and binary variables arrays of bytes
+    (dtype object). The extents of an array of the model are further axes. For a 2 x 3 matrix, ``res["A"]`` has the
+    shape (rows, 2, 3), and its element ``res["A[1,2]"]`` (counted from 1) has the shape (rows,). At the time of an
+    event, a row contains the values after the event. A time requested twice, and with ``record_events=True`` every
+    event, has two rows: the limit from the left, then the values after the event.
 
     Attributes
     ----------
     time : ndarray, shape (rows,)
         Times in s.
     left_limit : ndarray of bool, shape (rows,)
-        Whether a row holds the limit from the left.
+        True if a row contains the limit from the left.
     termination : {"finished", "stopped-by-model"}
-        Whether the final time was reached, or the model asked for the end.
+        "finished" if the final time was reached, "stopped-by-model" if the model requested the end.
     end_time : float
-        When it ended.
+        End time in s.
     """
 
     def __init__(
@@ -141,12 +143,12 @@ class SimulationResult(Mapping[str, Column]):
         self.left_limit = left
         self.termination = termination
         self.end_time = end_time
-        # Converted at the first access: that takes as long as a short simulation.
+        # Converted on first access, because the conversion takes as long as a short simulation.
         self._event_times, self._event_kinds, self._stats = event_times, event_kinds, stats
         self._tick_times, self._tick_clocks = tick_times, tick_clocks
         self._names, self._type_names, self._unit_names = names, types, units
         self._columns: dict[str, Column] = {"time": time}
-        # Of each array: the names of its elements and their columns.
+        # Names of the elements of each array, with their columns.
         self._elements: dict[str, dict[str, Column]] = {}
         for name, parts, shape in zip(names, columns, extents):
             if not shape:
@@ -163,12 +165,12 @@ class SimulationResult(Mapping[str, Column]):
 
     @cached_property
     def units(self) -> dict[str, str | None]:
-        """Units of the variables by their names; None where the model does not state one."""
+        """Units of the variables by name; None if the model does not declare one."""
         return {"time": "s", **dict(zip(self._names, self._unit_names))}
 
     @cached_property
     def ticks(self) -> dict[str, FloatArray]:
-        """The times in s at which the clocks of the model (FMI 3.0) ticked, for each clock that did."""
+        """Times in s of the ticks of each clock of the model (FMI 3.0) that ticked."""
         ticks: dict[str, list[float]] = {}
         for clock, tick in zip(self._tick_clocks, self._tick_times):
             ticks.setdefault(clock, []).append(tick)
@@ -176,8 +178,9 @@ class SimulationResult(Mapping[str, Column]):
 
     @cached_property
     def events(self) -> np.recarray[Any, Any]:
-        """The events after the start, with fields ``time`` and ``kind``: "state", "time", "step", "input", or several of
-        them with a plus between."""
+        """The events after the start, with fields ``time`` and ``kind``.
+
+        The kind is "state", "time", "step", "input", or several of them joined by a plus sign."""
         events = np.empty(len(self._event_times), dtype=[("time", np.float64), ("kind", "U21")])
         events["time"] = self._event_times
         events["kind"] = self._event_kinds
@@ -185,7 +188,7 @@ class SimulationResult(Mapping[str, Column]):
 
     @cached_property
     def stats(self) -> SimulationStats:
-        """What it cost."""
+        """Computational cost of the simulation."""
         return SimulationStats(**self._stats)
 
     def __getitem__(self, name: str) -> Column:
@@ -198,7 +201,7 @@ class SimulationResult(Mapping[str, Column]):
         return name in self._columns or (isinstance(name, str) and name in self._elements.get(_array_of(name), ()))
 
     def _flat(self, names: Iterable[str]) -> Iterator[tuple[str, str, Column]]:
-        """Name, variable and values of the columns of `names`, arrays taken apart."""
+        """Yields name, variable and values of the columns of `names`, with arrays split into elements."""
         for name in names:
             variable = name if name in self._columns else _array_of(name)
             if name in self._elements:
@@ -217,7 +220,7 @@ class SimulationResult(Mapping[str, Column]):
         return f'"{_text.line(str(name))}" was not recorded{hint} Recorded are {shown}; simulate(outputs=[...]) chooses'
 
     def keys(self) -> KeysView[str]:
-        """The names of the variables, "time" first; those of arrays without their elements."""
+        """Returns the names of the variables, "time" first. Arrays are listed without their elements."""
         return self._columns.keys()
 
     def __iter__(self) -> Iterator[str]:
@@ -238,8 +241,10 @@ class SimulationResult(Mapping[str, Column]):
     @overload
     def final(self, name: Sequence[str]) -> list[Any]: ...
     def final(self, name: str | Sequence[str]) -> Any:
-        """The value in the last row (float, of 64-bit integers int, of texts str, of binary variables bytes, of arrays an
-        array), NaN if there is none; a list of values for a list of names."""
+        """Returns the value in the last row, NaN if there is none; a list of values for a list of names.
+
+        The value is a float, int for 64-bit integers, str for strings, bytes for binary variables, or an array for
+        arrays."""
         if not isinstance(name, str):
             return [self.final(one) for one in name]
         column = self[name]
@@ -249,8 +254,9 @@ class SimulationResult(Mapping[str, Column]):
         return last.item() if isinstance(last, np.generic) else last
 
     def to_structured(self) -> npt.NDArray[np.void]:
-        """A structured array of shape (rows,) with a field per variable, ``time`` first; Integers and Booleans have their
-        types, texts and bytes are objects, fields of arrays have their extents."""
+        """Returns a structured array of shape (rows,) with a field per variable, ``time`` first.
+
+        Integers and Booleans have their types. Strings and bytes are objects. Fields of arrays have their extents."""
         fields = [(name, _DTYPES[self._types[name]], column.shape[1:]) for name, column in self.items()]
         array = np.empty(len(self.time), dtype=fields)
         for name, column in self.items():
@@ -258,13 +264,16 @@ class SimulationResult(Mapping[str, Column]):
         return array
 
     def to_dataframe(self) -> Any:
-        """A pandas.DataFrame with a column per variable, or per element of an array, ``time`` first; Integers and Booleans
-        have their types. Needs pandas."""
+        """Returns a pandas.DataFrame with a column per variable, or per element of an array, ``time`` first.
+
+        Integers and Booleans have their types. Needs pandas."""
         columns = self._flat(self)
         return _optional_libraries.pandas().DataFrame({name: column.astype(_DTYPES[self._types[variable]]) for name, variable, column in columns})
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Writes the columns to a CSV file, arrays element by element, numbers with all their digits; a file that exists is replaced.
+        """Writes the columns to a CSV file, with arrays split into elements and all digits of numbers.
+
+        An existing file is replaced.
 
         Raises
         ------
@@ -278,14 +287,17 @@ class SimulationResult(Mapping[str, Column]):
             rows.writerows(zip(*(column for _, column in columns)))
 
     def to_polars(self) -> Any:
-        """A polars.DataFrame with a column per variable, or per element of an array, ``time`` first. Needs polars."""
+        """Returns a polars.DataFrame with a column per variable, or per element of an array, ``time`` first. Needs
+        polars."""
         columns = self._flat(self)
         frame = _optional_libraries.library("polars", "to_polars()").DataFrame
         return frame({name: column.astype(_DTYPES[self._types[variable]]) for name, variable, column in columns})
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset over ``time``, with the units as attributes; arrays of the model have dimensions of their own. Needs
-        xarray."""
+        """Returns an xarray.Dataset over ``time`` with the units as attributes. Arrays of the model have separate
+        dimensions.
+
+        Needs xarray."""
         data = {
             name: (("time", *(f"{name}_{axis}" for axis in range(1, column.ndim))), column, {"units": self.units[name] or ""})
             for name, column in self.items()
@@ -294,12 +306,12 @@ class SimulationResult(Mapping[str, Column]):
         return _optional_libraries.library("xarray", "to_xarray()").Dataset(data, coords={"time": ("time", self.time, {"units": "s"})})
 
     def plot(self, names: str | Sequence[str] | None = None) -> Figure:
-        """Draws columns over time, those of one unit in one plot. Needs matplotlib.
+        """Draws columns over time, with one plot per unit. Needs matplotlib.
 
         Parameters
         ----------
         names : str or sequence of str, optional
-            The columns; default: all but texts and binary variables. Of an array all elements are drawn.
+            The columns; default: all except strings and binary variables. All elements of an array are drawn.
 
         Returns
         -------
@@ -308,9 +320,9 @@ class SimulationResult(Mapping[str, Column]):
         Raises
         ------
         KeyError
-            A name that was not recorded.
+            A name was not recorded.
         ValueError
-            A text or a binary variable is asked for.
+            A string or a binary variable was requested.
         """
         from .._plot import pyplot
 
@@ -336,5 +348,5 @@ class SimulationResult(Mapping[str, Column]):
 
 
 def _array_of(element: str) -> str:
-    """The name of the array of an element."""
+    """Returns the name of the array of an element."""
     return element.rpartition("[")[0]

@@ -1,1 +1,1 @@
-"""Minimisation of Python functions: the methods, their results and progress."""
+"""Minimisation of Python functions: methods, results and progress."""

@@ -1,8 +1,8 @@
-"""How the objective is called: by an executor point by point, by a map, or with all points at once.
+"""Evaluation of the objective: by an executor point by point, by a map, or with all points at once.
 
-The functions for a map and for all points at once take the points of a batch, shape (S, n), their cutoffs, shape (S,), and
-a function that says whether the run is to end; they return for each point a cost, `Above`, the exception that was raised,
-or Ellipsis for a point that was left out; or a pair of the seconds that it took and one of these.
+Functions for a map and for all points at once receive the points of a batch, shape (S, n), their cutoffs, shape (S,),
+and a function that returns True if the run shall end. For each point they return a cost, `Above`, the raised
+exception, or Ellipsis for an omitted point. They may also return a pair of the run time in seconds and one of these.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ FloatArray = npt.NDArray[np.float64]
 Batches = Callable[[FloatArray, FloatArray, Callable[[], bool]], list[Any]]
 
 class WithArguments:
-    """The objective with its further arguments; can be pickled if they can."""
+    """The objective with its further arguments; picklable if they are."""
 
     def __init__(self, fun: Callable[..., Any], args: tuple[Any, ...]) -> None:
         self.fun = fun
@@ -37,8 +37,9 @@ class WithArguments:
 
 
 def takes_cutoff(fun: Callable[..., Any]) -> bool:
-    """Whether a function wants to know above which cost its value makes no difference: it has a keyword-only parameter
-    named cutoff."""
+    """Returns True if a function has a keyword-only parameter named cutoff.
+
+    It receives the cost above which its value makes no difference."""
     try:
         parameter = inspect.signature(fun).parameters.get("cutoff")
     except (TypeError, ValueError):
@@ -48,7 +49,7 @@ def takes_cutoff(fun: Callable[..., Any]) -> bool:
 
 
 class WithCutoff:
-    """An objective that takes a cutoff, for those who hand on one thing per point. Can be pickled if it can."""
+    """Wraps an objective with a cutoff for callers that pass one object per point; picklable if the objective is."""
 
     def __init__(self, fun: Callable[..., Any]) -> None:
         self.fun = fun
@@ -58,16 +59,18 @@ class WithCutoff:
 
 
 def _in_pieces(fun: Callable[..., Any], cutoffs: bool) -> tuple[Returning, Callable[[FloatArray, FloatArray], list[Any]]]:
-    """What is called for each piece of a batch, and how a batch falls into pieces."""
+    """Returns the function to call for each piece of a batch, and a function that splits a batch into pieces."""
     if cutoffs:
         return Returning(WithCutoff(fun)), lambda points, limits: list(zip(points, limits.tolist()))
     return Returning(fun), lambda points, _: list(points)
 
 
 class Returning:
-    """Calls the objective and returns its exception instead of raising it, so that one point does not cost the others
-    of its batch. Can be pickled if the objective can. An exception that cannot come back from another process (a pool
-    would wait for it for ever) is replaced by one with the same text."""
+    """Calls the objective and returns its exception instead of raising it, so that one point does not affect its
+    batch.
+
+    Picklable if the objective is. A pool would wait forever for an exception that cannot be unpickled. Such an
+    exception is replaced by one with the same message."""
 
     def __init__(self, fun: Callable[[Any], Any]) -> None:
         self.fun = fun
@@ -79,7 +82,7 @@ class Returning:
         except KeyboardInterrupt:
             if os.getpid() == self.home:
                 raise
-            # A worker of a pool that dies of Ctrl-C leaves its map waiting for ever.
+            # A pool worker that dies from Ctrl-C would leave its map waiting forever.
             return KeyboardInterrupt()
         except BaseException as e:
             if os.getpid() == self.home:
@@ -92,7 +95,7 @@ class Returning:
 
 
 class Timed:
-    """Adds to what a function returns how long it took, in s."""
+    """Returns the result of a function together with its run time in s."""
 
     def __init__(self, fun: Callable[[Any], Any]) -> None:
         self.fun = fun
@@ -104,8 +107,9 @@ class Timed:
 
 
 def residual_vector(value: Any) -> FloatArray:
-    """The residuals that a function returned: whatever NumPy makes a one-dimensional array of numbers of, NaN where it is
-    masked. TypeError for anything else."""
+    """Converts returned residuals to a one-dimensional array of numbers, with NaN for masked entries.
+
+    Raises TypeError for other values."""
     needed = "the function must return the residuals as a one-dimensional array of numbers"
     if value is None:
         raise TypeError(f"{needed}, not None; is a return statement missing?")
@@ -124,16 +128,16 @@ def residual_vector(value: Any) -> FloatArray:
 
 
 def vectorized(fun: Callable[[FloatArray], Any], of_residuals: bool = False) -> Batches:
-    """The objective takes points in columns, shape (n, S), and returns costs of shape (S,), or residuals of shape (m, S)."""
+    """Wraps an objective that takes points in columns, shape (n, S), and returns costs (S,), or residuals (m, S)."""
 
     def evaluate(points: FloatArray, cutoffs: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
         try:
-            # What is masked is no cost, whatever lies under the mask.
+            # A masked entry is not a cost, whatever its value.
             costs = np.ma.asanyarray(fun(np.ascontiguousarray(points.T)))
         except Exception as e:
             if len(points) == 1:
                 return [e]
-            # One point is no reason for the others to fail.
+            # A failure of one point must not fail the other points.
             return [one for k in range(len(points)) for one in evaluate(points[k : k + 1], cutoffs[k : k + 1], stopped)]
         if costs.shape[-1:] != (len(points),) or costs.ndim != 1 + of_residuals:
             wrong = TypeError(
@@ -147,7 +151,7 @@ def vectorized(fun: Callable[[FloatArray], Any], of_residuals: bool = False) -> 
 
 
 def mapped(fun: Callable[..., Any], apply: Callable[..., Iterable[Any]], takes_cutoff: bool = False) -> Batches:
-    """``apply(function, points)`` evaluates a batch, like the built-in ``map``."""
+    """Wraps ``apply(function, points)``, which evaluates a batch like the built-in ``map``."""
     returning, pieces = _in_pieces(fun, takes_cutoff)
 
     def evaluate(points: FloatArray, cutoffs: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
@@ -160,7 +164,7 @@ def mapped(fun: Callable[..., Any], apply: Callable[..., Iterable[Any]], takes_c
 
 
 class Futures:
-    """Hands points to an executor one by one and takes what comes back, in any order."""
+    """Sends points to an executor one by one and receives the results in any order."""
 
     def __init__(
         self, fun: Callable[..., Any], executor: concurrent.futures.Executor, takes_cutoff: bool = False, width: int | None = None
@@ -174,7 +178,7 @@ class Futures:
         self.width = width or plan_width(executor)
 
     def submit(self, number: int, x: FloatArray, cutoff: float) -> None:
-        """Begins a point."""
+        """Starts the evaluation of a point."""
         (piece,) = self._pieces(x[np.newaxis], np.array([cutoff]))
         self._began(number, self._executor.submit(self._call, piece))
 
@@ -183,8 +187,10 @@ class Futures:
         future.add_done_callback(lambda _: self._ended.put(number))
 
     def poll(self, seconds: float) -> tuple[int, float, Any, str] | None:
-        """A point that has ended: its number, the seconds that it took, what became of it (Ellipsis: it was cancelled), and
-        what is wrong with the executor: nothing, "lost" (this point), "broken". None: after so many seconds there is none."""
+        """Returns a finished point: its number, its run time in s, its result and the state of the executor.
+
+        The result is Ellipsis if the point was cancelled. The state is empty, "lost" (this point) or "broken".
+        Returns None if no point finishes within `seconds`."""
         try:
             number = self._ended.get(timeout=max(seconds, 0.0))
         except queue.Empty:
@@ -197,7 +203,7 @@ class Futures:
         except concurrent.futures.CancelledError as e:
             return number, 0.0, RuntimeError(f"the task was cancelled {e}".strip()), "lost"
         except (concurrent.futures.BrokenExecutor, pickle.PicklingError, TypeError, AttributeError, ImportError) as e:
-            # No point would fare better.
+            # Every other point would fail in the same way.
             return number, 0.0, e, "broken"
         except Exception as e:
             return number, 0.0, e, "lost"
@@ -206,7 +212,7 @@ class Futures:
         return number, 0.0, ended, ""
 
     def cancel(self, number: int) -> None:
-        """Gives up a point: one that runs goes on."""
+        """Abandons a point; a running evaluation continues."""
         future = self._futures.get(number)
         if future is not None:
             self._given_up.add(number)
@@ -214,9 +220,9 @@ class Futures:
 
 
 def executor_of(workers: Any) -> Any:
-    """`workers` if it is an executor, else None.
+    """Returns `workers` if it is an executor, otherwise None.
 
-    TypeError for objects of Dask and joblib that are none, with the one to pass instead."""
+    Raises TypeError for objects of Dask and joblib that are not executors, and names the object to pass instead."""
     if callable(getattr(workers, "get_executor", None)):
         raise TypeError("a Dask Client is no executor: give workers=client.get_executor()")
     if callable(getattr(workers, "submit", None)):
@@ -231,7 +237,7 @@ def executor_of(workers: Any) -> Any:
 
 
 def foreign(fun: Callable[..., Any], workers: Any, takes_cutoff: bool = False) -> Batches | Futures | None:
-    """How `workers` evaluates points; None if it is a number or nothing that could."""
+    """Returns the evaluator for `workers`; None if it is a number or cannot evaluate points."""
     if executor_of(workers) is not None:
         return Futures(fun, workers, takes_cutoff)
     if callable(workers):
@@ -242,8 +248,8 @@ def foreign(fun: Callable[..., Any], workers: Any, takes_cutoff: bool = False) -
 
 
 def plan_width(workers: Any) -> int:
-    """How many points may be under way at once: the workers of an executor, as far as it tells, else all cores."""
-    # Python's own, loky, MPI.
+    """Returns the maximum number of simultaneous points: the workers of an executor if known, otherwise all cores."""
+    # Attributes of Python's executors, loky and MPI.
     known = getattr(workers, "_max_workers", None) or getattr(workers, "num_workers", None)
     nthreads = getattr(getattr(workers, "_client", None), "nthreads", None)
     if known is None and callable(nthreads):
@@ -254,8 +260,10 @@ def plan_width(workers: Any) -> int:
 def shared_out(
     fun: Callable[..., Any], name: str, workers: Any, default: int | None, takes_cutoff: bool = False
 ) -> tuple[Batches | Futures | None, int | None]:
-    """Who evaluates batches, if not threads of our own, and for how many points at once the method may plan. `name` is that
-    of the argument `workers`, `default` the number that None stands for."""
+    """Returns the evaluator of batches, None for threads, and the number of simultaneous points for which a method
+    may plan.
+
+    `name` is the name of the argument `workers`. `default` is the number that replaces None."""
     batches = None if workers is None else foreign(fun, workers, takes_cutoff)
     if batches is not None:
         return batches, batches.width if isinstance(batches, Futures) else plan_width(workers)

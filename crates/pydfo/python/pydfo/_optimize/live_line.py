@@ -1,4 +1,4 @@
-"""The line that shows how far a fit is, in a terminal or a notebook."""
+"""The live line with the progress of a fit in a terminal or a notebook."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from .._args import text as _text
 from .._args.values import number
 from .progress import Progress
 
-#: A fit that nobody asked to be shown is shown from then on, in s.
+#: Delay in s before a fit is shown without a request.
 DELAY = 2.0
 
-#: What the native code calls the phase in which evaluations are counted; the others are named in the line.
+#: Name of the native phase in which evaluations are counted. The line shows the names of other phases.
 SEARCH = "searching"
 
-#: More parameters are not shown.
+#: Maximum number of parameters shown.
 MOST_PARAMETERS = 3
 
-#: The line is drawn again at most so often, in s.
+#: Minimum time between two updates of the line in s.
 INTERVAL = 0.2
 
 
 def is_notebook() -> bool:
-    """Whether this is the kernel of a notebook."""
+    """Returns True in the kernel of a notebook."""
     ipython = sys.modules.get("IPython")
     shell = None if ipython is None else ipython.get_ipython()
     return type(shell).__name__ == "ZMQInteractiveShell"
 
 
 def is_watched() -> bool:
-    """Whether somebody sees what is written to standard error while it goes on: a terminal or a notebook."""
+    """Returns True if standard error is shown immediately: in a terminal or a notebook."""
     try:
         return sys.stderr.isatty() or is_notebook()
     except (AttributeError, ValueError):
@@ -42,7 +42,7 @@ def is_watched() -> bool:
 
 
 class _Plain:
-    """The line without any library."""
+    """Draws the line without any library."""
 
     def __init__(self) -> None:
         self._width = 0
@@ -59,7 +59,7 @@ class _Plain:
 
 
 class _Rich:
-    """The line by rich, which shares the terminal with what a callback prints."""
+    """Draws the line with rich, which shares the terminal with the output of a callback."""
 
     def __init__(self, rich: Any) -> None:
         self._text = importlib.import_module("rich.text").Text
@@ -81,16 +81,16 @@ def _display() -> _Plain | _Rich:
 
 
 class LiveLine:
-    """Shows evaluations, best cost, best parameters, time and what is left of the limits, on the calling thread.
+    """Shows evaluations, best cost, best parameters, time and the remaining limits, on the calling thread.
 
     Parameters
     ----------
     names : sequence of str
-        The parameters.
+        Names of the parameters.
     delay : float
-        How long nothing is shown, in s.
+        Delay in s before the line appears.
     max_evaluations, max_iterations, max_time : optional
-        The limits.
+        Limits of the fit.
     """
 
     def __init__(
@@ -111,12 +111,12 @@ class LiveLine:
         self._display: _Plain | _Rich | None = None
 
     def __call__(self, progress: Progress) -> None:
-        """Takes in the progress after an iteration."""
+        """Stores the progress after an iteration."""
         self._progress = progress
         self.tick(SEARCH)
 
     def tick(self, phase: str) -> None:
-        """Draws the line again, if it is time to; `phase` is what the fit does."""
+        """Redraws the line if it is due; `phase` is the current phase of the fit."""
         self._phase = phase
         now = time.monotonic()
         if now < self._due:
@@ -126,11 +126,11 @@ class LiveLine:
             self._display = self._display or _display()
             self._display.show(self.text(now - self._start))
         except (OSError, ValueError):
-            # Standard error has been closed: there is nobody to show it to.
+            # Standard error has been closed, so the line cannot be shown.
             self._due = float("inf")
 
     def text(self, seconds: float) -> str:
-        """The line after so many seconds."""
+        """Returns the text of the line after the given time in s."""
         phase = "first simulations" if self._phase == SEARCH else self._phase
         if (progress := self._progress) is None:
             return f"fit: {phase}, {seconds:.0f} s"
@@ -150,7 +150,7 @@ class LiveLine:
         return ", ".join([*done, f"best cost {progress.fun:.6g}", *values, f"{seconds:.0f} s", *left])
 
     def close(self) -> None:
-        """Takes the line away."""
+        """Removes the line."""
         if self._display is not None:
             try:
                 self._display.close()

@@ -1,4 +1,4 @@
-"""`Optimizer`: a run that the user drives, asking for points and telling their costs."""
+"""`Optimizer`: a run controlled by the user, who asks for points and reports their costs."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class Asked(NamedTuple):
     Attributes
     ----------
     ids : ndarray of int, shape (k,)
-        Their numbers, to answer by.
+        Numbers of the points, to be passed to `Optimizer.tell`.
     x : ndarray, shape (k, n)
         The points.
     cutoffs : ndarray, shape (k,)
-        Above this value the cost of a point makes no difference any more; infinite if there is no such value.
+        Cost above which the value of a point makes no difference; infinite if there is none.
     """
 
     ids: npt.NDArray[np.uint64]
@@ -38,33 +38,33 @@ class Asked(NamedTuple):
 
 
 class Above(NamedTuple):
-    """The value of a point whose evaluation was given up because its cost exceeds the cutoff that came with it.
+    """The value of a point whose evaluation was abandoned because its cost exceeds the cutoff of the point.
 
-    It never counts as a cost. A method decides just as it would have with the cost itself.
+    It never counts as a cost. A method makes the same decision as with the cost.
 
     Attributes
     ----------
     cutoff : float
-        A number that the cost is strictly greater than, at least the cutoff of the point; else the evaluation failed.
+        Strict lower bound of the cost, at least the cutoff of the point. A smaller value is a failed evaluation.
     """
 
     cutoff: float
 
 
 class Optimizer:
-    """A run that you drive: the same trace, bit for bit, as `minimize` makes with the same arguments, whatever the order
-    and the pieces in which the answers come.
+    """A run controlled by the user.
 
-    Methods work in rounds: `ask` has nothing to give while the last answers of a round are missing.
+    The trace is bit-for-bit identical to `minimize` with the same arguments, for any order and grouping of the
+    results. Methods work in rounds: `ask` returns no points while results of a round are missing.
 
     Parameters
     ----------
     method : str
         As in `minimize`.
     x0, bounds, rng, max_evaluations, max_iterations, max_time, target, options, checkpoint, resume, search : optional
-        As in `minimize`. The checkpoint is written when a round is complete, at the end, and by `save`.
+        As in `minimize`. The checkpoint is written after each complete round, at the end, and by `save`.
     workers : int
-        How many points will be evaluated at once, which a batch plan may follow.
+        Number of points that will be evaluated at once. A batch plan may depend on it.
 
     Examples
     --------
@@ -116,29 +116,33 @@ class Optimizer:
         )
 
     def ask(self, k: SupportsIndex | None = None) -> Asked:
-        """Points to evaluate, at most `k` (None: all of the round); none while answers are awaited, and after the end."""
+        """Returns at most `k` points to evaluate (None: all of the round); none while results are missing, and after
+        the end."""
         at_most = None if k is None else _values.limit("k", _values.index("k", k), 0)
         return Asked(*self._native.ask(at_most))
 
     def tell(self, ids: SupportsIndex | Iterable[SupportsIndex], values: Any) -> None:
-        """The costs of points, or their residuals ("least-squares"), in any order and in any pieces.
+        """Reports the costs of points, or their residuals ("least-squares"), in any order and grouping.
 
         Parameters
         ----------
         ids : int or sequence of int
-            Numbers of points that were asked for.
+            Numbers of requested points.
         values : float or sequence
-            Their costs; for "least-squares" their vectors of residuals. None, NaN, infinities and exceptions (the objects) mean that the evaluation failed; `Above` that
-            it was given up above the cutoff; Ellipsis gives a point back, to be asked for again.
+            Costs of the points, or vectors of residuals for "least-squares". None, NaN, infinities and exception
+            objects mean that the evaluation failed. `Above` means that it was abandoned above the cutoff. Ellipsis
+            returns a point, which `ask` then returns again.
 
         Raises
         ------
         KeyError
-            A number that is not waiting for an answer; what stands before it is told.
+            A number does not belong to a pending point. The values before it have been recorded.
         ValueError, TypeError
-            More or fewer values than numbers; a value that is no number, or no vector of residuals where these are wanted.
+            The numbers of values and ids differ, a value is not a number, or it is not a vector of residuals if
+            required.
         Interrupted
-            Ctrl-C (a KeyboardInterrupt) while the method chose its next points: the value counts, and the next `ask` goes on with that.
+            Ctrl-C was pressed while the method chose its next points; a KeyboardInterrupt. The value counts, and the
+            next `ask` continues the choice.
         """
         if type(ids) is np.ndarray and ids.ndim == 1:
             numbers = ids.tolist()
@@ -158,21 +162,23 @@ class Optimizer:
 
     @property
     def best(self) -> tuple[FloatArray, float] | None:
-        """The best point so far and its cost, of complete rounds; None if there is none."""
+        """The best point of complete rounds so far and its cost; None if there is none."""
         return self._native.best
 
     @property
     def done(self) -> bool:
-        """Whether the run is over."""
+        """True if the run has ended."""
         return self._native.termination is not None
 
     @property
     def n_pending(self) -> int:
-        """Points asked for and not told yet."""
+        """Number of points requested but not yet reported."""
         return self._native.n_pending
 
     def report(self) -> OptimizeResult:
-        """The result so far, a `LeastSquaresResult` of "least-squares"; ``termination`` is "interrupted" while the run is not over.
+        """Returns the result so far, a `LeastSquaresResult` for "least-squares".
+
+        ``termination`` is "interrupted" if the run has not ended.
 
         Raises
         ------
@@ -182,11 +188,11 @@ class Optimizer:
         return self._native.report()
 
     def save(self) -> None:
-        """Writes the checkpoint now, with the answers of the round that is under way. Nothing without a checkpoint."""
+        """Writes the checkpoint, including the results of the current round. Does nothing without a checkpoint."""
         self._native.save()
 
     def stop(self) -> None:
-        """Ends the run, if it is not over, with what was told so far."""
+        """Ends the run, if it has not ended, with the values reported so far."""
         self._native.stop()
 
     def __repr__(self) -> str:

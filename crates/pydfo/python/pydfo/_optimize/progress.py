@@ -12,7 +12,7 @@ from .._args import text as _text
 
 FloatArray = npt.NDArray[np.float64]
 
-#: What fields of the native code's records of runs are called in results, as in SciPy's.
+#: Names in results, as in SciPy, of fields in the native records of runs.
 _NAMES = {
     "n_iterations": "nit",
     "n_evaluations": "nfev",
@@ -25,7 +25,7 @@ _NAMES = {
 
 
 def named(record: dict[str, Any], of: type) -> dict[str, Any]:
-    """The fields of the class of a result, from a record of the native code's."""
+    """Returns the fields of a result class from a record of the native code."""
     known = {_NAMES.get(name, name): value for name, value in record.items()}
     known.update(record["tests"] or {"x_size": None, "f_spread": None})
     for name in ("final_simplex", "final_population"):
@@ -43,21 +43,21 @@ class Progress:
     x : ndarray, shape (n,)
         The best point so far, in the user's units.
     fun : float
-        The cost there.
+        Cost at the best point.
     nit, nfev, nfail : int
-        Complete iterations; evaluations of the path, and failed ones of them, so far.
+        Complete iterations, evaluations of the path, and failed evaluations of the path so far.
     n_speculative : int
         Further calls of the objective so far, made ahead of need.
     operation : str
-        What the iteration did: "initial", "reflection", "expansion", "outside contraction", "inside contraction",
+        Operation of the iteration: "initial", "reflection", "expansion", "outside contraction", "inside contraction",
         "shrink", "parallel moves", "restart" or "generation".
     x_size, f_spread : float or None
-        Values of the two tests: extent of the simplex, spread of the costs at its vertices. None before the first
-        iteration; the spread is None as long as a vertex has failed.
+        Values of the two tests: extent of the simplex, and spread of the costs at its vertices. None before the first
+        iteration. The spread is None while a vertex is a failed point.
     final_simplex : tuple of ndarray or None
-        The simplex as it stands: vertices (n + 1, n) and their costs (n + 1,), best first.
+        Current simplex: vertices (n + 1, n) and their costs (n + 1,), best first.
     final_population : tuple of ndarray or None
-        The population as it stands: members (m, n) and their costs (m,), best first.
+        Current population: members (m, n) and their costs (m,), best first.
     solve_time : float
         Wall-clock time since the start, in s.
     """
@@ -78,7 +78,7 @@ class Progress:
 
     @classmethod
     def _of(cls, record: dict[str, Any]) -> Progress:
-        """That of a record of the native code's."""
+        """Creates the progress from a record of the native code."""
         return cls(**named(record, cls))
 
     def __getitem__(self, key: str) -> Any:
@@ -99,7 +99,7 @@ class Printer:
         self._names = names and [_text.line(name) for name in names]
 
     def __call__(self, progress: Progress) -> None:
-        """Prints the line of one iteration, the first time with a headline."""
+        """Prints the line of one iteration, preceded by a header at the first call."""
         if progress.nit == 0:
             print(f"{'iter':>5} {'evals':>6} {'best cost':>15} {'x size':>10} {'f spread':>10}  operation", flush=True)
         print(

@@ -1,4 +1,4 @@
-"""The sum of squared errors as the paper's tool computes it."""
+"""The sum of squared errors, as computed by the paper's tool."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def quad_err(
 ) -> float:
     """Weighted sum of squared errors between measured and simulated series.
 
-    The simulation is interpolated linearly to the measured times. Where a time stands in it more than once (an event), the
-    mean of the values there counts. Measured times outside of the simulated span take its end values.
+    The simulation is interpolated linearly at the measured times. If a simulated time occurs several times (an
+    event), the mean of the values is used. Measured times outside the simulated span use the end values.
 
     Parameters
     ----------
@@ -44,23 +44,23 @@ def quad_err(
     y_meas : array_like, shape (m,) or (q, m)
         Measurements, one row per quantity.
     t_sim : array_like, shape (k,)
-        Simulated times in s, ascending; a time may stand there twice.
+        Simulated times in s, ascending; a time may occur twice.
     y_sim : array_like, shape (k,) or (q, k)
         Simulated values, one row per quantity.
     w : array_like, shape (q,), or float, optional
-        Weights, one per quantity; they multiply the squared errors (not the errors). Default 1.
+        Weights, one per quantity. They multiply the squared errors, not the errors. Default 1.
 
     Returns
     -------
     float
-        The sum; NaN if one of the values used is.
+        The sum; NaN if a used value is NaN.
 
     Raises
     ------
     ValueError
-        Lengths that do not fit, simulated times that do not ascend.
+        Lengths do not match, or simulated times are not ascending.
     TypeError
-        Values that are no numbers.
+        Values are not numbers.
 
     Examples
     --------
@@ -85,8 +85,8 @@ def quad_err_simple(
     y_sim: npt.ArrayLike,
     w: npt.ArrayLike | None = None,
 ) -> float:
-    """The same as `quad_err`.
+    """Returns the result of `quad_err`.
 
-    In the paper's tool it left out the checks to save time; here they cost next to nothing.
+    In the paper's tool, this function omits the checks to save time. Here the checks cost almost nothing.
     """
     return quad_err(t_meas, y_meas, t_sim, y_sim, w)

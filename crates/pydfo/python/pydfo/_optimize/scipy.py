@@ -14,39 +14,39 @@ from .._args import options as _options
 from .minimize import minimize
 from .progress import Progress
 
-#: What SciPy's own methods call it, and what it is called here.
+#: SciPy's names of options, and the names used here.
 _LIMITS = {"maxiter": "max_iterations", "maxfev": "max_evaluations"}
 _TOLERANCES = {"xatol": "x_tol", "fatol": "f_tol"}
-#: Arguments of `minimize` that may be given with the method, or among SciPy's options.
+#: Arguments of `minimize` that are accepted with the method or among SciPy's options.
 _ARGUMENTS = frozenset(
     ("workers", "rng", "max_evaluations", "max_iterations", "max_time", "target", "checkpoint", "resume", "on_error")
 )
 
 
 def scipy_method(method: str = "auto", **fixed: Any) -> Callable[..., Any]:
-    """A method for ``scipy.optimize.minimize(fun, x0, method=...)``.
+    """Return a method for ``scipy.optimize.minimize(fun, x0, method=...)``.
 
-    Bounds, ``args``, callback, ``tol`` and options are carried over. ``tol`` and the options ``xatol`` and ``fatol`` are
-    absolute, as they are for SciPy's Nelder-Mead, and both tests must hold; ``maxiter``, ``maxfev``, ``adaptive`` and
-    ``disp`` are understood, too. All other options are those of `minimize`.
+    Bounds, ``args``, callback, ``tol`` and options are passed on. ``tol`` and the options ``xatol`` and ``fatol`` are
+    absolute, as in SciPy's Nelder-Mead, and both tests must pass. ``maxiter``, ``maxfev``, ``adaptive`` and ``disp``
+    are also supported. All other options are those of `minimize`.
 
     Parameters
     ----------
     method : str
         As in `minimize`.
     **fixed
-        ``workers``, ``rng``, ``max_time`` and other arguments of `minimize` but the function, the start, bounds and
-        callback; and options. SciPy's options outrank them.
+        ``workers``, ``rng``, ``max_time`` and other arguments of `minimize`, except the function, the start, bounds
+        and callback; also options. SciPy's options take precedence over them.
 
     Returns
     -------
     callable
-        It returns a ``scipy.optimize.OptimizeResult`` with the fields of `OptimizeResult`.
+        A function that returns a ``scipy.optimize.OptimizeResult`` with the fields of `OptimizeResult`.
 
     Raises
     ------
     ValueError, TypeError
-        An unknown method; when it runs: constraints, and what `minimize` refuses.
+        The method is unknown. At run time: constraints are given, or `minimize` rejects the arguments.
 
     Examples
     --------
@@ -95,7 +95,7 @@ def scipy_method(method: str = "auto", **fixed: Any) -> Callable[..., Any]:
         )
         if display:
             print(result)
-        # SciPy's result cannot be printed with an empty dictionary in it.
+        # SciPy cannot print a result that contains an empty dictionary.
         return _result_class()({name: value for name, value in result.items() if not _is_empty(value)})
 
     return run
@@ -110,7 +110,8 @@ def _result_class() -> Any:
 
 
 def _as_scipy_calls(callback: Callable[..., Any] | None) -> Callable[[Progress], Any] | None:
-    """SciPy passes the point alone, unless the one parameter is called ``intermediate_result``."""
+    """Adapts a callback to SciPy's convention: it receives only the point, unless its only parameter is
+    ``intermediate_result``."""
     if callback is None:
         return None
     try:

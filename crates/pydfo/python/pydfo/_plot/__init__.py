@@ -1,4 +1,4 @@
-"""Pictures; matplotlib is imported only when one is asked for."""
+"""Figures. matplotlib is imported only when a figure is requested."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of recordings before anything is simulated."""
+"""Figures of recordings before any simulation."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def recordings(calibration: _core.Calibration) -> Figure:
-    """A column per experiment: measurements, then inputs, with what is outside of its windows in grey."""
+    """Draws a column per experiment: measurements, then inputs; rows outside the windows are grey."""
     recorded = _core.recorded(calibration)
     names = calibration.experiments()
     n_rows = max(len(series) for _, series, _ in recorded)
@@ -36,7 +36,7 @@ def recordings(calibration: _core.Calibration) -> Figure:
             known = ~np.isnan(values)
             style: dict[str, Any] = {"lw": 1.2} if is_input else {"ls": "none", "marker": ".", "ms": 3}
             color = "tab:green" if is_input else "black"
-            # A line ends where a cell is empty; single values between such cells are marks.
+            # A line ends at an empty cell. Single values between empty cells are drawn as marks.
             axis.plot(time, values, color=color, **style)
             if is_input and not known.all():
                 axis.plot(time[known], values[known], color=color, lw=0.8, ls=":")
@@ -44,7 +44,7 @@ def recordings(calibration: _core.Calibration) -> Figure:
             axis.set_ylabel(_text.line(variable + (f" [{unit}]" if unit else "")))
             axis.set_title(_text.line(f"{'input' if is_input else 'measured'}: {label}"), loc="left", fontsize="small")
             if windows and not is_input:
-                # What lies before, between and after the windows.
+                # Intervals before, between and after the windows.
                 edges = [time[0], *(edge for window in sorted(windows) for edge in window), time[-1]]
                 for low, high in zip(edges[::2], edges[1::2]):
                     low, high = max(low, time[0]), min(high, time[-1])

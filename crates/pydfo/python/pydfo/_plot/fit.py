@@ -15,19 +15,21 @@ if TYPE_CHECKING:
 
     from .._calibration.fit import Fit
 
-#: More experiments do not get a column each.
+#: Maximum number of experiments with separate columns.
 MOST_COLUMNS = 4
 
-#: More values of parameters are no title.
+#: Maximum number of parameter values in a title.
 MOST_VALUES = 3
 
-#: What is drawn of an experiment, of one of its outputs, or of an input (see `_core.Fit.curves`).
+#: Curves of an experiment, of one of its outputs, or of an input (see `_core.Fit.curves`).
 Curves = dict[str, Any]
 
 
 def fit(fit: Fit, native: _core.Fit) -> Figure:
-    """Per output of each experiment measurements, the response at the start and the fitted one, and below them the residuals of
-    the fitted one; at the bottom the inputs, those with the same unit together."""
+    """Draws each output of each experiment: measurements, responses at the start and of the fit, and the residuals of
+    the fit below.
+
+    The inputs are at the bottom, grouped by unit."""
     plt = pyplot()
     experiments: list[Curves] = native.curves()
     outputs, inputs = _columns(experiments)
@@ -73,7 +75,9 @@ def fit(fit: Fit, native: _core.Fit) -> Figure:
 
 
 def _columns(experiments: list[Curves]) -> tuple[list[list[tuple[Curves, Curves]]], list[list[tuple[Curves, list[Curves]]]]]:
-    """The outputs and the inputs of each column: one column per experiment, or those of one or of many side by side."""
+    """Returns the outputs and the inputs of each column.
+
+    There is one column per experiment. For one or many experiments, the outputs are distributed over columns."""
     outputs = [[(experiment, output) for output in experiment["outputs"]] for experiment in experiments]
     inputs = [[(experiment, group) for group in _groups(experiment["inputs"])] for experiment in experiments]
     if 1 < len(experiments) <= MOST_COLUMNS:
@@ -84,7 +88,7 @@ def _columns(experiments: list[Curves]) -> tuple[list[list[tuple[Curves, Curves]
 
 
 def _groups(inputs: list[Curves]) -> list[list[Curves]]:
-    """The inputs with the same unit together."""
+    """Groups the inputs by unit."""
     groups: dict[str | None, list[Curves]] = {}
     for signal in inputs:
         groups.setdefault(signal["unit"], []).append(signal)
@@ -92,7 +96,7 @@ def _groups(inputs: list[Curves]) -> list[list[Curves]]:
 
 
 def _draw_output(upper: Axes, lower: Axes, output: Curves) -> None:
-    """Measurements and responses above, residuals below."""
+    """Draws measurements and responses in the upper panel, and residuals in the lower one."""
     measured, residuals = output["measured"], output["residuals"]
     size = 4.0 if len(residuals) < 300 else 2.0
     upper.plot(measured["times"], measured["values"], ".", color=MEASURED, markersize=size, label="measured")
@@ -110,7 +114,8 @@ def _draw_output(upper: Axes, lower: Axes, output: Curves) -> None:
 
 
 def _limits(signals: list[Curves | None]) -> tuple[float, float]:
-    """Where the response at the start is cut off: twice the range of the others beyond them."""
+    """Returns the limits for the response at the start: the range of the other curves, extended by twice this
+    range."""
     values = np.concatenate([signal["values"] for signal in signals if signal is not None])
     low, high = float(np.min(values)), float(np.max(values))
     by = 2.0 * (high - low) or abs(high) or 1.0
@@ -118,7 +123,7 @@ def _limits(signals: list[Curves | None]) -> tuple[float, float]:
 
 
 def _draw_inputs(axes: Axes, group: list[Curves]) -> None:
-    """Inputs with the same unit."""
+    """Draws inputs with the same unit."""
     lines = []
     for k, signal in enumerate(group):
         there = ~np.isnan(signal["values"])

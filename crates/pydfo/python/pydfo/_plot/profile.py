@@ -1,4 +1,4 @@
-"""Profile likelihoods, as a picture."""
+"""Figures of profile likelihoods."""
 
 from __future__ import annotations
 
@@ -13,17 +13,19 @@ if TYPE_CHECKING:
 
     from .._calibration.profile import FloatArray, Profile
 
-#: The panels end at this multiple of the threshold.
+#: Height of the panels as a multiple of the threshold.
 HEIGHT = 1.6
 
 
-#: Points of a curve.
+#: Number of points of a curve.
 SMOOTH = 200
 
 
 def smooth(values: FloatArray, costs: FloatArray, optimum: float) -> tuple[FloatArray, FloatArray]:
-    """A curve through the points of a profile: a cubic Hermite interpolant, monotone between them (Fritsch and Carlson, SIAM J.
-    Numer. Anal. 17, 1980), of the root of the cost with the sign of the side, which is a straight line where the cost is a parabola."""
+    """Returns a curve through the points of a profile.
+
+    It is a monotone cubic Hermite interpolant (Fritsch and Carlson, SIAM J. Numer. Anal. 17, 1980) of the square root
+    of the cost with the sign of the side. The root is a straight line if the cost is a parabola."""
     if len(values) < 3:
         return values, costs
     roots = np.copysign(np.sqrt(np.maximum(costs, 0.0)), values - optimum)
@@ -44,7 +46,7 @@ def smooth(values: FloatArray, costs: FloatArray, optimum: float) -> tuple[Float
 
 
 def profiles(profile: Profile) -> Figure:
-    """The rise of the cost over each parameter, with the threshold and the interval, shaded."""
+    """Draws the rise of the cost against each parameter, with the threshold and the shaded interval."""
     plt = pyplot()
     names = list(profile.values)
     columns = min(len(names), 3)

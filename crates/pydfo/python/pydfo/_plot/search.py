@@ -1,4 +1,4 @@
-"""How a search went: its costs, its best points, the minima that it found."""
+"""Figures of a search: its costs, its best points and the minima found."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ if TYPE_CHECKING:
 
     from .._optimize.result import OptimizeResult
 
-#: More parameters have no legend.
+#: Maximum number of parameters with a legend.
 MOST_NAMES = 10
 
 
 def convergence(result: OptimizeResult, names: Sequence[str] | None = None) -> Figure:
-    """Each cost and the best one over the evaluations; below, the best point, each parameter in units of the range that
-    the run went through."""
+    """Draws each cost and the best cost against the evaluations, and below them the best point.
+
+    Each parameter is drawn in units of its range in the run."""
     plt = pyplot()
     figure: Figure
     figure, (costs, points) = plt.subplots(2, 1, sharex=True, height_ratios=[3, 2], figsize=(7.0, 6.4), layout="constrained")
@@ -34,9 +35,9 @@ def convergence(result: OptimizeResult, names: Sequence[str] | None = None) -> F
         for position, k in enumerate(trace.messages):
             costs.axvline(count[k], color=START, linewidth=0.5, alpha=0.5, label="failed" if position == 0 else None)
         if len(finite) > 0:
-            # costs of zero have no logarithm and are left out; a likelihood may be negative
+            # costs of zero have no logarithm and are omitted; a likelihood may be negative
             costs.set_yscale("log" if np.all(finite >= 0.0) and np.any(finite > 0.0) else "linear")
-        # where the best changed, and which point it was until the next change
+        # evaluations at which the best point changed, and the best point until the next change
         better = np.flatnonzero(np.diff(best, prepend=np.inf) < 0.0)
         low, width = trace.x.min(axis=0), np.ptp(trace.x, axis=0)
         labels = names_for(names, trace.x.shape[1])
@@ -56,7 +57,7 @@ def convergence(result: OptimizeResult, names: Sequence[str] | None = None) -> F
 
 
 def waterfall(result: OptimizeResult) -> Figure:
-    """The costs at which the local searches ended, sorted: steps are minima."""
+    """Draws the sorted final costs of the local searches; steps are minima."""
     if not result.optima:
         raise ValueError("there are no minima to compare: fit with method='multistart' or search='global'")
     plt = pyplot()

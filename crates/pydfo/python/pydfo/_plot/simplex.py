@@ -1,4 +1,4 @@
-"""The simplex or the population of a run in the plane of two parameters."""
+"""Figure of the simplex or the population of a run in the plane of two parameters."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def _is_live(figure: Figure) -> bool:
-    """Whether the figure is shown in a window."""
+    """Returns True if the figure is shown in a window."""
     return getattr(figure.canvas, "required_interactive_framework", None) is not None
 
 
 class SimplexWalk:
-    """The simplex walking over the plane of two parameters, on contours of the cost.
+    """The path of the simplex in the plane of two parameters, on contours of the cost.
 
-    The contours are drawn from the points that were evaluated anyway: no evaluation is spent on them.
+    The contours use the points evaluated by the run and require no further evaluations.
     """
 
     def __init__(self, free: npt.NDArray[np.bool_]) -> None:
@@ -46,7 +46,7 @@ class SimplexWalk:
         self._closed = True
 
     def __call__(self, progress: Progress) -> None:
-        """Takes in the simplex or the population of one iteration, and draws it if the figure is shown in a window."""
+        """Stores the simplex or the population of one iteration, and draws it if the figure is shown in a window."""
         shape = progress.final_simplex or progress.final_population
         if shape is None:
             return
@@ -65,7 +65,7 @@ class SimplexWalk:
             self._plane.plot(simplex[:, 0], simplex[:, 1], ".", color=colour, markersize=4.0 * width, zorder=2)
 
     def finish(self, result: OptimizeResult) -> Figure:
-        """The whole walk on its contours, with the result marked."""
+        """Returns the figure of the whole path on its contours, with the result marked."""
         plt = pyplot()
         self._plane.clear()
         self._contours(result)
@@ -87,7 +87,7 @@ class SimplexWalk:
         good = np.isfinite(trace.fun)
         points, costs = trace.x[good][:, self._axes], trace.fun[good]
         points, first = np.unique(points, axis=0, return_index=True)
-        # Costs differ by orders of magnitude between start and end: ranks of the logarithm show both.
+        # Costs span orders of magnitude between start and end. Ranks of the logarithm show both.
         height = np.log10(costs[first] - costs.min() + 1e-3 * max(float(np.ptp(costs)), 1e-300))
         if len(points) < 3 or np.linalg.matrix_rank(points - points[0]) < 2:
             return

@@ -1,4 +1,4 @@
-"""What all pictures have in common: matplotlib, colours, labels."""
+"""Common parts of all figures: matplotlib, colours, labels."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from typing import Any
 
 from .._args import text as _text
 
-#: Colours that colour-blind readers tell apart (Okabe and Ito, Color universal design, 2008), those of the report.
+#: Colours suitable for colour-blind readers (Okabe and Ito, Color universal design, 2008), as in the report.
 MEASURED = "#767676"
 START = "#D55E00"
 FITTED = "#0072B2"
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#767676")
 
-#: Longer names are cut in their middle.
+#: Maximum length of a name. Longer names are shortened in the middle.
 LONGEST = 40
 
 
 def pyplot() -> Any:
-    """``matplotlib.pyplot``, or an error with the command that installs it."""
+    """Returns ``matplotlib.pyplot``, or raises an error with the command that installs it."""
     try:
         import matplotlib.pyplot as plt
     except ImportError as e:
@@ -27,7 +27,7 @@ def pyplot() -> Any:
 
 
 def short(name: str, longest: int = LONGEST) -> str:
-    """The name for a label: without its middle if it is too long, and not read as a formula."""
+    """Returns the name for a label, shortened in the middle if it is too long, with formula characters escaped."""
     name = _text.line(name)
     if len(name) > longest:
         part = (longest - 3) // 2
@@ -36,5 +36,5 @@ def short(name: str, longest: int = LONGEST) -> str:
 
 
 def names_for(names: Sequence[str] | None, n: int) -> list[str]:
-    """Labels of parameters: their names, or their positions."""
+    """Returns labels of parameters: their names, or their indices."""
     return [short(name) for name in names] if names is not None else [f"x[{i}]" for i in range(n)]

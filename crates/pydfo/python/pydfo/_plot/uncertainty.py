@@ -1,4 +1,4 @@
-"""The uncertainty of a fit, as pictures: correlation and sensitivity of its parameters."""
+"""Figures of the uncertainty of a fit: correlation and sensitivity of its parameters."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ if TYPE_CHECKING:
 
 FloatArray = npt.NDArray[np.float64]
 
-#: Larger tables have no numbers.
+#: Maximum size of a table with numbers.
 MOST_NUMBERS = 12
 
-#: More lines over time cannot be told apart.
+#: Maximum number of distinguishable lines over time.
 MOST_LINES = 6
 
 _NO_WORTH = "the fit has no standard errors (see its report), so there is nothing to draw"
 
 
 def correlation(matrix: FloatArray | None, names: list[str]) -> Figure:
-    """The correlation of the parameters, as a coloured table."""
+    """Draws the correlation of the parameters as a coloured table."""
     if matrix is None:
         raise ValueError(_NO_WORTH)
     plt = pyplot()
@@ -50,7 +50,8 @@ def correlation(matrix: FloatArray | None, names: list[str]) -> Figure:
 
 
 def sensitivity(native: _core.Fit, names: list[str]) -> Figure:
-    """What a relative change of each parameter makes of each output: over time, or for many parameters its root mean square."""
+    """Draws the effect of a relative change of each parameter on each output over time, or its RMS for many
+    parameters."""
     outputs: list[dict[str, Any]] = native.sensitivities()
     if not outputs:
         raise ValueError(_NO_WORTH)

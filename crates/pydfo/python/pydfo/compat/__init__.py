@@ -1,1 +1,2 @@
-"""The names of other tools: `pydfo.compat.fmpy` and `pydfo.compat.pyfmi`, for scripts whose import lines alone change."""
+"""The names of other tools: `pydfo.compat.fmpy` and `pydfo.compat.pyfmi`, for scripts that change only their
+imports."""

@@ -1,4 +1,4 @@
-"""Names of other tools that are refused: they can be imported, and say at their use why they cannot be had."""
+"""Unsupported names of other tools. They can be imported, and raise an error with the reason when they are used."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ from typing import Any, NoReturn
 
 
 class NotProvided(NotImplementedError):
-    """A function, argument or option of another tool that pydfo does not have; the message says what to use instead."""
+    """A function, argument or option of another tool that pydfo does not provide. The message suggests an
+    alternative."""
 
 
 def refuse(what: str, reason: str) -> NoReturn:
-    """Raises what says that `what` is not provided, and why."""
+    """Raises an error that states that `what` is not provided, and why."""
     raise NotProvided(f"{what} is not provided: {reason}")
 
 
 def refused(what: str, reason: str) -> Callable[..., NoReturn]:
-    """A function that refuses."""
+    """Returns a function that raises `NotProvided`."""
 
     def function(*args: Any, **kwargs: Any) -> NoReturn:
         refuse(what, reason)
@@ -27,7 +28,7 @@ def refused(what: str, reason: str) -> Callable[..., NoReturn]:
 
 
 def hand_out(owner: str, reasons: Mapping[str, str]) -> Callable[[str], Any]:
-    """The ``__getattr__`` of a module: its refused names."""
+    """Returns a ``__getattr__`` for a module, which provides its unsupported names."""
 
     def get(name: str) -> Any:
         if name in reasons:

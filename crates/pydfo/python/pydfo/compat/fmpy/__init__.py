@@ -1,6 +1,8 @@
-"""FMPy's functions by their names and arguments, over `pydfo`: ``from pydfo.compat.fmpy import simulate_fmu``.
+"""FMPy's functions with their names and arguments, implemented with `pydfo`:
+``from pydfo.compat.fmpy import simulate_fmu``.
 
-What cannot be had raises `NotProvided` when it is called, and says what to use instead; docs/compat.md lists all names.
+Unsupported functions raise `NotProvided` when they are called, and suggest an alternative. docs/compat.md lists all
+names.
 """
 
 from __future__ import annotations
@@ -48,7 +50,7 @@ architecture = {"arm64": "aarch64", "amd64": "x86_64"}.get(_platform.machine().l
 platform = {"windows": "win"}.get(system, system) + ("64" if sys.maxsize > 2**32 else "32")
 platform_tuple = f"{architecture}-{system}"
 
-#: The names of platforms: folders below ``binaries/`` and the ends of their libraries.
+#: Names of platforms, with the folders below ``binaries/`` and the suffixes of their libraries.
 _FOLDERS = {
     "darwin64": (("darwin64", "aarch64-darwin", "x86_64-darwin"), ".dylib"),
     "linux32": (("linux32", "i686-linux"), ".so"),
@@ -66,7 +68,7 @@ def _names(filename: PathLike | IO[bytes]) -> list[str]:
 
 
 def supported_platforms(filename: PathLike | IO[bytes]) -> list[str]:
-    """The platforms that an FMU has a library for ("linux64" and so on), and "c-code" where it has sources."""
+    """Returns the platforms with a library in the FMU ("linux64" and so on), and "c-code" if it has sources."""
     files = [(os.path.dirname(name), name) for name in _names(filename)]
     found = ["c-code"] if any(folder == "sources" and name.endswith(".c") for folder, name in files) else []
     for name, (folders, end) in _FOLDERS.items():
@@ -76,19 +78,19 @@ def supported_platforms(filename: PathLike | IO[bytes]) -> list[str]:
 
 
 def fmi_info(filename: PathLike) -> tuple[str, list[str]]:
-    """The version of FMI, and which of "ModelExchange" and "CoSimulation" an FMU offers."""
+    """Returns the version of FMI, and the supported interfaces among "ModelExchange" and "CoSimulation"."""
     found = read_description(filename)
     kinds = [("ModelExchange", found.model_exchange), ("CoSimulation", found.co_simulation)]
     return found.fmi_version, [name for name, interface in kinds if interface is not None]
 
 
 def extract(filename: PathLike, unzipdir: PathLike | None = None, include: Callable[[str], bool] | None = None) -> Path:
-    """Unpacks an FMU, or what `include` lets pass, into a folder (default: a new one, which stays until it is removed).
+    """Unpacks an FMU, or the names accepted by `include`, into a folder (default: a new one, which is not removed).
 
     Raises
     ------
     ValueError
-        A name in the archive leads out of the folder.
+        A name in the archive leads outside the folder.
     """
     with zipfile.ZipFile(filename) as archive:
         names = archive.namelist()
@@ -107,7 +109,7 @@ def extract(filename: PathLike, unzipdir: PathLike | None = None, include: Calla
 
 
 def dump(filename: PathLike | IO[bytes], causalities: Sequence[str] = ("input", "output")) -> None:
-    """Prints what `fmu_info` of `pydfo.compat.fmpy.util` returns."""
+    """Prints the result of `fmu_info` of `pydfo.compat.fmpy.util`."""
     print(fmu_info(filename, causalities))
 
 

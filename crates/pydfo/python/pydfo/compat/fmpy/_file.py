@@ -1,5 +1,7 @@
-"""What the file of a description says that `pydfo.read_description` does not hand on: the model structure, and attributes for
-schedulers and clocks. It is read after `pydfo.read_description`, which refuses files that are not to be trusted."""
+"""Parts of a description that `pydfo.read_description` does not return: model structure, attributes of schedulers and
+clocks.
+
+The file is read after `pydfo.read_description`, which rejects untrustworthy files."""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 from xml.parsers import expat
 
-#: The lists of unknowns by the elements around them (FMI 2.0), or by their own names (FMI 3.0).
+#: Lists of unknowns, by the elements that contain them (FMI 2.0), or by their own names (FMI 3.0).
 _LISTS = {
     "Outputs": "outputs",
     "Derivatives": "derivatives",
@@ -24,7 +26,7 @@ _LISTS = {
 
 
 def numbers(text: str) -> list[int]:
-    """The numbers in a text with blanks between them."""
+    """Returns the numbers in a string separated by blanks."""
     return [int(word) for word in text.split() if word.isdecimal()]
 
 
@@ -32,7 +34,7 @@ def _flag(text: str) -> bool:
     return text in ("true", "1")
 
 
-#: How attributes are read.
+#: Readers of the attributes.
 _READ: dict[str, Callable[[str], Any]] = {
     "canBeDeactivated": _flag,
     "intermediateUpdate": _flag,
@@ -51,7 +53,7 @@ _READ: dict[str, Callable[[str], Any]] = {
 
 
 def told(attributes: dict[str, str], names: Collection[str]) -> dict[str, Any]:
-    """Those of the attributes that are told and can be read, for a class with fields of these names."""
+    """Returns the attributes that are present and readable, for a class with fields of these names."""
     found = {}
     for name in _READ.keys() & names & attributes.keys():
         try:
@@ -68,11 +70,11 @@ class DescriptionFile:
     Attributes
     ----------
     unknowns : dict
-        The unknowns of each list of the model structure: their lines and attributes.
+        Unknowns of each list of the model structure: their lines and attributes.
     variables : dict
-        The attributes of variables by value reference (FMI 3.0).
+        Attributes of variables by value reference (FMI 3.0).
     interfaces : dict
-        The attributes of "ModelExchange" and "CoSimulation".
+        Attributes of "ModelExchange" and "CoSimulation".
     """
 
     unknowns: dict[str, list[tuple[int, dict[str, str]]]] = field(default_factory=lambda: {name: [] for name in _LISTS.values()})
@@ -81,7 +83,7 @@ class DescriptionFile:
 
 
 def _bytes_of_one(file: bytes) -> bytes:
-    """A file with one byte for each character that matters, and without characters that XML does not have."""
+    """Converts a file to one byte for each relevant character, without characters that XML does not allow."""
     for start, encoding in ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"), (b"<\0", "utf-16-le"), (b"\0<", "utf-16-be")):
         if file.startswith(start):
             file = file.decode(encoding, "replace").encode("latin-1", "replace")
@@ -89,9 +91,9 @@ def _bytes_of_one(file: bytes) -> bytes:
 
 
 def read_file(file: bytes) -> DescriptionFile:
-    """The attributes in the bytes of a ``modelDescription.xml`` of FMI 2.0 or 3.0."""
+    """Returns the attributes in the bytes of a ``modelDescription.xml`` of FMI 2.0 or 3.0."""
     found, path = DescriptionFile(), list[str]()
-    # What is read here is ASCII in any encoding; of names and texts nothing is taken.
+    # The attributes read here are ASCII in any encoding. Names and texts are not used.
     parser = expat.ParserCreate("iso-8859-1")
 
     def start(name: str, attributes: dict[str, str]) -> None:

@@ -1,4 +1,4 @@
-"""Instances with FMPy's methods: variables by value reference, phases by the calls that lead to them."""
+"""Instances with FMPy's methods: variables by value reference, and calls that change the phase."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .._refused import refused
 
 
 def _vector(target: Any, n: int) -> np.ndarray[Any, Any]:
-    """The numbers behind what a caller gives: an array, or a pointer of ctypes."""
+    """Returns the numbers of a caller's array or ctypes pointer."""
     if isinstance(target, np.ndarray):
         return target[:n]
     return np.ctypeslib.as_array(ctypes.cast(target, ctypes.POINTER(ctypes.c_double)), (n,))
@@ -23,7 +23,7 @@ def _vector(target: Any, n: int) -> np.ndarray[Any, Any]:
 def _accessors(kind: str) -> tuple[Any, Any]:
     def get(self: Any, vr: Sequence[int], nValues: int | None = None) -> list[Any]:
         values: list[Any] = self._get(kind, vr)
-        # Those of FMPy's ctypes, which only its class of FMI 3.0 decodes.
+        # FMPy returns ctypes strings, which only its class of FMI 3.0 decodes.
         is_bytes = kind == "String" and self._instance.description.fmi_version[0] < "3"
         return [text.encode() for text in values] if is_bytes else values
 
@@ -37,7 +37,7 @@ def _accessors(kind: str) -> tuple[Any, Any]:
 
 
 class _Instance:
-    """What both kinds have."""
+    """Common part of both kinds of instances."""
 
     KIND = "ME"
 
@@ -56,7 +56,7 @@ class _Instance:
         return self._made
 
     def instantiate(self, visible: bool = False, callbacks: Any = None, loggingOn: bool = False, **more: Any) -> None:
-        """Makes the instance; `callbacks` have no effect."""
+        """Creates the instance; `callbacks` have no effect."""
         self._made = Instance(os.fspath(self.unzipDirectory), self.KIND, name=self.instanceName, logging=bool(loggingOn), visible=bool(visible))
         types = {"Enumeration": "Integer"} if self._made.description.fmi_version[0] < "3" else {"Real": "Float64", "Integer": "Int32", "Enumeration": "Int64"}
         self._names.clear()
@@ -85,7 +85,7 @@ class _Instance:
             raise KeyError(f"there is no variable of type {kind} with the value reference {reference}") from None
 
     def setupExperiment(self, tolerance: float | None = None, startTime: float = 0.0, stopTime: float | None = None) -> None:
-        """Times in s and relative tolerance of the experiment."""
+        """Sets times in s and relative tolerance of the experiment."""
         self._experiment = (startTime, stopTime, tolerance)
 
     def enterInitializationMode(self, tolerance: float | None = None, startTime: float | None = None, stopTime: float | None = None) -> None:
@@ -104,7 +104,7 @@ class _Instance:
         self._instance.terminate()
 
     def reset(self) -> None:
-        """Brings the instance back to its beginning."""
+        """Resets the instance to its initial phase."""
         self._instance.reset()
 
     def freeInstance(self) -> None:
@@ -114,24 +114,24 @@ class _Instance:
             self._made = None
 
     def getFMUstate(self) -> SavedState:
-        """A copy of the state."""
+        """Returns a copy of the state."""
         return self._instance.save_state()
 
     def setFMUstate(self, state: SavedState) -> None:
-        """Brings a state back."""
+        """Restores a state."""
         self._instance.restore_state(state)
 
     def freeFMUstate(self, state: SavedState) -> None:
-        """Nothing: a state is freed when nobody holds it."""
+        """Does nothing, because a state is freed when it is no longer referenced."""
 
     getFMUState, setFMUState, freeFMUState = getFMUstate, setFMUstate, freeFMUstate
 
     def getVersion(self) -> str:
-        """The version of FMI."""
+        """Returns the version of FMI."""
         return self._instance.description.fmi_version
 
     def getTypesPlatform(self) -> str:
-        """The platform that FMI names."""
+        """Returns the platform name of FMI."""
         return "standard32" if self.getVersion() == "1.0" else "default"
 
     def setDebugLogging(self, loggingOn: bool, categories: Sequence[str] = ()) -> None:
@@ -139,7 +139,7 @@ class _Instance:
         self._instance.set_logging(list(categories) if loggingOn and categories else bool(loggingOn))
 
     def getDirectionalDerivative(self, vUnknown_ref: Sequence[int], vKnown_ref: Sequence[int], dvKnown: Sequence[float], dvUnknown: Any = None) -> list[float]:
-        """Derivatives of reals in a direction."""
+        """Returns derivatives of reals in a direction."""
         kind = "Float64" if self._instance.description.fmi_version[0] == "3" else "Real"
         of, by = ([self._name(kind, reference) for reference in vr] for vr in (vUnknown_ref, vKnown_ref))
         return [float(value) for value in self._instance.directional_derivative(of, by, dvKnown)]
@@ -177,14 +177,16 @@ class Model(_Instance):
         self._instance.enter_continuous_time()
 
     def newDiscreteStates(self) -> tuple[bool, bool, bool, bool, bool, float]:
-        """Lets the discrete states settle: so the first of FMPy's six values, whether another round is needed, is False."""
+        """Updates the discrete states until they no longer change.
+
+        The first of FMPy's six values, which requests another round, is therefore False."""
         info = self._instance.update_discrete_states()
         return False, info.terminate, info.nominals_changed, info.states_changed, info.next_time is not None, info.next_time or 0.0
 
     updateDiscreteStates = newDiscreteStates
 
     def completedIntegratorStep(self, noSetFMUStatePriorToCurrentPoint: bool = True) -> tuple[bool, bool]:
-        """Whether the model wants event mode, and whether it wants to end the simulation."""
+        """Returns two flags: the model requests event mode, and the model requests the end of the simulation."""
         return self._instance.completed_integrator_step()
 
     def setTime(self, time: float) -> None:
@@ -220,8 +222,10 @@ class Slave(_Instance):
     KIND = "CS"
 
     def doStep(self, currentCommunicationPoint: float, communicationStepSize: float, noSetFMUStatePriorToCurrentPoint: bool = True) -> Any:
-        """Makes a step from a time to a later one, in s; of FMI 3.0 returns whether there was an event, the model wants to end, it
-        returned early, and the time that it reached."""
+        """Performs a step from a time to a later one, in s.
+
+        For FMI 3.0, returns three flags and the time reached. The flags are event, request of the end, and early
+        return."""
         self._instance._time = float(currentCommunicationPoint)
         done = self._instance.do_step(communicationStepSize)
         if self._instance.description.fmi_version[0] == "3":

@@ -1,7 +1,7 @@
 """The model description as FMPy's objects, read by `pydfo.read_description`.
 
-Literals are written anew (``start="1"``, ``"true"``), so they may look other than in the file; attributes of a type definition stand
-in its variables.
+Literals are rewritten (``start="1"``, ``"true"``), so they may differ from the file. Variables include the attributes
+of their type definition.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ PathLike = str | os.PathLike[str]
 
 @dataclass(eq=False)
 class DefaultExperiment:
-    """Settings for a simulation, as texts; times in s."""
+    """Settings for a simulation, as strings; times in s."""
 
     startTime: str | None = None
     stopTime: str | None = None
@@ -86,7 +86,7 @@ class Category:
 
 @dataclass(eq=False)
 class Item:
-    """One of the values of an enumeration."""
+    """A value of an enumeration."""
 
     name: str | None = None
     value: str | None = None
@@ -113,7 +113,7 @@ class SimpleType:
 
 @dataclass(eq=False)
 class DisplayUnit:
-    """A unit to show values in."""
+    """A unit for display."""
 
     name: str | None = None
     factor: float = 1.0
@@ -156,7 +156,7 @@ class VariableAlias:
 
 @dataclass(eq=False)
 class Dimension:
-    """An extent of an array: a number, or the structural parameter that it is."""
+    """An extent of an array: a number, or a structural parameter."""
 
     start: int | None
     valueReference: int | None
@@ -165,7 +165,7 @@ class Dimension:
 
 @dataclass(eq=False)
 class ModelVariable:
-    """A variable; values in its unit, as texts. `clocks` is None where the file names none (FMI 3.0)."""
+    """A variable; values in its unit, as strings. `clocks` is None if the file lists none (FMI 3.0)."""
 
     name: str
     valueReference: int
@@ -212,8 +212,9 @@ ScalarVariable = ModelVariable
 
 @dataclass(eq=False)
 class Unknown:
-    """A variable of the model structure, with the variables that it depends on (None: the file does not say); `index` is that of FMI 2.0,
-    from 1."""
+    """A variable of the model structure, with the variables on which it depends (None: not declared).
+
+    `index` is the index of FMI 2.0, from 1."""
 
     index: int = 0
     variable: ModelVariable | None = None
@@ -254,7 +255,7 @@ class ModelDescription:
 
     @property
     def guid(self) -> str:
-        """The guid; the instantiation token in FMI 3.0."""
+        """The guid, or the instantiation token in FMI 3.0."""
         return self.instantiationToken
 
     @guid.setter
@@ -263,12 +264,12 @@ class ModelDescription:
 
     @property
     def fmiMajorVersion(self) -> int:
-        """1, 2 or 3."""
+        """Major version: 1, 2 or 3."""
         return int(self.fmiVersion.split(".")[0])
 
     @property
     def modelIdentifier(self) -> str:
-        """The name of the library, where all interfaces have the same."""
+        """Name of the library, if all interfaces have the same one."""
         names = {interface.modelIdentifier for interface in (self.modelExchange, self.coSimulation) if interface is not None}
         if len(names) != 1:
             raise ValueError(f"the interfaces have other libraries each: {', '.join(sorted(map(str, names))) or 'none'}")
@@ -276,7 +277,7 @@ class ModelDescription:
 
 
 class ValidationError(Exception):
-    """A description that departs from the standard, with the list of its `problems`."""
+    """A description that violates the standard, with the list of its `problems`."""
 
     def __init__(self, problems: list[str]) -> None:
         super().__init__(problems)
@@ -287,7 +288,7 @@ class ValidationError(Exception):
 
 
 def text_of(value: Any) -> str | None:
-    """A value as it stands in an XML file."""
+    """Returns a value as in an XML file."""
     if value is None or isinstance(value, str):
         return value
     if isinstance(value, np.ndarray):
@@ -300,7 +301,7 @@ def text_of(value: Any) -> str | None:
 
 
 def path_of(filename: PathLike | IO[bytes]) -> tuple[str, str | None]:
-    """A path to open, and the folder to remove afterwards: a file-like object is written to one."""
+    """Returns a path to open, and the folder to remove afterwards, in which a file-like object is stored."""
     if isinstance(filename, (str, os.PathLike)):
         return os.fspath(filename), None
     folder = tempfile.mkdtemp()
@@ -315,12 +316,14 @@ def path_of(filename: PathLike | IO[bytes]) -> tuple[str, str | None]:
 
 
 def _own_name(theirs: str) -> str:
-    """What an attribute of FMPy's is called here."""
+    """Returns the name in pydfo of an attribute of FMPy."""
     return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", theirs).lower()
 
 
 def _copied(kind: type[Any], found: Any, **others: Any) -> Any:
-    """FMPy's object for one of ours: its attributes, but for those that are called or written otherwise, and those that ours has not."""
+    """Returns FMPy's object for an object of pydfo.
+
+    It copies the attributes with equal names; `others` provides the other ones."""
     same = (field.name for field in fields(kind) if field.name not in others and hasattr(found, _own_name(field.name)))
     return kind(**{name: getattr(found, _own_name(name)) for name in same}, **others)
 
@@ -350,7 +353,7 @@ def _unit(unit: _native.Unit) -> Unit:
     return Unit(unit.name, exponents, [_copied(DisplayUnit, shown) for shown in unit.display_units])
 
 
-#: FMPy's names of the types of FMI 3.0 that are called otherwise here.
+#: FMPy's names of FMI 3.0 types with another name in pydfo.
 _TYPES_3 = {"Real": "Float64", "Integer": "Int32"}
 
 
@@ -359,7 +362,7 @@ def _type_name(name: str, version: str) -> str:
 
 
 def _texts(found: Any, *names: str) -> dict[str, str | None]:
-    """Numbers as texts."""
+    """Returns numbers as strings."""
     return {name: text_of(getattr(found, name)) for name in names}
 
 
@@ -381,7 +384,7 @@ def _dimensions(variable: ModelVariable, extents: Sequence[int | str], variables
 
 
 def _unknowns(listed: list[tuple[int, dict[str, str]]], known: Mapping[int, ModelVariable]) -> list[Unknown]:
-    """A list of the model structure, but for what it names that there is not."""
+    """Returns a list of the model structure without entries that refer to unknown variables."""
     made = []
     for line, attributes in listed:
         for reference in numbers(attributes.get("index", attributes.get("valueReference", ""))):
@@ -407,7 +410,9 @@ def _file_of(found: _native.Description, is_strict: bool) -> DescriptionFile:
 
 
 def of_description(found: _native.Description, is_strict: bool = True) -> ModelDescription:
-    """FMPy's object for a description; if not `is_strict`, without a model structure where the file is not quite XML."""
+    """Returns FMPy's object for a description.
+
+    If `is_strict` is False, it omits the model structure of a file that is not valid XML."""
     version, file = found.fmi_version, _file_of(found, is_strict)
     types = {name: _type(definition, version) for name, definition in found.type_definitions.items()}
     variables: dict[str, ModelVariable] = {}
@@ -419,7 +424,7 @@ def of_description(found: _native.Description, is_strict: bool = True) -> ModelD
             v,
             type=_type_name(v.type, version),
             shape=v.shape,
-            # FMI 1.0 has no such attribute; inputs are given.
+            # FMI 1.0 has no such attribute; inputs have exact initial values.
             initial=None if version == "1.0" else "exact" if v.causality == "input" else v.initial,
             clocks=None if is_3 else [],
             declaredType=types.get(v.declared_type) if v.declared_type else None,
@@ -456,7 +461,7 @@ def of_description(found: _native.Description, is_strict: bool = True) -> ModelD
         modelExchange=_interface(found.model_exchange, ModelExchange, file),
         unitDefinitions=[_unit(unit) for unit in found.units.values()],
         typeDefinitions=list(types.values()),
-        # FMPy has the aliases at the end.
+        # FMPy lists the aliases at the end.
         modelVariables=sorted(variables.values(), key=lambda variable: variable.alias is not None),
         **{name: _unknowns(listed, known) for name, listed in file.unknowns.items()},
     )
@@ -469,22 +474,22 @@ def read_model_description(
     validate_variable_names: bool = False,
     validate_model_structure: bool = False,
 ) -> ModelDescription:
-    """The model description of an FMU.
+    """Reads the model description of an FMU.
 
     Parameters
     ----------
     filename : path or file-like
         An ``.fmu`` file, an unpacked folder, or an open file.
     validate, validate_variable_names, validate_model_structure : bool
-        The first has no effect: what cannot be read is an error in any case. The others raise `ValidationError` where the
-        description departs from the standard.
+        The first flag has no effect, because an unreadable file always raises an error. The other flags raise
+        `ValidationError` if the description violates the standard.
 
     Raises
     ------
     OSError, FmuError
         The file cannot be read.
     ValidationError
-        Departures from the standard, or from XML.
+        The file violates the standard or XML.
     """
     path, folder = path_of(filename)
     try:

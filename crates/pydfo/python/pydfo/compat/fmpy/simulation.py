@@ -1,4 +1,4 @@
-"""`simulate_fmu` with FMPy's arguments, over `pydfo.FMUModel`."""
+"""`simulate_fmu` with FMPy's arguments, implemented with `pydfo.FMUModel`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from .model_description import ModelDescription, PathLike, of_description, path_
 
 
 class SimulationResult(np.ndarray):
-    """A structured array with a row per sample, ``time`` (in s) first; `modelDescription` is that of its model."""
+    """A structured array with a row per sample, ``time`` (in s) first; `modelDescription` is the description of its
+    model."""
 
     modelDescription: ModelDescription | None
 
@@ -28,7 +29,7 @@ class SimulationResult(np.ndarray):
         self.modelDescription = getattr(obj, "modelDescription", None)
 
 
-#: The types in the order of FMPy's columns, and NumPy's types for them.
+#: Types in the order of FMPy's columns, with NumPy's types.
 _ORDER = {
     "Float32": np.float32,
     "Real": np.float64,
@@ -45,12 +46,13 @@ _ORDER = {
 }
 
 
-#: Rows beyond this are a mistake in an interval.
+#: Maximum number of rows. More rows indicate a wrong interval.
 _MOST_ROWS = 100_000_000
 
 
 def auto_interval(t: float) -> float:
-    """An interval of one, two, four or five times a power of ten (or of its fractions) that divides `t` into 500 to 1000 steps."""
+    """Returns an interval of one, two, four or five times (or parts of) a power of ten that divides `t` into 500 to
+    1000 steps."""
     h = 10.0 ** (np.round(np.log10(t)) - 3)
     n = t / h
     for least, factor in ((2500, 5.0), (2000, 4.0), (1000, 2.0)):
@@ -64,13 +66,13 @@ def auto_interval(t: float) -> float:
 
 def _default_outputs(description: Description) -> list[str]:
     states = [name for name in description.states if name is not None]
-    # Other names of outputs (FMI 3.0) are outputs, too.
+    # Aliases of outputs (FMI 3.0) are also outputs.
     outputs = [name for name, variable in description.variables.items() if variable.causality == "output"]
     return outputs or states[:5] or list(description.variables)[:5]
 
 
 def _converted(description: Description, variable: Variable, value: Any) -> Any:
-    """A start value: a literal, or a value with the unit that it is given in."""
+    """Converts a start value: a literal, or a value with its unit."""
     if isinstance(value, tuple) and len(value) == 2 and isinstance(value[1], str):
         number, unit = float(value[0]), value[1]
         if unit == variable.unit:
@@ -92,14 +94,14 @@ def _converted(description: Description, variable: Variable, value: Any) -> Any:
 
 
 def _is_driven(name: str, description: Description) -> bool:
-    """Whether FMPy sets a variable from a column: an input (or an element of one), or what is tunable."""
+    """Returns True if FMPy sets a variable from a column: an input (or an element of one), or a tunable variable."""
     whole = name if name in description.variables else name.partition("[")[0]
     found = description.variables[whole] if whole in description.variables else None
     return found is not None and (found.causality == "input" or found.variability == "tunable")
 
 
 def _inputs(signals: np.ndarray[Any, Any] | None, description: Description) -> dict[str, Any] | None:
-    """The columns that drive something; the others are left out with a warning."""
+    """Returns the columns that drive inputs; others are omitted with a warning."""
     if signals is None:
         return None
     if not isinstance(signals, np.ndarray) or signals.dtype.names is None:
@@ -117,7 +119,7 @@ def _inputs(signals: np.ndarray[Any, Any] | None, description: Description) -> d
 
 
 def _input_jumps(signals: np.ndarray[Any, Any], description: Description) -> list[float]:
-    """Times at which inputs jump: those listed twice, and those at which one that is not continuous changes."""
+    """Returns times at which inputs jump: times listed twice, and changes of inputs that are not continuous."""
     names: tuple[str, ...] = signals.dtype.names or ()
     at = signals[names[0]]
     jumps = set(at[1:][np.diff(at) == 0].tolist())
@@ -128,7 +130,7 @@ def _input_jumps(signals: np.ndarray[Any, Any], description: Description) -> lis
 
 
 def _structured(result: NativeResult, description: Description, names: Sequence[str], model: ModelDescription) -> SimulationResult:
-    """The columns in FMPy's order: by type, then as in the file."""
+    """Returns the columns in FMPy's order: by type, then as in the file."""
     asked = set(names) - {"time"}
     whole = [variable.name for variable in model.modelVariables if variable.name in asked]
     columns: list[tuple[str, Any, tuple[int, ...]]] = []
@@ -179,36 +181,39 @@ def simulate_fmu(
 ) -> SimulationResult:
     """Simulates an FMU, with FMPy's arguments.
 
-    Co-simulation is taken where an FMU offers both. Model exchange is integrated by ``FMUModel.simulate`` ("CVode": its
-    "auto", with a tolerance of 1e-5 where none is given), so that events are located where they are and rows lie on the grid
-    exactly; a timeout is a SimulationError. Event mode and early return are used where an FMU of version 3.0 has them, whatever
-    `use_event_mode` (which gives rows for both sides of jumps of inputs) and `early_return_allowed` say; `validate`, `apply_default_start_values`, `model_description` and
-    `remote_platform` have no effect.
+    Co-simulation is used if an FMU supports both interfaces. Model exchange is integrated by ``FMUModel.simulate``.
+    "CVode" selects "auto", with a default tolerance of 1e-5. Events are located exactly, and rows are exactly on the
+    grid. A timeout raises SimulationError. Event mode and early return are used if an FMU of version 3.0 supports
+    them, for any value of `use_event_mode` and `early_return_allowed`. `use_event_mode` adds rows for both sides of
+    jumps of inputs. `validate`, `apply_default_start_values`, `model_description` and `remote_platform` have no
+    effect.
 
     Parameters
     ----------
     filename : path or file-like
         An ``.fmu`` file or an unpacked folder.
     start_time, stop_time, output_interval, step_size : float or str, optional
-        In s; the defaults are FMPy's. `output_interval` is a multiple of `step_size` with the solver "Euler", which takes one step from row to
-        row, whatever `step_size` is.
+        Times in s; the defaults are FMPy's. With the solver "Euler", `output_interval` must be a multiple of
+        `step_size`. "Euler" takes one step from row to row, for any `step_size`.
     solver : {"CVode", "Euler"}
     relative_tolerance : float or str, optional
     record_events : bool
-        Rows for both sides of events (model exchange).
+        If True, add rows for both sides of events (model exchange).
     fmi_type : {"ModelExchange", "CoSimulation"}, optional
     start_values : dict
-        Values by name: numbers, texts as in an XML file, or pairs of a value and its unit.
+        Values by name: numbers, strings as in an XML file, or pairs of a value and its unit.
     input : structured ndarray, optional
-        The first field is the time; two rows of one time are a jump. Fields that are no inputs have no effect, with a warning.
+        The first field is the time. Two rows with one time are a jump. Fields that are not inputs are ignored with a
+        warning.
     output : list of str, optional
-        Default: the outputs, else the first five states.
+        Names to record; default: the outputs, or otherwise the first five states.
     timeout : float or str, optional
-        In s of wall-clock time.
+        Limit on the wall-clock time in s.
     debug_logging : bool
-        The FMU logs; its lines go to Python's logger "pydfo".
+        If True, the FMU logs to Python's logger "pydfo".
     set_input_derivatives : bool
-        Co-simulations are told the derivatives of the inputs; a ValueError where the FMU cannot interpolate them.
+        If True, co-simulations receive the derivatives of the inputs. Raises ValueError if the FMU cannot interpolate
+        inputs.
 
     Raises
     ------
@@ -216,7 +221,7 @@ def simulate_fmu(
         For `visible`, `logger`, `fmi_call_logger`, `step_finished`, `fmu_instance`, `fmu_state`, ``initialize=False``,
         ``terminate=False`` and ``set_stop_time=False``.
     SimulationError, FmuError, KeyError, ValueError
-        As `pydfo.FMUModel.simulate`.
+        As in `pydfo.FMUModel.simulate`.
     """
     by_hand = "drive the instance yourself with pydfo.fmi.instantiate() or instantiate_fmu()"
     reasons = {
@@ -269,7 +274,7 @@ def simulate_fmu(
             if use_event_mode and is_cs and input is not None and description.co_simulation.capabilities.has_event_mode:  # type: ignore[union-attr]
                 for jump in (t for t in _input_jumps(input, description) if start < t <= stop):
                     near = times[np.argmin(np.abs(times - jump))]
-                    # Both sides of it, where the model can stop there.
+                    # Add rows for both sides of the jump if the model can stop there.
                     if abs(near - jump) <= time_tolerance:
                         times = np.append(times, near)
                     elif varies:
@@ -319,7 +324,7 @@ def _first(given: float | str | None, suggested: float | None, default: float) -
 def _interval(
     description: Description, is_cs: bool, start: float, stop: float, asked: float | None, step: float | None
 ) -> float:
-    """The distance of the rows, by FMPy's rules."""
+    """Returns the row spacing by FMPy's rules."""
     span = stop - start
     if asked is not None:
         return asked
@@ -338,13 +343,15 @@ def _interval(
 
 
 def _step(description: Description, interval: float) -> float:
-    """The communication step of a co-simulation: rows between the steps of the model, where it has a step of its own, are interpolated."""
+    """Returns the communication step of a co-simulation.
+
+    If the model has an internal step, rows between its steps are interpolated."""
     own = description.co_simulation.capabilities.fixed_internal_step_size if description.co_simulation else None
     return own if own and not np.isclose(round(interval / own) * own, interval, atol=0.0) else interval
 
 
 def _euler_step(start: float, stop: float, interval: float, asked: float | None) -> float:
-    """The step of the solver "Euler", which is FMPy's: that from row to row, where the asked one divides it."""
+    """Returns the step of FMPy's solver "Euler": the row spacing, if it is a multiple of the requested step."""
     step = asked if asked is not None else 10.0 ** (np.round(np.log10(stop - start)) - 3)
     if not np.isclose(round(interval / step) * step, interval, atol=0.0):
         raise ValueError("output_interval must be a multiple of step_size for fixed step solvers")
@@ -366,7 +373,7 @@ def instantiate_fmu(
     require_functions: bool = True,
     required_intermediate_variables: Any = None,
 ) -> Any:
-    """An instance with FMPy's methods, over `pydfo.fmi.Instance`; the FMU may be a folder or a file.
+    """Creates an instance with FMPy's methods, based on `pydfo.fmi.Instance`; the FMU may be a folder or a file.
 
     Raises
     ------

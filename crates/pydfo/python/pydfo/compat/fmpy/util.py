@@ -1,4 +1,4 @@
-"""Files, plots and texts around simulations, as in FMPy."""
+"""Files, plots and texts for simulations, as in FMPy."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ from .simulation import auto_interval as auto_interval
 
 
 def read_csv(filename: PathLike, variable_names: Sequence[str] | None = None) -> np.ndarray[Any, Any]:
-    """A structured array of the columns of a CSV file; elements of arrays stand in one field with blanks between them."""
+    """Returns a structured array of the columns of a CSV file.
+
+    Elements of an array share a field, separated by blanks."""
     with open(filename, newline="", encoding="utf-8") as file:
         header, *rows = list(csv.reader(file))
     cells = [[[float(item) for item in cell.split()] for cell in row] for row in rows if row]
@@ -50,16 +52,16 @@ def plot_result(
     markers: bool = False,
     height: int | None = None,
 ) -> None:
-    """Draws the columns of a result over time with matplotlib, each in a plot of its own, and shows or writes the picture.
+    """Draws each column of a result over time in a separate plot with matplotlib, and shows or writes the figure.
 
     Parameters
     ----------
     result, reference : structured ndarray
-        With a first field ``time`` in s; the reference is dashed.
+        Results with a first field ``time`` in s. The reference is dashed.
     events : bool
-        Vertical lines where a time is listed twice.
+        If True, draw vertical lines at times listed twice.
     height : int, optional
-        Of the picture, in pixels.
+        Height of the figure in pixels.
     """
     from ..._plot import pyplot
 
@@ -90,7 +92,7 @@ def plot_result(
 
 
 def fmu_info(filename: PathLike | IO[bytes], causalities: Sequence[str] = ("input", "output")) -> str:
-    """A text that describes an FMU and its variables of these causalities."""
+    """Returns a text that describes an FMU and its variables with these causalities."""
     from . import supported_platforms
 
     model, platforms = read_model_description(filename), supported_platforms(filename)
@@ -120,14 +122,14 @@ def fmu_info(filename: PathLike | IO[bytes], causalities: Sequence[str] = ("inpu
 
 
 def get_start_values(filename: PathLike) -> dict[str, str]:
-    """The values of all variables after the initialization, as texts."""
+    """Returns the values of all variables after the initialization, as strings."""
     with FMUModel(filename) as model:
         names = [name for name, v in model.description.variables.items() if v.type not in ("Binary", "Clock")]
         return {name: str(text_of(value)) for name, value in zip(names, model.get(names))}
 
 
 def validate_fmu(filename: PathLike | IO[bytes]) -> list[str]:
-    """The places where a description departs from the standard, as texts; empty if there is none."""
+    """Returns the violations of the standard in a description, as strings; empty if there are none."""
     path, folder = path_of(filename)
     try:
         return [quirk.message for quirk in read_description(path).quirks]

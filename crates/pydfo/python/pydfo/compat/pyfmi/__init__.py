@@ -1,6 +1,7 @@
-"""PyFMI's models by their names and methods, over `pydfo`: ``from pydfo.compat.pyfmi import load_fmu``.
+"""PyFMI's models with their names and methods, implemented with `pydfo`: ``from pydfo.compat.pyfmi import load_fmu``.
 
-What cannot be had raises `NotProvided` when it is called, and says what to use instead; docs/compat.md lists all names.
+Unsupported functions raise `NotProvided` when they are called, and suggest an alternative. docs/compat.md lists all
+names.
 """
 
 from __future__ import annotations

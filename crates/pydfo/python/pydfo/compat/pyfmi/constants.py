@@ -1,4 +1,4 @@
-"""The numbers that PyFMI has for types, causalities and variabilities."""
+"""PyFMI's numbers of types, causalities and variabilities."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ _INITIALS = ("exact", "approx", "calculated")
 
 
 def type_number(version: int, kind: str) -> int:
-    """PyFMI's number of a type."""
+    """Returns PyFMI's number of a type."""
     return FMI3_Type(_TYPES_3.index(kind) + 1) if version == 3 else _KINDS.index(kind)
 
 
 def causality_number(version: int, causality: str) -> int:
-    """PyFMI's number of a causality."""
+    """Returns PyFMI's number of a causality."""
     if version == 1:
         return {"input": FMI_INPUT, "output": FMI_OUTPUT, "independent": FMI_NONE}.get(causality, FMI_INTERNAL)
     return FMI3_Causality(("structuralParameter", *_CAUSALITIES).index(causality)) if version == 3 else _CAUSALITIES.index(causality)
 
 
 def variability_number(version: int, variability: str) -> int:
-    """PyFMI's number of a variability."""
+    """Returns PyFMI's number of a variability."""
     if version == 1:
         numbers = {"constant": FMI_CONSTANT, "discrete": FMI_DISCRETE, "continuous": FMI_CONTINUOUS}
         return numbers.get(variability, FMI_PARAMETER)
@@ -52,6 +52,6 @@ def variability_number(version: int, variability: str) -> int:
 
 
 def initial_number(version: int, initial: str | None) -> int:
-    """PyFMI's number of an initial."""
+    """Returns PyFMI's number of an initial attribute."""
     number = _INITIALS.index(initial) if initial in _INITIALS else FMI2_INITIAL_UNKNOWN
     return FMI3_Initial(number) if version == 3 else number

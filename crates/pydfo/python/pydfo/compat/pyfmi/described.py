@@ -1,4 +1,4 @@
-"""What PyFMI's models tell of the model description: variables and facts."""
+"""The parts of PyFMI's models based on the model description: variables and facts."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class DescribedModel:
 
     @cached_property
     def _first_names(self) -> dict[tuple[str, int], str]:
-        """The first of the names of what variables stand for."""
+        """Returns the first name of each pair of type and value reference."""
         first: dict[tuple[str, int], str] = {}
         for name, v in self._description.variables.items():
             first.setdefault((v.type, v.value_reference), name)
@@ -74,8 +74,10 @@ class DescribedModel:
         only_fixed: bool = False,
         filter: str | Sequence[str] | None = None,
     ) -> dict[str, ScalarVariable]:
-        """The variables by name, those of a type, causality or variability (PyFMI's numbers), with a start value, or whose names
-        fit a pattern."""
+        """Returns the variables by name.
+
+        They can be filtered by type, causality or variability (PyFMI's numbers), by a start value, or by a pattern of
+        the name."""
         patterns = None if filter is None else [filter] if isinstance(filter, str) else list(filter)
         seen: set[tuple[str, int]] = set()
         found = {}
@@ -93,31 +95,31 @@ class DescribedModel:
         return found
 
     def get_scalar_variable(self, variable_name: str) -> ScalarVariable:
-        """A variable."""
+        """Returns a variable."""
         return self._scalar(variable_name)
 
     def get_variable_valueref(self, variable_name: str) -> int:
-        """Its value reference."""
+        """Returns the value reference of a variable."""
         return self._variable(variable_name).value_reference
 
     def get_variable_data_type(self, variable_name: str) -> int:
-        """PyFMI's number of its type."""
+        """Returns PyFMI's number of the type of a variable."""
         return self._scalar(variable_name).type
 
     def get_variable_causality(self, variable_name: str) -> int:
-        """PyFMI's number of its causality."""
+        """Returns PyFMI's number of the causality of a variable."""
         return self._scalar(variable_name).causality
 
     def get_variable_variability(self, variable_name: str) -> int:
-        """PyFMI's number of its variability."""
+        """Returns PyFMI's number of the variability of a variable."""
         return self._scalar(variable_name).variability
 
     def get_variable_initial(self, variable_name: str) -> int:
-        """PyFMI's number of how its initial value comes about."""
+        """Returns PyFMI's number of the initial attribute of a variable."""
         return self._scalar(variable_name).initial
 
     def get_variable_description(self, variable_name: str) -> str:
-        """Its description."""
+        """Returns the description of a variable."""
         return self._variable(variable_name).description or ""
 
     def _stated(self, name: str, what: str) -> Any:
@@ -127,171 +129,171 @@ class DescribedModel:
         return value
 
     def get_variable_unit(self, variable_name: str) -> str:
-        """Its unit; an error where none is stated."""
+        """Returns the unit of a variable; raises an error if none is declared."""
         return str(self._stated(variable_name, "unit"))
 
     def get_variable_display_unit(self, variable_name: str) -> str:
-        """The unit to show it in; an error where none is stated."""
+        """Returns the display unit of a variable; raises an error if none is declared."""
         return str(self._stated(variable_name, "display_unit"))
 
     def get_variable_start(self, variable_name: str) -> Any:
-        """Its start value; an error where there is none."""
+        """Returns the start value of a variable; raises an error if there is none."""
         return self._stated(variable_name, "start")
 
     def get_variable_min(self, variable_name: str) -> float:
-        """Its least value; that of a double where none is stated."""
+        """Returns the minimum of a variable; by default the minimum of a double."""
         least = self._variable(variable_name).min
         return -np.finfo(np.float64).max if least is None else least
 
     def get_variable_max(self, variable_name: str) -> float:
-        """Its largest value; that of a double where none is stated."""
+        """Returns the maximum of a variable; by default the maximum of a double."""
         most = self._variable(variable_name).max
         return np.finfo(np.float64).max if most is None else most
 
     def get_variable_nominal(self, variable_name: str | None = None, valueref: int | None = None) -> float:
-        """Its nominal value, 1 where none is stated."""
+        """Returns the nominal value of a variable; 1 by default."""
         name = variable_name if variable_name is not None else self._names(("Real",), valueref)[0]
         nominal = self._variable(name).nominal
         return 1.0 if nominal is None else nominal
 
     def get_variable_unbounded(self, variable_name: str) -> bool:
-        """Whether it grows without bounds."""
+        """Returns True if a variable is unbounded."""
         return self._variable(variable_name).unbounded
 
     def get_variable_relative_quantity(self, variable_name: str) -> bool:
-        """Whether it is a difference."""
+        """Returns True if a variable is a relative quantity, such as a difference."""
         return self._variable(variable_name).relative_quantity
 
     def get_variable_declared_type(self, variable_name: str) -> TypeDefinition:
-        """Its type definition; an error where there is none."""
+        """Returns the type definition of a variable; raises an error if there is none."""
         return self._description.type_definitions[self._stated(variable_name, "declared_type")]
 
     def get_variable_by_valueref(self, valueref: int, type: int = 0) -> str:
-        """The name of the first variable with a value reference, of a type (PyFMI's number)."""
+        """Returns the name of the first variable with a value reference and a type (PyFMI's number)."""
         for name, v in self._description.variables.items():
             if v.value_reference == valueref and constants.type_number(self._version, v.type) == type:
                 return name
         raise FMUException(f"there is no variable of type {type} with the value reference {valueref}")
 
     def get_variable_alias(self, variable_name: str) -> dict[str, int]:
-        """All names of what a variable stands for; 0 for the first, 1 for the others."""
+        """Returns all aliases of a variable with 0 for the first name and 1 for the others."""
         own = self._variable(variable_name)
         names = [n for n, v in self._description.variables.items() if (v.type, v.value_reference) == (own.type, own.value_reference)]
         return {name: int(k > 0) for k, name in enumerate(names)}
 
     def get_variable_alias_base(self, variable_name: str) -> str:
-        """The first of these names."""
+        """Returns the first alias of a variable."""
         return next(iter(self.get_variable_alias(variable_name)))
 
     def _listed(self, names: Iterable[str | None]) -> dict[str, ScalarVariable]:
         return {name: self._scalar(name) for name in names if name is not None}
 
     def get_states_list(self) -> dict[str, ScalarVariable]:
-        """The states."""
+        """Returns the states."""
         return self._listed(self._description.states)
 
     def get_derivatives_list(self) -> dict[str, ScalarVariable]:
-        """The derivatives of the states."""
+        """Returns the derivatives of the states."""
         of_state = {v.derivative: name for name, v in self._description.variables.items() if v.derivative is not None}
         return self._listed(of_state[state] for state in self._description.states if state in of_state)
 
     def get_input_list(self) -> dict[str, ScalarVariable]:
-        """The continuous inputs of type Real."""
+        """Returns the continuous inputs of type Real."""
         variables = self._description.variables
         return self._listed(n for n in self._description.inputs if variables[n].type == "Real" and variables[n].variability == "continuous")
 
     def get_output_list(self) -> dict[str, ScalarVariable]:
-        """The outputs."""
+        """Returns the outputs."""
         return self._listed(self._description.outputs)
 
     # --- facts --------------------------------------------------------------------------------------------------------
 
     def get_version(self) -> str:
-        """The version of FMI."""
+        """Returns the version of FMI."""
         return self._description.fmi_version
 
     def get_name(self) -> str:
-        """The name of the model."""
+        """Returns the name of the model."""
         return self._description.model_name
 
     def get_identifier(self) -> str:
-        """The name of its library."""
+        """Returns the name of the library."""
         interface = self._description.co_simulation if self._model.kind == "CS" else self._description.model_exchange
         return interface.model_identifier if interface else ""
 
     def get_guid(self) -> str:
-        """The guid; the instantiation token in FMI 3.0."""
+        """Returns the guid, or the instantiation token in FMI 3.0."""
         return self._description.guid
 
     def get_author(self) -> str:
-        """The author."""
+        """Returns the author."""
         return self._description.author or ""
 
     def get_description(self) -> str:
-        """The description of the model."""
+        """Returns the description of the model."""
         return self._description.description or ""
 
     def get_copyright(self) -> str:
-        """The copyright."""
+        """Returns the copyright."""
         return self._description.copyright or ""
 
     def get_license(self) -> str:
-        """The licence."""
+        """Returns the licence."""
         return self._description.license or ""
 
     def get_model_version(self) -> str:
-        """The version of the model."""
+        """Returns the version of the model."""
         return self._description.version or ""
 
     def get_generation_tool(self) -> str:
-        """The tool that made it."""
+        """Returns the tool that generated the FMU."""
         return self._description.generation_tool or ""
 
     def get_generation_date_and_time(self) -> str:
-        """When that was."""
+        """Returns the date and time of generation of the FMU."""
         return self._description.generation_date_and_time or ""
 
     def get_variable_naming_convention(self) -> str:
-        """The convention of the names."""
+        """Returns the naming convention of the variables."""
         return self._description.variable_naming_convention or "flat"
 
     def get_model_types_platform(self) -> str:
-        """The platform that FMI names: "default"."""
+        """Returns the platform name of FMI: "standard32" for FMI 1.0, otherwise "default"."""
         return "standard32" if self._version == 1 else "default"
 
     def get_ode_sizes(self) -> tuple[int, int]:
-        """Numbers of states and of event indicators."""
+        """Returns the numbers of states and of event indicators."""
         return self._description.n_states, self._description.n_event_indicators
 
     def get_categories(self) -> list[str]:
-        """Names of the categories of log messages."""
+        """Returns the names of the categories of log messages."""
         return [category.name for category in self._description.log_categories]
 
     def get_log_categories(self) -> dict[str, str]:
-        """The same with their descriptions."""
+        """Returns the names of the categories of log messages with their descriptions."""
         return {category.name: category.description or "" for category in self._description.log_categories}
 
     def get_capability_flags(self) -> dict[str, Any]:
-        """What the FMU can do, by the names of FMI."""
+        """Returns the capabilities of the FMU by the names of FMI."""
         interface = self._description.co_simulation if self._model.kind == "CS" else self._description.model_exchange
         can = interface.capabilities if interface else self._description.capabilities
         return {_camel(name): getattr(can, name) for name in Capabilities.__dataclass_fields__}
 
     def get_default_experiment_start_time(self) -> float:
-        """In s; 0 where none is suggested."""
+        """Returns the suggested start time in s; 0 by default."""
         return self._description.default_experiment.start_time or 0.0
 
     def get_default_experiment_stop_time(self) -> float:
-        """In s; 1 where none is suggested."""
+        """Returns the suggested stop time in s; 1 by default."""
         stop = self._description.default_experiment.stop_time
         return 1.0 if stop is None else stop
 
     def get_default_experiment_tolerance(self) -> float:
-        """Relative; 1e-4 where none is suggested."""
+        """Returns the suggested relative tolerance; 1e-4 by default."""
         return self._description.default_experiment.tolerance or 1e-4
 
     def get_default_experiment_step(self) -> float:
-        """In s; 1e-2 where none is suggested."""
+        """Returns the suggested step size in s; 1e-2 by default."""
         return self._description.default_experiment.step_size or 1e-2
 
     def _names(self, kinds: Sequence[str], references: Any) -> list[str]:

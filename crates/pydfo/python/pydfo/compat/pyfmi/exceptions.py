@@ -1,4 +1,4 @@
-"""PyFMI's exceptions: those of pydfo under their names there."""
+"""PyFMI's names of the exceptions of pydfo."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ TimeLimitExceeded = SimulationError
 
 
 class InvalidOptionException(ValueError, PydfoError):
-    """A value that an option cannot have."""
+    """An invalid value of an option."""
 
 
 class UnrecognizedOptionError(KeyError, PydfoError):
-    """An option that there is none of."""
+    """An unknown option."""
 
     def __str__(self) -> str:
         return Exception.__str__(self)

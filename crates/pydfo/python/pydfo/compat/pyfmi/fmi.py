@@ -1,4 +1,4 @@
-"""What scripts import from ``pyfmi.fmi``: the models, and the numbers of types, causalities and variabilities."""
+"""Contents of ``pyfmi.fmi``: the models, and the numbers of types, causalities and variabilities."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Models with PyFMI's methods, over `pydfo.FMUModel` (simulations) and `pydfo.fmi.Instance` (by hand)."""
+"""Models with PyFMI's methods, based on `pydfo.FMUModel` (simulations) and `pydfo.fmi.Instance` (single calls)."""
 
 from __future__ import annotations
 
@@ -26,8 +26,10 @@ _STRUCTURE = "dependencies are not handed to Python"
 
 
 class FMUModelBase(DescribedModel):
-    """A model as PyFMI has it. It simulates from a fresh instance with all values that were `set`; `initialize` (or
-    `setup_experiment`) makes an instance that is driven by hand, and from then on `get` and `set` are about that one, until `reset`.
+    """A model with PyFMI's methods.
+
+    It simulates from a fresh instance with all values of `set`. `initialize` or `setup_experiment` creates an
+    instance for single calls. From then on, `get` and `set` refer to this instance until `reset`.
     """
 
     def __init__(
@@ -51,19 +53,20 @@ class FMUModelBase(DescribedModel):
     # --- values -------------------------------------------------------------------------------------------------------
 
     def get(self, variable_name: str | Iterable[str]) -> Any:
-        """A value, or a list of values for a list of names. PyFMI's arrays of one element are single values here."""
+        """Returns a value, or a list of values for a list of names. PyFMI's arrays of one element are single values
+        here."""
         source = self._instance if self._is_live else self._model
         return source.get(variable_name)  # type: ignore[union-attr]
 
     def set(self, variable_name: str | Iterable[str], value: Any) -> None:
-        """Sets a variable, or several."""
+        """Sets one variable or several."""
         if self._instance is None or self._instance.phase == "instantiated":
             self._model.set(variable_name, value)
         if self._instance is not None:
             self._instance.set(variable_name, value)
 
     def get_variable_display_value(self, variable_name: str) -> float:
-        """Its value in the unit to show it in."""
+        """Returns the value of a variable in its display unit."""
         shown, v = self.get_variable_display_unit(variable_name), self._variable(variable_name)
         units = self._description.units[v.unit or ""].display_units
         unit = next(unit for unit in units if unit.name == shown)
@@ -84,19 +87,19 @@ class FMUModelBase(DescribedModel):
         return values if dtype is None else np.array(values, dtype=dtype)
 
     def get_real(self, valueref: Any) -> Any:
-        """Values of reals by value reference."""
+        """Returns values of reals by value reference."""
         return self._get_typed(("Real",), valueref, np.float64)
 
     def get_integer(self, valueref: Any) -> Any:
-        """Values of integers and enumerations by value reference."""
+        """Returns values of integers and enumerations by value reference."""
         return self._get_typed(("Integer", "Enumeration"), valueref, np.int32)
 
     def get_boolean(self, valueref: Any) -> Any:
-        """Values of Booleans by value reference."""
+        """Returns values of Booleans by value reference."""
         return self._get_typed(("Boolean",), valueref, np.bool_)
 
     def get_string(self, valueref: Any) -> Any:
-        """Texts by value reference."""
+        """Returns strings by value reference."""
         return self._get_typed(("String",), valueref, None)
 
     def set_real(self, valueref: Any, values: Any) -> None:
@@ -112,26 +115,26 @@ class FMUModelBase(DescribedModel):
         self.set(self._names(("Boolean",), valueref), [bool(value) for value in np.ravel(values)])
 
     def set_string(self, valueref: Any, values: Any) -> None:
-        """Sets texts by value reference."""
+        """Sets strings by value reference."""
         self.set(self._names(("String",), valueref), [values] if isinstance(values, str) else list(values))
 
     # --- log ----------------------------------------------------------------------------------------------------------
 
     def get_log(self, start_lines: int = -1, end_lines: int = -1) -> list[str]:
-        """The last lines that the FMU logged, of the instance driven by hand."""
+        """Returns the last lines logged by the FMU for the instance used for single calls."""
         lines = self._instance.log if self._instance is not None and self._instance.phase != "closed" else []
         return lines[max(start_lines, 0) : None if end_lines < 0 else end_lines]
 
     def print_log(self, start_lines: int = -1, end_lines: int = -1) -> None:
-        """Prints these lines."""
+        """Prints the lines of `get_log`."""
         print("\n".join(self.get_log(start_lines, end_lines)))
 
     def get_number_of_lines_log(self) -> int:
-        """How many there are."""
+        """Returns the number of lines of `get_log`."""
         return len(self.get_log())
 
     def set_debug_logging(self, logging_on: bool, categories: Sequence[str] = ()) -> None:
-        """Switches the FMU's log on, of these categories or of all, or off."""
+        """Switches the FMU's log on, for these categories or for all, or off."""
         self._made().set_logging(list(categories) if logging_on and categories else bool(logging_on))
 
     # --- by hand ------------------------------------------------------------------------------------------------------
@@ -142,7 +145,7 @@ class FMUModelBase(DescribedModel):
         return self._instance
 
     def instantiate(self, name: str = "Model", visible: bool = False) -> None:
-        """Makes the instance that is driven by hand."""
+        """Creates the instance for single calls."""
         if self._instance is None:
             self._instance = Instance(self._model, name=name, visible=visible)
 
@@ -154,7 +157,7 @@ class FMUModelBase(DescribedModel):
         stop_time_defined: bool = False,
         stop_time: float | str = "Default",
     ) -> None:
-        """Times in s and relative tolerance of the experiment; by default those that the model suggests."""
+        """Sets times in s and relative tolerance of the experiment; the defaults are the suggestions of the model."""
         rtol = self.get_default_experiment_tolerance() if tolerance == "Default" else float(tolerance)
         start = self.get_default_experiment_start_time() if start_time == "Default" else float(start_time)
         stop = self.get_default_experiment_stop_time() if stop_time == "Default" else float(stop_time)
@@ -177,7 +180,7 @@ class FMUModelBase(DescribedModel):
         stop_time_defined: bool = False,
         stop_time: float | str = "Default",
     ) -> None:
-        """Sets the experiment up, enters and exits initialization mode: model exchange is in event mode then."""
+        """Sets up the experiment, and enters and exits initialization mode. Model exchange is then in event mode."""
         if self._experiment == (None, None, None):
             self.setup_experiment(tolerance_defined, tolerance, start_time, stop_time_defined, stop_time)
         self.enter_initialization_mode()
@@ -194,15 +197,16 @@ class FMUModelBase(DescribedModel):
             self._instance = None
 
     def reset(self) -> None:
-        """Forgets all values set, and the instance."""
+        """Discards all values set, and the instance."""
         self.free_instance()
         self._model.reset()
         self._time, self._experiment = None, (None, None, None)
 
     @property
     def time(self) -> float:
-        """The time in s of the instance, else the end of the last simulation, else the start; model exchange can set it, before
-        `initialize` that of the start."""
+        """Time in s of the instance, otherwise the end of the last simulation, otherwise the start time.
+
+        In model exchange, the time can be set. Before `initialize`, this sets the start time."""
         at = self._instance.time if self._instance is not None and self._is_live else self._time
         return self.get_default_experiment_start_time() if at is None else at
 
@@ -219,18 +223,19 @@ class FMUModelBase(DescribedModel):
             live.time = time
 
     def get_fmu_state(self, state: Any = None) -> SavedState:
-        """A copy of the state of the instance."""
+        """Returns a copy of the state of the instance."""
         return self._live().save_state()
 
     def set_fmu_state(self, state: SavedState) -> None:
-        """Brings a state back."""
+        """Restores a state."""
         self._live().restore_state(state)
 
     def free_fmu_state(self, state: SavedState) -> None:
-        """Nothing: a state is freed when nobody holds it."""
+        """Does nothing, because a state is freed when it is no longer referenced."""
 
     def get_directional_derivative(self, var_ref: Any, func_ref: Any, v: Any) -> Any:
-        """Derivatives of reals (`func_ref`) in the direction `v` of others (`var_ref`), all by value reference."""
+        """Returns derivatives of reals (`func_ref`) in the direction `v` of others (`var_ref`), all by value
+        reference."""
         of, by = self._names(("Real",), func_ref), self._names(("Real",), var_ref)
         return self._live().directional_derivative(of, by, np.asarray(v, dtype=np.float64))
 
@@ -243,8 +248,10 @@ class FMUModelBase(DescribedModel):
     def get_state_space_representation(
         self, A: bool = True, B: bool = True, C: bool = True, D: bool = True, use_structure_info: bool = True
     ) -> tuple[Any, Any, Any, Any]:
-        """The matrices of the linear system at the point of the instance, which is in continuous-time mode afterwards; those that
-        are not asked for are False. Sparse ones (SciPy's) with `use_structure_info`."""
+        """Returns the matrices of the linear system at the current point of the instance.
+
+        The instance is in continuous-time mode afterwards. Matrices that are not requested are False. With
+        `use_structure_info`, the matrices are sparse matrices of SciPy."""
         linear = self._linear()
         asked = ((A, linear.A), (B, linear.B), (C, linear.C), (D, linear.D))
         if not use_structure_info:
@@ -258,7 +265,7 @@ class FMUModelBase(DescribedModel):
     # --- simulations --------------------------------------------------------------------------------------------------
 
     def simulate_options(self, algorithm: str = "Default") -> _options.Options:
-        """The options of `simulate` with their defaults, to be changed and given to it."""
+        """Returns the options of `simulate` with their defaults, to be changed and passed to it."""
         return _options.default_options(self._model.kind)
 
     def simulate(
@@ -269,22 +276,22 @@ class FMUModelBase(DescribedModel):
         algorithm: Any = "Default",
         options: Any = {},
     ) -> Result | None:
-        """Simulates from a fresh instance with all values that were set.
+        """Simulates from a fresh instance with all values of `set`.
 
         Parameters
         ----------
         start_time, final_time : float, optional
-            In s; default: those that the model suggests, else 0 and 1.
+            Times in s; default: the suggestions of the model, or 0 and 1.
         input : tuple, optional
             ``(names, matrix)`` with the times in the first column, or ``(names, function of time)``.
         options : dict
-            As `simulate_options` returns them, or some of them. ``result_handling`` "file", "binary" and "memory" keep the
-            result in memory; "csv" writes a file, too.
+            The result of `simulate_options`, or some of its entries. ``result_handling`` "file", "binary" and
+            "memory" keep the result in memory; "csv" also writes a file.
 
         Raises
         ------
         NotProvided
-            An option that pydfo does not have.
+            An option is not provided by pydfo.
         """
         asked = self.simulate_options()
         asked.update({} if isinstance(options, str) else options)
@@ -341,11 +348,11 @@ class _ModelExchange(FMUModelBase):
         super().__init__(fmu, log_file_name, log_level, "ME", **more)
 
     def get_event_info(self) -> Any:
-        """What the last `event_update` has done, with FMI's names; the same object each time."""
+        """Returns the result of the last `event_update` with FMI's names; always one object."""
         return self._info
 
     def event_update(self, intermediateResult: bool = False) -> None:
-        """Lets the events happen until the discrete states settle, in one call whatever `intermediateResult` says."""
+        """Handles events until the discrete states no longer change, in one call for any `intermediateResult`."""
         live = self._live()
         info: EventInfo = live.update_discrete_states()
         self._info.newDiscreteStatesNeeded, self._info.terminateSimulation = False, info.terminate
@@ -365,7 +372,7 @@ class _ModelExchange(FMUModelBase):
 
     @property
     def continuous_states(self) -> Any:
-        """The states; can be set in continuous-time mode."""
+        """Continuous states; can be set in continuous-time mode."""
         return self._live().states
 
     @continuous_states.setter
@@ -378,27 +385,27 @@ class _ModelExchange(FMUModelBase):
         return self._live().nominals
 
     def get_derivatives(self) -> Any:
-        """Derivatives of the states."""
+        """Returns the derivatives of the states."""
         return self._live().derivatives
 
     def get_event_indicators(self) -> Any:
-        """The event indicators."""
+        """Returns the event indicators."""
         return self._live().event_indicators
 
     def completed_integrator_step(self, no_set_FMU_state_prior_to_current_point: bool = True) -> tuple[bool, bool]:
-        """Whether the model wants event mode, and whether it wants to end the simulation."""
+        """Returns two flags: the model requests event mode, and the model requests the end of the simulation."""
         return self._live().completed_integrator_step()
 
     def get_relative_tolerance(self) -> float:
-        """The relative tolerance of the default experiment."""
+        """Returns the relative tolerance of the default experiment."""
         return self.get_default_experiment_tolerance()
 
     def get_absolute_tolerances(self) -> Any:
-        """0.01 times the relative tolerance times the nominal values of the states."""
+        """Returns 0.01 times the relative tolerance times the nominal values of the states."""
         return 0.01 * self.get_relative_tolerance() * np.array([self.get_variable_nominal(name) for name in self.get_states_list()])
 
     def get_tolerances(self) -> tuple[float, Any]:
-        """Both."""
+        """Returns the relative tolerance and the absolute tolerances."""
         return self.get_relative_tolerance(), self.get_absolute_tolerances()
 
 
@@ -409,7 +416,7 @@ class _CoSimulation(FMUModelBase):
         super().__init__(fmu, log_file_name, log_level, "CS", **more)
 
     def do_step(self, current_t: float, step_size: float, new_step: bool = True) -> int:
-        """Makes a step from a time to a later one, in s; 0 if it is complete, else 2 (discard)."""
+        """Performs a step from a time to a later one, in s. Returns 0 if it is complete, otherwise 2 (discard)."""
         live = self._live()
         live._time = float(current_t)
         return constants.FMI_OK if live.do_step(step_size).complete else constants.FMI_DISCARD
@@ -422,7 +429,7 @@ class _CoSimulation(FMUModelBase):
 
 
 class FMUModelME1(_ModelExchange):
-    """Model exchange, FMI 1.0, which has no modes: all that belongs to events happens in `initialize` and `event_update`."""
+    """Model exchange, FMI 1.0, which has no modes: `initialize` and `event_update` handle all events."""
 
     def __init__(self, fmu: str | os.PathLike[str], log_file_name: Any = None, log_level: int = 2, **more: Any) -> None:
         super().__init__(fmu, log_file_name, log_level, **more)
@@ -436,12 +443,12 @@ class FMUModelME1(_ModelExchange):
         )
 
     def initialize(self, *args: Any, **more: Any) -> None:
-        """Initializes the model, from the time that was set."""
+        """Initializes the model at the time that was set."""
         super().initialize(*args, **more)
         self.event_update()
 
     def event_update(self, intermediateResult: bool = False) -> None:
-        """Lets the events happen until they converge, in one call whatever `intermediateResult` says."""
+        """Handles events until they converge, in one call for any `intermediateResult`."""
         self.enter_event_mode()
         info: EventInfo = self._live().update_discrete_states()
         self._info.iterationConverged, self._info.terminateSimulation = True, info.terminate
@@ -451,7 +458,7 @@ class FMUModelME1(_ModelExchange):
             self.enter_continuous_time_mode()
 
     def completed_integrator_step(self) -> bool:  # type: ignore[override]
-        """Whether the model wants an event."""
+        """Returns True if the model requests an event."""
         return super().completed_integrator_step()[0]
 
 
@@ -472,7 +479,7 @@ class FMUModelME3(_ModelExchange):
 
 
 class FMUModelCS3(_CoSimulation):
-    """Co-simulation, FMI 3.0 (PyFMI has none)."""
+    """Co-simulation, FMI 3.0, which PyFMI does not support."""
 
 
 def load_fmu(
@@ -483,7 +490,7 @@ def load_fmu(
     Parameters
     ----------
     fmu : path
-        An ``.fmu`` file or an unpacked folder (whatever `allow_unzipped_fmu` says).
+        An ``.fmu`` file or an unpacked folder (for any `allow_unzipped_fmu`).
     kind : {"auto", "ME", "CS"}
     log_level : int
         0 (nothing) to 7 (all).

@@ -1,4 +1,4 @@
-"""The options of simulations as PyFMI's nested dictionaries, and what they become in `FMUModel.simulate`."""
+"""Options of simulations as PyFMI's nested dictionaries, and their conversion to arguments of `FMUModel.simulate`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from .._refused import refuse
 from .exceptions import InvalidOptionException, UnrecognizedOptionError
 
-#: The solvers: ours that stands for each.
+#: PyFMI's solvers and their counterparts in pydfo.
 SOLVERS = {
     "CVode": "auto",
     "Radau5ODE": "radau5",
@@ -23,7 +23,7 @@ _OTHERS = {"RodasODE": "Radau5ODE", "ImplicitEuler": "Radau5ODE"}
 
 
 class Options(dict[str, Any]):
-    """A dict that takes only the names that it has; values that are dicts are updated, not replaced."""
+    """A dict with a fixed set of names. Values that are dicts are updated, not replaced."""
 
     def __init__(self, defaults: Mapping[str, Any]) -> None:
         super().__init__(defaults)
@@ -36,7 +36,7 @@ class Options(dict[str, Any]):
         super().__setitem__(name, value)
 
     def update(self, *given: Any, **more: Any) -> None:
-        """Sets options; those that are dicts are updated."""
+        """Sets options; values that are dicts are updated."""
         for name, value in dict(*given, **more).items():
             if isinstance(self.get(name), dict) and isinstance(value, Mapping):
                 self[name].update(value)
@@ -61,7 +61,7 @@ _TOLERANCES = {"atol": "Default", "rtol": "Default", "maxh": "Default"}
 
 
 def default_options(kind: str) -> Options:
-    """The options of a kind ("ME", "CS") with their defaults."""
+    """Returns the options of a kind ("ME", "CS") with their defaults."""
     if kind == "CS":
         return Options({**_COMMON, "stop_time_defined": False, "time_limit": None, "silent_mode": False, "result_downsampling_factor": 1})
     solvers: dict[str, dict[str, Any]] = {f"{name}_options": dict(_TOLERANCES) for name in (*SOLVERS, *_OTHERS)}
@@ -86,7 +86,7 @@ _HANDLINGS = ("binary", "memory", "file", "csv", None)
 
 
 def arguments(options: Mapping[str, Any], kind: str, suggested: float | None) -> dict[str, Any]:
-    """The arguments of `FMUModel.simulate`; `suggested` is the tolerance of the default experiment."""
+    """Returns the arguments of `FMUModel.simulate`; `suggested` is the tolerance of the default experiment."""
     for name, (allowed, reason) in _REASONS.items():
         if name in options and options[name] != allowed:
             refuse(f"simulate(options={{{name!r}: {options[name]!r}}})", reason)

@@ -17,9 +17,9 @@ class Result:
     model : FMUModelBase
         The model that was simulated.
     options : dict
-        Its options.
+        Options of the simulation.
     native : SimulationResult
-        The same result with all that pydfo has for it.
+        The result in the class of pydfo.
     """
 
     def __init__(self, model: Any, options: dict[str, Any], native: SimulationResult, result_file: str | None) -> None:
@@ -27,14 +27,14 @@ class Result:
 
     @property
     def result_file(self) -> str:
-        """The file that was written (``result_handling="csv"``)."""
+        """Path of the written file (``result_handling="csv"``)."""
         if self._file is None:
             raise ValueError('no file was written: options["result_handling"] = "csv" writes one, SimulationResult.to_csv too')
         return self._file
 
     @property
     def result_data(self) -> SimulationResult:
-        """The columns."""
+        """Columns of the result."""
         return self.native
 
     def __getitem__(self, name: str) -> np.ndarray[Any, Any]:
@@ -44,17 +44,17 @@ class Result:
         return name in self.native
 
     def keys(self) -> list[str]:
-        """The names of the columns, "time" first."""
+        """Returns the names of the columns, "time" first."""
         return list(self.native)
 
     def initial(self, name: str) -> Any:
-        """The value in the first row."""
+        """Returns the value in the first row."""
         return self.native[name][0]
 
     def final(self, name: str) -> Any:
-        """The value in the last row."""
+        """Returns the value in the last row."""
         return self.native[name][-1]
 
     def is_variable(self, name: str) -> bool:
-        """True where the values are not all the same."""
+        """Returns True if the values are not all equal."""
         return bool(np.any(self.native[name] != self.native[name][:1]))
