@@ -1,4 +1,4 @@
-"""What the tests share."""
+"""Fixtures and helpers shared by the tests."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import pytest
 
 
 def rosenbrock(x):
-    """Optimum 0 at (1, 1)."""
+    """Returns Rosenbrock's function, with the minimum 0 at (1, 1)."""
     return 100.0 * (x[1] - x[0] ** 2) ** 2 + (1.0 - x[0]) ** 2
 
 
 class Recorder:
-    """An objective that keeps every point and value."""
+    """An objective that records every point and value."""
 
     def __init__(self, function):
         self.function = function
@@ -37,7 +37,7 @@ def recorder():
 
 
 def pytest_configure() -> None:
-    """A shell that runs the tests in the background has them ignore Ctrl-C; the tests of Ctrl-C need Python's own way."""
+    """Restores Python's handling of Ctrl-C, because a shell that runs the tests in the background ignores it."""
     import signal
 
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -1,4 +1,4 @@
-"""FMUs made by hand, and what tests of models share."""
+"""Handmade FMUs, and helpers for tests of models."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ TYPES = """
 
 
 def xml(variables="", *, interface=ME, before=TYPES, head="", structure="", declaration='<?xml version="1.0" encoding="UTF-8"?>'):
-    """A model description of FMI 2.0."""
+    """Returns a model description of FMI 2.0."""
     return (
         f'{declaration}<fmiModelDescription fmiVersion="2.0" modelName="M" guid="{{1}}" numberOfEventIndicators="0" {head}>'
         f"{interface}{before}<ModelVariables>{variables}</ModelVariables><ModelStructure>{structure}</ModelStructure>"
@@ -45,7 +45,7 @@ def xml(variables="", *, interface=ME, before=TYPES, head="", structure="", decl
 
 
 def write(path, description=None, files=()):
-    """An archive with a model description and files, a dict or pairs of names and contents."""
+    """Writes an archive with a model description and files, a dict or pairs of names and contents."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         if description is not None:
             archive.writestr("modelDescription.xml", description)
@@ -55,7 +55,7 @@ def write(path, description=None, files=()):
 
 
 def changed(example, path, *replacements, version="2.0"):
-    """A bundled model with pairs of (old, new) replaced in its description."""
+    """Writes a bundled model with pairs of (old, new) replaced in its description."""
     with zipfile.ZipFile(example_fmu(example, version)) as source, zipfile.ZipFile(path, "w") as out:
         for entry in source.infolist():
             content = source.read(entry)
@@ -68,18 +68,19 @@ def changed(example, path, *replacements, version="2.0"):
 
 
 def same_bits(a, b):
-    """Whether two results have the same columns, bit for bit."""
+    """Returns True if two results have bit-for-bit identical columns."""
     return list(a) == list(b) and all(a[name].tobytes() == b[name].tobytes() for name in a)
 
 
 def bounces(n, height=1.0, g=9.81, e=0.7):
-    """Times of the first `n` impacts of the bouncing ball."""
+    """Returns the times of the first `n` impacts of the bouncing ball."""
     k = np.arange(n)
     return np.sqrt(2 * height / g) * (1 + 2 * e * (1 - e**k) / (1 - e))
 
 
 def compiled(name, path, *defines, replacements=()):
-    """One of the FMI 3.0 models in C that the tests of the importer have, as an .fmu with a library for this platform;
+    """Compiles one of the FMI 3.0 models in C of the importer's tests, as an .fmu with a library for this platform.
+
     `replacements` are pairs of (old, new) in its description."""
     source = Path(__file__).resolve().parents[2] / "fmi" / "tests" / name
     frontend = source.parents[2] / "example-models" / "models" / "frontend"
@@ -99,7 +100,8 @@ def compiled(name, path, *defines, replacements=()):
 
 
 def evil(path, *defines, replacements=()):
-    """The FMI 2.0 model with faults in C that the tests of the importer have (x' = -k x, y = x), for both kinds;
+    """Compiles the FMI 2.0 model with faults in C of the importer's tests (x' = -k x, y = x), for both kinds.
+
     `replacements` are pairs of (old, new) in its description."""
     source = Path(__file__).resolve().parents[2] / "fmi" / "tests" / "evil"
     frontend = source.parents[2] / "example-models" / "models" / "frontend"

@@ -1,4 +1,4 @@
-"""Objectives that can be sent to other processes, and every method with a problem that it can solve."""
+"""Picklable objectives, and a solvable problem for every method."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 METHODS = ["nelder-mead", "barrier", "de", "de-classic", "ga", "quadratic-model", "cma-es", "pattern-search"]
 
-#: What a run over Rosenbrock's function needs, the same for every method.
+#: Arguments of a run over Rosenbrock's function, for every method.
 RUN = {"x0": [-1.2, 1.0], "bounds": [(-2.0, 2.0), (-2.0, 2.0)], "rng": 7}
 
 
@@ -17,19 +17,19 @@ def rosenbrock(x):
 
 
 def columns(x):
-    """Rosenbrock's function of points in columns; of one point it has the same bits."""
+    """Returns Rosenbrock's function of points in columns, bit-for-bit equal to single points."""
     return np.array([rosenbrock(point) for point in x.T])
 
 
 def fails_sometimes(x):
-    """Raises where the first coordinate is large."""
+    """Raises an exception if the first coordinate is large."""
     if x[0] > 0.5:
         raise ValueError("too large")
     return rosenbrock(x)
 
 
 class CannotBeSent(Exception):
-    """Has no way through a pickle."""
+    """An exception that cannot be pickled."""
 
     def __init__(self, first, second):
         super().__init__(f"{first} and {second}")
@@ -48,7 +48,7 @@ def shifted(x, by, factor):
 
 
 def timeless(result):
-    """All of a run's path but what the clock says."""
+    """Returns the path of a run without times."""
     trace, path = result.trace, slice(result.nfev)
     return (
         result.x.tobytes(), result.fun, result.nit, result.nfev, result.n_cached, result.message.partition("; continued from ")[0],

@@ -1,5 +1,6 @@
-"""Recordings for the tests: our own, made from known parameters with noise of a known seed, and the published ones, where
-they are at hand (they are no part of the project)."""
+"""Recordings for the tests: generated from known parameters and seeded noise, and the published ones, if available.
+
+The published ones are not part of the project."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ from pydfo import FMUModel, example_fmu
 OWN = Path(__file__).resolve().parents[3] / "examples" / "data"
 PUBLISHED = Path(__file__).resolve().parents[4] / "shared" / "data"
 
-#: Seed of the noise of all recordings of our own.
+#: Seed of the noise of all generated recordings.
 SEED = 2012
 
 LEVELS = ["qt.x1", "qt.x2", "qt.x3", "qt.x4"]
@@ -20,18 +21,20 @@ EXHAUST_INPUTS = ["T_in", "p_in", "w_turb1", "w_turb2", "p_out"]
 
 
 def at_hand(file):
-    """What tests are parametrised with: our own recordings, and the published ones, if they are there."""
+    """Returns parameters for tests: the generated recordings, and the published ones if available."""
     return ["own", "published"] if (PUBLISHED / file).is_file() else ["own"]
 
 
 def columns(path):
-    """Columns of a CSV file by name."""
+    """Returns the columns of a CSV file by name."""
     data = np.genfromtxt(path, delimiter=",", names=True)
     return {name: data[name] for name in data.dtype.names}
 
 
 def furuta(which):
-    """Both angles of the pendulum in rad, over 40 s; our own with armFriction = 0.010 and pendulumFriction = 0.001."""
+    """Returns both angles of the pendulum in rad, over 40 s.
+
+    The generated recording uses armFriction = 0.010 and pendulumFriction = 0.001."""
     if which == "own":
         return columns(OWN / "furuta.csv")
     from scipy.io import loadmat
@@ -41,7 +44,7 @@ def furuta(which):
 
 
 def quad_tank(which):
-    """The levels in m and the voltages, a row a second over 60 s."""
+    """Returns the levels in m and the voltages, one row per second over 60 s."""
     if which == "own":
         data = columns(OWN / "quad_tank.csv")
         return {"time": data["time"], "u1": data["u1"], "u2": data["u2"]} | {x: data[x[3:]] for x in LEVELS}
@@ -55,8 +58,10 @@ def quad_tank(which):
 
 
 def exhaust(which):
-    """The inputs and the temperature of the gas that leaves the pipe, a row a second over 1800 s; our own: a load that
-    goes from one random level to the next moves all inputs, the nominal model answers, with a noise of 2 K."""
+    """Returns the inputs and the temperature of the gas at the outlet of the pipe, one row per second over 1800 s.
+
+    In the generated recording, a load with random levels moves all inputs. The nominal model responds, with a noise
+    of 2 K."""
     if which == "published":
         return columns(PUBLISHED / "exhaust_measurements.csv")
     rng = np.random.default_rng(SEED)

@@ -1,4 +1,4 @@
-"""Whether an installed pydfo works, with NumPy alone: run by the packaging test outside of the checkout.
+"""Checks an installed pydfo with NumPy alone. The packaging test runs it outside the checkout.
 
     python smoke.py
 """

@@ -1,4 +1,4 @@
-"""Arrays and all types of FMI 3.0, beside FMPy."""
+"""Arrays and all types of FMI 3.0, compared with FMPy."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def path(tmp_path_factory):
     return pydfo.build_fmu(folder / "m", folder / "arrays.fmu")
 
 
-#: Another value than the start value, of each type.
+#: A value of each type that differs from the start value.
 VALUES = {
     "f32": 0.25,
     "i8": -128,
@@ -54,7 +54,7 @@ ARRAYS = {
 
 
 @pytest.mark.parametrize("kind", ["ME", "CS"])
-def test_values_of_all_types(path, kind):
+def test_values_of_all_types_are_set_and_read(path, kind):
     model = FMUModel(path, kind=kind)
     for name, value in (VALUES | ARRAYS).items():
         model.set(name, value)
@@ -70,7 +70,7 @@ def test_values_of_all_types(path, kind):
     assert model.get("bytes") == b"\xca\xfe" and model.get("matrix").tolist() == [[0, 1, 2], [3, 4, 5]]
 
 
-def test_other_forms_of_arrays(path):
+def test_arrays_are_set_in_all_forms(path):
     model = FMUModel(path)
     for given in ([9, 8, 7, 6, 5, 4], [[9, 8, 7], [6, 5, 4]], ((9, 8, 7), (6, 5, 4)), np.arange(9.0, 3.0, -1.0)):
         model.set("matrix", given)
@@ -94,7 +94,7 @@ def test_other_forms_of_arrays(path):
 
 
 @pytest.mark.parametrize("kind", ["ME", "CS"])
-def test_results_have_the_shape_of_the_arrays(path, kind):
+def test_results_have_the_shape_of_arrays(path, kind):
     model = FMUModel(path, kind=kind)
     res = model.simulate(0, 1, output=["x", "matrix", "u8"], output_interval=0.25, relative_tolerance=1e-10)
     assert list(res) == ["time", "x", "matrix", "u8"] and np.array_equal(res["matrix[2,3]"], res["matrix"][:, 1, 2])
@@ -111,7 +111,7 @@ def test_results_have_the_shape_of_the_arrays(path, kind):
 
 
 @pytest.mark.parametrize("kind", ["ME", "CS"])
-def test_elements_are_driven_and_fitted(path, kind):
+def test_array_elements_are_driven_and_fitted(path, kind):
     model = FMUModel(path, kind=kind)
     table = {"time": [0.0, 2.0], "u[2]": [3.0, 3.0]}
     res = model.simulate(0, 2, input=table, output_interval=0.25, start_values={"k[2]": 0.5}, relative_tolerance=1e-10)
@@ -128,7 +128,7 @@ def test_elements_are_driven_and_fitted(path, kind):
     assert fit.x[0] == pytest.approx(0.5, abs=1e-3)
 
 
-def test_description(path):
+def test_description_contains_arrays(path):
     d = pydfo.read_description(path)
     x, matrix, n = d.variables["x"], d.variables["matrix"], d.variables["n"]
     assert (x.shape, x.dimensions, x.aliases) == ((3,), ("n",), ("level",)) and d.variables["level"].aliases == ("x",)
@@ -137,7 +137,7 @@ def test_description(path):
 
 
 @pytest.mark.parametrize("kind", ["ME", "CS"])
-def test_fmpy_agrees(path, kind):
+def test_arrays_agree_with_fmpy(path, kind):
     fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
     options = {"output_interval": 0.25, "step_size": 0.25} if kind == "CS" else {"solver": "CVode", "output_interval": 0.25}
     theirs = fmpy.simulate_fmu(
@@ -164,7 +164,7 @@ def test_fmpy_agrees(path, kind):
         assert np.abs(found - expected).max() <= (0 if kind == "CS" else 1e-6), name
 
 
-def test_elements_of_an_array_of_another_size(path):
+def test_elements_of_resized_array_are_set(path):
     model = FMUModel(path)
     model.set(["n", "k"], [4, [1, 2, 3, 4]])
     model.set("k[4]", 5)
@@ -175,7 +175,7 @@ def test_elements_of_an_array_of_another_size(path):
     assert model.get("k[1]") == 1
 
 
-def test_a_parameter_of_single_precision_is_fitted(tmp_path):
+def test_single_precision_parameter_is_fitted(tmp_path):
     # x' = f32 - x, x(0) = 1.
     path = fmus.compiled("arrays", tmp_path / "arrays.fmu", "SINGLE")
     t = np.linspace(0, 1, 21)

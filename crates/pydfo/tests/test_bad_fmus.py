@@ -1,4 +1,4 @@
-"""Files that are no FMUs, or no honest ones: a typed error with names and numbers each, and nothing left behind."""
+"""Invalid and malicious FMU files: each raises a typed error with names and numbers, and leaves no files behind."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from pydfo import FMUModel, FmuError, example_fmu, read_description
 
 @pytest.fixture(autouse=True)
 def unpacked(tmp_path_factory, monkeypatch):
-    """The folder for temporary files; empty at the end of every test."""
+    """Returns the folder for temporary files, which must be empty at the end of every test."""
     folder = tmp_path_factory.mktemp("unpacked")
     monkeypatch.setenv("TMPDIR", str(folder))
     yield folder
-    gc.collect()  # Exceptions hold the models that raised them.
+    gc.collect()  # exceptions hold references to the models that raised them
     pydfo._core.close_unused()
     assert list(folder.iterdir()) == []
 
 
 def refused(path, *parts):
-    """Opening must fail with a FmuError that says all of `parts`."""
+    """Checks that opening fails with a FmuError that contains all of `parts`."""
     for load in (FMUModel, pydfo.load_fmu, read_description):
         with pytest.raises(FmuError) as info:
             load(path)
@@ -39,23 +39,25 @@ def refused(path, *parts):
 
 
 def refused_when_loaded(path, *parts):
-    """Contents are checked when they are unpacked: at the latest a simulation must fail with a FmuError that says `parts`."""
+    """Checks that a simulation fails with a FmuError that contains `parts`, because contents are checked when
+    unpacked."""
     with pytest.raises(FmuError) as info:
         FMUModel(path).simulate(final_time=1)
     for part in parts:
         assert part in str(info.value)
 
 
-# --- no archive -------------------------------------------------------------------------------------------------------
+# --- no archive
+# -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("content", [b"", b"no zip", b"PK\x03\x04", bytes(100_000)], ids=["empty", "text", "start", "zeros"])
-def test_no_zip(tmp_path, content):
+def test_file_that_is_not_a_zip_is_rejected(tmp_path, content):
     (tmp_path / "m.fmu").write_bytes(content)
     refused(tmp_path / "m.fmu", "m.fmu", "archive")
 
 
-def test_no_model_description(tmp_path):
+def test_archive_without_model_description_is_rejected(tmp_path):
     refused(fmus.write(tmp_path / "m.fmu", None, {"readme.txt": "x"}), "m.fmu", "no modelDescription.xml")
     refused(fmus.write(tmp_path / "n.fmu", None, {"M/modelDescription.xml": fmus.xml()}), "modelDescription.xml", "M")
     (tmp_path / "folder").mkdir()
@@ -63,13 +65,13 @@ def test_no_model_description(tmp_path):
 
 
 @pytest.mark.parametrize("part", [0.05, 0.3, 0.6, 0.9, 0.99, 0.9999])
-def test_truncated(tmp_path, part):
+def test_truncated_archive_is_rejected(tmp_path, part):
     whole = example_fmu("dahlquist").read_bytes()
     (tmp_path / "m.fmu").write_bytes(whole[: int(part * len(whole))])
     refused(tmp_path / "m.fmu", "m.fmu")
 
 
-def test_files_that_cannot_be_read(tmp_path):
+def test_unreadable_file_is_rejected(tmp_path):
     with pytest.raises(OSError) as info:
         FMUModel(tmp_path / "m.fmu" / "x" / "y.fmu")
     assert info.value.filename
@@ -80,7 +82,8 @@ def test_files_that_cannot_be_read(tmp_path):
         FMUModel("m\0.fmu")
 
 
-# --- dishonest archives -----------------------------------------------------------------------------------------------
+# --- malicious archives
+# -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -98,7 +101,7 @@ def test_files_that_cannot_be_read(tmp_path):
         "evil\n.txt",
     ],
 )
-def test_names_that_lead_elsewhere(tmp_path, name):
+def test_names_outside_the_archive_are_rejected(tmp_path, name):
     path = tmp_path / "m.fmu"
     entries = [Entry("modelDescription.xml", fmus.xml().encode()), Entry(name, b"evil")]
     path.write_bytes(archive(entries))
@@ -106,7 +109,7 @@ def test_names_that_lead_elsewhere(tmp_path, name):
     assert not (tmp_path / "evil.txt").exists() and not (tmp_path.parent / "evil.txt").exists()
 
 
-def test_names_with_backslashes_and_dots_are_those_that_info_zip_makes_of_them(tmp_path):
+def test_names_with_backslashes_and_dots_match_info_zip(tmp_path):
     path = tmp_path / "m.fmu"
     names = ["resources\\a.txt", "resources//b.txt", "./resources/c.txt"]
     path.write_bytes(archive([Entry(".\\modelDescription.xml", fmus.xml().encode()), *(Entry(name, b"x") for name in names)]))
@@ -123,14 +126,14 @@ def test_names_with_backslashes_and_dots_are_those_that_info_zip_makes_of_them(t
         (("a", "a/b"), "folder"),
     ],
 )
-def test_names_that_collide(tmp_path, names, part):
+def test_colliding_names_are_rejected(tmp_path, names, part):
     path = tmp_path / "m.fmu"
     path.write_bytes(archive([Entry("modelDescription.xml", fmus.xml().encode()), *(Entry(n, b"x%d" % i) for i, n in enumerate(names))]))
     refused(path, part)
 
 
 @pytest.mark.parametrize("kind", [stat.S_IFLNK, stat.S_IFIFO, stat.S_IFCHR, stat.S_IFSOCK])
-def test_links_and_devices(tmp_path, kind):
+def test_links_and_devices_are_rejected(tmp_path, kind):
     path = tmp_path / "m.fmu"
     link = Entry("resources/link", b"/etc/passwd", mode=kind | 0o777)
     path.write_bytes(archive([Entry("modelDescription.xml", fmus.xml().encode()), link]))
@@ -138,7 +141,7 @@ def test_links_and_devices(tmp_path, kind):
 
 
 def bomb():
-    """10 MB that inflate to 10 GiB of zeros."""
+    """Returns 10 MB that inflate to 10 GiB of zeros."""
     block = zlib.compressobj(9, zlib.DEFLATED, -15)
     piece = block.compress(bytes(16 << 20)) + block.flush(zlib.Z_FULL_FLUSH)
     stream = piece * 640 + b"\x03\x00"
@@ -147,20 +150,20 @@ def bomb():
 
 
 @pytest.mark.parametrize("declared", [10 << 30, 1 << 30, 1 << 20, 0])
-def test_a_bomb(tmp_path, declared):
+def test_zip_bomb_is_rejected(tmp_path, declared):
     path = tmp_path / "m.fmu"
     entry = Entry("resources/bomb", packed=bomb(), size=declared)
     path.write_bytes(archive([Entry("modelDescription.xml", fmus.xml().encode()), entry]))
     refused_when_loaded(path, "resources/bomb")
 
 
-def test_overlapping_entries(tmp_path):
+def test_overlapping_entries_are_rejected(tmp_path):
     path = tmp_path / "m.fmu"
     description = Entry("modelDescription.xml", fmus.xml().encode())
-    # Both directory entries show the same bytes.
+    # Both directory entries point to the same bytes.
     path.write_bytes(archive([description, Entry("a", b"shared"), Entry("a", b"shared", directory_name="b", header_of=1)]))
     refused_when_loaded(path, '"b"')
-    # The first one's data reach over the second entry.
+    # The data of the first entry overlap the second entry.
     second = Entry("b", b"x" * 50)
     reach = Entry("a", b"y" * 10, size=10 + len(second.local()), packed_size=10 + len(second.local()))
     path.write_bytes(archive([description, reach, second]))
@@ -170,7 +173,7 @@ def test_overlapping_entries(tmp_path):
 
 @pytest.mark.parametrize("size", [0, 5, 99, 101, 10**6, 2**31, 2**40])
 @pytest.mark.parametrize("deflated", [True, False])
-def test_sizes_that_lie(tmp_path, size, deflated):
+def test_false_sizes_are_rejected(tmp_path, size, deflated):
     path = tmp_path / "m.fmu"
     content = bytes(range(100))
     packed = deflate(content) if deflated else None
@@ -179,7 +182,7 @@ def test_sizes_that_lie(tmp_path, size, deflated):
     refused_when_loaded(path, "resources/lie")
 
 
-def test_damaged_data(tmp_path):
+def test_damaged_data_are_rejected(tmp_path):
     path = tmp_path / "m.fmu"
     description = Entry("modelDescription.xml", fmus.xml().encode())
     path.write_bytes(archive([description, Entry("a", b"abc", crc=1)]))
@@ -188,7 +191,7 @@ def test_damaged_data(tmp_path):
     refused_when_loaded(path, '"a"', "damaged")
 
 
-def test_an_encrypted_entry(tmp_path):
+def test_encrypted_entry_is_rejected(tmp_path):
     path = tmp_path / "m.fmu"
     path.write_bytes(archive([Entry("modelDescription.xml", fmus.xml().encode()), Entry("a", b"abc", flags=1)]))
     refused(path, '"a"', "encrypted")
@@ -244,7 +247,7 @@ FILE = (
         "index out of range",
     ],
 )
-def test_model_descriptions(tmp_path, text, parts):
+def test_bad_model_descriptions_are_rejected(tmp_path, text, parts):
     path = fmus.write(tmp_path / "m.fmu", text)
     with pytest.raises(FmuError) as info:
         FMUModel(path).simulate(final_time=1)
@@ -264,7 +267,7 @@ def test_bad_utf_8_is_read_and_reported(tmp_path):
 # --- libraries --------------------------------------------------------------------------------------------------------
 
 
-def test_no_binary_for_this_platform(tmp_path):
+def test_missing_binary_for_this_platform_is_reported(tmp_path):
     files = {"binaries/win32/m.dll": "x", "binaries/riscv128-plan9/m.so": "x", "resources/data.txt": "x"}
     model = FMUModel(fmus.write(tmp_path / "m.fmu", fmus.xml(), files))
     with pytest.raises(FmuError) as info:
@@ -274,20 +277,20 @@ def test_no_binary_for_this_platform(tmp_path):
 
 
 def platform_folder():
-    """The folder in ``binaries/`` that packing uses here."""
+    """Returns the folder in ``binaries/`` used by packing on this platform."""
     with zipfile.ZipFile(example_fmu("dahlquist")) as packed:
         (name,) = (n for n in packed.namelist() if n.startswith("binaries/") and not n.endswith("/"))
     return name.split("/")[1], name.rpartition(".")[2]
 
 
-def test_a_library_that_is_none(tmp_path):
+def test_invalid_library_is_rejected(tmp_path):
     folder, suffix = platform_folder()
     model = FMUModel(fmus.write(tmp_path / "m.fmu", fmus.xml(), {f"binaries/{folder}/m.{suffix}": "no library"}))
     with pytest.raises(FmuError):
         model.simulate(final_time=1)
 
 
-def test_a_library_without_a_mandatory_function(tmp_path):
+def test_library_without_mandatory_function_is_rejected(tmp_path):
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         pytest.skip("no C compiler")
@@ -303,14 +306,15 @@ def test_a_library_without_a_mandatory_function(tmp_path):
         model.simulate(final_time=1)
 
 
-def test_sources_that_do_not_compile(tmp_path):
+def test_compiler_errors_are_reported(tmp_path):
     interface = '<ModelExchange modelIdentifier="m"><SourceFiles><File name="m.c"/></SourceFiles></ModelExchange>'
     model = FMUModel(fmus.write(tmp_path / "m.fmu", fmus.xml(interface=interface), {"sources/m.c": "int x = ;"}))
     with pytest.raises(FmuError, match="m.c"):
         model.simulate(final_time=1)
 
 
-# --- zip archives by hand ---------------------------------------------------------------------------------------------
+# --- zip archives byte by byte
+# ----------------------------------------------------------------------------------------
 
 
 def deflate(content):
@@ -319,7 +323,7 @@ def deflate(content):
 
 
 class Entry:
-    """An entry of an archive, every field of which can be made to lie."""
+    """An entry of an archive in which every field can be falsified."""
 
     def __init__(
         self, name, content=b"", *, packed=None, size=None, packed_size=None, crc=None, mode=stat.S_IFREG | 0o644,
@@ -352,7 +356,7 @@ class Entry:
 
 
 def archive(entries):
-    """An archive of the entries, byte by byte."""
+    """Builds an archive of the entries, byte by byte."""
     body, offsets = b"", []
     for entry in entries:
         offsets.append(len(body))
@@ -364,7 +368,7 @@ def archive(entries):
     return body + directory + struct.pack("<4sHHHHLLH", b"PK\x05\x06", 0, 0, count, count, len(directory), len(body), 0)
 
 
-def test_what_is_written_by_hand_is_honest_otherwise(tmp_path):
+def test_handmade_archive_is_valid_without_falsified_fields(tmp_path):
     path = tmp_path / "m.fmu"
     entries = [Entry("modelDescription.xml", fmus.xml().encode()), Entry("a", b"abc"), Entry("b", b"a", packed=deflate(b"a"))]
     path.write_bytes(archive(entries))

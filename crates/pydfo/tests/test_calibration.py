@@ -1,4 +1,4 @@
-"""Calibration and Fit: data in, parameters out."""
+"""Calibration and Fit: from data to parameters."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def decay(model, data=None, **changes):
     return Calibration(model, {"time": TIME, "x": TRUE} if data is None else data, **arguments)
 
 
-def test_the_cost_is_the_plain_sum_of_squares(dahlquist):
+def test_cost_is_the_sum_of_squares(dahlquist):
     calibration = decay(dahlquist)
     residuals = calibration.residuals([1.0])
     np.testing.assert_allclose(residuals, np.exp(-TIME) - TRUE, atol=1e-8)
@@ -41,7 +41,7 @@ def test_the_cost_is_the_plain_sum_of_squares(dahlquist):
     assert "5 measurements" in repr(calibration)
 
 
-def test_all_shapes_of_data_give_the_same_bits(dahlquist, tmp_path):
+def test_cost_is_identical_for_all_forms_of_data(dahlquist, tmp_path):
     pd = pytest.importorskip("pandas")
     path = tmp_path / "data.csv"
     rows = [f"{t!r},{x!r},text" for t, x in zip(TIME.tolist(), TRUE.tolist())]
@@ -63,7 +63,7 @@ def test_all_shapes_of_data_give_the_same_bits(dahlquist, tmp_path):
         assert decay(dahlquist, data).cost() == reference
 
 
-def test_missing_values_are_a_fixed_mask(dahlquist):
+def test_missing_values_are_masked(dahlquist):
     pd = pytest.importorskip("pandas")
     gaps = TRUE.copy()
     gaps[[1, 3]] = np.nan
@@ -75,7 +75,7 @@ def test_missing_values_are_a_fixed_mask(dahlquist):
         np.testing.assert_allclose(decay(dahlquist, {"time": TIME, "x": column}).residuals(), expected, atol=1e-9)
 
 
-def test_residuals_are_ordered_by_output_then_time_and_weights_multiply_them():
+def test_residuals_are_weighted_and_ordered_by_output_and_time():
     model = example_fmu("van_der_pol")
     data = {"time": TIME, "b": np.zeros(5), "a": np.array([1.0, np.nan, 1.0, 1.0, np.nan])}
     options = {"parameters": [Parameter("mu", 1.0)], "relative_tolerance": 1e-10}
@@ -92,7 +92,7 @@ def test_residuals_are_ordered_by_output_then_time_and_weights_multiply_them():
     assert list(measured) == ["x1", "x0"] and measured["x0"][0].tolist() == [0.0, 0.5, 1.0]
 
 
-def test_window_start_time_and_start_values(dahlquist):
+def test_window_start_time_and_start_values_are_applied(dahlquist):
     whole = decay(dahlquist)
     part = decay(dahlquist, window=(0.3, 1.0))
     np.testing.assert_allclose(part.residuals([1.7]), whole.residuals([1.7])[1:4], atol=1e-8)
@@ -116,7 +116,7 @@ def test_inputs_drive_the_model():
 
 
 @pytest.mark.parametrize("scale", ["linear", "log"])
-def test_a_fit_finds_the_parameter(dahlquist, scale):
+def test_fit_finds_the_parameter(dahlquist, scale):
     fit = decay(dahlquist, parameters=[Parameter("k", 1.0, 0.1, 10.0, scale=scale)]).fit()
     assert isinstance(fit, Fit) and fit.success and fit.status == 0
     assert fit.parameters == {"k": fit.x[0]} and fit.x[0] == pytest.approx(2.0, abs=1e-4)
@@ -132,13 +132,13 @@ def test_a_fit_finds_the_parameter(dahlquist, scale):
     assert np.sum(fit.residuals() ** 2) == pytest.approx(fit.cost, rel=1e-9)
 
 
-def test_fixed_parameters_stay_and_stand_in_the_result(dahlquist):
+def test_fixed_parameters_are_kept_and_reported(dahlquist):
     parameters = [Parameter("x", 1.0, fixed=True), K]
     fit = decay(dahlquist, parameters=parameters).fit()
     assert fit.x[0] == 1.0 and fit.parameters["k"] == pytest.approx(2.0, abs=1e-4)
 
 
-def test_the_fit_is_the_same_for_any_number_of_workers_and_any_plan(dahlquist):
+def test_fit_is_identical_for_all_worker_counts_and_plans(dahlquist):
     noisy = TRUE + 0.01 * np.random.default_rng(1).normal(size=5)
     calibration = decay(dahlquist, {"time": TIME, "x": noisy})
     reference = calibration.fit("nelder-mead", workers=1)
@@ -162,7 +162,7 @@ def test_limits_target_and_start_are_exact(dahlquist):
     assert calibration.fit(x_tol=1e-1, f_tol=0.0, stop="any").x_size <= 0.1
 
 
-def test_progress_and_callbacks(dahlquist, capsys):
+def test_fit_reports_progress_to_callbacks(dahlquist, capsys):
     seen = []
     fit = decay(dahlquist).fit(callback=seen.append, disp=True)
     assert [p.nit for p in seen] == list(range(fit.nit + 1))
@@ -182,7 +182,7 @@ def test_progress_and_callbacks(dahlquist, capsys):
     assert (partial.status, partial.termination) == (6, "aborted")
 
 
-def test_simulations_that_fail(dahlquist):
+def test_failed_simulations_are_counted(dahlquist):
     calibration = decay(dahlquist, timeout=1e-9)
     with pytest.raises(pydfo.SimulationError, match=r"the simulation at k = 3 failed: .*time limit") as info:
         calibration.cost([3.0])
@@ -246,7 +246,7 @@ def test_simulations_that_fail(dahlquist):
     ],
     ids=lambda v: ",".join(f"{k}" for k in v) if isinstance(v, dict) else "",
 )
-def test_what_does_not_fit_together_is_named(dahlquist, tmp_path, monkeypatch, changes, error, said):
+def test_mismatched_arguments_are_named(dahlquist, tmp_path, monkeypatch, changes, error, said):
     monkeypatch.chdir(tmp_path)
     arguments = {"model": dahlquist, "data": {"time": TIME, "x": TRUE}, "outputs": ["x"], "parameters": [K], **changes}
     with pytest.raises(error, match=said):
@@ -254,7 +254,7 @@ def test_what_does_not_fit_together_is_named(dahlquist, tmp_path, monkeypatch, c
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_setting_reaches_the_solver_and_the_identity_of_the_problem(dahlquist, tmp_path):
+def test_settings_reach_the_solver_and_the_problem_identity(dahlquist, tmp_path):
     ball = pydfo.FMUModel(example_fmu("bouncing_ball"))
     usual, close = (ball.simulate(final_time=1.0, **settings).stats for settings in ({}, {"interior_samples": 20}))
     assert close.event_indicators > 2 * usual.event_indicators
@@ -266,7 +266,7 @@ def test_a_setting_reaches_the_solver_and_the_identity_of_the_problem(dahlquist,
         decay(dahlquist, interior_samples=9).fit(checkpoint=file)
 
 
-def test_bad_csv_files_say_where(dahlquist, tmp_path):
+def test_bad_csv_files_are_rejected_with_position(dahlquist, tmp_path):
     path = tmp_path / "data.csv"
     for text, said in [
         ("time,x\n0,1\n2,1\n1,1\n", "line 4"),
@@ -295,12 +295,12 @@ def test_bad_csv_files_say_where(dahlquist, tmp_path):
         (((3, 1.0), {}), TypeError, "name must be a string"),
     ],
 )
-def test_bad_parameters_are_refused_at_once(arguments, error, said):
+def test_bad_parameters_are_rejected(arguments, error, said):
     with pytest.raises(error, match=said):
         Parameter(*arguments[0], **arguments[1])
 
 
-def test_parameters_show_themselves():
+def test_parameters_have_a_repr():
     assert repr(Parameter("a", 1, 0, 2)) == "Parameter('a', 1.0, 0.0, 2.0)"
     assert repr(Parameter("a", 1, upper=2, scale="log", nominal=3, fixed=True)) == (
         "Parameter('a', 1.0, None, 2.0, scale='log', nominal=3.0, fixed=True)"
@@ -330,7 +330,7 @@ def test_bad_options_of_a_fit_are_named(dahlquist, changes, error, said):
         decay(dahlquist).fit(**changes)
 
 
-def test_costs_want_as_many_finite_values_as_there_are_parameters(dahlquist):
+def test_cost_requires_one_finite_value_per_parameter(dahlquist):
     calibration = decay(dahlquist)
     with pytest.raises(ValueError, match=r"2 values given for 1 parameters \(k\)"):
         calibration.cost([1.0, 2.0])
@@ -340,7 +340,7 @@ def test_costs_want_as_many_finite_values_as_there_are_parameters(dahlquist):
         calibration.residuals({"z": 1.0})
 
 
-def test_costs_from_several_threads_are_the_same_bits(dahlquist):
+def test_costs_are_identical_in_several_threads(dahlquist):
     calibration = decay(dahlquist)
     xs = np.linspace(0.5, 3.0, 40)
     expected = [calibration.cost([x]) for x in xs]
@@ -359,7 +359,7 @@ def test_costs_from_several_threads_are_the_same_bits(dahlquist):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
-def test_a_forked_child_can_fit(dahlquist):
+def test_fit_works_in_forked_child(dahlquist):
     calibration = decay(dahlquist)
     fit = calibration.fit(workers=2)
     calibration.cost()
@@ -382,7 +382,7 @@ def test_a_forked_child_can_fit(dahlquist):
 
 
 def furuta(**changes):
-    """A model whose simulations take a noticeable time: tens of milliseconds."""
+    """Returns a model whose simulations take tens of milliseconds."""
     time = np.arange(0.0, 40.0, 0.05)
     data = {"time": time, "phi": np.zeros_like(time), "theta": np.full_like(time, np.pi)}
     parameters = [Parameter("armFriction", 0.012, 0.0, 0.022), Parameter("pendulumFriction", 0.002, 0.0, 0.012)]
@@ -421,7 +421,7 @@ def test_other_threads_run_during_a_fit():
 
 
 @pytest.mark.parametrize("presses", [1, 2])
-def test_ctrl_c_ends_a_fit_with_the_best_in_hand(presses):
+def test_ctrl_c_ends_fit_with_best_point(presses):
     calibration = furuta()
     begun = threading.Event()
     pressed = []
@@ -447,10 +447,10 @@ def test_ctrl_c_ends_a_fit_with_the_best_in_hand(presses):
 
 
 @pytest.mark.parametrize("call", ["cost", "residuals", "simulate"])
-def test_ctrl_c_does_not_wait_for_a_long_simulation(call):
+def test_ctrl_c_ends_long_simulation(call):
     calibration = furuta()
     calibration.cost()
-    # several seconds
+    # simulations of several seconds
     calibration = Calibration(
         example_fmu("furuta"),
         {"time": [0.0, 40.0], "phi": [0.0, 0.0]},
@@ -468,7 +468,7 @@ def test_ctrl_c_does_not_wait_for_a_long_simulation(call):
     assert time.monotonic() - start < 1.2
 
 
-def test_a_fit_can_be_drawn(dahlquist, tmp_path):
+def test_fit_is_plotted(dahlquist, tmp_path):
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("Agg")
     gaps = TRUE.copy()
@@ -500,18 +500,18 @@ def furuta_calibration(measured):
     return Calibration(example_fmu("furuta"), data, outputs, parameters, relative_tolerance=1e-8)
 
 
-def test_the_costs_of_the_furuta_pendulum(measured):
+def test_furuta_costs_match_reference(measured):
     calibration = furuta_calibration(measured)
     if measured["name"] == "published":
         assert calibration.cost([0.012, 0.002]) == pytest.approx(207.0783, abs=0.01)
         assert calibration.cost([0.010, 0.001]) == pytest.approx(1.09246, abs=1e-3)
     else:
-        # The noise has standard deviations of 0.0305 and 0.0207 rad, 801 times.
+        # The noise of the 801 rows has standard deviations of 0.0305 and 0.0207 rad.
         assert calibration.cost([0.010, 0.001]) == pytest.approx(801 * (0.0305**2 + 0.0207**2), rel=0.15)
         assert calibration.cost([0.012, 0.002]) > 100 * calibration.cost([0.010, 0.001])
 
 
-def test_the_fit_of_the_furuta_pendulum_is_the_same_for_any_number_of_workers(measured):
+def test_furuta_fit_is_identical_for_all_worker_counts(measured):
     calibration = furuta_calibration(measured)
     fits = [calibration.fit(workers=workers) for workers in (1, 2, 4)]
     assert fits[0].parameters["armFriction"] == pytest.approx(0.010, abs=1e-4)

@@ -1,4 +1,4 @@
-"""Checkpoints from Python: a run that was interrupted anywhere goes on as if nothing had happened."""
+"""Checkpoints from Python: an interrupted and resumed run equals the uninterrupted run."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from pydfo import minimize
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("how", ["budget", "exception", "base exception", "stop", "ctrl-c"])
-def test_interrupted_at_random_points_and_resumed_is_the_uninterrupted_run(method, how, tmp_path):
+def test_resumed_run_equals_uninterrupted_run(method, how, tmp_path):
     chance = random.Random(f"{method} {how}")
-    # L-SHADE plans with its budget, so that it is pinned where the limit changes.
+    # L-SHADE plans with its budget, so the budget is fixed although the limit changes.
     own = {"budget": 260} if method == "de" else {}
     run = {**RUN, "method": method, "options": own}
     whole = timeless(minimize(rosenbrock, **run, max_evaluations=260))
@@ -62,7 +62,7 @@ def test_interrupted_at_random_points_and_resumed_is_the_uninterrupted_run(metho
 
         try:
             arguments = {**run, "options": options, **limits}
-            # Each function here is another one.
+            # Every function object here has another name.
             resume = "require" if path.exists() else "auto"
             res = minimize(func, **arguments, checkpoint=path, resume=resume, workers=workers, callback=stop)
         except (RuntimeError, pydfo.Interrupted, Exit):
@@ -75,7 +75,7 @@ def test_interrupted_at_random_points_and_resumed_is_the_uninterrupted_run(metho
     assert calls == res.nfev
 
 
-def test_a_finished_run_gives_its_stored_result(tmp_path):
+def test_finished_run_returns_its_stored_result(tmp_path):
     path = tmp_path / "run"
     first = minimize(rosenbrock, [-1.2, 1.0], checkpoint=path)
     func = Recorder(rosenbrock)
@@ -84,7 +84,7 @@ def test_a_finished_run_gives_its_stored_result(tmp_path):
     assert minimize(func, [-1.2, 1.0], checkpoint=path, resume="never").nfev == len(func.values) > 0
 
 
-def test_what_does_not_fit_is_refused_and_left_as_it_is(tmp_path):
+def test_mismatched_checkpoint_is_rejected_and_unchanged(tmp_path):
     path = tmp_path / "run"
     with pytest.raises(FileNotFoundError):
         minimize(rosenbrock, [-1.2, 1.0], checkpoint=path, resume="require")
@@ -114,7 +114,7 @@ def test_what_does_not_fit_is_refused_and_left_as_it_is(tmp_path):
 
 
 def killed_at(path, method, count):
-    """Runs in a process of its own, which ends without a word at an evaluation."""
+    """Runs in a separate process, which exits without cleanup at an evaluation."""
     calls = 0
 
     def func(x):
@@ -130,9 +130,9 @@ def killed_at(path, method, count):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_killed_process_goes_on_from_what_was_written_last(method, tmp_path):
+def test_killed_process_resumes_from_last_checkpoint(method, tmp_path):
     path = tmp_path / "run"
-    # Quadratic models are at the minimum sooner.
+    # Quadratic models reach the minimum sooner.
     count = 60 if method == "quadratic-model" else 170
     process = multiprocessing.get_context("spawn").Process(target=killed_at, args=(path, method, count))
     process.start()
@@ -144,7 +144,7 @@ def test_a_killed_process_goes_on_from_what_was_written_last(method, tmp_path):
     assert len(func.values) < 300
 
 
-def test_ctrl_c_with_an_executor_leaves_out_what_has_not_begun(tmp_path):
+def test_ctrl_c_cancels_pending_executor_tasks(tmp_path):
     started = []
 
     def func(x):
@@ -164,7 +164,7 @@ def test_ctrl_c_with_an_executor_leaves_out_what_has_not_begun(tmp_path):
     assert len(started) == 300
 
 
-def test_a_file_that_cannot_be_written_any_more_costs_no_result(tmp_path):
+def test_result_is_kept_when_checkpoint_becomes_unwritable(tmp_path):
     place = tmp_path / "place"
     place.mkdir()
     calls = []
@@ -188,7 +188,7 @@ def shifted(x):
     return float((x[0] - 2.0) ** 2)
 
 
-def test_a_file_belongs_to_the_name_of_its_function(tmp_path):
+def test_checkpoint_is_bound_to_function_name(tmp_path):
     path = tmp_path / "run.ckpt"
 
     def run(fun, **more):
@@ -209,7 +209,7 @@ def test_a_file_belongs_to_the_name_of_its_function(tmp_path):
     run(lambda x: 0.0, options={"problem": "a word of the user's"})
 
 
-def test_another_run_of_this_process_is_kept_from_the_file(tmp_path):
+def test_checkpoint_is_locked_within_a_process(tmp_path):
     path = tmp_path / "run.ckpt"
     started, go_on = threading.Event(), threading.Event()
 
@@ -246,7 +246,7 @@ print(len(said), said[0][0] < 20, said[0][1], "|", result.status, result.message
 
 @pytest.mark.skipif(os.name != "posix", reason="limits of file sizes")
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_checkpoint_that_cannot_be_written_is_said_at_once(tmp_path, workers):
+def test_unwritable_checkpoint_is_reported_before_the_run(tmp_path, workers):
     run = subprocess.run([sys.executable, "-c", FULL, tmp_path / "run.ckpt", str(workers)], capture_output=True, text=True, check=True)
     warned, _, ended = run.stdout.partition(" | ")
     assert warned.startswith("1 True the run goes on without a checkpoint"), run.stdout + run.stderr
@@ -293,7 +293,7 @@ with concurrent.futures.ProcessPoolExecutor(2) as executor:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="forked workers")
-def test_children_of_a_killed_program_do_not_hold_its_checkpoint(tmp_path):
+def test_children_of_killed_program_release_its_checkpoint(tmp_path):
     def cost(x):
         return float((x[0] - 1) ** 2 + 3 * (x[1] + 0.5) ** 2)
 

@@ -1,4 +1,4 @@
-"""Clocks of FMI 3.0 from Python: the ticks, and what the clocked parts of a model make of them."""
+"""Clocks of FMI 3.0 from Python: the ticks, and the clocked parts of a model."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ INPUT = {"time": [0.0, 0.5, 0.7, 1.0], "button": [False, True, False, True], "se
 
 
 @pytest.mark.parametrize("kind", ["ME", "CS"])
-def test_a_sampled_controller(path, kind):
+def test_sampled_controller_matches_reference(path, kind):
     res = FMUModel(path, kind=kind).simulate(0, 2, ncp=20, input=INPUT, relative_tolerance=1e-10)
     state = [1.0]
     for k in range(20):
@@ -33,11 +33,11 @@ def test_a_sampled_controller(path, kind):
     assert res.to_structured().dtype["alarm"] == bool
 
 
-def test_without_clocks_there_are_no_ticks():
+def test_model_without_clocks_has_no_ticks():
     assert FMUModel(fmus.example_fmu("dahlquist")).simulate(0, 1).ticks == {}
 
 
-def test_fmpy_finds_the_model_valid(path):
+def test_fmpy_validates_model_with_clocks(path):
     pytest.importorskip("fmpy", reason="FMPy is not installed")
     from fmpy.validation import validate_fmu
 
@@ -45,7 +45,7 @@ def test_fmpy_finds_the_model_valid(path):
 
 
 @pytest.mark.parametrize("kind", ["ME", "CS"])
-def test_intervals_can_be_given(path, kind):
+def test_clock_intervals_are_applied(path, kind):
     model = FMUModel(path, kind=kind)
     given = {"counted": (1, 4), "optional": 1.0, "retuned": np.float64(0.75)}
     ticks = model.simulate(ncp=4, clock_intervals=given).ticks

@@ -1,4 +1,4 @@
-"""The command line ``fmufit`` as a wheel installs it: ``python -m pydfo``."""
+"""The command line ``fmufit`` as installed by a wheel: ``python -m pydfo``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
-def test_from_a_model_and_a_recording_to_the_truth(tmp_path: Path) -> None:
+def test_command_line_fits_model_to_recording(tmp_path: Path) -> None:
     shutil.copy(pydfo.example_fmu("dahlquist"), tmp_path / "model.fmu")
     made = run(tmp_path, "simulate", "model.fmu", "--set", "k=2", "--final-time", "2", "--output", "run.csv")
     assert (made.returncode, made.stdout) == (0, ""), made
@@ -31,7 +31,7 @@ def test_from_a_model_and_a_recording_to_the_truth(tmp_path: Path) -> None:
     assert pydfo.load_fit(tmp_path / "decay.fit").x[0] == result["parameters"][0]["value"]
 
 
-def test_the_limit_of_a_description_can_be_raised_in_every_command(tmp_path: Path) -> None:
+def test_description_limit_can_be_raised_in_every_command(tmp_path: Path) -> None:
     shutil.copy(pydfo.example_fmu("dahlquist"), tmp_path / "model.fmu")
     limit = ("--max-description-bytes", "100")
     assert run(tmp_path, "simulate", "model.fmu", "--final-time", "2", "--output", "run.csv").returncode == 0
@@ -58,7 +58,7 @@ def test_exit_codes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pyte
     assert "none.fit" in capfd.readouterr().err
 
 
-def test_a_module_without_the_command_line_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_command_line_is_reported(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def missing(arguments: list[str]) -> int:
         raise NotImplementedError(f"{arguments[0]}: it is not there")
 

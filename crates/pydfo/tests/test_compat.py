@@ -1,4 +1,4 @@
-"""The names of FMPy and PyFMI: docs/compat.md is true, and scripts of both run."""
+"""The names of FMPy and PyFMI: docs/compat.md is correct, and scripts of both tools run."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ROWS = re.findall(r"^\| `([\w.]+)` \| (works|differs|refused) \|", PAGE.read_tex
 
 
 def found(name):
-    """What a name of the table is here: modules as far as they go, then attributes."""
+    """Returns the object of a name of the table: modules as far as possible, then attributes."""
     parts, thing = name.split("."), None
     for k in range(len(parts), 0, -1):
         try:
@@ -36,7 +36,7 @@ def found(name):
 
 
 @pytest.mark.parametrize("name, state", ROWS)
-def test_the_table_is_true(name, state):
+def test_table_matches_the_modules(name, state):
     thing = found(name)
     is_refused = callable(thing) and (thing.__doc__ or "").startswith("Not provided: ")
     assert is_refused == (state == "refused")
@@ -45,7 +45,7 @@ def test_the_table_is_true(name, state):
             thing()
 
 
-def test_the_table_names_all_of_fmpy():
+def test_table_lists_all_names_of_fmpy():
     fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
     listed = {name for name, _ in ROWS}
     for module in ("fmpy", "fmpy.model_description", "fmpy.simulation", "fmpy.util", "fmpy.validation"):
@@ -66,12 +66,12 @@ MODELS = [
 
 
 def structure(unknowns):
-    """Names of unknowns, and of what they depend on in which way."""
+    """Returns the names of unknowns, with their dependencies and the kinds of these."""
     by = [u.dependencies and [v.name for v in u.dependencies] for u in unknowns]
     return list(zip([u.variable.name for u in unknowns], by, [u.dependenciesKind for u in unknowns]))
 
 
-#: Two variables are the derivative of phi; the structure has its own order.
+#: Two variables are derivatives of phi. The order of the structure differs from the order of the variables.
 STRUCTURE = fmus.xml(
     """
     <ScalarVariable name="u" valueReference="5" causality="input"><Real start="0"/></ScalarVariable>
@@ -93,7 +93,7 @@ STRUCTURE = fmus.xml(
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-16-le", "iso-8859-1"])
-def test_the_structure_names_the_variables_of_its_indices(encoding, tmp_path):
+def test_structure_refers_to_variables_by_index(encoding, tmp_path):
     text = STRUCTURE.replace('"u" ', '"u" description="&#233;\u00e9" ').replace("UTF-8", encoding.upper())
     path = fmus.write(tmp_path / "m.fmu", text.encode(encoding))
     found = ours.read_model_description(path)
@@ -110,14 +110,14 @@ def test_the_structure_names_the_variables_of_its_indices(encoding, tmp_path):
             assert structure(getattr(found, name)) == structure(getattr(theirs, name)), name
 
 
-def test_what_the_structure_names_and_there_is_not_is_left_out():
+def test_structure_omits_unknown_variables():
     file = read_file(STRUCTURE.replace('index="5"', 'index="99"').replace('dependencies="4"', 'dependencies="x 4"').encode())
     assert [attributes["index"] for _, attributes in file.unknowns["derivatives"]] == ["3", "99"]
     assert numbers("x 4 -1 7") == [4, 7]
     assert told({"priority": "first", "resolution": "3", "canBeDeactivated": "1"}, {"priority", "resolution"}) == {"resolution": 3}
 
 
-def test_what_is_not_quite_xml_is_simulated_but_not_described(tmp_path):
+def test_invalid_xml_is_simulated_but_not_described(tmp_path):
     path = fmus.changed("dahlquist", tmp_path / "m.fmu", ("<ModelVariables>", "<!-- a -- b --><ModelVariables>"))
     with pytest.raises(ours.model_description.ValidationError, match=r"\n- not well-formed \(invalid token\): line \d+"):
         ours.read_model_description(path)
@@ -125,7 +125,7 @@ def test_what_is_not_quite_xml_is_simulated_but_not_described(tmp_path):
     assert result["x"][-1] == pytest.approx(np.exp(-1), abs=1e-4) and result.modelDescription.derivatives == []
 
 
-def test_clocks_and_arrays_have_the_attributes_of_their_file(tmp_path):
+def test_clocks_and_arrays_have_their_attributes(tmp_path):
     tests = Path(__file__).resolve().parents[2] / "fmi" / "tests"
     found, arrays = (
         {v.name: v for v in ours.read_model_description(fmus.write(tmp_path / f"{name}.fmu", text)).modelVariables}
@@ -141,7 +141,7 @@ def test_clocks_and_arrays_have_the_attributes_of_their_file(tmp_path):
     assert arrays["x"].dimensionValueReferences == [extent.valueReference] == [extent.variable.valueReference]
 
 
-def test_names_of_attributes_are_those_of_fmpy():
+def test_attribute_names_match_fmpy():
     fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
     missing = {}
     for name, state in ROWS:
@@ -155,7 +155,7 @@ def test_names_of_attributes_are_those_of_fmpy():
 
 
 @pytest.mark.parametrize("model", MODELS, ids=" ".join)
-def test_descriptions_are_those_of_fmpy(model):
+def test_descriptions_match_fmpy(model):
     fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
     path = str(example_fmu(*model))
     a, b = ours.read_model_description(path), fmpy.read_model_description(path)
@@ -176,7 +176,7 @@ def test_descriptions_are_those_of_fmpy(model):
 
 
 @pytest.mark.parametrize("model", MODELS[:4], ids=" ".join)
-def test_results_are_those_of_fmpy(model):
+def test_results_match_fmpy(model):
     fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
     path = str(example_fmu(*model))
     asked = {"relative_tolerance": 1e-9, "record_events": False}
@@ -188,8 +188,8 @@ def test_results_are_those_of_fmpy(model):
 
 
 @pytest.mark.parametrize("given", [{"output_interval": 0.1, "step_size": 0.01}, {"output_interval": 0.3, "step_size": 0.1}, {"step_size": 0.01}, {}])
-def test_euler_takes_the_steps_of_fmpy(given):
-    """x' = -k x, one step from row to row: x grows by the factor 1 - k h."""
+def test_euler_steps_match_fmpy(given):
+    """x' = -k x, one step from row to row: each row multiplies x by 1 - k h."""
     path = str(example_fmu("dahlquist", kind="ME"))
     asked = {"fmi_type": "ModelExchange", "solver": "Euler", "stop_time": 1, "start_values": {"k": 0.5}, **given}
     result = ours.simulate_fmu(path, **asked)
@@ -200,10 +200,10 @@ def test_euler_takes_the_steps_of_fmpy(given):
     assert np.allclose(result["time"], theirs["time"], atol=1e-14) and np.allclose(result["x"], theirs["x"], rtol=1e-13)
 
 
-def test_columns_that_are_no_inputs_and_derivatives_of_inputs():
+def test_unused_columns_are_ignored_and_input_derivatives_applied():
     signals = np.array([(0, 1, 7), (5, 3, 7)], dtype=[("time", float), ("u", float), ("nothing", float)])
     last = {}
-    for kind, u in (("ME", 3.0), ("CS", 2.6)):  # co-simulation holds the input over a step
+    for kind, u in (("ME", 3.0), ("CS", 2.6)):  # co-simulation holds the input constant over a step
         path, asked = example_fmu("switched_input", kind=kind), {"stop_time": 5, "output_interval": 1, "output": ["y", "u"]}
         with pytest.warns(UserWarning, match="no inputs of the model have no effect: nothing$"):
             result = ours.simulate_fmu(path, input=signals, **asked)
@@ -218,7 +218,7 @@ def test_columns_that_are_no_inputs_and_derivatives_of_inputs():
         ours.simulate_fmu(example_fmu("switched_input", version="3.0"), fmi_type="CoSimulation", **asked)
 
 
-def test_folders_of_archives_that_cannot_be_unpacked_are_removed(tmp_path, monkeypatch):
+def test_folders_of_bad_archives_are_removed(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
     (tmp_path / "temporary").mkdir()
     path = fmus.write(tmp_path / "m.fmu", STRUCTURE, {"a": "1", "a/b": "2"})
@@ -233,7 +233,7 @@ def test_folders_of_archives_that_cannot_be_unpacked_are_removed(tmp_path, monke
     assert (ours.extract(path, include=lambda name: name != "a/b") / "a").read_text() == "1"
 
 
-def test_inputs_start_values_and_refusals():
+def test_inputs_and_start_values_are_applied():
     path = example_fmu("switched_input")
     signals = np.array([(0, 1), (1, 1), (1, 3), (5, 3)], dtype=[("time", float), ("u", float)])
     result = ours.simulate_fmu(path, stop_time="5", input=signals, start_values={"gear": "2", "enabled": "true"}, output=["y", "u"])
@@ -245,8 +245,9 @@ def test_inputs_start_values_and_refusals():
             ours.simulate_fmu(path, **given)
 
 
-def test_rows_show_both_sides_of_jumps_of_inputs(tmp_path):
-    """As FMPy's test_input: the rows that it has in event mode, also where the model has a step of its own that they do not fit."""
+def test_rows_contain_both_sides_of_input_jumps(tmp_path):
+    """Rows equal those of FMPy's test_input in event mode, even if they do not match the internal step of the
+    model."""
     path = example_fmu("switched_input", version="3.0")
     own_step = fmus.changed(
         "switched_input", tmp_path / "own.fmu", ("<CoSimulation ", '<CoSimulation fixedInternalStepSize="0.1" '), version="3.0"
@@ -262,8 +263,8 @@ def test_rows_show_both_sides_of_jumps_of_inputs(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["ME", "CS"])
-def test_rows_are_the_same_when_times_are_large(kind):
-    """Seconds since 1970 have a last digit of 2.4e-7 s."""
+def test_rows_are_unchanged_when_times_are_large(kind):
+    """Seconds since 1970 have a resolution of 2.4e-7 s."""
     rows = {}
     for start in (0.0, 1.7e9):
         given = ours.simulate_fmu(str(example_fmu("dahlquist", kind=kind)), start_time=start, stop_time=start + 1.05, output_interval=0.1)
@@ -279,7 +280,7 @@ def test_jumps_of_inputs_are_rows_when_times_are_large():
     assert np.count_nonzero(np.abs(result["time"] - 1.7e9 - 0.35) < 1e-6) == 2
 
 
-def test_wrong_times_are_named():
+def test_wrong_times_are_rejected():
     path = example_fmu("bouncing_ball")
     nan, inf = float("nan"), float("inf")
     for wrong, word in [({"stop_time": -1}, "stop_time"), ({"stop_time": nan}, "stop_time"), ({"start_time": inf}, "stop_time"),
@@ -290,7 +291,7 @@ def test_wrong_times_are_named():
     assert ours.simulate_fmu(path, stop_time=1, output="h").dtype.names == ("time", "h")
 
 
-def test_an_instance_by_value_reference(tmp_path):
+def test_instance_is_accessed_by_value_reference(tmp_path):
     """The loop of FMPy's example custom_input."""
     folder = ours.extract(example_fmu("dahlquist", kind="CS"), tmp_path / "folder")
     model = ours.read_model_description(folder)
@@ -310,7 +311,7 @@ def test_an_instance_by_value_reference(tmp_path):
     fmu.freeInstance()
 
 
-def test_csv_files_go_round(tmp_path, capsys):
+def test_csv_files_round_trip(tmp_path, capsys):
     result = ours.simulate_fmu(example_fmu("dahlquist"), stop_time=1)
     ours.write_csv(tmp_path / "r.csv", result)
     again = ours.read_csv(tmp_path / "r.csv")
@@ -325,7 +326,7 @@ def test_csv_files_go_round(tmp_path, capsys):
 # --- PyFMI ------------------------------------------------------------------------------------------------------------
 
 
-def test_options_and_results_of_pyfmi(tmp_path, monkeypatch):
+def test_pyfmi_options_and_results_work(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     model = pyfmi.load_fmu(example_fmu("bouncing_ball"))
     options = model.simulate_options()
@@ -346,7 +347,7 @@ def test_options_and_results_of_pyfmi(tmp_path, monkeypatch):
         model.simulate(final_time=1, options={"CVode_options": {"atol": 1e-6}})
 
 
-def test_the_variables_of_pyfmi():
+def test_pyfmi_variables_work():
     from pydfo.compat.pyfmi.fmi import FMI2_CONTINUOUS, FMI2_OUTPUT, FMI2_PARAMETER, FMI2_REAL
 
     model = pyfmi.load_fmu(str(example_fmu("bouncing_ball")))
@@ -360,7 +361,7 @@ def test_the_variables_of_pyfmi():
     assert model.get_real([model.get_variable_valueref("h")]).tolist() == [1.0]
 
 
-def test_pyfmis_native_loop():
+def test_pyfmi_native_loop_works():
     """The loop of PyFMI's example fmi20_bouncing_ball_native: explicit Euler with events."""
     model = pyfmi.load_fmu(example_fmu("bouncing_ball"))
     model.setup_experiment(start_time=0.0)
@@ -390,8 +391,9 @@ def test_pyfmis_native_loop():
     assert bounces[0] == pytest.approx(fmus.bounces(1)[0], abs=2e-3)
 
 
-def test_pyfmis_native_loop_of_version_1():
-    """The loop of PyFMI's example fmi_bouncing_ball_native: the time is set before the model is initialized, and there are no modes."""
+def test_pyfmi_native_loop_works_for_fmi_1():
+    """The loop of PyFMI's example fmi_bouncing_ball_native: the time is set before the initialization, and there are
+    no modes."""
     model = pyfmi.load_fmu(example_fmu("bouncing_ball", version="1.0", kind="ME"))
     model.time = 0.5
     model.initialize()
@@ -416,7 +418,7 @@ def test_pyfmis_native_loop_of_version_1():
     assert bounces[0] == pytest.approx(0.5 + fmus.bounces(1)[0], abs=2e-3)
 
 
-def test_state_space_and_co_simulation_of_pyfmi():
+def test_pyfmi_state_space_and_co_simulation_work():
     model = pyfmi.load_fmu(example_fmu("van_der_pol"))
     model.initialize()
     a, b, c, d = model.get_state_space_representation(B=False, use_structure_info=False)
@@ -428,7 +430,7 @@ def test_state_space_and_co_simulation_of_pyfmi():
     assert slave.simulate(final_time=1).final("x") == pytest.approx(np.exp(-1), abs=1e-3)
 
 
-def test_names_of_pyfmi_lead_to_its_module() -> None:
+def test_pyfmi_names_refer_to_compat_module() -> None:
     model = FMUModel(example_fmu("dahlquist"))
     for name in ("simulate_options", "get_model_variables"):
         with pytest.raises(AttributeError, match=f"no '{name}', PyFMI's models have: from pydfo.compat.pyfmi import load_fmu"):

@@ -1,4 +1,4 @@
-"""Concurrency without clocks: an objective that waits for others to be there too."""
+"""Concurrency without clocks: an objective waits until other calls are running."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PATIENCE = 10.0
 
 
 @pytest.mark.parametrize("n", [2, 5])
-def test_the_initial_simplex_is_evaluated_at_once(n):
+def test_initial_simplex_is_evaluated_at_once(n):
     barrier = threading.Barrier(n + 1)
 
     def func(x):
@@ -30,7 +30,7 @@ def test_the_initial_simplex_is_evaluated_at_once(n):
     assert res.nfev == n + 1 and len(set(seen)) == n + 1
 
 
-def test_the_four_points_of_a_round_are_evaluated_at_once():
+def test_four_points_of_a_round_are_evaluated_at_once():
     count = 0
     lock = threading.Lock()
     barrier = threading.Barrier(4)
@@ -40,8 +40,9 @@ def test_the_four_points_of_a_round_are_evaluated_at_once():
         with lock:
             count += 1
             mine = count
-        # Shorter evaluations may not be handed over where handing over has just taken long, as on a busy machine. The three
-        # vertices come first, then rounds of four points: the one that is needed and the most probable of those that may be.
+        # Shorter evaluations may not be distributed if distribution has just taken long, as on a busy machine. The
+        # three vertices come first. Rounds of four points follow: the required point and the most probable
+        # alternatives.
         time.sleep(0.1)
         if mine > 3:
             barrier.wait(PATIENCE)
@@ -63,7 +64,7 @@ def test_four_workers_start_four_of_the_vertices_together(n):
     assert fmin(func, np.ones(n), nbr_cores=4, max_iters=2, batch=4, **QUIET).nit == 2
 
 
-def test_one_worker_is_the_calling_thread_and_more_are_not():
+def test_single_worker_is_the_calling_thread():
     here = threading.get_ident()
     threads = set()
 
@@ -92,7 +93,7 @@ def test_callbacks_run_on_the_calling_thread(workers):
     assert threads == {threading.get_ident()}
 
 
-def test_runs_may_be_nested_and_run_side_by_side():
+def test_runs_may_be_nested_and_concurrent():
     def outer(x):
         inner = fmin(lambda y: (y[0] - x[0]) ** 2 + x[0] ** 2, [0.0], nbr_cores=2, **QUIET)
         return inner.fun
@@ -114,7 +115,7 @@ def test_runs_may_be_nested_and_run_side_by_side():
 
 
 def test_other_threads_run_while_workers_wait():
-    # The objective can return only if another Python thread gets the lock meanwhile.
+    # The objective can return only if another Python thread gets the lock in the meantime.
     free = threading.Event()
     asked = threading.Event()
 

@@ -1,4 +1,4 @@
-"""Objectives that are told the cutoff, and give up above it."""
+"""Objectives that receive the cutoff and stop above it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def shifted_gives_up(x, by, *, cutoff=math.inf):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_giving_up_changes_no_decision(method):
+def test_stopping_at_cutoff_changes_no_decision(method):
     run = {**RUN, "method": method, "max_evaluations": 300}
     plain, less = minimize(rosenbrock, **run), minimize(gives_up, **run)
     assert plain.trace.x.tobytes() == less.trace.x.tobytes()
@@ -33,14 +33,14 @@ def test_giving_up_changes_no_decision(method):
     )  # fmt: skip
     given_up = ~np.isnan(less.trace.above)
     assert less.nfail == 0 and np.isnan(less.trace.fun[given_up]).all()
-    # What was given up was above, and what was not given up has the same cost.
+    # Abandoned evaluations were above the cutoff, and all others have equal costs.
     assert (plain.trace.fun[given_up] > less.trace.above[given_up]).all()
     assert plain.trace.fun[~given_up].tobytes() == less.trace.fun[~given_up].tobytes()
-    # The genetic algorithm with its selection by fitness needs every cost, and so do models of the cost.
+    # The genetic algorithm with fitness selection requires every cost, and so do models of the cost.
     assert given_up.any() == (method not in ("ga", "cma-es", "quadratic-model"))
 
 
-def test_every_way_of_calling_gives_the_same_trace():
+def test_trace_is_identical_for_all_evaluators():
     run = {**RUN, "method": "de", "max_evaluations": 200}
     expected = timeless(minimize(gives_up, **run))
     assert timeless(minimize(gives_up, **run, workers=3)) == expected
@@ -52,7 +52,7 @@ def test_every_way_of_calling_gives_the_same_trace():
     assert timeless(minimize(functools.partial(shifted_gives_up, by=np.zeros(2)), **run)) == expected
 
 
-def test_only_a_keyword_of_its_own_asks_for_the_cutoff():
+def test_cutoff_is_passed_only_to_keyword_only_parameter():
     def positional(x, cutoff=3.0):
         assert cutoff == 3.0
         return rosenbrock(x)
@@ -69,7 +69,7 @@ def test_only_a_keyword_of_its_own_asks_for_the_cutoff():
         minimize(gives_up, **RUN, vectorized=True)
 
 
-def test_giving_up_too_early_is_a_failure_and_a_cutoff_is_a_number():
+def test_stopping_below_cutoff_is_a_failure():
     def early(x, *, cutoff):
         return Above(1.0) if x[0] > 0.0 else rosenbrock(x)
 

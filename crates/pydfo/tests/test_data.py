@@ -1,4 +1,4 @@
-"""Recordings in all the shapes that people have them in: one calibration, the same cost."""
+"""Recordings in all supported forms: one calibration with equal costs."""
 
 from __future__ import annotations
 
@@ -54,12 +54,12 @@ def in_memory():
 
 
 @pytest.mark.parametrize(("shape", "data", "own"), [pytest.param(*one, id=one[0]) for one in in_memory()])
-def test_tables_in_memory(shape, data, own):
-    # 32-bit floats and rounded durations differ a little
+def test_tables_in_memory_are_read(shape, data, own):
+    # 32-bit floats and rounded durations cause small differences
     assert cost(data, **own) == pytest.approx(COST, rel=1e-6)
 
 
-def test_polars_and_xarray():
+def test_polars_and_xarray_are_read():
     pl = pytest.importorskip("polars")
     assert cost(pl.DataFrame({"time": TIME, "x": X})) == COST
     assert cost(pl.DataFrame({"time": dates(), "x": X})) == pytest.approx(COST, rel=1e-12)
@@ -69,7 +69,7 @@ def test_polars_and_xarray():
     assert cost(array.to_dataset()) == pytest.approx(COST, rel=1e-12)
 
 
-def test_missing_values_are_left_out():
+def test_missing_values_are_ignored():
     holes = X.copy()
     holes[3] = np.nan
     expected = cost({"time": TIME, "x": holes})
@@ -101,7 +101,7 @@ def write_mat73(folder):
 
 
 @pytest.mark.parametrize("write", [write_mat, write_mat73])
-def test_matlab_files(tmp_path, write):
+def test_matlab_files_are_read(tmp_path, write):
     path = write(tmp_path)
     for column in ("x", "Y[1]", "rig.x"):
         assert cost(path, column) == COST
@@ -112,7 +112,7 @@ def test_matlab_files(tmp_path, write):
         cost(path, time="t")
 
 
-def test_other_lengths_are_named(tmp_path):
+def test_columns_of_other_lengths_are_listed(tmp_path):
     with pytest.raises(BadCalibrationError, match=r"no column 'gain'.*Of another length than the times: rig \(a struct: rig.field\), gain \(1 x 1\)"):
         cost(write_mat(tmp_path), "gain")
 
@@ -146,7 +146,7 @@ def write_parquet(folder):
 
 
 @pytest.mark.parametrize(("write", "time"), [(write_excel, None), (write_excel_with_dates, "when"), (write_parquet, None)])
-def test_excel_and_parquet(tmp_path, write, time):
+def test_excel_and_parquet_files_are_read(tmp_path, write, time):
     assert cost(write(tmp_path), time=time) == pytest.approx(COST, rel=1e-9)
 
 
@@ -156,7 +156,7 @@ def write_csv(folder):
 
 
 @pytest.mark.parametrize("write", [write_csv, write_excel, write_mat, write_parquet])
-def test_the_record_of_a_fit_has_the_hash_of_the_file(tmp_path, write):
+def test_fit_records_hash_of_data_file(tmp_path, write):
     path = write(tmp_path)
     fit = Calibration(example_fmu("dahlquist"), path, ["x"], [Parameter("k", 1, 0, 5)]).fit()
     recorded = json.loads(fit.to_json())["problem"]["experiments"][0]["data"]
@@ -164,7 +164,7 @@ def test_the_record_of_a_fit_has_the_hash_of_the_file(tmp_path, write):
 
 
 @pytest.mark.parametrize("file", [".mat", ".parquet", ".xlsx"])
-def test_files_that_are_something_else(tmp_path, file):
+def test_files_with_wrong_format_are_rejected(tmp_path, file):
     pytest.importorskip({".mat": "scipy", ".parquet": "pyarrow", ".xlsx": "openpyxl"}[file])
     path = tmp_path / f"run{file}"
     with pytest.raises(FileNotFoundError):
@@ -175,7 +175,7 @@ def test_files_that_are_something_else(tmp_path, file):
 
 
 @pytest.mark.parametrize("write", [write_mat, write_mat73])
-def test_a_matlab_file_that_ends_its_reader_is_refused(tmp_path, monkeypatch, write):
+def test_matlab_file_that_crashes_its_reader_is_rejected(tmp_path, monkeypatch, write):
     path = write(tmp_path)
     monkeypatch.setattr("pydfo._calibration.data_files._RUN", "import os; os._exit(139)")
     with pytest.raises(BadCalibrationError, match=r"run.*or it is damaged: the process that read it ended with code 139"):
@@ -197,7 +197,7 @@ def test_damaged_matlab_files_never_end_python(tmp_path):
 
 
 @pytest.mark.parametrize(("file", "module", "package"), [(".mat", "scipy.io", "scipy"), (".xlsx", "openpyxl", "openpyxl")])
-def test_a_library_that_is_missing_is_asked_for_by_name(tmp_path, monkeypatch, file, module, package):
+def test_missing_library_is_named(tmp_path, monkeypatch, file, module, package):
     path = tmp_path / f"run{file}"
     path.write_bytes(b"?" * 200)
     monkeypatch.setitem(__import__("sys").modules, module, None)
@@ -228,17 +228,17 @@ def test_a_library_that_is_missing_is_asked_for_by_name(tmp_path, monkeypatch, f
         ("run.h5", {}, r"run\.h5: \.h5 files are not read; CSV, \.mat, \.parquet and \.xlsx files are"),
     ],
 )
-def test_what_is_wrong_says_where(data, own, message):
+def test_errors_state_their_position(data, own, message):
     with pytest.raises(BadCalibrationError, match=message):
         cost(data, **own)
 
 
-def test_plain_arrays_have_no_names():
+def test_arrays_without_names_are_rejected():
     with pytest.raises(TypeError, match=r"columns have no names; give a dict, \{'time': t, 'y': y\}"):
         cost(np.stack((TIME, X)))
 
 
-def test_units_that_are_not_converted_are_said():
+def test_unconverted_units_are_reported():
     with pytest.warns(CalibrationWarning, match=r"'x \[mm\]' is taken in the unit of 'x', without conversion: the model states no unit"):
         Calibration(example_fmu("dahlquist"), {"time": TIME, "x [mm]": X}, ["x"], [Parameter("k", 1.0, 0.1, 10.0)])
 
@@ -255,7 +255,7 @@ def test_columns_are_converted_to_the_units_of_the_model():
         Calibration(example_fmu("furuta"), {"time": radians["time"], "phi [mm]": radians["phi"]}, {"armJoint.phi": "phi"}, frictions)
 
 
-def test_the_published_recordings_are_read_as_they_are():
+def test_published_recordings_are_read():
     if not (recordings.PUBLISHED / "FurutaData.mat").is_file():
         pytest.skip("the published recordings are not at hand")
     pytest.importorskip("scipy")
@@ -283,15 +283,15 @@ def write_far(folder):
     return folder / "far.xlsx"
 
 
-def test_a_cell_far_away_is_left_out(tmp_path):
+def test_distant_cell_is_ignored(tmp_path):
     assert cost(write_far(tmp_path)) == pytest.approx(COST, rel=1e-12)
 
 
 @pytest.mark.parametrize("write", [write_mat, write_mat73, write_parquet])
-def test_more_than_a_file_may_hold_is_refused_before_it_is_read(tmp_path, monkeypatch, write):
+def test_oversized_columns_are_rejected_before_reading(tmp_path, monkeypatch, write):
     path = write(tmp_path)
     monkeypatch.setattr("os.path.getsize", lambda path: 0)
-    # Those that are needed, and no others.
+    # Only the required columns count.
     monkeypatch.setattr("pydfo._calibration.data_files.MOST_BYTES", 2 * 8 * TIME.size)
     assert cost(path) == pytest.approx(COST, rel=1e-9)
     monkeypatch.setattr("pydfo._calibration.data_files.MOST_BYTES", 2 * 8 * TIME.size - 1)
@@ -301,7 +301,7 @@ def test_more_than_a_file_may_hold_is_refused_before_it_is_read(tmp_path, monkey
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes")
 @pytest.mark.parametrize("file", [".csv", ".mat", ".parquet", ".xlsx"])
-def test_named_pipes_are_not_waited_for(tmp_path, file):
+def test_named_pipes_are_rejected(tmp_path, file):
     os.mkfifo(tmp_path / f"run{file}")
     with pytest.raises(OSError, match="no regular file"):
         cost(tmp_path / f"run{file}")
@@ -315,7 +315,7 @@ def test_experiments_are_copied_with_their_recordings(tmp_path):
         assert Calibration(example_fmu("dahlquist"), [other], [Parameter("k", 1.0, 0.1, 10.0)]).cost([1.0]) == pytest.approx(COST)
 
 
-def test_a_clock_that_was_changed_is_said():
+def test_clock_changes_are_reported():
     night = np.datetime64("2024-03-31T00:00:00") + 600 * np.arange(30)
     moved = np.where(night >= np.datetime64("2024-03-31T02:00:00"), night + 3600, night)
     x = np.ones(30)
@@ -327,7 +327,7 @@ def test_a_clock_that_was_changed_is_said():
         cost({"time": back, "x": x})
 
 
-def test_masks_choose_rows():
+def test_mask_selects_rows():
     keep = TIME < 1
     expected = cost({"time": TIME, "x": np.where(keep, X, np.nan)})
     assert cost({"time": TIME, "x": X}, mask=keep) == expected
@@ -343,7 +343,7 @@ def test_masks_choose_rows():
         cost({"time": TIME, "x": X}, mask="good")
 
 
-def test_resampling_takes_means():
+def test_resampling_averages_rows():
     by_hand = {"time": TIME[:40].reshape(-1, 4).mean(axis=1), "x": X[:40].reshape(-1, 4).mean(axis=1)}
     assert cost({"time": TIME[:40], "x": X[:40]}, resample=0.2) == pytest.approx(cost(by_hand), rel=1e-9)
     with pytest.raises(BadCalibrationError, match="rows every 0.01 s cannot be made of rows every 0.05"):
@@ -368,7 +368,7 @@ def tank(data, **own):
         (lambda d: {k: v for k, v in d.items() if k != "u2"}, {"inputs": ["u1"]}, "input 'u2': nothing drives it"),
     ],
 )
-def test_a_check_names_mistakes(change, own, said):
+def test_check_reports_mistakes(change, own, said):
     check = tank(change(recordings.quad_tank("own")), **own).check()
     assert check and not check.ok
     assert any(__import__("re").search(said, f"{f.subject}: {f.sentence}") for f in check), str(check)
@@ -376,9 +376,9 @@ def test_a_check_names_mistakes(change, own, said):
 
 
 @pytest.mark.parametrize("which", recordings.at_hand("qt_par_est_data.mat"))
-def test_a_check_is_silent_on_sound_recordings(which):
+def test_check_accepts_sound_recordings(which):
     check = tank(recordings.quad_tank(which)).check()
-    # True where anything is found, as every sequence; notes are no mistakes.
+    # The check is true if it contains findings, as every sequence; notes are not mistakes.
     assert check.ok and bool(check) == (len(check) > 0) and {f.severity for f in check} <= {"note"}, str(check)
     assert [f.severity for f in check] == ["note"] and tuple(check) == check[:]
     outputs = {"armJoint.phi": "phi", "pendulumJoint.phi": "theta"}
@@ -394,7 +394,7 @@ def test_a_check_is_silent_on_sound_recordings(which):
     assert (check := exhaust.check()).ok, str(check)
 
 
-def test_recordings_are_drawn():
+def test_recordings_are_plotted():
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("Agg")
     figure = tank(recordings.quad_tank("own"), window=(10, 50)).plot_data()
@@ -426,7 +426,7 @@ def test_datetimes_with_a_zone_are_converted_to_utc_when_clocks_change(zone, sta
 
 
 def averaged(weights, resample, sigma=0.1, **more):
-    """The offset of a decay with a prior: its closed form is known for all rows."""
+    """Returns the offset of a decay with a prior, which has a closed form for all rows."""
     n = 400
     times = np.linspace(0.0, 2.0, n)
     noise = sigma * np.random.default_rng(3).standard_normal(n)
@@ -441,11 +441,12 @@ def averaged(weights, resample, sigma=0.1, **more):
 
 @pytest.mark.parametrize("weights", [10.0, "w", np.full(400, 10.0)], ids=["number", "column", "rows"])
 @pytest.mark.parametrize("resample", [None, 0.05, 0.2])
-def test_means_have_the_root_of_the_sum_of_squared_weights_when_resampled(weights, resample):
+def test_resampled_means_have_combined_weights(weights, resample):
     fit, expected, error = averaged(weights, resample)
-    # A mean of a decay over an interval differs from the decay at its middle by interval^2 / 24.
+    # The mean of a decay over an interval differs from its middle value by interval^2 / 24.
     assert fit.x[0] == pytest.approx(expected, abs=(resample or 0.0) ** 2 / 24 + 1e-6)
-    # It is that of the residuals, whose variance n means tell to 1 / sqrt(2 n) of its root.
+    # The standard error uses the residual variance, whose square root n means determine with the relative error 1 /
+    # sqrt(2 n).
     n = 400 if resample is None else round(2.0 / resample) + 1
     assert fit.uncertainty.stderr[0] == pytest.approx(error, rel=2.0 / np.sqrt(2 * n))
 
@@ -473,7 +474,7 @@ def test_boolean_inputs_keep_their_changes_when_resampled():
         parameter = Parameter("x0", 0.1, -1.0, 1.0, offset_of="x")
         return Calibration(example_fmu("switched_input"), data, ["x"], [parameter], inputs=["u", "enabled"], resample=resample, start_time=0.0)
 
-    # A mean over an interval with a kink of the slope by 1 is off by less than an eighth of the interval.
+    # A mean over an interval with a change of slope by 1 differs by less than an eighth of the interval.
     fit = calibration(0.1).fit()
     assert abs(fit.x[0]) < 5e-3 and fit.rms < 0.1 / 8
 
@@ -502,7 +503,7 @@ def test_weights_are_converted_with_the_unit_of_their_column(weights):
     assert fit.fun == pytest.approx(expected.fun, rel=1e-6)
 
 
-def test_a_window_takes_the_rows_at_its_ends_when_they_differ_by_rounding():
+def test_window_includes_its_ends_despite_rounding():
     times = 1.7e9 + 0.1 * np.arange(20)
     data = {"time": times, "x": np.ones(20)}
     for window, n in (((times[3] + 2e-7, times[7] - 2e-7), 5), ((1.7e9, 1.7e9 + 0.3), 4)):

@@ -1,4 +1,4 @@
-"""Model descriptions: bundled models, a hand-made one with everything, many variables."""
+"""Model descriptions: bundled models, a handmade one with all features, many variables."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from pydfo import FMUModel, example_fmu, read_description
 
 
-def test_furuta():
+def test_furuta_description_is_complete():
     d = FMUModel(example_fmu("furuta")).description
     assert (d.fmi_version, d.model_name, d.n_states, d.n_event_indicators) == ("2.0", "Furuta", 4, 4)
     assert d.guid.startswith("{") and d.quirks == []
@@ -45,7 +45,7 @@ def test_variables_are_a_mapping():
         variables[3]
 
 
-def test_attributes():
+def test_variables_have_their_attributes():
     variables = FMUModel(example_fmu("furuta")).description.variables
     v = variables["armFriction"]
     assert (v.type, v.causality, v.variability, v.initial) == ("Real", "parameter", "tunable", "exact")
@@ -79,7 +79,7 @@ FULL_BEFORE = """
 """
 
 
-def test_everything(tmp_path):
+def test_all_elements_are_read(tmp_path):
     head = 'author="A" version="1.2" copyright="C" license="L" generationTool="Hand 1" generationDateAndTime="2026-01-01T00:00:00Z"'
     structure = '<Derivatives><Unknown index="2"/></Derivatives>'
     path = fmus.write(tmp_path / "m.fmu", fmus.xml(FULL, before=FULL_BEFORE, head=head, structure=structure))
@@ -99,7 +99,7 @@ def test_everything(tmp_path):
     assert [(i.name, i.value) for i in d.type_definitions["Color"].items] == [("red", 1), ("blue", 2)]
 
 
-def test_quirks(tmp_path):
+def test_quirks_are_reported(tmp_path):
     odd = '<ScalarVariable name="x" valueReference="1"><Real unit="furlong" nominal="0"/></ScalarVariable>'
     d = read_description(fmus.write(tmp_path / "m.fmu", fmus.xml(odd)))
     assert {"undefined", "range"} <= {quirk.kind for quirk in d.quirks}
@@ -127,7 +127,7 @@ def test_other_versions_are_described(tmp_path, version):
     assert repr(FMUModel(path)).startswith(f"<FMUModel: M, FMI {version} ME")
 
 
-def test_100_000_variables(tmp_path):
+def test_description_with_100_000_variables_is_read(tmp_path):
     one = '<ScalarVariable name="a.v[{0}]" valueReference="{0}" causality="parameter" variability="fixed"><Real start="{0}"/></ScalarVariable>'
     path = fmus.write(tmp_path / "m.fmu", fmus.xml("".join(one.format(k) for k in range(100_000))))
     model = FMUModel(path)
@@ -140,7 +140,7 @@ def test_100_000_variables(tmp_path):
         model.get("a.v[999999]")
 
 
-def test_terminals(tmp_path):
+def test_terminals_are_read(tmp_path):
     assert read_description(example_fmu("dahlquist")).terminals == []
     path = tmp_path / "terminals.fmu"
     shutil.copy(example_fmu("dahlquist"), path)
@@ -165,7 +165,7 @@ ALIASES = """<fmiModelDescription fmiVersion="3.0" modelName="M" instantiationTo
 variability="fixed" start="text"/></ModelVariables><ModelStructure><Output valueReference="1"/></ModelStructure></fmiModelDescription>"""
 
 
-def test_aliases_are_variables(tmp_path):
+def test_aliases_are_listed_as_variables(tmp_path):
     description = read_description(fmus.write(tmp_path / "m.fmu", ALIASES))
     variables = description.variables
     assert list(variables) == ["T", "sensor.T", "s"] and len(variables) == 3
@@ -176,7 +176,7 @@ def test_aliases_are_variables(tmp_path):
     assert variables["s"].start == "text" and [quirk.kind for quirk in description.quirks] == ["start"]
 
 
-def test_variables_are_a_table(tmp_path):
+def test_variables_print_as_table(tmp_path):
     variables = read_description(fmus.write(tmp_path / "m.fmu", ALIASES)).variables
     lines = str(variables).splitlines()
     assert lines[0].split() == ["name", "type", "causality", "variability", "start", "unit", "description"]

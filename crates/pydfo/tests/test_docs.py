@@ -1,4 +1,4 @@
-"""The documentation: examples that are true, and something said about everything public."""
+"""The documentation: examples are correct, and every public name is documented."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ MODULES = [f"pydfo.{module.name}" for module in pkgutil.walk_packages(pydfo.__pa
 
 
 @pytest.mark.parametrize("name", [m for m in MODULES if m != "pydfo._core"])
-def test_examples_are_true(name):
+def test_docstring_examples_are_correct(name):
     module = importlib.import_module(name)
     failed, _ = doctest.testmod(module, optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
     assert failed == 0 and module.__doc__
 
 
-def test_the_import_waits_with_what_is_not_used():
-    """Neither numpy nor most of the package; and a name that is none is told as such."""
+def test_import_defers_unused_modules():
+    """The import loads neither numpy nor most of the package, and an unknown name is rejected."""
     program = """
 import sys, pydfo
 assert not {"numpy", "pydfo._calibration.calibration", "pydfo._model.model"} & set(sys.modules)
@@ -37,7 +37,7 @@ assert pydfo.dfo is dfo is sys.modules["pydfo.dfo"]
 
 
 @pytest.mark.parametrize("name", sorted(set(pydfo.__all__) - {"__version__"}))
-def test_everything_public_is_documented(name):
+def test_public_names_are_documented(name):
     thing = getattr(pydfo, name)
     assert inspect.getdoc(thing)
     for member, value in vars(thing).items() if inspect.isclass(thing) else ():

@@ -1,4 +1,4 @@
-"""A co-simulation of FMI 3.0 that ends its steps early, beside FMPy, an independent importer."""
+"""A co-simulation of FMI 3.0 that ends its steps early, compared with FMPy, an independent importer."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def test_events_end_steps_early(path):
     assert res.events.time == pytest.approx([1.7, 2.7], abs=1e-14) and set(res.events.kind) == {"step"}
 
 
-def test_fmpy_agrees(path):
+def test_early_return_agrees_with_fmpy(path):
     from fmpy.validation import validate_fmu
 
     assert validate_fmu(str(path)) == []
-    # Both hold u between the communication points; x stays below the level, so there is no event.
+    # Both hold u constant between the communication points; x stays below the level, so there is no event.
     table = np.array([(0.0, 0.0), (4.0, 0.4)], dtype=[("time", float), ("u", float)])
     theirs = fmpy.simulate_fmu(
         str(path), stop_time=3.0, step_size=0.5, output_interval=0.5, input=table, output=["x", "w"], record_events=False

@@ -1,4 +1,4 @@
-"""What the process does does not reach FMUs."""
+"""Changes of the process environment do not reach FMUs."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from pydfo import FMUModel
 
 @pytest.fixture
 def comma(tmp_path, monkeypatch):
-    """A locale with a decimal comma; the locale of the process is put back."""
+    """Sets a locale with a decimal comma, and restores the locale of the process."""
     made = tmp_path / "locales" / "xx_XX"
     made.parent.mkdir()
     tool = shutil.which("localedef")
-    # It warns, and says so by its status, of what does not matter here.
+    # Its warnings, and its exit status, are irrelevant here.
     if tool is not None:
         subprocess.run([tool, "-c", "-i", "de_DE", "-f", "UTF-8", made], capture_output=True, check=False)
     if not made.is_dir():
@@ -32,7 +32,7 @@ def comma(tmp_path, monkeypatch):
     locale.setlocale(locale.LC_ALL, before)
 
 
-def test_a_decimal_comma_does_not_reach_the_model(tmp_path, comma):
+def test_decimal_comma_does_not_affect_the_model(tmp_path, comma):
     path = fmus.evil(tmp_path / "m.fmu", "USES_STRTOD")
     truth = FMUModel(path).simulate(ncp=10)
     assert truth.final("y") == pytest.approx(math.exp(-1.5), abs=1e-5)

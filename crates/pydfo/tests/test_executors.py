@@ -1,4 +1,4 @@
-"""Fits and minimisations on executors: the result of one process, whatever happens to the others."""
+"""Fits and minimisations on executors: the result equals that of one process despite lost processes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def same(one, other):
 
 @pytest.mark.parametrize("method", ["nelder-mead", "de", "cma-es", "quadratic-model", "pattern-search"])
 @pytest.mark.parametrize("pool", [concurrent.futures.ThreadPoolExecutor, concurrent.futures.ProcessPoolExecutor])
-def test_points_go_one_by_one_and_change_nothing(method, pool):
+def test_executor_result_equals_serial_result(method, pool):
     def run(workers):
         return pydfo.minimize(
             slow_cost, [0.2, 0.3], [(-2, 2)] * 2, method, workers=workers, rng=3, max_evaluations=80, options={}
@@ -49,7 +49,7 @@ def residuals(x):
     return x[0] * np.exp(-x[1] * t) - 2.0 * np.exp(-0.7 * t) + 0.05 * np.cos(9.0 * t)
 
 
-def test_a_global_search_by_residuals_is_the_same_by_any_workers():
+def test_global_least_squares_is_identical_for_all_workers():
     def run(workers, **more):
         return pydfo.least_squares(residuals, [1.0] * 2, [(0, 5)] * 2, search="global", rng=5, max_evaluations=200, workers=workers, **more)
 
@@ -73,7 +73,7 @@ def test_a_global_search_by_residuals_is_the_same_by_any_workers():
     np.testing.assert_array_equal(vectorized.cov, alone.cov)
 
 
-def test_an_executor_that_breaks_ends_the_run_with_the_best_point():
+def test_broken_executor_ends_run_with_best_point():
     with concurrent.futures.ProcessPoolExecutor(2) as executor:
         with pytest.raises(concurrent.futures.BrokenExecutor) as caught:
             pydfo.minimize(point_that_kills, [-1.2, 1.0], [(-2, 2)] * 2, "nelder-mead", workers=executor)
@@ -82,7 +82,7 @@ def test_an_executor_that_breaks_ends_the_run_with_the_best_point():
 
 
 class Losing(concurrent.futures.ThreadPoolExecutor):
-    """Loses every seventh task, as a cluster does whose machines go."""
+    """Loses every seventh task, like a cluster that loses machines."""
 
     def __init__(self):
         super().__init__(2)
@@ -98,7 +98,7 @@ class Losing(concurrent.futures.ThreadPoolExecutor):
 
 
 @pytest.mark.parametrize("method", ["de", "nelder-mead", "pattern-search"])
-def test_points_that_an_executor_loses_are_evaluated_again(method):
+def test_lost_points_are_evaluated_again(method):
     asked = {"bounds": [(-2, 2)] * 2, "method": method, "rng": 1, "max_evaluations": 200}
     with Losing() as executor:
         result = pydfo.minimize(slow_cost, [-1.2, 1.0], workers=executor, **asked)
@@ -107,7 +107,7 @@ def test_points_that_an_executor_loses_are_evaluated_again(method):
 
 
 class LosingAll(concurrent.futures.ThreadPoolExecutor):
-    """Loses all tasks after the first 30, as a cluster does whose scheduler is gone."""
+    """Loses all tasks after the first 30, like a cluster that has lost its scheduler."""
 
     def __init__(self):
         super().__init__(2)
@@ -122,7 +122,7 @@ class LosingAll(concurrent.futures.ThreadPoolExecutor):
         return super().submit(fn, *args, **kwargs)
 
 
-def test_a_point_that_is_always_lost_ends_the_run_and_is_evaluated_on_resume(tmp_path):
+def test_repeatedly_lost_point_ends_run_and_is_evaluated_on_resume(tmp_path):
     asked = {"bounds": [(-2, 2)] * 2, "method": "de", "rng": 1, "max_evaluations": 90}
     path = tmp_path / "run.ckpt"
     with LosingAll() as executor:
@@ -134,14 +134,14 @@ def test_a_point_that_is_always_lost_ends_the_run_and_is_evaluated_on_resume(tmp
     assert (resumed.x.tobytes(), resumed.fun, resumed.nfev) == (whole.x.tobytes(), whole.fun, whole.nfev)
 
 
-def test_a_fit_whose_points_are_lost_is_not_converged():
+def test_fit_with_lost_points_is_not_converged():
     with LosingAll() as executor, pytest.raises(pydfo.FmuError, match="lost the same point 3 times .*the scheduler is gone") as caught:
         decay().fit("de", workers=executor, rng=1, max_evaluations=200)
     fit = caught.value.partial_result
     assert not fit.success and fit.nfail == 0 and 3 < fit.nfev < 40 and np.isfinite(fit.cost)
 
 
-def test_a_fit_names_answers_that_were_lost():
+def test_fit_reports_lost_results():
     with Losing() as executor:
         fit = decay().fit("de", workers=executor, rng=1, max_evaluations=60)
     alone = decay().fit("de", workers=1, rng=1, max_evaluations=60)
@@ -157,7 +157,7 @@ def hang_above(x):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="faults of an FMU are made for Linux")
 @pytest.mark.parametrize("pool", [concurrent.futures.ThreadPoolExecutor, concurrent.futures.ProcessPoolExecutor])
-def test_the_time_limit_ends_a_fit_of_a_hanging_model_on_an_executor(tmp_path, pool):
+def test_time_limit_ends_fit_of_hanging_model_on_executor(tmp_path, pool):
     fmu = evil(tmp_path / "hangs.fmu", "FAULT_ABOVE=2.2", "FAULT=hang()")
     data = {"time": TIMES, "y": np.exp(-1.7 * TIMES)}
     calibration = pydfo.Calibration(fmu, data, {"y": "y"}, [pydfo.Parameter("k", 1, 0.1, 5)])
@@ -181,14 +181,14 @@ def test_too_many_failures_end_a_run():
         pydfo.minimize(failing, **{**asked, "options": {"max_failed": 2}})
 
 
-def test_functions_that_raise_end_the_run():
+def test_exceptions_end_the_run():
     def wrong(x):
         raise RuntimeError("no")
 
     with concurrent.futures.ThreadPoolExecutor(2) as executor:
         with pytest.raises(RuntimeError, match="no"):
             pydfo.minimize(wrong, [1.0], [(-2, 2)], "nelder-mead", workers=executor)
-        # It is the user's, and goes on.
+        # The executor belongs to the user and continues to work.
         assert executor.submit(lambda: 3).result() == 3
 
 
@@ -196,13 +196,13 @@ TIMES = np.linspace(0, 1, 21)
 
 
 def decay(**more):
-    """x = exp(-1.7 t), which x' = -k x follows at k = 1.7."""
+    """Returns a calibration of x' = -k x with x = exp(-1.7 t), so k = 1.7."""
     data = {"time": TIMES, "x": np.exp(-1.7 * TIMES)}
     return pydfo.Calibration(pydfo.example_fmu("dahlquist"), data, ["x"], [pydfo.Parameter("k", 1, 0.1, 5)], **more)
 
 
 @pytest.mark.parametrize("method", ["least-squares", "nelder-mead", "de"])
-def test_a_fit_on_an_executor_is_that_of_one_process(method):
+def test_fit_on_executor_equals_local_fit(method):
     alone = decay().fit(method, workers=1, rng=1, max_evaluations=60)
     with concurrent.futures.ProcessPoolExecutor(2) as executor:
         fit = decay().fit(method, workers=executor, rng=1, max_evaluations=60)
@@ -211,7 +211,7 @@ def test_a_fit_on_an_executor_is_that_of_one_process(method):
     assert fit.stats.right_hand_sides > alone.stats.right_hand_sides / 2
 
 
-def test_robust_losses_stages_and_estimated_noise_travel_too():
+def test_robust_losses_stages_and_noise_work_on_executor():
     times = np.linspace(0, 2, 30)
     data = {"time": times, "x": np.exp(-1.7 * times) + 0.01 * np.sin(37 * times)}
     prior = pydfo.Parameter("k", 1, 0.1, 5, prior=pydfo.Normal(1.5, 0.3))
@@ -225,7 +225,7 @@ def test_robust_losses_stages_and_estimated_noise_travel_too():
             assert (one.x.tobytes(), one.cost, one.nfev) == (other.x.tobytes(), other.cost, other.nfev), asked
 
 
-def test_a_model_travels_where_it_is_not(tmp_path, monkeypatch):
+def test_missing_model_is_sent_to_worker(tmp_path, monkeypatch):
     from pydfo._calibration import simulation_executor as _engine
 
     calibration = decay()
@@ -246,10 +246,10 @@ def test_a_model_travels_where_it_is_not(tmp_path, monkeypatch):
     assert _engine.simulate("key", problem, *point, loss).what == "model"
     _, answer = _engine.simulate("key", problem._replace(model=model), *point, loss)
     again = _engine.simulate("key", None, *point, loss)[1]
-    # Outcome, residuals and work stand before the checks, which the second simulation alone makes, and the times.
+    # Outcome, residuals and work precede the times and the checks, which only the second simulation makes.
     assert answer[: answer.index(b"checks")] == again[: again.index(b"checks")]
     (kept,) = tmp_path.glob("fmufit-models-*/*.fmu")
-    # Another model at the same path is not taken for it.
+    # Another model at the same path is not used instead.
     path.write_bytes(open(pydfo.example_fmu("bouncing_ball"), "rb").read())
     monkeypatch.setattr(_engine, "_problems", {})
     assert _engine.simulate("key", problem, *point, loss)[1][:20] == answer[:20]
@@ -265,7 +265,7 @@ def test_a_model_travels_where_it_is_not(tmp_path, monkeypatch):
 
 
 def calibration_loss(calibration):
-    """The linear loss as it travels."""
+    """Returns the linear loss in its serialized form."""
     seen = []
 
     class Watching(concurrent.futures.ThreadPoolExecutor):
@@ -279,7 +279,7 @@ def calibration_loss(calibration):
 
 
 class Cancelling(concurrent.futures.ThreadPoolExecutor):
-    """Cancels every seventh task by itself."""
+    """An executor that cancels every seventh task."""
 
     count = 0
 
@@ -293,7 +293,7 @@ class Cancelling(concurrent.futures.ThreadPoolExecutor):
         return super().submit(fn, *args, **kwargs)
 
 
-def test_tasks_that_are_cancelled_elsewhere_are_evaluated_again():
+def test_externally_cancelled_tasks_are_evaluated_again():
     with Cancelling(2) as executor:
         asked = {"bounds": [(-2, 2)] * 2, "method": "de", "rng": 1, "max_evaluations": 120}
         result = pydfo.minimize(slow_cost, [-1.2, 1.0], workers=executor, **asked)
@@ -303,7 +303,7 @@ def test_tasks_that_are_cancelled_elsewhere_are_evaluated_again():
         pydfo.minimize(slow_cost, [-1.2, 1.0], workers=concurrent.futures.ThreadPoolExecutor)
 
 
-def test_costs_above_the_cutoff_are_the_same_for_all_kinds_of_workers():
+def test_costs_above_cutoff_are_identical_for_all_workers():
     def cost(x, *, cutoff):
         return slow_cost(x)
 
@@ -316,7 +316,7 @@ def test_costs_above_the_cutoff_are_the_same_for_all_kinds_of_workers():
 
 
 def kills_once(x, marker):
-    """Kills its process at the first point in a region, once."""
+    """Kills its process once, at the first point in a region."""
     if x[0] > 0.4:
         try:
             os.close(os.open(marker, os.O_CREAT | os.O_EXCL))
@@ -327,7 +327,7 @@ def kills_once(x, marker):
     return slow_cost(x)
 
 
-def test_joblib_changes_nothing():
+def test_joblib_result_equals_serial_result():
     loky = pytest.importorskip("joblib.externals.loky")
     asked = {"bounds": [(-2, 2)] * 2, "rng": 3, "max_evaluations": 120}
     executor = loky.get_reusable_executor(2)
@@ -345,7 +345,7 @@ def test_joblib_changes_nothing():
         executor.shutdown(kill_workers=True)
 
 
-def test_dask_evaluates_again_what_a_killed_process_had(tmp_path):
+def test_dask_repeats_tasks_of_killed_process(tmp_path):
     distributed = pytest.importorskip("distributed")
     marker = str(tmp_path / "killed")
     asked = {"bounds": [(-2, 2)] * 2, "method": "de", "rng": 3, "max_evaluations": 120, "args": (marker,)}
@@ -353,5 +353,5 @@ def test_dask_evaluates_again_what_a_killed_process_had(tmp_path):
     with cluster, distributed.Client(cluster) as client:
         result = pydfo.minimize(kills_once, [0.2, 0.3], workers=client.get_executor(pure=False), **asked)
     assert os.path.exists(marker) and result.nfail == 0
-    # The marker is there: nothing is killed any more.
+    # The marker exists, so no further process is killed.
     same(result, pydfo.minimize(kills_once, [0.2, 0.3], workers=1, **asked))

@@ -13,7 +13,7 @@ AT_HAND = recordings.at_hand("exhaust_measurements.csv")
 STATES = ["p1", "T1", "Tw1", "p2", "T2", "Tw2"]
 
 
-def test_flows_and_derivatives_at_one_point():
+def test_flows_and_derivatives_match_reference():
     model = FMUModel(example_fmu("exhaust"))
     model.set(STATES, [1.5e5, 700, 650, 1.1e5, 620, 580])
     model.set(INPUTS, [800, 2.2e5, 5000, 4000, 1.03e5])
@@ -24,7 +24,7 @@ def test_flows_and_derivatives_at_one_point():
     assert derivatives == pytest.approx(expected, rel=5e-8)
 
 
-def test_the_names_and_start_values():
+def test_names_and_start_values_match_model():
     description = FMUModel(example_fmu("exhaust")).description
     assert description.inputs == INPUTS
     assert [v.name for v in description.variables.values() if v.causality == "output"] == ["T_out"]
@@ -32,8 +32,8 @@ def test_the_names_and_start_values():
     assert {name: description.variables[name].start for name in nominal} == nominal
 
 
-def test_the_nominal_model_answers_a_recording_of_its_own():
-    """The recording is the nominal model's answer with a noise of 2 K: that is what remains."""
+def test_nominal_model_reproduces_generated_recording():
+    """The recording is the nominal response with a noise of 2 K, so the residuals are this noise."""
     record = recordings.exhaust("own")
     calibration = Calibration(
         example_fmu("exhaust"), record, ["T_out"], [Parameter("C1", 2500.0, 250.0, 25000.0)], inputs=INPUTS, solver="radau5"
@@ -44,7 +44,7 @@ def test_the_nominal_model_answers_a_recording_of_its_own():
 
 
 @pytest.mark.parametrize("which", AT_HAND[1:])
-def test_the_nominal_trajectory(which):
+def test_nominal_trajectory_matches_reference(which):
     data = recordings.exhaust(which)
     inputs = {name: data[name] for name in ["time", *INPUTS]}
     output = [*STATES, "m2", "T_out"]
@@ -77,7 +77,7 @@ def record(request):
 
 
 @pytest.mark.parametrize("solver", ["radau5", "bdf", "auto"])
-def test_every_stiff_method_gives_the_nominal_trajectory(solver, record):
+def test_stiff_methods_agree_on_nominal_trajectory(solver, record):
     inputs = {name: record[name] for name in ["time", *INPUTS]}
 
     def run(solver, rtol):
@@ -91,24 +91,26 @@ def test_every_stiff_method_gives_the_nominal_trajectory(solver, record):
         off = np.abs(res[name] - reference[name])
         within = 1e-2 if name.startswith("p") else 1e-4
         assert off[[1, 60, 300, 600, 1200, 1800]].max() < within, name
-        # At some of the other times the errors of BDF's many steps add up to twice as much in the first wall.
+        # At some other times, the errors of BDF's many steps add up to twice the bound in the first wall.
         assert off.max() < (2 * within if (solver, name) == ("bdf", "Tw1") else within), name
         if solver != "bdf":
             assert (off / np.abs(reference[name])).max() < 2e-8, name
-    # "auto" begins with Tsit5, notices, and goes on with Newton's method.
+    # "auto" starts with Tsit5, detects stiffness and continues with Newton's method.
     assert res.stats.jacobians > 0 and res.stats.newton_iterations > 0
     explicit = run("tsit5", 1e-8)
     assert res.stats.right_hand_sides < explicit.stats.right_hand_sides
 
 
 @pytest.mark.parametrize(("solver", "rtol"), [("radau5", 1e-6), ("bdf", 1e-6), ("bdf", 1e-8), ("auto", 1e-6)])
-def test_the_cost_is_smooth_across_the_kinks_of_the_inputs(solver, rtol, record):
-    """Inputs change their slope at each of 600 times: a cost must not tell by noise. At 1e-8 BDF rejects 2300 of 34000 steps, and
-    which ones depends on rounding: then a cost is smooth to a few of its own tolerances (25 points around this one: up to 5)."""
+def test_cost_is_smooth_across_kinks_of_inputs(solver, rtol, record):
+    """Inputs change their slope at each of 600 times, and the cost must not be noisy.
+
+    At 1e-8, BDF rejects 2300 of 34000 steps, and rounding determines which ones. A cost is then smooth to a few of
+    its own tolerances (25 points around this one: up to 5)."""
     smooth = 1e-7 if (solver, rtol) == ("bdf", 1e-8) else 1e-8
     first = record["time"] <= 600
     names = ["C1", "G1", "C2", "G2"]
-    # away from the values that our own recording was made with, where nothing but noise would be left
+    # a point far from the values of the generated recording, where only noise would remain
     start = [4000.0, 80.0, 6000.0, 120.0]
     data = {name: record[name][first] for name in ["time", *INPUTS, "T_out"]}
     calibration = Calibration(
@@ -127,7 +129,7 @@ def test_the_cost_is_smooth_across_the_kinks_of_the_inputs(solver, rtol, record)
         assert abs(calibration.cost(moved) / cost - 1) < smooth
 
 
-def test_the_solver_of_a_stiff_fit_is_compared_once_and_reported():
+def test_stiff_fit_compares_and_reports_solver():
     time = np.arange(121.0)
     load = 0.5 - 0.4 * np.cos(0.05 * time)
     inputs = {
@@ -158,9 +160,11 @@ def test_the_solver_of_a_stiff_fit_is_compared_once_and_reported():
 
 
 @pytest.mark.parametrize("which", AT_HAND)
-def test_both_stages_are_fitted_as_well_as_with_an_accurate_method(which):
-    """First the second half of the pipe, then the first with what came out. A method whose samples are too far off makes the
-    cost noisy: it ends higher, after more evaluations, so accuracy weighs where methods are compared."""
+def test_two_stage_fit_is_as_good_as_with_accurate_method(which):
+    """Fits the second half of the pipe, then the first half with the result.
+
+    A method with inaccurate samples makes the cost noisy, so the fit ends at a higher cost after more evaluations.
+    Accuracy is therefore important in a comparison of methods."""
     record = recordings.exhaust(which)
     start = {"C1": 2500.0, "G1": 120.0, "C2": 9000.0, "G2": 80.0}
     bounds = {"C": (1.0, 5e4), "G": (0.01, 500.0)}
@@ -185,14 +189,15 @@ def test_both_stages_are_fitted_as_well_as_with_an_accurate_method(which):
 
     for fit, accurate in zip(stages("auto", None), stages("radau5", 1e-8)):
         assert fit.success and fit.cost == pytest.approx(accurate.cost, rel=1e-4)
-        # Least squares needs so few that one more round of a stencil is a large share.
+        # Least squares needs so few evaluations that one more round of a stencil is a large fraction.
         assert fit.nfev <= max(1.25 * accurate.nfev, accurate.nfev + 3)
 
 
 @pytest.mark.parametrize(("solver", "most"), [("auto", 200), ("bdf", 1000)])
-def test_a_fit_from_nominal_values_ends_whatever_the_solver_makes_of_the_cost(solver, most):
-    """The samples of BDF jump by some of their tolerances: the cost of 9921 is rough by 10, and models of the residuals always
-    promise more than there is."""
+def test_fit_from_nominal_values_ends_despite_noisy_cost(solver, most):
+    """The samples of BDF jump by some of their tolerances.
+
+    The cost of 9921 is rough by 10, and models of the residuals always predict too much improvement."""
     nominal = {"C1": 2500.0, "G1": 120.0, "C2": 9000.0, "G2": 80.0}
     fit = Calibration(
         example_fmu("exhaust"),

@@ -1,4 +1,4 @@
-"""Several recordings in one calibration, and calibrations that go through a pickle."""
+"""Several recordings in one calibration, and pickled calibrations."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ def test_shared_and_local_parameters_are_fitted_to_both():
     assert "x[run2]" in repr(fit) and fit.start_cost == calibration.cost()
     np.testing.assert_allclose(fit.rms, np.sqrt(fit.cost / 17), rtol=1e-14)
     np.testing.assert_allclose(fit.start_rms, np.sqrt(fit.start_cost / 17), rtol=1e-14)
-    # By name, those left out at their starts.
+    # Values by name; omitted parameters have their start values.
     assert calibration.cost({"x[cold]": 1.4}) == calibration.cost([1.0, 1.4, 2.5])
     with pytest.raises(ValueError, match=r"no parameter 'x'; there are: k, x\[cold\], x\[run2\]"):
         calibration.cost({"x": 1.4})
 
 
-def test_residuals_and_rows_are_those_of_each_alone():
+def test_residuals_and_rows_equal_those_of_single_experiments():
     calibration = two()
     x = [1.9, 1.4, 2.9]
     first = Calibration(example_fmu("dahlquist"), decay(1.5), {"x": "y"}, [SHARED, Parameter("x", 1.0)])
@@ -66,23 +66,23 @@ def test_residuals_and_rows_are_those_of_each_alone():
 
 
 @pytest.mark.parametrize("make", [two, lambda: Calibration(example_fmu("dahlquist"), decay(1.0), {"x": "y"}, [SHARED])])
-def test_the_cost_is_the_sum_of_the_squares_in_their_order(make):
+def test_cost_adds_squares_in_order(make):
     calibration = make()
     for x in (calibration.start, 1.3 * calibration.start):
-        # NumPy adds by pairs: running sums add from the first to the last.
+        # NumPy adds pairwise; running sums add from first to last.
         assert calibration.cost(x) == np.cumsum(calibration.residuals(x) ** 2)[-1]
     fit = calibration.fit(max_evaluations=60)
     assert fit.cost == calibration.cost(fit.x) == np.cumsum(fit.residuals() ** 2)[-1]
 
 
-def test_each_experiment_has_a_column_per_output_in_the_plot():
+def test_plot_has_a_column_per_output_and_experiment():
     pytest.importorskip("matplotlib").use("Agg")
     figure = two().fit(max_evaluations=30).plot()
     assert len(figure.axes) == 4
     assert [axes.get_title(loc="left") for axes in figure.axes[::2]] == ["cold: x", "run2: x"]
 
 
-def test_inputs_belong_to_their_experiment():
+def test_inputs_are_separate_for_each_experiment():
     time = np.linspace(0.0, 30.0, 31)
     model = FMUModel(example_fmu("quad_tank"))
     runs = []
@@ -96,7 +96,7 @@ def test_inputs_belong_to_their_experiment():
     np.testing.assert_allclose(calibration.fit().x, [truth], rtol=1e-3)
 
 
-def test_what_is_wrong_with_one_of_several_names_it(tmp_path):
+def test_errors_name_the_experiment(tmp_path):
     def built(**more):
         runs = [Experiment(decay(1.0), {"x": "y"}, name="cold"), Experiment(decay(1.0), {"x": "y"}, **{"name": "hot", **more})]
         return Calibration(example_fmu("dahlquist"), runs, SHARED)
@@ -116,7 +116,7 @@ def test_what_is_wrong_with_one_of_several_names_it(tmp_path):
         Calibration(example_fmu("dahlquist"), runs, SHARED)
 
 
-def test_warnings_about_one_of_several_name_it():
+def test_warnings_name_the_experiment():
     time = np.linspace(0.0, 3.0, 4)
     data = {"time": time, "u1": np.full(4, 5.0), "u2": np.full(4, 5.0), "x1": np.full(4, 1e-2)}
     runs = [Experiment(data, {"qt.x1": "x1"}, inputs, name=name) for name, inputs in [("cold", ["u1", "u2"]), ("hot", ["u1"])]]
@@ -126,7 +126,7 @@ def test_warnings_about_one_of_several_name_it():
             Calibration(example_fmu("quad_tank"), experiments, parameter, step_size=0.1)
         messages = [str(warning.message) for warning in caught]
         assert len(messages) == 2 and any(message.startswith(said) for message in messages)
-        # The settings are those of all.
+        # The settings are shared by all experiments.
         assert sum(message.startswith("step_size") for message in messages) == 1
 
 
@@ -159,12 +159,12 @@ def test_failures_name_the_experiment():
         (([Experiment(decay(1.0), {"x": "y"}, start_values={"k": 2.0})], [SHARED]), ValueError, "'k': it is fitted, and start_values"),
     ],
 )
-def test_what_does_not_fit_together_says_so(arguments, kind, said):
+def test_mismatched_experiments_are_rejected(arguments, kind, said):
     with pytest.raises(kind, match=said):
         Calibration(example_fmu("dahlquist"), *arguments)
 
 
-def test_a_recording_is_checked_when_its_experiment_is_made():
+def test_recording_is_checked_on_construction():
     with pytest.raises(ValueError, match="^cold: data: time 0 at row 1 comes after 1"):
         Experiment(BAD, ["x"], name="cold")
 
@@ -191,7 +191,7 @@ def test_calibrations_and_fits_survive_pickles_and_copies():
         assert pool.apply(cost_elsewhere, (calibration, fit.x)) == (fit.cost, fit.solver)
 
 
-def test_a_pickle_holds_the_data_and_names_the_model(tmp_path):
+def test_pickle_contains_data_and_model_path(tmp_path):
     model, data = tmp_path / "model.fmu", tmp_path / "data.csv"
     shutil.copy(example_fmu("dahlquist"), model)
     data.write_text("time,x\n0,1\n0.5,0.4\n")

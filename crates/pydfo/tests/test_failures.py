@@ -1,4 +1,4 @@
-"""Failures, exceptions, bad input."""
+"""Failures, exceptions and bad input."""
 
 from __future__ import annotations
 
@@ -21,13 +21,15 @@ class Boom(Exception):
 
 
 def path(n):
-    """The first n points that a run without failures evaluates."""
+    """Returns the first n points evaluated by a run without failures."""
     return fmin(rosenbrock, [-1.2, 1.0], max_fevals=n, x_tol=0.0, f_tol=0.0, **QUIET).trace.x
 
 
 def failing_at(k, how, values):
-    """Rosenbrock's function, failing at the point of evaluation k of the path, also where that is evaluated ahead of
-    need, and once more when the path is there; keeps its finite values."""
+    """Returns Rosenbrock's function with a failure at the point of evaluation k of the path, and a store of its
+    finite values.
+
+    The point also fails if it is evaluated ahead of need, and again when the path reaches it."""
     lock = threading.Lock()
     where = path(k)[-1]
 
@@ -61,7 +63,7 @@ def check_best(result, values):
 
 @pytest.mark.parametrize("workers", [1, 4])
 @pytest.mark.parametrize("k", range(1, 61))
-def test_failing_at_evaluation_k_the_best_point_is_the_minimum_of_the_trace(k, workers):
+def test_best_point_is_minimum_of_trace_despite_a_failure(k, workers):
     options = dict(nbr_cores=workers, max_fevals=70, x_tol=0.0, f_tol=0.0, **QUIET)
     values = []
     result = fmin(failing_at(k, "nan", values), [-1.2, 1.0], **options)
@@ -86,7 +88,7 @@ def test_failing_at_evaluation_k_the_best_point_is_the_minimum_of_the_trace(k, w
 
 
 @pytest.mark.parametrize("workers", [1, 3])
-def test_an_exception_keeps_its_identity_and_traceback(workers):
+def test_exception_keeps_identity_and_traceback(workers):
     error = Boom("mine", 7)
 
     def func(x):
@@ -101,7 +103,7 @@ def test_an_exception_keeps_its_identity_and_traceback(workers):
     assert error.partial_result.fun < 0.0 and error.partial_result.x[0] <= 1.0
 
 
-def test_an_exception_without_room_for_attributes_is_raised_all_the_same():
+def test_exception_without_attributes_is_raised():
     class Rigid(Exception):
         def __setattr__(self, name, value):
             raise AttributeError(name)
@@ -110,7 +112,7 @@ def test_an_exception_without_room_for_attributes_is_raised_all_the_same():
         fmin(lambda x: (_ for _ in ()).throw(Rigid()), [0.0], **QUIET)
 
 
-def test_exceptions_that_end_programs_are_never_swallowed():
+def test_system_exit_and_interrupts_propagate():
     def func(x):
         raise SystemExit(3)
 
@@ -118,7 +120,7 @@ def test_exceptions_that_end_programs_are_never_swallowed():
         fmin(func, [0.0], on_error="fail", **QUIET)
 
 
-def test_a_program_ends_at_the_same_point_with_any_number_of_workers():
+def test_system_exit_point_is_independent_of_workers():
     def func(x):
         if x[0] > 0.5:
             raise SystemExit(3)
@@ -153,13 +155,13 @@ def test_a_program_ends_at_the_same_point_with_any_number_of_workers():
     ],
 )
 @pytest.mark.parametrize("on_error", ["raise", "fail"])
-def test_what_is_no_number_is_a_type_error_that_names_it(value, said, on_error):
+def test_non_numeric_cost_is_a_type_error(value, said, on_error):
     with pytest.raises(TypeError, match=said):
         fmin(lambda x: value, [1.0], on_error=on_error, **QUIET)
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_failing_everywhere_is_an_error_of_its_own_with_counts(workers):
+def test_failing_everywhere_raises_error_with_counts(workers):
     reasons = iter(["out of range", "out of range", "no licence"])
 
     def func(x):
@@ -174,7 +176,7 @@ def test_failing_everywhere_is_an_error_of_its_own_with_counts(workers):
         fmin(lambda x: np.nan, [0.0, 0.0], **QUIET)
 
 
-def test_a_budget_that_ends_before_any_cost_is_an_error():
+def test_budget_without_any_cost_is_an_error():
     with pytest.raises(pydfo.NoResult, match="max-evaluations") as info:
         fmin(lambda x: np.inf, [0.0, 0.0], max_fevals=2, **QUIET)
     assert info.value.nfev == 2 and not isinstance(info.value, pydfo.AllStartsFailed)
@@ -226,7 +228,7 @@ def test_a_budget_that_ends_before_any_cost_is_an_error():
     ],
     ids=lambda v: str(v) if isinstance(v, dict) else "",
 )
-def test_bad_arguments_are_named_before_anything_runs(changes, error, said):
+def test_bad_arguments_are_rejected_before_the_run(changes, error, said):
     func = Recorder(rosenbrock)
     arguments = {"func": func, "xstart": [0.5, 0.5], **QUIET, **changes}
     with pytest.raises(error, match=said):

@@ -1,5 +1,5 @@
-"""What a fit says of its result: causes before what follows from them, whether it is to be used; units that a model does not state; start
-values from SSP parameter files."""
+"""Findings of a fit: order by cause and usability; units not declared by the model; start values from SSP parameter
+files."""
 
 import datetime
 from pathlib import Path
@@ -21,7 +21,7 @@ def fitted(columns: dict[str, object], parameter: pydfo.Parameter = K, **options
     return pydfo.Calibration(pydfo.example_fmu("dahlquist"), columns, ["x"], [parameter], **options).fit()
 
 
-def test_causes_come_first_and_a_fit_worse_than_a_constant_is_not_to_be_used() -> None:
+def test_causes_come_first_and_fit_worse_than_constant_is_unusable() -> None:
     good, off = (fitted(decay(x=np.exp(-2 * TIMES) + shift)) for shift in (0, 273.15))
     assert good.usable and good.success
     assert off.success and not off.usable
@@ -33,7 +33,7 @@ def test_causes_come_first_and_a_fit_worse_than_a_constant_is_not_to_be_used() -
     assert str(off).splitlines()[1].startswith("The fit converged, but its result is not to be used: RMS")
 
 
-def test_units_that_the_model_does_not_state() -> None:
+def test_undeclared_units_can_be_given() -> None:
     columns = decay(**{"x [mm]": 1e3 * np.exp(-2 * TIMES)})
     with pytest.warns(pydfo.CalibrationWarning, match="the setting units states it"):
         assert fitted(columns).parameters["k"] < 1
@@ -49,7 +49,7 @@ def test_units_that_the_model_does_not_state() -> None:
             fitted(columns, units=units)
 
 
-def test_a_simulation_has_units_that_the_model_does_not_state(tmp_path: Path) -> None:
+def test_simulation_uses_given_units(tmp_path: Path) -> None:
     model = pydfo.FMUModel(pydfo.example_fmu("dahlquist"))
     path = tmp_path / "set.ssv"
     path.write_text(
@@ -65,7 +65,7 @@ def test_a_simulation_has_units_that_the_model_does_not_state(tmp_path: Path) ->
             model.simulate(final_time=1, units=units)  # type: ignore[arg-type]
 
 
-def test_few_rows_of_much_noise_are_no_proof() -> None:
+def test_few_noisy_rows_give_no_findings() -> None:
     rows = np.linspace(0, 2, 5)
     off = pydfo.Calibration(
         pydfo.example_fmu("dahlquist"), {"time": rows, "x": np.array([2.3, 3.3, 2.1, 3.0, 2.3])}, ["x"], [pydfo.Parameter("k", 1, 0.5, 5)]
@@ -74,7 +74,7 @@ def test_few_rows_of_much_noise_are_no_proof() -> None:
     assert said.severity == "warning" and "in 5 rows that may be chance" in said.sentence and off.usable
 
 
-def test_start_values_from_a_parameter_set(tmp_path: Path) -> None:
+def test_start_values_are_read_from_parameter_set(tmp_path: Path) -> None:
     path = tmp_path / "set.ssv"
     fit = fitted(decay(x=np.exp(-2 * TIMES)))
     fit.export_ssv(path)
@@ -82,7 +82,7 @@ def test_start_values_from_a_parameter_set(tmp_path: Path) -> None:
     by_file = model.simulate(final_time=1, ncp=4, start_values=path)
     by_name = model.simulate(final_time=1, ncp=4, start_values={"k": fit.parameters["k"]})
     assert np.array_equal(by_file["x"], by_name["x"]) and by_file["x"][-1] == pytest.approx(np.exp(-2), rel=1e-4)
-    # Where k is fitted it does not count; where x(0) is, k is that of the file.
+    # A fitted k overrides the file. If x(0) is fitted, k is the value of the file.
     assert fitted(decay(x=np.exp(-2 * TIMES)), start_values=path).x.tobytes() == fit.x.tobytes()
     start = fitted(decay(x=3 * np.exp(-2 * TIMES)), pydfo.Parameter("x", 1, 0, 10), start_values=str(path))
     assert start.parameters["x"] == pytest.approx(3, rel=1e-4)
@@ -93,7 +93,7 @@ def test_start_values_from_a_parameter_set(tmp_path: Path) -> None:
         model.simulate(final_time=1, start_values=tmp_path / "none.ssv")
 
 
-def test_dates_have_no_other_unit() -> None:
+def test_dates_get_no_unit_advice() -> None:
     # A recording of 10 000 s for a model that suggests 10 s, with a simulation that does not follow it.
     seconds = np.arange(0, 10000.0, 100)
     measured = np.cos(seconds / 500)
@@ -109,13 +109,13 @@ def test_dates_have_no_other_unit() -> None:
     assert said["numbers"] and not said["dates"] and not said["texts"], check
 
 
-def test_a_delay_of_several_outputs_says_what_there_is() -> None:
+def test_delay_of_several_outputs_is_rejected() -> None:
     with pytest.raises((TypeError, ValueError), match="delay_of names one output or input.*delays"):
         pydfo.Parameter("tau", 0.1, 0, 1, delay_of=["x", "y"])  # type: ignore[arg-type]
 
 
-def test_residuals_of_zero_say_nothing_against_the_parameters() -> None:
-    """Without a variance of the residuals no value can be compared with its error."""
+def test_zero_residuals_give_no_findings() -> None:
+    """Without a residual variance, no value can be compared with its error."""
     parameters = [pydfo.Parameter("k", 1.0, 0.1, 5.0), pydfo.Parameter("x", 1.0, 0.5, 2.0)]
 
     def calibration(x: object) -> pydfo.Calibration:

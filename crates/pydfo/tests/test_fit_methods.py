@@ -1,4 +1,4 @@
-"""Fits by every method, and on from their checkpoints."""
+"""Fits by every method, and their continuation from checkpoints."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def dahlquist():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_every_method_fits_with_its_options(dahlquist, method):
+def test_methods_fit_with_their_options(dahlquist, method):
     calibration = decay(dahlquist, parameters=BOXED)
     options = {"population": 24} if method in ("de", "de-classic", "ga", "cma-es") else {"batch": 4}
     options = {"points": 3} if method == "quadratic-model" else options
@@ -38,7 +38,7 @@ def test_every_method_fits_with_its_options(dahlquist, method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_fit_goes_on_from_its_checkpoint(dahlquist, method, tmp_path):
+def test_fit_resumes_from_checkpoint(dahlquist, method, tmp_path):
     calibration = decay(dahlquist, parameters=BOXED)
     options = {"budget": 200} if method == "de" else {}
     run = {"method": method, "rng": 5, "options": options, "workers": 1}
@@ -58,7 +58,7 @@ def test_a_fit_goes_on_from_its_checkpoint(dahlquist, method, tmp_path):
 
 
 @pytest.mark.parametrize("scale", ["linear", "log"])
-def test_least_squares_takes_the_residuals_of_the_simulations(dahlquist, scale):
+def test_least_squares_uses_residuals_of_simulations(dahlquist, scale):
     noisy = {"time": TIME, "x": TRUE + 0.01 * np.sin(50 * TIME)}
     calibration = decay(dahlquist, noisy, parameters=[Parameter("k", 1.0, 0.1, 5.0, scale=scale)])
     fits = [calibration.fit("least-squares", workers=workers) for workers in (1, 3)]
@@ -66,7 +66,7 @@ def test_least_squares_takes_the_residuals_of_the_simulations(dahlquist, scale):
     fit, simplex = fits[0], calibration.fit("nelder-mead")
     assert fit.cost == pytest.approx(simplex.cost, rel=1e-4) and fit.nfev < simplex.nfev
     assert simplex.jac is None and simplex.cov == pytest.approx(fit.cov, rel=1e-3)
-    # x = exp(-k t): by k itself, also where its logarithm is searched.
+    # x = exp(-k t): derivative with respect to k, also if its logarithm is searched.
     by_k = -TIME * np.exp(-fit.x[0] * TIME)
     np.testing.assert_allclose(fit.jac[:, 0], by_k, atol=2e-3)
     assert fit.cov[0, 0] == pytest.approx(fit.cost / 4 / np.sum(by_k**2), rel=0.01)
@@ -75,7 +75,7 @@ def test_least_squares_takes_the_residuals_of_the_simulations(dahlquist, scale):
     assert "least" in fit.method and "cost" in repr(fit)
 
 
-def test_least_squares_with_several_experiments_bounds_and_stages(dahlquist):
+def test_least_squares_supports_experiments_bounds_and_stages(dahlquist):
     runs = [
         Experiment({"time": TIME, "x": 1.5 * TRUE}, ["x"], name="cold"),
         Experiment({"time": TIME, "x": 3.0 * TRUE}, ["x"], name="warm", start_values={"x": 2.5}),
@@ -85,15 +85,15 @@ def test_least_squares_with_several_experiments_bounds_and_stages(dahlquist):
     assert first.at_bound == {"x[warm]": "upper"} and first.active_mask.tolist() == [0, 0, 1]
     assert first.x[:2] == pytest.approx([2.0, 1.5], rel=0.05) and first.x[2] == 2.9
     assert "x[warm]" in first.cov_message and first.jac.shape == (10, 3)
-    # A second stage: one parameter fixed where the first has ended.
+    # A second stage: one parameter is fixed at the result of the first stage.
     held = Parameter("k", first.parameters["k"], fixed=True)
     second = Calibration(dahlquist, runs, [held, Parameter("x", 1.0, 0.1, 5.0, local=True)]).fit("least-squares")
     assert second.x[0] == first.x[0] and second.cost < first.cost and not second.at_bound
     assert second.jac[:, 0].tolist() == [0.0] * 10 and second.cov_message.endswith("k")
 
 
-def test_least_squares_past_simulations_that_fail(dahlquist):
-    # Euler's method overflows where k is large.
+def test_least_squares_tolerates_failed_simulations(dahlquist):
+    # Euler's method overflows for large k.
     data = {"time": TIME, "x": np.exp(-4.0 * TIME)}
     parameters = [Parameter("k", 1.0, 0.1, 1e6, nominal=1e5)]
     calibration = decay(dahlquist, data, parameters=parameters, solver="euler", step_size=0.001, relative_tolerance=None)
@@ -104,7 +104,7 @@ def test_least_squares_past_simulations_that_fail(dahlquist):
     assert np.isfinite(fit.jac).all() and len(fit.residuals()) == 5
 
 
-def test_least_squares_goes_on_from_its_checkpoint(dahlquist, tmp_path):
+def test_least_squares_resumes_from_checkpoint(dahlquist, tmp_path):
     calibration = decay(dahlquist, parameters=BOXED)
     whole = calibration.fit("least-squares", workers=1)
     for evaluations in range(1, whole.nfev + 1):
@@ -114,7 +114,7 @@ def test_least_squares_goes_on_from_its_checkpoint(dahlquist, tmp_path):
 
 
 def evaluations_until(fit, x, within):
-    """How many evaluations a fit needed to come so near to these values for good."""
+    """Returns the number of evaluations after which a fit stayed this close to these values."""
     costs = np.minimum.accumulate(np.where(np.isnan(fit.trace.fun), np.inf, fit.trace.fun))
     best = [np.flatnonzero(fit.trace.fun == cost)[0] for cost in costs]
     near = (np.abs(fit.trace.x[best] - x) <= within).all(axis=1)
@@ -153,7 +153,7 @@ def test_least_squares_needs_few_simulations(make, file, within, bars):
 
 
 @pytest.mark.parametrize("which", recordings.at_hand("exhaust_measurements.csv"))
-def test_least_squares_needs_few_simulations_of_the_exhaust_pipe(which):
+def test_least_squares_needs_few_simulations_for_exhaust_pipe(which):
     start = {"C1": 2500.0, "G1": 120.0, "C2": 9000.0, "G2": 80.0}
     fixed: dict[str, float] = {}
     for names, within in ((["C2", "G2"], [100, 1]), (["C1", "G1"], [40, 0.6])):
@@ -174,7 +174,7 @@ def test_least_squares_needs_few_simulations_of_the_exhaust_pipe(which):
 
 @pytest.mark.parametrize("method", ["least-squares", "nelder-mead"])
 @pytest.mark.parametrize("loss", ["soft_l1", "huber", "cauchy"])
-def test_a_fit_with_a_loss_forgives_outliers(dahlquist, method, loss, tmp_path):
+def test_robust_loss_limits_outliers(dahlquist, method, loss, tmp_path):
     calibration = decay(dahlquist, {"time": TIME, "x": TRUE + [0, 0, 0.5, 0, 0]}, parameters=BOXED)
     plain = calibration.fit(method)
     run = {"method": method, "loss": loss, "f_scale": 0.01, "workers": 1, "x_tol": 1e-6, "f_tol": 1e-8}

@@ -1,4 +1,4 @@
-"""What people look at: the text of a fit, its part of a notebook, its pictures, its report."""
+"""Views of a fit: text, notebook output, figures, report."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ TIME = np.linspace(0.0, 3.0, 31)
 
 
 def decay(n=1, **more):
-    """n recordings of x' = -2 x with an error of a thousandth."""
+    """Returns n recordings of x' = -2 x with an error of a thousandth."""
     noise = 1e-3 * (-1.0) ** np.arange(31)
     runs = [Experiment({"time": TIME, "x": np.exp(-2.0 * TIME) + noise}, {"x": "x"}, name=f"<run> & {k}") for k in range(n)]
     return Calibration(example_fmu("dahlquist"), runs, Parameter("k", 1.0, 0.1, 10.0), **more)
@@ -30,7 +30,7 @@ def plt():
     plt.close("all")
 
 
-def test_text_has_start_value_unit_rms_and_how_it_ended(fit):
+def test_text_contains_values_units_rms_and_termination(fit):
     text = str(fit)
     assert text == repr(fit)
     assert text.startswith("Fit of Dahlquist\nThe fit converged: RMS 0.001 (at the start 0.1629) over 31 measurements.")
@@ -51,16 +51,16 @@ def test_weights_do_not_change_the_rms_of_an_output():
         assert fit.outputs[0].start_rms == pytest.approx(fit.start_rms / 100.0)
 
 
-def test_what_a_loss_counts_is_not_in_the_rms_of_an_output():
+def test_rms_of_an_output_excludes_the_loss():
     data = {"time": TIME, "x": np.exp(-2.0 * TIME)}
     data["x"][7] += 5.0
     fit = Calibration(example_fmu("dahlquist"), data, ["x"], Parameter("k", 1.0, 0.1, 10.0)).fit(loss="cauchy", f_scale=1e-3)
     assert fit.outputs[0].rms == pytest.approx(np.sqrt(np.mean(fit.residuals() ** 2)))
 
 
-def test_a_start_that_fails_is_said(plt, tmp_path):
+def test_failed_start_is_reported(plt, tmp_path):
     data = {"time": TIME, "x": np.exp(-2.0 * TIME)}
-    # Too stiff for its steps at the start: the explicit method overflows.
+    # The start is too stiff for the step size, so the explicit method overflows.
     calibration = Calibration(example_fmu("dahlquist"), data, ["x"], Parameter("k", 9e8, 0.1, 1e9, scale="log"), solver="euler", step_size=0.05)
     fit = calibration.fit("de", rng=1, max_evaluations=400)
     assert fit.outputs[0].start_rms is None and "(start failed)" in str(fit)
@@ -69,13 +69,13 @@ def test_a_start_that_fails_is_said(plt, tmp_path):
     assert "The simulation at the start failed." in (tmp_path / "x.html").read_text()
 
 
-def test_notebooks_show_tables_in_their_own_colours(fit):
+def test_notebook_tables_use_notebook_colours(fit):
     html = fit._repr_html_()
     assert html.count("<table>") == 2 and "The fit converged" in html and "color: inherit" in html
     assert "&lt;run&gt; &amp; 1" in decay(2).fit()._repr_html_()
 
 
-def test_report_is_one_page_that_needs_no_network(tmp_path):
+def test_report_is_one_page_without_network(tmp_path):
     path = tmp_path / "fit.html"
     path.write_text("an older one")
     fit = decay(2).fit()
@@ -91,7 +91,7 @@ def test_report_is_one_page_that_needs_no_network(tmp_path):
         fit.report(tmp_path)
 
 
-def test_a_long_recording_makes_a_small_report(tmp_path):
+def test_report_of_long_recording_is_small(tmp_path):
     time = np.linspace(0.0, 3.0, 100_001)
     x = np.exp(-2.0 * time)
     fit = Calibration(example_fmu("dahlquist"), {"time": time, "x": x}, ["x"], Parameter("k", 1.9, 0.1, 10.0)).fit(max_evaluations=5)
@@ -100,7 +100,7 @@ def test_a_long_recording_makes_a_small_report(tmp_path):
     assert "One of 101 of the 100001 measurements is drawn." in (tmp_path / "x.html").read_text()
 
 
-def test_eight_outputs_and_their_inputs_are_on_one_page(plt, tmp_path):
+def test_plot_fits_eight_outputs_and_inputs_on_one_page(plt, tmp_path):
     time = np.linspace(0.0, 20.0, 41)
     inputs = {"u1": np.full(41, 5.0), "u2": np.full(41, 5.5)}
     names = [f"qt.x{i}" for i in range(1, 5)] + [f"der(qt.x{i})" for i in range(1, 5)]
@@ -118,12 +118,12 @@ def test_eight_outputs_and_their_inputs_are_on_one_page(plt, tmp_path):
     figure.savefig(tmp_path / "x.png")
 
 
-def test_convergence_has_the_names_of_the_parameters(plt, fit):
+def test_convergence_plot_has_parameter_names(plt, fit):
     figure = fit.plot_convergence()
     assert figure.axes[1].lines[0].get_label() == "k" and figure.axes[0].get_yscale() == "log"
 
 
-def test_waterfall_has_a_point_per_local_search(plt, fit):
+def test_waterfall_plot_has_a_point_per_local_search(plt, fit):
     several = decay().fit(search="global", max_evaluations=60, rng=1)
     axes = several.plot_waterfall().axes[0]
     assert sum(len(line.get_xdata()) for line in axes.lines) == sum(o.n_starts for o in several.optima)
@@ -131,7 +131,7 @@ def test_waterfall_has_a_point_per_local_search(plt, fit):
         fit.plot_waterfall()
 
 
-def test_a_fit_without_its_native_result_says_so(fit):
+def test_fit_without_native_result_is_reported(fit):
     class Interrupted(pydfo.Fit):
         pass
 

@@ -1,6 +1,6 @@
-"""FMPy, an independent importer, finds nothing wrong with the bundled FMUs and gets the same results from them.
+"""FMPy, an independent importer, validates the bundled FMUs and computes the same results.
 
-Tolerances are tight, so that what remains are the differences of the two importers: FMPy's CVode at 1e-10, ours at 1e-11.
+Tolerances are tight, so that only the differences of the importers remain: FMPy's CVode at 1e-10, pydfo at 1e-11.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SPANS = {
     "van_der_pol": 20.0,
     "switched_input": 5.0,
     "quad_tank": 60.0,
-    "exhaust": 10.0,  # stiff: ours takes steps of a millisecond
+    "exhaust": 10.0,  # stiff: pydfo takes steps of a millisecond
 }
 
 
@@ -28,8 +28,8 @@ def table(names, *rows):
     return np.array(list(rows), dtype=[("time", np.float64), *((name, np.float64) for name in names)])
 
 
-#: FMPy applies discrete inputs in continuous-time mode, which the models refuse, and ramps in the event indicators only:
-#: the discrete inputs are start values here, and the continuous ones jump.
+#: FMPy applies discrete inputs in continuous-time mode, which the models reject, and ramps only in the event
+#: indicators. Discrete inputs are therefore start values here, and continuous inputs jump.
 IDLE, LOAD = (550, 1.08e5, 1700, 2100, 1.015e5), (800, 2.2e5, 5000, 4000, 1.03e5)
 MORE = {
     "switched_input": {
@@ -47,14 +47,14 @@ MORE = {
 
 
 @pytest.mark.parametrize("name", fmus.EXAMPLES)
-def test_fmpy_validates(name):
+def test_fmpy_validates_bundled_fmus(name):
     from fmpy.validation import validate_fmu
 
     assert validate_fmu(str(example_fmu(name))) == []
 
 
 @pytest.mark.parametrize("name", SPANS)
-def test_fmpy_agrees(name):
+def test_bundled_fmus_agree_with_fmpy(name):
     model = FMUModel(example_fmu(name))
     names = list(model.simulate(0, 0))[1:]
     span, more = SPANS[name], MORE.get(name, {})
@@ -71,15 +71,15 @@ def test_fmpy_agrees(name):
     ours = model.simulate(0, span, times=theirs["time"], relative_tolerance=1e-11, **more)
     assert len(ours.time) == 201
     for column in names:
-        scale = max(1.0, np.abs(theirs[column]).max())  # a pressure in Pa has fewer digits behind the point
+        scale = max(1.0, np.abs(theirs[column]).max())  # a pressure in Pa has fewer digits after the decimal point
         assert np.abs(ours[column] - theirs[column]).max() < 1e-6 * scale, column
 
 
-def test_fmpy_agrees_on_time_events():
+def test_time_events_agree_with_fmpy():
     path = example_fmu("stair")
     theirs = fmpy.simulate_fmu(str(path), stop_time=10, output_interval=0.25, output=["counter"], record_events=False)
     ours = FMUModel(path).simulate(0, 10, output_interval=0.25)
-    # The model ends at 9 s, with 10; FMPy ends before it records that.
+    # The model requests its end at 9 s with the value 10; FMPy ends before it records this value.
     rows = len(theirs)
     assert rows in (36, 37) and len(ours.time) == 37
     assert np.array_equal(ours.time[:36], theirs["time"][:36])
