@@ -1,4 +1,4 @@
-"""fmin: signature, meanings, result."""
+"""fmin: signature, arguments, result."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BOX = {"lb": [-2.0, -2.0], "ub": [2.0, 2.0]}
 QUIET = {"disp": False}
 
 
-def test_the_signature_starts_as_in_the_paper():
+def test_signature_starts_as_in_the_paper():
     parameters = inspect.signature(fmin).parameters
     old = [
         ("func", inspect.Parameter.empty),
@@ -46,7 +46,7 @@ def test_the_signature_starts_as_in_the_paper():
     assert dfo.fmin is fmin
 
 
-def test_the_result_has_fields_entries_and_the_five_values():
+def test_result_has_fields_entries_and_five_values():
     res = fmin(rosenbrock, [-1.2, 1.0], **BOX, x_tol=1e-8, f_tol=1e-8, stop="all", **QUIET)
     x_opt, f_opt, nbr_iters, nbr_fevals, solve_time = res
     assert x_opt is res.x is res[0] is res["x"]
@@ -69,7 +69,7 @@ def test_the_result_has_fields_entries_and_the_five_values():
     assert copy.fun == res.fun and np.array_equal(copy.trace.x, res.trace.x)
 
 
-def test_either_test_ends_the_run_and_the_message_says_which():
+def test_either_test_ends_the_run_and_is_named_in_the_message():
     by_x = fmin(rosenbrock, [-1.2, 1.0], x_tol=1e-2, f_tol=0.0, **QUIET)
     assert "x test passed" in by_x.message and "f test not passed" in by_x.message
     assert by_x.x_size <= 1e-2
@@ -98,7 +98,7 @@ def shifted(by, x):
 @pytest.mark.parametrize(
     "func", [rosenbrock, partial(shifted, 0.0), Method().cost, Method(), lambda x: rosenbrock(x)], ids=repr
 )
-def test_whatever_can_be_called_is_an_objective(func):
+def test_any_callable_is_an_objective(func):
     assert fmin(func, [0.5, 0.5], **QUIET, x_tol=1e-7, f_tol=1e-12, stop="all").fun < 1e-10
 
 
@@ -107,12 +107,12 @@ def test_whatever_can_be_called_is_an_objective(func):
     [float, int, np.float64, np.float32, np.int64, np.asarray, lambda v: np.array([v]), lambda v: np.array([[v]]), Fraction],
     ids=["float", "int", "float64", "float32", "int64", "0-d", "1-element", "1x1", "Fraction"],
 )
-def test_whatever_is_one_number_is_a_cost(convert):
+def test_any_single_number_is_a_cost(convert):
     res = fmin(lambda x: convert(1000.0 * x[0] ** 2), [1.0], x_tol=1e-3, f_tol=0.0, **QUIET)
     assert isinstance(res.fun, float) and abs(res.x[0]) < 0.05
 
 
-def test_the_function_may_keep_and_change_its_point():
+def test_function_may_keep_and_change_its_point():
     seen = []
 
     def func(x):
@@ -125,7 +125,7 @@ def test_the_function_may_keep_and_change_its_point():
     assert len({id(x) for x in seen}) == len(seen) and np.isfinite(res.x).all()
 
 
-def test_bounds_hold_for_every_evaluation():
+def test_every_evaluation_respects_bounds():
     lb, ub = np.array([-0.5, 0.2]), np.array([0.7, 0.9])
 
     def cost(x):
@@ -149,7 +149,7 @@ def test_bounds_may_be_partial_scalar_or_equal():
 
 
 @pytest.mark.parametrize("n", range(1, 30))
-def test_the_budget_of_evaluations_is_exact_and_the_best_is_returned(n):
+def test_evaluation_budget_is_exact_and_best_point_is_returned(n):
     func = Recorder(rosenbrock)
     res = fmin(func, [-1.2, 1.0], max_fevals=n, **QUIET)
     assert res.nfev == len(func.values) == n == len(res.trace)
@@ -157,7 +157,7 @@ def test_the_budget_of_evaluations_is_exact_and_the_best_is_returned(n):
     assert any(np.array_equal(res.x, x) for x, v in zip(func.points, func.values) if v == func.best)
 
 
-def test_iterations_target_and_time_are_limits_too():
+def test_iterations_target_and_time_limit_the_run():
     res = fmin(rosenbrock, [-1.2, 1.0], max_iters=7, **QUIET)
     assert (res.nit, res.status) == (7, 2)
     assert fmin(rosenbrock, [-1.2, 1.0], max_iters=0, **QUIET).nfev == 3
@@ -175,7 +175,7 @@ def test_iterations_target_and_time_are_limits_too():
     assert fmin(rosenbrock, [-1.2, 1.0], max_iters=None, max_fevals=np.inf, **QUIET).success
 
 
-def test_progress_comes_once_per_iteration_and_may_end_the_run():
+def test_callback_is_called_per_iteration_and_may_end_the_run():
     seen = []
     res = fmin(rosenbrock, [-1.2, 1.0], callback=seen.append, max_iters=30, **QUIET)
     assert [p.nit for p in seen] == list(range(31))
@@ -191,11 +191,11 @@ def test_progress_comes_once_per_iteration_and_may_end_the_run():
     assert (res.nit, res.status, res.success) == (5, 4, False)
     res = fmin(rosenbrock, [-1.2, 1.0], callback=lambda p: p.nit == 4, **QUIET)
     assert res.nit == 4
-    # values that are merely true do not end a run
+    # return values that are only truthy do not end a run
     assert fmin(rosenbrock, [-1.2, 1.0], callback=lambda p: p.x, max_iters=9, **QUIET).nit == 9
 
 
-def test_an_exception_in_the_callback_is_raised_with_the_result_so_far():
+def test_callback_exception_contains_partial_result():
     error = RuntimeError("enough")
 
     def callback(progress):
@@ -225,7 +225,7 @@ def test_debug_logs_every_evaluation(caplog):
     assert sum(r.levelno == logging.DEBUG for r in caplog.records) == res.nfev
 
 
-def test_the_initial_simplex_may_be_given():
+def test_initial_simplex_is_applied():
     vertices = [[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]]
     res = fmin(rosenbrock, [0.0, 0.0], initial_simplex=vertices, max_iters=0, **QUIET)
     np.testing.assert_array_equal(res.trace.x, vertices)
@@ -233,7 +233,7 @@ def test_the_initial_simplex_may_be_given():
     np.testing.assert_array_equal(res.trace.x, [[1.0, 2.0], [1.25, 2.0], [1.0, 1.5]])
 
 
-def test_the_same_simplices_for_any_plan_and_number_of_workers():
+def test_simplices_are_identical_for_all_plans_and_workers():
     options = dict(x_tol=1e-7, f_tol=1e-9, stop="all", **BOX, **QUIET)
     reference = fmin(rosenbrock, [-1.2, 1.0], **options)
     for batch in ("auto", "serial", 2, 4):
@@ -246,7 +246,7 @@ def test_the_same_simplices_for_any_plan_and_number_of_workers():
             assert used.sum() == res.nfev == reference.nfev and len(used) - res.nfev == res.n_speculative
 
 
-def test_pictures_are_drawn_only_when_asked_for():
+def test_figures_are_drawn_only_on_request():
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("Agg")
     res = fmin(rosenbrock, [-1.2, 1.0], plot=True, plot_conv=True, max_iters=40, **BOX, **QUIET)
@@ -255,7 +255,8 @@ def test_pictures_are_drawn_only_when_asked_for():
         res = fmin(rosenbrock, [-1.2, 1.0], alg=alg, plot=True, plot_conv=True, max_fevals=300, rng=1, **BOX, **QUIET)
         plane, (costs, points) = res.figures[0].axes[0], res.figures[1].axes
         assert plane.get_title().startswith(f"{res.method}: {res.nit} iterations") and len(plane.lines) >= res.nit
-        # what is drawn last is where the run ended: the best cost, and the best point in units of the range evaluated
+        # the end of the curves is the end of the run: the best cost, and the best point in units of the evaluated
+        # range
         assert costs.lines[-1].get_ydata()[-1] == res.fun and len(points.lines) == 2
         low, width = res.trace.x.min(axis=0), np.ptp(res.trace.x, axis=0)
         np.testing.assert_allclose([line.get_ydata()[-1] for line in points.lines], (res.x - low) / width)
@@ -266,7 +267,7 @@ def test_pictures_are_drawn_only_when_asked_for():
     matplotlib.pyplot.close("all")
 
 
-def test_a_missing_matplotlib_is_said_before_the_run(monkeypatch):
+def test_missing_matplotlib_is_reported_before_the_run(monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
@@ -276,21 +277,21 @@ def test_a_missing_matplotlib_is_said_before_the_run(monkeypatch):
     assert func.values == []
 
 
-def test_the_trace_as_a_data_frame():
+def test_trace_converts_to_data_frame():
     pytest.importorskip("pandas")
     res = fmin(rosenbrock, [-1.2, 1.0], max_iters=10, batch=4, **QUIET)
     frame = res.trace.to_dataframe()
     assert len(frame) == res.nfev + res.n_speculative and frame.loc[frame.used, "fun"].min() == res.fun
 
 
-def test_the_version_is_that_of_the_distribution():
+def test_version_equals_distribution_version():
     from importlib.metadata import version
 
     assert pydfo.__version__ == version("fmufit")
 
 
-def test_executors_and_maps_evaluate_as_threads_do():
-    """With one batch plan the path is the same whoever evaluates; the tool of the paper had processes."""
+def test_executors_maps_and_threads_give_one_path():
+    """With one batch plan, the path does not depend on the evaluator. The paper's tool used processes."""
     run = {"xstart": [-1.2, 1.0], "max_fevals": 150, "batch": 4, **BOX, **QUIET}
 
     def path(res):
@@ -311,8 +312,8 @@ def test_executors_and_maps_evaluate_as_threads_do():
 
 
 @pytest.mark.parametrize("alg", [1, 2])
-def test_the_coefficients_are_those_of_the_paper(alg):
-    """Table 1, for any number of parameters; minimize takes adaptive ones from five on."""
+def test_default_coefficients_match_the_paper(alg):
+    """Table 1, for any number of parameters. minimize uses adaptive coefficients from five parameters on."""
     run = {"xstart": np.full(6, 0.5), "alg": alg, "lb": np.zeros(6), "ub": np.ones(6), "max_fevals": 200, **QUIET}
 
     def cost(x):
@@ -328,14 +329,14 @@ def test_the_coefficients_are_those_of_the_paper(alg):
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
-def test_the_genetic_algorithm_passes_its_tests_on_a_quadratic(n):
+def test_genetic_algorithm_converges_on_a_quadratic(n):
     for seed in range(5):
         res = fmin(lambda x: float(np.sum((x - 0.7) ** 2)), lb=[-2.0] * n, ub=[2.0] * n, alg=4, rng=seed, **QUIET)
         assert res.success and res.nfev < 9000 and res.fun < 1e-4, res.message
         assert "f test passed" in res.message or "x test passed" in res.message
 
 
-def test_success_needs_more_than_one_finite_point():
+def test_success_requires_more_than_one_finite_point():
     start = np.array([0.25, 0.5])
 
     def lonely(x):

@@ -1,5 +1,6 @@
-"""The Furuta pendulum: trajectories, the objective of the paper's fit, events, and the way in which the paper's script uses a
-model. Trajectories and measurements of the original are compared where they are at hand."""
+"""The Furuta pendulum: trajectories, the objective of the paper's fit, events, and the calls of the paper's script.
+
+Trajectories and measurements of the original are compared if available."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ def model(friction):
 
 
 @pytest.mark.parametrize("friction", [NOMINAL, OPTIMAL])
-def test_every_method_gives_the_same_trajectory(friction):
+def test_methods_agree_on_the_trajectory(friction):
     times = np.linspace(0, 40, 401)
 
     def run(solver, rtol):
@@ -39,7 +40,7 @@ REFERENCES = [name for name in ("nominal", "optimal") if (recordings.PUBLISHED /
 
 
 @pytest.mark.parametrize("name", REFERENCES)
-def test_trajectories_of_the_original(name):
+def test_trajectories_match_the_original(name):
     path = recordings.PUBLISHED / f"furuta_reference_{name}.csv"
     expected = np.genfromtxt(path, delimiter=",", names=True, deletechars="")
     friction = NOMINAL if name == "nominal" else OPTIMAL
@@ -50,7 +51,7 @@ def test_trajectories_of_the_original(name):
 
 
 def errors(friction, which):
-    """`quad_err` and the sum of squares written out, at the measured times."""
+    """Returns `quad_err` and the explicit sum of squares at the measured times."""
     data = recordings.furuta(which)
     y_meas = np.vstack([data["phi"], data["theta"]])
     res = model(friction).simulate(final_time=40, times=data["time"])
@@ -58,8 +59,8 @@ def errors(friction, which):
     return dfo.quad_err(data["time"], y_meas, res["time"], y_sim), np.sum((y_sim - y_meas) ** 2)
 
 
-def test_at_the_true_frictions_the_objective_is_the_noise():
-    """Of the recording of our own: the same draws as in examples/data/generate_furuta.py."""
+def test_objective_equals_noise_at_true_frictions():
+    """Uses the generated recording, with the random draws of examples/data/generate_furuta.py."""
     rng = np.random.default_rng(recordings.SEED)
     noise = np.sum(rng.normal(0, 0.0305, 801) ** 2) + np.sum(rng.normal(0, 0.0207, 801) ** 2)
     assert errors(OPTIMAL, "own") == pytest.approx((noise, noise), rel=1e-4)
@@ -68,7 +69,7 @@ def test_at_the_true_frictions_the_objective_is_the_noise():
 
 @pytest.mark.parametrize("which", recordings.at_hand("FurutaData.mat")[1:])
 @pytest.mark.parametrize(("friction", "cost", "within"), [(NOMINAL, 207.0783, 0.01), (OPTIMAL, 1.09246, 1e-3)])
-def test_the_objective_at_the_measured_times(friction, cost, within, which):
+def test_objective_matches_reference_at_measured_times(friction, cost, within, which):
     assert errors(friction, which) == pytest.approx((cost, cost), abs=within)
 
 
@@ -79,14 +80,14 @@ def test_the_objective_at_the_measured_times(friction, cost, within, which):
         (OPTIMAL, [0.205273, 0.403215, 0.950970, 1.315331], 74, 33.176408),
     ],
 )
-def test_events(friction, times, count, rest):
+def test_events_match_reference(friction, times, count, rest):
     res = model(friction).simulate(final_time=40, relative_tolerance=1e-10)
     assert len(res.events) == res.stats.state_events == count
     assert res.events["time"][: len(times)] == pytest.approx(times, abs=2e-6)
     assert res.events["time"][-1] == pytest.approx(rest, abs=2e-6)
 
 
-def test_as_the_script_of_the_paper_uses_it(tmp_path, monkeypatch):
+def test_calls_of_the_paper_script_work(tmp_path, monkeypatch):
     shutil.copy(example_fmu("furuta"), tmp_path / "Furuta.fmu")
     monkeypatch.chdir(tmp_path)
 
@@ -101,7 +102,7 @@ def test_as_the_script_of_the_paper_uses_it(tmp_path, monkeypatch):
     assert np.array_equal(first["time"], np.append(0.08 * np.arange(500), 40.0))
     other = simulate(np.array([10.0, 1.0]))
     assert not fmus.same_bits(first, other)
-    # Whatever was simulated in between: the same parameters, the same bits.
+    # Intermediate simulations do not change the result: equal parameters give bit-for-bit identical results.
     assert fmus.same_bits(first, simulate(np.array([12.0, 2.0])))
     stacked = np.vstack((first["armJoint.phi"], first["pendulumJoint.phi"]))
     assert dfo.quad_err(first["time"], stacked, first["time"], stacked) == 0.0

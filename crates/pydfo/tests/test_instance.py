@@ -1,4 +1,4 @@
-"""Instances that are driven by hand: phases, steps, states, linearisation."""
+"""Instances controlled call by call: phases, steps, states, linearisation."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def ball():
         yield instance
 
 
-def test_a_life_in_model_exchange(ball):
+def test_model_exchange_phases_follow_in_order(ball):
     assert ball.phase == "instantiated" and ball.kind == "ME" and ball.time is None
     ball.set({"e": 0.5, "g": -10.0})
     ball.enter_initialization(0.0, 3.0, 1e-6)
@@ -32,7 +32,7 @@ def test_a_life_in_model_exchange(ball):
     assert ball.phase == "event" and not info.terminate and info.next_time is None
     ball.enter_continuous_time()
     assert ball.state_names == ["h", "v"] and ball.nominals.tolist() == [1.0, 1.0]
-    # Explicit Euler: v falls by g dt, h by v dt.
+    # Explicit Euler: v decreases by g dt, h changes by v dt.
     for k in range(1, 4):
         dx = ball.derivatives
         ball.time, ball.states = 0.1 * k, ball.states + 0.1 * dx
@@ -45,7 +45,7 @@ def test_a_life_in_model_exchange(ball):
     assert ball.phase == "instantiated"
 
 
-def test_steps_in_model_exchange_cross_events(ball):
+def test_model_exchange_steps_handle_events(ball):
     ball.initialize()
     first = fmus.bounces(3)
     for _ in range(4):
@@ -58,7 +58,7 @@ def test_steps_in_model_exchange_cross_events(ball):
     assert ball.get("bounces") == 2
 
 
-def test_the_model_ends_the_simulation():
+def test_model_can_end_the_simulation():
     with fmi.instantiate(example_fmu("stair")) as stair:
         assert stair.initialize().next_time == stair.next_event == 1.0
         step = stair.do_step(20)
@@ -66,7 +66,7 @@ def test_the_model_ends_the_simulation():
         assert stair.get("counter") == 10 and stair.phase == "event"
 
 
-def test_steps_in_co_simulation():
+def test_co_simulation_steps_match_reference():
     with fmi.instantiate(example_fmu("dahlquist", kind="CS"), "cs") as instance:
         instance.initialize()
         for k in range(1, 11):
@@ -98,8 +98,8 @@ def test_states_are_saved_and_restored(ball):
 
 
 @pytest.mark.parametrize("differences", [False, True])
-def test_linearisation_has_the_closed_form(differences):
-    """Four tanks: with the flow a sqrt(2 g x) out of a tank of area A, da/dx = a sqrt(g / (2 x)) / A."""
+def test_linearisation_matches_closed_form(differences):
+    """Four tanks: for the flow a sqrt(2 g x) out of a tank of area A, da/dx = a sqrt(g / (2 x)) / A."""
     with fmi.instantiate(example_fmu("quad_tank")) as tanks:
         tanks.initialize()
         linear = tanks.linearize(differences=differences)
@@ -114,7 +114,7 @@ def test_linearisation_has_the_closed_form(differences):
     assert linear.A.shape == (4, 4) and linear.B.shape == (4, 2) and linear.C.shape == (4, 4) and linear.D.shape == (4, 2)
     assert np.allclose(linear.A, a, atol=1e-7)
     assert np.array_equal(linear.C, np.eye(4)) or np.allclose(linear.C, np.eye(4), atol=1e-9)
-    # What leaves an upper tank enters the one below it.
+    # The outflow of an upper tank enters the tank below it.
     assert linear.A[0, 2] == pytest.approx(-linear.A[2, 2], abs=1e-9) and linear.A[1, 3] == pytest.approx(-linear.A[3, 3], abs=1e-9)
 
 
@@ -124,7 +124,7 @@ def test_van_der_pol_is_linearised_exactly():
         assert np.allclose(instance.linearize().A, [[0, 1], [-1, -3]], atol=1e-9)
 
 
-def test_directional_derivatives():
+def test_directional_derivatives_match_reference():
     with fmi.instantiate(example_fmu("quad_tank")) as tanks:
         if not tanks.description.capabilities.provides_directional_derivative:
             pytest.skip("the model has none")
@@ -135,7 +135,7 @@ def test_directional_derivatives():
         assert np.allclose(along, tanks.linearize().A @ [1, 0, 2, 0])
 
 
-def test_values_set_in_a_model_are_set_in_its_instance():
+def test_instance_receives_values_set_in_model():
     model = FMUModel(example_fmu("dahlquist"))
     model.set("k", 2.0)
     model.simulate(final_time=1)
@@ -144,7 +144,7 @@ def test_values_set_in_a_model_are_set_in_its_instance():
         assert instance.get(["k", "x"]) == [2.0, 1.0]
 
 
-def test_misuse_is_refused(ball):
+def test_calls_in_wrong_phase_are_rejected(ball):
     with pytest.raises(ValueError, match="enter_continuous_time is called in the phase event; the instance is in the phase instantiated"):
         ball.enter_continuous_time()
     with pytest.raises(pydfo.UnknownVariableError, match="no variable"):
@@ -168,7 +168,7 @@ def test_misuse_is_refused(ball):
 @pytest.mark.parametrize(
     "wrong", [{"relative_tolerance": 0}, {"relative_tolerance": float("nan")}, {"step_size": -1.0, "solver": "rk4"}, {"solver": "no"}]
 )
-def test_a_wrong_argument_of_a_step_leaves_the_instance_as_it_is(ball, wrong):
+def test_wrong_step_argument_leaves_instance_unchanged(ball, wrong):
     ball.initialize()
     before = ball.states.tolist()
     with pytest.raises(ValueError):
@@ -180,11 +180,12 @@ def test_a_wrong_argument_of_a_step_leaves_the_instance_as_it_is(ball, wrong):
 
 @pytest.fixture(scope="module")
 def sampled(tmp_path_factory):
-    """Ticks every 0.1 s, strict about times; x' = n + 10 on + 100 gear, on = (u > 0.5 at the last event)."""
+    """Returns a model that ticks every 0.1 s and is strict about times; x' = n + 10 on + 100 gear, on = (u > 0.5 at
+    the last event)."""
     return fmus.compiled("sampled", tmp_path_factory.mktemp("sampled") / "sampled.fmu")
 
 
-def test_repeated_steps_meet_every_tick(sampled):
+def test_repeated_steps_handle_every_tick(sampled):
     with fmi.instantiate(sampled, "ME") as instance:
         instance.initialize()
         counts = []
@@ -197,7 +198,7 @@ def test_repeated_steps_meet_every_tick(sampled):
 
 @pytest.mark.parametrize("isolation", ["none", "process"])
 @pytest.mark.parametrize("solver", ["auto", "rk4", "radau5"])
-def test_a_tick_at_the_end_counts_when_rounding_puts_it_behind_the_end(sampled, solver, isolation):
+def test_tick_at_end_counts_despite_rounding(sampled, solver, isolation):
     model = FMUModel(sampled, kind="ME")
     ends = [round(0.1 * k, 1) for k in range(1, 101)]
     assert sum(0.1 * k > end for k, end in enumerate(ends, 1)) > 20
@@ -206,14 +207,14 @@ def test_a_tick_at_the_end_counts_when_rounding_puts_it_behind_the_end(sampled, 
         assert res["n"].tolist() == [k] and res["time"].tolist() == [end]
 
 
-def test_a_fit_to_data_that_end_with_a_tick(sampled):
+def test_fit_to_data_ending_with_a_tick_works(sampled):
     t = np.array([0.0, 0.1, 0.2, 0.3])
     data = {"time": t, "x": np.array([0.0, 0.0, 0.1, 0.3])}
     fit = pydfo.Calibration(FMUModel(sampled, kind="ME"), data, ["x"], [pydfo.Parameter("period", 0.095, 0.05, 0.105)]).fit()
     assert fit.cost < 1e-6
 
 
-def test_a_restored_state_keeps_the_ticks_to_come(sampled):
+def test_restored_state_keeps_pending_ticks(sampled):
     with fmi.instantiate(sampled, "ME") as instance:
         instance.initialize()
         instance.do_step(0.25)
@@ -226,7 +227,7 @@ def test_a_restored_state_keeps_the_ticks_to_come(sampled):
         assert (instance.get(["x", "n"]), instance.next_event) == there
 
 
-def test_a_reset_forgets_what_was_set():
+def test_reset_discards_values():
     with fmi.instantiate(example_fmu("dahlquist")) as instance:
         instance.set("k", 2.0)
         instance.reset()
@@ -234,14 +235,14 @@ def test_a_reset_forgets_what_was_set():
         assert instance.get("k") == 1.0
 
 
-def test_an_input_across_a_switch_is_an_event(sampled):
+def test_input_across_a_switch_triggers_an_event(sampled):
     with fmi.instantiate(sampled, "ME") as instance:
         instance.set("period", 10.0)
         instance.initialize()
         for k in range(20):
             instance.set("u", 0.05 * (k + 1))
             instance.do_step(0.1)
-        # Above 0.5 from 1 s on.
+        # The input is above 0.5 from 1 s on.
         assert instance.get("on") == 1.0 and instance.get("x") == pytest.approx(10.0)
 
 
@@ -255,7 +256,7 @@ def test_discrete_inputs_of_a_co_simulation_wait_for_event_mode(sampled):
 
 
 @pytest.mark.parametrize("kind", ["ME", "CS"])
-def test_clocks_tick_by_hand(tmp_path, kind):
+def test_triggered_clocks_tick_when_set(tmp_path, kind):
     with fmi.instantiate(fmus.compiled("clocks", tmp_path / "clocks.fmu"), kind) as instance:
         instance.initialize()
         for _ in range(4):
@@ -266,7 +267,7 @@ def test_clocks_tick_by_hand(tmp_path, kind):
 
 
 @pytest.mark.parametrize("names", [("n", "k"), ("k", "n")])
-def test_values_of_a_model_fit_its_instance_in_any_order(tmp_path, names):
+def test_model_values_are_set_in_instance_in_any_order(tmp_path, names):
     model = FMUModel(fmus.compiled("arrays", tmp_path / "arrays.fmu"))
     values = {"n": 2, "k": [3.0, 4.0]}
     model.set({name: values[name] for name in names})
@@ -283,7 +284,7 @@ def test_values_of_a_model_fit_its_instance_in_any_order(tmp_path, names):
         ("close_all()", "fmi2"),
     ],
 )
-def test_instance_whose_fmu_crashes_is_lost_and_python_lives(tmp_path, fault, message):
+def test_crash_of_fmu_closes_instance_but_not_python(tmp_path, fault, message):
     fmu = fmus.evil(tmp_path / "deadly.fmu", "FAULT_ABOVE=2.2", f"FAULT={fault}")
     sound = fmi.instantiate(fmu)
     sound.initialize()
@@ -306,7 +307,7 @@ def test_instance_whose_fmu_crashes_is_lost_and_python_lives(tmp_path, fault, me
 
 
 @pytest.mark.parametrize("place", ["AT_INSTANTIATE", "AT_FREE"])
-def test_crash_at_the_begin_is_an_error_and_at_the_end_is_logged(tmp_path, caplog, place):
+def test_crash_is_an_error_at_the_start_and_logged_at_the_end(tmp_path, caplog, place):
     fmu = fmus.evil(tmp_path / "deadly.fmu", f"{place}=abort()")
     if place == "AT_INSTANTIATE":
         with pytest.raises(pydfo.SimulationError, match="abort in fmi2Instantiate"):
@@ -317,7 +318,7 @@ def test_crash_at_the_begin_is_an_error_and_at_the_end_is_logged(tmp_path, caplo
         assert "abort in fmi2FreeInstance" in caplog.text and instance.phase == "closed"
 
 
-def test_ctrl_c_ends_a_call_that_never_returns(tmp_path):
+def test_ctrl_c_ends_hanging_call(tmp_path):
     fmu = fmus.evil(tmp_path / "hangs.fmu", "FAULT_ABOVE=2.2", "FAULT=hang()")
     with fmi.instantiate(fmu) as instance:
         instance.set("k", 3.0)
@@ -332,7 +333,7 @@ def test_ctrl_c_ends_a_call_that_never_returns(tmp_path):
             instance.get("x")
 
 
-def test_ctrl_c_ends_an_integration(ball):
+def test_ctrl_c_ends_integration(ball):
     ball.initialize()
     threading.Timer(0.3, os.kill, (os.getpid(), 2)).start()
     with pytest.raises(pydfo.Interrupted):
@@ -357,7 +358,7 @@ def test_forked_child_has_no_instance(ball):
 
 
 def by_hand(fmu, kind, isolation):
-    """Bits of what a run by hand returns."""
+    """Returns the bits of the results of an instance controlled call by call."""
     with fmi.instantiate(fmu, kind, isolation=isolation) as instance:
         instance.initialize()
         seen = []
@@ -375,7 +376,7 @@ def by_hand(fmu, kind, isolation):
 
 
 @pytest.mark.parametrize("kind", ["ME", "CS"])
-def test_instance_has_the_same_bits_in_a_worker_process_and_in_this_one(kind):
+def test_instance_results_are_identical_in_worker_and_local_process(kind):
     fmu = example_fmu("bouncing_ball", kind=kind)
     assert by_hand(fmu, kind, "none") == by_hand(fmu, kind, "process") == by_hand(fmu, kind, None)
     with pytest.raises(ValueError, match="isolation"):
@@ -383,7 +384,7 @@ def test_instance_has_the_same_bits_in_a_worker_process_and_in_this_one(kind):
 
 
 @pytest.mark.parametrize("isolation", ["none", "process"])
-def test_saved_states_are_kept_as_long_as_python_has_them(isolation):
+def test_saved_states_live_as_long_as_their_objects(isolation):
     with fmi.instantiate(example_fmu("bouncing_ball"), isolation=isolation) as ball:
         ball.initialize()
         kept = ball.save_state()
@@ -395,7 +396,7 @@ def test_saved_states_are_kept_as_long_as_python_has_them(isolation):
         assert ball.get("h") == 1.0 and ball.time == 0.0
 
 
-def test_results_are_written_and_handed_to_other_libraries(tmp_path, monkeypatch):
+def test_results_convert_to_files_and_other_libraries(tmp_path, monkeypatch):
     result = FMUModel(example_fmu("bouncing_ball")).simulate(final_time=1, ncp=4, outputs=["h", "bounces", "resting"])
     result.to_csv(tmp_path / "out.csv")
     lines = (tmp_path / "out.csv").read_text().splitlines()

@@ -1,4 +1,4 @@
-"""Ctrl-C: the first ends the run in order, the second gives control back at once."""
+"""Ctrl-C: the first one ends the run in order, the second one returns control at once."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ENDLESS = {"x_tol": 0.0, "f_tol": 0.0, "max_iters": None, "max_fevals": None, **
 
 
 def press(*after):
-    """Ctrl-C on the main thread after so many seconds each."""
+    """Presses Ctrl-C on the main thread after each of these times in seconds."""
 
     def run():
         start = time.monotonic()
@@ -47,7 +47,7 @@ def handler_is_put_back():
 
 
 @pytest.mark.parametrize("workers", [1, 4])
-def test_the_first_ends_the_run_with_the_best_in_hand(workers):
+def test_first_ctrl_c_ends_run_with_best_point(workers):
     press(0.3)
     start = time.monotonic()
     with pytest.raises(pydfo.Interrupted) as info:
@@ -60,7 +60,7 @@ def test_the_first_ends_the_run_with_the_best_in_hand(workers):
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_function_that_runs_is_awaited(workers):
+def test_first_ctrl_c_waits_for_running_function(workers):
     ended = []
 
     def func(x):
@@ -75,7 +75,7 @@ def test_a_function_that_runs_is_awaited(workers):
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_the_second_does_not_wait(workers):
+def test_second_ctrl_c_does_not_wait(workers):
     release = threading.Event()
     calls = []
 
@@ -94,14 +94,14 @@ def test_the_second_does_not_wait(workers):
     assert info.value.result.fun <= rosenbrock([-1.2, 1.0])
 
 
-def test_before_any_cost_there_is_no_result():
+def test_ctrl_c_before_any_cost_has_no_result():
     press(0.2)
     with pytest.raises(pydfo.Interrupted) as info:
         fmin(lambda x: time.sleep(0.4) or float("nan"), [-1.2, 1.0], **ENDLESS)
     assert info.value.result is None
 
 
-def test_printing_runs_end_with_their_summary(capsys):
+def test_interrupted_run_prints_its_summary(capsys):
     press(0.2)
     with pytest.raises(pydfo.Interrupted):
         fmin(slow, [-1.2, 1.0], x_tol=0.0, f_tol=0.0)
@@ -109,7 +109,7 @@ def test_printing_runs_end_with_their_summary(capsys):
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_work_inside_of_work_stops_with_it(workers):
+def test_nested_run_stops_with_outer_run(workers):
     inner = []
 
     def func(x):
@@ -128,7 +128,7 @@ def test_work_inside_of_work_stops_with_it(workers):
     assert info.value.result is None
 
 
-def test_a_handler_of_the_users_is_left_in_place():
+def test_signal_handler_of_the_user_is_kept():
     class Alarm(Exception):
         pass
 
@@ -155,7 +155,7 @@ def test_other_threads_can_minimise_without_signals():
     assert results[0].success
 
 
-def test_no_evaluation_starts_after_a_fifth_of_a_second():
+def test_no_evaluation_starts_0_2_s_after_ctrl_c():
     starts = []
 
     def func(x):
@@ -172,7 +172,7 @@ def test_no_evaluation_starts_after_a_fifth_of_a_second():
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends a signal to a process of its own")
-def test_a_script_ends_as_scripts_do_on_ctrl_c():
+def test_ctrl_c_ends_a_script_with_the_usual_status():
     script = textwrap.dedent(
         """
         import sys, time, pydfo
@@ -197,7 +197,7 @@ def test_a_script_ends_as_scripts_do_on_ctrl_c():
 
 
 @pytest.mark.parametrize("what", ["simulate", "cost", "solve"])
-def test_a_loop_of_short_work_can_be_interrupted(what):
+def test_loop_of_short_calls_can_be_interrupted(what):
     model = pydfo.FMUModel(pydfo.example_fmu("dahlquist"))
     data = {"time": [0.0, 0.5, 1.0], "x": [1.0, 0.6, 0.4]}
     calibration = pydfo.Calibration(pydfo.example_fmu("dahlquist"), data, ["x"], [pydfo.Parameter("k", 1.0, 0.1, 5.0)])
@@ -209,14 +209,14 @@ def test_a_loop_of_short_work_can_be_interrupted(what):
     work()
     for _ in range(10):
         with pytest.raises(KeyboardInterrupt):
-            # inside: starting the thread may take longer than it waits
+            # pressed inside the loop, because starting the thread may take longer than the delay
             press(0.02)
             deadline = time.monotonic() + 2.0
             while time.monotonic() < deadline:
                 work()
 
 
-def test_a_run_that_gets_long_on_the_calling_thread_can_be_interrupted():
+def test_long_simulation_on_calling_thread_can_be_interrupted():
     model = pydfo.FMUModel(pydfo.example_fmu("van_der_pol"))
     for _ in range(3):
         model.simulate(final_time=1.0)
@@ -227,12 +227,12 @@ def test_a_run_that_gets_long_on_the_calling_thread_can_be_interrupted():
         model.simulate(final_time=1e9, output=["x0"], ncp=10)
     assert time.monotonic() - start < 1.3 and before <= threading.active_count()
     assert float(str(info.value).rpartition(" ")[2]) > 0.0
-    # and the model is as it was
+    # and the model is unchanged
     assert model.simulate(final_time=1.0).termination == "finished"
 
 
-def test_a_cost_that_gets_long_on_the_calling_thread_can_be_interrupted():
-    # k = 1e-3 is simulated in no time; for k = 1e9 Tsit5 is limited by stability, with 1e9 steps
+def test_long_cost_on_calling_thread_can_be_interrupted():
+    # k = 1e-3 is simulated quickly; for k = 1e9 stability limits Tsit5, with 1e9 steps
     data = {"time": [0.0, 1.0], "x": [1.0, 0.4]}
     parameters = [pydfo.Parameter("k", 1.0, 1e-3, 1e12)]
     calibration = pydfo.Calibration(pydfo.example_fmu("dahlquist"), data, ["x"], parameters, solver="tsit5")
@@ -247,8 +247,8 @@ def test_a_cost_that_gets_long_on_the_calling_thread_can_be_interrupted():
 
 
 @pytest.mark.parametrize("raises", [False, True])
-def test_input_functions_of_short_runs_are_awaited_and_end_the_run(raises):
-    """They are called with the interpreter lock, on whichever thread simulates."""
+def test_input_functions_of_short_runs_end_the_run(raises):
+    """Input functions are called with the interpreter lock, on the simulating thread."""
     model = pydfo.FMUModel(pydfo.example_fmu("quad_tank"))
     voltages = ("u1", "u2"), lambda t: (5.0, 5.0)
     for _ in range(3):

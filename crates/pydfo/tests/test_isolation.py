@@ -1,4 +1,4 @@
-"""FMUs in processes of their own: the same bits, deaths that are outcomes, and nothing left behind."""
+"""FMUs in separate processes: bit-for-bit identical results, crashes as failed evaluations, and no leftovers."""
 
 import os
 import re
@@ -22,7 +22,7 @@ TIMES = np.linspace(0, 1, 21)
 
 
 def decay(fmu, **more):
-    """y = exp(-1.7 t), which x' = -k x follows at k = 1.7."""
+    """Returns a calibration with y = exp(-1.7 t), which x' = -k x reproduces with k = 1.7."""
     data = {"time": TIMES, "y": np.exp(-1.7 * TIMES)}
     return Calibration(fmu, data, {"y": "y"}, [Parameter("k", 1, 0.1, 5)], **more)
 
@@ -31,7 +31,7 @@ def bits(fit):
     return fit.x.tobytes(), fit.cost, fit.stderr.tobytes(), fit.nfev
 
 
-def test_where_an_fmu_runs_changes_no_bit(tmp_path):
+def test_results_are_identical_in_all_isolation_modes(tmp_path):
     fmu = evil(tmp_path / "sound.fmu")
     here = decay(fmu, isolation="none")
     for workers in (1, 2, 7):
@@ -46,7 +46,7 @@ def test_where_an_fmu_runs_changes_no_bit(tmp_path):
     assert same_bits(one.simulate(**asked), other.simulate(isolation="process", **asked))
 
 
-#: What happens where k is above 2.2, and what is said of it.
+#: Faults for k above 2.2, with their messages.
 DEATHS = {
     "raise(SIGSEGV)": "segmentation fault in fmi2GetDerivatives",
     "abort()": "abort in fmi2GetDerivatives",
@@ -57,7 +57,7 @@ DEATHS = {
 
 
 @pytest.mark.parametrize("fault", DEATHS)
-def test_a_death_is_a_failed_evaluation(tmp_path, fault):
+def test_crash_is_a_failed_evaluation(tmp_path, fault):
     calibration = decay(evil(tmp_path / "deadly.fmu", "FAULT_ABOVE=2.2", f"FAULT={fault}"))
     with pytest.raises(pydfo.SimulationError, match=DEATHS[fault]) as raised:
         calibration.cost([3.0])
@@ -76,20 +76,20 @@ def test_a_death_is_a_failed_evaluation(tmp_path, fault):
         )
 
 
-def test_a_hang_ends_soon_after_its_limit(tmp_path):
+def test_hang_ends_soon_after_its_limit(tmp_path):
     fmu = evil(tmp_path / "hangs.fmu", "FAULT_ABOVE=2.2", "FAULT=hang()")
     calibration = decay(fmu, timeout=0.2)
     with pytest.raises(pydfo.SimulationError, match="no answer within the time limit in fmi2GetDerivatives"):
         calibration.cost([3.0])
     fit = calibration.fit(method="de", max_evaluations=30, rng=1, workers=2)
     assert fit.nfail > 0 and abs(fit.x[0] - 1.7) < 0.3
-    # Without a limit of its own it ends with the fit's.
+    # Without a separate limit, the hang ends with the limit of the fit.
     fit = decay(fmu).fit(method="de", max_time=2.0, rng=1, workers=2)
     assert "time" in fit.message and np.isfinite(fit.cost)
     assert any("when the time was up" in finding.sentence and "timeout" in finding.remedy for finding in fit.findings)
 
 
-def test_a_model_that_cannot_run_here_is_an_error_of_the_fmu(tmp_path):
+def test_unsupported_model_raises_fmu_error(tmp_path):
     foreign = tmp_path / "foreign.fmu"
     with zipfile.ZipFile(evil(tmp_path / "sound.fmu")) as source, zipfile.ZipFile(foreign, "w") as out:
         out.writestr("modelDescription.xml", re.sub(r"<SourceFiles>.*</SourceFiles>", "", source.read("modelDescription.xml").decode(), flags=re.S))
@@ -99,7 +99,7 @@ def test_a_model_that_cannot_run_here_is_an_error_of_the_fmu(tmp_path):
             decay(foreign, isolation=isolation).fit(workers=2)
 
 
-def test_ctrl_c_ends_what_never_returns(tmp_path):
+def test_ctrl_c_ends_hanging_fmu(tmp_path):
     calibration = decay(evil(tmp_path / "hangs.fmu", "FAULT_ABOVE=0", "FAULT=hang()"))
     threading.Timer(0.5, os.kill, (os.getpid(), 2)).start()
     with pytest.raises(pydfo.Interrupted):
@@ -111,7 +111,7 @@ def test_ctrl_c_ends_what_never_returns(tmp_path):
 
 
 def children():
-    """Numbers of the processes that this one has started and that are alive."""
+    """Returns the ids of the running child processes of this process."""
     found = []
     for name in filter(str.isdigit, os.listdir("/proc")):
         try:
@@ -124,7 +124,7 @@ def children():
     return found
 
 
-def test_nothing_is_left_of_a_calibration(tmp_path, monkeypatch):
+def test_calibration_leaves_no_processes_or_files(tmp_path, monkeypatch):
     folder = tmp_path / "temporary"
     folder.mkdir()
     fmu = evil(tmp_path / "sound.fmu")
@@ -140,7 +140,7 @@ def test_nothing_is_left_of_a_calibration(tmp_path, monkeypatch):
     assert not [name for name in os.listdir(folder) if name.startswith("fmufit-worker")]
 
 
-def test_nothing_is_left_of_a_calibration_that_evaluates_nothing(tmp_path):
+def test_unused_calibration_leaves_no_processes(tmp_path):
     before = set(children())
     (tmp_path / "broken.fmu").write_bytes(b"PK\x03\x04")
     for path in ("none.fmu", "broken.fmu"):
@@ -152,8 +152,8 @@ def test_nothing_is_left_of_a_calibration_that_evaluates_nothing(tmp_path):
     assert not set(children()) - before
 
 
-def test_a_state_that_only_a_new_process_renews_is_found(tmp_path):
-    # The value of k at the first run of a process stays.
+def test_state_reset_only_by_new_process_is_detected(tmp_path):
+    # The value of k at the first run of a process is kept.
     fmu = evil(tmp_path / "remembers.fmu", "SHARED_GLOBALS", "REMEMBERS=1.2")
     calibration = decay(fmu)
     fit = calibration.fit(workers=1)
@@ -161,7 +161,7 @@ def test_a_state_that_only_a_new_process_renews_is_found(tmp_path):
     assert again == fit.cost
 
 
-def test_a_state_found_by_simulations_is_a_quirk(tmp_path, caplog):
+def test_state_detected_by_simulations_is_a_quirk(tmp_path, caplog):
     model = FMUModel(evil(tmp_path / "remembers.fmu", "SHARED_GLOBALS", "REMEMBERS=1.2"))
     with caplog.at_level("WARNING", "pydfo"):
         for k in (1.0, 1.5, 2.0, 1.0, 1.5):
@@ -170,7 +170,7 @@ def test_a_state_found_by_simulations_is_a_quirk(tmp_path, caplog):
     assert sum("no variable shows" in message for message in caplog.messages) == 1
 
 
-def test_a_new_process_after_a_death_is_logged_once(tmp_path, caplog):
+def test_new_process_after_crash_is_logged_once(tmp_path, caplog):
     model = FMUModel(evil(tmp_path / "deadly.fmu", "FAULT_ABOVE=2.2", "FAULT=abort()"))
     model.set("x", 3.0)
     with caplog.at_level("WARNING", "pydfo"):
@@ -181,7 +181,7 @@ def test_a_new_process_after_a_death_is_logged_once(tmp_path, caplog):
     assert sum("a new one is started with the same values set" in message for message in caplog.messages) == 1
 
 
-def test_a_missing_folder_for_temporary_files_is_named(tmp_path, monkeypatch):
+def test_missing_temporary_folder_is_named(tmp_path, monkeypatch):
     model = FMUModel(evil(tmp_path / "sound.fmu"))
     monkeypatch.setenv("TMPDIR", str(tmp_path / "missing"))
     with pytest.raises(pydfo.FmuError, match=r"TMPDIR: cannot make the folder .*missing.*No such file") as info:
@@ -189,7 +189,7 @@ def test_a_missing_folder_for_temporary_files_is_named(tmp_path, monkeypatch):
     assert sys.executable not in str(info.value)
 
 
-def test_a_program_that_embeds_python_finds_an_interpreter_or_says_so(tmp_path):
+def test_embedding_program_finds_interpreter_or_warns(tmp_path):
     script = tmp_path / "fit.py"
     script.write_text(
         "import sys, warnings\n"
@@ -217,12 +217,12 @@ print(round(pydfo.Calibration(sys.argv[1], data, {'y': 'y'}, [pydfo.Parameter('k
 
 
 def fitted(fmu, **environment):
-    """What a program that fits prints, with this environment."""
+    """Returns the output of a program that fits in this environment."""
     command = [sys.executable, "-c", FIT, str(fmu)]
     return subprocess.run(command, capture_output=True, text=True, env={**os.environ, **environment}, check=True).stdout
 
 
-def test_programs_that_an_fmu_starts_find_the_environment_of_this_one(tmp_path):
+def test_programs_started_by_fmu_inherit_the_environment(tmp_path):
     fmu = evil(tmp_path / "starts.fmu", "FAULT_ABOVE=0", f'FAULT=(void)!system("env > {tmp_path}/environment")')
     library = next(name for name in ("/lib/x86_64-linux-gnu/libm.so.6", "/lib64/libm.so.6", "/lib/libm.so.6", "") if os.path.exists(name) or not name)
     for before in {"", library}:
@@ -232,14 +232,14 @@ def test_programs_that_an_fmu_starts_find_the_environment_of_this_one(tmp_path):
         assert "FMUFIT_WORKER_PRELOADED_BEFORE" not in found
 
 
-def test_a_module_that_cannot_be_loaded_ahead_of_a_program_is_imported(tmp_path):
-    # The dynamic linker takes spaces for the ends of names.
+def test_module_that_cannot_be_preloaded_is_imported(tmp_path):
+    # The dynamic linker uses spaces as separators of names.
     place = tmp_path / "with a space"
     shutil.copytree(os.path.dirname(pydfo.__file__), place / "pydfo")
     assert fitted(evil(tmp_path / "sound.fmu"), PYTHONPATH=str(place)) == "1.7\n"
 
 
-def test_limits_are_looked_at(tmp_path):
+def test_isolation_arguments_are_validated(tmp_path):
     fmu = evil(tmp_path / "sound.fmu")
     for wrong in ({"isolation": "thread"}, {"memory_limit": 0}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
@@ -249,7 +249,7 @@ def test_limits_are_looked_at(tmp_path):
 
 
 def has_sandbox(tmp_path):
-    """Whether the kernel can confine a process; where it cannot, the error says why."""
+    """Returns True if the kernel can confine a process; otherwise checks that the error states the reason."""
     try:
         decay(evil(tmp_path / "probe.fmu"), sandbox=True)
     except pydfo.FmuError as error:
@@ -263,7 +263,7 @@ def test_sandbox_confines_simulations_and_fits(tmp_path):
         pytest.skip("needs Landlock")
     outside, inside = tmp_path / "outside", tmp_path / "readable"
     inside.write_text("kept")
-    # The working folder is read, another folder is not written, and no socket is to be had.
+    # The working folder can be read. Writing to another folder and opening a socket fail.
     fault = f'if (fopen("{outside}", "w") || socket(AF_INET, SOCK_DGRAM, 0) >= 0 || !fopen("{inside}", "r") || fopen("{inside}", "a")) exit(7)'
     fmu = evil(tmp_path / "writes.fmu", "FAULT_ABOVE=2.2", f"FAULT={fault}")
     sound, model = FMUModel(evil(tmp_path / "sound.fmu")), FMUModel(fmu)
@@ -276,12 +276,12 @@ def test_sandbox_confines_simulations_and_fits(tmp_path):
         assert same_bits(model.simulate(sandbox=True, **more, **asked), sound.simulate(**asked))
     assert decay(fmu, sandbox=True).cost([3.0]) == decay(tmp_path / "sound.fmu").cost([3.0])
     assert not outside.exists() and inside.read_text() == "kept"
-    # The same model without a sandbox is not simulated by a process that has one.
+    # A process with a sandbox does not simulate the model without a sandbox.
     with pytest.raises(pydfo.SimulationError, match=r"exit\(7\)"):
         model.simulate(isolation="process", **asked)
 
 
-def test_sandbox_that_nothing_confines_is_an_error(tmp_path):
+def test_sandbox_without_isolation_is_an_error(tmp_path):
     fmu = evil(tmp_path / "sound.fmu")
     with pytest.raises(ValueError if has_sandbox(tmp_path) else pydfo.FmuError, match="sandbox"):
         decay(fmu, sandbox=True, isolation="none")
@@ -289,7 +289,7 @@ def test_sandbox_that_nothing_confines_is_an_error(tmp_path):
         FMUModel(fmu).simulate(final_time=1, sandbox=True, isolation="none")
 
 
-def test_a_function_as_input_gives_the_same_bits_in_a_process(tmp_path):
+def test_input_function_gives_identical_results_in_a_process(tmp_path):
     fmu = pydfo.example_fmu("switched_input")
     variables = FMUModel(fmu).description.variables
     output = next(name for name, variable in variables.items() if variable.causality == "output")
@@ -309,7 +309,7 @@ def test_a_function_as_input_gives_the_same_bits_in_a_process(tmp_path):
     assert len({fit.x.tobytes() for fit in fits}) == 1
 
 
-def test_an_exception_of_an_input_function_ends_the_simulation(tmp_path):
+def test_input_function_exception_ends_the_simulation(tmp_path):
     fmu = pydfo.example_fmu("switched_input")
     model = FMUModel(fmu)
 
@@ -323,11 +323,11 @@ def test_an_exception_of_an_input_function_ends_the_simulation(tmp_path):
     assert model.simulate(final_time=1, inputs={"u": lambda t: t}).time[-1] == 1
 
 
-def test_an_input_function_is_called_by_one_simulation_at_a_time():
+def test_input_function_is_called_by_one_simulation_at_a_time():
     model = FMUModel(pydfo.example_fmu("quad_tank"))
 
     def driven():
-        """A function that counts its calls, and is called by the thread that simulates."""
+        """Returns a function that counts its calls, and must be called by the simulating thread."""
         calls = []
 
         def pump(t):
@@ -345,7 +345,7 @@ def test_an_input_function_is_called_by_one_simulation_at_a_time():
     assert model.get("qt.x1") == runs[0]
 
 
-def test_values_are_those_of_the_last_complete_simulation():
+def test_values_come_from_last_complete_simulation():
     model = FMUModel(pydfo.example_fmu("dahlquist"))
     end = model.simulate(final_time=1).final("x")
     for wrong in ({"final_time": -1}, {"final_time": 1, "solver": "none"}, {"final_time": 1, "start_values": {"k": np.nan}}):
@@ -373,7 +373,7 @@ with open(sys.argv[1], "r+") as lock:
 """
 
 
-def test_a_checkpoint_belongs_to_one_process_at_a_time(tmp_path):
+def test_checkpoint_is_locked_by_one_process(tmp_path):
     place, lock = tmp_path / "run.checkpoint", tmp_path / "run.checkpoint.lock"
     lock.write_text("4711")
     with subprocess.Popen([sys.executable, "-c", HOLDS_LOCK, lock], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as owner:

@@ -1,4 +1,4 @@
-"""`least_squares` beside SciPy's, its losses, its result, and what it refuses."""
+"""`least_squares` compared with SciPy: losses, result and rejected arguments."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def timeless(result):
 
 
 @pytest.mark.parametrize("loss", LOSSES)
-def test_the_optimum_the_jacobian_and_the_covariance_are_those_of_scipy(loss):
+def test_optimum_jacobian_and_covariance_match_scipy(loss):
     ours = least_squares(with_outlier, START, loss=loss, f_scale=0.1)
     theirs = scipy_optimize.least_squares(with_outlier, START, loss=loss, f_scale=0.1, xtol=1e-12, ftol=1e-12, gtol=1e-12)
     assert ours.success and ours.status == 0, ours
@@ -57,7 +57,7 @@ def test_the_optimum_the_jacobian_and_the_covariance_are_those_of_scipy(loss):
         assert (ours.fun == with_outlier(ours.x)).all() and ours.cost == ours.sum_of_squares
 
 
-def test_the_covariance_is_that_of_curve_fit():
+def test_covariance_matches_curve_fit():
     def model(t, a, b, c):
         return a * np.exp(-b * t) + c
 
@@ -65,18 +65,18 @@ def test_the_covariance_is_that_of_curve_fit():
     np.testing.assert_allclose(least_squares(decay, START).cov, expected, rtol=0.02)
 
 
-def test_the_result_is_like_the_others_but_for_its_residuals():
+def test_result_has_residuals_and_common_fields():
     res = least_squares(decay, START)
     x, cost, nit, nfev, seconds = res
     assert x is res.x and cost == res.cost == res["cost"] and (nit, nfev) == (res.nit, res.nfev) and seconds == res.solve_time
     assert "cost" in repr(res) and res.method == "least-squares" and len(res.trace) == nfev
     assert res.trace.fun.min() == res.cost == sum(res.fun**2)
-    # One that knows residuals needs far fewer evaluations than one that knows costs.
+    # A method that uses residuals needs far fewer evaluations than one that uses costs.
     simplex = pydfo.minimize(lambda x: np.sum(decay(x) ** 2), START, method="nelder-mead")
     assert simplex.jac is None and simplex.cov is None and res.nfev < simplex.nfev / 3
 
 
-def test_what_is_at_a_bound_fixed_or_not_determined_is_said():
+def test_bound_fixed_and_undetermined_parameters_are_reported():
     res = least_squares(decay, [1.0, 0.7, 0.1], [(0, 5), (0.7, 0.7), (None, 0.2)])
     assert res.active_mask.tolist() == [0, -1, 1] and res.x[1] == 0.7 and res.x[2] == 0.2
     assert "x[1], x[2]" in res.cov_message and res.cov[0, 0] > 0 and not res.cov[1:].any() and not res.jac[:, 1].any()
@@ -95,29 +95,29 @@ def test_what_is_at_a_bound_fixed_or_not_determined_is_said():
         (np.array([0, 0, -np.inf]), [5, 0.5, 1]),
     ],
 )
-def test_bounds_in_every_form(bounds):
+def test_bounds_are_accepted_in_all_forms(bounds):
     res = least_squares(decay, [1.0, 0.4, 0.0], bounds)
     assert res.x[1] == 0.5 and res.active_mask[1] == 1
     assert (res.trace.x >= [0, 0, -np.inf]).all() and (res.trace.x <= [5, 0.5, 1]).all()
 
 
-def test_a_tuple_of_two_pairs_means_that_in_which_the_start_lies():
+def test_tuple_of_two_pairs_is_resolved_by_the_start():
     def line(x):
         return x[0] + x[1] * T - MEASURED
 
     def reach(bounds, x0):
         return least_squares(line, x0, bounds).trace.x
 
-    # Numbers hold for all; one parameter.
+    # Numbers apply to all parameters; one parameter.
     assert (reach((-1, 3), [0.0, 0.0]) <= 3).all()
     assert least_squares(lambda x: x - 5, [0.5], (0, 1)).x == [1] and least_squares(lambda x: x - 5, [0.5], [(0, 1)]).x == [1]
-    # As pairs the first would be fixed at 0, outside of the start.
+    # As pairs, the first parameter would be fixed at 0, and the start would be outside.
     assert (reach(([0, 0], [1, 1]), [0.5, 0.5]) <= 1).all()
-    # As lower and upper bounds the start would lie outside.
+    # As lower and upper bounds, the start would be outside.
     assert (reach(((0, 2), (-1, 1)), [1.5, -0.5])[:, 0] <= 2).all()
     with pytest.raises(ValueError, match=r"give a list of pairs.*or scipy.optimize.Bounds"):
         reach(((0, 2), (1, 20)), [0.5, 5.0])
-    # A list holds pairs.
+    # A list contains pairs.
     assert reach([(0, 2), (1, 20)], [0.5, 5.0])[:, 1].min() < 2
     with pytest.raises(ValueError, match="outside of its bounds"):
         reach(([0, 0], [1, 1]), [5.0, 5.0])
@@ -125,7 +125,7 @@ def test_a_tuple_of_two_pairs_means_that_in_which_the_start_lies():
 
 @pytest.mark.parametrize("workers", [2, 5, "executor", "map", "vectorized"])
 @pytest.mark.parametrize("loss", ["linear", "cauchy"])
-def test_the_path_is_the_same_whoever_evaluates(workers, loss):
+def test_path_is_identical_for_all_evaluators(workers, loss):
     alone = least_squares(decay, START, loss=loss, f_scale=0.1)
     if workers == "executor":
         with concurrent.futures.ThreadPoolExecutor(3) as pool:
@@ -139,7 +139,7 @@ def test_the_path_is_the_same_whoever_evaluates(workers, loss):
     assert timeless(other) == timeless(alone)
 
 
-def test_budgets_are_exact_and_a_resumed_run_is_the_same(tmp_path):
+def test_budgets_are_exact_and_resumed_run_is_identical(tmp_path):
     whole = least_squares(decay, START, loss="huber", f_scale=0.1)
     file = tmp_path / "run.ckpt"
     for limit in range(1, whole.nfev):
@@ -155,7 +155,7 @@ def test_budgets_are_exact_and_a_resumed_run_is_the_same(tmp_path):
     assert least_squares(decay, START, max_iterations=3).nit == 3
 
 
-def test_failures_are_counted_with_their_reasons_and_enter_nothing():
+def test_failures_are_counted_and_not_used():
     def undefined(x):
         return np.where(x[1] > 0.9, np.nan, decay(x))
 
@@ -179,7 +179,7 @@ def test_failures_are_counted_with_their_reasons_and_enter_nothing():
 
 
 @pytest.mark.parametrize("how", [{}, {"on_error": "fail"}, {"workers": 2}, {"workers": map}])
-def test_another_number_of_residuals_is_an_error(how):
+def test_changed_number_of_residuals_is_an_error(how):
     def short(x):
         return decay(x)[: 11 if x[1] > 0.9 else 12]
 
@@ -199,7 +199,7 @@ def test_another_number_of_residuals_is_an_error(how):
         (["a"], "one-dimensional array of numbers"),
     ],
 )
-def test_what_is_no_vector_of_numbers_is_an_error(returned, said):
+def test_non_vector_residuals_are_an_error(returned, said):
     for how in [{}, {"on_error": "fail"}, {"workers": 2}, {"workers": map}]:
         with pytest.raises(TypeError, match=said):
             least_squares(lambda x: returned, [1.0], **how)
@@ -220,12 +220,12 @@ def test_what_is_no_vector_of_numbers_is_an_error(returned, said):
         ({"bounds": [(0, 1)]}, ValueError, "1 pairs for 3 parameters"),
     ],
 )
-def test_arguments_that_cannot_be_used(how, error, said):
+def test_bad_arguments_are_rejected(how, error, said):
     with pytest.raises(error, match=said):
         least_squares(**{"fun": decay, "x0": START, **how})
 
 
-def test_whatever_numpy_takes_for_a_vector():
+def test_any_array_like_vector_is_accepted():
     expected = timeless(least_squares(decay, START))
     for form in (list, tuple, lambda r: np.repeat(r, 2)[::2], lambda r: r.astype(object)):
         assert timeless(least_squares(lambda x: form(decay(x)), START)) == expected
@@ -234,7 +234,7 @@ def test_whatever_numpy_takes_for_a_vector():
     assert whole.cost == 2 and whole.fun.tolist() == [1, 1]
 
 
-def test_an_optimizer_is_told_vectors():
+def test_optimizer_accepts_residual_vectors():
     alone = least_squares(decay, START)
     optimizer = pydfo.Optimizer("least-squares", START)
     while not optimizer.done:
@@ -251,7 +251,7 @@ def test_an_optimizer_is_told_vectors():
     assert optimizer.report().failures == {"no value": 1, "ValueError: no": 1, "residual 0 is NaN": 1}
 
 
-def test_other_functions_point_here():
+def test_other_functions_suggest_least_squares():
     for call in (
         lambda: pydfo.minimize(decay, START, method="least-squares"),
         lambda: pydfo.minimize(decay, START, method="least-squares", workers=map),
@@ -262,13 +262,13 @@ def test_other_functions_point_here():
             call()
 
 
-def test_a_callback_sees_the_cost_and_may_end_the_run():
+def test_callback_receives_cost_and_may_end_the_run():
     seen = []
     res = least_squares(decay, START, callback=lambda progress: seen.append(progress.fun) or len(seen) == 4)
     assert len(seen) == 4 and res.cost == seen[-1] and res.status == 4
 
 
-def test_rounds_of_several_points():
+def test_rounds_evaluate_several_points():
     alone = least_squares(decay, START)
     rounds = least_squares(decay, START, batch=6)
     assert rounds.success and rounds.cost == pytest.approx(alone.cost, rel=1e-6) and rounds.n_batches < alone.n_batches

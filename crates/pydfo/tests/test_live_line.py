@@ -1,4 +1,4 @@
-"""The line that follows a fit."""
+"""The live line of a fit."""
 
 import io
 import os
@@ -38,7 +38,7 @@ def progress(**more):
     return Progress(**fields | dict(x_size=None, f_spread=None, final_simplex=None, final_population=None, _recent=[]) | more)
 
 
-def test_the_line_says_what_was_found_and_what_is_left():
+def test_line_shows_results_and_remaining_limits():
     line = _live.LiveLine(["a", "b"], 0.0, 100, None, 60)
     assert line.text(2.0) == "fit: first simulations, 2 s"
     line._progress = progress()
@@ -48,7 +48,7 @@ def test_the_line_says_what_was_found_and_what_is_left():
     assert line.text(0.0) == "fit: 12 evaluations, best cost 1.25, p0 = 1, p1 = 1, p2 = 1, ..., 0 s"
 
 
-def test_a_terminal_sees_the_line_and_then_nothing_of_it(terminal, capsys):
+def test_line_is_shown_and_removed_in_a_terminal(terminal, capsys):
     with redirect_stderr(terminal):
         decay().fit(disp=True)
     shown = terminal.getvalue()
@@ -56,7 +56,7 @@ def test_a_terminal_sees_the_line_and_then_nothing_of_it(terminal, capsys):
     assert "converged" in capsys.readouterr().out
 
 
-def test_short_fits_and_pipes_see_no_line(terminal, monkeypatch, capsys):
+def test_line_is_hidden_for_short_fits_and_pipes(terminal, monkeypatch, capsys):
     monkeypatch.setattr("pydfo._calibration.calibration.DELAY", 60.0)
     with redirect_stderr(terminal):
         decay().fit()
@@ -69,7 +69,7 @@ def test_short_fits_and_pipes_see_no_line(terminal, monkeypatch, capsys):
     assert pipe.getvalue() == "" and capsys.readouterr().out.startswith(" iter")
 
 
-def test_the_line_ends_with_an_exception(terminal):
+def test_line_is_removed_after_an_exception(terminal):
     def fail(_):
         raise RuntimeError("mine")
 
@@ -80,8 +80,8 @@ def test_the_line_ends_with_an_exception(terminal):
         decay().fit(disp="yes")
 
 
-def test_the_line_moves_between_iterations(terminal):
-    # Simulations of a million steps: before the first iteration there is time for more than one tick.
+def test_line_is_updated_between_iterations(terminal):
+    # Simulations of a million steps leave time for several ticks before the first iteration.
     data = {"time": TIME, "x": np.exp(-2.0 * TIME)}
     calibration = Calibration(example_fmu("dahlquist"), data, ["x"], Parameter("k", 1.0, 0.1, 10.0), solver="euler", step_size=1e-6)
     with redirect_stderr(terminal):
@@ -89,7 +89,7 @@ def test_the_line_moves_between_iterations(terminal):
     assert "\rfit: first simulations" in terminal.getvalue()
 
 
-def test_a_closed_terminal_is_no_error(terminal):
+def test_closed_terminal_is_tolerated(terminal):
     terminal.close()
     with redirect_stderr(terminal):
         line = _live.LiveLine(["k"], 0.0, None, None, None)
@@ -97,7 +97,7 @@ def test_a_closed_terminal_is_no_error(terminal):
         line.close()
 
 
-def test_a_real_terminal_is_left_clean_by_an_interrupt(tmp_path):
+def test_interrupt_leaves_terminal_clean(tmp_path):
     script = tmp_path / "fit.py"
     script.write_text(textwrap.dedent("""
         import os, signal, threading

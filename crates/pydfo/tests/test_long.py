@@ -1,4 +1,4 @@
-"""What takes minutes: many simulations from Python in constant memory. Run by `make test-long`."""
+"""Tests that take minutes: many simulations from Python in constant memory. Run by `make test-long`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pydfo import FMUModel, example_fmu
 
 
 def resident() -> int:
-    """Resident memory of this process in bytes."""
+    """Returns the resident memory of this process in bytes."""
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith("VmRSS:"):
             return int(line.split()[1]) * 1024
@@ -20,7 +20,7 @@ def resident() -> int:
 
 @pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_the_papers_cost_function_runs_in_constant_memory():
+def test_paper_cost_function_runs_in_constant_memory():
     path = example_fmu("furuta")
 
     def cost(k: int) -> None:

@@ -1,4 +1,4 @@
-"""Memory of recordings: what a calibration takes beside the data that it is given."""
+"""Memory of recordings: the memory of a calibration in addition to the given data."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ print(peak / 72e6)
 
 
 @pytest.mark.parametrize("shape", ["arrays", "lists"])
-def test_a_calibration_takes_three_times_its_columns(shape):
+def test_calibration_uses_at_most_three_times_its_columns(shape):
     program = textwrap.dedent(PROGRAM)
     done = subprocess.run([sys.executable, "-c", program, shape], capture_output=True, text=True, check=True)
     assert float(done.stdout) < 3.2

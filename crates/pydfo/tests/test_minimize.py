@@ -1,4 +1,4 @@
-"""minimize: arguments as SciPy takes them, every method, every kind of worker."""
+"""minimize: arguments as in SciPy, all methods, all kinds of workers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ import pydfo
 from pydfo import minimize
 
 
-def test_the_signature_is_what_was_promised():
+def test_signature_is_stable():
     parameters = inspect.signature(minimize).parameters
     assert [(p.name, p.default) for p in parameters.values() if p.name not in ("fun", "x0")] == [
         ("bounds", None),
@@ -61,7 +61,7 @@ def test_the_signature_is_what_was_promised():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_every_method_finds_the_minimum(method):
+def test_methods_find_the_minimum(method):
     res = minimize(rosenbrock, **{**RUN, "rng": 1}, method=method, max_evaluations=6000)
     np.testing.assert_allclose(res.x, [1.0, 1.0], atol=0.05)
     assert res.method == method and res.fun == rosenbrock(res.x) and len(res.trace) == res.nfev
@@ -69,12 +69,12 @@ def test_every_method_finds_the_minimum(method):
     if method in ("de", "de-classic", "ga", "cma-es"):
         members, costs = res.final_population
         assert res.seed == 1 and members.shape[1] == 2 and np.all(np.diff(costs) >= 0)
-        # CMA-ES has the last generation, which need not hold the best point.
+        # CMA-ES returns the last generation, which may not contain the best point.
         assert costs[0] == res.fun or method == "cma-es"
     elif method == "pattern-search":
         assert res.seed is None and res.final_population[1] == [res.fun]
     else:
-        # Of quadratic models it is the interpolation points.
+        # For quadratic models, it contains the interpolation points.
         assert res.seed is None and (res.final_population is None) == (method != "quadratic-model")
     mus = [stage.mu for stage in res.schedule]
     assert (method == "barrier") == bool(mus) and mus == sorted(mus, reverse=True)
@@ -91,7 +91,7 @@ def test_budgets_are_exact_for_every_method(method):
         assert res.nfev == budget or res.success
 
 
-def test_bounds_as_scipy_takes_them():
+def test_bounds_are_accepted_in_scipy_forms():
     optimize = pytest.importorskip("scipy.optimize")
 
     def cost(x):
@@ -112,7 +112,7 @@ def test_bounds_as_scipy_takes_them():
     np.testing.assert_allclose(scalar.x, [2.0, -1.0], atol=1e-3)
     fixed = minimize(cost, [0.5, 0.0], bounds=[(0.5, 0.5), (None, None)])
     assert np.all(fixed.trace.x[:, 0] == 0.5) and fixed.x[1] == pytest.approx(-3.0, abs=1e-5)
-    # methods that sample a box need no start, and Bounds then say how many parameters there are
+    # methods that sample a box need no start; Bounds then determine the number of parameters
     sampled = minimize(cost, None, bounds=optimize.Bounds([-1, -2], [1, 2]), method="de", rng=1, max_evaluations=2000)
     np.testing.assert_allclose(sampled.x, [1.0, -2.0], atol=1e-3)
 
@@ -127,7 +127,7 @@ def test_further_arguments_reach_the_function():
 
 @pytest.mark.parametrize("method", METHODS)
 def test_serial_threads_executors_and_maps_give_the_same_trace(method):
-    """With one batch plan nothing depends on who evaluates."""
+    """With one batch plan, the path does not depend on the evaluator."""
     plan = {"batch": 4} if method in ("nelder-mead", "barrier") else {}
     run = {**RUN, "method": method, "max_evaluations": 250, "options": plan}
     first = timeless(minimize(rosenbrock, **run))
@@ -144,7 +144,7 @@ def test_serial_threads_executors_and_maps_give_the_same_trace(method):
         assert timeless(minimize(shifted, **run, args=(0.0, 1.0), workers=processes)) == first
 
 
-def test_a_pool_of_processes_is_used():
+def test_process_pool_is_used():
     with multiprocessing.get_context("spawn").Pool(2) as pool:
         ids = set()
         for workers in (pool, pool.map):
@@ -183,7 +183,7 @@ def test_exceptions_in_executors_keep_the_other_points():
     assert info.value is error and info.traceback[-1].name == "raising"
 
 
-def test_an_executor_has_as_many_points_as_it_has_workers():
+def test_executor_receives_one_point_per_worker():
     widths = []
 
     class Counting(concurrent.futures.ThreadPoolExecutor):
@@ -194,12 +194,12 @@ def test_an_executor_has_as_many_points_as_it_has_workers():
     with Counting(5) as executor:
         res = minimize(rosenbrock, [-1.2, 1.0], workers=executor, max_iterations=30, method="nelder-mead")
     assert res.batch == "auto" and res.workers == 5
-    # Some that were begun ahead of need are cancelled before they run.
+    # Some points started ahead of need are cancelled before they run.
     assert set(widths) == {threading.get_ident()} and len(widths) >= res.nfev + res.n_speculative
     assert minimize(rosenbrock, [-1.2, 1.0], workers=map, max_iterations=3, options={"batch": "serial"}).batch == "serial"
 
 
-def test_vectorized_points_stand_in_columns():
+def test_vectorized_points_are_columns():
     shapes = []
 
     def cost(x, factor):
@@ -216,7 +216,7 @@ def test_vectorized_points_stand_in_columns():
     assert 0 < bad.nfail < 200
 
 
-def test_the_callback_sees_progress_and_may_stop():
+def test_callback_receives_progress_and_may_stop():
     seen = []
 
     def callback(intermediate_result):
@@ -242,7 +242,7 @@ def test_the_callback_sees_progress_and_may_stop():
     assert (partial.status, partial.termination, partial.message) == (6, "aborted", "aborted by the callback: KeyError: 'mine'")
 
 
-def test_seeds_are_given_drawn_and_reported():
+def test_seeds_are_accepted_drawn_and_reported():
     run = {"bounds": [(-2, 2)] * 2, "method": "de", "max_evaluations": 200}
     first = minimize(rosenbrock, **run)
     again = minimize(rosenbrock, **run, rng=first.seed)
@@ -255,7 +255,7 @@ def test_seeds_are_given_drawn_and_reported():
     assert minimize(rosenbrock, **run, rng=np.uint64(2**64 - 1)).seed == 2**64 - 1
 
 
-def test_integer_and_categorical_parameters():
+def test_integer_and_categorical_parameters_are_optimised():
     def cost(x):
         assert x[1] == round(x[1]) and x[2] == round(x[2])
         return (x[0] - 0.3) ** 2 + (x[1] - 4.0) ** 2 + (0.0 if x[2] == 2 else 1.0)
@@ -283,7 +283,7 @@ def test_sizes_scales_and_warm_starts_are_options():
         assert more.fun <= res.fun and more.trace.x[0].tolist() != [1.0, 0.0]
     limited = minimize(rosenbrock, [-1.2, 1.0], options={"trace_limit": 10})
     assert len(limited.trace) == 10 and limited.trace.n_dropped == limited.nfev - 10
-    # Gray codes meet the same point again and again
+    # Gray codes reach some points repeatedly
     cached = minimize(rosenbrock, **RUN, method="ga", options={"resolution": np.array([0.5, 0.5])}, max_iterations=40)
     assert cached.n_cached > 100
 
@@ -308,7 +308,7 @@ def test_sizes_scales_and_warm_starts_are_options():
         ("ga", {"selection": "fitness", "resolution": [0.01, 0.01], "sampling": "uniform", "stall": None, "cache": 0}),
     ],
 )
-def test_every_option_of_every_method_reaches_it(method, options):
+def test_options_reach_their_methods(method, options):
     res = minimize(rosenbrock, **RUN, method=method, options=options, max_evaluations=300)
     assert res.fun < rosenbrock([-1.2, 1.0])
     if "population" in options:
@@ -385,7 +385,7 @@ def test_every_option_of_every_method_reaches_it(method, options):
     ],
     ids=lambda v: str(v)[:60] if isinstance(v, dict) else "",
 )
-def test_bad_arguments_teach_before_anything_runs(changes, error, said):
+def test_bad_arguments_are_explained_before_the_run(changes, error, said):
     func = Recorder(rosenbrock)
     arguments = {"fun": func, "x0": [0.5, 0.5], "bounds": [(-2, 2), (-2, 2)], **changes}
     with pytest.raises(error, match=said):
@@ -393,7 +393,7 @@ def test_bad_arguments_teach_before_anything_runs(changes, error, said):
     assert func.values == []
 
 
-def test_limits_beyond_the_machine_are_none():
+def test_huge_limits_mean_no_limit():
     free = timeless(minimize(rosenbrock, **RUN))
     for limits in ({"max_time": 1e30}, {"max_iterations": 1e30}, {"max_evaluations": 2**70}, {"max_time": np.inf}):
         assert timeless(minimize(rosenbrock, **{**RUN, **limits}))[:2] == free[:2]
@@ -402,7 +402,7 @@ def test_limits_beyond_the_machine_are_none():
             minimize(rosenbrock, [0.0, 0.0], **{name: "3"})
 
 
-def test_what_no_method_has_says_what_to_do_instead():
+def test_unsupported_arguments_suggest_alternatives():
     def bowl(x):
         return float(x @ x)
 
@@ -419,7 +419,7 @@ def test_what_no_method_has_says_what_to_do_instead():
         minimize(bowl, [1.0], callback=listen)
 
 
-def test_sizes_that_nothing_tells():
+def test_unknown_sizes_are_estimated():
     scales = np.array([1e-6, 1e5, 30.0])
 
     def cost(x):
@@ -438,7 +438,7 @@ def test_sizes_that_nothing_tells():
 
 @pytest.mark.parametrize("workers", [1, 2])
 @pytest.mark.parametrize("method", METHODS)
-def test_a_run_ends_with_the_call_that_reaches_the_target(method, workers):
+def test_run_ends_with_call_that_reaches_the_target(method, workers):
     res = pydfo.minimize(
         lambda x: float(x @ x), [1.0, 2.0], bounds=[(-5, 5)] * 2, method=method, target=1e9, rng=1, workers=workers
     )

@@ -1,4 +1,4 @@
-"""Inputs in all their forms, on a first-order lag with a Real, an Integer and a Boolean input."""
+"""Inputs in all forms, for a first-order lag with a Real, an Integer and a Boolean input."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ def lag(x0, target, dt):
 
 
 def ramp(t, rate=1.0, gear=1):
-    """Response to u = rate t."""
+    """Returns the response to u = rate t."""
     return K * gear * rate * (t - T * (1 - np.exp(-t / T)))
 
 
 def ramp_forms():
-    """u = t from 0 to 5 in every form."""
+    """Returns u = t from 0 to 5 in every form."""
     times = np.linspace(0.0, 5.0, 11)
     matrix = np.column_stack([times, times])
     structured = np.array(list(zip(times, times)), dtype=[("time", float), ("u", float)])
@@ -58,7 +58,7 @@ def ramp_forms():
 
 
 @pytest.mark.parametrize("form", ramp_forms())
-def test_a_ramp(switched, form):
+def test_ramp_input_gives_closed_form(switched, form):
     times = np.linspace(0.0, 5.0, 21)
     res = switched.simulate(0, 5, times=times, input=ramp_forms()[form], output=["x", "u"], **TIGHT)
     assert res["x"] == pytest.approx(ramp(times), abs=1e-8)
@@ -84,7 +84,7 @@ def frame(index=False):
     ],
     ids=["dict", "constant", "function", "matrix", "DataFrame", "DataFrame with index", "records"],
 )
-def test_all_kinds_of_inputs_and_their_jumps(switched, form):
+def test_inputs_of_all_kinds_may_jump(switched, form):
     res = switched.simulate(0, 5, times=[0, 1, 2, 3, 5], input=form(), record_events=True, **TIGHT)
     x1 = lag(0, 2, 1)
     x2 = lag(x1, 4, 1)
@@ -98,7 +98,7 @@ def test_all_kinds_of_inputs_and_their_jumps(switched, form):
     assert (before, after) == (2.0, 4.0)
 
 
-def test_a_time_listed_twice_is_a_jump(switched):
+def test_time_listed_twice_is_a_jump(switched):
     inputs = {"time": [0, 1, 1, 2], "u": [0, 0, 3, 3]}
     res = switched.simulate(0, 2, times=[0.5, 1, 1, 2], input=inputs, output=["x", "u"], **TIGHT)
     assert list(res["u"]) == [0, 0, 3, 3]
@@ -106,12 +106,12 @@ def test_a_time_listed_twice_is_a_jump(switched):
     assert list(res.events["time"])[:1] == [1.0] and res.events["kind"][0] == "input"
 
 
-def test_tables_hold_outside_of_their_span(switched):
+def test_tables_are_constant_outside_their_span(switched):
     res = switched.simulate(0, 4, ncp=4, input={"time": [1, 2], "u": [1, 2]}, output=["u"])
     assert list(res["u"]) == [1, 1, 2, 2, 2]
 
 
-def test_a_function_is_called_once_for_a_time(switched):
+def test_function_is_called_once_per_time(switched):
     calls = []
 
     def function(t):
@@ -123,7 +123,7 @@ def test_a_function_is_called_once_for_a_time(switched):
     assert all(a != b for a, b in zip(calls, calls[1:]))
 
 
-def test_inputs_count_for_one_simulation(switched):
+def test_inputs_apply_to_one_simulation(switched):
     plain = switched.simulate(0, 1)
     switched.simulate(0, 1, input={"u": 3.0})
     assert fmus.same_bits(plain, switched.simulate(0, 1))
@@ -131,14 +131,14 @@ def test_inputs_count_for_one_simulation(switched):
     assert fmus.same_bits(switched.simulate(0, 1), switched.simulate(0, 1, input={"u": 3.0}))
 
 
-def test_a_function_alone(switched):
+def test_single_function_for_several_inputs_is_rejected(switched):
     with pytest.raises(ValueError, match=r"3 \(u, enabled, gear\)"):
         switched.simulate(0, 1, input=np.sin)
     with pytest.raises(ValueError, match="none"):
         FMUModel(example_fmu("dahlquist")).simulate(0, 1, input=np.sin)
 
 
-def test_a_function_alone_for_one_input(tmp_path):
+def test_single_function_drives_single_input(tmp_path):
     others = ('causality="input" variability="discrete"', 'causality="parameter" variability="tunable"')
     model = FMUModel(fmus.changed("switched_input", tmp_path / "m.fmu", others))
     assert model.description.inputs == ["u"]
@@ -168,7 +168,7 @@ def test_a_function_alone_for_one_input(tmp_path):
     ],
     ids=str,
 )
-def test_inputs_that_make_no_sense(switched, given, message):
+def test_invalid_inputs_are_rejected(switched, given, message):
     with pytest.raises(ValueError, match=message):
         switched.simulate(0, 2, input=given)
 
@@ -178,18 +178,18 @@ def test_inputs_that_make_no_sense(switched, given, message):
     [3.0, ["u"], np.zeros((2, 2)), {3: [1]}, {"time": [0, 1], "u": ["a", "b"]}, {"u": "on"}, {"u": None}, ("u", "v"), ([3], np.zeros((2, 2)))],
     ids=str,
 )
-def test_inputs_of_the_wrong_type(switched, given):
+def test_inputs_of_wrong_type_are_rejected(switched, given):
     with pytest.raises(TypeError):
         switched.simulate(0, 2, input=given)
 
 
-def test_a_frame_without_times(switched):
+def test_frame_without_times_is_rejected(switched):
     pandas = pytest.importorskip("pandas")
     with pytest.raises(ValueError, match="'time'"):
         switched.simulate(0, 2, input=pandas.DataFrame({"u": [1.0, 2.0]}))
 
 
-def test_an_exception_of_a_function_comes_out_as_it_is(switched):
+def test_function_exception_propagates_unchanged(switched):
     error = ZeroDivisionError("mine")
 
     def function(t):
@@ -208,12 +208,12 @@ def test_an_exception_of_a_function_comes_out_as_it_is(switched):
     [("a", TypeError), (None, TypeError), ([1.0, 2.0], TypeError), (np.nan, ValueError), (np.inf, ValueError), (1j, TypeError)],
     ids=str,
 )
-def test_what_a_function_must_not_return(switched, value, kind):
+def test_invalid_function_values_are_rejected(switched, value, kind):
     with pytest.raises(kind, match="input function"):
         switched.simulate(0, 1, input={"u": lambda t: value})
 
 
-def test_the_lock_is_taken_only_inside_of_a_function(switched):
+def test_interpreter_lock_is_held_only_inside_a_function(switched):
     threads = set()
     ticks, stop = [], threading.Event()
 
@@ -233,12 +233,12 @@ def test_the_lock_is_taken_only_inside_of_a_function(switched):
     assert ticks and len(threads) == 1
 
 
-def test_a_function_must_not_use_the_model(switched):
+def test_function_must_not_use_the_model(switched):
     with pytest.raises(RuntimeError, match="simulated"):
         switched.simulate(0, 1, input={"u": lambda t: switched.get("x")})
 
 
-def test_a_function_is_let_go_of_after_the_simulation():
+def test_function_is_released_after_the_simulation():
     class Holder:
         pass
 
@@ -250,7 +250,7 @@ def test_a_function_is_let_go_of_after_the_simulation():
     assert gone() is None
 
 
-def test_input_derivatives_are_told_unless_they_are_not_wanted():
+def test_input_derivatives_are_passed_unless_disabled():
     model = FMUModel(example_fmu("switched_input", kind="CS"))
     # y' = (2 u - y) / 0.5 with u = 0.3 t, as a ramp, or held over steps of 0.25 s.
     ramp = 0.6 * (2.0 - 0.5 * (1.0 - np.exp(-4.0)))
@@ -263,7 +263,7 @@ def test_input_derivatives_are_told_unless_they_are_not_wanted():
         assert result.final("y") == pytest.approx(expected, abs=1e-9)
 
 
-def test_a_fit_belongs_to_what_its_inputs_were_told(tmp_path):
+def test_checkpoint_depends_on_input_derivatives(tmp_path):
     t = np.linspace(0.0, 2.0, 9)
     data = {"time": t, "u": 0.3 * t, "y": 0.6 * (t - 0.5 * (1.0 - np.exp(-2.0 * t)))}
 
@@ -285,8 +285,8 @@ def test_a_fit_belongs_to_what_its_inputs_were_told(tmp_path):
 
 @pytest.mark.parametrize("solver", ["auto", "tsit5", "dop853", "radau5", "bdf", "rk4"])
 @pytest.mark.parametrize("width", [1e-4, 1e-2])
-def test_pulses_narrower_than_a_step_are_not_lost(solver, width):
-    """Every row at which the slope of a table changes ends a step, with all methods."""
+def test_narrow_pulses_are_not_missed(solver, width):
+    """With all methods, every row with a change of slope of a table ends a step."""
     m = FMUModel(example_fmu("quad_tank"))
 
     def level(times, volts, tolerance):
@@ -302,11 +302,11 @@ def test_pulses_narrower_than_a_step_are_not_lost(solver, width):
         assert level(times, volts, 1e-6) - flat == pytest.approx(expected - flat, rel=0.02)
 
 
-def test_a_recording_drives_the_inputs_that_it_names(switched, tmp_path):
+def test_recording_drives_inputs_by_name(switched, tmp_path):
     path = tmp_path / "u.csv"
     path.write_text("time [ms],u,other,gear\n0,0,7,1\n1000,,8,2\n2000,0.6,9,2\n")
     found = switched.simulate(0, 2, inputs=path, outputs=["x", "gear"])
-    # Where it is empty it is not known: the line goes on.
+    # An empty cell is unknown, and the line continues across it.
     table = {"time": [0.0, 1.0, 2.0], "u": [0.0, 0.3, 0.6], "gear": [1.0, 2.0, 2.0]}
     expected = switched.simulate(0, 2, inputs=table, outputs=["x", "gear"])
     assert np.allclose(found["x"], expected["x"], rtol=1e-9) and np.array_equal(found["gear"], expected["gear"])
@@ -318,7 +318,7 @@ def test_a_recording_drives_the_inputs_that_it_names(switched, tmp_path):
         switched.simulate(0, 2, inputs=tmp_path / "none.csv")
 
 
-def test_an_input_without_a_column_is_named(switched, tmp_path):
+def test_input_without_column_is_named(switched, tmp_path):
     path = tmp_path / "u.csv"
     path.write_text("time,U,other,enabled\n0,0,7,1\n2,0.6,9,1\n")
     table = {"time": [0.0, 2.0], "u": [0.0, 0.6], "enabled": [True, True]}
@@ -334,7 +334,7 @@ def test_an_input_without_a_column_is_named(switched, tmp_path):
         switched.simulate(0, 2, inputs=path)
 
 
-def test_a_recording_of_another_format(switched, tmp_path):
+def test_recording_of_another_format_is_read(switched, tmp_path):
     pytest.importorskip("pyarrow")
     pd = pytest.importorskip("pandas")
     path = tmp_path / "u.parquet"
@@ -343,12 +343,12 @@ def test_a_recording_of_another_format(switched, tmp_path):
     assert np.array_equal(switched.simulate(0, 2, inputs=path)["x"], switched.simulate(0, 2, inputs=table)["x"])
 
 
-def test_a_matrix_for_an_array_is_refused_by_the_names_of_its_elements(switched):
+def test_matrix_for_an_array_is_rejected_with_element_names(switched):
     with pytest.raises(ValueError, match=r"'u\[1\]', 'u\[2\]'"):
         switched.simulate(0, 1, inputs={"time": [0.0, 1.0], "u": np.zeros((2, 2))})
 
 
-def test_rows_of_inputs_that_make_steps_are_said(caplog, tmp_path):
+def test_steps_caused_by_input_rows_are_logged(caplog, tmp_path):
     times = np.linspace(0.0, 2.0, 101)
     path = tmp_path / "m.fmu"
     path.write_bytes(example_fmu("switched_input", kind="CS").read_bytes())
@@ -366,7 +366,7 @@ GAINS = {"time": [0.0, 1.0], "K": [3.0, -1.0]}
 
 
 def gains(t):
-    """x of the lag with u = 1 and the gains above."""
+    """Returns x of the lag with u = 1 and the gains above."""
     return np.where(t <= 1, lag(0.0, 3.0, t), lag(lag(0.0, 3.0, 1.0), -1.0, t - 1))
 
 
@@ -381,7 +381,7 @@ def test_tunable_parameter_is_driven_like_an_input(kind, tmp_path):
     assert np.array_equal(model.simulate(0, 2, times=times, inputs=path, outputs=["x"], **TIGHT)["x"], found["x"])
 
 
-def test_fit_with_a_tunable_parameter_that_a_column_drives():
+def test_fit_supports_tunable_parameter_driven_by_column():
     times = np.linspace(0, 2, 41)
     table = {"time": times, "x": 1.5 * gains(times), "gain": np.where(times < 1, 3.0, -1.0)}
     for kind in ("ME", "CS"):
@@ -390,14 +390,14 @@ def test_fit_with_a_tunable_parameter_that_a_column_drives():
         assert fit.x[0] == pytest.approx(1.5, abs=1e-4)
 
 
-def test_simulation_of_more_than_a_million_steps_is_named(caplog, tmp_path):
+def test_simulation_of_more_than_a_million_steps_is_reported(caplog, tmp_path):
     path = tmp_path / "m.fmu"
     path.write_bytes(example_fmu("dahlquist", kind="CS").read_bytes())
     FMUModel(path).simulate(0, 1, ncp=2, step_size=9e-7)
     assert any("makes 1111111 steps" in record.getMessage() for record in caplog.records)
 
 
-def test_initial_state_of_a_simulation():
+def test_initial_states_are_applied():
     model = FMUModel(example_fmu("dahlquist"))
     found = model.simulate(0, 1, initial_states={"x": 2.5}, **TIGHT)
     assert np.allclose(found["x"], 2.5 * np.exp(-found.time), atol=1e-8)

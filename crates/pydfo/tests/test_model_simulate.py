@@ -15,7 +15,7 @@ import pytest
 import pydfo
 from pydfo import Calibration, FmuError, FMUModel, Parameter, SimulationError, example_fmu
 
-#: Takes hours.
+#: A simulation that takes hours.
 LONG = {"final_time": 1e6, "ncp": 1, "solver": "euler", "step_size": 1e-5}
 
 
@@ -26,14 +26,14 @@ def model(name):
 # --- rows -------------------------------------------------------------------------------------------------------------
 
 
-def test_500_intervals_by_default():
+def test_simulation_has_500_intervals_by_default():
     res = model("furuta").simulate(final_time=40)
     assert np.array_equal(res["time"], np.append(0.08 * np.arange(500), 40.0))
     assert res.time is res["time"]
     assert all(column.shape == (501,) and column.dtype == float for column in res.values())
 
 
-def test_positional_times():
+def test_start_and_final_time_may_be_positional():
     m = model("dahlquist")
     a, b, c = m.simulate(0, 2), m.simulate(final_time=2), m.simulate(stop_time=2)
     assert fmus.same_bits(a, b) and fmus.same_bits(a, c)
@@ -42,13 +42,13 @@ def test_positional_times():
     assert late.final("x") == pytest.approx(np.exp(-2), rel=1e-5)
 
 
-def test_the_final_time_of_the_default_experiment():
+def test_default_experiment_sets_final_time():
     m = model("furuta")
     assert m.description.default_experiment.stop_time == 40.0
     assert m.simulate().time[-1] == 40.0
 
 
-def test_rows_at_given_times():
+def test_rows_are_at_given_times():
     times = np.array([0.0, 0.1, 0.1 + 0.2, 1.0, 7.123456789])
     for given in (times, list(times), tuple(times), times[:, None][:, 0]):
         res = model("dahlquist").simulate(times=given, final_time=8, relative_tolerance=1e-10)
@@ -56,7 +56,7 @@ def test_rows_at_given_times():
         assert res["x"] == pytest.approx(np.exp(-times), rel=1e-8)
 
 
-def test_rows_at_an_interval_and_ncp():
+def test_interval_and_ncp_determine_rows():
     m = model("dahlquist")
     assert np.array_equal(m.simulate(0, 1, output_interval=0.4).time, [0.0, 0.4, 0.8, 1.0])
     assert np.array_equal(m.simulate(0, 1, ncp=2).time, [0.0, 0.5, 1.0])
@@ -102,7 +102,7 @@ def test_rows_at_an_interval_and_ncp():
     ],
     ids=str,
 )
-def test_arguments_that_make_no_sense(arguments):
+def test_invalid_arguments_are_rejected(arguments):
     if "stop_time" not in arguments:
         arguments = {"final_time": 1} | arguments
     with pytest.raises(ValueError):
@@ -131,7 +131,7 @@ def test_arguments_that_make_no_sense(arguments):
     ],
     ids=str,
 )
-def test_arguments_of_the_wrong_type(arguments):
+def test_arguments_of_wrong_type_are_rejected(arguments):
     with pytest.raises(TypeError):
         model("dahlquist").simulate(**arguments)
 
@@ -139,7 +139,7 @@ def test_arguments_of_the_wrong_type(arguments):
 # --- outputs ----------------------------------------------------------------------------------------------------------
 
 
-def test_outputs_and_states_by_default():
+def test_outputs_and_states_are_recorded_by_default():
     assert list(model("furuta").simulate(final_time=0.1)) == [
         "time",
         "armJoint.phi",
@@ -151,7 +151,7 @@ def test_outputs_and_states_by_default():
     assert list(model("stair").simulate(final_time=0.1)) == ["time", "counter"]
 
 
-def test_chosen_outputs():
+def test_chosen_outputs_are_recorded():
     m = model("furuta")
     assert list(m.simulate(0, 1, output="armJoint.mode")) == ["time", "armJoint.mode"]
     chosen = ["pendulumJoint.w", "armJoint.mode", "time", "g"]
@@ -167,7 +167,7 @@ def test_chosen_outputs():
 # --- methods ----------------------------------------------------------------------------------------------------------
 
 
-def test_methods():
+def test_methods_agree_on_the_result():
     m = model("dahlquist")
     exact = np.exp(-1.0)
     errors = {
@@ -180,7 +180,7 @@ def test_methods():
     assert steps >= 100 > m.simulate(0, 1).stats.accepted_steps
 
 
-def test_cvode_is_taken_as_auto_with_a_note(caplog):
+def test_cvode_selects_auto_with_a_note(caplog):
     m = model("dahlquist")
     with caplog.at_level(logging.INFO, logger="pydfo"):
         res = m.simulate(0, 1, solver="CVode")
@@ -189,13 +189,13 @@ def test_cvode_is_taken_as_auto_with_a_note(caplog):
 
 
 @pytest.mark.parametrize("solver", ["tsit5", "dop853", "radau5", "bdf", "rk4", "auto"])
-def test_every_method_solves_the_test_equation(solver):
+def test_methods_solve_the_test_equation(solver):
     step = 0.01 if solver in ("rk4", "euler") else None
     res = model("dahlquist").simulate(0, 5, solver=solver, relative_tolerance=1e-8, step_size=step)
     assert np.max(np.abs(res["x"] - np.exp(-res["time"]))) < 1e-5
 
 
-def test_relative_tolerance():
+def test_relative_tolerance_controls_the_error():
     m = model("van_der_pol")
     loose, tight = m.simulate(0, 20, relative_tolerance=1e-3), m.simulate(0, 20, relative_tolerance=1e-11)
     assert loose.stats.accepted_steps < tight.stats.accepted_steps
@@ -205,7 +205,7 @@ def test_relative_tolerance():
 # --- events -----------------------------------------------------------------------------------------------------------
 
 
-def test_times_of_state_events():
+def test_state_event_times_match_closed_form():
     res = model("bouncing_ball").simulate(final_time=3, relative_tolerance=1e-10)
     exact = fmus.bounces(11)
     assert np.abs(res.events["time"] - exact).max() < 1e-10
@@ -227,7 +227,7 @@ def test_both_sides_of_events_are_recorded():
     assert not plain.left_limit.any()
 
 
-def test_a_time_listed_twice_gives_both_limits():
+def test_time_listed_twice_gives_both_limits():
     m = model("stair")
     res = m.simulate(final_time=5, times=[0, 0.5, 1, 1, 2, 3, 3])
     assert list(res["counter"]) == [1, 1, 1, 2, 3, 3, 4]
@@ -235,7 +235,7 @@ def test_a_time_listed_twice_gives_both_limits():
     assert list(m.simulate(final_time=5, times=[0, 1, 2, 3])["counter"]) == [1, 2, 3, 4]
 
 
-def test_time_events_and_the_end_by_the_model():
+def test_model_has_time_events_and_ends_the_simulation():
     m = model("stair")
     res = m.simulate(final_time=20, times=np.arange(21.0))
     assert np.array_equal(res.events["time"], np.arange(1.0, 10.0)) and set(res.events["kind"]) == {"time"}
@@ -248,14 +248,14 @@ def test_time_events_and_the_end_by_the_model():
 # --- failures ---------------------------------------------------------------------------------------------------------
 
 
-def test_time_limit():
+def test_time_limit_ends_the_simulation():
     m = model("van_der_pol")
     start = time.monotonic()
     with pytest.raises(pydfo.SimulationError, match=r"0\.1 s") as info:
         m.simulate(**LONG, max_time=0.1)
     assert time.monotonic() - start < 5
     assert info.value.status is None and 0 < info.value.time < 1e6 and info.value.log == []
-    # The model can be used again, and None and inf are no limit.
+    # The model can be used again; None and inf mean no limit.
     assert fmus.same_bits(m.simulate(0, 1, timeout=None), m.simulate(0, 1, timeout=np.inf))
 
 
@@ -267,7 +267,7 @@ def test_chattering_is_an_error():
     assert info.value.time == pytest.approx(fmus.bounces(1)[0] * 1.7 / 0.3, abs=1e-3)
 
 
-def test_a_model_that_refuses_says_why():
+def test_rejected_call_reports_reason_of_model():
     m = model("bouncing_ball")
     m.set("e", 2.0)
     with pytest.raises(pydfo.SimulationError) as info:
@@ -289,7 +289,7 @@ def test_warnings_go_to_the_logger(tmp_path, caplog):
 # --- threads and Ctrl-C -----------------------------------------------------------------------------------------------
 
 
-def test_the_lock_is_released():
+def test_interpreter_lock_is_released():
     ticks, stop = [], threading.Event()
 
     def tick():
@@ -306,7 +306,7 @@ def test_the_lock_is_released():
     assert len(ticks) > 50
 
 
-def test_threads_simulate_side_by_side():
+def test_threads_simulate_concurrently():
     path = example_fmu("furuta")
     expected = FMUModel(path).simulate(final_time=40)
     results = {}
@@ -324,7 +324,7 @@ def test_threads_simulate_side_by_side():
     assert len(results) == 20 and all(fmus.same_bits(expected, result) for result in results.values())
 
 
-def test_one_model_is_not_simulated_twice_at_once():
+def test_concurrent_simulation_of_one_model_is_rejected():
     m = model("van_der_pol")
     errors = []
 
@@ -345,7 +345,7 @@ def test_one_model_is_not_simulated_twice_at_once():
     assert m.get("mu") == 1.0
 
 
-def test_closed_while_it_is_simulated():
+def test_model_may_be_closed_during_simulation():
     m = model("van_der_pol")
     threading.Timer(0.1, m.close).start()
     with pytest.raises(pydfo.SimulationError):
@@ -356,7 +356,7 @@ def test_closed_while_it_is_simulated():
 
 @pytest.fixture
 def ctrl_c():
-    """Presses Ctrl-C after a while; the list then holds when that was."""
+    """Presses Ctrl-C after a delay; the list then contains the time."""
     before = signal.getsignal(signal.SIGINT)
     pressed = []
 
@@ -369,7 +369,7 @@ def ctrl_c():
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_ctrl_c(ctrl_c):
+def test_ctrl_c_ends_the_simulation(ctrl_c):
     m = model("van_der_pol")
     with pytest.raises(KeyboardInterrupt) as info:
         m.simulate(**LONG)
@@ -378,7 +378,7 @@ def test_ctrl_c(ctrl_c):
     assert m.simulate(0, 1).termination == "finished"
 
 
-def test_ctrl_c_within_an_objective(ctrl_c):
+def test_ctrl_c_within_objective_ends_the_run(ctrl_c):
     m = model("van_der_pol")
 
     def cost(x):
@@ -392,7 +392,7 @@ def test_ctrl_c_within_an_objective(ctrl_c):
     assert time.monotonic() - ctrl_c[0] < 0.2
 
 
-def test_a_signal_handler_that_raises():
+def test_exception_of_signal_handler_propagates():
     class Enough(Exception):
         pass
 
@@ -417,7 +417,7 @@ def result():
     return model("switched_input").simulate(0, 3, ncp=6, input=inputs, output=["x", "limit", "gear", "u"])
 
 
-def test_access(result):
+def test_result_columns_are_accessible_by_name(result):
     assert "x" in result and "y" not in result and len(result) == 5
     assert list(result.keys()) == ["time", "x", "limit", "gear", "u"]
     assert result.final("gear") == 2.0 and isinstance(result.final("gear"), float)
@@ -432,7 +432,7 @@ def test_access(result):
     assert "7 rows" in repr(result)
 
 
-def test_dataframe(result):
+def test_result_converts_to_dataframe(result):
     pandas = pytest.importorskip("pandas")
     frame = result.to_dataframe()
     assert list(frame.columns) == ["time", "x", "limit", "gear", "u"] and len(frame) == 7
@@ -441,14 +441,14 @@ def test_dataframe(result):
     pandas.testing.assert_frame_equal(frame, pandas.DataFrame(result.to_structured()))
 
 
-def test_structured(result):
+def test_result_converts_to_structured_array(result):
     array = result.to_structured()
     assert array.dtype.names == ("time", "x", "limit", "gear", "u") and array.shape == (7,)
     assert [array.dtype[name] for name in array.dtype.names] == [float, float, bool, np.int32, float]
     assert np.array_equal(array["x"], result["x"])
 
 
-def test_plot(result):
+def test_result_is_plotted(result):
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("Agg")
     from matplotlib import pyplot
@@ -460,18 +460,18 @@ def test_plot(result):
     pyplot.close("all")
 
 
-def test_events_of_a_result_without_any():
+def test_result_without_events_has_empty_events():
     res = model("dahlquist").simulate(0, 1)
     assert len(res.events) == 0 and res.events.time.shape == (0,) and list(res.events["kind"]) == []
     assert res.stats.events == 0 and res.stats.samples == 501 and res.stats.right_hand_sides > 0
 
 
-def test_events_that_let_time_stand_still_are_an_error_or_slid_through():
+def test_events_without_time_advance_are_an_error_or_slide():
     """Without a speed at which it comes to rest, the ball bounces infinitely often before t = 2.5586 s."""
     model = FMUModel(example_fmu("bouncing_ball"))
     model.set("v_min", 0.0)
     for policy in ("error", "warn"):
-        # To go on locating helps nobody here: in the end time does stand still.
+        # Continuing to locate events does not help here, because time stops advancing.
         with pytest.raises(SimulationError, match="chattering at t = 2.5586339"):
             model.simulate(0, 3, chattering=policy)
     res = model.simulate(0, 3, chattering="slide")
@@ -481,7 +481,7 @@ def test_events_that_let_time_stand_still_are_an_error_or_slid_through():
         model.simulate(0, 3, chattering="stop")
 
 
-def test_a_fit_can_slide_too():
+def test_fit_supports_sliding():
     instants = np.linspace(0, 3, 31)
     settings = {
         "data": {"time": instants, "h": np.zeros(31)},
@@ -494,7 +494,7 @@ def test_a_fit_can_slide_too():
     assert Calibration(example_fmu("bouncing_ball"), chattering="slide", **settings).cost() > 0
 
 
-def test_the_words_of_other_tools_are_taken():
+def test_names_of_other_tools_are_accepted():
     model = FMUModel(example_fmu("quad_tank"))
     drive = {"time": [0.0, 10.0], "u1": [5.0, 6.0], "u2": 5.0}
     ours = model.simulate(0, final_time=10, inputs=drive, outputs=["qt.x1"], max_time=60)
@@ -508,12 +508,12 @@ def test_the_words_of_other_tools_are_taken():
         model.simulate(0, 10, stop_time=10)
 
 
-def test_rows_between_fixed_steps_are_interpolated_or_refused(caplog, tmp_path):
+def test_rows_between_fixed_steps_are_interpolated_or_rejected(caplog, tmp_path):
     step = ('mightReturnEarlyFromDoStep="true"', 'fixedInternalStepSize="0.1"')
     path = fmus.compiled("early", tmp_path / "early.fmu", "INTERNAL_STEPS", replacements=[step])
     model = FMUModel(path)
     times = [0.0, 0.2, 0.25, 1.0]
-    # x' = 1 in steps of 0.1; in between the model keeps the value of the last one.
+    # x' = 1 in steps of 0.1; between the steps, the model keeps the value of the last one.
     for size in (None, 0.1):
         assert model.simulate(0, 1, times=times, step_size=size)["x"] == pytest.approx(times, abs=1e-14)
     said = [record.getMessage() for record in caplog.records if "interpolated" in record.getMessage()]
@@ -524,18 +524,18 @@ def test_rows_between_fixed_steps_are_interpolated_or_refused(caplog, tmp_path):
         model.simulate(0, 1, times=times, between_steps="no")
 
 
-def test_the_model_s_own_span_is_named(tmp_path):
+def test_span_of_the_model_is_named(tmp_path):
     model = FMUModel(fmus.changed("dahlquist", tmp_path / "m.fmu", ('startTime="0"', 'startTime="20"')))
     with pytest.raises(ValueError, match="from 20 to 1: .*20 is the model's own start, start_time another one"):
         model.simulate(final_time=1)
 
 
-def test_what_cannot_run_is_said_before_what_is_missing(tmp_path):
+def test_missing_binary_is_reported_before_missing_final_time(tmp_path):
     variable = '<ScalarVariable name="x" valueReference="1"><Real/></ScalarVariable>'
     path = fmus.write(tmp_path / "m.fmu", fmus.xml(variable), {"binaries/win32/m.dll": b"MZ"})
     with pytest.raises(FmuError, match="no binary for this platform"):
         FMUModel(path).simulate()
-    # One that runs and suggests no end.
+    # A model that runs and suggests no stop time.
     path = fmus.changed("dahlquist", tmp_path / "d.fmu", ("stopTime", "suggested"))
     with pytest.raises(ValueError, match="give final_time"):
         FMUModel(path).simulate()

@@ -43,12 +43,12 @@ class Located:
 
 @pytest.mark.parametrize("form", [str, Path, Located])
 @pytest.mark.parametrize("load", [FMUModel, load_fmu, pydfo.read_description])
-def test_paths_of_all_kinds(form, load):
+def test_paths_are_accepted_in_all_forms(form, load):
     path = example_fmu("dahlquist")
     assert Path(load(form(path)).path) == path
 
 
-def test_a_relative_path_and_a_folder(tmp_path, monkeypatch):
+def test_relative_paths_and_folders_are_opened(tmp_path, monkeypatch):
     shutil.copy(example_fmu("dahlquist"), tmp_path / "d.fmu")
     shutil.unpack_archive(tmp_path / "d.fmu", tmp_path / "folder", format="zip")
     monkeypatch.chdir(tmp_path)
@@ -58,7 +58,7 @@ def test_a_relative_path_and_a_folder(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("load", [FMUModel, load_fmu, pydfo.read_description])
-def test_a_missing_file(load, tmp_path):
+def test_missing_file_is_reported(load, tmp_path):
     with pytest.raises(FileNotFoundError) as info:
         load(tmp_path / "none.fmu")
     assert info.value.filename == str(tmp_path / "none.fmu")
@@ -66,12 +66,12 @@ def test_a_missing_file(load, tmp_path):
 
 
 @pytest.mark.parametrize("path", [None, 3, b"x.fmu", ["x.fmu"]])
-def test_what_is_no_path(path):
+def test_non_path_is_rejected(path):
     with pytest.raises(TypeError):
         FMUModel(path)
 
 
-def test_kinds():
+def test_kind_selects_the_interface():
     path = example_fmu("dahlquist")
     for kind in ("auto", "ME", "me"):
         assert load_fmu(path, kind).description.model_name == "Dahlquist"
@@ -82,7 +82,7 @@ def test_kinds():
         load_fmu(path, kind="XY")
 
 
-def test_what_is_not_offered_is_refused_and_described(tmp_path):
+def test_unsupported_interface_is_rejected_but_described(tmp_path):
     path = fmus.write(tmp_path / "cs.fmu", fmus.xml(interface='<CoSimulation modelIdentifier="m"/>'))
     with pytest.raises(pydfo.FmuError, match="model exchange"):
         FMUModel(path, kind="ME")
@@ -91,7 +91,7 @@ def test_what_is_not_offered_is_refused_and_described(tmp_path):
     assert description.model_exchange is None and description.co_simulation.model_identifier == "m"
 
 
-def test_another_file_under_the_same_name_is_another_model(tmp_path):
+def test_replaced_file_is_another_model(tmp_path):
     path = tmp_path / "m.fmu"
     shutil.copy(example_fmu("dahlquist"), path)
     first = FMUModel(path)
@@ -104,7 +104,7 @@ def test_another_file_under_the_same_name_is_another_model(tmp_path):
     assert second.simulate(final_time=1).final("x0") == pytest.approx(1.5, abs=0.5)
 
 
-def test_opened_twice_means_unpacked_once(tmp_path, monkeypatch):
+def test_model_opened_twice_is_unpacked_once(tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path / "unpacked"))
     (tmp_path / "unpacked").mkdir()
     path = shutil.copy(example_fmu("dahlquist"), tmp_path / "m.fmu")
@@ -112,7 +112,7 @@ def test_opened_twice_means_unpacked_once(tmp_path, monkeypatch):
         archive.writestr("extra/this_test.txt", "a content that no other test has opened")
     for model in [FMUModel(path) for _ in range(3)]:
         assert model.simulate(final_time=1).termination == "finished"
-        # Beside it there may be a copy of the library, for a run that is made again in a new one.
+        # It may also contain a copy of the library, for a simulation that is repeated in a new process.
         assert len(list((tmp_path / "unpacked").iterdir())) <= 2
         model.close()
 
@@ -138,7 +138,7 @@ thread.join()
 
 
 @pytest.mark.parametrize("script", EXIT.values(), ids=EXIT)
-def test_nothing_is_left_behind_at_the_end(script, tmp_path):
+def test_no_files_remain_at_exit(script, tmp_path):
     path = shutil.copy(example_fmu("dahlquist"), tmp_path / "m.fmu")
     unpacked = tmp_path / "unpacked"
     unpacked.mkdir()
@@ -177,7 +177,7 @@ assert len(os.listdir(unpacked)) >= 1
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this platform")
-def test_forked_children(tmp_path):
+def test_models_work_in_forked_children(tmp_path):
     path = shutil.copy(example_fmu("dahlquist"), tmp_path / "m.fmu")
     unpacked = tmp_path / "unpacked"
     unpacked.mkdir()
@@ -195,7 +195,7 @@ def test_forked_children(tmp_path):
 # --- get --------------------------------------------------------------------------------------------------------------
 
 
-def test_a_scalar_for_a_name_and_a_list_for_a_list(furuta):
+def test_get_returns_scalar_for_name_and_list_for_list(furuta):
     assert furuta.get("armFriction") == 0.012
     assert furuta.get(["armFriction"]) == [0.012]
     assert furuta.get(("armFriction", "g")) == [0.012, 9.81]
@@ -203,31 +203,31 @@ def test_a_scalar_for_a_name_and_a_list_for_a_list(furuta):
     assert furuta.get([]) == []
 
 
-def test_types_of_values(switched):
+def test_values_have_their_types(switched):
     values = switched.get(["K", "enabled", "gear"])
     assert values == [2.0, True, 1]
     assert [type(v) for v in values] == [float, bool, int]
 
 
-def test_before_a_simulation_initial_values(switched):
+def test_get_returns_initial_values_before_a_simulation(switched):
     switched.set("u", 3.0)
     assert switched.get("target") == 6.0
     switched.set(["K", "gear"], [1.5, 2])
     assert switched.get(["target", "der(x)", "u"]) == [9.0, 18.0, 3.0]
 
 
-def test_after_a_simulation_final_values(furuta):
+def test_get_returns_final_values_after_a_simulation(furuta):
     result = furuta.simulate(final_time=5)
     names = ["armJoint.phi", "pendulumJoint.phi", "armJoint.w"]
     assert furuta.get(names) == result.final(names) == [result[name][-1] for name in names]
     assert furuta.get("time") == 5.0
-    # What is set afterwards is there at once, and does not change what the simulation left.
+    # A value set afterwards is returned at once, and does not change the result of the simulation.
     furuta.set("armFriction", 0.5)
     assert furuta.get("armFriction") == 0.5
     assert furuta.get(names) == result.final(names)
 
 
-def test_unknown_names(furuta):
+def test_unknown_names_are_rejected(furuta):
     for call in (
         lambda: furuta.get("armFrction"),
         lambda: furuta.get(["g", "armFrction"]),
@@ -244,7 +244,7 @@ def test_unknown_names(furuta):
 
 
 @pytest.mark.parametrize("name", [None, 3, b"g", ["g", 3], {"g": 1}])
-def test_what_is_no_name(furuta, name):
+def test_non_names_are_rejected(furuta, name):
     with pytest.raises(TypeError, match="name"):
         furuta.get(name)
     with pytest.raises(TypeError, match="name"):
@@ -285,7 +285,7 @@ class Gear(enum.IntEnum):
         ("enabled", np.array([False]), False),
     ],
 )
-def test_values_that_fit(switched, name, given, value):
+def test_values_are_converted_and_set(switched, name, given, value):
     switched.set(name, given)
     assert switched.get(name) == value and type(switched.get(name)) is type(value)
     switched.reset()
@@ -312,7 +312,7 @@ def test_values_that_fit(switched, name, given, value):
         ("enabled", "true"),
     ],
 )
-def test_values_of_the_wrong_type(switched, name, given):
+def test_values_of_wrong_type_are_rejected(switched, name, given):
     with pytest.raises(TypeError, match=name):
         switched.set(name, given)
     with pytest.raises(TypeError, match=name):
@@ -337,14 +337,14 @@ def test_values_of_the_wrong_type(switched, name, given):
         ("limit", True, "calculate"),
     ],
 )
-def test_values_that_cannot_be_set(switched, name, given, reason):
+def test_unsettable_values_are_rejected(switched, name, given, reason):
     with pytest.raises(ValueError, match=reason):
         switched.set(name, given)
     with pytest.raises(ValueError, match=reason):
         switched.simulate(start_values={name: given})
 
 
-def test_lists(switched):
+def test_lists_of_values_are_set(switched):
     switched.set(["K", "gear", "enabled"], [5.0, 2, False])
     assert switched.get(["K", "gear", "enabled"]) == [5.0, 2, False]
     switched.set(("K", "T"), np.array([1.0, 2.0]))
@@ -357,7 +357,7 @@ def test_lists(switched):
             switched.set(["K", "T"], values)
 
 
-def test_all_are_set_or_none(switched):
+def test_all_values_are_set_or_none(switched):
     for names, values, kind in (
         (["K", "nothing"], [5.0, 1.0], KeyError),
         (["K", "target"], [5.0, 1.0], ValueError),
@@ -369,7 +369,7 @@ def test_all_are_set_or_none(switched):
         assert switched.get("K") == 2.0
 
 
-def test_constants_strings_and_enumerations(tmp_path):
+def test_constants_strings_and_enumerations_are_handled(tmp_path):
     path = fmus.write(tmp_path / "m.fmu", fmus.xml(fmus.KINDS))
     model = FMUModel(path)
     with pytest.raises(ValueError, match="constant"):
@@ -386,7 +386,7 @@ def test_constants_strings_and_enumerations(tmp_path):
         model.set("text", 3)
     with pytest.raises(TypeError, match="NUL"):
         model.simulate(final_time=1, start_values={"text": "a\0b"})
-    # There is no library in it.
+    # The FMU contains no library.
     with pytest.raises(pydfo.FmuError, match="no binary"):
         model.simulate(final_time=1)
     with pytest.raises(pydfo.FmuError, match="no binary"):
@@ -408,7 +408,7 @@ def test_values_persist_until_reset(furuta):
     assert fmus.same_bits(third, FMUModel(furuta.path).simulate(final_time=3))
 
 
-def test_start_values_count_for_one_simulation(furuta):
+def test_start_values_apply_to_one_simulation(furuta):
     plain = furuta.simulate(final_time=3)
     furuta.set("armFriction", 0.011)
     other = furuta.simulate(final_time=3, start_values={"armFriction": 0.010, "armJoint.w": 0.5})
@@ -428,7 +428,7 @@ def test_models_of_one_file_do_not_share_values():
     assert one.get("x") == a.final("x")
 
 
-def test_context_manager():
+def test_context_manager_closes_the_model():
     with FMUModel(example_fmu("dahlquist")) as model:
         assert model.simulate(final_time=1).final("x") == model.get("x")
     assert "closed" in repr(model)
@@ -445,7 +445,7 @@ def test_context_manager():
 # --- packing and examples ---------------------------------------------------------------------------------------------
 
 
-def test_examples():
+def test_example_fmus_are_built():
     for name in fmus.EXAMPLES:
         path = example_fmu(name)
         assert isinstance(path, Path) and path.is_file() and path.suffix == ".fmu"
@@ -456,7 +456,7 @@ def test_examples():
         example_fmu(None)
 
 
-def test_a_folder_is_packed_and_runs(tmp_path):
+def test_packed_folder_runs(tmp_path):
     folder = tmp_path / "folder"
     shutil.unpack_archive(example_fmu("dahlquist"), folder, format="zip")
     shutil.rmtree(folder / "binaries")
@@ -466,7 +466,7 @@ def test_a_folder_is_packed_and_runs(tmp_path):
     assert pydfo.build_fmu(folder, out) == out
 
 
-def test_folders_that_cannot_be_packed(tmp_path):
+def test_bad_folders_are_not_packed(tmp_path):
     with pytest.raises(FileNotFoundError):
         pydfo.build_fmu(tmp_path / "none", tmp_path / "out.fmu")
     with pytest.raises(pydfo.FmuError, match="modelDescription.xml"):
@@ -487,7 +487,7 @@ def test_workers_build_sources(tmp_path, monkeypatch, sandbox):
     shutil.unpack_archive(example_fmu("dahlquist"), folder, format="zip")
     shutil.rmtree(folder / "binaries")
     source = folder / "sources" / "model.c"
-    source.write_text(source.read_text() + f"/* {tmp_path} */\n")  # in no cache
+    source.write_text(source.read_text() + f"/* {tmp_path} */\n")  # not in any cache
     path = shutil.make_archive(str(tmp_path / "sources"), "zip", folder)
     monkeypatch.setenv("FMUFIT_CACHE", str(tmp_path / "cache"))
     t = np.linspace(0.0, 2.0, 21)
@@ -507,7 +507,7 @@ def test_workers_build_sources(tmp_path, monkeypatch, sandbox):
     assert fit.stats.accepted_steps > 0 and abs(fit.x[0] - 2.0) < 0.5
 
 
-def test_sources_alone_are_built_when_needed(tmp_path, monkeypatch):
+def test_sources_are_built_when_needed(tmp_path, monkeypatch):
     folder = tmp_path / "folder"
     shutil.unpack_archive(example_fmu("dahlquist"), folder, format="zip")
     shutil.rmtree(folder / "binaries")
@@ -521,6 +521,6 @@ def test_sources_alone_are_built_when_needed(tmp_path, monkeypatch):
     assert tmp_path in example.parents
     pydfo.clear_caches()
     assert not list((tmp_path / "cache" / "libraries").iterdir()) and not example.exists()
-    # Models in use go on, and what is missing is made again.
+    # Models in use continue to work, and missing files are created again.
     assert model.simulate(final_time=1).final("x") == pytest.approx(np.exp(-1), rel=1e-5)
     assert example_fmu("dahlquist").is_file()

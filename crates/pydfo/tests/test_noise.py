@@ -1,4 +1,4 @@
-"""The noise that a fit estimates beside priors, and the tolerance that it chooses."""
+"""The noise estimated by a fit with priors, and the tolerance chosen by a fit."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def decay(noise: float, prior: Normal, start: float = 1.0, **own: Any) -> Calibr
 
 
 @pytest.mark.parametrize("start", [0.05, 1.0, 20.0])
-def test_the_noise_is_estimated_beside_a_prior(start: float) -> None:
+def test_noise_is_estimated_with_a_prior(start: float) -> None:
     fit = decay(1e-3, Normal(1.0, 0.3), start).fit()
     assert fit.noise is not None and fit.noise.source == "estimated" and fit.noise.settled and fit.noise.of_residuals == {"x": True}
     assert fit.noise.sd["x"] == pytest.approx(1e-3, rel=0.3)
@@ -32,7 +32,7 @@ def test_the_noise_is_estimated_beside_a_prior(start: float) -> None:
     assert not [f for f in fit.findings if "prior" in f.subject]
 
 
-def test_what_is_stated_is_kept() -> None:
+def test_stated_noise_is_kept() -> None:
     stated = decay(1e-3, Normal(1.0, 0.3), weights={"x": 1e3}).fit()
     assert stated.noise is not None and stated.noise.source == "stated" and stated.noise.sd == {}
     assert abs(stated.x[0] - 2.0) < 4 * stated.stderr[0]
@@ -45,7 +45,7 @@ def test_what_is_stated_is_kept() -> None:
         decay(1e-3, Normal(1.0, 0.3)).fit(noise="estimated", loss="huber")
 
 
-def test_it_is_handed_on(tmp_path: Path) -> None:
+def test_noise_is_kept_by_files_pickles_and_checkpoints(tmp_path: Path) -> None:
     fit = decay(0.05, Normal(1.0, 0.1)).fit(checkpoint=tmp_path / "fit.ckpt")
     fit.save(tmp_path / "a.fit")
     for other in (pydfo.load_fit(tmp_path / "a.fit"), pickle.loads(pickle.dumps(fit))):
@@ -58,7 +58,7 @@ def test_it_is_handed_on(tmp_path: Path) -> None:
     np.testing.assert_allclose(band.noise, fit.noise.sd["x"], rtol=0.03)
 
 
-def test_a_small_f_tol_has_a_small_tolerance() -> None:
+def test_small_f_tol_selects_small_tolerance() -> None:
     fit = decay(1e-4, Normal(2.0, 1.0)).fit(f_tol=1e-8)
     assert fit.tolerance is not None and fit.tolerance.used < fit.tolerance.stated == 1e-6
     assert any("relative_tolerance overrides it" in str(f) for f in fit.findings)

@@ -1,4 +1,4 @@
-"""A notebook that shows a fit and a picture of it."""
+"""A notebook that shows a fit and a figure of it."""
 
 import pytest
 
@@ -14,7 +14,7 @@ fit
 ]
 
 
-def test_a_notebook_shows_the_fit_and_its_plot():
+def test_notebook_shows_fit_and_plot():
     nbclient = pytest.importorskip("nbclient", reason="nbclient runs notebooks")
     nbformat = pytest.importorskip("nbformat")
     pytest.importorskip("ipykernel", reason="ipykernel is the kernel of notebooks")

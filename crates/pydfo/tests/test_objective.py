@@ -1,4 +1,4 @@
-"""Costs that are no sums of squares, and functions of the user's."""
+"""Costs other than sums of squares, and user-defined functions."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def ratios(measured, simulated):
 
 
 @pytest.mark.parametrize("objective", ["mae", "RMSE", "nrmse", "likelihood"])
-def test_costs_by_name(objective):
+def test_named_costs_match_their_formulas(objective):
     problem = calibration()
     fit = problem.fit(objective=objective)
     assert (fit.method, fit.objective, fit.success) == ("quadratic-model", objective.lower(), True)
@@ -51,7 +51,7 @@ def test_costs_by_name(objective):
         assert fit.x[0] == pytest.approx(problem.fit().x[0], rel=1e-3)
 
 
-def test_functions():
+def test_functions_are_minimised():
     problem = calibration()
     by_name, fit = problem.fit(objective="mae"), problem.fit(objective=mean_absolute)
     assert fit.x == pytest.approx(by_name.x, abs=1e-4) and fit.method == "quadratic-model"
@@ -65,7 +65,7 @@ def test_functions():
     assert nelder_mead.x == pytest.approx(residuals.x, rel=1e-3)
 
 
-def test_functions_of_several_experiments():
+def test_functions_receive_several_experiments():
     seen = set()
 
     def cost(measured, simulated):
@@ -78,7 +78,7 @@ def test_functions_of_several_experiments():
     assert seen == {"run1", "run2"} and fit.cost == pytest.approx(problem.cost(fit.x), rel=1e-9)
 
 
-def test_what_a_function_raises_ends_the_fit():
+def test_function_exception_ends_the_fit():
     class Odd(Exception):
         pass
 
@@ -111,13 +111,13 @@ def test_what_a_function_raises_ends_the_fit():
         ({"objective": lambda measured, simulated: None}, TypeError, "None; is a return statement missing?"),
     ],
 )
-def test_objectives_that_cannot_be_used(arguments, error, message):
+def test_bad_objectives_are_rejected(arguments, error, message):
     with pytest.raises(error) as caught:
         calibration().fit(**arguments)
     assert message in str(caught.value)
 
 
-def test_outputs_are_weighed_by_what_was_measured():
+def test_outputs_are_weighted_by_measured_scale():
     values = np.array([4.0, np.nan, 1.0, 1.0])
     data = {"time": np.arange(4.0), "x": values}
 

@@ -39,7 +39,7 @@ def pendulum(index):
 
 
 @pytest.mark.parametrize("jac", [None, robertson_jacobians])
-def test_robertson_from_a_guess(jac):
+def test_robertson_is_solved_from_a_guess(jac):
     exact = [7.158270687194050905e-1, 9.185534764557763904e-6, 2.841637457458303518e-1]
     res = ode.solve_dae(robertson, (0, 40), [1.0, 0.0, 5.0], rtol=1e-8, atol=1e-12, jac=jac, t_eval=[0.0, 40.0])
     assert res.success and np.abs(res.y[:, 0] - [1, 0, 0]).max() < 1e-12
@@ -47,7 +47,7 @@ def test_robertson_from_a_guess(jac):
     assert res.nfev < 700
 
 
-def test_constant_jacobians_and_args():
+def test_constant_jacobians_and_args_are_used():
     def residual(t, y, dy, k):
         return [dy[0] + k * y[1], y[1] - y[0]]
 
@@ -60,7 +60,7 @@ def test_constant_jacobians_and_args():
         ode.solve_dae(residual, (0, 1), [1.0, 0.0], args=(2.0,), jac=lambda t, y, dy, k: 1.0)
 
 
-def test_the_same_as_a_mass_matrix_and_as_scipy():
+def test_residual_form_agrees_with_mass_matrix_and_scipy():
     t = np.linspace(0.0, 2.0, 9)
     reference = solve_ivp(lambda t, y: -(y**3) + np.sin(t), (0, 2), [1.5], "DOP853", t, rtol=1e-12, atol=1e-12).y[0]
     res = ode.solve_dae(lambda t, y, dy: [dy[0] + y[1] - np.sin(t), y[1] - y[0] ** 3], (0, 2), [1.5, 0.0],
@@ -71,7 +71,7 @@ def test_the_same_as_a_mass_matrix_and_as_scipy():
         assert np.abs(found[0] - reference).max() < 5e-7 and np.abs(found[1] - reference**3).max() < 5e-6
 
 
-def test_a_pendulum_of_index_1_and_the_names_of_those_of_higher_index():
+def test_pendulum_of_index_1_is_solved_and_higher_index_named():
     res = ode.solve_dae(pendulum(1), (0, 3), [1.0, 0, 0, 0, 0], rtol=1e-9, atol=1e-11, t_eval=[0, 3])
     plane = solve_ivp(lambda t, a: [a[1], -G * math.cos(a[0])], (0, 3), [0.0, 0.0], "DOP853", rtol=1e-12, atol=1e-12)
     angle = plane.y[0, -1]
@@ -82,7 +82,7 @@ def test_a_pendulum_of_index_1_and_the_names_of_those_of_higher_index():
         assert "index 2 or higher" in res.message and "states [4]" in res.message and "equation 4" in res.message
 
 
-def test_events_make_consistent_again():
+def test_states_are_consistent_after_events():
     def low(t, y):
         return y[1] - 0.25
 
@@ -90,7 +90,7 @@ def test_events_make_consistent_again():
     res = ode.solve_dae(lambda t, y, dy: [dy[0] + y[0], y[1] - y[0] ** 2], (0, 9), [1.0, 1.0], rtol=1e-9, events=low,
                         on_event=lambda t, y, which: [1.0, y[1]])
     assert res.status == 1 and np.abs(res.t_events[0] - math.log(2) * np.arange(1, 4)).max() < 1e-7
-    # On the ends of all steps the equation holds; at the last event nothing is made consistent any more.
+    # The equation holds at the ends of all steps; nothing is made consistent after the last event.
     assert np.abs(res.y[1] - res.y[0] ** 2)[:-1].max() < 1e-7
 
 
@@ -110,13 +110,13 @@ def test_events_make_consistent_again():
         ({"t_span": (0, math.inf)}, ValueError, "from 0 to inf: both must be finite$"),
     ],
 )
-def test_bad_arguments(wrong, error, words):
+def test_bad_arguments_are_rejected(wrong, error, words):
     given = {"residual": robertson, "t_span": (0, 1), "x0": [1.0, 0.0, 0.0], **wrong}
     with pytest.raises(error, match=words):
         ode.solve_dae(**given)
 
 
-def test_a_guess_that_hides_a_derivative():
+def test_guess_that_hides_a_derivative_is_rejected():
     res = ode.solve_dae(lambda t, y, dy: [y[1] * dy[0] + y[0], y[1] - 2], (0, 1), [1.0, 0.0], rtol=1e-8)
     assert res.y[:, 0].tolist() == [1, 2] and abs(res.y[0, -1] - math.exp(-0.5)) < 1e-6
     jac = [[-1.0]], [[0.0]]
@@ -126,7 +126,7 @@ def test_a_guess_that_hides_a_derivative():
         assert "equation 0 has the residual -1; give derivatives (dx0)" in res.message
 
 
-def test_a_pattern_that_lacks_places_is_named():
+def test_incomplete_pattern_is_reported():
     n = 100
 
     def residual(t, y, dy):
@@ -140,7 +140,7 @@ def test_a_pattern_that_lacks_places_is_named():
         assert not res.success and "places that jac_sparsity lacks" in res.message
 
 
-def test_sparse_index_2_with_a_wrong_start():
+def test_sparse_index_2_with_wrong_start_fails():
     n = 40
     eye, zero = np.eye(n), np.zeros((n, n))
     pattern = np.block([[eye, eye, zero], [eye, eye, eye], [zero, eye, zero]])
@@ -155,7 +155,7 @@ def test_sparse_index_2_with_a_wrong_start():
         assert not res.success and "index 2 or higher" in res.message and "equation 80" in res.message
 
 
-def test_failures_say_why():
+def test_failures_report_their_reason():
     res = ode.solve_dae(lambda t, y, dy: [dy[0] + math.nan], (0, 1), [1.0])
     assert not res.success and "residual returned NaN for component 0 at t = 0" in res.message
     res = ode.solve_dae(lambda t, y, dy: [dy[0] + y[0], y[1] ** 2 + 1], (0, 1), [1.0, 1.0])
@@ -186,14 +186,14 @@ def test_ctrl_c_ends_the_run():
     assert caught.value.result.end_time > 0
 
 
-def test_algebraic_variables_may_be_left_out_of_the_error_test():
+def test_algebraic_variables_may_be_excluded_from_error_test():
     given = (robertson, (0, 40), [1.0, 0.0, 0.0])
     plain, without = (ode.solve_dae(*given, rtol=1e-6, exclude_algebraic=flag) for flag in (False, True))
     assert np.abs(plain.y[:, -1] - without.y[:, -1]).max() < 1e-4 and plain.nfev != without.nfev
 
 
 @pytest.mark.parametrize("method", ["auto", "tsit5", "dop853", "radau5", "bdf"])
-def test_backward_as_scipy(method):
+def test_backward_integration_agrees_with_scipy(method):
     def lotka(t, y):
         return [1.2 * y[0] - y[0] * y[1], 0.8 * y[0] * y[1] - y[1]]
 
@@ -211,12 +211,12 @@ def test_backward_as_scipy(method):
     assert (steps.t[0], steps.t[-1]) == (5.0, -1.0) and (np.diff(steps.t) < 0).all()
 
 
-def test_dae_backward():
+def test_dae_is_integrated_backward():
     res = ode.solve_dae(lambda t, y, dy: [dy[0] + y[1], y[1] - y[0]], (1, 0), [math.exp(-1), 0.0], rtol=1e-9)
     assert np.abs(res.y[:, -1] - 1).max() < 1e-6 and res.end_time == 0.0
 
 
-def test_second_order():
+def test_second_order_system_matches_closed_form():
     t = np.linspace(0.0, 3.0, 7)
     res = ode.solve_second_order(lambda t, x, v, k: -k * x, (0, 3), [1.0, 0.0], [0.0, 2.0], "dop853", t, rtol=1e-10,
                                  args=(4.0,))

@@ -1,4 +1,5 @@
-"""Systems written in Python: the results of SciPy, closed forms, events that change the state, and every way to end."""
+"""Systems written in Python: agreement with SciPy and closed forms, events that change the state, and
+terminations."""
 
 from __future__ import annotations
 
@@ -37,7 +38,7 @@ def lotka(t, y, a, b):
 
 
 @pytest.mark.parametrize("method", ADAPTIVE)
-def test_closed_form_at_the_times_asked_for(method):
+def test_solution_matches_closed_form_at_requested_times(method):
     t = np.linspace(0.0, 10.0, 37)
     res = ode.solve(circle, (0, 10), [0.0, 1.0], method, t, rtol=1e-9, atol=1e-9)
     assert np.array_equal(res.t, t) and res.y.shape == (2, 37)
@@ -46,7 +47,7 @@ def test_closed_form_at_the_times_asked_for(method):
 
 
 @pytest.mark.parametrize("method", ADAPTIVE)
-def test_the_same_as_scipy(method):
+def test_solution_agrees_with_scipy(method):
     t = np.linspace(0.0, 15.0, 31)
     reference = solve_ivp(lotka, (0, 15), [1.5, 1.0], "DOP853", t, rtol=1e-12, atol=1e-12, args=(1.2, 0.8))
     res = ode.solve(lotka, (0, 15), [1.5, 1.0], method, t, rtol=1e-8, atol=1e-10, args=(1.2, 0.8))
@@ -55,7 +56,7 @@ def test_the_same_as_scipy(method):
 
 @pytest.mark.parametrize("method", STIFF)
 @pytest.mark.parametrize("jac", [None, robertson_jacobian, lambda t, y: csr_matrix(robertson_jacobian(t, y))])
-def test_stiff_as_scipy(method, jac):
+def test_stiff_solution_agrees_with_scipy(method, jac):
     t = [1e-2, 1.0, 1e2, 1e4]
     reference = solve_ivp(robertson, (0, 1e4), [1, 0, 0], "Radau", t, rtol=1e-11, atol=1e-16, jac=robertson_jacobian)
     res = ode.solve(robertson, (0, 1e4), [1, 0, 0], method, t, rtol=1e-7, atol=1e-13, jac=jac)
@@ -64,7 +65,7 @@ def test_stiff_as_scipy(method, jac):
     assert res.nfev < 4000
 
 
-def test_ends_of_steps_by_default_and_dense_output():
+def test_ends_of_steps_are_stored_by_default():
     for method in [*ADAPTIVE, "rk4"]:
         res = ode.solve(circle, (0, 5), [0.0, 1.0], method, dense_output=True, rtol=1e-9, atol=1e-9, max_step=None if method == "rk4" else 0.5)
         assert len(res.t) == res.stats.accepted_steps + 1
@@ -80,7 +81,7 @@ def test_ends_of_steps_by_default_and_dense_output():
 
 
 @pytest.mark.parametrize(("method", "end"), [("bdf", 0.3), ("radau5", 0.03)])
-def test_constant_jacobian_and_pattern_save_evaluations(method, end):
+def test_constant_jacobian_and_pattern_reduce_evaluations(method, end):
     n = 30
     heat = (n + 1) ** 2 * diags([1.0, -2.0, 1.0], [-1, 0, 1], (n, n)).toarray()
     x0 = np.sin(np.pi * np.arange(1, n + 1) / (n + 1))
@@ -90,13 +91,13 @@ def test_constant_jacobian_and_pattern_save_evaluations(method, end):
     given = ode.solve(lambda t, y: heat @ y, (0, end), x0, method, jac=heat)
     for res in plain, coloured, given:
         assert np.abs(res.y[:, -1] - x0 * math.exp(end * decay)).max() < 1e-5
-        # The same steps with one Jacobian: what differs is what that took.
+        # Equal steps with one Jacobian: only the evaluations for the Jacobian differ.
         assert (len(res.t), res.njev) == (len(given.t), 1)
     assert (plain.nfev - given.nfev, coloured.nfev - given.nfev) == (n, 3)
 
 
 @pytest.mark.parametrize("method", ADAPTIVE)
-def test_events_as_scipy(method):
+def test_events_agree_with_scipy(method):
     def up(t, y):
         return y[0] - 0.5
 
@@ -115,14 +116,14 @@ def test_events_as_scipy(method):
 
 
 @pytest.mark.parametrize("method", ADAPTIVE)
-def test_crossings_in_the_other_direction_do_nothing(method):
+def test_crossings_in_other_direction_are_ignored(method):
     def up(t, y):
         return y[0] - 0.5
 
     up.direction = 1
     called = []
     res = ode.solve(circle, (2, 5), [1.0, 0.0], method, events=up, on_event=lambda t, y, which: called.append(which))
-    # Down through 0.5 at 2 + pi / 3: no end of a step, nothing counted.
+    # Down through 0.5 at 2 + pi / 3: this crossing does not end a step and is not counted.
     plain = ode.solve(circle, (2, 5), [1.0, 0.0], method)
     assert called == [] and res.stats.events == 0 and res.t_events[0].tolist() == []
     assert np.array_equal(res.t, plain.t) and np.array_equal(res.y, plain.y)
@@ -131,7 +132,7 @@ def test_crossings_in_the_other_direction_do_nothing(method):
     assert called == [[0]] and res.stats.events == 1 and abs(res.t_events[0][0] - 2 - math.pi / 3) < 1e-4
 
 
-def test_terminal_events():
+def test_terminal_events_end_the_run():
     def ground(t, y):
         return y[0]
 
@@ -161,17 +162,17 @@ def test_events_change_the_state(method):
     for k, t in expected.items():
         assert abs(res.t_events[0][k] - t) < (1e-12 if method not in ("radau5", "bdf") else 1e-7)
     assert res.y_events[0].shape == (11, 2) and (res.y_events[0][:, 1] < 0).all()
-    # Both sides of each event stand in the result; the dense output takes the right one.
+    # The result contains both sides of each event; the dense output uses the right side.
     first = res.t_events[0][0]
     at = np.flatnonzero(res.t == first)
     assert len(at) == 2 and res.y[1, at[0]] < -4 and res.y[1, at[1]] > 3
     assert np.allclose(res.sol(first), res.y[:, at[1]], atol=1e-12)
-    # The way up from zero is a crossing, too, which nobody asked for.
+    # The upward crossing at zero is not an event.
     assert res.stats.state_events == 11 and res.stats.restarts == 10
 
 
 @pytest.mark.parametrize("method", ["auto", "tsit5", "dop853", "radau5"])
-def test_a_ball_that_never_rests_does_not_fall_through_the_floor(method):
+def test_bouncing_ball_stays_above_the_floor(method):
     def height(t, y):
         return y[0]
 
@@ -183,7 +184,7 @@ def test_a_ball_that_never_rests_does_not_fall_through_the_floor(method):
     assert abs(res.end_time - 2.5586339655858085) < 1e-6 and res.y[0].min() > -1e-9
 
 
-def test_a_handler_may_change_the_states_in_place():
+def test_handler_may_change_states_in_place():
     def bounce(t, y, which):
         y[1] = -0.8 * y[1]
 
@@ -207,7 +208,7 @@ def test_a_handler_may_change_the_states_in_place():
 
 @pytest.mark.parametrize("method", ADAPTIVE)
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_body_rests_whatever_the_sign_of_its_event(method, sign):
+def test_resting_body_stays_on_its_side_for_both_signs(method, sign):
     # Bounces accumulate at t = 1.35.
     for floor, declared, handler in (
         (0.0, False, lambda t, y, which: [0.0, abs(0.5 * y[1])]),
@@ -226,7 +227,7 @@ def test_a_body_rests_whatever_the_sign_of_its_event(method, sign):
         assert res.success and res.y[0].min() > floor - 1e-6 and abs(res.y[0, -1] - floor) < 1e-6
 
 
-def test_both_sides_of_an_event_where_asked_for_twice():
+def test_time_requested_twice_gives_both_sides_of_event():
     def clock(t, y):
         return t - 0.5
 
@@ -237,8 +238,8 @@ def test_both_sides_of_an_event_where_asked_for_twice():
     assert res.t.tolist() == [0.25, 0.5, 0.5, 1.0] and res.y[0].tolist() == [1.0, 1.0, 2.0, 2.0]
 
 
-def test_differential_algebraic_system():
-    # Robertson's problem with the conservation of mass in place of the third equation.
+def test_differential_algebraic_system_is_solved():
+    # Robertson's problem with the conservation of mass instead of the third equation.
     def rhs(t, y):
         return [*robertson(t, y)[:2], y.sum() - 1.0]
 
@@ -265,7 +266,7 @@ def test_algebraic_states_are_guesses():
         assert exact.y[:, 0].tolist() == [1.0, 2.0] and exact.t[0] == guess.t[0] == 0.0 < guess.t[1]
         assert np.abs(guess.y[:, 0] - [1.0, 2.0]).max() < 1e-9 and np.abs(guess.sol(0.0) - [1.0, 2.0]).max() < 1e-9
         assert np.abs(guess.y[:, -1] / [math.exp(-2), 2 * math.exp(-1)] - 1).max() < 1e-7
-        # The other root.
+        # The second root.
         other = ode.solve(rhs, (0, 2), [1.0, -0.1], method, mass=mass, rtol=1e-8, t_eval=[0.0, 2.0])
         assert np.abs(other.y[1] / [-2.0, -2 * math.exp(-1)] - 1).max() < 1e-7
         failed = ode.solve(rhs, (0, 2), [-1.0, 2.0], method, mass=mass)
@@ -287,7 +288,7 @@ def test_algebraic_states_follow_events():
     assert np.abs(res.y[:, -1] - [math.exp(-4), 3 * math.exp(-4)]).max() < 1e-8
 
 
-def test_tolerances_and_steps():
+def test_tolerances_and_steps_are_applied():
     scales = np.array([1.0, 1e-6])
     loose = ode.solve(lambda t, y: -y, (0, 1), scales, "tsit5", atol=[1e-9, 1e-3], rtol=1e-9)
     tight = ode.solve(lambda t, y: -y, (0, 1), scales, "tsit5", atol=1e-15, rtol=1e-9)
@@ -299,20 +300,20 @@ def test_tolerances_and_steps():
     assert res.y[0, -1] == pytest.approx(((1 + 0.25j) ** 4).imag, abs=1e-15)
 
 
-def test_scipys_names_stand_for_ours():
+def test_scipy_method_names_are_mapped():
     for theirs, ours in {"RK45": "tsit5", "Radau": "radau5", "BDF": "bdf", "DOP853": "dop853", "LSODA": "auto"}.items():
         a, b = (ode.solve(circle, (0, 3), [0.0, 1.0], name) for name in (theirs, ours))
         assert np.array_equal(a.y, b.y) and a.nfev == b.nfev
 
 
-def test_nothing_to_integrate():
+def test_empty_span_or_state_is_handled():
     res = ode.solve(circle, (1.0, 1.0), [0.0, 1.0], t_eval=[1.0])
     assert res.success and res.y.T.tolist() == [[0.0, 1.0]]
     res = ode.solve(lambda t, y: [], (0, 1), [], t_eval=[0.0, 1.0])
     assert res.success and res.y.shape == (0, 2)
 
 
-def test_the_dense_output_of_no_step_is_the_start():
+def test_dense_output_without_steps_is_the_start():
     res = ode.solve(circle, (1.0, 1.0), [0.0, 1.0], dense_output=True)
     assert res.sol(1.0).tolist() == [0.0, 1.0] and res.sol([1.0, 1.0]).shape == (2, 2)
     with pytest.raises(ValueError, match="lies outside"):
@@ -322,7 +323,7 @@ def test_the_dense_output_of_no_step_is_the_start():
     assert res.nfev == 1 and res.sol(0.0).tolist() == [3.0]
 
 
-def test_what_scipy_takes_as_terminal():
+def test_terminal_accepts_values_of_scipy():
     def event(t, y):
         return y[1]
 
@@ -336,7 +337,7 @@ def test_what_scipy_takes_as_terminal():
             ode.solve(circle, (0, 1), [0.0, 1.0], events=event)
 
 
-def test_failures_are_results_that_say_why():
+def test_failures_are_results_with_reasons():
     res = ode.solve(lambda t, y: y**2, (0, 2), [1.0])
     assert not res.success and res.status == -1 and abs(res.end_time - 1) < 1e-4 and "steps" in res.message
     assert res.t[-1] == res.end_time and res.y[0, -1] > 1e4
@@ -347,7 +348,7 @@ def test_failures_are_results_that_say_why():
     assert "limit of 5 steps" in res.message and len(res.t) <= 6
 
 
-def test_sliding():
+def test_sliding_follows_the_surface():
     state = {}
 
     def relay(t, y):
@@ -363,7 +364,7 @@ def test_sliding():
     res = run()
     assert not res.success and "chattering at t = " in res.message and abs(res.end_time - 1) < 1e-5
     res = run(chattering="slide", t_eval=[2.0])
-    # Along x = 0 both fields have the same share: y' = 2.
+    # Along x = 0 both fields have equal shares: y' = 2.
     assert res.success and np.abs(res.y[:, 0] - [0.0, 3.0]).max() < 1e-4 and res.stats.chattering == 1
 
 
@@ -379,7 +380,7 @@ def test_chattering_can_be_a_warning(caplog):
     assert "2 times a hundred events hardly advanced time" in caplog.text
 
 
-def test_time_limit():
+def test_time_limit_ends_the_integration():
     def slow(t, y):
         time.sleep(2e-3)
         return circle(t, y)
@@ -460,13 +461,13 @@ def test_exceptions_keep_their_identity(method):
         ({"interior_samples": -1}, ValueError, "interior_samples = -1 must not be negative"),
     ],
 )
-def test_what_cannot_be_used_is_said(wrong, kind, message):
+def test_bad_arguments_are_rejected(wrong, kind, message):
     given = {"rhs": circle, "t_span": (0, 1), "x0": [0.0, 1.0], **wrong}
     with pytest.raises(kind, match=message):
         ode.solve(**given)
 
 
-def test_ctrl_c_ends_with_the_part_that_there_is():
+def test_ctrl_c_ends_with_partial_result():
     calls = []
 
     def rhs(t, y):
@@ -483,8 +484,8 @@ def test_ctrl_c_ends_with_the_part_that_there_is():
     assert len(calls) <= 210
 
 
-def test_simulations_inside_an_objective():
-    """A fit by hand: the rate of a decay from its values."""
+def test_objective_may_run_simulations():
+    """Fits the rate of a decay from its values."""
     t = np.linspace(0, 2, 9)
     measured = np.exp(-1.3 * t)
     cost = lambda p: float(((ode.solve(lambda t, y: -p[0] * y, (0, 2), [1.0], t_eval=t).y - measured) ** 2).sum())  # noqa: E731
@@ -492,7 +493,7 @@ def test_simulations_inside_an_objective():
     assert abs(res.x[0] - 1.3) < 1e-5
 
 
-def test_many_states_take_no_matrix_where_none_is_needed() -> None:
+def test_many_states_need_no_matrix_with_explicit_method() -> None:
     n = 100_000
     solution = ode.solve(lambda t, y: -y, (0, 1), np.ones(n), t_eval=[1.0])
     assert solution.success and solution.njev == 0
@@ -502,15 +503,15 @@ def test_many_states_take_no_matrix_where_none_is_needed() -> None:
             ode.solve(lambda t, y: -y, (0, 1), np.ones(n), method, t_eval=[1.0])
 
 
-def test_samples_for_which_there_is_no_room_are_refused() -> None:
+def test_samples_without_memory_are_rejected() -> None:
     with pytest.raises(MemoryError, match=r"t_eval: 10000000 times of 100000 states take 8000.0 GB"):
         ode.solve(lambda t, y: -y, (0, 1), np.ones(100_000), t_eval=np.linspace(0, 1, 10_000_000))
 
 
 @pytest.mark.parametrize("method", ["auto", "tsit5", "dop853", "radau5", "bdf"])
 @pytest.mark.parametrize("direction", [-1, None])
-def test_no_ball_falls_through_the_floor(method, direction):
-    """Balls past their Zeno limit, with handlers as people write them: an error that names the event, at any tolerance."""
+def test_balls_stay_above_the_floor_or_raise_an_error(method, direction):
+    """Balls after their Zeno limit with typical handlers: an error that names the event, at any tolerance."""
     for floor, height, gravity in [(0.0, 1.0, 9.81), (0.1, 0.01, 1.62), (1000.0, 1.0, 9.81)]:
         for factor in [0.0, 0.4, 0.5, 0.7, 0.8, 0.95]:
             for rtol in [1e-3, 1e-6, 1e-9]:
@@ -542,7 +543,7 @@ def test_no_ball_falls_through_the_floor(method, direction):
 
 @pytest.mark.parametrize("method", ["radau5", "bdf"])
 def test_sparse_jacobians_stay_sparse(method):
-    """Made dense they would take 20 GB."""
+    """As dense matrices, they would require 20 GB."""
     sparse = pytest.importorskip("scipy.sparse")
     n = 50_000
     rates = np.linspace(1.0, 1e4, n)
@@ -565,7 +566,7 @@ def test_sparse_jacobians_stay_sparse(method):
     assert ends[1][-1] == pytest.approx(math.exp(-10.0), rel=0.1)
 
 
-def test_sparse_jacobians_without_a_pattern_may_change_it():
+def test_sparse_jacobians_may_change_pattern_without_jac_sparsity():
     sparse = pytest.importorskip("scipy.sparse")
     with pytest.raises(MemoryError, match="give the sparsity pattern of the Jacobian"):
         n = 100_000
@@ -594,8 +595,8 @@ def test_sparse_jacobians_are_checked():
 
 
 @pytest.mark.parametrize("method,rtol", [("dop853", 1e-3), ("dop853", 1e-6), ("auto", 1e-9)])
-def test_a_pulse_between_two_events_is_not_seen_by_the_interpolant_alone(method, rtol):
-    # DOP853 has right-hand sides inside its steps that are for interpolation only.
+def test_pulse_between_two_events_is_integrated(method, rtol):
+    # DOP853 has right-hand sides inside its steps for interpolation only.
     for a in np.linspace(0.05, 0.95, 19):
         w = 0.003
         sol = pydfo.ode.solve(
