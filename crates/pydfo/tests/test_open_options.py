@@ -1,4 +1,4 @@
-"""How FMUs are opened: what is shown of their logs, how their libraries are loaded, what was found out about using them."""
+"""Options for opening FMUs: display of logs, loading of libraries, and detected quirks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pydfo import FMUModel, FmuError, example_fmu, load_fmu
 
 
 def shown(caplog, *arguments, simulations=1, **options):
-    """What is logged of simulations with two bounces each."""
+    """Returns the log records of simulations with two bounces each."""
     caplog.clear()
     model = load_fmu(example_fmu("bouncing_ball"), *arguments, **options)
     with caplog.at_level(logging.DEBUG, logger="pydfo"):
@@ -22,19 +22,19 @@ def shown(caplog, *arguments, simulations=1, **options):
     return [record for record in caplog.records if record.name == "pydfo"]
 
 
-def test_the_log_of_an_fmu_is_shown_where_that_is_asked_for(caplog):
+def test_fmu_log_is_shown_on_request(caplog):
     assert shown(caplog) == []
     assert shown(caplog, logging=True) == []
     lines = shown(caplog, "auto", "all", logging=True)
     assert lines and all(line.levelno == logging.INFO for line in lines)
     assert all(line.getMessage().startswith("BouncingBall: [ok] ") for line in lines), lines
-    # Each run has its own lines, and once.
+    # Each run logs its own lines, once.
     assert len(shown(caplog, log_level=7, logging=True, simulations=3)) == 3 * len(lines)
     for level in ("nothing", "fatal", "Error", 3):
         assert shown(caplog, log_level=level, logging=True) == []
 
 
-def test_levels_are_those_of_pyfmi():
+def test_log_levels_match_pyfmi():
     path = example_fmu("dahlquist")
     for level in (*range(8), "nothing", "warning", "all"):
         FMUModel(path, log_level=level)
@@ -46,7 +46,7 @@ def test_levels_are_those_of_pyfmi():
             FMUModel(path, log_level=level)
 
 
-def test_categories_of_the_log_are_chosen_by_name(caplog):
+def test_log_categories_are_selected_by_name(caplog):
     messages = [line.getMessage() for line in shown(caplog, log_level=7, logging=["logEvents"])]
     assert messages and messages == [line.getMessage() for line in shown(caplog, log_level=7, logging=True)]
     assert shown(caplog, log_level=7, logging=("logStatusError",)) == []
@@ -59,7 +59,7 @@ def test_categories_of_the_log_are_chosen_by_name(caplog):
 
 
 @pytest.mark.parametrize(("version", "kind"), [("1.0", "ME"), ("1.0", "CS"), ("2.0", "ME"), ("2.0", "CS"), ("3.0", "ME"), ("3.0", "CS")])
-def test_the_bundled_models_log_their_events_in_all_versions_and_kinds(version, kind, caplog):
+def test_bundled_models_log_events_in_all_versions_and_kinds(version, kind, caplog):
     model = FMUModel(example_fmu("bouncing_ball", version, kind), kind, log_level=7, logging=["logEvents"])
     with caplog.at_level(logging.INFO, logger="pydfo"):
         model.simulate(final_time=1.6)
@@ -67,7 +67,7 @@ def test_the_bundled_models_log_their_events_in_all_versions_and_kinds(version, 
     assert len(bounces) == 3, caplog.messages
 
 
-def test_a_model_that_needs_its_tool_runs_with_a_note(tmp_path, caplog):
+def test_model_that_needs_its_tool_runs_with_a_note(tmp_path, caplog):
     kind = ("modelIdentifier=", 'needsExecutionTool="true" modelIdentifier=')
     path = fmus.changed("dahlquist", tmp_path / "tool.fmu", kind)
     times = [0.0, 0.5, 1.0]
@@ -81,7 +81,7 @@ def test_a_model_that_needs_its_tool_runs_with_a_note(tmp_path, caplog):
     assert len(notes) == 1, caplog.messages
 
 
-def test_a_model_that_fails_without_its_tool_says_so(tmp_path):
+def test_failure_without_required_tool_is_explained(tmp_path):
     tool = ("modelIdentifier=", 'needsExecutionTool="true" modelIdentifier=')
     path = fmus.evil(tmp_path / "tool.fmu", "NOT_INSTANTIABLE", replacements=[tool])
     for isolation in ("none", "process"):
@@ -93,7 +93,7 @@ def test_a_model_that_fails_without_its_tool_says_so(tmp_path):
 
 
 @pytest.mark.parametrize("options", [{"deepbind": True}, {"lazy": True}])
-def test_libraries_can_be_loaded_otherwise(options):
+def test_libraries_load_with_other_options(options):
     res = load_fmu(example_fmu("dahlquist"), **options).simulate(final_time=1.0)
     plain = load_fmu(example_fmu("dahlquist")).simulate(final_time=1.0)
     assert fmus.same_bits(res, plain)
@@ -112,7 +112,7 @@ def test_reuse_names_the_first_way_that_agrees_with_a_fresh_process(tmp_path, ca
     assert len(model.description.quirks) == {"reset": 0, "reinstantiate": 1, "process": 2}[reuse]
 
 
-def test_a_promise_that_is_not_kept_is_a_quirk(tmp_path, caplog):
+def test_false_capability_is_a_quirk(tmp_path, caplog):
     model = FMUModel(fmus.compiled("early_return", tmp_path / "i.fmu", "NO_EVENT_MODE"))
     assert model.description.quirks == []
     with caplog.at_level(logging.WARNING, logger="pydfo"):
@@ -121,7 +121,7 @@ def test_a_promise_that_is_not_kept_is_a_quirk(tmp_path, caplog):
     assert "event mode" in caplog.text
 
 
-def test_limits_of_the_description_can_be_set(tmp_path):
+def test_description_limits_can_be_set(tmp_path):
     path = fmus.changed("dahlquist", tmp_path / "small.fmu")
     for open_it in (FMUModel, pydfo.read_description):
         with pytest.raises(FmuError, match="limit of 100"):

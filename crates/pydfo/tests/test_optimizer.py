@@ -1,4 +1,4 @@
-"""Optimizer: driven by hand, in any order, with checkpoints."""
+"""Optimizer: controlled by the user, in any order, with checkpoints."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pydfo import Optimizer, minimize
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("k", [1, 3, None])
-def test_any_order_and_pieces_give_the_driven_run(method, k):
+def test_any_order_and_grouping_gives_the_run_of_minimize(method, k):
     chance = random.Random(k)
     run = {**RUN, "max_evaluations": 300}
     driven = timeless(minimize(rosenbrock, **run, method=method))
@@ -38,7 +38,7 @@ def test_any_order_and_pieces_give_the_driven_run(method, k):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_left_anywhere_it_goes_on_from_its_checkpoint(method, tmp_path):
+def test_optimizer_resumes_from_checkpoint_at_any_point(method, tmp_path):
     chance = random.Random(method)
     run = {**RUN, "max_evaluations": 200, "checkpoint": tmp_path / "run", "options": {"trace_limit": 150}}
     told = 0
@@ -70,7 +70,7 @@ def test_none_nan_and_exceptions_mean_failed():
     assert failures == {"no value": 1, "cost is NaN": 1, "ZeroDivisionError: by zero": 1}
 
 
-def test_misuse_and_early_ends():
+def test_misuse_is_rejected_and_early_ends_are_handled():
     opt = Optimizer("de", **RUN)
     assert opt.best is None and "no cost yet" in repr(opt) and not opt.done
     with pytest.raises(pydfo.NoResult):
@@ -99,7 +99,7 @@ def test_misuse_and_early_ends():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_giving_up_above_the_cutoff_changes_no_decision(method):
+def test_stopping_above_cutoff_changes_no_decision(method):
     run = {**RUN, "max_evaluations": 300}
     opt = Optimizer(method, **run)
     given_up = 0
@@ -116,7 +116,7 @@ def test_giving_up_above_the_cutoff_changes_no_decision(method):
     assert given_up > 0 or method in ("ga", "cma-es", "quadratic-model")
 
 
-def test_a_cutoff_below_the_one_asked_for_is_a_failure():
+def test_cutoff_below_the_requested_one_is_a_failure():
     opt = Optimizer("nelder-mead", [1.0, 2.0])
     ids, _, cutoffs = opt.ask()
     assert np.isinf(cutoffs).all()
@@ -126,7 +126,7 @@ def test_a_cutoff_below_the_one_asked_for_is_a_failure():
         opt.tell(opt.ask().ids[0], pydfo.Above("a"))
 
 
-def test_numbers_that_were_never_asked_for():
+def test_unknown_ids_are_rejected():
     opt = Optimizer("nelder-mead", [1.0, 2.0])
     opt.ask(2**70)
     for number in (-1, 3, 2**70):

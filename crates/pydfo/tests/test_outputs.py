@@ -1,4 +1,5 @@
-"""Outputs of every type: texts, bytes, integers of 64 bits, arrays as further axes; beside FMPy, an independent importer."""
+"""Outputs of every type: strings, bytes, 64-bit integers, arrays as further axes; compared with FMPy, an independent
+importer."""
 
 from __future__ import annotations
 
@@ -22,13 +23,13 @@ def result(path, request):
     return FMUModel(path, kind=request.param).simulate(0, 1, ncp=10, output=NAMES, relative_tolerance=1e-10)
 
 
-def test_every_type_has_its_array(result):
+def test_columns_have_types_of_variables(result):
     assert list(result) == ["time", *NAMES]
     rows = range(11)
     assert list(result["label"]) == ["early" if row < 5 else "late" for row in rows]
     assert list(result["blob"]) == [b"\x00\x01\xff"[: row % 4] for row in rows]
     assert result["label"].dtype == result["blob"].dtype == object
-    # These integers no float64 can tell apart.
+    # float64 cannot distinguish these integers.
     assert result["count"].dtype == np.int64 and list(result["count"]) == [2**53 + 1 + row for row in rows]
     assert result["u64"].dtype == np.uint64 and set(result["u64"].tolist()) == {18000000000000000064}
     assert result["i8"].dtype == np.float64 and set(result["i8"]) == {-8.0}
@@ -46,14 +47,14 @@ def test_arrays_have_axes_and_elements(result):
             result[missing]
 
 
-def test_final_values_have_their_types(result):
+def test_final_values_have_types_of_variables(result):
     assert result.final("label") == "late" and result.final("blob") == b"\x00\x01" and result.final("u64") == 18000000000000000064
     assert type(result.final("count")) is int and type(result.final("sum")) is float
     assert np.array_equal(result.final("matrix"), [[0, 1, 2], [3, 4, 5]])
     assert result.final(["text[1]", "i8"]) == ["one", -8.0]
 
 
-def test_structured(result):
+def test_result_converts_to_structured_array(result):
     array = result.to_structured()
     assert array.dtype.names == ("time", *NAMES)
     assert array.dtype["matrix"] == np.dtype((np.int32, (2, 3))) and array.dtype["flags"] == np.dtype((np.bool_, (2,)))
@@ -62,7 +63,7 @@ def test_structured(result):
     assert array["count"][-1] == 2**53 + 11 and array["label"][0] == "early" and np.array_equal(array["x"], result["x"])
 
 
-def test_dataframe(result):
+def test_result_converts_to_dataframe(result):
     pytest.importorskip("pandas")
     frame = result.to_dataframe()
     assert list(frame.columns)[:6] == ["time", "label", "sum", "count", "text[1]", "text[2]"]
@@ -70,7 +71,7 @@ def test_dataframe(result):
     assert frame["count"].iloc[3] == 2**53 + 4 and frame["blob"].iloc[3] == b"\x00\x01\xff"
 
 
-def test_plot(result):
+def test_result_is_plotted(result):
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("Agg")
     from matplotlib import pyplot
@@ -83,14 +84,14 @@ def test_plot(result):
     pyplot.close("all")
 
 
-def test_all_and_default(path):
+def test_outputs_default_and_all_are_recorded(path):
     model = FMUModel(path)
     assert list(model.simulate(0, 1, ncp=2)) == ["time", "x", "sum", "label"]
     everything = model.simulate(0, 1, ncp=2, output="all")
     assert set(NAMES) < set(everything) and everything["k"].shape == (3, 3)
 
 
-def test_texts_cannot_be_fitted(tmp_path):
+def test_strings_cannot_be_fitted(tmp_path):
     gain = '<ScalarVariable name="gain" valueReference="9" causality="parameter" variability="fixed"><Real start="1"/></ScalarVariable>'
     path = fmus.write(tmp_path / "m.fmu", fmus.xml(fmus.KINDS + gain))
     data = {"time": [0.0, 0.5], "y": [1.0, 2.0]}
@@ -99,12 +100,12 @@ def test_texts_cannot_be_fitted(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["ME", "CS"])
-def test_fmpy_records_the_same(path, kind):
+def test_outputs_agree_with_fmpy(path, kind):
     fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
     from fmpy.validation import validate_fmu
 
     assert validate_fmu(str(path)) == []
-    # FMPy does not record texts, and arrays of the model by their whole.
+    # FMPy does not record strings, and records arrays of the model as a whole.
     names = ["sum", "count", "x", "matrix", "u64", "i8", "u8", "i16", "flags", "f32"]
     theirs = fmpy.simulate_fmu(
         str(path),
@@ -127,7 +128,7 @@ def test_fmpy_records_the_same(path, kind):
         assert np.array_equal(structured[name], theirs[name])
 
 
-def test_arrays_texts_and_bytes_are_set(path):
+def test_arrays_strings_and_bytes_are_set(path):
     model = FMUModel(path)
     model.set("matrix", np.array([[6, 5, 4], [3, 2, 1]]))
     model.set("text", ("left", "right"))
@@ -144,7 +145,7 @@ def test_arrays_texts_and_bytes_are_set(path):
     assert smaller["x"].shape == (5, 2) and smaller.final("x[2]") == pytest.approx(3 * np.exp(-1), rel=1e-5)
 
 
-def test_the_description_has_extents_and_clocks(path, tmp_path):
+def test_description_contains_extents_and_clocks(path, tmp_path):
     variables = FMUModel(path).description.variables
     assert (variables["matrix"].shape, variables["x"].shape, variables["i8"].shape) == ((2, 3), (3,), ())
     clocks = FMUModel(fmus.compiled("clocks", tmp_path / "clocks.fmu")).description.variables
@@ -152,7 +153,7 @@ def test_the_description_has_extents_and_clocks(path, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["ME", "CS"])
-def test_texts_and_bytes_are_inputs(path, kind):
+def test_strings_and_bytes_are_inputs(path, kind):
     model = FMUModel(path, kind=kind)
     table = {"time": [0.0, 0.25, 0.5], "word": ["first", "second", "first"], "packet": [b"", b"\x00\xff", b""], "u[1]": [1.0, 1.0, 1.0]}
     res = model.simulate(0, 1, output_interval=0.25, output=["word", "packet", "u"], input=table)
@@ -167,7 +168,7 @@ def test_texts_and_bytes_are_inputs(path, kind):
         model.simulate(0, 1, input={"time": [0.0, 1.0], "word": ["a", 1]})
 
 
-def test_integers_of_64_bits_are_inputs_without_loss(tmp_path):
+def test_64_bit_integer_inputs_are_exact(tmp_path):
     roles = [
         (f'name="{name}" valueReference="{reference}" causality="parameter" variability="fixed"',
          f'name="{name}" valueReference="{reference}" causality="input" variability="discrete"')
@@ -191,8 +192,8 @@ def test_integers_of_64_bits_are_inputs_without_loss(tmp_path):
         model.simulate(input={"u64": -big}, times=times)
 
 
-def test_outputs_that_are_no_numbers(tmp_path):
-    """A result holds what the model says; a fit counts it as a failure where a measurement stands against it."""
+def test_nan_outputs_are_recorded_but_fail_a_fit(tmp_path):
+    """A result contains the values of the model. A fit counts them as failures at the times of measurements."""
     path = fmus.compiled("arrays", tmp_path / "nan.fmu", "NAN_ABOVE=2")
     model = FMUModel(path)
     model.set("k[1]", 3.0)

@@ -21,7 +21,7 @@ def decay(model):
     return pydfo.Calibration(model, {"time": t, "x": np.exp(-2 * t)}, outputs=["x"], parameters=parameters)
 
 
-def test_a_model_that_was_simulated_can_be_calibrated_whatever_the_flag_says(tmp_path):
+def test_simulated_model_can_be_calibrated_despite_once_flag(tmp_path):
     model = FMUModel(fmus.changed("dahlquist", tmp_path / "once.fmu", ONCE))
     first = model.simulate(final_time=1.0)
     other = FMUModel(model.path)
@@ -35,7 +35,7 @@ def test_a_model_that_was_simulated_can_be_calibrated_whatever_the_flag_says(tmp
     assert fmus.same_bits(model.simulate(final_time=1.0), first)
 
 
-def test_what_one_model_sets_does_not_reach_another():
+def test_models_of_one_fmu_are_independent():
     models = [load_fmu(example_fmu("dahlquist")) for _ in range(3)]
     truth = [None] * 3
     for _ in range(3):
@@ -48,8 +48,9 @@ def test_what_one_model_sets_does_not_reach_another():
 
 
 @pytest.mark.parametrize("how", ["close", "reset", "drop"])
-def test_letting_a_model_go_waits_for_no_simulation(tmp_path, how):
-    """The simulation needs the interpreter lock for its input, so nobody may wait for it with the lock held."""
+def test_releasing_a_model_does_not_wait_for_its_simulation(tmp_path, how):
+    """The simulation needs the interpreter lock for its input, so releasing a model must not wait for it with the
+    lock held."""
     once = tuple(text.replace("dahlquist", "switched_input") for text in ONCE)
     path = fmus.changed("switched_input", tmp_path / "once.fmu", once)
     idle = FMUModel(path)

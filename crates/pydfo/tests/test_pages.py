@@ -75,7 +75,7 @@ def folder(tmp_path, example_files, monkeypatch):
     monkeypatch.setenv("PATH", f"{commands}{os.pathsep}{os.environ['PATH']}")
     monkeypatch.setenv("MPLBACKEND", "Agg")
     monkeypatch.chdir(tmp_path)
-    # Pages import the set-ups, which read files of the working folder.
+    # Pages import the setups, which read files of the working folder.
     monkeypatch.syspath_prepend(str(tmp_path))
     yield tmp_path
     for setup in SETUPS:
@@ -147,7 +147,7 @@ def test_notebooks_run(notebook: Path, folder: Path) -> None:
     assert any(cell["cell_type"] == "code" for cell in cells)
     for index, cell in enumerate(cells):
         if cell["cell_type"] == "code":
-            # What is for notebooks alone begins with %.
+            # Lines that begin with % are commands for notebooks only.
             code = "".join(line for line in cell["source"] if not line.startswith("%"))
             executed(code, names, f"{notebook.name}, cell {index}", 1)
 

@@ -1,5 +1,6 @@
-"""The calls of the paper's script (section 6.1): FMUModel, set, simulate, quad_err, fmin; on a recording of our own and, where
-it is at hand, on the paper's."""
+"""The calls of the paper's script (section 6.1): FMUModel, set, simulate, quad_err, fmin.
+
+They run on a generated recording and, if available, on the paper's recording."""
 
 from __future__ import annotations
 
@@ -15,13 +16,13 @@ AT_HAND = recordings.at_hand("FurutaData.mat")
 
 
 def objective(folder, which, at_measured_times=False):
-    """The cost as a function of both frictions in thousandths."""
+    """Returns the cost as a function of both frictions in thousandths."""
     shutil.copy(example_fmu("furuta"), folder / "Furuta.fmu")
     data = recordings.furuta(which)
     measured = np.vstack((data["phi"], data["theta"]))
 
     def cost(x):
-        # as in the paper, the model is opened anew each time
+        # as in the paper, the model is opened for each simulation
         pendulum = FMUModel(folder / "Furuta.fmu")
         pendulum.set("armFriction", x[0] / 1e3)
         pendulum.set("pendulumFriction", x[1] / 1e3)
@@ -37,20 +38,20 @@ def minimum(cost, **more):
 
 
 @pytest.mark.parametrize("which", AT_HAND)
-def test_the_script_finds_what_the_paper_found(tmp_path, capsys, which):
+def test_script_reproduces_result_of_the_paper(tmp_path, capsys, which):
     cost = objective(tmp_path, which)
     res = minimum(cost)
     assert res[0] == pytest.approx([10.0, 1.0], abs=0.1) and res[0][1] == pytest.approx(1.0, abs=0.01)
     assert res.nfev <= 150 and res.success
     assert len(capsys.readouterr().out.splitlines()) == res.nit + 5
-    # the f test allows for 1e-2
+    # the tolerance of the f test is 1e-2
     assert res.fun <= cost([10.0, 1.0]) + 0.012
     if which == "published":
         assert 1.1085 - 0.002 <= res.fun <= 1.1085 + 0.012
 
 
 @pytest.mark.parametrize("which", AT_HAND)
-def test_with_both_tests_it_is_closer(tmp_path, which):
+def test_result_is_closer_with_both_tests(tmp_path, which):
     cost = objective(tmp_path, which)
     res = minimum(cost, stop="all", disp=False)
     assert res[0] == pytest.approx([10.0, 1.0], abs=0.03 if which == "published" else 0.05)
@@ -61,7 +62,7 @@ def test_with_both_tests_it_is_closer(tmp_path, which):
 
 
 @pytest.mark.parametrize("which", AT_HAND)
-def test_sampled_at_the_measured_times_there_is_no_error_of_interpolation(tmp_path, which):
+def test_no_interpolation_error_at_measured_times(tmp_path, which):
     cost = objective(tmp_path, which, at_measured_times=True)
     loose, close = minimum(cost, disp=False).fun, minimum(cost, stop="all", disp=False).fun
     truth = cost([10.0, 1.0])

@@ -1,5 +1,5 @@
-"""What a problem can say: ties, priors, delays, offsets, units, initial states, windows, weights per sample, inputs as functions; and
-what is said of each mistake in them."""
+"""Features of problems (ties, priors, delays, offsets, units, initial states, windows, weights per sample, input
+functions) and their errors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ K = Parameter("k", 1.0, 0.1, 10.0)
 
 
 def decay(x: Any, **own: Any) -> Experiment:
-    """x' = -k x, compared with what is given."""
+    """Returns an experiment for x' = -k x with the given measurements."""
     return Experiment({"time": T, "x": x}, ["x"], **own)
 
 
@@ -44,7 +44,7 @@ def tank(parameters: Any, inputs: Any = None, **own: Any) -> Calibration:
 A1 = Parameter("qt.a1", 3e-6, 2e-6, 4e-6)
 
 
-def test_one_value_for_several_variables_and_values_that_follow() -> None:
+def test_parameter_sets_several_variables_and_tied_values() -> None:
     several = [Parameter("upper", 3e-6, 2e-6, 4e-6, variables=["qt.a1", "qt.a2"]), Parameter("qt.a3", tied_to="upper", factor=2.0)]
     one = tank(several)
     explicit = tank([Parameter(name, 3e-6) for name in ("qt.a1", "qt.a2", "qt.a3")])
@@ -53,13 +53,13 @@ def test_one_value_for_several_variables_and_values_that_follow() -> None:
     assert one.model_values([2.5e-6]) == {"qt.a1": 2.5e-6, "qt.a2": 2.5e-6, "qt.a3": 5e-6}
     fit = one.fit()
     assert fit.parameters == {"upper": fit.x[0], "qt.a3": 2.0 * fit.x[0]}
-    # What a fit lists can be given again.
+    # The parameters listed by a fit can be passed again.
     assert one.cost(fit.parameters) == fit.cost
     with pytest.raises(ValueError, match="tied"):
         one.cost({"upper": 3e-6, "qt.a3": 3e-6})
 
 
-def test_values_in_the_unit_of_the_user() -> None:
+def test_values_are_converted_from_user_units() -> None:
     plain, scaled = tank([A1]), tank([Parameter("qt.a1", 3.0, 2.0, 4.0, unit="mm2")])
     assert scaled.cost([2.7]) == pytest.approx(plain.cost([2.7e-6]), rel=1e-9)
     assert scaled.model_values([2.5])["qt.a1"] == pytest.approx(2.5e-6, rel=1e-15)
@@ -67,7 +67,7 @@ def test_values_in_the_unit_of_the_user() -> None:
         tank([Parameter("qt.a1", 3.0, 2.0, 4.0, unit="kg")])
 
 
-def test_priors_are_residuals_that_rms_does_not_count() -> None:
+def test_priors_are_residuals_excluded_from_rms() -> None:
     x = np.exp(-T)
     free = dahlquist(decay(x, weights={"x": 10.0}, start_values={"k": 1.0}), Parameter("x", 1.5, 0.1, 10.0))
     known = Parameter("x", 1.5, 0.1, 10.0, prior=Normal(2.0, 0.1))
@@ -83,7 +83,7 @@ def test_priors_are_residuals_that_rms_does_not_count() -> None:
     assert relative.residuals([1.0])[-1] == pytest.approx(math.log(0.5) / 0.5)
 
 
-def test_states_start_as_given_as_measured_or_as_fitted() -> None:
+def test_initial_states_are_given_measured_or_fitted() -> None:
     x = 3.0 * np.exp(-T)
     assert dahlquist(decay(x, initial_states={"x": 3.0}), K).cost([1.0]) < 1e-8
     assert dahlquist(decay(x, initial_states={"x": "measured"}), K).cost([1.0]) < 1e-8
@@ -94,7 +94,7 @@ def test_states_start_as_given_as_measured_or_as_fitted() -> None:
     assert fit.x == pytest.approx([1.0, 3.0, 1.5], rel=1e-3)
 
 
-def test_delays_and_offsets() -> None:
+def test_delays_and_offsets_are_applied() -> None:
     x = np.exp(-1.5 * np.maximum(T - 0.137, 0.0)) + 0.25
     tau, bias = Parameter("tau", 0.05, 0, 1, delay_of="x"), Parameter("bias", 0.0, -1, 1, offset_of="x")
     calibration = dahlquist(decay(x), K, tau, bias)
@@ -110,7 +110,7 @@ def test_delays_and_offsets() -> None:
     assert milliseconds.cost([3e-6, 700.0]) == late.cost([3e-6])
 
 
-def test_windows_weights_and_warm_up() -> None:
+def test_windows_weights_and_warm_up_select_measurements() -> None:
     def n(**own: Any) -> int:
         return tank([A1], **own).n_measurements
 
@@ -123,13 +123,13 @@ def test_windows_weights_and_warm_up() -> None:
     assert n(warm_up=10) == 21
     half = tank([A1], weights={"qt.x1": np.full(31, 0.5)})
     assert half.residuals() == pytest.approx(0.5 * tank([A1]).residuals(), rel=1e-14)
-    # The simulation starts 10 s before the window, from the same start values.
+    # The simulation starts 10 s before the window, from equal start values.
     warmed = tank([A1], window=(20, 30), warm_up=10)
     assert warmed.n_measurements == 11
     assert warmed.cost() == tank([A1], window=(20, 30), start_time=10).cost()
 
 
-def test_inputs_are_columns_numbers_or_functions() -> None:
+def test_inputs_may_be_columns_numbers_or_functions() -> None:
     recorded = tank([A1])
     assert tank([A1], {"u1": "u1", "u2": 5.0}).cost() == pytest.approx(recorded.cost(), rel=1e-9)
     calibration = tank([A1], {"u1": u1, "u2": 5})
@@ -141,7 +141,7 @@ def test_inputs_are_columns_numbers_or_functions() -> None:
         pickle.dumps(tank([A1], {"u1": lambda t: 5.0, "u2": 5}))
 
 
-def test_an_exception_of_an_input_function_is_raised_as_it_is() -> None:
+def test_input_function_exception_propagates_unchanged() -> None:
     class Mine(Exception):
         pass
 
@@ -165,7 +165,7 @@ def test_an_exception_of_an_input_function_is_raised_as_it_is() -> None:
         tank([A1], {"u1": fails, "u2": 5.0})
 
 
-def test_everything_survives_a_pickle() -> None:
+def test_all_features_survive_a_pickle() -> None:
     experiment = decay(
         3.0 * np.exp(-T),
         initial_states={"x": Parameter("x", 1.0, 0.1, 10.0, prior=Normal(3.0, 1.0))},
@@ -182,7 +182,7 @@ def test_everything_survives_a_pickle() -> None:
         assert twin.parameters == calibration.parameters
 
 
-def test_a_checkpoint_belongs_to_what_the_problem_says(tmp_path: Any) -> None:
+def test_checkpoint_depends_on_problem_features(tmp_path: Any) -> None:
     path = tmp_path / "fit.ckpt"
     x = np.exp(-T)
     dahlquist(decay(x), K).fit(checkpoint=path)
@@ -205,7 +205,7 @@ def bad(**own: Any) -> Any:
 
 
 def bad_parameter(*parameters: Any) -> Any:
-    """A function that makes the parameters, each given by its arguments."""
+    """Returns a function that creates the parameters, each from its arguments."""
     return lambda: dahlquist(decay(np.exp(-T)), *(p if isinstance(p, Parameter) else p() for p in parameters))
 
 
@@ -284,6 +284,6 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("make, expected", MISTAKES.values(), ids=MISTAKES.keys())
-def test_mistakes_say_how_to_mend_them(make: Any, expected: str) -> None:
+def test_mistakes_are_reported_with_remedies(make: Any, expected: str) -> None:
     with pytest.raises((ValueError, TypeError, KeyError), match=expected):
         make()

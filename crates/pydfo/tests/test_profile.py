@@ -1,4 +1,4 @@
-"""Profile likelihoods: against the standard errors of the pendulum, and what users meet."""
+"""Profile likelihoods: comparison with the standard errors of the pendulum, and typical use."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def decay(upper=5.0):
 
 
 @pytest.mark.parametrize("which", recordings.at_hand("FurutaData.mat"))
-def test_the_profile_of_the_pendulum_agrees_with_its_standard_errors(which):
+def test_profile_of_pendulum_agrees_with_standard_errors(which):
     fit = Calibration(example_fmu("furuta"), recordings.furuta(which), ANGLES, FRICTION).fit()
     profile = fit.profile(corrected=False)
     assert list(profile.intervals) == fit._calibration.names and profile.message == "" and not profile.interrupted
@@ -35,7 +35,7 @@ def test_the_profile_of_the_pendulum_agrees_with_its_standard_errors(which):
         np.testing.assert_allclose(widths / (2 * np.sqrt(profile.threshold)), [1.375e-5, 1.094e-6], rtol=0.15)
 
 
-def test_intervals_values_costs_text_and_picture(tmp_path):
+def test_profile_has_intervals_values_costs_text_and_figure(tmp_path):
     fit = decay().fit()
     profile = fit.profile(checkpoint=tmp_path / "profile.json", workers=2)
     for name, (low, high) in profile.intervals.items():
@@ -52,17 +52,17 @@ def test_intervals_values_costs_text_and_picture(tmp_path):
     assert [axes.get_xlabel() for axes in panels] == ["k [1/s]", "x"]
     (axes,) = again.plot().axes
     assert "open" not in axes.get_title()
-    # a smooth curve through the points, some of them near the optimum
+    # a smooth curve through the points, including points near the optimum
     (curve,) = [line for line in axes.get_lines() if len(line.get_xdata()) > 50]
     values, costs = again.values["x"], again.costs["x"]
     assert np.sum(costs < 0.1 * again.threshold) >= 3
     np.testing.assert_allclose(np.interp(values, *curve.get_data()), costs, atol=0.02 * again.threshold)
-    # straight lines between the points would bend at them alone
+    # straight lines between the points would bend only at the points
     bends = np.diff(curve.get_ydata(), 2)
     assert np.mean(bends > 0) > 0.95 and bends.max() < 3 * np.median(bends)
 
 
-def test_the_curve_of_a_parabola_is_one():
+def test_curve_of_a_parabola_is_a_parabola():
     pytest.importorskip("matplotlib").use("Agg")
     from pydfo._plot.profile import smooth
 
@@ -73,7 +73,7 @@ def test_the_curve_of_a_parabola_is_one():
     assert costs.max() <= 4.0 + 1e-12 and costs.min() >= 0.0
 
 
-def test_an_open_side_is_infinite_and_said():
+def test_open_side_is_infinite_and_reported():
     fit = decay(upper=1.5).fit()
     profile = fit.profile("k")
     low, high = profile.intervals["k"]
@@ -82,7 +82,7 @@ def test_an_open_side_is_infinite_and_said():
     assert profile.message in repr(profile)
 
 
-def test_an_interrupt_has_what_there_is(tmp_path):
+def test_interrupt_contains_partial_profile(tmp_path):
     calibration = Calibration(
         example_fmu("furuta"), recordings.furuta("own"), ANGLES, FRICTION, relative_tolerance=1e-11, solver="tsit5"
     )
@@ -104,7 +104,7 @@ def test_an_interrupt_has_what_there_is(tmp_path):
     assert np.isfinite(found.intervals["armFriction"][0]) and found.intervals["pendulumFriction"][1] == np.inf
 
 
-def test_mistakes_are_named(tmp_path):
+def test_mistakes_are_reported(tmp_path):
     fit = decay().fit()
     for options, said in (
         ({"parameters": ["q"]}, "there is no parameter 'q'; there are: k, x"),

@@ -11,11 +11,11 @@ T, Y = [0.0, 1.0, 3.0], [0.0, 2.0, 6.0]
 
 
 @pytest.mark.parametrize("quad_err", [dfo.quad_err, dfo.quad_err_simple])
-def test_linear_interpolation_and_rows(quad_err):
+def test_rows_are_interpolated_linearly(quad_err):
     assert quad_err([0.5, 2.0, 3.0], [0.0, 4.0, 7.0], T, Y) == 2.0
     both = quad_err([0.5, 2.0], [[0.0, 4.0], [1.0, 5.0]], T, [Y, Y])
     assert both == 1.0 + 0.0 + 0.0 + 1.0
-    # beyond the simulated span its end values hold
+    # outside the simulated span, the end values are used
     assert quad_err([-1.0, 9.0], [1.0, 6.0], T, Y) == 1.0
 
 
@@ -24,8 +24,8 @@ def test_weights_multiply_the_squared_errors():
     assert dfo.quad_err([0.5], [0.0], T, Y, 4.0) == 4.0
 
 
-def test_an_event_at_a_measured_time_counts_with_its_mean_also_in_one_dimension():
-    # the paper's tool failed here for one-dimensional data
+def test_event_at_measured_time_uses_the_mean():
+    # the paper's tool fails here for one-dimensional data
     assert dfo.quad_err([1.0], [0.0], [0.0, 1.0, 1.0, 2.0], [0.0, 2.0, 4.0, 4.0]) == 9.0
     assert dfo.quad_err([1.0], [[0.0]], [0.0, 1.0, 1.0, 2.0], [[0.0, 2.0, 4.0, 4.0]]) == 9.0
     assert dfo.quad_err([1.5], [0.0], [0.0, 1.0, 1.0, 2.0], [0.0, 2.0, 4.0, 6.0]) == 25.0
@@ -41,7 +41,7 @@ def test_agrees_with_numpy_on_long_series():
     assert dfo.quad_err(t_meas, y_meas, t_sim, y_sim, w) == pytest.approx(expected, rel=1e-12)
 
 
-def test_any_array_layout_and_type_will_do():
+def test_any_array_layout_and_type_is_accepted():
     reference = dfo.quad_err([0.0, 1.0], [[1.0, 2.0], [3.0, 4.0]], T, [Y, Y])
     y_meas = np.asfortranarray([[1, 2], [3, 4]], dtype=np.float32)
     y_sim = np.vstack((Y, Y, Y, Y))[::2]
@@ -63,6 +63,6 @@ def test_any_array_layout_and_type_will_do():
         (([0.0], [0.0], T, [Y, [1.0]]), TypeError, "y_sim must be numbers"),
     ],
 )
-def test_what_does_not_fit_is_named(arguments, error, said):
+def test_mismatched_arguments_are_named(arguments, error, said):
     with pytest.raises(error, match=said):
         dfo.quad_err(*arguments)

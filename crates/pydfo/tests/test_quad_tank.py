@@ -1,7 +1,8 @@
-"""The quadruple tank: trajectory, cost and both fits, on a recording of our own (known outlets, noise of 0.3 mm) and, where
-it is at hand, on that of the public JModelica.org example.
+"""The quadruple tank: trajectory, cost and both fits, on a generated recording and the public JModelica.org one, if
+available.
 
-Expected numbers of the latter were computed with other tools (SciPy's integrators and a gradient method).
+The generated recording has known outlets and a noise of 0.3 mm. Expected numbers of the public recording were
+computed with other tools (SciPy's integrators and a gradient method).
 """
 
 from __future__ import annotations
@@ -16,25 +17,25 @@ LEVELS = recordings.LEVELS
 AT_HAND = recordings.at_hand("qt_par_est_data.mat")
 published = pytest.mark.parametrize("data", [recordings.quad_tank(which) for which in AT_HAND[1:]], ids=AT_HAND[1:])
 every = pytest.mark.parametrize("data", [recordings.quad_tank(which) for which in AT_HAND], ids=AT_HAND)
-#: Outlets of the recording of our own in 1e-6 m2, and its noise in m.
+#: Outlets of the generated recording in 1e-6 m2, and its noise in m.
 TRUE_OUTLETS, NOISE = [2.66, 2.71, 3.01, 2.93], 3e-4
 PUBLIC_EXAMPLE = {2: [0.07060188, 0.06654621, 0.02736549, 0.02789857], 4: [0.07059621, 0.06672873, 0.02723064, 0.02912602]}
 
 
 def held(data):
-    """The same voltages, held between the rows: each row but the first stands there twice."""
+    """Returns the voltages held constant between the rows: each row except the first occurs twice."""
     time, (u1, u2) = np.repeat(data["time"], 2)[1:], (np.repeat(data[u], 2)[:-1] for u in ("u1", "u2"))
     return {"time": time, "u1": u1, "u2": u2}
 
 
 def calibration(n, data, **more):
-    """The first `n` outlets from the first `n` levels."""
+    """Returns a calibration of the first `n` outlets with the first `n` levels."""
     outlets = [Parameter(f"qt.a{i}", 3e-6, 2e-6, 4e-6) for i in range(1, n + 1)]
     return Calibration(example_fmu("quad_tank"), data, LEVELS[:n], outlets, inputs=["u1", "u2"], **more)
 
 
 @published
-def test_the_record(data):
+def test_recording_is_read(data):
     assert data["time"] == pytest.approx(np.arange(61.0), abs=1e-9)
     first, last = ([data[name][row] for name in [*LEVELS, "u1", "u2"]] for row in (0, -1))
     assert first == pytest.approx([0.0627155, 0.0604378, 0.0239493, 0.0232491, 5, 5], abs=5e-8)
@@ -42,11 +43,11 @@ def test_the_record(data):
 
 
 @pytest.mark.parametrize("n", [2, 4])
-def test_the_outlets_of_our_own_recording_are_found(n):
+def test_outlets_of_generated_recording_are_found(n):
     data = recordings.quad_tank("own")
     fit = calibration(n, data).fit()
     assert fit.success and not fit.at_bound and not fit.without_effect
-    # The levels tell the outlets to half a percent through this noise.
+    # With this noise, the levels determine the outlets to half a percent.
     assert [1e6 * a for a in fit.parameters.values()] == pytest.approx(TRUE_OUTLETS[:n], rel=5e-3)
     assert fit.rms == pytest.approx(NOISE, rel=4 / np.sqrt(2 * 61 * n))
     measured = np.vstack([data[x] for x in LEVELS[:n]])
@@ -59,7 +60,7 @@ def test_the_outlets_of_our_own_recording_are_found(n):
 
 
 @published
-def test_the_nominal_trajectory(data):
+def test_nominal_trajectory_matches_reference(data):
     inputs = {name: data[name] for name in ("time", "u1", "u2")}
     res = FMUModel(example_fmu("quad_tank")).simulate(0, 60, times=[10, 30, 60], input=inputs, relative_tolerance=1e-10)
     expected = [
@@ -85,7 +86,7 @@ def test_the_nominal_trajectory(data):
     ],
 )
 @published
-def test_the_fits(n, start, outlets, cost, rms, final, data):
+def test_fits_match_reference(n, start, outlets, cost, rms, final, data):
     problem = calibration(n, data)
     assert problem.cost() == pytest.approx(start, abs=1e-6)
     fit = problem.fit()
@@ -105,8 +106,8 @@ def test_the_fits(n, start, outlets, cost, rms, final, data):
 
 @pytest.mark.parametrize("solver", ["auto", "radau5", "dop853"])
 @every
-def test_the_cost_is_smooth_across_the_kinks_of_the_voltages(solver, data):
-    """Voltages change their slope at each second: a cost at rtol 1e-6 must not tell by noise."""
+def test_cost_is_smooth_across_kinks_of_voltages(solver, data):
+    """Voltages change their slope at each second. The cost at rtol 1e-6 must not be noisy."""
     problem = calibration(4, data, solver=solver, relative_tolerance=1e-6)
     start = [3e-6] * 4
     cost = problem.cost(start)
@@ -120,7 +121,7 @@ def test_the_cost_is_smooth_across_the_kinks_of_the_voltages(solver, data):
     ("n", "outlets", "cost"), [(2, [2.6555, 2.7097], 3.911e-5), (4, [2.6564, 2.6998, 3.0059, 2.9297], 1.243e-4)]
 )
 @published
-def test_held_voltages_give_other_numbers(n, outlets, cost, data):
+def test_held_voltages_give_reference_outlets(n, outlets, cost, data):
     steps = held(data)
     levels = {x: np.full(121, np.nan) for x in LEVELS[:n]}
     for x, column in levels.items():
@@ -131,8 +132,8 @@ def test_held_voltages_give_other_numbers(n, outlets, cost, data):
 
 
 @every
-def test_the_way_of_a_script(data, request):
-    """Model, inputs, simulate, quad_err, fmin: as the 2012 paper does it, in its units."""
+def test_script_with_cost_function_finds_outlets(data, request):
+    """Model, inputs, simulate, quad_err, fmin: as in the 2012 paper, in its units."""
     inputs = {name: data[name] for name in ("time", "u1", "u2")}
     measured = np.vstack([data[x] for x in LEVELS[:2]])
 

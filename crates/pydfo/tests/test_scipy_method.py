@@ -1,4 +1,4 @@
-"""The methods inside of scipy.optimize.minimize."""
+"""The methods inside scipy.optimize.minimize."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BOX = [(-2.0, 2.0), (-2.0, 2.0)]
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_every_method_runs_in_scipy_as_alone(method):
+def test_methods_give_equal_results_inside_scipy(method):
     res = optimize.minimize(
         rosenbrock, [-1.2, 1.0], bounds=BOX, method=pydfo.scipy_method(method, rng=3), options={"maxfev": 400}
     )
@@ -26,7 +26,7 @@ def test_every_method_runs_in_scipy_as_alone(method):
     assert f"nfev: {res.nfev}" in str(res)
 
 
-def test_tolerances_arguments_and_options_are_carried_over():
+def test_tolerances_arguments_and_options_are_passed_on():
     method = pydfo.scipy_method("nelder-mead")
     res = optimize.minimize(shifted, [0.0, 0.0], args=(1.0, 2.0), method=method, tol=1e-3)
     vertices, costs = res.final_simplex
@@ -44,7 +44,7 @@ def test_tolerances_arguments_and_options_are_carried_over():
     np.testing.assert_allclose(res.x, [0.5, 0.25], atol=1e-4)
 
 
-def test_callbacks_are_called_as_scipy_calls_them():
+def test_callbacks_follow_scipy_convention():
     method, seen = pydfo.scipy_method("nelder-mead"), []
 
     def by_name(intermediate_result):
@@ -60,7 +60,7 @@ def test_callbacks_are_called_as_scipy_calls_them():
     assert len(points) == 8 and all(isinstance(x, np.ndarray) for x in points)
 
 
-def test_what_it_cannot_do_is_said(capsys):
+def test_unsupported_arguments_are_reported(capsys):
     method = pydfo.scipy_method("nelder-mead")
     with pytest.raises(ValueError, match="no constraints"):
         optimize.minimize(rosenbrock, [0.0, 0.0], method=method, constraints={"type": "eq", "fun": sum})

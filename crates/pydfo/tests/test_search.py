@@ -8,7 +8,7 @@ from pydfo import Parameter
 
 
 def himmelblau(x):
-    """Four minima of cost 0 in [-5, 5]^2."""
+    """Returns a function with four minima of cost 0 in [-5, 5]^2."""
     return np.array([x[0] ** 2 + x[1] - 11.0, x[0] + x[1] ** 2 - 7.0])
 
 
@@ -20,10 +20,10 @@ def found(result):
     return sum(any(np.abs(o.x - m).max() < 1e-3 and o.fun < 1e-6 for o in result.optima) for m in MINIMA)
 
 
-def test_a_global_search_reports_the_minima_and_the_reason():
+def test_global_search_reports_minima_and_reason():
     by_cost = pydfo.minimize(lambda x: float(np.sum(himmelblau(x) ** 2)), bounds=BOX, search="global", rng=1)
     assert by_cost.method == "multistart" and "global search" in by_cost.method_reason
-    # The budget ends before four minima are probably all there are.
+    # The budget ends before the four minima are probably complete.
     assert by_cost.termination == "max-evaluations" and by_cost.fun < 1e-8 and by_cost.optima[0].fun == by_cost.fun
     fit = pydfo.least_squares(himmelblau, [0.0, 0.0], BOX, search="global", rng=1)
     assert fit.method == "multistart" and "residuals" in fit.method_reason
@@ -33,7 +33,7 @@ def test_a_global_search_reports_the_minima_and_the_reason():
     assert again.trace.x.tobytes() == fit.trace.x.tobytes()
 
 
-def test_the_choice_follows_the_problem():
+def test_automatic_method_depends_on_the_problem():
     def chosen(function=pydfo.minimize, fun=lambda x: float(x @ x), **given):
         return function(fun, [1.0, 2.0], max_evaluations=20, **given)
 
@@ -52,7 +52,7 @@ def test_the_choice_follows_the_problem():
         chosen(search="global", method="de", bounds=BOX)
 
 
-def test_a_fit_takes_its_residuals():
+def test_global_fit_uses_residuals():
     time = np.linspace(0.0, 2.0, 21)
     data = {"time": time, "x": np.exp(-2.0 * time)}
     calibration = pydfo.Calibration(pydfo.example_fmu("dahlquist"), data, ["x"], [Parameter("k", 1.0, 0.1, 10.0)])

@@ -1,4 +1,4 @@
-"""What the paper's tool got wrong, one test per defect: pinned so that it stays right here."""
+"""Defects of the paper's tool, one test per defect, so that they do not occur here."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ QUIET = {"disp": False}
 
 
 def probe(x):
-    """Rosenbrock's function with three regions without a cost, near the path from (-0.5, 1)."""
+    """Returns Rosenbrock's function with three regions without a cost, near the path from (-0.5, 1)."""
     if x[0] + x[1] < -0.2 or (x[0] > 0.2 and x[1] < 0.02) or x[1] > 1.6:
         return np.nan
     return rosenbrock(x)
 
 
 @pytest.mark.parametrize("failure", [np.nan, np.inf, -np.inf, "raise"])
-def test_failing_regions_do_not_stall(failure):
+def test_failing_regions_do_not_stall_the_search(failure):
     def func(x):
         value = probe(x)
         if np.isfinite(value):
@@ -41,22 +41,22 @@ def test_no_vertex_is_evaluated_twice():
     func = Recorder(rosenbrock)
     res = fmin(func, [-1.2, 1.0], x_tol=1e-6, f_tol=1e-6, stop="all", **QUIET)
     assert len({x.tobytes() for x in func.points}) == len(func.points)
-    # the paper's tool: 501 evaluations for 3.6e-7
+    # the paper's tool requires 501 evaluations for 3.6e-7
     assert res.fun < 3.6e-7 and res.nfev < 250
 
 
-def test_a_simplex_that_has_not_moved_never_converges():
-    # absolute tolerances would be met at once: the values are that small
+def test_unmoved_simplex_never_converges():
+    # the values are so small that absolute tolerances are met at once
     func = Recorder(lambda x: 1e-8 * rosenbrock(x))
     res = fmin(func, [-1.2, 1.0], **QUIET)
     assert res.nit >= 1 and res.nfev > 3 and not np.array_equal(res.x, [-1.2, 1.0])
     assert res.fun < func.values[0]
-    # and with the test that fits, the optimum is found
+    # with a suitable test, the optimum is found
     res = fmin(func, [-1.2, 1.0], x_tol=1e-7, f_tol=1e-20, stop="all", **QUIET)
     np.testing.assert_allclose(res.x, [1.0, 1.0], atol=1e-5)
 
 
-def test_small_parameters_are_parameters():
+def test_small_parameters_are_optimised():
     optimum = np.array([3e-6, 7e-6])
     res = fmin(
         lambda x: float(np.sum((x / optimum - 1.0) ** 2)),
@@ -78,25 +78,25 @@ def test_both_bounds_are_checked_at_the_start(start):
         fmin(rosenbrock, start, [-2, -2], [2, 2], **QUIET)
 
 
-def test_a_start_on_a_bound_is_allowed():
+def test_start_on_a_bound_is_allowed():
     res = fmin(rosenbrock, [-2.0, 2.0], [-2, -2], [2, 2], x_tol=1e-7, f_tol=1e-10, stop="all", **QUIET)
     assert res.fun < 1e-8 and np.array_equal(res.trace.x[0], [-2.0, 2.0])
 
 
 @pytest.mark.parametrize("nbr_cores", [1, 2, 4])
-def test_fifty_evaluations_are_fifty(nbr_cores):
+def test_evaluation_budget_is_exact(nbr_cores):
     func = Recorder(rosenbrock)
     res = fmin(func, [-1.2, 1.0], max_fevals=50, nbr_cores=nbr_cores, **QUIET)
     assert res.nfev == len(func.values) == 50
 
 
-def test_the_best_that_was_seen_is_returned_when_the_budget_ends():
+def test_best_point_is_returned_when_budget_ends():
     for budget in range(1, 80):
         func = Recorder(rosenbrock)
         assert fmin(func, [-1.2, 1.0], max_fevals=budget, **QUIET).fun == func.best
 
 
-def test_callables_that_are_no_plain_functions_are_callables():
+def test_callables_other_than_functions_are_accepted():
     class Model:
         def cost(self, scale, x):
             return scale * rosenbrock(x)
@@ -104,17 +104,17 @@ def test_callables_that_are_no_plain_functions_are_callables():
     assert fmin(partial(Model().cost, 2.0), [0.5, 0.5], **QUIET).nfev > 3
 
 
-def test_file_names_are_not_functions():
+def test_file_names_are_rejected_as_functions():
     with pytest.raises(TypeError, match="not the name of its file"):
         fmin("furuta_dfo_cost.py", [1.0], **QUIET)
 
 
-def test_the_initial_step_can_be_chosen():
+def test_initial_step_can_be_chosen():
     res = fmin(rosenbrock, [1.0, 1.0], initial_simplex=[1e-3, 1e-3], max_iters=0, **QUIET)
     np.testing.assert_allclose(res.trace.x - 1.0, [[0, 0], [1e-3, 0], [0, 1e-3]])
 
 
-def test_points_arrive_with_all_their_digits():
+def test_points_keep_all_digits():
     start = [0.1 + 0.2, 1.0 / 3.0]
     func = Recorder(rosenbrock)
     fmin(func, start, max_fevals=1, **QUIET)
@@ -138,18 +138,18 @@ def test_one_failing_evaluation_does_not_fail_the_run():
     ("alg", "method"),
     [(2, "barrier"), (3, "de-classic"), (4, "ga"), ("barrier", "barrier"), ("DE", "de"), ("ga", "ga"), ("de_classic", "de-classic")],
 )
-def test_the_other_methods_run_by_number_and_by_name(alg, method):
+def test_other_methods_run_by_number_and_by_name(alg, method):
     box = {"lb": [-2.0, -2.0], "ub": [2.0, 2.0]}
     res = fmin(rosenbrock, [-1.2, 1.0], **box, alg=alg, rng=1, max_fevals=5000, stop="all", **QUIET)
     assert res.method == method and res.fun < 0.01
     x_opt, f_opt, nbr_iters, nbr_fevals, _ = res
     assert (f_opt, nbr_iters, nbr_fevals) == (rosenbrock(x_opt), res.nit, len(res.trace))
-    # The tests on x and f are in force, absolute as everywhere; mutation keeps a population of strings wide.
+    # Both tests apply, with absolute tolerances; mutation keeps a population of bit strings wide.
     loose = fmin(rosenbrock, [-1.2, 1.0], **box, alg=alg, rng=1, x_tol=5.0 if method == "ga" else 0.5, f_tol=0.0, **QUIET)
     assert loose.termination == "converged" and loose.nfev < res.nfev and "x test passed" in loose.message
 
 
-def test_what_the_other_methods_need_is_said():
+def test_missing_requirements_of_other_methods_are_reported():
     with pytest.raises(ValueError, match="barrier needs at least one bound"):
         fmin(rosenbrock, [0.0, 0.0], alg=2, **QUIET)
     with pytest.raises(ValueError, match="strictly between its bounds"):
@@ -164,5 +164,5 @@ def test_what_the_other_methods_need_is_said():
 
 
 @pytest.mark.parametrize("alg", [None, 1, "nelder-mead", "Nelder-Mead"])
-def test_nelder_mead_by_all_its_names(alg):
+def test_nelder_mead_has_several_names(alg):
     assert fmin(rosenbrock, [0.0, 0.0], alg=alg, **QUIET).method == "nelder-mead"

@@ -1,4 +1,4 @@
-"""Setups that mislead: columns of times, recordings that begin late, inputs that end early, parameters without effect."""
+"""Misleading setups: time columns, recordings that start late, inputs that end early, parameters without effect."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ def decay(data, **more):
     return Calibration(example_fmu("dahlquist"), data, ["x"], more.pop("parameters", [K]), **more)
 
 
-# --- Columns of times -------------------------------------------------------------------------------------------------
+# --- Time columns
+# -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -39,7 +40,7 @@ def decay(data, **more):
     ],
 )
 @pytest.mark.parametrize("shape", ["dict", "csv", "frame", "index", "structured"])
-def test_times_are_read_with_their_unit(name, scale, shape, tmp_path):
+def test_times_are_converted_from_their_unit(name, scale, shape, tmp_path):
     times = TIME * scale
     if shape == "dict":
         data = {"x": DECAY, name: times}
@@ -60,7 +61,7 @@ def test_times_are_read_with_their_unit(name, scale, shape, tmp_path):
 
 
 @pytest.mark.parametrize("shape", ["numpy", "objects", "frame", "index"])
-def test_durations_are_times_in_seconds(shape):
+def test_durations_are_converted_to_seconds(shape):
     durations = np.round(TIME * 1e6).astype("timedelta64[us]")
     if shape == "numpy":
         data = {"time": durations, "x": DECAY}
@@ -75,7 +76,7 @@ def test_durations_are_times_in_seconds(shape):
     assert calibration.cost([2.0]) < 1e-9
 
 
-def test_inputs_over_durations():
+def test_inputs_may_be_given_over_durations():
     model = FMUModel(example_fmu("quad_tank"))
     drive = {"u1": [4.0, 4.5], "u2": [4.0, 4.0]}
     plain = model.simulate(final_time=2.0, input={"time": [0.0, 2.0], **drive})
@@ -83,13 +84,13 @@ def test_inputs_over_durations():
     assert (plain["qt.x1"] == timed["qt.x1"]).all()
 
 
-def test_units_of_time_are_case_sensitive(tmp_path):
+def test_time_units_are_case_sensitive(tmp_path):
     for name in ("time [MS]", "time (S)", "time [H]"):
         with pytest.raises(ValueError, match="none of s, ms, us, ns, min, h, d; units are case-sensitive"):
             decay({name: TIME, "x": DECAY})
 
 
-def test_one_file_has_one_decimal_sign(tmp_path):
+def test_mixed_decimal_signs_are_rejected(tmp_path):
     path = tmp_path / "data.csv"
     path.write_text("time;x\n0;1,234\n1;2.345\n")
     with pytest.raises(ValueError, match="'1,234' in column 'x', line 2, has a comma and '2.345' in column 'x', line 3, a point"):
@@ -100,14 +101,14 @@ def test_one_file_has_one_decimal_sign(tmp_path):
     assert decay(path).measurements()["x"][1].tolist() == [1.5, 0.5]
 
 
-def test_a_column_that_differs_from_an_input_in_case_only():
+def test_column_that_differs_from_input_in_case_is_reported():
     data = {"time": [0.0, 1.0], "x1": [1.0, 1.0], "U1": [4.0, 4.0]}
     with pytest.warns(CalibrationWarning, match="column 'U1' is not used, but the model has an input 'u1'"):
         Calibration(example_fmu("quad_tank"), data, {"qt.x1": "x1"}, [Parameter("qt.a1", 3e-6, 2e-6, 4e-6)])
 
 
-def test_an_index_without_a_name_is_no_time(tmp_path):
-    """What pandas writes by default: an unnamed index comes first."""
+def test_unnamed_index_is_not_the_time(tmp_path):
+    """The default CSV of pandas, in which an unnamed index comes first."""
     path = tmp_path / "data.csv"
     path.write_text(",t,x\n" + "".join(f"{k},{t},{x}\n" for k, (t, x) in enumerate(zip(TIME, DECAY))))
     with pytest.raises(pydfo.BadCalibrationError, match=r"no column 'time'; there are: '', 't', 'x'\."):
@@ -118,13 +119,13 @@ def test_an_index_without_a_name_is_no_time(tmp_path):
     assert decay({"t [ms]": 1e3 * TIME, "time": TIME + 7, "x": DECAY}, time="t").cost([2.0]) < 1e-9
 
 
-def test_of_many_columns_some_are_listed():
+def test_message_lists_some_of_many_columns():
     with pytest.raises(ValueError, match=r"'c19' and 130 more\.") as info:
         decay({f"c{k}": DECAY for k in range(150)})
     assert len(str(info.value)) < 400
 
 
-def test_inputs_of_a_simulation_follow_the_same_rule():
+def test_simulation_inputs_follow_rules_of_recordings():
     model = FMUModel(example_fmu("quad_tank"))
     volts = {"u1": [5.0, 6.0], "u2": [5.0, 5.0]}
     expected = model.simulate(final_time=10, input={"time": [0.0, 10.0], **volts})["qt.x1"]
@@ -134,16 +135,17 @@ def test_inputs_of_a_simulation_follow_the_same_rule():
         model.simulate(final_time=10, input=volts)
 
 
-# --- What may not be meant --------------------------------------------------------------------------------------------
+# --- Probable mistakes
+# ------------------------------------------------------------------------------------------------
 
 
-def test_a_recording_that_begins_late_needs_a_start_time():
+def test_late_recording_requires_start_time():
     late = {"time": TIME + 100.0, "x": DECAY}
     with pytest.raises(pydfo.BadCalibrationError, match=r"begins at 100 s, the simulation at 0 s\. Give start_time = 100 "):
         decay(late)
     assert decay(late, start_time=100).cost([2.0]) < 1e-9
     assert decay(late, start_time=0).cost([2.0]) > 1.0
-    # ten sampling intervals may be missing
+    # a gap of ten sampling intervals is allowed
     for missing, is_late in [(10, False), (11, True)]:
         data = {"time": TIME + 0.1 * missing, "x": DECAY}
         if is_late:
@@ -167,7 +169,7 @@ def tank_calibration(data, inputs, **more):
 
 
 @pytest.mark.parametrize("on_disk", [False, True])
-def test_an_unused_column_with_the_name_of_an_input_is_a_warning(tank, on_disk, tmp_path, caplog):
+def test_unused_column_with_name_of_input_is_a_warning(tank, on_disk, tmp_path, caplog):
     data = tank
     if on_disk:
         data = tmp_path / "tank.csv"
@@ -185,7 +187,7 @@ def test_an_unused_column_with_the_name_of_an_input_is_a_warning(tank, on_disk, 
         tank_calibration(data, ["u1"], start_values={"u2": 5.0})
 
 
-def test_inputs_are_held_beyond_their_recording_only_when_asked(tank):
+def test_inputs_are_held_beyond_recording_only_on_request(tank):
     for rows in (slice(0, 20), slice(5, 31)):
         ended = dict(tank, u1=np.full(31, np.nan))
         ended["u1"][rows] = tank["u1"][rows]
@@ -194,20 +196,20 @@ def test_inputs_are_held_beyond_their_recording_only_when_asked(tank):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             assert tank_calibration(ended, ["u1", "u2"], hold_inputs=True).cost() > 0.0
-    # a gap of one sampling interval is none
+    # a gap of one sampling interval is allowed
     first = dict(tank, u1=np.where(np.arange(31) == 0, np.nan, tank["u1"]))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         tank_calibration(first, ["u1", "u2"])
 
 
-def test_values_of_a_model_that_do_not_count_are_a_warning():
+def test_ignored_values_of_a_model_are_a_warning():
     model = FMUModel(example_fmu("dahlquist"))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         Calibration(model, {"time": TIME, "x": DECAY}, ["x"], [K])
     model.set("x", 2.0)
-    model.set("k", 3.0)  # is fitted: nobody expects that to count
+    model.set("k", 3.0)  # is fitted, so no warning is necessary
     with pytest.warns(CalibrationWarning, match="values set in an FMUModel do not count in a calibration: 'x'; give them"):
         Calibration(model, {"time": TIME, "x": DECAY}, ["x"], [K])
     with warnings.catch_warnings():
@@ -215,11 +217,12 @@ def test_values_of_a_model_that_do_not_count_are_a_warning():
         Calibration(model, {"time": TIME, "x": DECAY}, ["x"], [K], start_values={"x": 2.0})
 
 
-# --- What a fit leaves open -------------------------------------------------------------------------------------------
+# --- Undetermined parameters
+# ------------------------------------------------------------------------------------------
 
 
 def falling(parameters):
-    """A ball that falls and has not bounced yet."""
+    """Returns a calibration of a falling ball that has not bounced yet."""
     time = np.arange(0.0, 0.41, 0.02)
     height = 1.0 - 0.5 * 9.0 * time**2
     return Calibration(example_fmu("bouncing_ball"), {"time": time, "h": height}, ["h"], parameters)
@@ -229,24 +232,24 @@ E = Parameter("e", 0.6, 0.1, 0.9)
 
 
 def gravity():
-    """Whichever sign the model gives to g."""
+    """Returns the parameter g, with start and bounds of the sign used by the model."""
     start = FMUModel(example_fmu("bouncing_ball")).get("g")
     return Parameter("g", start, *sorted((0.5 * start, 1.5 * start)))
 
 
 @pytest.mark.parametrize("method", ["nelder-mead", "de", "ga"])
-def test_a_parameter_that_moves_nothing_is_named(method):
+def test_parameter_without_effect_is_named(method):
     fit = falling([gravity(), E]).fit(method=method, rng=1, max_iterations=60, workers=1)
     assert fit.without_effect == ["e"] and fit.at_bound == {}
     assert any("determine e" in f.sentence or "e did not change the cost" in f.sentence for f in fit.findings), fit
-    # What the first simplex shows of e is tested; after other methods the standard errors show it.
+    # The effect of e in the first simplex is tested; after other methods, the standard errors show it.
     assert fit.n_checks == (1 if method == "nelder-mead" else 0) and len(fit.trace) == fit.nfev
     assert abs(fit.parameters["g"]) == pytest.approx(9.0, rel=1e-2)
 
 
-def test_a_budget_is_that_of_the_search():
+def test_budget_applies_to_the_search():
     fit = falling([gravity(), E]).fit("nelder-mead", max_evaluations=12)
-    # The first simplex has shown it already.
+    # The first simplex has already shown the effect.
     assert (fit.nfev, fit.n_checks, fit.without_effect) == (12, 0, ["e"])
     for method in ("de", "ga", "de-classic"):
         fit = falling([gravity(), E]).fit(method=method, rng=1, max_evaluations=40)
@@ -259,21 +262,21 @@ def test_a_budget_is_that_of_the_search():
 
 @pytest.mark.parametrize("scale", ["linear", "log"])
 @pytest.mark.parametrize(("lower", "upper", "side"), [(0.1, 1.5, "upper"), (2.5, 10.0, "lower"), (0.1, 10.0, None)])
-def test_a_parameter_at_its_bound_is_named(scale, lower, upper, side):
+def test_parameter_at_its_bound_is_named(scale, lower, upper, side):
     parameter = Parameter("k", 0.5 * (lower + upper), lower, upper, scale=scale)
     fit = decay({"time": TIME, "x": DECAY}, parameters=[parameter]).fit()
     assert fit.at_bound == ({} if side is None else {"k": side}) and fit.without_effect == []
     bound = lower if side == "lower" else upper
     assert any(f"k is at its {side} bound {bound:g}" in f.sentence for f in fit.findings) == (side is not None)
-    # A wide box, and a best value that is no farther from its end than the tolerance of the fit, is another matter.
+    # A wide box with a best value within the tolerance of its end is not reported.
     wide = decay({"time": TIME, "x": DECAY}, parameters=[Parameter("k", 1.0, 0.0, 1e5)]).fit()
     assert wide.at_bound == {} and wide.x[0] < 10.0
     held = Parameter("k", 1.0, fixed=True)
     assert decay({"time": TIME, "x": DECAY}, parameters=[held]).fit().at_bound == {}
 
 
-def test_the_rest_of_a_fit_is_as_it_was_without_checks():
-    """Checks are none of the run's evaluations."""
+def test_checks_do_not_change_the_fit():
+    """Checks are not evaluations of the run."""
     calibration = falling([gravity(), E])
     fit = calibration.fit()
     assert fit.n_checks == 1 and len(fit.trace) == fit.nfev
@@ -284,17 +287,17 @@ def test_the_rest_of_a_fit_is_as_it_was_without_checks():
 
 
 @pytest.mark.parametrize("kind", ["ME", "me", "ModelExchange", "model_exchange", "Model Exchange", "model-exchange"])
-def test_kinds_go_by_their_full_names(kind):
+def test_full_names_of_kinds_are_accepted(kind):
     assert FMUModel(example_fmu("dahlquist"), kind=kind).kind == "ME"
 
 
-def test_co_simulation_goes_by_its_full_name():
+def test_full_name_of_co_simulation_is_accepted():
     assert FMUModel(example_fmu("dahlquist", kind="CS"), kind="CoSimulation").kind == "CS"
     with pytest.raises(ValueError, match="none of 'auto', 'ME' .ModelExchange., 'CS' .CoSimulation."):
         FMUModel(example_fmu("dahlquist"), kind="exchange")
 
 
-def test_solvers_go_by_the_names_of_other_tools(caplog):
+def test_solver_names_of_other_tools_are_mapped(caplog):
     model = FMUModel(example_fmu("dahlquist"))
     with caplog.at_level(logging.INFO, "pydfo"):
         ours = model.simulate(final_time=1, solver="tsit5")["x"]
@@ -302,7 +305,7 @@ def test_solvers_go_by_the_names_of_other_tools(caplog):
     assert any("RK45" in record.getMessage() for record in caplog.records)
 
 
-def test_files_are_named_as_they_were_given(tmp_path):
+def test_messages_show_file_names_as_given(tmp_path):
     for path, error in [(tmp_path / "nope.csv", FileNotFoundError), (tmp_path, IsADirectoryError)]:
         with pytest.raises(error) as info:
             decay(path)
@@ -311,7 +314,8 @@ def test_files_are_named_as_they_were_given(tmp_path):
         decay(example_fmu("dahlquist"))
 
 
-# --- Words of other tools, and settings without effect ------------------------------------------------------------------
+# --- Names of other tools, and settings without effect
+# ----------------------------------------------------------------
 
 
 def bowl(x):
@@ -350,7 +354,7 @@ def bowl(x):
         (lambda: pydfo.fmin(bowl, [0.0], plot="no"), "plot must be True or False, not 'no'"),
     ],
 )
-def test_keywords_are_pointed_to_ours(call, said):
+def test_foreign_keywords_are_explained(call, said):
     with pytest.raises(TypeError, match=said):
         call()
 
@@ -372,7 +376,7 @@ def test_keywords_are_pointed_to_ours(call, said):
         (lambda c: c(data={"time": TIME, "Time [ms]": TIME, "x": DECAY}), "several columns could hold the times: 'time', 'Time"),
     ],
 )
-def test_what_contradicts_itself_is_refused(call, said):
+def test_contradictory_arguments_are_rejected(call, said):
     def made(data=None, outputs=("x",), **more):
         data = {"time": TIME, "x": DECAY, "k": DECAY} if data is None else data
         return Calibration(example_fmu("dahlquist"), data, list(outputs), [K], **more)
@@ -390,14 +394,14 @@ def test_what_contradicts_itself_is_refused(call, said):
         ("time,x\n0,1\n1,?\n", r"'\?' in column 'x', line 3, is not a number; missing values are empty cells, NaN"),
     ],
 )
-def test_files_as_other_tools_write_them(text, said, tmp_path):
+def test_files_of_other_tools_are_read_or_rejected(text, said, tmp_path):
     path = tmp_path / "data.csv"
     path.write_text(text)
     with pytest.raises(ValueError, match=said):
         decay(path)
 
 
-def test_inputs_are_no_outputs_and_have_one_value():
+def test_input_is_not_an_output_and_has_one_value():
     data = {"time": TIME, "u1": TIME, "u2": TIME, "x": TIME}
     a1 = Parameter("qt.a1", 3e-6, 2e-6, 4e-6)
     with pytest.raises(ValueError, match="output 'u1' is compared with column 'u1', but it is an input"):
@@ -406,7 +410,7 @@ def test_inputs_are_no_outputs_and_have_one_value():
         Calibration(example_fmu("quad_tank"), data, {"qt.x1": "x"}, [a1], inputs=["u1", "u2"], start_values={"u1": 3.0})
 
 
-def test_settings_without_effect_are_warned_of():
+def test_settings_without_effect_are_a_warning():
     data, line = {"time": TIME, "x": DECAY}, lambda t, y: [1.0]
     step, largest = "step_size = 0.1 has no effect with the solver 'tsit5'", "max_step = 0.1 has no effect with the solver 'rk4'"
     with pytest.warns(CalibrationWarning, match=step):
@@ -435,21 +439,22 @@ def test_settings_without_effect_are_warned_of():
         pydfo.ode.solve(line, (0, 1), [1.0], "bdf", jac=[[0.0]], max_step=0.5, first_step=0.1)
 
 
-def test_a_checkpoint_in_a_folder_that_is_not_there(tmp_path):
+def test_checkpoint_in_missing_folder_is_rejected(tmp_path):
     path = tmp_path / "nowhere" / "run.ck"
     with pytest.raises(FileNotFoundError, match=r"run\.ck: there is no folder '.*nowhere'$"):
         pydfo.minimize(bowl, [0.0], checkpoint=path)
 
 
-# --- What has no effect is refused ------------------------------------------------------------------------------------
+# --- Rejected arguments without effect
+# --------------------------------------------------------------------------------
 
 
-def test_an_output_counts_once():
+def test_repeated_output_is_rejected():
     with pytest.raises(ValueError, match="output 'x' is compared with column 'x' twice"):
         Calibration(example_fmu("dahlquist"), {"time": TIME, "x": DECAY}, ["x", "x"], [K])
 
 
-def test_clock_times_count_from_the_first(tmp_path):
+def test_clock_times_start_at_the_first_row(tmp_path):
     path = tmp_path / "data.csv"
     path.write_text("time,x\n10:00:00,1\n10:00:01,0.1\n")
     assert decay(path).cost([1.0]) == decay({"time": [0.0, 1.0], "x": [1.0, 0.1]}).cost([1.0])
@@ -458,7 +463,7 @@ def test_clock_times_count_from_the_first(tmp_path):
         decay(path)
 
 
-def test_attributes_that_would_do_nothing():
+def test_attributes_without_effect_are_rejected():
     model = FMUModel(example_fmu("dahlquist"))
     with pytest.raises(AttributeError, match=r"set\('k', 5.0\) sets this one"):
         model.k = 5.0
@@ -467,13 +472,13 @@ def test_attributes_that_would_do_nothing():
         decay({"time": TIME, "x": DECAY}).window = (0.0, 1.0)
 
 
-def test_a_model_that_is_loaded_cannot_be_pickled():
+def test_loaded_model_cannot_be_pickled():
     with pytest.raises(TypeError, match="open the FMU in each process"):
         pickle.dumps(FMUModel(example_fmu("dahlquist")))
 
 
-def test_advice_is_right():
-    """Each of these once got an advice that was refused, or none."""
+def test_advice_can_be_followed():
+    """Earlier advice in these cases was missing or was itself rejected."""
     model = example_fmu("quad_tank")
     with pytest.raises(ValueError, match=r"has no times, there are: u1; add them, inputs=\{'time'"):
         FMUModel(model).simulate(final_time=1, inputs={"u1": [0, 1]})
@@ -492,7 +497,7 @@ def test_advice_is_right():
         Calibration(example_fmu("dahlquist"), {"time": TIME, "decay": DECAY}, {"decay": "x"}, Parameter("k", 1, 0.1, 10))
 
 
-def test_executors_that_are_none_are_named_with_the_one_to_pass():
+def test_non_executors_are_rejected_with_an_alternative():
     class Client:
         def submit(self, *args):
             raise AssertionError
@@ -506,7 +511,7 @@ def test_executors_that_are_none_are_named_with_the_one_to_pass():
             pydfo.minimize(lambda x: x[0] ** 2, [1.0], workers=workers)
 
 
-def test_columns_with_a_unit_in_brackets_are_said_to_be_converted():
+def test_converted_columns_with_units_are_reported():
     ball = {"time": TIME[:5], "h (in)": (1 - 0.5 * 9.81 * TIME[:5] ** 2) / 0.0254}
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -520,7 +525,7 @@ def test_columns_with_a_unit_in_brackets_are_said_to_be_converted():
 # --- Arguments of a wrong type or name --------------------------------------------------------------------------------
 
 
-def test_arguments_are_named_in_what_is_wrong_with_them():
+def test_errors_name_the_argument():
     calibration = decay({"time": TIME, "x": DECAY})
     fit = calibration.fit()
     for call, said in [
@@ -551,12 +556,12 @@ def test_arguments_are_named_in_what_is_wrong_with_them():
         assert said in str(info.value)
 
 
-def test_words_are_taken_in_any_case_and_options_stand_in_the_fit():
+def test_words_ignore_case_and_fit_reports_options():
     data = {"time": TIME, "x": DECAY}
     fit = decay(data, chattering="Error", isolation="None", weights="SD").fit("Nelder-Mead", f_tol=1e-3)
     assert fit.options["f_tol"] == "0.001" and fit.options["bounds_handling"] == "sine"
     assert fit.to_dict()["options"] == fit.options
-    # What was asked for stands there, too.
+    # The result also contains the requested values.
     found = fit.to_dict()
     assert found["fit_options"]["method"] == "nelder-mead" and found["fit_options"]["f_tol"] == 1e-3
     assert found["problem"]["settings"]["isolation"] == "none" and found["relative_tolerance"] is not None
@@ -564,6 +569,6 @@ def test_words_are_taken_in_any_case_and_options_stand_in_the_fit():
     assert "e0" not in fit.message
 
 
-def test_a_batch_plan_that_the_method_has_keeps_it():
+def test_supported_batch_plan_keeps_the_method():
     plain, serial = (decay({"time": TIME, "x": DECAY}).fit(rng=1, **more) for more in ({}, {"batch": "serial"}))
     assert serial.method == plain.method == "least-squares" and (serial.x == plain.x).all() and serial.nfev == plain.nfev

@@ -1,4 +1,4 @@
-"""Handing a fit on: files, pickles, tables, other programs."""
+"""Export of a fit: files, pickles, tables, other programs."""
 
 import copy
 import csv
@@ -24,7 +24,7 @@ def recording(x0):
 
 
 def local_calibration(model):
-    """x' = -k x with k = 2; one recording from x = 1, one from x = 3."""
+    """Returns a calibration of x' = -k x with k = 2; one recording starts at x = 1, one at x = 3."""
     experiments = [Experiment(recording(1), "x", name="cold"), Experiment(recording(3), "x", name="hot")]
     return Calibration(model, experiments, [Parameter("k", 1, 0.1), Parameter("x", 2, local=True)])
 
@@ -42,7 +42,7 @@ def fit(place):
 
 
 def assert_same(one, two):
-    """All numbers of both."""
+    """Checks that all numbers of both fits are equal."""
     assert one.parameters == two.parameters
     assert (one.cost, one.rms, one.start_cost, one.start_rms) == (two.cost, two.rms, two.start_cost, two.start_rms)
     for name in ("message", "nfev", "method", "solver"):
@@ -62,7 +62,7 @@ def assert_simulates(one, two):
         np.testing.assert_array_equal(columns["x"], two.simulate()[name]["x"])
 
 
-def test_a_file_holds_all_of_a_fit(fit, tmp_path):
+def test_saved_fit_is_complete(fit, tmp_path):
     assert fit.parameters == pytest.approx({"k": 2, "x[cold]": 1, "x[hot]": 3}, abs=5e-3)
     path = tmp_path / "decay.fit"
     fit.save(path)
@@ -70,27 +70,27 @@ def test_a_file_holds_all_of_a_fit(fit, tmp_path):
     assert_same(loaded, fit)
     assert_simulates(loaded, fit)
     assert loaded._calibration.parameters == fit._calibration.parameters
-    # It can be fitted again, and saved again.
+    # The loaded fit can be fitted and saved again.
     assert loaded._calibration.fit().parameters == pytest.approx(fit.parameters)
     loaded.save(tmp_path / "again.fit")
     assert (tmp_path / "again.fit").read_bytes() == path.read_bytes()
 
 
 @pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda fit: pickle.loads(pickle.dumps(fit))])
-def test_copies_are_the_same(fit, copied):
+def test_copies_are_identical(fit, copied):
     assert_same(copied(fit), fit)
     assert_simulates(copied(fit), fit)
     calibration = copied(fit._calibration)
     assert calibration.cost(fit.x) == fit.cost
 
 
-def test_copies_after_a_plot(fit):
+def test_fit_can_be_copied_after_a_plot(fit):
     pytest.importorskip("matplotlib", reason="matplotlib is not installed").use("Agg")
     fit.plot()
     assert_same(pickle.loads(pickle.dumps(fit)), fit)
 
 
-def test_without_its_model_a_fit_shows_its_numbers(fit, place, tmp_path):
+def test_fit_without_its_model_shows_its_numbers(fit, place, tmp_path):
     path, moved = tmp_path / "decay.fit", place.with_name("moved.fmu")
     fit.save(path)
     dump = pickle.dumps(fit)
@@ -119,7 +119,7 @@ def test_without_its_model_a_fit_shows_its_numbers(fit, place, tmp_path):
     assert_simulates(load_fit(path), fit)
 
 
-def test_files_that_are_no_fits(fit, tmp_path):
+def test_files_that_are_not_fits_are_rejected(fit, tmp_path):
     path = tmp_path / "a.fit"
     fit.save(path)
     whole = path.read_bytes()
@@ -144,7 +144,7 @@ def test_files_that_are_no_fits(fit, tmp_path):
 
 @pytest.fixture(scope="module")
 def furuta():
-    """Of the pendulum's angle over 2 s, without noise."""
+    """Returns a fit to the angle of the pendulum over 2 s, without noise."""
     model = FMUModel(example_fmu("furuta"))
     model.set({"armFriction": 0.010, "pendulumFriction": 0.001})
     result = model.simulate(final_time=2, output_interval=0.02)
@@ -154,7 +154,7 @@ def furuta():
     return Calibration(example_fmu("furuta"), data, outputs, parameters).fit()
 
 
-def test_all_variables_at_the_optimum(furuta, fit):
+def test_optimum_is_simulated_with_all_variables(furuta, fit):
     compared, every = furuta.simulate(), furuta.simulate(outputs="all")
     assert "pendulumJoint.w" in every and every.units["pendulumJoint.w"] == "rad/s"
     np.testing.assert_array_equal(every["armJoint.phi"], compared["armJoint.phi"])
@@ -165,7 +165,7 @@ def test_all_variables_at_the_optimum(furuta, fit):
     assert set(fit.simulate(outputs="all")) == {"cold", "hot"}
 
 
-def test_a_model_takes_the_fitted_values(furuta, fit):
+def test_model_accepts_fitted_values(furuta, fit):
     model = FMUModel(example_fmu("furuta"))
     model.set(furuta.parameters)
     result = model.simulate(final_time=2, output_interval=0.02, solver=furuta.solver)
@@ -181,7 +181,7 @@ def test_a_model_takes_the_fitted_values(furuta, fit):
             model.set(*arguments)
 
 
-def test_numbers_for_other_programs(furuta, fit, tmp_path):
+def test_fit_exports_json_csv_and_dataframes(furuta, fit, tmp_path):
     text = furuta.to_json()
     found = json.loads(text, parse_constant=lambda name: pytest.fail(name))
     assert found == furuta.to_dict()
@@ -215,7 +215,7 @@ SSC = "{http://ssp-standard.org/SSP1/SystemStructureCommon}"
 
 
 def values_of(path):
-    """The values of a parameter file."""
+    """Returns the values of a parameter file."""
     root = ElementTree.parse(path).getroot()
     assert root.tag == f"{SSV}ParameterSet" and root.get("version") == "1.0"
     units = {unit.get("name") for unit in root.iter(f"{SSC}Unit")}
@@ -227,7 +227,7 @@ def values_of(path):
     return found
 
 
-def test_parameter_files(furuta, fit, tmp_path):
+def test_parameter_files_are_written(furuta, fit, tmp_path):
     path = tmp_path / "fitted.ssv"
     assert furuta.export_ssv(path) == path
     assert values_of(path) == furuta.parameters
@@ -245,7 +245,7 @@ def test_parameter_files(furuta, fit, tmp_path):
         furuta.export_ssv(tmp_path / "none" / "fitted.ssv")
 
 
-def test_a_parameter_file_is_valid(furuta, tmp_path):
+def test_parameter_file_is_valid_ssv(furuta, tmp_path):
     fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
     etree = pytest.importorskip("lxml.etree", reason="lxml is not installed")
     path = tmp_path / "fitted.ssv"
@@ -254,7 +254,7 @@ def test_a_parameter_file_is_valid(furuta, tmp_path):
     etree.XMLSchema(etree.parse(str(schema))).assertValid(etree.parse(str(path)))
 
 
-def test_a_library_that_ignores_the_description_gets_a_parameter_file(furuta, tmp_path):
+def test_parameter_file_is_written_when_library_ignores_description(furuta, tmp_path):
     path = tmp_path / "fitted.fmu"
     with pytest.warns(pydfo.CalibrationWarning, match=r"not as fitted \('.*' by .* at t = .*fitted\.fmu is not written"):
         written = furuta.export_fmu(path)
@@ -265,7 +265,7 @@ def test_a_library_that_ignores_the_description_gets_a_parameter_file(furuta, tm
             furuta.export_fmu(wrong)
 
 
-def test_a_copy_has_the_fitted_start_values(furuta, fit, tmp_path):
+def test_exported_fmu_has_fitted_start_values(furuta, fit, tmp_path):
     path = tmp_path / "fitted.fmu"
     with pytest.warns(pydfo.CalibrationWarning, match="right only in tools that set the start values"):
         assert furuta.export_fmu(path, keep=True) == path
@@ -278,7 +278,7 @@ def test_a_copy_has_the_fitted_start_values(furuta, fit, tmp_path):
         fit.export_fmu(path)
 
 
-def test_a_copy_whose_values_are_those_of_the_library_is_as_fitted(tmp_path, recwarn):
+def test_exported_fmu_is_accepted_when_values_equal_library_values(tmp_path, recwarn):
     held = [Parameter("k", 1, 0.1, fixed=True)]
     fit = Calibration(example_fmu("dahlquist"), recording(1), "x", held).fit()
     path = tmp_path / "fitted.fmu"
@@ -287,7 +287,7 @@ def test_a_copy_whose_values_are_those_of_the_library_is_as_fitted(tmp_path, rec
 
 
 @pytest.mark.parametrize("version, kind", [("1.0", "ME"), ("2.0", "ME"), ("2.0", "CS"), ("3.0", "ME")])
-def test_fmpy_simulates_what_was_exported(version, kind, tmp_path):
+def test_fmpy_simulates_exported_fmu(version, kind, tmp_path):
     fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
     model, path = example_fmu("dahlquist", version, kind), tmp_path / "fitted.fmu"
     fit = Calibration(model, recording(1), "x", Parameter("k", 1, 0.1), kind=kind).fit()
@@ -297,7 +297,7 @@ def test_fmpy_simulates_what_was_exported(version, kind, tmp_path):
     ours = fit.simulate(times=T)["x"]
     assert abs(ours[-1] - np.exp(-2 * 1.1)) < 1e-2
     interface = "ModelExchange" if kind == "ME" else "CoSimulation"
-    # As a tool that sets the start values of the description.
+    # Like a tool that sets the start values of the description.
     variables = fmpy.read_model_description(str(path)).modelVariables
     starts = {v.name: float(v.start) for v in variables if v.causality == "parameter" or v.name == "k"}
     copy = fmpy.simulate_fmu(str(path), fmi_type=interface, start_values=starts, **options)
@@ -307,7 +307,7 @@ def test_fmpy_simulates_what_was_exported(version, kind, tmp_path):
         np.testing.assert_allclose(theirs["x"], ours, atol=1e-5)
 
 
-def test_parameters_of_every_sort_come_back(tmp_path):
+def test_parameters_of_all_kinds_are_restored(tmp_path):
     parameters = [
         Parameter("rate", 1, 0.1, 10, variables=["k"], scale="log", prior=pydfo.LogNormal(2, 1), display_name="rate of decay"),
         Parameter("x", 1, fixed=True),
@@ -324,7 +324,7 @@ def test_parameters_of_every_sort_come_back(tmp_path):
     assert fit.parameters_of() == {"k": fit.parameters["rate"], "x": 1.0}
 
 
-def test_tied_parameters_and_display_names(tmp_path):
+def test_tied_parameters_and_display_names_are_exported(tmp_path):
     t = np.linspace(0.0, 2.0, 21)
     x = np.exp(-2.0 * t) + 1e-3 * np.sin(40.0 * t)
     parameters = [
@@ -349,7 +349,7 @@ def test_tied_parameters_and_display_names(tmp_path):
 
 
 @pytest.mark.parametrize("times, message", [([np.nan], "not a finite"), ([-1.0], "before the start"), ([1.0, 0.5], "times must ascend")])
-def test_rows_of_late_outputs_are_checked(times, message):
+def test_simulation_rows_of_delayed_outputs_are_checked(times, message):
     t = np.linspace(0.0, 2.0, 21)
     experiment = pydfo.Experiment({"time": t, "x": np.exp(-t)}, "x", delays={"x": 0.1})
     calibration = pydfo.Calibration(pydfo.example_fmu("dahlquist"), experiment, parameters=[Parameter("k", 1.0, 0.1, 10.0)])
@@ -357,7 +357,7 @@ def test_rows_of_late_outputs_are_checked(times, message):
         calibration.simulate([1.0], times)
 
 
-def test_a_fit_with_functions_is_loaded_with_them(tmp_path):
+def test_fit_with_functions_is_loaded_with_them(tmp_path):
     model = example_fmu("quad_tank")
     time = np.arange(0.0, 31.0)
     voltage = lambda t: 5.0 + 0.1 * t  # noqa: E731
@@ -380,7 +380,7 @@ def test_a_fit_with_functions_is_loaded_with_them(tmp_path):
         load_fit(path, inputs={"u1": 5.0})
 
 
-def test_what_an_input_function_raises_in_a_report_comes_out_of_it(tmp_path):
+def test_report_propagates_input_function_exception(tmp_path):
     time = np.arange(0.0, 11.0)
     works = True
 
@@ -400,7 +400,7 @@ def test_what_an_input_function_raises_in_a_report_comes_out_of_it(tmp_path):
         fit.to_csv(tmp_path / "tank.csv", "trajectories")
 
 
-def test_a_description_is_pickled_with_all_that_the_file_says():
+def test_pickled_description_is_complete():
     description = FMUModel(example_fmu("quad_tank")).description
     copy = pickle.loads(pickle.dumps(description))
     assert (copy.model_name, copy.guid, copy.path) == (description.model_name, description.guid, description.path)

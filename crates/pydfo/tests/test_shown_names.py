@@ -1,4 +1,5 @@
-"""Names from models and recordings in messages, representations and tables: no control or direction character is shown as it is."""
+"""Names from models and recordings in messages, representations and tables: control and direction characters are
+escaped."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ import pytest
 from pydfo import BadCalibrationError, Calibration, CalibrationWarning, Experiment, Parameter, UnknownVariableError, example_fmu, read_description
 from pydfo.compat import fmpy
 
-#: A line break, a tabulator, an escape, a carriage return, a direction, a separator of lines.
+#: A line break, a tabulator, an escape, a carriage return, a direction mark, a line separator.
 ODD = "a\nb\tc\x1b[2Jd\re\u202ef\u2028g"
 SHOWN = r"a\u{a}b\u{9}c\u{1b}[2Jd\u{d}e\u{202e}f\u{2028}g"
 HIDDEN = set(ODD) - set("abc[2Jdefg")
@@ -42,13 +43,13 @@ def data(**columns):
         (data(), {"outputs": {"x": ODD}, "mask": f"no {ODD}"}),
     ],
 )
-def test_messages_show_names_of_columns_by_their_characters(table, own):
+def test_messages_escape_column_names(table, own):
     with pytest.raises((ValueError, KeyError)) as error:
         Calibration(example_fmu("dahlquist"), table, parameters=[K], **own)
     assert_is_shown(str(error.value))
 
 
-def test_names_of_columns_in_a_file_are_shown(tmp_path):
+def test_messages_escape_column_names_of_files(tmp_path):
     pd = pytest.importorskip("pandas")
     pytest.importorskip("pyarrow")
     pd.DataFrame({"time": TIME, ODD: TIME}).to_parquet(tmp_path / "run.parquet")
@@ -60,7 +61,7 @@ def test_names_of_columns_in_a_file_are_shown(tmp_path):
     assert_is_shown(str(error.value))
 
 
-def test_fits_and_their_tables_show_names():
+def test_fits_and_tables_escape_names():
     experiment = Experiment(data(), {"x": ODD}, name="run")
     calibration = Calibration(example_fmu("dahlquist"), [experiment], [Parameter("k", 1.0, 0.1, 1.5, display_name=ODD)])
     fit = calibration.fit()
@@ -71,16 +72,16 @@ def test_fits_and_their_tables_show_names():
         assert not line.startswith(("b", "g"))
 
 
-def test_warnings_show_names():
+def test_warnings_escape_names():
     with pytest.warns(CalibrationWarning) as caught:
         Calibration(example_fmu("dahlquist"), {"time": TIME, f"{ODD} [mm]": np.ones(21)}, {"x": ODD}, [K])
     assert_is_shown(str(caught[0].message))
 
 
-def test_descriptions_show_names(tmp_path):
+def test_descriptions_escape_names(tmp_path):
     from xml.sax.saxutils import quoteattr
 
-    # XML holds no escape; a line break and a tabulator as references.
+    # XML cannot contain an escape; a line break and a tabulator are written as references.
     odd = "a\nb\tc\u202ed"
     attribute = quoteattr(odd, {"\n": "&#10;", "\t": "&#9;"})
     variable = f'<ScalarVariable name={attribute} valueReference="1" description={attribute}><Real/></ScalarVariable>'

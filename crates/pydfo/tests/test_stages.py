@@ -30,7 +30,7 @@ def tanks(n=4, **more):
 
 @pytest.mark.parametrize("method", ["auto", "nelder-mead"])
 @pytest.mark.skipif("published" not in recordings.at_hand("exhaust_measurements.csv"), reason="the published recording is not at hand")
-def test_the_walls_of_the_exhaust_pipe(method):
+def test_exhaust_pipe_is_fitted_in_stages(method):
     fit = exhaust(recordings.exhaust("published")).fit(method, stages=WALLS, x_tol=1e-3, f_tol=1e-3)
     first, second = fit.stages
     assert fit.start_rms == pytest.approx(21.9885, abs=0.005)
@@ -49,8 +49,9 @@ def test_the_walls_of_the_exhaust_pipe(method):
     ("n", "outlets", "cost"), [(2, [2.65838, 2.71220], 3.20422e-5), (4, [2.65931, 2.70252, 3.00666, 2.93158], 9.44303e-5)]
 )
 @pytest.mark.skipif("published" not in recordings.at_hand("qt_par_est_data.mat"), reason="the published recording is not at hand")
-def test_the_outlets_of_the_tanks(method, n, outlets, cost):
-    """Two outlets, then four from the same start; all in the last of two stages gives the same as all at once."""
+def test_tank_outlets_are_fitted_in_stages(method, n, outlets, cost):
+    """Two outlets, then four from the same start. Freeing all in the last of two stages equals a single fit of
+    all."""
     data, names = recordings.quad_tank("published"), [f"qt.a{k + 1}" for k in range(n)]
     parameters = [Parameter(name, 3e-6, 2e-6, 4e-6) for name in names]
     calibration = Calibration(example_fmu("quad_tank"), data, recordings.LEVELS[:n], parameters, inputs=["u1", "u2"])
@@ -60,7 +61,7 @@ def test_the_outlets_of_the_tanks(method, n, outlets, cost):
         assert fit.cost == pytest.approx(cost, abs=1e-7)
 
 
-def test_each_stage_may_have_a_method_windows_and_limits():
+def test_stages_have_separate_methods_windows_and_limits():
     stages = [
         Stage(["qt.a1", "qt.a2"], windows=(0, 30), method="nelder-mead", max_evaluations=15),
         Stage(["qt.a3", "qt.a4"], x_tol=1e-2, f_tol=1e-2),
@@ -79,7 +80,7 @@ def test_each_stage_may_have_a_method_windows_and_limits():
     assert fit.parameters["qt.a1"] == first.parameters["qt.a1"] != 3e-6
 
 
-def test_limits_and_callbacks_are_those_of_all_stages(tmp_path):
+def test_limits_and_callbacks_cover_all_stages(tmp_path):
     calibration = tanks()
     stages = [["qt.a1", "qt.a2"], ["qt.a3", "qt.a4"]]
     whole = calibration.fit(stages=stages, workers=1)
@@ -121,7 +122,7 @@ def test_limits_and_callbacks_are_those_of_all_stages(tmp_path):
         ([["qt.a1", "qt.a1"]], ValueError, "stage 1: parameter 'qt.a1' is named twice"),
     ],
 )
-def test_stages_that_cannot_be_used(stages, error, message):
+def test_bad_stages_are_rejected(stages, error, message):
     with pytest.raises(error) as caught:
         tanks().fit(stages=stages)
     assert message in str(caught.value)
@@ -141,13 +142,13 @@ def test_stages_that_cannot_be_used(stages, error, message):
         ({"options": {"population": 3}, "method": "nelder-mead"}, ValueError, "population"),
     ],
 )
-def test_stage_objects_that_cannot_be_used(arguments, error, message):
+def test_bad_stage_objects_are_rejected(arguments, error, message):
     with pytest.raises(error) as caught:
         tanks().fit(stages=[Stage(["qt.a1"], **arguments)])
     assert message in str(caught.value)
 
 
-def test_a_stage_of_a_local_parameter_frees_all_of_its_values_or_one():
+def test_stage_frees_all_or_one_value_of_local_parameter():
     time = np.linspace(0, 1, 21)
     made = [pydfo.Experiment({"time": time, "x": x0 * np.exp(-2 * time)}, ["x"], start_values={"x": 1.0}) for x0 in (1.0, 2.0)]
     parameters = [Parameter("k", 1.0, 0.1, 10.0), Parameter("x", 1.5, 0.1, 5.0, local=True)]

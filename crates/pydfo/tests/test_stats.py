@@ -1,4 +1,4 @@
-"""What simulations cost: counts that can be compared, and times that cannot."""
+"""Costs of simulations: reproducible counts, and times."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ TIMES = np.linspace(0.0, 1.5, 16)
 
 
 def bouncing(**changes):
-    """A bouncing ball, compared with heights that it cannot have."""
+    """Returns a calibration of a bouncing ball with heights that it cannot reach."""
     data = {"time": TIMES, "h": np.full(16, 0.2)}
     parameters = [Parameter("e", 0.7, 0.1, 0.95)]
     return Calibration(example_fmu("bouncing_ball"), data, outputs=["h"], parameters=parameters, **changes)
 
 
 @pytest.mark.parametrize("kind", ["me", "cs"])
-def test_a_simulation_says_how_long_it_took(kind):
+def test_simulation_reports_its_duration(kind):
     model = FMUModel(example_fmu("van_der_pol", kind=kind.upper()), kind=kind)
     first, second = model.simulate(0, 20), model.simulate(0, 20)
     assert first.stats == second.stats
@@ -30,7 +30,7 @@ def test_a_simulation_says_how_long_it_took(kind):
     assert "seconds_in_model" in repr(first.stats)
 
 
-def test_input_functions_are_not_the_model():
+def test_time_in_model_excludes_input_functions():
     calls = 0
 
     def ramp(t):
@@ -44,7 +44,7 @@ def test_input_functions_are_not_the_model():
     assert calls > 20 and stats.seconds - stats.seconds_in_model > 0.9e-3 * 20
 
 
-def test_the_time_in_python_functions():
+def test_time_in_model_includes_ode_functions():
     def slow(t, y):
         time.sleep(1e-3)
         return -y
@@ -55,7 +55,7 @@ def test_the_time_in_python_functions():
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_fit_adds_up_what_its_simulations_took(workers):
+def test_fit_adds_up_its_simulations(workers):
     fit = bouncing().fit(max_evaluations=15, workers=workers, batch=4)
     model = FMUModel(example_fmu("bouncing_ball"))
     counts = np.zeros(3, dtype=int)
@@ -65,19 +65,19 @@ def test_a_fit_adds_up_what_its_simulations_took(workers):
         if np.isnan(above):
             counts += (stats.right_hand_sides, stats.accepted_steps, stats.state_events)
     total = np.array([fit.stats.right_hand_sides, fit.stats.accepted_steps, fit.stats.state_events])
-    # Those that were given up count as far as they came.
+    # Abandoned simulations count up to their end.
     assert (total >= counts).all() and (counts > 0).all()
     assert np.isnan(fit.trace.above).all() or (total > counts).any()
     assert 0 < fit.stats.seconds_in_model <= fit.stats.seconds
     assert f"{fit.stats.right_hand_sides} right-hand sides" in repr(fit) and "inside the model" in repr(fit)
     assert fit["stats"] is fit.stats
-    # What is simulated ahead of need depends on how long simulations take.
+    # The simulations ahead of need depend on the duration of simulations.
     one, other = (bouncing().fit(max_evaluations=15, workers=n, batch="serial").stats for n in (1, workers))
     assert one == other
 
 
-def test_phases_take_the_same_in_every_fit():
-    """The checks of the model depend on the clock, and on which process serves: they are no simulations of a phase."""
+def test_phase_counts_are_reproducible():
+    """The checks of the model depend on the clock and on the process used, so they are not simulations of a phase."""
 
     def counts(stats):
         return {name: (taken["simulations"], taken["right_hand_sides"]) for name, taken in stats.phases.items()}
@@ -89,7 +89,7 @@ def test_phases_take_the_same_in_every_fit():
     assert fits[0].stats.check_runs > 0
 
 
-def test_integers_and_choices_are_fitted_by_methods_that_can():
+def test_discrete_parameters_are_fitted_by_suitable_methods():
     data = {"time": TIMES, "x": np.exp(-3.0 * TIMES)}
     k = Parameter("k", 1, 1, 8, kind="integer")
     assert repr(k) == "Parameter('k', 1.0, 1.0, 8.0, kind='integer')"
@@ -112,7 +112,7 @@ def test_integers_and_choices_are_fitted_by_methods_that_can():
             Parameter("k", **arguments)
 
 
-def test_a_checkpoint_of_another_fit_is_refused_in_words(tmp_path):
+def test_checkpoint_of_another_fit_is_rejected_with_reason(tmp_path):
     path = tmp_path / "run"
     bouncing().fit("nelder-mead", max_evaluations=5, checkpoint=path)
     for other, said in [

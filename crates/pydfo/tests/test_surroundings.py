@@ -1,4 +1,4 @@
-"""The working folder and the environment variables that a model finds: those of the caller, wherever it runs."""
+"""The working folder and the environment variables seen by a model: those of the caller, in all isolation modes."""
 
 import logging
 import os
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="faults of an FM
 
 TIMES = np.linspace(0, 1, 21)
 
-#: x' = -k x with the k of an environment variable, or of a file in the working folder; without it, k = 1.
+#: x' = -k x with k from an environment variable, or from a file in the working folder; otherwise k = 1.
 FROM_ENVIRONMENT = 'AT_START={const char *text = getenv("MODEL_K"); if (text != NULL) K(m) = atof(text);}'
 FROM_FILE = 'AT_START={FILE *file = fopen("k.txt", "r"); if (file != NULL) { fscanf(file, "%lf", &K(m)); fclose(file); }}'
 WRITES = 'AT_INITIALIZE={FILE *file = fopen("written.txt", "w"); if (file != NULL) { fputs("1", file); fclose(file); }}'
@@ -23,7 +23,7 @@ NEEDS_TO_WRITE = 'AT_INITIALIZE={FILE *file = fopen("written.txt", "w"); if (fil
 
 
 def started(fmu, k, **more):
-    """y = exp(-k t) of a model whose own k the calibration leaves alone; it fits x(0)."""
+    """Returns a calibration with y = exp(-k t) that fits x(0) and does not set k of the model."""
     data = {"time": TIMES, "y": 0.5 * np.exp(-k * TIMES)}
     return Calibration(fmu, data, {"y": "y"}, [Parameter("x", 1, 0.1, 5)], **more)
 
@@ -32,7 +32,7 @@ def final(model, isolation):
     return model.simulate(final_time=1, isolation=isolation).final("y")
 
 
-def test_a_run_has_the_environment_of_the_call(tmp_path, monkeypatch, caplog):
+def test_simulation_uses_environment_of_the_call(tmp_path, monkeypatch, caplog):
     fmu = evil(tmp_path / "variable.fmu", FROM_ENVIRONMENT)
     monkeypatch.delenv("MODEL_K", raising=False)
     model, calibrations = FMUModel(fmu), [started(fmu, 1.0), started(fmu, 3.0)]
@@ -46,24 +46,24 @@ def test_a_run_has_the_environment_of_the_call(tmp_path, monkeypatch, caplog):
         assert (costs[0] < 1e-9) == (k == 1.0) and (costs[1] < 1e-9) == (k == 3.0), (k, costs)
         fit = started(fmu, k).fit(workers=2)
         assert fit.x[0] == pytest.approx(0.5, rel=1e-6)
-    # Answers in different environments are no sign of a state that the model keeps.
+    # Different results in different environments do not indicate a state kept by the model.
     assert not [message for message in caplog.messages if "depends on what ran before" in message]
 
 
-def test_a_fit_keeps_the_environment_of_its_begin(tmp_path, monkeypatch):
+def test_fit_keeps_environment_of_its_start(tmp_path, monkeypatch):
     fmu = evil(tmp_path / "variable.fmu", FROM_ENVIRONMENT)
     monkeypatch.setenv("MODEL_K", "3")
     fit = started(fmu, 3.0).fit(method="de", max_evaluations=60, rng=1, workers=2, callback=lambda _: os.environ.update(MODEL_K="1"))
     assert fit.cost < 1e-3 and fit.nfail == 0
 
 
-def test_variables_of_workers_stay_out_of_the_environment_of_the_model(tmp_path):
+def test_model_does_not_see_variables_of_workers(tmp_path):
     refuses = 'AT_INITIALIZE=if (getenv("FMUFIT_WORKER") != NULL || getenv("LD_PRELOAD") != NULL) return fmi2Error'
     assert np.isfinite(final(FMUModel(evil(tmp_path / "clean.fmu", refuses)), "process"))
 
 
 @pytest.mark.parametrize("more", [{}, {"isolation": "none"}, {"sandbox": True}])
-def test_a_run_has_the_working_folder_of_the_caller(tmp_path, monkeypatch, more):
+def test_simulation_uses_working_folder_of_the_caller(tmp_path, monkeypatch, more):
     fmu = evil(tmp_path / "reads.fmu", FROM_FILE)
     calibration = started(fmu, 3.0, **more)
     for k in (3, 1, 3):
@@ -75,7 +75,7 @@ def test_a_run_has_the_working_folder_of_the_caller(tmp_path, monkeypatch, more)
         assert final(FMUModel(fmu), "process") == pytest.approx(np.exp(-k), rel=1e-5)
 
 
-def test_a_working_folder_that_is_gone_leaves_the_model_its_own(tmp_path, monkeypatch):
+def test_model_keeps_own_folder_when_working_folder_is_removed(tmp_path, monkeypatch):
     fmu = evil(tmp_path / "reads.fmu", FROM_FILE)
     (tmp_path / "gone").mkdir()
     monkeypatch.chdir(tmp_path / "gone")
@@ -89,7 +89,7 @@ def test_files_of_a_model_are_written_to_the_working_folder(tmp_path, monkeypatc
     assert (tmp_path / "written.txt").read_text(encoding="utf-8") == "1"
 
 
-def test_a_file_that_the_sandbox_refuses_is_named(tmp_path, monkeypatch, caplog):
+def test_file_rejected_by_sandbox_is_named(tmp_path, monkeypatch, caplog):
     monkeypatch.chdir(tmp_path)
     needs = started(evil(tmp_path / "needs.fmu", NEEDS_TO_WRITE), 1.0, sandbox=True)
     with pytest.raises(pydfo.SimulationError, match=r"denied permission: with sandbox=True .*\(TMPDIR\)"):
@@ -105,8 +105,8 @@ def test_a_file_that_the_sandbox_refuses_is_named(tmp_path, monkeypatch, caplog)
     assert len(named) == 1 and not (tmp_path / "written.txt").exists(), caplog.messages
 
 
-def test_workers_at_the_same_time_have_instances_of_different_names(tmp_path, monkeypatch):
-    # Models name files by their instance, as those of EnergyPlus do.
+def test_concurrent_workers_have_distinct_instance_names(tmp_path, monkeypatch):
+    # Some models name files by their instance, for example those of EnergyPlus.
     names = '{FILE *file = fopen("names.txt", "a"); fprintf(file, "%s\\n", name); fclose(file);}'
     fmu = evil(tmp_path / "named.fmu", f"AT_INSTANTIATE={names}")
     monkeypatch.chdir(tmp_path)
@@ -115,7 +115,7 @@ def test_workers_at_the_same_time_have_instances_of_different_names(tmp_path, mo
     assert {"Evil", "Evil_2"} <= found
 
 
-def test_a_failure_without_a_message_is_repeated_with_the_log_switched_on(tmp_path, caplog):
+def test_failure_without_message_is_repeated_with_log(tmp_path, caplog):
     silent = 'AT_INITIALIZE=if (K(m) > 2) { if (m->logs) say(m, fmi2Error, "k is too large"); return fmi2Error; }'
     fmu = evil(tmp_path / "silent.fmu", silent)
     for isolation in ("none", "process"):

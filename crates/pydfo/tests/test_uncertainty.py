@@ -1,4 +1,4 @@
-"""The uncertainty of a fit: standard errors, correlation, verdict, against the published numbers and SciPy."""
+"""The uncertainty of a fit: standard errors, correlation, verdict, compared with published numbers and SciPy."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def furuta():
     ("estimator", "stderr", "correlation"),
     [("sandwich", [1.375e-5, 1.094e-6], -0.621), ("pooled", [1.600e-5, 1.352e-6], -0.659)],
 )
-def test_the_published_errors_of_the_pendulum(furuta, estimator, stderr, correlation):
+def test_pendulum_errors_match_published_errors(furuta, estimator, stderr, correlation):
     fit = furuta.fit(covariance=estimator)
     assert fit.uncertainty.estimator == estimator and fit.nfev == len(fit.trace)
     if PUBLISHED:
@@ -45,7 +45,7 @@ def test_the_published_errors_of_the_pendulum(furuta, estimator, stderr, correla
     ("n", "sandwich", "pooled"),
     [(2, [0.0022, 0.0015], [0.0019, 0.0020]), (4, [0.0022, 0.0023, 0.0034, 0.0071], [0.0024, 0.0025, 0.0053, 0.0052])],
 )
-def test_the_published_errors_of_the_tanks(n, sandwich, pooled):
+def test_tank_errors_match_published_errors(n, sandwich, pooled):
     parameters = [Parameter(f"qt.a{k + 1}", 3e-6, 2e-6, 4e-6) for k in range(n)]
     calibration = Calibration(
         example_fmu("quad_tank"), recordings.quad_tank("published"), recordings.LEVELS[:n], parameters, inputs=["u1", "u2"]
@@ -58,7 +58,7 @@ def test_the_published_errors_of_the_tanks(n, sandwich, pooled):
     assert any("autocorrelated" in said for said in fit.uncertainty.verdict)
 
 
-def test_autocorrelated_residuals_have_one_answer_and_the_other_on_request(tmp_path):
+def test_autocorrelation_is_corrected_unless_disabled(tmp_path):
     time = np.linspace(0, 4, 80)
     x = np.exp(-1.5 * time) + 0.02 * np.sin(4 * time)
     fit = Calibration(example_fmu("dahlquist"), {"time": time, "x": x}, ["x"], [Parameter("k", 1.0, 0.1, 5.0)]).fit()
@@ -81,7 +81,7 @@ def test_autocorrelated_residuals_have_one_answer_and_the_other_on_request(tmp_p
     assert f"{low:.2f} to {high:.2f}" in page and "uncorrected" in page
 
 
-def test_a_likelihood_has_standard_errors_and_a_plot_of_its_negative_costs():
+def test_likelihood_has_standard_errors_and_a_plot():
     time = np.linspace(0, 3, 60)
     x = np.exp(-1.5 * time) + np.random.default_rng(3).normal(0, 0.02, time.size)
     calibration = Calibration(example_fmu("dahlquist"), {"time": time, "x": x}, ["x"], [Parameter("k", 1.0, 0.1, 5.0)])
@@ -93,7 +93,7 @@ def test_a_likelihood_has_standard_errors_and_a_plot_of_its_negative_costs():
     assert plain.plot_convergence().axes[0].get_yscale() == "log"
 
 
-def test_the_covariance_is_that_of_curve_fit():
+def test_covariance_matches_curve_fit():
     curve_fit = pytest.importorskip("scipy.optimize").curve_fit
     time = np.linspace(0, 3, 60)
     x = 1.2 * np.exp(-1.5 * time) + np.random.default_rng(3).normal(0, 0.02, time.size)
@@ -105,7 +105,7 @@ def test_the_covariance_is_that_of_curve_fit():
         np.testing.assert_allclose(fit.covariance, expected, rtol=5e-3)
 
 
-def test_what_cannot_be_told_is_said(furuta):
+def test_undetermined_parameters_are_reported(furuta):
     time = np.linspace(0, 0.4, 40)
     noise = np.random.default_rng(1).normal(0, 1e-3, time.size)
     parameters = [Parameter("e", 0.7, 0.1, 0.95), Parameter("g", -9.0, -15.0, -5.0)]
@@ -138,7 +138,7 @@ def test_what_cannot_be_told_is_said(furuta):
         furuta.uncertainty([0.01, np.inf])
 
 
-def test_a_fit_to_a_model_whose_inputs_nothing_drives_says_so():
+def test_undriven_inputs_are_reported():
     data = recordings.quad_tank("own")
     recording = {"time": data["time"], "level": data["qt.x1"]}
     calibration = Calibration(

@@ -30,8 +30,8 @@ def two():
 
 
 @pytest.mark.skipif("published" not in recordings.at_hand("exhaust_measurements.csv"), reason="the published recording is not at hand")
-def test_the_exhaust_pipe_after_ten_minutes():
-    """Both sets on simulations that begin at 0, so that the walls have their history."""
+def test_exhaust_pipe_is_validated_after_ten_minutes():
+    """Both sets use simulations that start at 0, so that the walls have their history."""
     nominal = {"C1": 2500.0, "G1": 120.0, "C2": 9000.0, "G2": 80.0}
     bounds = {"C": (1.0, 5e4), "G": (0.01, 500.0)}
     parameters = [Parameter(name, start, *bounds[name[0]]) for name, start in nominal.items()]
@@ -50,7 +50,7 @@ def test_the_exhaust_pipe_after_ten_minutes():
     assert "T_out" in repr(last) and "scaled RMS" in repr(last)
 
 
-def test_a_window_and_another_recording(one):
+def test_fit_is_validated_on_window_and_recording(one):
     window = one.validate(windows=(2.05, 3.0))
     k, x0 = one.x
     assert window.n == 10 and window.parameters == one.parameters
@@ -65,7 +65,7 @@ def test_a_window_and_another_recording(one):
     assert window.stats.accepted_steps > 0
 
 
-def test_validations_are_drawn(one):
+def test_validations_are_plotted(one):
     pytest.importorskip("matplotlib").use("Agg")
     figure = one.validate(windows=(2, 3)).plot()
     assert [axis.get_xlabel() for axis in figure.axes][1] == "time [s]"
@@ -88,13 +88,13 @@ def test_validations_are_drawn(one):
         ({"holdout": (0, 1)}, TypeError, "holdout"),
     ],
 )
-def test_validations_that_cannot_be_made(one, arguments, error, message):
+def test_bad_validations_are_rejected(one, arguments, error, message):
     with pytest.raises(error) as caught:
         one.validate(**arguments)
     assert message in str(caught.value)
 
 
-def test_each_recording_is_left_out_once(two):
+def test_each_recording_is_omitted_once(two):
     found = two.cross_validate()
     assert [fold.held_out for fold in found.folds] == [["run1"], ["warm"]]
     assert list(found.folds[0].parameters) == ["k", "x[warm]"]
@@ -109,12 +109,12 @@ def test_each_recording_is_left_out_once(two):
             two.cross_validate(folds=folds)
 
 
-def test_one_recording_is_not_enough(one):
+def test_single_recording_is_rejected(one):
     with pytest.raises(ValueError, match="two or more experiments; there is one"):
         one._calibration.cross_validate()
 
 
-def test_prediction_bands(one):
+def test_prediction_bands_match_reference(one):
     times = [0.0, 0.5, 2.5]
     band = one.prediction_band(times)["x"]
     k, x0 = one.x
@@ -137,6 +137,6 @@ def test_prediction_bands(one):
             one.prediction_band(**arguments)
 
 
-def test_a_band_of_several_experiments(two):
+def test_prediction_bands_cover_several_experiments(two):
     band = two.fit().prediction_band([1.0])
     assert set(band) == {"run1", "warm"} and isinstance(band["warm"]["x"], pydfo.PredictionBand)

@@ -1,5 +1,7 @@
-"""All versions of FMI, model exchange and co-simulation, beside FMPy, an independent importer: FMPy finds nothing wrong with
-the bundled FMUs of any version; model exchange agrees to 1e-6 at tight tolerances, co-simulation bit for bit."""
+"""All versions of FMI, model exchange and co-simulation, compared with FMPy, an independent importer.
+
+FMPy validates the bundled FMUs of all versions. Model exchange agrees to 1e-6 at tight tolerances, and co-simulation
+is bit-for-bit identical."""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ from pydfo import FMUModel, example_fmu
 fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
 
 VERSIONS = ("1.0", "2.0", "3.0")
-#: How long, and the communication step.
+#: Duration of the simulation, and the communication step.
 SPANS = {
     "furuta": (5.0, 0.0625),
     "dahlquist": (5.0, 0.125),
@@ -22,7 +24,7 @@ SPANS = {
     "quad_tank": (20.0, 0.5),
     "exhaust": (2.0, 0.125),
 }
-#: Values that the models have none of their own for.
+#: Start values that the models do not declare.
 START = {"quad_tank": {"u1": 5.0, "u2": 4.0}}
 
 
@@ -32,7 +34,7 @@ def columns(model, skip=("time",)):
 
 @pytest.mark.parametrize("name", fmus.EXAMPLES)
 @pytest.mark.parametrize(("version", "kind"), [("1.0", "ME"), ("1.0", "CS"), ("2.0", "CS"), ("3.0", "ME")])
-def test_fmpy_validates(name, version, kind):
+def test_fmpy_validates_all_versions(name, version, kind):
     from fmpy.validation import validate_fmu
 
     assert validate_fmu(str(example_fmu(name, version, kind))) == []
@@ -40,7 +42,7 @@ def test_fmpy_validates(name, version, kind):
 
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("name", SPANS)
-def test_model_exchange(name, version):
+def test_model_exchange_agrees_with_fmpy(name, version):
     path = example_fmu(name, version, "ME")
     model = FMUModel(path, kind="ME")
     span, step = SPANS[name]
@@ -64,7 +66,7 @@ def test_model_exchange(name, version):
 
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("name", SPANS)
-def test_co_simulation(name, version):
+def test_co_simulation_equals_fmpy(name, version):
     path = example_fmu(name, version, "CS")
     model = FMUModel(path, kind="cs")
     assert model.kind == "CS"
@@ -91,7 +93,7 @@ def test_co_simulation(name, version):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_values(version):
+def test_values_are_set_in_all_versions(version):
     path = example_fmu("switched_input", version, "CS")
     with FMUModel(path, kind="CS") as model:
         model.set(["gear", "enabled", "K"], [2, True, 0.5])
@@ -103,7 +105,7 @@ def test_values(version):
 
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("kind", ["ME", "CS"])
-def test_fit(version, kind):
+def test_fit_works_in_all_versions_and_kinds(version, kind):
     t = np.linspace(0, 2, 9)
     calibration = pydfo.Calibration(
         example_fmu("dahlquist", version, kind),
@@ -115,15 +117,15 @@ def test_fit(version, kind):
     assert calibration.fit().x[0] == pytest.approx(1.5, abs=1e-3)
 
 
-def test_the_kind_of_a_model_is_that_of_its_calibration():
+def test_calibration_uses_kind_of_its_model():
     model = FMUModel(example_fmu("dahlquist", "3.0"), kind="CS")
     data, parameter = {"time": [0.0, 0.35], "x": [1.0, 0.7]}, pydfo.Parameter("k", 1.0, 0.1, 10.0)
-    # The models' own solver and ours differ in the last digits.
+    # The solver of the model and the method of pydfo differ in the last digits.
     costs = [pydfo.Calibration(m, data, ["x"], [parameter], kind=k).cost() for m, k in ((model, None), (model.path, "CS"), (model, "ME"))]
     assert costs[0] == costs[1] != costs[2]
 
 
-def test_examples_that_are_not_there():
+def test_unknown_examples_are_rejected():
     with pytest.raises(ValueError, match=r"'1\.1'"):
         example_fmu("furuta", "1.1")
     with pytest.raises(ValueError, match="'SE'"):

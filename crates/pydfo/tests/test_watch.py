@@ -1,4 +1,4 @@
-"""The page of a fit that runs."""
+"""The page of a running fit."""
 
 import copy
 import http.client
@@ -35,7 +35,7 @@ def address(capsys):
     return url
 
 
-def test_the_report_is_there_as_long_as_the_fit(capsys):
+def test_report_is_served_as_long_as_the_fit_exists(capsys):
     plain = decay().fit(workers=1, rng=1)
     fit = decay().fit(workers=1, rng=1, watch=True)
     assert (fit.x == plain.x).all() and fit.cost == plain.cost and fit.nfev == plain.nfev
@@ -44,7 +44,7 @@ def test_the_report_is_there_as_long_as_the_fit(capsys):
     assert status == 200 and "The fit converged" in report and "</svg>" in report
     assert asked(url, path="state")[0] == 205
     assert asked(url.replace(url[-33:-1], "0" * 32))[0] == 404
-    # What is made of the fit has no page.
+    # Copies of the fit have no page.
     for other in (copy.deepcopy(fit), pickle.loads(pickle.dumps(fit))):
         assert (other.x == fit.x).all() and other._page is None
     del fit
@@ -52,11 +52,11 @@ def test_the_report_is_there_as_long_as_the_fit(capsys):
         asked(url)
 
 
-def test_the_button_ends_the_fit_which_returns(capsys):
+def test_button_ends_the_fit(capsys):
     seen = []
 
     def press(progress):
-        # On the calling thread: another one looks.
+        # On the calling thread, so another thread requests the page.
         if not seen:
             seen.append(address(capsys))
             threading.Thread(target=lambda: seen.append(asked(seen[0], "POST", "stop"))).start()
@@ -65,14 +65,14 @@ def test_the_button_ends_the_fit_which_returns(capsys):
     assert seen[1][0] == 303
     assert not fit.success and fit.termination == "interrupted" and fit.cost <= fit.start_cost
     status, report = asked(seen[0])
-    # The responses are those that the search has computed: nothing is simulated for the report.
+    # The search has already computed the responses, so the report needs no simulation.
     assert status == 200 and "interrupted" in report and "</svg>" in report
     status, text = asked(seen[0], "POST", "close")
     assert status == 200 and "closed" in text
 
 
 @pytest.mark.parametrize("settings", [{}, {"solver": "rk4", "step_size": 1e-4}])
-def test_a_stop_before_there_is_a_result_is_an_interrupt(monkeypatch, settings):
+def test_stop_before_any_result_is_an_interrupt(monkeypatch, settings):
     """While the solver is chosen, and at the first evaluation."""
     monkeypatch.setattr("builtins.print", lambda text, **_: asked(text.split()[-1], "POST", "stop"))
     with pytest.raises(Interrupted) as info:
@@ -81,13 +81,13 @@ def test_a_stop_before_there_is_a_result_is_an_interrupt(monkeypatch, settings):
 
 
 @pytest.mark.parametrize("wrong", [{"loss": "soft"}, {"method": "simplex"}, {"options": {"batchh": 1}}, {"stages": [["nobody"]]}, {"workers": 0}])
-def test_no_address_is_shown_before_the_arguments_are_right(capsys, wrong):
+def test_address_is_shown_only_for_valid_arguments(capsys, wrong):
     with pytest.raises((ValueError, KeyError)):
         decay().fit(watch=True, **wrong)
     assert capsys.readouterr().err == ""
 
 
-def test_no_fit_is_watched_that_nobody_asked_to_be(capsys):
+def test_fit_is_not_watched_by_default(capsys):
     assert decay().fit()._page is None and capsys.readouterr().err == ""
     with pytest.raises((TypeError, ValueError), match="watch"):
         decay().fit(watch="yes")

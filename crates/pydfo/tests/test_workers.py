@@ -1,4 +1,4 @@
-"""Workers of every kind change nothing but the time: what they evaluate ahead of need means nothing by itself."""
+"""Workers of every kind change only the time: speculative evaluations have no effect on the result."""
 
 import concurrent.futures
 import subprocess
@@ -21,7 +21,7 @@ def told(result):
 
 @pytest.mark.parametrize("method", ["nelder-mead", "barrier", "de", "de-classic", "ga", "cma-es", "pattern-search"])
 @pytest.mark.parametrize("budget", [7, 61, 150])
-def test_no_kind_of_workers_changes_anything(method, budget):
+def test_result_is_identical_for_all_kinds_of_workers(method, budget):
     def patchy(x):
         return float("nan") if np.floor(37 * x[0]) % 7 == 0 else rosenbrock(x)
 
@@ -42,7 +42,7 @@ def test_no_kind_of_workers_changes_anything(method, budget):
         assert run(patchy, workers=executor) == serial
 
 
-def test_processes_change_nothing():
+def test_result_is_identical_with_processes():
     def run(workers):
         return told(pydfo.minimize(rosenbrock, [-1.2, 1.0], workers=workers, max_evaluations=100))
 
@@ -52,7 +52,7 @@ def test_processes_change_nothing():
 
 @pytest.mark.parametrize("plan", ["auto", "serial", 2, 4, 20, "ahead"])
 @pytest.mark.parametrize("vectorized", [False, True])
-def test_an_exception_counts_when_the_path_comes_to_it(plan, vectorized):
+def test_exception_counts_when_path_reaches_it(plan, vectorized):
     path = pydfo.minimize(rosenbrock, [-1.2, 1.0], max_evaluations=60, method="nelder-mead")
     known = {x.tobytes() for x in path.trace.x}
 
@@ -81,7 +81,7 @@ MASKED = [np.ma.masked, np.ma.array(0.0, mask=True), np.ma.array([0.0], mask=[Tr
 
 
 @pytest.mark.parametrize("cost", MASKED)
-def test_a_masked_cost_is_none(cost):
+def test_masked_cost_is_a_failure(cost):
     def fun(x):
         return cost if x[0] > 0 else float(x[0] ** 2)
 
@@ -93,7 +93,7 @@ def test_a_masked_cost_is_none(cost):
     assert optimizer.best[1] == 1.0
 
 
-def test_masked_costs_of_a_vectorized_function_are_none():
+def test_masked_costs_of_vectorized_function_are_failures():
     def columns(x):
         return np.ma.masked_where(x[0] > 0, x[0] ** 2)
 
@@ -102,7 +102,7 @@ def test_masked_costs_of_a_vectorized_function_are_none():
 
 
 @pytest.mark.parametrize("cost", [1 + 2j, np.complex128(1), None, "1", np.str_("1"), np.array([1.0, 2.0])])
-def test_what_is_no_number_is_an_error(cost):
+def test_non_numeric_cost_is_an_error(cost):
     with pytest.raises(TypeError):
         pydfo.minimize(lambda x: cost, [1.0])
     with pytest.raises(TypeError):
@@ -110,11 +110,11 @@ def test_what_is_no_number_is_an_error(cost):
 
 
 @pytest.mark.parametrize("kind", [float, np.float32, np.float64, np.int64, np.array, lambda v: np.array([v])])
-def test_numbers_of_every_kind_are_costs(kind):
+def test_all_number_types_are_costs(kind):
     assert pydfo.minimize(lambda x: kind(abs(round(x[0]))), [3.0]).fun == 0
 
 
-def test_costs_are_reused_where_the_problem_is_the_same():
+def test_warm_start_reuses_costs_of_the_same_problem():
     calls = []
 
     def fun(x):
@@ -138,7 +138,7 @@ def test_costs_are_reused_where_the_problem_is_the_same():
     assert not known & asked
 
 
-def test_a_fit_to_other_data_starts_there_and_keeps_no_cost():
+def test_warm_start_with_other_data_reuses_only_points():
     t = np.linspace(0, 2, 21)
 
     def calibration(k, start=1.0, upper=10.0):
@@ -150,12 +150,12 @@ def test_a_fit_to_other_data_starts_there_and_keeps_no_cost():
     first = calibration(2.0).fit(workers=1)
     fit = calibration(5.0).fit(workers=1, options={"warm_start": first})
     assert fit.success and abs(fit.x[0] - 5.0) < 1e-2 and fit.fun < 1e-6
-    # Neither bounds nor start are what a cost depends on.
+    # The cost does not depend on bounds and start.
     same = calibration(2.0, 3.0, 9.0).fit("nelder-mead", workers=1, options={"warm_start": first})
     assert same.n_cached > 0
 
 
-def test_no_limit_is_none_from_end_to_end():
+def test_missing_limits_are_unlimited():
     def rastrigin(x):
         return float(np.sum(x * x + 10 - 10 * np.cos(2 * np.pi * x)))
 
@@ -165,14 +165,14 @@ def test_no_limit_is_none_from_end_to_end():
     assert len(result.final_population[0]) < 45 and result.fun < 1e-2
 
 
-def test_sizes_beyond_all_memory_are_memory_errors():
+def test_huge_sizes_are_memory_errors():
     with pytest.raises(MemoryError, match="simplex"):
         pydfo.minimize(lambda x: x[0], np.full(3_000_000, 0.5))
     with pytest.raises(MemoryError, match="population"):
         pydfo.minimize(lambda x: x[0], bounds=[(0, 1)] * 1_000_000, method="de", options={"population": 1_000_000})
 
 
-def test_seconds_of_an_executor_are_those_of_each_call():
+def test_executor_times_are_recorded_per_call():
     import time
 
     def uneven(x):
@@ -189,8 +189,8 @@ def test_seconds_of_an_executor_are_those_of_each_call():
     ("isolation", "message"),
     [("none", "a result of 10000001 rows and 23 columns would take 1840 MB of memory"), ("process", "the result of the worker process")],
 )
-def test_a_result_without_memory_for_it_is_an_error(isolation, message):
-    """In a process that may take 1 GiB more: 1e7 rows of 23 variables take 1.8 GB."""
+def test_result_without_memory_is_an_error(isolation, message):
+    """In a process that may use 1 GiB more: 1e7 rows of 23 variables require 1.8 GB."""
     program = f"""
 import resource, pydfo
 model = pydfo.FMUModel(pydfo.example_fmu("furuta"))
