@@ -1,16 +1,17 @@
-"""How much faster than FMPy? Both sides in one run, warm, with the same outputs, times and error.
+"""Compares the speed of warm simulations with FMPy, at equal outputs, times and errors.
 
     python benches/against_fmpy.py [--models furuta,...] [--rtol 1e-6] [--rounds 15] [--rows N] [--require 50]
     python benches/against_fmpy.py --peer-only --fmus FOLDER        FMPy's half alone, on FOLDER/<model>.fmu
 
-Warm means: the FMU is unpacked, its library loaded and its instance reused on both sides (FMPy: `fmu_instance`,
-`validate=False`, reset before each run). Both set the same parameters and return the same columns at the same times.
-The error is the largest difference to a reference over all columns and times: a closed form (bouncing ball), SciPy's
-DOP853 at 1e-13 (Van der Pol), FMPy itself at 1e-13 (Furuta), or our Radau5 at 1e-12 (models driven by inputs, where FMPy
-gives up at tight tolerances). FMPy runs twice: at our relative tolerance, and at the tolerance, in half decades, whose
-error is the smallest that still is at least ours ("equal error"); where no tolerance is that loose, at ours. Single calls
-alternate, as a script makes them between other work; times are medians. `cost()` is the native path of a calibration: one
-simulation and its sum of squares, without a trajectory. At the end: what we need beside a model with 24 event indicators.
+Warm means that the FMU is unpacked, its library is loaded and its instance is reused on both sides (FMPy:
+`fmu_instance`, `validate=False`, reset before each run). Both set equal parameters and return equal columns at equal
+times. The error is the largest difference from a reference over all columns and times. The reference is a closed form
+(bouncing ball), SciPy's DOP853 at 1e-13 (Van der Pol), FMPy at 1e-13 (Furuta), or our Radau5 at 1e-12 for models
+driven by inputs, for which FMPy fails at tight tolerances. FMPy runs twice. The first run uses our relative
+tolerance. The second run ("equal error") uses the tolerance, in half decades, with the smallest error that is at
+least ours. If no tolerance is that loose, it uses ours. Single calls alternate, as a script makes them between other
+work; times are medians. `cost()` is the native path of a calibration: one simulation and its sum of squares, without
+a trajectory. The last line is the time outside a model with 24 event indicators.
 """
 
 import argparse
@@ -36,7 +37,7 @@ LADDER = [10 ** (-k / 2) for k in range(6, 25)]  # 1e-3 ... 1e-12
 
 @dataclass
 class Case:
-    """One model: what is run, what comes out and what is true. `parameters` maps names to values."""
+    """A model with its arguments, outputs and reference. `parameters` maps names to values."""
 
     model: str
     stop: float
@@ -47,7 +48,7 @@ class Case:
     inputs: dict[str, np.ndarray] | None = None  # a column "time" and one per input
 
     def table(self) -> np.ndarray | None:
-        """The inputs as FMPy takes them."""
+        """Returns the inputs in the form of FMPy."""
         if self.inputs is None:
             return None
         return np.array(list(zip(*self.inputs.values())), dtype=[(name, float) for name in self.inputs])
@@ -57,7 +58,7 @@ class Case:
 
 
 def bouncing_ball(case: Case, times: np.ndarray) -> np.ndarray:
-    """Height of the ball, from parabola to parabola."""
+    """Returns the height of the ball, parabola by parabola."""
     a, e, v_min = 9.81, case.parameters["e"], 0.1
     begin, v, h = 0.0, 0.0, np.zeros_like(times)
     duration, start = math.sqrt(2 / a), 1.0
@@ -73,7 +74,7 @@ def bouncing_ball(case: Case, times: np.ndarray) -> np.ndarray:
 
 
 def dahlquist(case: Case, times: np.ndarray) -> np.ndarray:
-    """The exponential."""
+    """Returns the exponential solution."""
     return np.exp(-case.parameters["k"] * times)[np.newaxis]
 
 
@@ -89,7 +90,9 @@ def van_der_pol(case: Case, times: np.ndarray) -> np.ndarray:
 
 
 def tightest(case: Case, times: np.ndarray) -> np.ndarray:
-    """Our Radau5 at 1e-12, which stops at the kinks of inputs; CVode goes over them, and has fewer digits at any tolerance."""
+    """Returns the solution of our Radau5 at 1e-12, which stops at the kinks of inputs.
+
+    CVode integrates across the kinks and is less accurate at every tolerance."""
     import pydfo
 
     model = pydfo.FMUModel(pydfo.example_fmu(case.model))
@@ -108,7 +111,7 @@ def recorded_voltages() -> dict[str, np.ndarray]:
 
 
 def drive_cycle() -> dict[str, np.ndarray]:
-    """The inputs of examples/exhaust.py: a load that goes up and down in ramps moves all of them."""
+    """Returns the inputs of examples/exhaust.py: a load that rises and falls in ramps moves all of them."""
     time = np.arange(301.0)
     load = np.interp(time, [0, 20, 50, 90, 120, 160, 200, 230, 300], [0.1, 0.1, 0.6, 0.4, 0.9, 0.2, 0.7, 0.3, 0.5])
     moved = {"T_in": 450 + 450 * load, "p_in": 1.1e5 + 1.2e5 * load}
@@ -128,7 +131,7 @@ CASES = [
 
 
 class Peer:
-    """FMPy with everything kept that it lets one keep."""
+    """FMPy, with all reusable objects kept."""
 
     def __init__(self, case: Case, path: Path, scratch: Path):
         self.case, self.table, self.folder = case, case.table(), str(scratch / f"{case.model}-unpacked")
@@ -151,7 +154,7 @@ class Peer:
 
 
 class Ours:
-    """pydfo: a model that is simulated again and again, and the cost of a calibration."""
+    """pydfo: a model that is simulated repeatedly, and the cost of a calibration."""
 
     def __init__(self, case: Case, path: Path, truth: np.ndarray, rtol: float):
         import pydfo
@@ -180,12 +183,12 @@ class Ours:
         return np.stack([result[name] for name in self.case.outputs])
 
     def cost(self) -> float:
-        self.calls += 1  # never the same point twice, so that nothing can be remembered
+        self.calls += 1  # a new point each time, so that no result can be cached
         return self.calibration.cost(self.x * (1 - 1e-13 * self.calls))
 
 
 def with_binary(path: Path, scratch: Path) -> Path:
-    """The FMU itself if it brings binaries, else one built from its sources: FMPy does not compile."""
+    """Returns the FMU if it has binaries, otherwise one built from its sources, because FMPy does not compile."""
     with zipfile.ZipFile(path) as archive:
         if any(name.startswith("binaries/") for name in archive.namelist()):
             return path
@@ -202,19 +205,20 @@ def distance(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def equal_error(peer: Peer, truth: np.ndarray, error: float, rtol: float) -> float:
-    """FMPy's tolerance whose error is the smallest that is at least `error`."""
+    """Returns FMPy's tolerance with the smallest error that is at least `error`."""
     errors = []
     for candidate in LADDER:
         try:
             errors.append((distance(peer.run(candidate), truth), candidate))
-        except RuntimeError as failed:  # CVode gives up at kinks of inputs at some tolerances
+        except RuntimeError as failed:  # CVode fails at kinks of inputs at some tolerances
             print(f"  (FMPy at rtol {candidate:.1e}: {str(failed)[:21]})")
     return min((found for found in errors if found[0] >= error), default=(0.0, rtol))[1]
 
 
 def alternate(contestants: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
-    """Median time of a call of each, in seconds. They take turns, call by call, for `TURN` seconds per round and contestant;
-    the first round does not count."""
+    """Returns the median time of a call of each contestant in seconds.
+
+    Calls alternate for `TURN` seconds per round and contestant. The first round does not count."""
     taken: dict[str, list[float]] = {name: [] for name in contestants}
     counts_from = time.perf_counter() + TURN * len(contestants)
     ends_at = counts_from + TURN * len(contestants) * rounds
@@ -228,7 +232,8 @@ def alternate(contestants: dict[str, Callable[[], object]], rounds: int) -> dict
 
 
 def with_indicators(scratch: Path) -> Path:
-    """Van der Pol's oscillator with 24 event indicators that never cross zero, and sines for 0.5 us in each evaluation."""
+    """Builds Van der Pol's oscillator with 24 event indicators that never cross zero, and sines for 0.5 us in each
+    evaluation."""
     import pydfo
 
     folder = scratch / "indicators"
@@ -260,7 +265,7 @@ def with_indicators(scratch: Path) -> Path:
 
 
 def beside_the_model(scratch: Path, rounds: int) -> float:
-    """Prints and returns the time outside of the model with 24 indicators as a share of that inside."""
+    """Prints and returns the time outside the model with 24 indicators as a fraction of the time inside."""
     import pydfo
 
     model = pydfo.FMUModel(with_indicators(scratch))
@@ -279,7 +284,7 @@ def beside_the_model(scratch: Path, rounds: int) -> float:
 
 
 def bench(case: Case, path: Path, arguments: argparse.Namespace, scratch: Path) -> float:
-    """Prints one model's lines; the ratio at equal error (infinite where only the peer ran)."""
+    """Prints the lines of a model and returns the ratio at equal error (infinite if only the peer ran)."""
     peer = Peer(case, with_binary(path, scratch), scratch)
     truth = peer.run(1e-13) if case.truth is None else case.truth(case, case.times())
     rtol, ours = arguments.rtol, None
@@ -339,7 +344,7 @@ def main() -> int:
             if case.model not in arguments.models.split(","):
                 continue
             if arguments.peer_only and case.truth is tightest:
-                continue  # the reference would be ours
+                continue  # the reference would be our own result
             case.rows = arguments.rows or case.rows
             if arguments.fmus is not None:
                 path = arguments.fmus / f"{case.model}.fmu"

@@ -1,16 +1,17 @@
-"""How much sooner is a whole fit done than with FMPy and SciPy? Each in a process of its own, opening the FMU included.
+"""Compares the time of whole fits with FMPy and SciPy, each in a separate process that also opens the FMU.
 
     python benches/against_fmpy_fit.py [--models van_der_pol,furuta,...] [--rtol 1e-6] [--rounds 1] [--require 100,15]
 
-Parameters are fitted to a recording that our Radau5 makes at 1e-12 with known values and noise of a known seed, from five starts. All
-sides simulate at the same relative tolerance, from the same starts, with parameters in units of their sizes. FMPy keeps what it lets
-one keep (the unpacked FMU, the description, one instance that is reset), simulates with CVode, and is driven by SciPy's Nelder-Mead,
-and by SciPy's `least_squares` with forward differences of several relative steps.
+Parameters are fitted to a recording from our Radau5 at 1e-12 with known values and seeded noise, from five starts.
+All sides simulate at equal relative tolerances, from equal starts, with parameters in units of their sizes. FMPy
+keeps all reusable objects (the unpacked FMU, the description, one instance that is reset) and simulates with CVode.
+The optimisers are SciPy's Nelder-Mead, and SciPy's `least_squares` with forward differences of several relative
+steps.
 
-The time runs from the path of the FMU to the returned result: here with standard errors and findings, there without. Modules are
-imported before. Every tool ends by its own defaults, but that Nelder-Mead may take 2000 evaluations. A run whose cost is more than 1 %
-above the lowest of all tools is marked "!". Times are medians over the starts; of `least_squares` the step counts that is the fastest of
-those that come to the lowest cost from most starts.
+The time runs from the path of the FMU to the returned result: here with standard errors and findings, there without.
+Modules are imported before. Every tool ends by its own defaults, except that Nelder-Mead may use 2000 evaluations. A
+run whose cost is more than 1 % above the lowest of all tools is marked "!". Times are medians over the starts. For
+`least_squares`, the step counts that is the fastest of those with the lowest cost from most starts.
 """
 
 import argparse
@@ -30,13 +31,13 @@ import numpy as np
 from against_fmpy import with_binary
 from small_models import MODELS, build
 
-#: A cost so near to the best of the same tool is as good, for those who time the way to it.
+#: Relative difference from the best cost of a tool that counts as equal, for the time to reach it.
 WITHIN = 1e-6
-#: A run that ends higher than this above the lowest cost of all tools is marked.
+#: A run that ends higher than this fraction above the lowest cost of all tools is marked.
 ENDED = 0.01
-#: Residuals where a simulation of FMPy fails.
+#: Residuals of a failed simulation of FMPy.
 FAILED = 1e3
-#: Relative steps of the differences; None is SciPy's own.
+#: Relative steps of the differences; None is SciPy's default.
 STEPS = (None, 1e-6, 1e-4, 1e-3, 1e-2)
 
 
@@ -50,7 +51,7 @@ class Case:
     outputs: list[str]
     noise: float
     parameters: dict[str, tuple[float, float, float]]
-    #: Starts of whole fits, in the order of the parameters; the first is that of `parameters`.
+    #: Starts of whole fits, in the order of the parameters; the first one is the start of `parameters`.
     starts: list[tuple[float, ...]]
 
     def column(self, k: int) -> np.ndarray:
@@ -85,7 +86,7 @@ CASES = {
 
 
 class Reached(Exception):
-    """The cost is as good as the best."""
+    """The cost equals the best one within the tolerance."""
 
 
 class Peer:
@@ -104,7 +105,7 @@ class Peer:
         self.calls += 1
         try:
             residuals = self.simulated(z) - self.data.ravel()
-        except RuntimeError:  # CVode gave up
+        except RuntimeError:  # CVode failed
             residuals = np.full(self.data.size, FAILED)
         self.best = min(self.best, float(residuals @ residuals))
         if self.best <= self.target:
@@ -131,7 +132,7 @@ class Peer:
 
 
 def by_fmpy(case: Case, path: Path, data: np.ndarray, rtol: float, start: tuple[float, ...], step: float | None, simplex: bool):
-    """Seconds, cost and evaluations of a whole fit."""
+    """Returns seconds, cost and evaluations of a whole fit."""
     import fmpy  # noqa: F401  (before the clock)
     from scipy.optimize import least_squares, minimize
 
@@ -165,13 +166,13 @@ def by_pydfo(case: Case, path: Path, data: np.ndarray, rtol: float, start: tuple
 
 
 def alone(function, *arguments):
-    """The call in a process of its own."""
+    """Runs the call in a separate process."""
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         return pool.apply(function, arguments)
 
 
 def recording(case: Case, path: Path) -> np.ndarray:
-    """What is fitted: truth and noise, a row for each output."""
+    """Returns the recording to fit: true values with noise, one row per output."""
     import pydfo
 
     model = pydfo.FMUModel(path)
@@ -182,7 +183,7 @@ def recording(case: Case, path: Path) -> np.ndarray:
 
 
 def bench(case: Case, path: Path, rtol: float, rounds: int) -> dict[str, float]:
-    """Prints the lines of a model; how many times longer each of FMPy's whole fits takes."""
+    """Prints the lines of a model and returns how many times longer each whole fit of FMPy takes."""
     data = recording(case, path)
     ours = {"pydfo, least squares": (by_pydfo, "least-squares"), "pydfo, Nelder-Mead": (by_pydfo, "nelder-mead")}
     peers = {f"FMPy, least_squares, step {step or 'default'}": (by_fmpy, step, False) for step in STEPS}

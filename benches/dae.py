@@ -1,11 +1,12 @@
-"""Residual calls against correct digits: `ode.solve_dae` beside IDA of SUNDIALS, in one run.
+"""Residual calls against correct digits: `ode.solve_dae` compared with IDA of SUNDIALS, in one run.
 
     python benches/dae.py
 
-What it printed last is kept in `dae.md`. Needs pydfo, numpy and scikit-sundae. Both get the same residuals, tolerances and
-consistent initial values; Jacobians are dense differences, whose residual calls count on both sides. At rtol 1e-4, 1e-6
-and 1e-8: correct digits (of the largest relative error at the end), residual calls, Jacobians, steps. A straight line
-of log(calls) on digits over rtol 1e-4 ... 1e-9 is read at 4, 5, 6 and 7 digits.
+The last output is stored in `dae.md`. Needs pydfo, numpy and scikit-sundae. Both solvers receive equal residuals,
+tolerances and consistent initial values. Jacobians are dense differences, whose residual calls count on both sides.
+The columns for rtol 1e-4, 1e-6 and 1e-8 are correct digits (of the largest relative error at the end), residual
+calls, Jacobians and steps. A straight line of log(calls) against digits over rtol 1e-4 ... 1e-9 is evaluated at 4, 5,
+6 and 7 digits.
 """
 
 from __future__ import annotations
@@ -101,7 +102,7 @@ PROBLEMS = {
 
 
 def consistent(problem):
-    """Slopes with which the residual is zero at the start: the smallest."""
+    """Returns the smallest slopes with zero residual at the start."""
     x0, n = np.array(problem.x0), len(problem.x0)
     at = lambda dy: problem.residual(0.0, x0, dy)  # noqa: E731
     zero = at(np.zeros(n))

@@ -1,12 +1,13 @@
-"""Instructions that an evaluation of a cost takes, by where they are: in the FMU's library, in libm, in ours by source file.
+"""Counts instructions of an evaluation of a cost by location: in the FMU's library, in libm, and in our source files.
 
     python benches/instructions.py [--cases furuta,...] [--solvers tsit5,...] [--few 20 --many 120] [--files 25] [--functions 0]
                                    [--compare | --write]
 
-Runs `cargo bench --bench evaluations` under callgrind with two numbers of evaluations; what differs between
-the two runs, divided by the difference of the numbers, is an evaluation without opening, loading and the first runs. Counts of
-instructions hardly depend on the load of the machine. Needs valgrind. `--compare` fails where ours are more by 2 % than those in
-`benches/instructions.json`, which `--write` keeps: they are of one compiler, so another one may ask for writing them anew.
+Runs `cargo bench --bench evaluations` under callgrind with two numbers of evaluations. The difference between the
+runs, divided by the difference of the numbers, is the cost of an evaluation without opening, loading and the first
+runs. Instruction counts hardly depend on the load of the machine. Needs valgrind. `--compare` fails if our counts
+exceed those in `benches/instructions.json` by more than 2 %. `--write` stores the counts, which are specific to a
+compiler and must be rewritten for another one.
 """
 
 import argparse
@@ -22,12 +23,12 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent
 CASES = ("furuta", "van_der_pol", "van_der_pol_fmi3", "bouncing_ball", "van_der_pol_co_simulation")
 SOLVERS = ("tsit5", "dop853", "radau5", "bdf", "auto")
 KEPT = ROOT / "benches" / "instructions.json"
-#: More than this part more is a regression.
+#: Relative increase above which a count is a regression.
 TOLERANCE = 0.02
 
 
 def build(target):
-    """Path of the bench."""
+    """Builds the bench and returns its path."""
     command = ["cargo", "bench", "-p", "fmufit", "--bench", "evaluations", "--no-run", "--message-format=json"]
     command += ["--target-dir", target] if target else []
     out = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout
@@ -36,7 +37,7 @@ def build(target):
 
 
 def read_profile(path, bench):
-    """Instructions by (object, function, source file), those of what libc does for the model under the model."""
+    """Returns instructions by (object, function, source file); libc calls of the model count as the model."""
     names = collections.defaultdict(dict)
     counts = collections.Counter()
     object_, function, own_file, file, callee = "", "", "", "", ""

@@ -1,6 +1,6 @@
-"""Opens an FMU with 100 000 variables and finds some of them, and one with 160 files as tools export them, beside FMPy.
+"""Opens an FMU with 100 000 variables and looks some of them up, and an FMU with 160 files, compared with FMPy.
 
-Run in the environment of the benches: `benches/env/.venv/bin/python benches/open_large.py`; `make bench` does.
+Run it in the environment of the benches: `benches/env/.venv/bin/python benches/open_large.py`; `make bench` does so.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ROUNDS = 5
 
 
 def write(path: Path, guid: int) -> None:
-    """An FMU of version 2.0 that is all description; no two have the same content."""
+    """Writes an FMU of version 2.0 with only a description, and unique content."""
     variables = "\n".join(
         f'<ScalarVariable name="plant.stage[{i}].massFlowRate" valueReference="{i}" description="mass flow rate of stage {i}">'
         f'<Real unit="kg/s" min="0"/></ScalarVariable>'
@@ -39,7 +39,8 @@ def write(path: Path, guid: int) -> None:
 
 
 def write_real_sized(path: Path) -> None:
-    """An example with what tools add, 160 entries of 3.4 MB: documentation, resources, a second platform's library."""
+    """Writes an example with typical additions of tools, 160 entries of 3.4 MB: documentation, resources, another
+    platform's library."""
     noise = random.Random(20260101)
     with zipfile.ZipFile(pydfo.example_fmu("furuta")) as example, zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as out:
         for name in example.namelist():
@@ -66,7 +67,7 @@ def loaded_by_fmpy(path: Path) -> None:
 
 
 def real_sized(folder: Path) -> None:
-    """Opening and loading an FMU that nobody has opened before, each time a file with another content."""
+    """Measures opening and loading an FMU that has not been opened before, each time a file with other content."""
     first = folder / "real.fmu"
     write_real_sized(first)
     paths = []
@@ -85,7 +86,7 @@ def real_sized(folder: Path) -> None:
         f"FMPy, which checks it against the schema, {theirs:.2f} ms, {theirs / ours:.1f} times; "
         f"without that (validate=False) {unchecked:.2f} ms, {unchecked / ours:.1f} times"
     )
-    # A value that has to be calculated: the library is loaded and the model initialized.
+    # The value must be calculated, so the library is loaded and the model is initialized.
     ours = median(lambda: pydfo.FMUModel(next(fresh)).get("armJoint.tau"))
     theirs = median(lambda: loaded_by_fmpy(first))
     print(f"opening and loading it: pydfo {ours:.1f} ms, FMPy {theirs:.1f} ms, {theirs / ours:.1f} times")
@@ -94,7 +95,7 @@ def real_sized(folder: Path) -> None:
 
 
 def median(run: Callable[[], object]) -> float:
-    """Median of some calls, in milliseconds."""
+    """Returns the median duration of some calls in milliseconds."""
     taken = []
     for _ in range(ROUNDS):
         begin = time.perf_counter()

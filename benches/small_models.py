@@ -24,7 +24,7 @@ class Model:
     derivatives: str
     indicators: str = ""
     n_indicators: int = 0
-    #: Sets `mode` (0 at first) from `x` and `p`; run at initialisation and at each event.
+    #: Sets `mode` (initially 0) from `x` and `p`; run at initialisation and at each event.
     event: str = ""
     stop: float = 10.0
     nominals: dict[str, float] = field(default_factory=dict)
@@ -154,7 +154,7 @@ fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real z[], size_t n) {
 
 
 def description(name: str, model: Model) -> str:
-    """The model description."""
+    """Returns the model description."""
     lines, n = [], len(model.states)
     for k, (state, start) in enumerate(model.states.items()):
         nominal = f' nominal="{model.nominals[state]!r}"' if state in model.nominals else ""

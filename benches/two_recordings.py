@@ -1,13 +1,13 @@
-"""How much sooner is a fit to two recordings done than with FMPy and SciPy? Each in a process of its own, opening the FMU included.
+"""Compares a fit to two recordings with FMPy and SciPy, each in a separate process that also opens the FMU.
 
     python benches/two_recordings.py [--rtol 1e-6] [--rounds 3] [--cpu] [--require 20]
 
-The Furuta pendulum swings twice, from different angles with different speeds: two frictions and an inertia are shared by both recordings,
-angle and speed of the pendulum at the start are local to each (seven numbers in all). The recordings are made by our Radau5 at 1e-12 with
-known values and noise of a known seed. Both sides use least squares, at the same relative tolerance, from the same start, with
-parameters in units of their sizes, and as `against_fmpy_fit.py` has it FMPy keeps what it lets one keep; SciPy's forward differences
-have several relative steps, of which the fastest counts. The time runs to the first evaluation whose cost is within 1e-6 of the best
-that simulations of the same tool reach in any of their runs.
+The Furuta pendulum swings twice, from different angles with different speeds. Two frictions and an inertia are shared
+by both recordings. Angle and speed of the pendulum at the start are local to each (seven numbers in all). The
+recordings come from our Radau5 at 1e-12 with known values and seeded noise. Both sides use least squares, at equal
+relative tolerances, from equal starts, with parameters in units of their sizes. As in `against_fmpy_fit.py`, FMPy
+keeps all reusable objects. SciPy's forward differences use several relative steps, and the fastest counts. The time
+runs to the first evaluation whose cost is within 1e-6 of the best cost of the same tool in any of its runs.
 """
 
 import argparse
@@ -32,13 +32,14 @@ RECORDINGS = 2
 
 
 def parameters(k: int) -> np.ndarray:
-    """The shared ones, then the local ones of each recording: true values (0), starts (1) or sizes (2)."""
+    """Returns the shared parameters, then the local ones of each recording: true values (0), starts (1) or sizes
+    (2)."""
     local = [[values[k][recording] for values in LOCAL.values()] for recording in range(RECORDINGS)]
     return np.concatenate([CASE.column(k), *local])
 
 
 def values_of(x: np.ndarray, recording: int) -> dict[str, float]:
-    """What is set in a recording."""
+    """Returns the values set in a recording."""
     n = len(CASE.parameters)
     local = x[n + recording * len(LOCAL) : n + (recording + 1) * len(LOCAL)]
     return dict(zip([*CASE.parameters, *LOCAL], [*x[:n], *local]))
@@ -104,7 +105,7 @@ def by_pydfo(clock, path: Path, data: np.ndarray, rtol: float, target: float, _:
 
 
 def recordings(path: Path) -> np.ndarray:
-    """What is fitted: truth and noise; per recording a row for each output."""
+    """Returns the recordings to fit: true values with noise, one row per output for each recording."""
     import pydfo
 
     rng, rows = np.random.default_rng(2012), []

@@ -1,13 +1,15 @@
-"""What does a fit spend beside its search? In right-hand sides and seconds, phase by phase.
+"""Measures the cost of a fit outside its search, in right-hand sides and seconds, phase by phase.
 
     python benches/whole_fits.py [--models van_der_pol,...] [--rounds 5] [--check]
 
-Whole fits with one worker: bundled models with their recordings, and small models (`small_models.py`) fitted to noisy simulations,
-several starts each. A line shows for each fit the evaluations of its search, the simulations and right-hand sides of the search, of the
-standard errors and of everything else (the fresh process and the tests of resets, which `check_right_hand_sides` counts, included), and
-the wall-clock times of all phases (medians). "/search" divides everything else by the search; "sims" has it in mean simulations of the
-search. `--check` fails where a bar is missed: standard errors at most two simulations for each parameter, everything else at most 0.3
-of the search and 4 simulations. The line at the end has the median of the whole time over that of search and standard errors.
+Whole fits with one worker: bundled models with their recordings, and small models (`small_models.py`) fitted to noisy
+simulations, several starts each. A line shows for each fit the evaluations of its search, and the simulations and
+right-hand sides of the search, of the standard errors and of everything else. Everything else includes the fresh
+process and the tests of resets, which `check_right_hand_sides` counts. The line also shows the wall-clock times of
+all phases (medians). "/search" divides everything else by the search. "sims" expresses it in mean simulations of the
+search. `--check` fails if a limit is exceeded: standard errors at most two simulations for each parameter, everything
+else at most 0.3 of the search and 4 simulations. The last line is the median of the whole time divided by the time of
+search and standard errors.
 """
 
 import argparse
@@ -25,13 +27,13 @@ import pydfo
 from small_models import MODELS, build
 
 DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
-#: Phases that are the fit itself; all others are what surrounds it.
+#: Phases of the fit itself; all others are additional.
 OWN = ("search", "uncertainty")
 
 
 @dataclass
 class Case:
-    """A fit: how to make its calibration, and the starts."""
+    """A fit: a function that creates its calibration, and the starts."""
 
     name: str
     calibration: Callable[[Path], pydfo.Calibration]
@@ -40,7 +42,7 @@ class Case:
 
 
 def noisy(path: Path, truth: dict[str, float], times: np.ndarray, outputs: list[str], noise: float, seed: int = 1) -> dict[str, np.ndarray]:
-    """A recording of a model with these parameters."""
+    """Returns a recording of a model with these parameters."""
     model = pydfo.FMUModel(path)
     model.set(list(truth), list(truth.values()))
     result = model.simulate(times[0], times[-1], times=times, outputs=outputs, relative_tolerance=1e-11)
@@ -49,7 +51,7 @@ def noisy(path: Path, truth: dict[str, float], times: np.ndarray, outputs: list[
 
 
 def small(name: str, outputs: list[str], truth: dict[str, float], starts: list[dict[str, float]], rows: int, noise: float, **settings):
-    """A fit of a small or a bundled model to a noisy simulation; all parameters are positive or free."""
+    """Returns a fit of a small or a bundled model to a noisy simulation; all parameters are positive or free."""
 
     def calibration(folder: Path) -> pydfo.Calibration:
         path = build(name, folder) if name in MODELS else Path(pydfo.example_fmu(name))
@@ -117,7 +119,7 @@ CASES = [
 
 
 def fits(cases: list[Case], rounds: int, folder: Path) -> Iterator[tuple[str, list[tuple[float, pydfo.Fit]]]]:
-    """Each fit of each case, some times, each with a calibration of its own: wall-clock seconds and the result."""
+    """Yields each fit of each case, repeated with separate calibrations: wall-clock seconds and the result."""
     for case in cases:
         for start in case.starts:
             runs = []

@@ -1,11 +1,11 @@
-"""Right-hand sides against correct digits: our BDF and Radau5 beside CVODE and SciPy, in one run.
+"""Right-hand sides against correct digits: our BDF and Radau5 compared with CVODE and SciPy, in one run.
 
     cargo bench -p fmufit-ode --bench work_precision > ours.csv
     python benches/work_precision.py ours.csv
 
-What it printed last is kept in `work_precision.md`. Needs numpy, scipy and scikit-sundae. A straight line of
-log(right-hand sides) on digits over rtol 1e-4 ... 1e-9 is drawn per solver and problem, and read at 4, 5 and 6 digits.
-Right-hand sides for Jacobians count on both sides; all Jacobians are dense differences; atol is the same multiple of
+The last output is stored in `work_precision.md`. Needs numpy, scipy and scikit-sundae. For each solver and problem, a
+straight line of log(right-hand sides) against digits over rtol 1e-4 ... 1e-9 is evaluated at 4, 5 and 6 digits.
+Right-hand sides for Jacobians count on both sides. All Jacobians are dense differences. atol is the same multiple of
 rtol for all.
 """
 
@@ -101,7 +101,7 @@ def numbers(text: str) -> list[float]:
 
 
 def reference(function: str, occurrence: int = -1) -> np.ndarray:
-    """The reference values as the Rust tests have them: the last list of numbers in the function of that name."""
+    """Returns the reference values of the Rust tests: the last list of numbers in the function of that name."""
     text = "".join((SOURCE / name).read_text() for name in ("stiff.rs", "nonstiff.rs"))
     body = re.search(rf"pub fn {function}\(\).*?\n}}\n", text, re.S).group(0)
     return np.array(numbers(re.findall(r"\[([^\[\]]*)\]", body, re.S)[occurrence]))
@@ -124,7 +124,7 @@ PEERS = ("CVODE BDF", "SciPy Radau", "SciPy BDF", "SciPy LSODA")
 
 
 def peer(solver: str, problem: str, rtol: float) -> tuple[float, int] | None:
-    """Correct digits and right-hand sides; None if it fails."""
+    """Returns correct digits and right-hand sides; None if the solver fails."""
     rhs, x0, end, atol, exact = PROBLEMS[problem]
     calls = 0
 
@@ -153,7 +153,7 @@ def peer(solver: str, problem: str, rtol: float) -> tuple[float, int] | None:
 
 
 def at_digits(points: list[tuple[float, int]]) -> list[float]:
-    """Right-hand sides at the levels, from the straight line of their logarithm on digits."""
+    """Returns right-hand sides at the levels, from the straight line of their logarithm against digits."""
     digits, calls = np.array(points).T
     slope, offset = np.polyfit(digits, np.log(calls), 1)
     return [float(np.exp(offset + slope * level)) for level in LEVELS]

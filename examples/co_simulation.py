@@ -1,8 +1,8 @@
-"""Fits an FMU that brings its own solver (co-simulation) to a recording in other units than the model's: cm and ms.
+"""Fits an FMU with its own solver (co-simulation) to a recording in other units than the model's: cm and ms.
 
-The recording is that of quad_tank.py, as a data logger might have written it: the columns say their units, and what is read is
-converted to those of the model's variables. The fitted model is then handed on: a report, the parameters for other tools
-(`.ssv`), and a copy of the FMU with new start values.
+The recording is that of quad_tank.py in the form of a data logger. The columns state their units, and the values are
+converted to the units of the model's variables. The fitted model is then exported: a report, the parameters for other
+tools (`.ssv`), and a copy of the FMU with new start values.
 """
 
 import tempfile
@@ -16,7 +16,7 @@ RECORDING = Path(__file__).resolve().parent / "data" / "quad_tank.csv"
 
 
 def logged():
-    """The recording in cm and ms, with the names of a data logger."""
+    """Returns the recording in cm and ms, with the names of a data logger."""
     recording = np.genfromtxt(RECORDING, delimiter=",", names=True)
     columns = {"t [ms]": 1e3 * recording["time"], "u1": recording["u1"], "u2": recording["u2"]}
     return columns | {f"level {i} [cm]": 1e2 * recording[f"x{i}"] for i in (1, 2, 3, 4)}

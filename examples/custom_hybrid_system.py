@@ -1,7 +1,7 @@
-"""A hybrid system written in Python, no FMU: a room with a heater that a thermostat switches.
+"""A hybrid system written in Python without an FMU: a room with a heater that a thermostat switches.
 
-The temperature falls towards 5 degrees outside and rises while the heater is on; the thermostat switches on below 19 and
-off above 21 degrees. The second state is the heater's power, which changes at events alone.
+The temperature falls towards 5 degrees outside, and rises while the heater is on. The thermostat switches on below 19
+degrees and off above 21 degrees. The second state is the heater's power, which changes only at events.
 """
 
 import math
@@ -40,7 +40,8 @@ def main():
     on, off = res.t_events
     print(f"{res.message} {len(on)} times on, {len(off)} times off, {res.nfev} right-hand sides")
     print(f"first on at {on[0]:.6f} h, off at {off[0]:.6f} h; at noon {res.sol(12.0)[0]:.4f} degrees")
-    # Exponentials between the switches: towards 5 degrees while it is off, towards 5 + 6 / 0.2 while it is on.
+    # Exponentials between the switches: towards 5 degrees while the heater is off, towards 5 + 6 / 0.2 while it is
+    # on.
     falls = math.log((20.0 - OUTSIDE) / (19.0 - OUTSIDE)) / LOSS
     rises = math.log((35.0 - 19.0) / (35.0 - 21.0)) / LOSS
     if abs(on[0] - falls) > 1e-7 or abs(off[0] - falls - rises) > 1e-7:

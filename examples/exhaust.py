@@ -1,9 +1,11 @@
-"""Calibrates a diesel exhaust pipe as Gedda, Andersson, Åkesson and Diehl (2012), section 6.2: first the right gas volume, then the left.
+"""Calibrates a diesel exhaust pipe as in Gedda, Andersson, Åkesson and Diehl (2012), section 6.2: first the right gas
+volume, then the left.
 
-A stiff model with five recorded inputs. The first 500 s of the recording are for the calibration, the rest for the validation;
-both are judged by the RMS in units of that of the nominal parameters. Then all four parameters are fitted at once, from the
-nominal values and from swapped volumes: the fits end at different minima, and say themselves that the data does not tell
-the parameters apart. Draws calibration and validation into exhaust.png and exhaust_validation.png.
+The model is stiff and has five recorded inputs. The first 500 s of the recording are for the calibration, the rest
+for the validation. Both are assessed by the RMS relative to the RMS of the nominal parameters. Then all four
+parameters are fitted at once, from the nominal values and from swapped volumes. The fits end at different minima and
+report that the data do not determine the parameters separately. The figures of calibration and validation are
+exhaust.png and exhaust_validation.png.
 """
 
 from pathlib import Path
@@ -12,7 +14,7 @@ import pydfo
 
 RECORDING = Path(__file__).resolve().parent / "data" / "exhaust.csv"
 CALIBRATION, VALIDATION = (0, 500), (501, 1200)  # s
-LEFT, RIGHT = ["C1", "G1"], ["C2", "G2"]  # heat capacity in J/K and conductance in W/K of either wall
+LEFT, RIGHT = ["C1", "G1"], ["C2", "G2"]  # heat capacity in J/K and conductance in W/K of each wall
 NOMINAL = {"C1": 2500.0, "G1": 120.0, "C2": 9000.0, "G2": 80.0}
 LARGEST = {"C": 5e4, "G": 500.0}
 SWAPPED = {"C1": 9000.0, "G1": 80.0, "C2": 2500.0, "G2": 120.0}

@@ -1,8 +1,9 @@
 """Calibrates the friction of a Furuta pendulum from recorded angles (Gedda, Andersson, Åkesson and Diehl 2012, section 6.1).
 
-Twice: with a cost function in Python, in the calls of the paper's tools (`FMUModel`, `quad_err`, `fmin`), where anything
-may stand between simulation and cost; and with a `Calibration`, where the whole fit runs in native code, in parallel.
-Prints both results, and draws measurements, responses and residuals into furuta.png.
+It does so twice. The first fit uses a cost function in Python with the calls of the paper's tools (`FMUModel`,
+`quad_err`, `fmin`), which allows any computation between simulation and cost. The second fit uses a `Calibration`, in
+which the whole fit runs in native code, in parallel. Prints both results, and draws measurements, responses and
+residuals into furuta.png.
 """
 
 from pathlib import Path
@@ -13,17 +14,17 @@ import pydfo
 from pydfo import FMUModel, dfo
 
 RECORDING = Path(__file__).resolve().parent / "data" / "furuta.csv"
-PENDULUM = pydfo.example_fmu("furuta")  # a bundled model; the path of an .fmu file does as well
-ANGLES = {"armJoint.phi": "phi", "pendulumJoint.phi": "theta"}  # of the model, and their columns in the recording
+PENDULUM = pydfo.example_fmu("furuta")  # a bundled model; the path of an .fmu file also works
+ANGLES = {"armJoint.phi": "phi", "pendulumJoint.phi": "theta"}  # variables of the model, and their columns in the recording
 NOMINAL = {"armFriction": 0.012, "pendulumFriction": 0.002}  # in N m s
-WIDEST = 0.01  # how far above its nominal value a friction is looked for, in N m s
+WIDEST = 0.01  # distance above its nominal value within which a friction is searched, in N m s
 
 
 def by_a_cost_function() -> None:
-    """A Python function simulates and compares; `fmin` calls it."""
+    """Fits with a Python function that simulates and compares, and is called by `fmin`."""
     recording = np.genfromtxt(RECORDING, delimiter=",", names=True)
     measured = np.array([recording[column] for column in ANGLES.values()])
-    # in thousandths, so that one tolerance fits both
+    # in thousandths, so that one tolerance suits both
     unit = 1e-3
     nominal = np.array(list(NOMINAL.values())) / unit
 
@@ -43,7 +44,7 @@ def by_a_cost_function() -> None:
 
 
 def by_a_calibration() -> pydfo.Fit:
-    """Model, recording and parameters are described; what is computed is native code."""
+    """Fits with a description of model, recording and parameters; the computation is native code."""
     calibration = pydfo.Calibration(
         PENDULUM,
         data=RECORDING,

@@ -1,6 +1,7 @@
-"""Calibrates the outlets of a quadruple tank that is driven by recorded voltages: inputs from the data, in two steps.
+"""Calibrates the outlets of a quadruple tank driven by recorded voltages, with inputs from the data, in two steps.
 
-First the outlets of the lower tanks from the lower levels alone, then all four outlets from all four levels.
+The first step fits the outlets of the lower tanks to the lower levels, the second one all four outlets to all four
+levels.
 """
 
 from pathlib import Path
@@ -11,7 +12,7 @@ DATA = Path(__file__).resolve().parent / "data" / "quad_tank.csv"
 
 
 def calibrate(outlets, levels):
-    """Fits these outlets (numbers of tanks) to these levels, from 3e-6 m2, and prints what comes out."""
+    """Fits these outlets (numbers of tanks) to these levels, from 3e-6 m2, and prints the result."""
     calibration = pydfo.Calibration(
         pydfo.example_fmu("quad_tank"),
         data=DATA,

@@ -1,6 +1,7 @@
-"""Fits one pendulum to two recordings that began at different angles: frictions are shared, the first angle is each recording's own.
+"""Fits one pendulum to two recordings with different initial angles. The frictions are shared; the initial angle is
+local.
 
-The recordings are made of the bundled model with known parameters and noise (seed 7).
+The recordings are generated with the bundled model, known parameters and noise (seed 7).
 """
 
 import numpy as np
@@ -9,13 +10,13 @@ import pydfo
 
 FURUTA = pydfo.example_fmu("furuta")
 TRUE = {"armFriction": 0.011, "pendulumFriction": 0.0013}  # N m
-ANGLES = {"high": 0.52, "low": 1.9}  # of the pendulum at the start, rad
+ANGLES = {"high": 0.52, "low": 1.9}  # initial angles of the pendulum, rad
 NOISE = {"armJoint.phi": 0.03, "pendulumJoint.phi": 0.02}  # standard deviations, rad
 TIMES = np.arange(0.0, 20.01, 0.05)
 
 
 def record(angle, rng):
-    """A recording that begins at this angle."""
+    """Returns a recording that starts at this angle."""
     model = pydfo.FMUModel(FURUTA)
     result = model.simulate(times=TIMES, start_values=TRUE | {"pendulumJoint.phi": angle}, outputs=list(NOISE))
     return {"time": TIMES} | {name: result[name] + rng.normal(0.0, sigma, TIMES.size) for name, sigma in NOISE.items()}

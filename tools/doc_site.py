@@ -1,12 +1,13 @@
-"""What the site has beyond docs/: pages at the root of the project, files that pages link to, notebooks.
+"""Adds content outside docs/ to the site: pages at the root of the project, files linked from pages, notebooks.
 
-As a hook of MkDocs (mkdocs.yml) it
+As a hook of MkDocs (mkdocs.yml), it
 
-- takes in CHANGELOG.md, SECURITY.md, CONTRIBUTING.md and CODE_OF_CONDUCT.md as pages of the folder project/,
-- copies each other file of the project that a page links to into files/, and has the link lead there,
-- turns notebooks into pages: their text, code and stored output.
+- adds CHANGELOG.md, SECURITY.md, CONTRIBUTING.md and CODE_OF_CONDUCT.md as pages of the folder project/,
+- copies each other linked file of the project into files/, and changes the link,
+- converts notebooks to pages with their text, code and stored output.
 
-As a program, `python tools/doc_site.py target/site`, it refuses a site with links that lead nowhere, or that need a network to be shown.
+As a program, `python tools/doc_site.py target/site`, it rejects a site with dead links or with links that load from a
+network.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ LINK = re.compile(r"(\]\()([^)#\s]+)((?:#[^)\s]*)?\))")
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Adds pages and linked files, and makes pages of notebooks."""
+    """Adds pages and linked files, and converts notebooks to pages."""
     from mkdocs.structure.files import File
 
     for name in PAGES:
@@ -60,7 +61,7 @@ def on_config(config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """Has links to files of the project lead to where the site has them."""
+    """Changes links to files of the project to their paths in the site."""
     source = Path(page.file.src_uri)
     if source.suffixes == [".ipynb", ".md"]:
         folder = DOCS / source.parent
@@ -78,7 +79,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
 
 
 def target(folder: Path, link: str) -> Path | None:
-    """The file of the project that a link of a page in a folder leads to; None: it is none."""
+    """Returns the file of the project to which a link of a page in a folder points; None if there is none."""
     if "://" in link or link.startswith("mailto:"):
         return None
     path = Path(os.path.normpath(folder / link))
@@ -86,7 +87,7 @@ def target(folder: Path, link: str) -> Path | None:
 
 
 def place_in_site(path: Path) -> Path:
-    """Where the site has a file of the project: pages by their sources, others as files."""
+    """Returns the path of a project file in the site: pages by their sources, other files below files/."""
     if path.parent == ROOT and path.name in PAGES:
         return Path("project") / path.name
     if DOCS in path.parents:
@@ -96,13 +97,13 @@ def place_in_site(path: Path) -> Path:
 
 
 def outside(page: Path) -> set[Path]:
-    """The files that a page links to and that are no pages."""
+    """Returns the linked files of a page that are not pages."""
     found = {target(page.parent, link[2]) for link in LINK.finditer(page.read_text(encoding="utf-8"))}
     return {path for path in found if path is not None and path.is_file() and place_in_site(path).parts[0] == "files"}
 
 
 def page_of(notebook: Path) -> tuple[str, dict[str, bytes]]:
-    """A notebook as Markdown, and its pictures by name."""
+    """Returns a notebook as Markdown, and its pictures by name."""
     parts: list[str] = []
     pictures: dict[str, bytes] = {}
     for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]:
@@ -120,7 +121,7 @@ def page_of(notebook: Path) -> tuple[str, dict[str, bytes]]:
 
 
 class Links(HTMLParser):
-    """The links and anchors of a page, and what it loads."""
+    """The links and anchors of a page, and the resources that it loads."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -141,7 +142,7 @@ class Links(HTMLParser):
 
 
 def dead_links(site: Path) -> list[str]:
-    """What is wrong with the links of a site. Those of rustdoc's own pages are rustdoc's affair."""
+    """Returns the errors in the links of a site. Pages of rustdoc are not checked."""
     pages = {path: Links(path.read_text(encoding="utf-8")) for path in site.rglob("*.html") if (site / "rust") not in path.parents}
     found = []
     for page, seen in pages.items():
@@ -163,7 +164,7 @@ def dead_links(site: Path) -> list[str]:
 
 
 def main() -> int:
-    """Prints what is wrong; the exit status says whether there is anything."""
+    """Prints all errors; the exit status is 1 if there are any."""
     site = Path(sys.argv[1])
     found = dead_links(site)
     print("\n".join(found) if found else f"site: the links of {len(list(site.rglob('*.html')))} pages lead somewhere")

@@ -1,8 +1,11 @@
-"""Refuses what must not stand in library code: unfinished work, unchecked unwraps, unsafe outside `sys`, imports from
-higher layers, doc comments wider than the line, tests that are never compiled, and names of files that are gone.
+"""Rejects forbidden content in library code.
 
-Looks at every Rust source below crates/*/src and src. Test modules (from `#[cfg(test)]` to the end of the file) may
-unwrap; `unsafe` may stand only in crates/fmi/src/sys. A file in a folder tests/all is compiled only if its main.rs names it.
+It reports unfinished work, unchecked unwraps, unsafe outside `sys`, imports from higher layers, doc comments wider
+than the line, tests that are never compiled, and names of deleted files.
+
+It reads every Rust source below crates/*/src and src. Test modules (from `#[cfg(test)]` to the end of the file) may
+unwrap. `unsafe` is allowed only in crates/fmi/src/sys. A file in a folder tests/all is compiled only if its main.rs
+names it.
 """
 
 from __future__ import annotations
@@ -21,16 +24,17 @@ FORBIDDEN = {
     "unwrap outside tests": re.compile(r"\.unwrap\(\)|\.expect\("),
     "printing or debugging": re.compile(r"\b(dbg|println|eprintln|print|eprint)!"),
 }
-# Not the key words of a Content-Security-Policy.
+# Excludes keywords of a Content-Security-Policy.
 UNSAFE = re.compile(r"\bunsafe\b(?!-)")
 DOC = re.compile(r"^\s*//[/!]")
-# A doc comment begins with what the item is or does; of those of a crate so many may begin like a question.
+# A doc comment starts with what the item is or does. Only this fraction of a crate's doc comments may start like a
+# question.
 QUESTION = re.compile(r"^\s*//[/!] (What|Whether|Which|How)\b")
 MOST_QUESTIONS = 0.03
 
 
 def code_lines(text: str) -> list[tuple[int, str]]:
-    """Numbered lines outside of comments and of the test module at the end."""
+    """Returns numbered lines outside comments and outside the test module at the end."""
     lines: list[tuple[int, str]] = []
     for number, line in enumerate(text.splitlines(), 1):
         if line.strip().startswith("#[cfg(test)]"):
@@ -43,7 +47,7 @@ def code_lines(text: str) -> list[tuple[int, str]]:
 
 
 def findings(path: Path) -> list[str]:
-    """What is wrong in one file."""
+    """Returns the findings in one file."""
     found = []
     for number, line in code_lines(path.read_text(encoding="utf-8")):
         where = f"{path.relative_to(ROOT)}:{number}"
@@ -56,7 +60,7 @@ def findings(path: Path) -> list[str]:
 
 
 def tests_left_out() -> list[str]:
-    """The files of tests/all that main.rs does not name."""
+    """Returns the files of tests/all that main.rs does not name."""
     found = []
     for main in [ROOT / "tests" / "all" / "main.rs", *ROOT.glob("crates/*/tests/all/main.rs")]:
         named = re.findall(r"^mod (\w+);", main.read_text(encoding="utf-8"), re.M)
@@ -66,7 +70,7 @@ def tests_left_out() -> list[str]:
 
 
 def questions(crate: Path) -> list[str]:
-    """A crate whose doc comments begin like questions too often."""
+    """Reports a crate if too many of its doc comments start like questions."""
     n, asked = 0, []
     for path in sorted(crate.glob("src/**/*.rs")):
         is_inside = False
@@ -82,7 +86,7 @@ NAMED_FILE = re.compile(r"`((?:[\w.-]+/)*[\w-]+\.(?:rs|py))(?: [^`]*)?`")
 
 
 def files_that_are_gone() -> list[str]:
-    """Sources that comments and pages name, and that are not there."""
+    """Returns sources that comments and pages name but that do not exist."""
     there = [path for path in ROOT.rglob("*") if path.suffix in (".rs", ".py") and not {"target", ".venv"} & set(path.parts)]
     known = {end for path in there for end in endings(path.relative_to(ROOT).parts)}
     found = []
@@ -95,12 +99,12 @@ def files_that_are_gone() -> list[str]:
 
 
 def endings(parts: tuple[str, ...]) -> list[str]:
-    """A path from each of its folders on."""
+    """Returns the suffixes of a path, starting at each of its folders."""
     return ["/".join(parts[k:]) for k in range(len(parts))]
 
 
 def main() -> int:
-    """Prints every finding; the exit status says whether there was one."""
+    """Prints every finding; the exit status is 1 if there are any."""
     sources = sorted([*ROOT.glob("src/**/*.rs"), *ROOT.glob("crates/*/src/**/*.rs")])
     found = [line for path in sources for line in findings(path)] + layers.findings()
     found += [line for crate in sorted(ROOT.glob("crates/*")) for line in questions(crate)]

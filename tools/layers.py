@@ -1,7 +1,7 @@
-"""Which modules of a crate import which, read from its sources: no cycles, and only from layers below.
+"""Checks the imports between modules of a crate: no cycles, and imports only from lower layers.
 
-At the top of a crate the layers are listed once, here. Inside a folder there are no cycles among the files, and none of
-them imports from the folder's `mod.rs`, which knows them.
+The layers at the top of each crate are listed once, here. Inside a folder there are no cycles among the files. None
+of them imports from the `mod.rs` of the folder, which imports them.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 
-# The modules at the top of each crate, lowest layers first; a line is one layer, and its modules import none of each other.
+# The modules at the top of each crate, lowest layers first. Each line is a layer; modules of a layer do not import
+# each other.
 LAYERS = {
     "calibration": """
         error findings
@@ -84,13 +85,13 @@ USE = re.compile(r"^\s*(?:pub(?:\([^)]*\))? )?use ([^;]+);", re.S | re.M)
 
 
 def code(path: Path) -> str:
-    """The source without comments, without the scopes of `pub(in ...)`, and without the test module at its end."""
+    """Returns the source without comments, the scopes of `pub(in ...)`, and the test module at its end."""
     text = TESTS.split(path.read_text(encoding="utf-8"), maxsplit=1)[0].replace("pub(in crate::", "pub(")
     return re.sub(r"(^|\s)//.*$", "", text, flags=re.M)
 
 
 def expand(tree: str) -> Iterator[str]:
-    """The paths of one `use`: `a::{b, c::d}` gives `a::b` and `a::c::d`."""
+    """Yields the paths of one `use`: `a::{b, c::d}` gives `a::b` and `a::c::d`."""
     head, brace, rest = tree.partition("{")
     if not brace:
         yield tree
@@ -107,14 +108,14 @@ def expand(tree: str) -> Iterator[str]:
 
 
 class Crate:
-    """The modules of a crate, and what each imports."""
+    """The modules of a crate with their imports."""
 
     def __init__(self, source: Path) -> None:
         self.files: dict[Module, Path] = {}
         for path in source.rglob("*.rs"):
             parts = path.relative_to(source).with_suffix("").parts
             if parts[0] == "bin":
-                # A crate of its own.
+                # A separate crate.
                 continue
             self.files[parts[:-1] if parts[-1] in ("mod", "lib") else parts] = path
         self.code = {module: code(path) for module, path in self.files.items()}
@@ -122,14 +123,14 @@ class Crate:
         self.imports = {module: set(self.imported(module)) - {module} for module in self.files}
 
     def reexports(self, module: Module) -> Iterator[tuple[str, Module]]:
-        """The names that a module hands on, and where they come from."""
+        """Yields the names that a module re-exports, with their origins."""
         for use in re.finditer(r"pub(?:\([^)]*\))? use ([^;]+);", self.code[module]):
             for path in expand(re.sub(r"\s+", "", use[1].replace(" as ", "@"))):
                 origin, _, name = path.partition("@")
                 yield name or origin.split("::")[-1], self.absolute(origin, module)
 
     def absolute(self, path: str, module: Module) -> Module:
-        """A path as it is written in a module, from the root of the crate."""
+        """Converts a path as written in a module to a path from the root of the crate."""
         first, *rest = path.split("::")
         if first == "crate":
             return tuple(rest)
@@ -138,7 +139,7 @@ class Crate:
         return (*module, *rest) if first == "self" else (*module, first, *rest)
 
     def module_of(self, path: Module, depth: int = 0) -> Module:
-        """The module in which what the path names is written."""
+        """Returns the module that defines the item of a path."""
         for end in range(len(path) + 1):
             if path[:end] not in self.files:
                 break
@@ -151,7 +152,7 @@ class Crate:
         return self.module_of((*origin, *rest[1:]), depth + 1)
 
     def imported(self, module: Module) -> Iterator[Module]:
-        """What a module names of its own crate."""
+        """Yields the modules of the crate that a module uses."""
         text = self.code[module]
         uses = [p for use in USE.finditer(text) for p in expand(re.sub(r"\s+as\s+\w+|\s+", "", use[1]))]
         for path in [*uses, *PATH.findall(USE.sub("", text))]:
@@ -160,7 +161,7 @@ class Crate:
                 yield self.module_of(self.absolute(path, module))
 
     def within(self, folder: Module) -> dict[str, set[str]]:
-        """Who imports whom among the parts of a folder; the folder's own `mod.rs` is the part "mod.rs"."""
+        """Returns the imports among the parts of a folder; the `mod.rs` of the folder is the part "mod.rs"."""
         depth = len(folder)
         graph: dict[str, set[str]] = defaultdict(set)
         for module, imports in self.imports.items():
@@ -171,7 +172,7 @@ class Crate:
 
 
 def cycles(graph: dict[str, set[str]]) -> list[str]:
-    """The parts that stand on a cycle."""
+    """Returns the parts that are on a cycle."""
 
     def reached(start: str) -> set[str]:
         seen: set[str] = set()
@@ -187,7 +188,7 @@ def cycles(graph: dict[str, set[str]]) -> list[str]:
 
 
 def findings(crates: Iterable[str] = LAYERS) -> list[str]:
-    """What is wrong with the layers of these crates."""
+    """Returns the findings in the layers of these crates."""
     found = []
     for name in crates:
         crate = Crate(ROOT / "crates" / name / "src")

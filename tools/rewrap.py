@@ -1,6 +1,6 @@
-"""Wraps doc comments that are wider than `max_width` of rustfmt.toml, which rustfmt leaves alone.
+"""Wraps doc comments that are wider than `max_width` of rustfmt.toml, because rustfmt does not wrap them.
 
-Paragraphs and list items are filled anew; code, tables, headings, link definitions and HTML stay as they are. `--check`
+Paragraphs and list items are refilled. Code, tables, headings, link definitions and HTML are unchanged. `--check`
 changes nothing and lists the lines instead.
 """
 
@@ -15,19 +15,19 @@ ROOT = Path(__file__).resolve().parent.parent
 WIDTH = int(re.search(r"^max_width = (\d+)", (ROOT / "rustfmt.toml").read_text(), re.M)[1])
 DOC = re.compile(r"^(\s*//[/!]) ?(.*)$")
 ITEM = re.compile(r"^( *)([-*+]|\d+[.)]) +")
-# What begins a line that is no part of a paragraph.
+# Start of a line that is not part of a paragraph.
 FIXED = re.compile(r"^(\s*$|#|\||>|<|\[[^\]]*\]: |    )")
-# A word that has another meaning at the start of a line.
+# A word with a special meaning at the start of a line.
 SPECIAL = re.compile(r"^([-+*>#|=:]|\d+[.)]$|```|~~~)")
 
 
 def sources() -> list[Path]:
-    """The Rust files that are looked at."""
+    """Returns the Rust files to process."""
     return sorted([*ROOT.glob("src/**/*.rs"), *ROOT.glob("crates/*/src/**/*.rs")])
 
 
 def fill(text: str, width: int, first: str, rest: str) -> list[str]:
-    """The words in lines of this width behind a first and further prefixes."""
+    """Fills lines of this width with the words, after a prefix for the first and one for the other lines."""
     lines: list[list[str]] = [[]]
     for word in text.split():
         prefix = first if len(lines) == 1 else rest
@@ -42,7 +42,7 @@ def fill(text: str, width: int, first: str, rest: str) -> list[str]:
 
 
 def block(marker: str, texts: list[str]) -> Iterator[str]:
-    """The lines of one doc comment, wrapped where they are too wide."""
+    """Yields the lines of one doc comment; paragraphs that are too wide are wrapped."""
     width = WIDTH - len(marker) - 1
     in_code = False
     number = 0
@@ -71,7 +71,7 @@ def block(marker: str, texts: list[str]) -> Iterator[str]:
 
 
 def rewrapped(source: str) -> str:
-    """The source with its doc comments wrapped."""
+    """Returns the source with its doc comments wrapped."""
     result: list[str] = []
     lines = source.split("\n")
     number = 0
@@ -90,7 +90,7 @@ def rewrapped(source: str) -> str:
 
 
 def findings() -> list[str]:
-    """The doc comment lines that are too wide and that can be wrapped."""
+    """Returns the doc comment lines that are too wide and can be wrapped."""
     found = []
     for path in sources():
         source = path.read_text(encoding="utf-8")
@@ -101,7 +101,7 @@ def findings() -> list[str]:
 
 
 def main() -> int:
-    """Wraps, or lists what would be wrapped."""
+    """Wraps the sources, or lists the lines to wrap."""
     if "--check" in sys.argv[1:]:
         print("\n".join(found := findings()) or "rewrap: nothing to do")
         return 1 if found else 0

@@ -1,11 +1,11 @@
-"""Makes exhaust.csv: a drive cycle of a truck engine's exhaust pipe, as if it had been measured.
+"""Generates exhaust.csv: a drive cycle of a truck engine's exhaust pipe, like a measurement.
 
-The pipe is that of the bundled model `exhaust` with parameters of its own, and with what the model leaves out: conductances
-that grow with the flow, losses that grow with the road speed, and a thermocouple that lags behind. So the best parameters
-of the model are not the true ones.
+The pipe is the bundled model `exhaust` with different parameters and additional effects: conductances that grow with
+the flow, losses that grow with the road speed, and a thermocouple with a lag. The best parameters of the model
+therefore differ from the true ones.
 
-    python generate_exhaust.py            writes exhaust.csv beside this file
-    python generate_exhaust.py --check    compares the file with what would be written
+    python generate_exhaust.py            writes exhaust.csv next to this file
+    python generate_exhaust.py --check    compares the file with the generated data
 """
 
 import csv
@@ -21,7 +21,7 @@ NOISE = 2.0  # standard deviation, K
 TIMES = np.arange(1201.0)  # 0 to 1200 s, every second
 COLUMNS = ["T_in", "p_in", "w_turb1", "w_turb2", "p_out"]
 
-# As in the model.
+# Constants of the model.
 R, CP, T_AMB = 287.5, 1130.0, 293.15
 GAMMA = R / CP
 V1, V2, K1, K2, K3 = 0.006, 0.015, 5.8e-5, 9.5e-5, 2.5e-4
@@ -29,7 +29,7 @@ GA1, GA2, D1, D2, ETA1, ETA2, NU1, NU2, SMALLEST, DELTA = 6.0, 12.0, 0.086, 0.11
 
 
 def lagged(values, seconds):
-    """A first-order lag of samples a second apart."""
+    """Returns a first-order lag of samples with a spacing of one second."""
     out = np.array(values, dtype=float)
     for k in range(1, out.size):
         out[k] = out[k - 1] + (values[k] - out[k - 1]) * (1.0 - np.exp(-1.0 / seconds))
@@ -37,7 +37,7 @@ def lagged(values, seconds):
 
 
 def profile(rng, low, high, longest):
-    """Segments of random value and length joined by ramps; idle for the first 25 s."""
+    """Returns segments of random value and length joined by ramps; idle for the first 25 s."""
     times, values = [0.0, 25.0], [low, low]
     while times[-1] < TIMES[-1]:
         start = times[-1] + rng.uniform(1.0, 11.0)
@@ -48,7 +48,7 @@ def profile(rng, low, high, longest):
 
 
 def drive_cycle(rng):
-    """The five inputs once a second, and the road speed."""
+    """Returns the five inputs once per second, and the road speed."""
     speed = lagged(profile(rng, 650.0, 1650.0, 60.0), 2.0)  # 1/min
     load = lagged(profile(rng, 0.02, 1.0, 40.0), 1.5)
     flow = 0.36 * speed / 1650.0 * (0.2 + 0.8 * load)  # kg/s
@@ -72,14 +72,14 @@ def flow(K, p_up, T_up, p_down):
 
 
 def turbine(K, D, eta, nu, p_up, T_up, p_down, w):
-    """Flow and exit temperature."""
+    """Returns flow and exit temperature."""
     drop = 1.0 - min(p_down / p_up, 1.0) ** GAMMA
     ratio = D * w / 2.0 / (np.sqrt(2.0 * CP * T_up * drop + SMALLEST**2) * nu)
     return flow(K, p_up, T_up, p_down), T_up * (1.0 - eta * 2.0 * ratio / (1.0 + ratio**2) * drop)
 
 
 def outlet_temperature(inputs, road):
-    """What a thermocouple in the outlet shows, without noise."""
+    """Returns the temperature of a thermocouple in the outlet, without noise."""
     from pydfo import ode
 
     driven = np.array([inputs[name] for name in COLUMNS] + [road]).T

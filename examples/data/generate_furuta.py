@@ -1,7 +1,7 @@
-"""Makes furuta.csv: the Furuta pendulum at known frictions plus white noise, as if it had been measured.
+"""Generates furuta.csv: the Furuta pendulum at known frictions with white noise, like a measurement.
 
-    python generate_furuta.py            writes furuta.csv beside this file
-    python generate_furuta.py --check    compares the file with what would be written
+    python generate_furuta.py            writes furuta.csv next to this file
+    python generate_furuta.py --check    compares the file with the generated data
 """
 
 import csv
@@ -18,7 +18,7 @@ TIMES = np.arange(801) / 20  # 0 to 40 s, every 0.05 s
 
 
 def simulate():
-    """The two angles at TIMES without noise."""
+    """Returns the two angles at TIMES without noise."""
     from pydfo import FMUModel, example_fmu
 
     model = FMUModel(example_fmu("furuta"))
@@ -29,7 +29,7 @@ def simulate():
 
 
 def measure(phi, theta):
-    """The angles with noise: first all of phi is drawn, then all of theta."""
+    """Returns the angles with noise: first all values of phi are drawn, then all values of theta."""
     rng = np.random.default_rng(SEED)
     return phi + rng.normal(0, NOISE["phi"], phi.size), theta + rng.normal(0, NOISE["theta"], theta.size)
 

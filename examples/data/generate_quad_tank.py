@@ -1,7 +1,7 @@
-"""Makes quad_tank.csv: the quadruple tank with known outlets plus white noise, as if it had been measured.
+"""Generates quad_tank.csv: the quadruple tank with known outlets and white noise, like a measurement.
 
-    python generate_quad_tank.py            writes quad_tank.csv beside this file
-    python generate_quad_tank.py --check    compares the file with what would be written
+    python generate_quad_tank.py            writes quad_tank.csv next to this file
+    python generate_quad_tank.py --check    compares the file with the generated data
 """
 
 import csv
@@ -20,7 +20,7 @@ VOLTAGES = {"u1": 5 + TIMES // 10 % 2, "u2": 5 + TIMES // 7 % 2}  # V, linear be
 
 
 def simulate():
-    """The four levels at TIMES without noise."""
+    """Returns the four levels at TIMES without noise."""
     from pydfo import FMUModel, example_fmu
 
     model = FMUModel(example_fmu("quad_tank"))
@@ -31,7 +31,7 @@ def simulate():
 
 
 def measure(levels):
-    """The levels with noise, drawn level by level."""
+    """Returns the levels with noise, drawn level by level."""
     rng = np.random.default_rng(SEED)
     return [level + rng.normal(0, NOISE, level.size) for level in levels]
 
