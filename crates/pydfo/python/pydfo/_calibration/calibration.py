@@ -111,9 +111,9 @@ class Calibration(Evaluation):
         Relative tolerance of the integration. The default is the tolerance of the model's default experiment, but at
         most 1e-6, because a larger one makes the cost noisy. Without a default experiment, it is 1e-6. A fit uses a
         smaller tolerance if necessary. Unless `f_tol` is at least 100 times the model's tolerance, the fit divides
-        the tolerance by a power of ten. The power is chosen such that the cost is uncertain by less than `f_tol` near
-        the best values, if the measurements have errors of that relative size. ``fit.tolerance`` and a note among the
-        findings report the choice.
+        the tolerance by a power of ten. With the chosen tolerance, simulation errors of this size relative to the
+        measurements make the cost uncertain by less than `f_tol` near the best values. ``fit.tolerance`` and a note
+        among the findings report the choice.
     solver : str
         "auto", "tsit5", "dop853", "radau5", "bdf", "rk4" or "euler". With "auto", each simulation starts with an
         explicit method and switches to an implicit one if the model is stiff.

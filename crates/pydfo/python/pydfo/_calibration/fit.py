@@ -133,8 +133,8 @@ class Fit(OptimizeResult):
         Noise of the measurements relative to the priors: ``fit.noise.source``, ``fit.noise.sd``. None if nothing
         depends on it (no priors, or an objective other than the sum of squares).
     tolerance : ChosenTolerance or None
-        The relative tolerance chosen for the simulations; None if it was given, or is the tolerance of the
-        calibration.
+        The relative tolerance chosen for the simulations. None if it was given, if the step is fixed, if a
+        co-simulation declares no tolerance, or if `f_tol` is zero.
     start : ndarray, shape (n,)
         Starting point of the fit.
     solver : str
@@ -241,7 +241,7 @@ class Fit(OptimizeResult):
 
     @property
     def correlation(self) -> FloatArray | None:
-        """Correlation of the parameters, shape (n, n); NaN where a standard error is zero or infinite."""
+        """Correlation of the parameters, shape (n, n); NaN if a standard error is zero or infinite."""
         return None if self.uncertainty is None else self.uncertainty.correlation
 
     @explained

@@ -96,7 +96,7 @@ class Instance:
     It is always in one `phase`. FMI allows the following calls in each phase:
 
     =================  =======================================================  ===============================================
-    phase              calls                                                    leads on with
+    phase              calls                                                    continues with
     =================  =======================================================  ===============================================
     "instantiated"     `set` (parameters, start values)                         `enter_initialization`, `initialize`
     "initialization"   `get`, `set` (inputs)                                    `exit_initialization`

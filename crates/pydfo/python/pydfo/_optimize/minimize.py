@@ -105,8 +105,8 @@ def minimize(
     max_evaluations, max_iterations : int, optional
         Exact limits on the evaluations and iterations. The evaluations are those of a run with one worker (``nfev``);
         calls ahead of need are counted in ``n_speculative``. If `max_evaluations`, `max_iterations` and `max_time`
-        are all None, the defaults of the method apply. For Nelder-Mead, they are 5000 (n + 1) evaluations and 1000 (n
-        + 1) iterations.
+        are all None, the defaults of the method apply. For Nelder-Mead, they are 5000 (n + 1) evaluations and
+        1000 (n + 1) iterations.
     max_time : float, optional
         Limit on the wall-clock time in s. No call starts after it.
     target : float, optional
