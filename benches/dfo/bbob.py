@@ -1,6 +1,8 @@
-"""A subset of the noiseless BBOB functions, from the published formulas (Hansen, Finck, Ros and Auger, "Real-parameter
-black-box optimization benchmarking 2009: noiseless functions definitions", INRIA RR-6829). Shifts, signs and rotations
-are drawn with a stated seed; the minimum is 0 in [-5, 5]^n."""
+"""A subset of the noiseless BBOB functions, from the published formulas.
+
+Source: Hansen, Finck, Ros and Auger, "Real-parameter black-box optimization benchmarking 2009: noiseless functions
+definitions", INRIA RR-6829. Shifts, signs and rotations are drawn with a fixed seed; the minimum is 0 in [-5,
+5]^n."""
 
 from __future__ import annotations
 
@@ -39,18 +41,18 @@ def stretched(n: int, alpha: float) -> Array:
 
 
 def penalty(x: Array) -> float:
-    """f_pen: what lies beyond 5 in size."""
+    """f_pen: penalty for coordinates beyond 5 in magnitude."""
     return float((np.maximum(0.0, np.abs(x) - 5.0) ** 2).sum())
 
 
 def rotation(rng: np.random.Generator, n: int) -> Array:
-    """An orthogonal matrix, uniformly distributed."""
+    """Returns an orthogonal matrix, uniformly distributed."""
     q, r = np.linalg.qr(rng.normal(size=(n, n)))
     return q * np.sign(np.diag(r))
 
 
 def function(number: int, n: int, instance: int) -> Callable[[Array], float]:
-    """One function; its minimum is 0."""
+    """Returns one function; its minimum is 0."""
     rng = np.random.default_rng([SEED, number, n, instance])
     shift, signs = rng.uniform(-4.0, 4.0, n), rng.choice([-1.0, 1.0], n)
     R, Q, i = rotation(rng, n), rotation(rng, n), ramp(n)
@@ -143,7 +145,9 @@ def function(number: int, n: int, instance: int) -> Callable[[Array], float]:
 
 
 def problems(n: int, seeds: int) -> list[Problem]:
-    """All functions in one dimension, `seeds` instances each. The start, for solvers that need one, is drawn in the box."""
+    """Returns all functions in one dimension, with `seeds` instances each.
+
+    The start, for solvers that need one, is drawn in the box."""
     found = []
     for number in FUNCTIONS:
         for instance in range(1, seeds + 1):

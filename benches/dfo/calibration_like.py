@@ -1,10 +1,11 @@
-"""Fits as engineers make them: kinetics, growth, oscillators, thermal, friction; formulas and ordinary differential equations,
-parameters of sizes from 1e-6 to 1e6, three starts each, with and without bounds.
+"""Typical engineering fits: kinetics, growth, oscillators, thermal, friction.
 
-Everything is generated with SEED: measurement noise (a normal deviation of 1 % of the range of each output), the starts (each
-parameter times a factor between 1 / 2.5 and 2.5), and the boxes (each side between 2 and 6 times the distance to the farthest of
-truth and start; for every third parameter the box ends before the minimum, so that a bound is active). Even numbers tune, odd
-ones judge. Residuals are in units of the range of their output. The data of tests/problems/calibration.rs are others.
+The models are formulas and ordinary differential equations with parameters of sizes from 1e-6 to 1e6, three starts
+each, with and without bounds. Everything is generated with SEED: measurement noise, starts and boxes. The noise has a
+normal deviation of 1 % of the range of each output. A start is each parameter times a factor between 1 / 2.5 and 2.5.
+Each side of a box is between 2 and 6 times the distance to the farther of truth and start. For every third parameter,
+the box ends before the minimum, so that a bound is active. Even numbers are for tuning, odd ones for assessment.
+Residuals are in units of the range of their output. The data differ from those of tests/problems/calibration.rs.
 """
 
 from __future__ import annotations
@@ -24,13 +25,14 @@ Rhs = Callable[[Sequence[float], float, Sequence[float]], Sequence[float]]
 
 
 def curve(low: float, high: float, f: Callable[..., Array], samples: int = 40) -> Model:
-    """A formula at equidistant places."""
+    """Returns a formula at equidistant points."""
     t = np.linspace(low, high, samples)
     return lambda p: np.asarray(f(t, *p), dtype=float)[:, None]
 
 
 def system(end: float, start: Sequence[float], rhs: Rhs, samples: int = 25, steps: int = 8) -> Model:
-    """All states of an ordinary differential equation at equidistant times, by classical Runge-Kutta steps."""
+    """Returns all states of an ordinary differential equation at equidistant times, from classical Runge-Kutta
+    steps."""
     h = end / (samples * steps)
 
     def model(p: Sequence[float]) -> Array:
@@ -51,7 +53,7 @@ def system(end: float, start: Sequence[float], rhs: Rhs, samples: int = 25, step
 
 
 def root(h: float) -> float:
-    """The square root; 0 below 0."""
+    """Returns the square root; 0 below 0."""
     return math.sqrt(max(h, 0.0))
 
 
@@ -78,7 +80,7 @@ def _exchanger(p: Sequence[float], t: float, y: Sequence[float]) -> Sequence[flo
     return (p[0] * (90.0 - y[0]) - p[1] * (y[0] - y[1])) / 4e3, (p[2] * (15.0 - y[1]) + p[1] * (y[0] - y[1])) / 6e3
 
 
-# The name, the parameters that made the data, and the model.
+# The name, the parameters that generated the data, and the model.
 MODELS: list[tuple[str, list[float], Model]] = [
     ("logistic growth", [1e6, 1e-2, 400.0], curve(0, 1000, lambda t, a, b, c: a / (1 + np.exp(-b * (t - c))))),
     ("Gompertz growth", [5e4, 4.0, 0.05], curve(0, 100, lambda t, a, b, c: a * np.exp(-b * np.exp(-c * t)))),
@@ -122,7 +124,7 @@ MODELS: list[tuple[str, list[float], Model]] = [
 
 
 def _residuals(model: Model, data: Array, unit: Array, x: Array) -> Array:
-    """Simulated minus measured, in units of the ranges; infinite where the model has no value."""
+    """Returns simulated minus measured values, in units of the ranges; infinite if the model has no value."""
     try:
         with np.errstate(all="ignore"):
             return ((model(x) - data) / unit).ravel()
@@ -131,7 +133,7 @@ def _residuals(model: Model, data: Array, unit: Array, x: Array) -> Array:
 
 
 def _box(rng: np.random.Generator, truth: Array, minimum: Array, x0: Array) -> tuple[Array, Array]:
-    """A box around start and truth; every third side ends before the minimum."""
+    """Returns a box around start and truth; every third side ends before the minimum."""
     far = np.maximum(np.abs(x0 - truth), 0.1 * np.abs(truth))
     lower = np.minimum(x0, truth) - rng.uniform(2, 6, len(x0)) * far
     upper = np.maximum(x0, truth) + rng.uniform(2, 6, len(x0)) * far
@@ -147,8 +149,9 @@ def _box(rng: np.random.Generator, truth: Array, minimum: Array, x0: Array) -> t
 
 @cache
 def problems(boxed: bool) -> tuple[Problem, ...]:
-    """All fits from all starts; the best values come from least squares started at the truth and at the start, and from the
-    solvers of a run."""
+    """Returns all fits from all starts.
+
+    The best values come from least squares started at the truth and at the start, and from the solvers of a run."""
     found = []
     for number, (name, parameters, model) in enumerate(MODELS):
         truth, rng = np.array(parameters), np.random.default_rng([SEED, number])

@@ -1,16 +1,17 @@
-"""CMA-ES beside pycma and pattern search beside compass search, on the same problems in one run.
+"""CMA-ES compared with pycma, and pattern search compared with compass search, on equal problems in one run.
 
     python benches/dfo/cma_es.py [--markdown FILE] [--seeds N]
 
-CMA-ES: evaluations until the cost is at most 1e-6, the median over seeds 0, 1, ... (25 unless told otherwise); both with the
-same start, first standard deviation 0.5 (without a box) or 0.3 of the width (in a box), population 4 + floor(3 ln n), tests that
-do not pass. In the boxes [-4, 4]^n every other upper bound is 1 and holds the minimum; there the cost of the ellipsoids goes down
-towards the bound by the slope given. With restarts: the share of seeds that come to 1e-6 of the lowest minimum of Rastrigin's function
-within 2000 n evaluations.
+CMA-ES: evaluations until the cost is at most 1e-6, the median over seeds 0, 1, ... (25 by default). Both use equal
+starts, a first standard deviation of 0.5 (without a box) or 0.3 of the width (in a box), a population of 4 + floor(3
+ln n), and tests that never pass. In the boxes [-4, 4]^n, every other upper bound is 1, with the minimum on it. There,
+the cost of the ellipsoids decreases towards the bound with the given slope. With restarts: fraction of seeds that
+reach 1e-6 of the lowest minimum of Rastrigin's function within 2000 n evaluations.
 
-Pattern search: instances of Moré and Wild with odd numbers (those with even numbers served for tuning), budget 200 (n + 1), as sums of
-squares and as sums of absolute residuals. Solved at tau: f(x0) - f >= (1 - tau) (f(x0) - f_best), f_best the best of the table, or
-of all solvers of the run. Units are evaluations / (n + 1); what is not solved counts as infinite in the median.
+Pattern search: instances of Moré and Wild with odd numbers (even numbers were used for tuning), budget 200 (n + 1),
+as sums of squares and as sums of absolute residuals. Solved at tau means f(x0) - f >= (1 - tau) (f(x0) - f_best).
+f_best is the best value of the table, or of all solvers of the run. Units are evaluations / (n + 1). An unsolved
+problem counts as infinite in the median.
 """
 
 import argparse
@@ -33,7 +34,7 @@ TARGET = 1e-6
 
 
 class Counted:
-    """A cost that keeps what it was, up to a budget or a target."""
+    """A cost that records its values, up to a budget or a target."""
 
     def __init__(self, f: Cost, budget: int, target: float = -math.inf) -> None:
         self.f, self.budget, self.target, self.values = f, budget, target, []
@@ -46,11 +47,11 @@ class Counted:
         return self.values[-1]
 
     def __deepcopy__(self, memo: object) -> "Counted":
-        # pygmo copies its problems; the count is one.
+        # pygmo copies its problems, but the count must be shared.
         return self
 
     def run(self, solver: Callable[["Counted"], object]) -> float:
-        """The evaluations until the target; infinite if it was not reached."""
+        """Returns the evaluations until the target; infinite if it was not reached."""
         try:
             solver(self)
         except Enough:
@@ -60,12 +61,12 @@ class Counted:
 
 
 def turned(n: int) -> np.ndarray:
-    """A rotation drawn with a seed of its own."""
+    """Returns a rotation drawn with a separate seed."""
     return np.linalg.qr(np.random.default_rng(1000 + n).normal(size=(n, n)))[0]
 
 
 def functions(n: int) -> dict[str, tuple[Cost, np.ndarray]]:
-    """Costs with minimum 0 and their starts."""
+    """Returns costs with minimum 0, and their starts."""
     q, exponent = turned(n), np.arange(n) / (n - 1)
     start = np.ones(n)
     return {
@@ -82,19 +83,19 @@ def rosenbrock(x: np.ndarray) -> float:
 
 
 def boxed(n: int, condition: float, slope: float) -> Cost:
-    """A turned ellipsoid with its minimum 0 where every coordinate is 1, plus a slope towards the bounds."""
+    """Returns a rotated ellipsoid with its minimum 0 at ones, plus a slope towards the bounds."""
     q, weights = turned(n), 10 ** (condition * np.arange(n) / (n - 1))
     return lambda x: float(weights @ (q @ (x - 1)) ** 2 + slope * (1 - x[::2]).sum())
 
 
 def of_pydfo(x0: np.ndarray, sigma: float, bounds: list[tuple[float, float]] | None, seed: int) -> Callable[[Counted], object]:
-    """Ours, with the parameters' sizes such that sigma means the same."""
+    """Returns our solver, with sizes of the parameters that give sigma its meaning in pycma."""
     options = {"sigma": sigma, "x_tol": 0.0, "f_tol": 0.0, "nominal": [1.0 if bounds is None else None] * len(x0)}
     return lambda f: pydfo.minimize(f, x0, bounds=bounds, method="cma-es", rng=seed, max_evaluations=f.budget, options=options)
 
 
 def of_pycma(x0: np.ndarray, sigma: float, bounds: list[tuple[float, float]] | None, seed: int) -> Callable[[Counted], object]:
-    """Hansen's, by ask and tell, without its own stops."""
+    """Returns Hansen's solver, by ask and tell, without its own stopping tests."""
     options = {"seed": seed + 1, "verbose": -9}
     if bounds is not None:
         lower, upper = np.array(bounds).T
@@ -111,7 +112,7 @@ def of_pycma(x0: np.ndarray, sigma: float, bounds: list[tuple[float, float]] | N
 
 
 def cma_rows(seeds: int) -> Iterator[str]:
-    """A row per problem: the medians, their ratio, and the shares of the seeds that came to the target."""
+    """Yields a row per problem: the medians, their ratio, and the fractions of the seeds that reached the target."""
     yield "| problem | n | pydfo | pycma | ratio | reached |"
     yield "|---|---|---|---|---|---|"
     problems = [(name, n, f, x0, 0.5, None) for n in (2, 5, 10, 20) for name, (f, x0) in functions(n).items()]
@@ -131,7 +132,7 @@ def cma_rows(seeds: int) -> Iterator[str]:
 
 
 def restart_rows(seeds: int) -> Iterator[str]:
-    """A row per number of parameters."""
+    """Yields a row per number of parameters."""
     yield "| Rastrigin, n | pydfo ipop | pydfo bipop | pycma bipop |"
     yield "|---|---|---|---|"
     for n in (2, 3, 5):
@@ -158,7 +159,7 @@ def restart_rows(seeds: int) -> Iterator[str]:
 
 
 class OfPygmo:
-    """A problem as pygmo takes it, in a box that is wide enough not to matter."""
+    """A problem for pygmo, in a box so wide that it has no effect."""
 
     def __init__(self, f: Counted, x0: np.ndarray) -> None:
         self.f, size = f, np.where(x0 != 0, np.abs(x0), 1.0)
@@ -172,7 +173,7 @@ class OfPygmo:
 
 
 def compass(f: Counted, x0: np.ndarray) -> None:
-    """pygmo's compass search, with the first step that ours has."""
+    """Runs pygmo's compass search with the first step of our pattern search."""
     problem = pygmo.problem(OfPygmo(f, x0))
     population = pygmo.population(problem, 0)
     population.push_back(x0, [min(f(x0), 1e300)])
@@ -210,7 +211,7 @@ SEARCHES = {
 
 
 def pattern_rows() -> Iterator[str]:
-    """A row per kind of cost and solver: the shares solved, and the median units."""
+    """Yields a row per kind of cost and solver: the fractions solved, and the median units."""
     yield "| cost | solver | tau 1e-1 | tau 1e-3 | tau 1e-5 |"
     yield "|---|---|---|---|---|"
     for kind, problems in (("squares", more_wild.smooth()), ("absolute values", more_wild.nonsmooth())):

@@ -1,5 +1,7 @@
-"""The 22 functions of Moré and Wild (SIAM J. Optim. 20, 2009) as residual vectors, from the published formulas: Moré,
-Garbow and Hillstrom (ACM Trans. Math. Softw. 7, 1981) for 1 to 18, CUTEr for Bdqrtic, Cube, Mancino and Heart8."""
+"""The 22 functions of Moré and Wild (SIAM J. Optim. 20, 2009) as residual vectors, from the published formulas.
+
+Sources: Moré, Garbow and Hillstrom (ACM Trans. Math. Softw. 7, 1981) for 1 to 18, CUTEr for Bdqrtic, Cube, Mancino
+and Heart8."""
 
 import dataclasses
 import math
@@ -28,7 +30,7 @@ OSBORNE_2 = np.array(
 
 
 def start(number: int, n: int) -> np.ndarray:
-    """The standard start."""
+    """Returns the standard start."""
     fixed = {
         4: [-1.2, 1.0],
         5: [-1.0, 0.0, 0.0],
@@ -59,7 +61,7 @@ def _wave(v: np.ndarray) -> np.ndarray:
 
 
 def residuals(number: int, m: int, x: np.ndarray) -> np.ndarray:
-    """The residual vector of a function; its length is m."""
+    """Returns the residual vector of a function; its length is m."""
     n, i = len(x), np.arange(1.0, m + 1.0)
     if number == 1:  # linear, full rank
         return np.concatenate((x, np.zeros(m - n))) - (2.0 * x.sum() / m + 1.0)
@@ -141,7 +143,7 @@ def residuals(number: int, m: int, x: np.ndarray) -> np.ndarray:
         )  # fmt: skip
     raise ValueError(f"there is no function {number}")
 
-# Number of the function, n, m, exponent of the start's scale, best sum of squares known.
+# Number of the function, n, m, exponent of the scale of the start, best known sum of squares.
 INSTANCES = [
     (1, 9, 45, 0, 35.99999999999998), (1, 9, 45, 1, 35.99999999999997), (2, 7, 35, 0, 8.380281690140844),
     (2, 7, 35, 1, 8.380281690140844), (3, 7, 35, 0, 9.880597014925371), (3, 7, 35, 1, 9.880597014925371),
@@ -171,7 +173,8 @@ SIGMA = 1e-3
 
 
 def smooth() -> list[Problem]:
-    """The 53 instances. Their place in the list is their number: even ones tune, odd ones judge."""
+    """Returns the 53 instances. Their index in the list is their number: even ones are for tuning, odd ones for
+    assessment."""
     problems = []
     for k, (number, n, m, exponent, best) in enumerate(INSTANCES):
         free, of = np.full(n, np.inf), partial(residuals, number, m)
@@ -181,25 +184,27 @@ def smooth() -> list[Problem]:
 
 
 def stochastic(values: Array, rng: np.random.Generator, x: Array) -> Array:
-    """Each residual times 1 + 1e-3 u, u uniform in [-sqrt 3, sqrt 3], as in Moré and Wild's tests with noise."""
+    """Multiplies each residual by 1 + 1e-3 u, u uniform in [-sqrt 3, sqrt 3], as in Moré and Wild's tests with
+    noise."""
     return values * (1.0 + SIGMA * rng.uniform(-math.sqrt(3.0), math.sqrt(3.0), len(values)))
 
 
 def deterministic(values: Array, rng: np.random.Generator, x: Array) -> Array:
-    """Relative noise that is a function of x: their cubic Chebyshev polynomial of sines and cosines of norms of 100 x."""
+    """Adds relative noise that is a function of x: their cubic Chebyshev polynomial of sines and cosines of norms of
+    100 x."""
     norms = (np.abs(x).sum(), np.abs(x).max(), math.sqrt(float(x @ x)))
     phi = 0.9 * math.sin(100.0 * norms[0]) * math.cos(100.0 * norms[1]) + 0.1 * math.cos(norms[2])
     return values * math.sqrt(max(0.0, 1.0 + SIGMA * phi * (4.0 * phi * phi - 3.0)))
 
 
 def noisy(kind: str) -> list[Problem]:
-    """The smooth problems with relative noise of 1e-3; judged without it."""
+    """Returns the smooth problems with relative noise of 1e-3; they are assessed without it."""
     disturb = {"stochastic": stochastic, "deterministic": deterministic}[kind]
     return [dataclasses.replace(p, disturb=disturb) for p in smooth()]
 
 
 def _absolute(number: int, m: int, x: Array) -> float:
-    """The sum of absolute residuals; Moré and Wild clip x at 0 in some problems there."""
+    """Returns the sum of absolute residuals; Moré and Wild clip x at 0 for some problems."""
     with np.errstate(all="ignore"):
         r = residuals(number, m, np.maximum(x, 0.0) if number in (8, 9, 13, 16, 17, 18) else x)
         cost = float(np.abs(r).sum())
@@ -207,7 +212,7 @@ def _absolute(number: int, m: int, x: Array) -> float:
 
 
 def nonsmooth() -> list[Problem]:
-    """The sums of absolute residuals; the best value is that of the solvers of a run."""
+    """Returns the sums of absolute residuals; the best value comes from the solvers of a run."""
     problems = []
     for k, (number, n, m, exponent, _) in enumerate(INSTANCES):
         free, x0 = np.full(n, np.inf), start(number, n) * 10.0**exponent
@@ -217,8 +222,10 @@ def nonsmooth() -> list[Problem]:
 
 
 def bounded(active: bool) -> list[Problem]:
-    """16 of the problems in boxes around start and minimum; `active` cuts every other coordinate before the minimum.
-    The best value is that of bounded least squares from three starts, and of the solvers of a run."""
+    """Returns 16 of the problems in boxes around start and minimum; `active` cuts every other coordinate before the
+    minimum.
+
+    The best value comes from bounded least squares from three starts, and from the solvers of a run."""
     problems = []
     for place, (number, n, m) in enumerate(BOUNDED):
         x0 = start(number, n)
@@ -247,8 +254,10 @@ def bounded(active: bool) -> list[Problem]:
 
 
 def failing() -> list[Problem]:
-    """The bounded problems with minima inside, failing beyond a random plane through the box that leaves start and minimum
-    on its good side (seed: the number of the problem); and Rosenbrock's function with three failing regions near the path."""
+    """Returns the bounded problems with minima inside that fail beyond a random plane through the box.
+
+    Start and minimum are on the other side of the plane (seed: the number of the problem). The list also contains
+    Rosenbrock's function with three failing regions near the path."""
     problems = []
     for p in bounded(False):
         rng, of = np.random.default_rng([7, p.number]), p.residuals

@@ -1,4 +1,4 @@
-"""A test problem of the benchmarks, and how a run of a solver on it is recorded."""
+"""A test problem of the benchmarks, and the record of a run of a solver on it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Enough(Exception):
 
 
 def sum_of_squares(r: Array) -> float:
-    """The cost of residuals; infinite where it is not a number."""
+    """Returns the cost of residuals; infinite if it is not a number."""
     with np.errstate(all="ignore"):
         cost = float(r @ r)
     return cost if np.isfinite(cost) else np.inf
@@ -23,11 +23,11 @@ def sum_of_squares(r: Array) -> float:
 
 @dataclass(frozen=True)
 class Problem:
-    """A function with a start, a box (infinite where there is none) and the best value known.
+    """A function with a start, a box (infinite if there is none) and the best known value.
 
-    `residuals` gives the vector whose sum of squares is the cost; `cost` is given where there are no residuals. What a
-    solver sees may be disturbed by noise: `disturb(values, rng)` is applied to residuals or cost, and `judged` is the
-    undisturbed cost. Problems with even numbers tune constants, odd ones judge them.
+    `residuals` returns the vector whose sum of squares is the cost; `cost` is used if there are no residuals. The
+    values seen by a solver may be disturbed by noise: `disturb(values, rng)` is applied to residuals or cost, and
+    `judged` is the undisturbed cost. Problems with even numbers are for tuning constants, odd ones for assessment.
     """
 
     name: str
@@ -49,16 +49,16 @@ class Problem:
 
     @property
     def is_boxed(self) -> bool:
-        """Whether any bound is finite."""
+        """True if any bound is finite."""
         return bool(np.isfinite(self.lower).any() or np.isfinite(self.upper).any())
 
     @property
     def bounds(self) -> list[tuple[float, float]]:
-        """The box as pairs."""
+        """Returns the box as pairs."""
         return list(zip(self.lower.tolist(), self.upper.tolist()))
 
     def judged(self, x: Array) -> float:
-        """The cost without noise."""
+        """Returns the cost without noise."""
         if self.cost is not None:
             return self.cost(x)
         assert self.residuals is not None
@@ -67,8 +67,9 @@ class Problem:
 
 @dataclass
 class Record:
-    """What a run saw: undisturbed costs in the order of evaluation (infinite: outside of the box, failed), and the sizes of
-    the batches in which the points were asked for."""
+    """The evaluations of a run: undisturbed costs in order, and the sizes of the requested batches.
+
+    Costs are infinite for points outside the box and for failures."""
 
     problem: Problem
     budget: int
@@ -81,7 +82,7 @@ class Record:
         self.rng = np.random.default_rng([self.seed, self.problem.number])
 
     def _seen(self, x: Array) -> Array | None:
-        """Counts an evaluation; its undisturbed residuals, or cost as an array, None where it failed."""
+        """Counts an evaluation and returns its undisturbed residuals, or the cost as an array; None if it failed."""
         if len(self.costs) >= self.budget:
             raise Enough
         p = self.problem
@@ -96,7 +97,7 @@ class Record:
         return values if p.disturb is None else p.disturb(values, self.rng, x)
 
     def f(self, x: Array) -> float:
-        """The cost as a solver sees it; one evaluation, alone in its batch unless `batch` is open."""
+        """Returns the cost as seen by a solver: one evaluation, alone in its batch unless `batch` is open."""
         values = self._seen(np.asarray(x, dtype=float))
         self._count()
         if values is None:
@@ -104,7 +105,7 @@ class Record:
         return float(values[0]) if self.problem.cost is not None else sum_of_squares(values)
 
     def r(self, x: Array) -> Array:
-        """The residuals as a solver sees them."""
+        """Returns the residuals as seen by a solver."""
         assert self.problem.residuals is not None
         values = self._seen(np.asarray(x, dtype=float))
         self._count()
@@ -117,12 +118,13 @@ class Record:
     _open = False
 
     def batch(self, size: int) -> None:
-        """The next `size` evaluations belong to one batch."""
+        """Groups the next `size` evaluations into one batch."""
         self._open = True
         self.batches.append(size)
 
     def rounds(self, workers: float) -> Array:
-        """The clock of a machine with so many workers, on which each evaluation takes one unit: when each one ends."""
+        """Returns the end of each evaluation on a machine with this number of workers and one unit of time per
+        evaluation."""
         ends, clock = [], 0.0
         for size in self.batches:
             ends += [clock + k // workers + 1.0 for k in range(size)]

@@ -12,7 +12,7 @@ from problem import Array, Problem
 
 @dataclass
 class Seen:
-    """A run: the problem, the best cost after each evaluation, and when each ended on each clock."""
+    """A run: the problem, the best cost after each evaluation, and the end of each evaluation on each clock."""
 
     problem: Problem
     costs: Array
@@ -38,7 +38,8 @@ class Outcome:
             self.errors[solver][error] += 1
 
     def best(self) -> dict[str, float]:
-        """The best value known of each problem: the stored one, or what a solver of this run found below it."""
+        """Returns the best known value of each problem: the stored one, or a lower one found by a solver of this
+        run."""
         best = {p.name: p.best for p in self.problems}
         for runs in self.runs.values():
             for seen in runs:
@@ -46,7 +47,7 @@ class Outcome:
         return best
 
     def solved_at(self, seen: Seen, tau: float, best: float) -> int | None:
-        """The number of the evaluation that solved the problem."""
+        """Returns the number of the evaluation that solved the problem."""
         if self.target is not None:
             limit = self.target
         else:
@@ -56,7 +57,7 @@ class Outcome:
         return int(good[0]) if len(good) else None
 
     def units(self, solver: str, tau: float, clock: int | None = None, odd: bool = False) -> Array:
-        """Evaluations / (n + 1), or rounds, until solved; infinite where not."""
+        """Returns evaluations / (n + 1), or rounds, until solved; infinite if unsolved."""
         best, units = self.best(), []
         for seen in self.runs[solver]:
             if odd and seen.problem.number % 2 == 0:
@@ -71,7 +72,8 @@ class Outcome:
         return np.array(units)
 
     def tables(self, half: str) -> str:
-        """Solved shares and medians, of all problems and of the odd ones; by function where there is a target."""
+        """Returns solved fractions and medians, of all problems and of the odd ones; by function if there is a
+        target."""
         text = ""
         for odd in (False, True) if half == "all" else (False,):
             taus = self.taus or (0.0,)
@@ -103,7 +105,7 @@ class Outcome:
         return text
 
     def each(self) -> str:
-        """A line per problem: units at the smallest tau, by solver."""
+        """Returns a line per problem: units at the smallest tau, by solver."""
         tau = min(self.taus, default=0.0)
         columns = {solver: self.units(solver, tau) for solver in self.runs}
         runs = next(iter(self.runs.values()))
@@ -111,7 +113,7 @@ class Outcome:
         return markdown(["problem", *columns], rows)
 
     def plot(self, path: Path, title: str) -> None:
-        """Data profiles, a panel per tau."""
+        """Draws data profiles with a panel per tau."""
         import matplotlib
 
         matplotlib.use("Agg")
@@ -142,7 +144,7 @@ def number(value: float) -> str:
 
 
 def cell(units: Array) -> str:
-    """The share solved, and the median of the units."""
+    """Returns the fraction solved, and the median of the units."""
     return f"{100.0 * np.isfinite(units).mean():.0f} ({number(np.median(units))})"
 
 

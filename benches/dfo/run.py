@@ -1,14 +1,15 @@
-"""Optimisers side by side: ours and the peers on the same problems, every evaluation counted.
+"""Compares optimisers: ours and the peers on equal problems, with every evaluation counted.
 
     python benches/dfo/run.py [--set SET ...] [--method SOLVER ...] [--half even|odd] [--seeds N] [--write] [--list]
 
-Sets: `--list` names them with their problems, budgets and solvers. A problem is solved at tau when f(x0) - f >= (1 - tau) (f(x0) -
-f_best) (Moré and Wild, SIAM J. Optim. 20, 2009), f without noise; in the BBOB sets when f <= 1e-2. The unit is evaluations /
-(n + 1); a problem that is not solved counts as infinite in the median. "Rounds": the clock of a machine on which every
-evaluation takes one unit and so many run at once. Problems with even numbers are those that constants may be tuned on, odd
-ones judge (`--half odd`); the tables have both and the odd half apart.
+`--list` lists the sets with their problems, budgets and solvers. A problem is solved at tau if f(x0) - f >= (1 - tau)
+(f(x0) - f_best) (Moré and Wild, SIAM J. Optim. 20, 2009), f without noise; in the BBOB sets, if f <= 1e-2. The unit
+is evaluations / (n + 1). An unsolved problem counts as infinite in the median. "Rounds" is the time on a machine with
+one unit of time per evaluation and the given number of workers. Problems with even numbers may be used for tuning
+constants, and odd ones are for assessment (`--half odd`). The tables contain all problems and the odd half
+separately.
 
-`--write` puts a table and a plot of data profiles into benches/dfo/results/, with the command that made them.
+`--write` writes a table and a plot of data profiles into benches/dfo/results/, with the command that made them.
 """
 
 from __future__ import annotations
@@ -114,7 +115,8 @@ def problems_of(name: str, seeds: int) -> list[Problem]:
 
 
 def one(job: tuple[str, int, int, str, int]) -> tuple[np.ndarray, list[np.ndarray], str | None]:
-    """A run in a worker process: the best cost after each evaluation, when each ended, and what went wrong."""
+    """Runs a solver in a worker process; returns the best cost after each evaluation, the end of each, and an
+    error."""
     set_name, seeds, place, solver, seed = job
     chosen = SETS[set_name]
     p = problems_of(set_name, seeds)[place]
@@ -125,7 +127,7 @@ def one(job: tuple[str, int, int, str, int]) -> tuple[np.ndarray, list[np.ndarra
 
 
 def run(name: str, asked: list[str] | None, half: str, seeds: int, jobs: int) -> profiles.Outcome:
-    """All solvers on all problems of a set."""
+    """Runs all solvers on all problems of a set."""
     chosen = SETS[name]
     n_instances = seeds if chosen.target is not None else 1
     found = problems_of(name, n_instances)

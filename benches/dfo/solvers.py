@@ -1,5 +1,6 @@
-"""The solvers of the benchmarks, ours and the peers, as one table. Each has its defaults, but tolerances of (nearly) zero, so
-that only the budget ends it."""
+"""The solvers of the benchmarks, ours and the peers, as one table.
+
+Each uses its defaults, except tolerances of (nearly) zero, so that only the budget ends it."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ Run = Callable[[Problem, Record], Any]
 
 @dataclass(frozen=True)
 class Solver:
-    """A way to solve a problem; `residuals`: whether it sees the residual vector."""
+    """A solver; `residuals` is True if it uses the residual vector."""
 
     run: Run
     residuals: bool = False
@@ -32,10 +33,10 @@ WITH_RESIDUALS = ("least-squares",)
 
 
 def ours(method: str, workers: int | str = 1, residuals: bool = False, **keywords: Any) -> Solver:
-    """A method of pydfo, asked and told batch by batch; `workers`: how many it is told that there are ("n+4": so many)."""
+    """Returns a method of pydfo, driven batch by batch; `workers` is the number of workers ("n+4": this many)."""
 
     def run(p: Problem, record: Record) -> None:
-        # A global search has the tolerances of every user: they decide when a local search makes way for the next.
+        # A global search uses the default tolerances, which decide when a local search ends and the next one starts.
         own = {} if "search" in keywords or method == "multistart" else NO_TOLERANCES
         options = {**own, **keywords.get("options", {})}
         if options.get("batch") == "n+4":
@@ -84,7 +85,7 @@ def scipy_least_squares(method: str) -> Solver:
 
 
 def scipy_de() -> Solver:
-    """scipy.optimize.differential_evolution, its generations evaluated as batches."""
+    """scipy.optimize.differential_evolution, with its generations evaluated as batches."""
 
     def run(p: Problem, record: Record) -> object:
         from scipy.optimize import differential_evolution
@@ -121,7 +122,7 @@ def of_nlopt(name: str) -> Solver:
         optimiser = nlopt.opt(getattr(nlopt, name), p.n)
         optimiser.set_lower_bounds(p.lower)
         optimiser.set_upper_bounds(p.upper)
-        # NLopt ends with an error of its own if a value is not finite.
+        # NLopt ends with a separate error if a value is not finite.
         optimiser.set_min_objective(lambda x, _: _finite(record.f, x))
         optimiser.set_maxeval(record.budget)
         with contextlib.suppress(nlopt.RoundoffLimited):
@@ -131,7 +132,7 @@ def of_nlopt(name: str) -> Solver:
 
 
 def of_cobyqa() -> Solver:
-    """COBYQA; its first radius is 10 % of the largest |x0|, as its authors benchmark it."""
+    """COBYQA; its first radius is 10 % of the largest |x0|, as in its authors' benchmarks."""
 
     def run(p: Problem, record: Record) -> object:
         from cobyqa import minimize
@@ -171,7 +172,7 @@ def of_dfols(noise: bool = False) -> Solver:
 
 
 def scaled(inner: Solver) -> Solver:
-    """The same, with every parameter divided by the size of its start: for solvers without scaling of their own."""
+    """Divides every parameter by the size of its start, for solvers without scaling."""
 
     def run(p: Problem, record: Record) -> object:
         import dataclasses
@@ -185,7 +186,7 @@ def scaled(inner: Solver) -> Solver:
 
 
 class _Scaled:
-    """A record that is asked in other units."""
+    """A record that receives points in other units."""
 
     def __init__(self, record: Record, unit: Array) -> None:
         self._record, self._unit = record, unit
@@ -283,7 +284,7 @@ SOLVERS: dict[str, Solver] = {
 
 
 def record(name: str, problem: Problem, budget: int, seed: int) -> Record:
-    """One run."""
+    """Records one run."""
     from problem import Enough
 
     logging.getLogger("pydfo").setLevel(logging.ERROR)

@@ -1,4 +1,4 @@
-"""What several workers gain, and what asking and telling costs from Python.
+"""Measures the gain from several workers, and the cost of ask and tell from Python.
 
     python benches/dfo/workers.py
 """
@@ -10,7 +10,7 @@ import pydfo
 
 
 def gain(method: str, workers: int, evaluations: int = 200) -> float:
-    """Seconds of a run whose objective waits for 5 ms without the interpreter lock."""
+    """Returns the seconds of a run whose objective waits for 5 ms without the interpreter lock."""
 
     def slow(x: np.ndarray) -> float:
         time.sleep(0.005)
@@ -22,7 +22,7 @@ def gain(method: str, workers: int, evaluations: int = 200) -> float:
 
 
 def asking(method: str, n: int = 10, evaluations: int = 20_000) -> float:
-    """Microseconds per evaluation of ask and tell from Python, whole batches, the objective left out."""
+    """Returns microseconds per evaluation of ask and tell from Python, with whole batches, without the objective."""
     optimizer = pydfo.Optimizer(method, np.full(n, -1.2), [(-5, 5)] * n, rng=1, max_evaluations=evaluations)
     spent, count = 0.0, 0
     while not optimizer.done:
