@@ -246,7 +246,7 @@ def solve(
         one ("dop853", "radau5": three). Up to 32 points are added if the curvature of three neighbouring values
         exceeds their distance from zero. An event function near zero after an event that `on_event` has turned back
         or stopped is always followed. Its next crossing is found, or the run fails with a message. Two sign changes
-        within one step are missed if they do not show at these points, for example in a narrow pulse or a function
+        within one step are missed if they do not show at these points. Examples are a narrow pulse and a function
         with values such as -1 and 1. To detect them, use two functions, `max_step`, or more points. SciPy, MATLAB and
         SUNDIALS evaluate events at the ends of steps only; Julia's OrdinaryDiffEq uses ten points in each step.
     chattering : {"error", "warn", "slide"}

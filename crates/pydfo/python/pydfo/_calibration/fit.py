@@ -154,9 +154,9 @@ class Fit(OptimizeResult):
         first simplex show effects, because they differ in one parameter. These simulations are not included in
         ``nfev`` or its limit. They are skipped after an interrupt or if the time is up. They are included in `stats`.
     skipped : list of str
-        Checks after the search that were skipped because the search was short. Simulations other than those of the
-        search and the standard errors use at most a quarter of the evaluations of the search, and at most four of
-        them simulate the result. If "simulation of higher accuracy" was skipped, `Uncertainty.accurate_cost` is None.
+        Checks after the search that were skipped because the search was short. Simulations outside the search and the
+        standard errors use at most a quarter of the evaluations of the search. At most four of them simulate the
+        result. If "simulation of higher accuracy" was skipped, `Uncertainty.accurate_cost` is None.
     outputs : list of OutputFit
         Quality of each output: RMS at the end and at the start, fit percentage. Empty if the fit was interrupted
         twice.
@@ -177,8 +177,8 @@ class Fit(OptimizeResult):
         How the search ended, in one sentence. Remarks on the result are among the `findings`.
     findings : list of Finding
         Remarks on the fit with their severity ("error", "warning", "note"). Causes come first, notes last. They
-        include the findings of `Calibration.check`, reassessed at the fitted values, parameters at a bound or without
-        effect, parameters that the data do not determine, and properties of the residuals.
+        include the findings of `Calibration.check`, reassessed at the fitted values. They also report parameters at a
+        bound, without effect or not determined by the data, and properties of the residuals.
     usable : bool
         False if a finding is an error, such as a simulation that is worse than a constant. ``success`` reports how
         the search ended.
@@ -427,8 +427,8 @@ class Fit(OptimizeResult):
         Interrupted
             Ctrl-C was pressed; ``result`` contains the profile so far.
         ValueError
-            The objective of the fit is not a sum of squares, its residuals are all zero, parameters were not fitted,
-            the level is not between 0 and 1, or the file belongs to another problem.
+            The objective of the fit is not a sum of squares, or its residuals are all zero. Also if a parameter was
+            not fitted, the level is not between 0 and 1, or the file belongs to another problem.
         OSError
             The file cannot be read or written.
         """

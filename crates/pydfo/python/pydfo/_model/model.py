@@ -117,8 +117,8 @@ class FMUModel:
     log_level : int or str, optional
         Lines of the FMU's log to keep and show. After each simulation, they are sent to the logger "pydfo" of
         Python's `logging` with the level INFO. The levels are PyFMI's: 0 "nothing", 1 "fatal", 2 "error" (both pass
-        errors of any kind), 3 "warning", 4 "info", 5 "verbose", 6 "debug", 7 "all" (also lines without a level). By
-        default, all lines are kept and none are shown. Every error message includes the last lines.
+        errors of any kind), 3 "warning", 4 "info", 5 "verbose", 6 "debug" and 7 "all". The last four keep all lines.
+        By default, all lines are kept and none are shown. Every error message includes the last lines.
     logging : bool, str or list of str
         If True, the FMU is asked to log. FMUs also log important lines without being asked. A list restricts logging
         to these categories. ``description.log_categories`` contains their names. FMI 1.0 declares no categories, so
