@@ -420,7 +420,7 @@ impl Fmu {
         if archive.serves_copies() {
             let root = archive.unpack_part(Part::Running, &CancelRequest::default())?;
             if self.interfaces().any(|(_, interface)| self.find_binary(&root, interface).is_err()) {
-                archive.unpack_part(Part::Sources, &CancelRequest::default())?;
+                archive.unpack()?;
             }
         }
         Ok(())
