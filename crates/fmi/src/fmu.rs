@@ -18,7 +18,7 @@ use crate::{platform, source};
 use base::Number;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 const KINDS: [InterfaceKind; 2] = [InterfaceKind::ModelExchange, InterfaceKind::CoSimulation];
@@ -58,6 +58,8 @@ struct Inner {
     quirks_seen: Mutex<Vec<Quirk>>,
     /// A [`Reuse`], stored as its number.
     reuse: AtomicU8,
+    /// Number of times that earlier answers of worker processes were found to be possibly wrong.
+    n_late: AtomicU64,
     /// True if a worker process has left a repetition to its caller.
     is_to_be_repeated: AtomicBool,
     /// Subjects of messages that simulations have logged. Each subject is logged once.
@@ -151,6 +153,7 @@ impl Fmu {
             real_references: OnceLock::new(),
             quirks_seen: Mutex::default(),
             reuse: AtomicU8::default(),
+            n_late: AtomicU64::new(0),
             is_to_be_repeated: AtomicBool::new(false),
             said: Mutex::default(),
             workers: Mutex::default(),
@@ -315,15 +318,22 @@ impl Fmu {
         self.inner.reuse.store(reuse as u8, Ordering::Relaxed);
     }
 
-    /// Records that a simulation in a used process differed from one in a fresh process. `reuse` is the way
-    /// in which the used process was reset. The next way is used from now on, and a quirk is added.
-    pub fn give_up(&self, reuse: Reuse) {
+    /// Switches to the next way after `reuse`, because a simulation after others differed from a simulation
+    /// in a fresh process. Adds a quirk. `is_late`: an earlier comparison had agreed, so answers since then
+    /// may be wrong.
+    pub fn give_up(&self, reuse: Reuse, is_late: bool) {
         let (next, kind, message) = match reuse {
             Reuse::Reset => (Reuse::Reinstantiate, QuirkKind::Promise, LEAVES_TRACES),
             _ => (Reuse::NewProcess, QuirkKind::HiddenState, HIDDEN_STATE),
         };
         self.inner.reuse.fetch_max(next as u8, Ordering::Relaxed);
+        self.inner.n_late.fetch_add(u64::from(is_late), Ordering::Relaxed);
         self.note_quirk(kind, message);
+    }
+
+    /// Returns the number of late differences ([`give_up`](Self::give_up)).
+    pub fn n_late(&self) -> u64 {
+        self.inner.n_late.load(Ordering::Relaxed)
     }
 
     /// Returns the level at which log lines of the FMU are sent to the program's logger.

@@ -8,7 +8,7 @@ use crate::error::CalibrationError;
 use crate::problem::definition::{ModelFile, Problem};
 use crate::problem::settings::SimulationSettings;
 use base::RunContext;
-use dfo::RobustLoss;
+use dfo::{FailureKind, RobustLoss};
 use fmi::error::ReportedError;
 use fmi::worker::{
     AnswerLimits, AskedProcess, Frame, FrameSize, Held, Isolation, Load, Question, WorkerLimits, Workers,
@@ -112,12 +112,11 @@ pub(crate) struct Evaluation {
     pub(crate) process: ProcessChoice,
 }
 
-/// Best point of a search, with its residuals and its cost.
+/// Best point of a search, with its residuals if they are known.
 pub(crate) struct BestPoint {
     pub(crate) x: Vec<f64>,
     pub(crate) n_residuals: usize,
     pub(crate) residuals: Option<Vec<f64>>,
-    pub(crate) cost: f64,
 }
 
 /// Process that answers a request.
@@ -276,7 +275,7 @@ impl Processes {
         let reuse = self.fmu.reuse();
         let told = self.call(question, answer, accept, AskedProcess::Any);
         // An answer that was ended early depends on the clock.
-        let own = bits_of(&told, answer).filter(|_| !question.context.is_over());
+        let own = bits_of(&told, answer, question);
         let (Some(own), Ok(shape)) = (own, job.without_values()) else { return told };
         let first = || self.comparisons.first.lock().unwrap_or_else(PoisonError::into_inner);
         let n_changes = self.workers.n_changes();
@@ -321,17 +320,15 @@ impl Processes {
     fn bits(&self, first: &FirstQuestion, whom: AskedProcess, during: &Question<'_>) -> Option<Vec<u64>> {
         let (asked, limits, mut answer) = (&first.asked, first.limits, Frame::default());
         let question = Question { asked, limits, is_repetition: true, ..*during };
-        bits_of(&self.call(&question, &mut answer, &mut |_| Ok(()), whom), &answer)
+        let told = self.call(&question, &mut answer, &mut |_| Ok(()), whom);
+        bits_of(&told, &answer, &question)
     }
 
     /// Switches to the next way of resetting the model, because answers of used processes differ from answers
     /// of fresh processes.
     fn give_up(&self, reuse: Reuse) {
         self.workers.forget(&self.load);
-        if self.comparisons.has_passed(reuse) {
-            self.comparisons.n_late.fetch_add(1, Ordering::Relaxed);
-        }
-        self.fmu.give_up(reuse);
+        self.fmu.give_up(reuse, self.comparisons.has_passed(reuse));
     }
 }
 
@@ -356,9 +353,6 @@ struct Comparisons {
     first: Mutex<Option<FirstQuestion>>,
     /// Number of answers of used processes since that comparison.
     n_accepted: AtomicU64,
-    /// Number of differences found after a way of resetting had passed a comparison. Earlier answers may be
-    /// wrong.
-    n_late: AtomicU64,
     /// True if answers of fresh processes differ from each other.
     is_random: AtomicBool,
 }
@@ -387,12 +381,21 @@ impl Comparisons {
     }
 }
 
-/// Returns the bits of an answer, which are empty for a failed simulation. Returns `None` if the question was
-/// not answered.
-fn bits_of<T>(told: &Result<T, FmiError>, answer: &Frame) -> Option<Vec<u64>> {
+/// Returns the bits of an answer, and no bits for a failed simulation. Returns `None` if the answer depends
+/// on the clock: the context or a time limit may have ended the simulation.
+fn bits_of<T>(told: &Result<T, FmiError>, answer: &Frame, question: &Question<'_>) -> Option<Vec<u64>> {
+    if question.context.is_over() {
+        return None;
+    }
     match told {
+        Ok(_) if answer.numbers.is_empty() => match answer.head::<Evaluated>().ok()?.cost {
+            Err(ReportedCostFailure::Failed { kind: FailureKind::TimedOut, .. }) => None,
+            _ => Some(Vec::new()),
+        },
         Ok(_) => Some(answer.numbers.iter().map(|number| number.to_bits()).collect()),
-        Err(FmiError::ReportedError(told)) if !told.is_of_process() => Some(Vec::new()),
+        Err(FmiError::ReportedError(told)) if !told.is_of_process() && question.limits.run.is_none() => {
+            Some(Vec::new())
+        }
         Err(_) => None,
     }
 }
@@ -467,12 +470,6 @@ impl Remote {
         })?;
         Ok(Self { processes, run_limit, n_experiments })
     }
-
-    /// Returns the number of times that a process gave wrong answers after a comparison had passed.
-    pub(crate) fn n_late(&self) -> u64 {
-        self.processes.comparisons.n_late.load(Ordering::Relaxed)
-    }
-
     /// True if answers of fresh processes differ from each other.
     pub(crate) fn is_random(&self) -> bool {
         self.processes.comparisons.is_random.load(Ordering::Relaxed)
@@ -497,6 +494,7 @@ impl Remote {
             let bits = residuals.iter().map(|residual| residual.to_bits()).collect::<Vec<u64>>();
             match cost {
                 Ok(cost) => Some((cost.to_bits(), bits)),
+                Err(CostFailure::Failed { kind: FailureKind::TimedOut, .. }) => None,
                 Err(CostFailure::Failed { .. }) => Some((f64::INFINITY.to_bits(), Vec::new())),
                 Err(_) => None,
             }
@@ -505,10 +503,9 @@ impl Remote {
         let n = self.processes.workers.n_idle(&self.processes.load).min(most_used);
         let used = map(n, n, context, &|_, context| evaluate(ProcessChoice::LongestIdle, context));
         if let Some(fresh) = evaluate(ProcessChoice::Fresh, context) {
-            let is_known = match &best.residuals {
-                Some(known) => known.iter().map(|residual| residual.to_bits()).eq(fresh.1.iter().copied()),
-                None => best.cost.to_bits() == fresh.0,
-            };
+            let is_known = best.residuals.as_ref().is_none_or(|known| {
+                known.iter().map(|residual| residual.to_bits()).eq(fresh.1.iter().copied())
+            });
             if !is_known || used.into_iter().flatten().flatten().any(|used| used != fresh) {
                 match evaluate(ProcessChoice::Fresh, context) {
                     Some(again) if again == fresh => {

@@ -1,11 +1,10 @@
 //! Budget of the simulations before and after the search of a fit.
 
 /// Maximum share of additional simulations in the evaluations of a search. The share of right-hand sides is
-/// below 0.3 (`benches/whole_fits.md`). This includes the reset tests of instances, and results whose
-/// simulations need more right-hand sides than others.
+/// below 0.3 (`benches/whole_fits.md`), because simulations near the result may need more right-hand sides
+/// than others.
 const SHARE: f64 = 0.25;
-/// Maximum number of additional simulations. The reset tests add less than half a simulation, so the total is
-/// below 4.
+/// Maximum number of additional simulations.
 const MOST: f64 = 3.5;
 
 /// A simulation in addition to the search and the standard errors, if the budget allows it.

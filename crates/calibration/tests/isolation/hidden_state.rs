@@ -113,6 +113,22 @@ fn late_hidden_state_is_detected_outside_of_fits() {
     assert_eq!(calibration.fmu().reuse(), Reuse::NewProcess);
 }
 
+/// The reset function leaves a trace of runs with k above 2.2, which a new instance does not have.
+#[test]
+fn fit_restarts_once_if_a_reset_leaves_traces() {
+    let folder = faulty(&["REMEMBERS_IN_INSTANCE=2.2"]);
+    let fmu = open(&folder);
+    let run = RunOptions {
+        method: NelderMead::default().into(),
+        limits: Limits { max_evaluations: Some(80), ..Limits::default() },
+        ..FitOptions::default_run()
+    };
+    let options = FitOptions { start: Some(vec![4.0]), uncertainty: None, ..run.into() };
+    let fit = decay(fmu.clone(), settings(Isolation::Process)).fit(options).unwrap();
+    assert!((fit.x[0] - 1.7).abs() < 0.05, "{:?}", fit.x);
+    assert_eq!(fmu.reuse(), Reuse::Reinstantiate);
+}
+
 #[test]
 #[ignore = "takes long"]
 fn hidden_state_is_detected_in_twenty_thousand_runs() {

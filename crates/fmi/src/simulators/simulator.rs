@@ -93,7 +93,7 @@ impl Simulator {
     }
 
     /// Continues with another plan. A plan made from the current one by [`SimulationPlan::with_rows`] keeps
-    /// the instance and the knowledge about its reset.
+    /// the instance.
     ///
     /// # Errors
     /// As for [`new`](Self::new).
@@ -117,10 +117,10 @@ impl Simulator {
     /// If another thread is running a simulation of the same [`Fmu`](crate::Fmu), this function waits for it
     /// to end. It polls `observer` meanwhile, and waits no longer than the time limit of the simulation.
     ///
-    /// The run time in the report starts with the reset of the model and includes any test of the reset
-    /// method. Loading and waiting do not count. The time inside the model covers calls of the FMU, without
-    /// input functions ([`Inputs::function`](crate::Inputs::function)). Only some of the calls that take less
-    /// than 1 us are timed.
+    /// The run time in the report starts with the reset of the model. Loading and waiting do not count. The
+    /// time inside the model covers calls of the FMU, without input functions
+    /// ([`Inputs::function`](crate::Inputs::function)). Only some of the calls that take less than 1 us are
+    /// timed.
     ///
     /// # Errors
     /// Returns an error in these cases:

@@ -74,15 +74,14 @@ impl Calibration {
         let (run, wants_preflight) = (job.run.clone(), job.wants_preflight);
         let mut stats = Stats::default();
         loop {
-            let remote = self.evaluator().remote.as_ref().ok();
-            let n_late = || remote.map_or(0, Remote::n_late);
-            let (began_with, is_apart) =
-                (n_late(), remote.is_some() && self.fmu().reuse() == Reuse::NewProcess);
+            let n_late = self.fmu().n_late();
             let mut made = match self.made(&mut job, &mut stats) {
                 Err(error) if !job.context.is_cancelled() => FinalSearch::of(self.start_alone(&job, error)?),
                 made => made?,
             };
-            // Each evaluation had a separate process, so no action is needed.
+            let has_processes = self.evaluator().remote.is_ok();
+            let is_apart = has_processes && self.fmu().reuse() == Reuse::NewProcess;
+            // Evaluations have separate processes now, so no action is needed.
             let handled = || Finding::new(Severity::Note, "FMU", HIDDEN_STATE, "").of(Origin::Search);
             made.searched.raised.extend(is_apart.then(handled));
             job.enter(FitPhase::FreshProcess, &stats);
@@ -96,13 +95,13 @@ impl Calibration {
             let has_room = budget.take(1.0);
             let reserved = if job.has_uncertainty() { own.price_of_accurate() } else { 0.0 };
             let most_used = budget.left_beside(reserved);
-            if !has_room {
+            if !has_room && has_processes && !is_apart {
                 budget.skip(Extra::FreshProcess);
             }
             let own_remote = own.evaluator().remote.as_ref().ok();
-            let own_remote = own_remote.filter(|_| has_room && !is_apart && !job.context.is_over());
+            let compared = own_remote.filter(|_| has_room && !is_apart && !job.context.is_over());
             let judge = || Ok::<_, Infallible>(self.judged(own, &job, made, stats, budget));
-            let (Ok((mut fit, kept)), checks) = match own_remote {
+            let (Ok((mut fit, kept)), checks) = match compared {
                 Some(remote) => {
                     let compare = |context: &RunContext<'_>| {
                         let stats = remote.compare_best(&best, job.loss, most_used, context);
@@ -114,10 +113,9 @@ impl Calibration {
             };
             fit.stats.add_checks(checks.unwrap_or_default());
             fit.phases = job.phases.borrow_mut().costs(&fit.stats);
-            let own_late = own_remote.map_or(0, Remote::n_late);
-            let is_wrong = n_late() > began_with || own_late > 0;
+            let is_wrong = self.fmu().n_late() > n_late;
             let doubt = match is_wrong {
-                false if own_remote.or(remote).is_some_and(Remote::is_random) => Some(NOT_REPRODUCED),
+                false if own_remote.is_some_and(Remote::is_random) => Some(NOT_REPRODUCED),
                 true if job.context.is_over() => Some(NOT_ANEW),
                 _ => None,
             };

@@ -48,7 +48,6 @@ impl FinalSearch {
             x: report.x.clone(),
             n_residuals,
             residuals: residuals.at(&report.x).map(<[f64]>::to_vec),
-            cost: report.fun,
         }
     }
 }

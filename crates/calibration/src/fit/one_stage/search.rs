@@ -278,7 +278,7 @@ impl<'a> Job<'a> {
 }
 
 impl Job<'_> {
-    /// Resets the job for a restart with a separate process for each evaluation. Stored results, of this fit
+    /// Resets the job for a restart with another way of resetting the model. Stored results, of this fit
     /// or of an earlier one, are ignored because they may depend on previous evaluations.
     pub(super) fn begin_anew(&mut self, run: RunOptions<AnyMethod>, wants_preflight: bool) {
         (self.run, self.wants_preflight) = (run, wants_preflight);

@@ -1,5 +1,5 @@
-//! Check that a reused instance has its specified values. When a saved state is restored, some models also
-//! restore its parameters, immediately or later.
+//! Check that a reused instance has its specified values. Some models
+//! restore parameters in a reset, immediately or later.
 
 use crate::description::{Causality, Initial, ModelDescription, Variable, VariableKind};
 use crate::error::Result;

@@ -102,9 +102,9 @@ class FMUModel:
     these values, so equal values give bit-for-bit identical results.
 
     The FMU runs in a separate process, which is reused from one call to the next. If the process ends, the next call
-    starts another process with the same values set. A warning is logged the first time. The second simulation is also
-    repeated in a new process. If the results differ, the FMU keeps a state that no variable shows. In this case,
-    ``description.quirks`` reports it, and each simulation runs in a new process.
+    starts another process with the same values set. A warning is logged the first time. The process
+    repeats its first simulation after later ones. If the results differ, each simulation gets a new instance, and if
+    that is not enough, a new process. ``description.quirks`` reports it (see `reuse`).
 
     Parameters
     ----------
