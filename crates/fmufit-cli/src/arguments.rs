@@ -67,8 +67,8 @@ pub(crate) enum Command {
             fmufit fit furuta.fmu furuta.csv --output armJoint.phi=phi --parameter armFriction=0.012:0:0.022\n  \
             fmufit fit problem.toml --option method=de --option max_time=60 --setting solver=radau5\n\n\
             Ctrl-C ends the fit with the best point, which is printed and saved (exit code 130).\n\
-            Exits with 1 if the search did not converge, with 3 if it did and the result is not to be used: the simulation is\n\
-            worse than a constant.")]
+            Exits with 1 if the search did not converge, and with 3 if it converged and a finding is an error, for example a\n\
+            simulation that is worse than a constant.")]
     Fit(Fit),
     /// Continue a fit from its checkpoint
     #[command(

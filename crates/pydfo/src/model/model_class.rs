@@ -229,14 +229,17 @@ impl Model {
     }
 
     /// Names of the variables that were set.
-    fn names_set(&self) -> PyResult<Vec<String>> {
-        self.with_own(|own| own.session.values().map(|(name, _)| name.to_owned()).collect())
+    fn names_set(&self, py: Python<'_>) -> PyResult<Vec<String>> {
+        // The thread that holds the lock may wait for the interpreter lock.
+        py.detach(|| self.with_own(|own| own.session.values().map(|(name, _)| name.to_owned()).collect()))
     }
 
     /// Names and values of the variables that were set.
     fn values_set<'py>(&self, py: Python<'py>) -> PyResult<Vec<(String, Bound<'py, PyAny>)>> {
-        let set: Vec<(String, fmi::Value)> = self.with_own(|own| {
-            own.session.values().map(|(name, value)| (name.to_owned(), value.clone())).collect()
+        let set: Vec<(String, fmi::Value)> = py.detach(|| {
+            self.with_own(|own| {
+                own.session.values().map(|(name, value)| (name.to_owned(), value.clone())).collect()
+            })
         })?;
         let description = self.fmu.description();
         let shown = set.into_iter().map(|(name, value)| {

@@ -93,18 +93,20 @@ impl PyOptimizer {
 
     #[getter]
     fn best<'py>(&self, py: Python<'py>) -> Option<(Bound<'py, PyArray1<f64>>, f64)> {
-        lock(&self.inner).best().map(|(x, fun)| (PyArray1::from_slice(py, x), fun))
+        // The thread that holds the lock may wait for the interpreter lock.
+        let best = py.detach(|| lock(&self.inner).best().map(|(x, fun)| (x.to_vec(), fun)));
+        best.map(|(x, fun)| (PyArray1::from_vec(py, x), fun))
     }
 
     #[getter]
-    fn n_pending(&self) -> usize {
-        lock(&self.inner).n_pending()
+    fn n_pending(&self, py: Python<'_>) -> usize {
+        py.detach(|| lock(&self.inner).n_pending())
     }
 
     /// Reason why the run has ended; None while it is running.
     #[getter]
-    fn termination(&self) -> Option<&'static str> {
-        lock(&self.inner).termination().map(|t| t.name())
+    fn termination(&self, py: Python<'_>) -> Option<&'static str> {
+        py.detach(|| lock(&self.inner).termination().map(|t| t.name()))
     }
 
     fn report<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
