@@ -11,8 +11,8 @@ use base::RunContext;
 use dfo::{FailureKind, RobustLoss};
 use fmi::error::ReportedError;
 use fmi::worker::{
-    AnswerLimits, AskedProcess, Frame, FrameSize, Held, Isolation, Load, Question, WorkerLimits, Workers,
-    check_sandbox,
+    AnswerLimits, AskedProcess, Frame, FrameSize, Held, Isolation, Load, Question, Repeat, WorkerLimits,
+    Workers, check_sandbox,
 };
 use fmi::{
     FmiError, Fmu, InstanceCall, InstanceOptions, InterfaceChoice, InterfaceKind, OpenOptions, Reuse,
@@ -117,6 +117,8 @@ pub(crate) struct BestPoint {
     pub(crate) x: Vec<f64>,
     pub(crate) n_residuals: usize,
     pub(crate) residuals: Option<Vec<f64>>,
+    /// Cost of the search, if it is the sum of squares and the residuals are unknown.
+    pub(crate) cost: Option<f64>,
 }
 
 /// Process that answers a request.
@@ -221,7 +223,7 @@ impl Processes {
             reuse != Reuse::Reset || (process == ProcessChoice::Any && !self.comparisons.has_passed(reuse));
         let question = Question { asked: &asked, context, limits, is_repetition: false };
         let accepted = match whom {
-            Some(whom) => self.call(&question, &mut answer, accept, whom),
+            Some(whom) => self.call(&question, &mut answer, accept, whom, None),
             None => self.ask_compared(job, &question, &mut answer, accept),
         };
         frames().push((asked, answer));
@@ -245,7 +247,7 @@ impl Processes {
         let (asked, mut answer) = (Frame::of(job).ok()?, Frame::default());
         let question = Question { asked: &asked, context, limits, is_repetition: false };
         let whom = AskedProcess::FreshOnce;
-        let called = self.workers.call(&self.logging, &question, &mut answer, &mut |_| Ok(()), whom);
+        let called = self.workers.call(&self.logging, &question, &mut answer, &mut |_| Ok(()), whom, None);
         failure_of(called.map(|_| answer)).filter(|told| !told.log.is_empty())
     }
 
@@ -255,8 +257,9 @@ impl Processes {
         answer: &mut Frame,
         accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
         whom: AskedProcess,
+        repeat: Option<&mut Repeat<'_>>,
     ) -> Result<T, FmiError> {
-        let called = self.workers.call(&self.load, question, answer, accept, whom);
+        let called = self.workers.call(&self.load, question, answer, accept, whom, repeat);
         let (accepted, quirks) = called.map_err(|error| with_hint(&self.fmu, error))?;
         self.fmu.add_quirks(quirks);
         Ok(accepted)
@@ -273,21 +276,36 @@ impl Processes {
         accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
     ) -> Result<T, FmiError> {
         let reuse = self.fmu.reuse();
-        let told = self.call(question, answer, accept, AskedProcess::Any);
-        // An answer that was ended early depends on the clock.
-        let own = bits_of(&told, answer, question);
-        let (Some(own), Ok(shape)) = (own, job.without_values()) else { return told };
         let first = || self.comparisons.first.lock().unwrap_or_else(PoisonError::into_inner);
         let n_changes = self.workers.n_changes();
-        let known = first().clone().filter(|first| first.n_changes == n_changes && first.shape == shape);
-        let mut known = match known {
+        let Ok(shape) = job.without_values() else {
+            return self.call(question, answer, accept, AskedProcess::Any, None);
+        };
+        let mut known = first().clone().filter(|first| first.n_changes == n_changes && first.shape == shape);
+        if let Some(known) = &mut known {
+            known.asked.needs_new_instance = question.asked.needs_new_instance;
+        }
+        let is_first = known.as_ref().is_some_and(|known| known.asked == *question.asked);
+        let mut repeat = known.as_ref().filter(|_| !is_first).map(|known| Repeat {
+            question: known.during(question),
+            answer: Frame::default(),
+            outcome: None,
+        });
+        let told = self.call(question, answer, accept, AskedProcess::Any, repeat.as_mut());
+        let Some(own) = bits_of(&told, answer, question) else { return told };
+        let again = match repeat {
+            Some(Repeat { question, answer, outcome }) => {
+                outcome.and_then(|outcome| bits_of(&outcome, &answer, &question))
+            }
+            None => Some(own.clone()),
+        };
+        let known = match known {
             Some(known) => known,
             None => {
                 let (asked, limits) = (question.asked.clone(), question.limits);
                 let mut new = FirstQuestion { asked, limits, shape, n_changes, bits: Vec::new() };
                 let is_own = !answer.is_of_used_process;
-                let bits =
-                    if is_own { Some(own.clone()) } else { self.bits(&new, AskedProcess::Fresh, question) };
+                let bits = if is_own { Some(own) } else { self.bits_in_fresh(&new, question) };
                 let Some(bits) = bits else { return told };
                 new.bits = bits;
                 first().insert(new).clone()
@@ -296,31 +314,25 @@ impl Processes {
         if !answer.is_of_used_process {
             return told;
         }
-        known.asked.needs_new_instance = question.asked.needs_new_instance;
-        let again = match known.asked == *question.asked {
-            true => Some(own),
-            false => self.bits(&known, AskedProcess::Any, question),
-        };
         let Some(again) = again else { return told };
         if again == known.bits {
             self.comparisons.note_passed(reuse);
             return told;
         }
-        match self.bits(&known, AskedProcess::Fresh, question) {
+        match self.bits_in_fresh(&known, question) {
             Some(fresh) if fresh == known.bits => self.give_up(reuse),
             Some(_) if !self.comparisons.is_random.swap(true, Ordering::Relaxed) => {
                 log::warn!("{}: {NOT_REPRODUCED}", self.fmu.description().model_name);
             }
             _ => {}
         }
-        self.call(question, answer, accept, AskedProcess::Fresh)
+        self.call(question, answer, accept, AskedProcess::Fresh, None)
     }
 
-    /// Repeats the first question during another one and returns the bits of the answer.
-    fn bits(&self, first: &FirstQuestion, whom: AskedProcess, during: &Question<'_>) -> Option<Vec<u64>> {
-        let (asked, limits, mut answer) = (&first.asked, first.limits, Frame::default());
-        let question = Question { asked, limits, is_repetition: true, ..*during };
-        let told = self.call(&question, &mut answer, &mut |_| Ok(()), whom);
+    /// Returns the bits of a fresh process's answer to the first question, during another question.
+    fn bits_in_fresh(&self, first: &FirstQuestion, during: &Question<'_>) -> Option<Vec<u64>> {
+        let (question, mut answer) = (first.during(during), Frame::default());
+        let told = self.call(&question, &mut answer, &mut |_| Ok(()), AskedProcess::Fresh, None);
         bits_of(&told, &answer, &question)
     }
 
@@ -343,6 +355,13 @@ struct FirstQuestion {
     /// Number of changes of the environment before the question.
     n_changes: u64,
     bits: Vec<u64>,
+}
+
+impl FirstQuestion {
+    /// Returns the question, to be asked again during another one.
+    fn during<'a>(&'a self, other: &Question<'a>) -> Question<'a> {
+        Question { asked: &self.asked, limits: self.limits, is_repetition: true, ..*other }
+    }
 }
 
 /// Results of comparisons of used with fresh processes.
@@ -503,10 +522,11 @@ impl Remote {
         let n = self.processes.workers.n_idle(&self.processes.load).min(most_used);
         let used = map(n, n, context, &|_, context| evaluate(ProcessChoice::LongestIdle, context));
         if let Some(fresh) = evaluate(ProcessChoice::Fresh, context) {
-            let is_known = best.residuals.as_ref().is_none_or(|known| {
+            let has_cost = best.cost.is_none_or(|cost| cost.to_bits() == fresh.0);
+            let has_residuals = best.residuals.as_ref().is_none_or(|known| {
                 known.iter().map(|residual| residual.to_bits()).eq(fresh.1.iter().copied())
             });
-            if !is_known || used.into_iter().flatten().flatten().any(|used| used != fresh) {
+            if !has_cost || !has_residuals || used.into_iter().flatten().flatten().any(|used| used != fresh) {
                 match evaluate(ProcessChoice::Fresh, context) {
                     Some(again) if again == fresh => {
                         self.processes.comparisons.note_passed(reuse);

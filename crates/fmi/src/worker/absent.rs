@@ -1,7 +1,7 @@
 //! Replacement of the worker processes on systems that do not support them.
 
 use super::frame::Frame;
-use super::isolation::{AskedProcess, Question};
+use super::isolation::{AskedProcess, Question, Repeat};
 use super::limits::WorkerLimits;
 use super::load::Load;
 use super::service::Service;
@@ -74,6 +74,7 @@ impl Workers {
         _: &mut Frame,
         _: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
         _: AskedProcess,
+        _: Option<&mut Repeat<'_>>,
     ) -> Result<(T, Vec<Quirk>), FmiError> {
         match **self {}
     }

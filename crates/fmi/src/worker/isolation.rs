@@ -2,6 +2,7 @@
 
 use super::frame::Frame;
 use super::limits::AnswerLimits;
+use crate::error::FmiError;
 use base::RunContext;
 use serde::{Deserialize, Serialize};
 use std::str::FromStr;
@@ -57,6 +58,17 @@ pub struct Question<'a> {
     pub limits: AnswerLimits,
     /// True if the answer is only compared with another one. Log lines of the worker are then dropped.
     pub is_repetition: bool,
+}
+
+/// Question that is asked again in the process that has answered another question, before any other process can ask
+/// it.
+pub struct Repeat<'a> {
+    /// Question.
+    pub question: Question<'a>,
+    /// Answer.
+    pub answer: Frame,
+    /// `None` if the process was not used before, or cannot be asked again.
+    pub outcome: Option<Result<(), FmiError>>,
 }
 
 /// Choice of the process that receives a request.

@@ -59,7 +59,7 @@ pub use fork_server_main::serve_if_worker;
 pub use frame::{Frame, FrameSize, is_in_frame};
 pub use handshake::is_asked;
 pub use input_function::InputFunction;
-pub use isolation::{AskedProcess, Isolation, Question};
+pub use isolation::{AskedProcess, Isolation, Question, Repeat};
 pub use launcher::Launcher;
 pub use limits::{AnswerLimits, WorkerLimits};
 pub use load::Load;

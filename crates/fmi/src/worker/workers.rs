@@ -3,7 +3,7 @@
 
 use super::fork_server::Template;
 use super::frame::{Frame, FrameSize};
-use super::isolation::{AskedProcess, Question};
+use super::isolation::{AskedProcess, Question, Repeat};
 use super::launcher::Launcher;
 use super::limits::{AnswerLimits, WorkerLimits};
 use super::load::{Load, LoadId};
@@ -301,6 +301,7 @@ impl Workers {
         answer: &mut Frame,
         accept: &mut dyn FnMut(&mut Frame) -> io::Result<T>,
         whom: AskedProcess,
+        mut repeat: Option<&mut Repeat<'_>>,
     ) -> Result<(T, Vec<Quirk>), FmiError> {
         let _held = self.hold();
         let is_fresh = matches!(whom, AskedProcess::Fresh | AskedProcess::FreshOnce);
@@ -311,8 +312,16 @@ impl Workers {
                 Some(process) => process,
                 None => self.new_process(load, question.context)?,
             };
-            let (accepted, can_go_on) = self.call_in(&mut process, load, question, answer, accept);
+            let (accepted, mut can_go_on) = self.call_in(&mut process, load, question, answer, accept);
             is_of_end.set(self.avoid_call_at_end_of_run(&process, &accepted));
+            if let Some(repeat) = repeat.as_deref_mut()
+                && can_go_on
+                && answer.is_of_used_process
+            {
+                let Repeat { question, answer, outcome } = repeat;
+                let (told, goes_on) = self.call_in(&mut process, load, question, answer, &mut |_| Ok(()));
+                (*outcome, can_go_on) = (Some(told.map(drop)), goes_on);
+            }
             // Otherwise, the process is dropped here, which ends it.
             if can_go_on && whom != AskedProcess::FreshOnce {
                 self.give_back(process);

@@ -87,7 +87,7 @@ impl Calibration {
             job.enter(FitPhase::FreshProcess, &stats);
             let own = made.own.take();
             let own = own.as_ref().unwrap_or(self);
-            let best = made.best(own.n_residuals());
+            let best = made.best(own.n_residuals(), job.objective.is_sum_of_squares());
             let mut budget = made.budget();
             // Reserve this evaluation even if no comparison follows, and reserve an accurate simulation of
             // the result. Otherwise processes or the number of workers would decide about the other
