@@ -314,17 +314,25 @@ impl Processes {
         if !answer.is_of_used_process {
             return told;
         }
-        let Some(again) = again else { return told };
+        let Some(again) = again else {
+            // An answer that could not be compared does not count.
+            return match question.context.is_over() {
+                true => Err(FmiError::Cancelled),
+                false => self.call(question, answer, accept, AskedProcess::Fresh, None),
+            };
+        };
         if again == known.bits {
             self.comparisons.note_passed(reuse);
             return told;
         }
         match self.bits_in_fresh(&known, question) {
-            Some(fresh) if fresh == known.bits => self.give_up(reuse),
-            Some(_) if !self.comparisons.is_random.swap(true, Ordering::Relaxed) => {
-                log::warn!("{}: {NOT_REPRODUCED}", self.fmu.description().model_name);
+            Some(fresh) if fresh != known.bits => {
+                if !self.comparisons.is_random.swap(true, Ordering::Relaxed) {
+                    log::warn!("{}: {NOT_REPRODUCED}", self.fmu.description().model_name);
+                }
             }
-            _ => {}
+            // Also if the question was cancelled before the model could be found to be random.
+            _ => self.give_up(reuse),
         }
         self.call(question, answer, accept, AskedProcess::Fresh, None)
     }
@@ -332,7 +340,7 @@ impl Processes {
     /// Returns the bits of a fresh process's answer to the first question, during another question.
     fn bits_in_fresh(&self, first: &FirstQuestion, during: &Question<'_>) -> Option<Vec<u64>> {
         let (question, mut answer) = (first.during(during), Frame::default());
-        let told = self.call(&question, &mut answer, &mut |_| Ok(()), AskedProcess::Fresh, None);
+        let told = self.call(&question, &mut answer, &mut |_| Ok(()), AskedProcess::FreshOnce, None);
         bits_of(&told, &answer, &question)
     }
 
