@@ -1,6 +1,7 @@
 //! Instance that is controlled call by call, in a separate worker process or in this process.
 
-use crate::cost::process::{Job, unsaid, with_hint, workers_of};
+use crate::cost::process::{with_hint, workers_of};
+use crate::cost::request::{Job, unsaid};
 use crate::problem::definition::ModelFile;
 use base::RunContext;
 use fmi::worker::{AnswerLimits, Frame, Load, PinnedProcess, Question, WorkerLimits};

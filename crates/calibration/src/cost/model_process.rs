@@ -1,6 +1,8 @@
 //! Model for single simulations in worker processes, and for queries of values.
 
-use crate::cost::process::{Job, ProcessChoice, Processes, wrong};
+use crate::cost::comparison::ProcessChoice;
+use crate::cost::process::Processes;
+use crate::cost::request::{Job, wrong};
 use crate::problem::definition::ModelFile;
 use base::RunContext;
 use fmi::worker::{AnswerLimits, Frame, WorkerLimits};

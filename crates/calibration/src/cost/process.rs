@@ -1,9 +1,11 @@
-//! Simulations in worker processes: the requests to a worker, and its answers.
+//! Worker processes of a model or a problem.
 
 use crate::cost::accuracy::Accuracy;
+use crate::cost::comparison::{Comparisons, FirstQuestion, NOT_REPRODUCED, ProcessChoice, bits_of};
 use crate::cost::failure::{CostFailure, ReportedCostFailure};
 use crate::cost::parallel::map;
-use crate::cost::residual::{CostRule, sum_of_squares};
+use crate::cost::request::{Evaluated, Job, Loaded, evaluated, trajectory_of, unsaid, wrong};
+use crate::cost::residual::CostRule;
 use crate::error::CalibrationError;
 use crate::problem::definition::{ModelFile, Problem};
 use crate::problem::settings::SimulationSettings;
@@ -14,95 +16,13 @@ use fmi::worker::{
     AnswerLimits, AskedProcess, Frame, FrameSize, Held, Isolation, Load, Question, Repeat, WorkerLimits,
     Workers, check_sandbox,
 };
-use fmi::{
-    FmiError, Fmu, InstanceCall, InstanceOptions, InterfaceChoice, InterfaceKind, OpenOptions, Reuse,
-    SimulateOptions, Trajectory, Value,
-};
+use fmi::{FmiError, Fmu, Reuse, Trajectory};
 use ode::Stats;
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io;
-use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
-
-/// Data of a calibration that a worker loads.
-#[derive(Debug, Serialize, Deserialize)]
-pub(crate) struct Loaded {
-    pub(crate) problem: Problem,
-    pub(crate) options: OpenOptions,
-}
-
-/// Request to a worker.
-#[derive(Debug, Serialize, Deserialize)]
-pub(crate) enum Job {
-    /// Loads a problem and its model, to which the evaluations refer.
-    Load(Box<Loaded>),
-    /// Opens a model, to which the next four jobs refer.
-    Open(ModelFile, Box<OpenOptions>),
-    /// Simulates the model.
-    Simulate(Box<SimulateOptions>),
-    /// Returns values of variables at the end of a simulation. The simulation is repeated unless it was the
-    /// last one.
-    FinalValues(Box<SimulateOptions>, Vec<String>),
-    /// Returns values of variables after an initialization with some values set.
-    InitialValues { kind: InterfaceChoice, set: Vec<(String, Value)>, names: Vec<String> },
-    /// Creates an instance that is controlled call by call, to which the next job refers.
-    NewInstance(InterfaceKind, Box<InstanceOptions>),
-    /// Calls the instance. The numbers of the frames contain the vectors of the call and of the answer.
-    Instance(InstanceCall),
-    /// Computes the cost and the residuals at a point.
-    Evaluate {
-        x: Vec<f64>,
-        loss: RobustLoss,
-        cutoff: f64,
-        /// Accuracy, if it differs from the accuracy of the problem.
-        accuracy: Option<Accuracy>,
-    },
-    /// Returns the compared outputs of an experiment.
-    Experiment { experiment: usize, x: Vec<f64>, times: Option<Vec<f64>> },
-    /// Returns variables of the model in an experiment.
-    Variables { experiment: usize, x: Vec<f64>, times: Option<Vec<f64>>, variables: Vec<String> },
-}
-
-impl Job {
-    /// The question without the values of parameters.
-    fn without_values(&self) -> io::Result<Frame> {
-        match self {
-            Self::Simulate(options) => {
-                let mut options = options.clone();
-                options.start_values.clear();
-                Frame::of(&Self::Simulate(options))
-            }
-            Self::Experiment { experiment, times, .. } => {
-                Frame::of(&Self::Experiment { experiment: *experiment, x: Vec::new(), times: times.clone() })
-            }
-            Self::Variables { experiment, times, variables, .. } => Frame::of(&Self::Variables {
-                experiment: *experiment,
-                x: Vec::new(),
-                times: times.clone(),
-                variables: variables.clone(),
-            }),
-            _ => Ok(Frame::default()),
-        }
-    }
-
-    /// Switches the log of the model on if the job opens a model.
-    fn switch_log_on(&mut self) {
-        match self {
-            Self::Load(loaded) => loaded.options.logging.asked = true,
-            Self::Open(_, options) => options.logging.asked = true,
-            _ => {}
-        }
-    }
-}
-
-/// Result of an evaluation. The numbers of the frame are its residuals.
-#[derive(Debug, Serialize, Deserialize)]
-pub(crate) struct Evaluated {
-    pub(crate) cost: Result<f64, ReportedCostFailure>,
-    pub(crate) stats: Stats,
-}
 
 /// Settings of the evaluation of a point.
 #[derive(Debug, Clone, Copy)]
@@ -120,27 +40,6 @@ pub(crate) struct BestPoint {
     /// Cost of the search, if it is the sum of squares and the residuals are unknown.
     pub(crate) cost: Option<f64>,
 }
-
-/// Process that answers a request.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum ProcessChoice {
-    /// Any process that has loaded the problem.
-    Any,
-    /// The process that has been idle longest among the processes that have loaded the problem.
-    LongestIdle,
-    /// Any process. If a used process answers, the first question of all is repeated and compared, until one
-    /// comparison agrees. Use it in searches, which compare the best point at their end.
-    ComparedFirst,
-    /// Any process. After the first comparison that agrees, the first, second, fourth, eighth ... of the next
-    /// answers are also followed by a comparison.
-    Compared,
-    /// A new process.
-    Fresh,
-}
-
-/// Message about a model whose answers in fresh processes differ.
-pub(crate) const NOT_REPRODUCED: &str =
-    "two runs of the same simulation in fresh processes differ: no result can be reproduced";
 
 /// Introduction of the messages that a model logs when a failed request is repeated with logging.
 const LOG_ON: &str = "repeated with the log of the model switched on";
@@ -349,81 +248,6 @@ impl Processes {
     fn give_up(&self, reuse: Reuse) {
         self.workers.forget(&self.load);
         self.fmu.give_up(reuse, self.comparisons.has_passed(reuse));
-    }
-}
-
-/// First question of all, and the answer of an unused process.
-#[derive(Debug, Clone)]
-struct FirstQuestion {
-    asked: Frame,
-    limits: AnswerLimits,
-    /// The question without the values of parameters. A question of another shape becomes the first one,
-    /// because the first one may take longer.
-    shape: Frame,
-    /// Number of changes of the environment before the question.
-    n_changes: u64,
-    bits: Vec<u64>,
-}
-
-impl FirstQuestion {
-    /// Returns the question, to be asked again during another one.
-    fn during<'a>(&'a self, other: &Question<'a>) -> Question<'a> {
-        Question { asked: &self.asked, limits: self.limits, is_repetition: true, ..*other }
-    }
-}
-
-/// Results of comparisons of used with fresh processes.
-#[derive(Debug, Default)]
-struct Comparisons {
-    /// Index of the way of resetting that has passed a comparison, plus one.
-    passed: AtomicU8,
-    first: Mutex<Option<FirstQuestion>>,
-    /// Number of answers of used processes since that comparison.
-    n_accepted: AtomicU64,
-    /// True if answers of fresh processes differ from each other.
-    is_random: AtomicBool,
-}
-
-impl Comparisons {
-    fn has_passed(&self, reuse: Reuse) -> bool {
-        self.passed.load(Ordering::Relaxed) == reuse as u8 + 1
-    }
-
-    fn note_passed(&self, reuse: Reuse) {
-        if self.passed.swap(reuse as u8 + 1, Ordering::Relaxed) != reuse as u8 + 1 {
-            self.n_accepted.store(0, Ordering::Relaxed);
-        }
-    }
-
-    /// True if the next answer must be compared.
-    fn is_due(&self, reuse: Reuse, process: ProcessChoice) -> bool {
-        if self.is_random.load(Ordering::Relaxed) {
-            return false;
-        }
-        if !self.has_passed(reuse) {
-            return true;
-        }
-        process == ProcessChoice::Compared
-            && (self.n_accepted.fetch_add(1, Ordering::Relaxed) + 1).is_power_of_two()
-    }
-}
-
-/// Returns the bits of an answer, and no bits for a failed simulation. Returns `None` if the answer depends
-/// on the clock: the context or a time limit may have ended the simulation.
-fn bits_of<T>(told: &Result<T, FmiError>, answer: &Frame, question: &Question<'_>) -> Option<Vec<u64>> {
-    if question.context.is_over() {
-        return None;
-    }
-    match told {
-        Ok(_) if answer.numbers.is_empty() => match answer.head::<Evaluated>().ok()?.cost {
-            Err(ReportedCostFailure::Failed { kind: FailureKind::TimedOut, .. }) => None,
-            _ => Some(Vec::new()),
-        },
-        Ok(_) => Some(answer.numbers.iter().map(|number| number.to_bits()).collect()),
-        Err(FmiError::ReportedError(told)) if !told.is_of_process() && question.limits.run.is_none() => {
-            Some(Vec::new())
-        }
-        Err(_) => None,
     }
 }
 
@@ -689,94 +513,3 @@ pub(crate) fn workers_of(fmu: &Fmu, limits: WorkerLimits) -> Result<Arc<Workers>
 }
 
 const NO_LAUNCHER: &str = "this program cannot start processes for it (worker::serve_if_worker)";
-
-pub(crate) fn unsaid(error: io::Error) -> FmiError {
-    FmiError::BadSetting(error.to_string())
-}
-
-/// Reads an evaluation with `n` residuals and this cutoff. Checks that the cost matches the residuals,
-/// because a faulty worker may return any cost.
-fn evaluated(answer: &Frame, n: usize, cutoff: f64) -> io::Result<Evaluated> {
-    let evaluated: Evaluated = answer.head()?;
-    let numbers = &answer.numbers;
-    if let Ok(cost) = &evaluated.cost {
-        if numbers.len() != n {
-            return Err(wrong(format!("{} residuals instead of {n}", numbers.len())));
-        }
-        let sum = sum_of_squares(numbers);
-        if !sum.is_finite() || sum.to_bits() != cost.to_bits() || sum > cutoff {
-            return Err(wrong(format!("a cost of {cost} for residuals whose sum of squares is {sum}")));
-        }
-    }
-    Ok(evaluated)
-}
-
-/// Writes a trajectory to a frame. Its rows become the numbers.
-pub(crate) fn put_trajectory(mut trajectory: Trajectory, answer: &mut Frame) -> io::Result<()> {
-    answer.numbers.append(&mut trajectory.time);
-    trajectory.columns.iter_mut().for_each(|column| answer.numbers.append(column));
-    answer.set_head(&trajectory)
-}
-
-fn trajectory_of(answer: &mut Frame) -> io::Result<Trajectory> {
-    let mut trajectory: Trajectory = answer.head()?;
-    let n_columns = trajectory.columns.len() + 1;
-    if !answer.numbers.len().is_multiple_of(n_columns) {
-        return Err(wrong(format!("{} numbers in {n_columns} columns", answer.numbers.len())));
-    }
-    let rows = answer.numbers.len() / n_columns;
-    let mut columns = answer.numbers.chunks(rows.max(1));
-    let mut column = || {
-        let numbers = columns.next().unwrap_or_default();
-        let mut own = Vec::new();
-        own.try_reserve_exact(numbers.len()).map_err(|_| io::Error::from(io::ErrorKind::OutOfMemory))?;
-        own.extend_from_slice(numbers);
-        Ok::<_, io::Error>(own)
-    };
-    trajectory.time = column()?;
-    for values in &mut trajectory.columns {
-        *values = column()?;
-    }
-    match trajectory.is_consistent() {
-        true => Ok(trajectory),
-        false => Err(wrong("columns of different lengths".to_owned())),
-    }
-}
-
-/// Returns an error for an answer with invalid contents.
-pub(super) fn wrong(what: String) -> io::Error {
-    io::Error::new(io::ErrorKind::InvalidData, what)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn evaluation_is_rejected_when_cost_and_residuals_differ() {
-        let answer = |cost: f64, residuals: &[f64]| {
-            let mut frame = Frame::of(&Evaluated { cost: Ok(cost), stats: Stats::default() }).unwrap();
-            frame.numbers = residuals.to_vec();
-            frame
-        };
-        let read =
-            |frame: &Frame, cutoff: f64| evaluated(frame, 2, cutoff).map(|evaluated| evaluated.cost.ok());
-        assert_eq!(read(&answer(25.0, &[3.0, 4.0]), f64::INFINITY).unwrap(), Some(25.0));
-        let wrong = [
-            (
-                answer(24.0, &[3.0, 4.0]),
-                f64::INFINITY,
-                "a cost of 24 for residuals whose sum of squares is 25",
-            ),
-            (answer(25.000000000000004, &[3.0, 4.0]), f64::INFINITY, "a cost of 25.000000000000004"),
-            (answer(25.0, &[3.0, 4.0]), 20.0, "a cost of 25"),
-            (answer(f64::NAN, &[f64::NAN, 4.0]), f64::INFINITY, "a cost of NaN"),
-            (answer(9.0, &[3.0]), f64::INFINITY, "1 residuals instead of 2"),
-            (Frame::of(&"a text").unwrap(), f64::INFINITY, "its head has other contents"),
-        ];
-        for (frame, cutoff, expected) in wrong {
-            let error = read(&frame, cutoff).unwrap_err().to_string();
-            assert!(error.contains(expected), "{error}");
-        }
-    }
-}

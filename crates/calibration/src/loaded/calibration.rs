@@ -1,8 +1,10 @@
 //! A problem and its model, ready to evaluate: cost, residuals, trajectories, cutoff.
 
+use crate::cost::comparison::ProcessChoice;
 use crate::cost::failure::{CostFailure, PointFailure};
 use crate::cost::loaded_problem::LoadedProblem;
-use crate::cost::process::{Evaluation, Job, ProcessChoice, Remote};
+use crate::cost::process::{Evaluation, Remote};
+use crate::cost::request::Job;
 use crate::cost::residual::CostRule;
 use crate::error::CalibrationError;
 use crate::findings::finding::Severity;

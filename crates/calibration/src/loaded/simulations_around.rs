@@ -2,9 +2,10 @@
 //! separately from the evaluations of the fit.
 
 use crate::cost::accuracy::Accuracy;
+use crate::cost::comparison::ProcessChoice;
 use crate::cost::failure::CostFailure;
 use crate::cost::parallel;
-use crate::cost::process::{Evaluation, ProcessChoice};
+use crate::cost::process::Evaluation;
 use crate::cost::residual::CostRule;
 use crate::error::CalibrationError;
 use crate::loaded::budget::{Budget, Extra};

@@ -1,7 +1,7 @@
 //! Variables that the parameters set in the model, typical sizes of the parameters, and simulations that
 //! record any variable of the model.
 
-use crate::cost::process::Job;
+use crate::cost::request::Job;
 use crate::error::CalibrationError;
 use crate::loaded::calibration::Calibration;
 use crate::problem::parameter::{Parameter, Scale};

@@ -1,7 +1,7 @@
 //! The worker process of a calibration, which loads the model and runs the requested simulations.
 
 use crate::cost::failure::ReportedCostFailure;
-use crate::cost::process::{Evaluated, Job, Loaded, put_trajectory, unsaid};
+use crate::cost::request::{Evaluated, Job, Loaded, put_trajectory, unsaid};
 use crate::cost::residual::CostRule;
 use crate::error::CalibrationError;
 use crate::loaded::calibration::Calibration;

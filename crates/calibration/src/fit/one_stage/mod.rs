@@ -17,8 +17,9 @@ pub use result::Fit;
 pub use simulation_executor::SimulationExecutor;
 pub use tolerance::ChosenTolerance;
 
+use crate::cost::comparison::NOT_REPRODUCED;
 use crate::cost::parallel::beside;
-use crate::cost::process::{NOT_REPRODUCED, Remote};
+use crate::cost::process::Remote;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Origin, Severity};
 use crate::fit::output_fit::KeptResiduals;
