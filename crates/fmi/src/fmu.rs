@@ -23,11 +23,11 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 const KINDS: [InterfaceKind; 2] = [InterfaceKind::ModelExchange, InterfaceKind::CoSimulation];
 
-const LEAVES_TRACES: &str = "a simulation after the reset function differs from one in a fresh process. Nothing is to be done: each simulation \
-                             has a new instance, which takes longer";
+const LEAVES_TRACES: &str = "after the reset function, a simulation differs from one in a fresh process. Each simulation gets a new instance, \
+                             which takes longer. No action is needed";
 
-const HIDDEN_STATE: &str = "a simulation depends on earlier ones in the same process: the model keeps a state outside of its instances. Nothing is to \
-                            be done: each simulation has a new process, which takes longer";
+const HIDDEN_STATE: &str = "a simulation depends on earlier ones in the same process: the model keeps a state outside of its instances. Each \
+                            simulation gets a new process, which takes longer. No action is needed";
 
 /// An opened FMU. Clones share everything and are cheap.
 ///

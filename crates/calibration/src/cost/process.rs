@@ -360,12 +360,14 @@ impl Remote {
             });
             if !has_cost || !has_residuals || used.into_iter().flatten().flatten().any(|used| used != fresh) {
                 match evaluate(ProcessChoice::Fresh, context) {
-                    Some(again) if again == fresh => {
+                    Some(again) if again != fresh => {
+                        self.processes.comparisons.is_random.store(true, Ordering::Relaxed);
+                    }
+                    // Also if the search was cancelled before the model could be found to be random.
+                    _ => {
                         self.processes.comparisons.note_passed(reuse);
                         self.processes.give_up(reuse);
                     }
-                    Some(_) => self.processes.comparisons.is_random.store(true, Ordering::Relaxed),
-                    None => {}
                 }
             }
         }

@@ -34,11 +34,11 @@ pub(crate) use search::{Job, SearchResult, UsedLimits};
 use std::convert::Infallible;
 
 /// Finding about a model that requires a separate process for each simulation.
-const HIDDEN_STATE: &str = "the model keeps a state outside of its instances, which no variable shows: each evaluation has a process of its own";
+const HIDDEN_STATE: &str = "the model keeps a state outside of its instances, which no variable shows: each evaluation ran in a separate process";
 
 /// Finding about a fit that could not restart.
-const NOT_ANEW: &str = "evaluations depended on those before them, and the time was over before the fit could restart: its costs may be \
-                        wrong";
+const NOT_ANEW: &str = "evaluations depended on earlier evaluations, and the time was over before the fit could restart. Its costs may \
+                        be wrong";
 
 fn finding_about_fmu(sentence: &str) -> Finding {
     Finding::warning("FMU", sentence, "")
@@ -129,7 +129,7 @@ impl Calibration {
             }
             stats = fit.stats;
             let model = &self.fmu().description().model_name;
-            log::warn!("{model}: evaluations depended on those before them: the fit restarts");
+            log::warn!("{model}: evaluations depended on earlier evaluations; the fit restarts");
             job.begin_anew(run.clone(), wants_preflight);
         }
     }
