@@ -519,3 +519,29 @@ def test_furuta_fit_is_identical_for_all_worker_counts(measured):
     assert fits[0].cost <= calibration.cost([0.010, 0.001])
     for fit in fits[1:]:
         assert fit.x.tobytes() == fits[0].x.tobytes() and (fit.cost, fit.nit) == (fits[0].cost, fits[0].nit)
+
+
+def test_groups_of_settings_equal_single_arguments(dahlquist):
+    single = decay(dahlquist, solver="bdf", timeout=5.0, isolation="none")
+    settings = {"solver": "bdf", "timeout": 5.0, "relative_tolerance": 1e-10}
+    for simulation in (settings, pydfo.Simulation(**settings)):
+        grouped = decay(dahlquist, relative_tolerance=None, simulation=None)
+        assert grouped.cost([1.3]) != single.cost([1.3])
+        data = {"time": TIME, "x": TRUE}
+        grouped = Calibration(dahlquist, data, ["x"], [K], simulation=simulation, process=pydfo.Process(isolation="none"))
+        assert grouped.cost([1.3]) == single.cost([1.3])
+        assert grouped.fit(limits=pydfo.Limits(max_evaluations=3)).nfev == single.fit(max_evaluations=3).nfev == 3
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"simulation": {"solver": "bdf"}, "solver": "bdf"}, "simulation and solver are both given; put solver into simulation"),
+        ({"simulation": {"sandbox": True}}, "simulation: unknown setting 'sandbox'; expected kind, solver"),
+        ({"process": 3}, "process must be a Process or a dict, not 3"),
+        ({"max_stp": 1.0}, "no argument 'max_stp'; did you mean max_step?"),
+    ],
+)
+def test_wrong_groups_of_settings_are_rejected(dahlquist, given, message):
+    with pytest.raises(TypeError, match=message):
+        Calibration(dahlquist, {"time": TIME, "x": TRUE}, ["x"], [K], **given)

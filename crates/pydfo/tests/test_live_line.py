@@ -57,7 +57,7 @@ def test_line_is_shown_and_removed_in_a_terminal(terminal, capsys):
 
 
 def test_line_is_hidden_for_short_fits_and_pipes(terminal, monkeypatch, capsys):
-    monkeypatch.setattr("pydfo._calibration.calibration.DELAY", 60.0)
+    monkeypatch.setattr("pydfo._calibration.display.DELAY", 60.0)
     with redirect_stderr(terminal):
         decay().fit()
         decay().fit(disp=False)

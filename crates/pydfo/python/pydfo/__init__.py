@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from ._calibration.fit import ChosenTolerance, Fit, FitNoise, OutputFit
     from ._calibration.parameter import LogNormal, Normal, Parameter
     from ._calibration.profile import Profile
+    from ._calibration.settings import Limits, Process, Simulation
     from ._calibration.stages import Stage
     from ._calibration.uncertainty import ParameterCheck, Preflight, ResidualCheck, Uncertainty
     from ._calibration.validation import CrossValidation, Fold, PredictionBand, ValidatedOutput, Validation
@@ -59,7 +60,6 @@ if TYPE_CHECKING:
 
 _know_interpreter()
 #: Modules and the names that `pydfo` exports from them. A module is imported when one of its names is first used.
-#: The modules, and what each has for `pydfo`: they are imported when something of them is used first.
 _HOMES = {
     "_calibration.calibration": "Calibration",
     "_calibration.check": "Check Finding",
@@ -79,6 +79,7 @@ _HOMES = {
     "_optimize.result": "BarrierStage LeastSquaresResult OptimizeResult Trace",
     "_optimize.scipy": "scipy_method",
     "_calibration.export": "load_fit",
+    "_calibration.settings": "Limits Process Simulation",
     "_calibration.stages": "Stage",
     "_model.trajectory": "SimulationResult",
     "_calibration.validation": "CrossValidation Fold PredictionBand ValidatedOutput Validation",
@@ -110,6 +111,7 @@ __all__ = [
     "Fold",
     "Interrupted",
     "LeastSquaresResult",
+    "Limits",
     "ModelTypeError",
     "NoResult",
     "OptimizeResult",
@@ -121,10 +123,12 @@ __all__ = [
     "ParameterCheck",
     "Preflight",
     "PredictionBand",
+    "Process",
     "Profile",
     "Progress",
     "PydfoError",
     "ResidualCheck",
+    "Simulation",
     "SimulationError",
     "SimulationResult",
     "SimulationWarning",

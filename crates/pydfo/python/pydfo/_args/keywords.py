@@ -6,6 +6,7 @@ import functools
 import inspect
 import warnings
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import fields
 from typing import Any, Final, ParamSpec, TypeVar
 
 from .. import _core
@@ -95,8 +96,10 @@ def _hint(name: str, arguments: Collection[str], among_options: bool = False) ->
 
 
 def argument_names(function: Callable[..., Any]) -> list[str]:
-    """Returns the names of the arguments of a function or method."""
-    return [name for name in _signature(function).parameters if name != "self"]
+    """Returns the names of the arguments of a function or method, including the fields of its groups."""
+    parameters = _signature(function).parameters
+    names = [name for name, parameter in parameters.items() if name != "self" and parameter.kind is not parameter.VAR_KEYWORD]
+    return [*names, *getattr(function, "_grouped_names", ())]
 
 
 def explained(function: Callable[P, R]) -> Callable[P, R]:
@@ -104,25 +107,29 @@ def explained(function: Callable[P, R]) -> Callable[P, R]:
     return also_called()(function)
 
 
-def also_called(**others: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Like `explained`, for a function that also accepts some keywords of other tools. Maps these keywords to its
-    arguments."""
+def also_called(*, groups: tuple[type, ...] = (), **others: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Like `explained`, for a function that also accepts other keywords.
+
+    `groups` are dataclasses whose fields are keywords of the function. `others` maps keywords of other tools to
+    arguments of the function."""
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
-        names = list(_signature(function).parameters)
-        known = frozenset(names)
+        setattr(function, "_grouped_names", tuple(field.name for group in groups for field in fields(group)))
+        names = argument_names(function)
+        positional = list(_signature(function).parameters)
+        known = frozenset(("self", *names))
 
         def translated(n_positional: int, given: dict[str, Any]) -> dict[str, Any]:
             for other in others.keys() & given.keys():
                 name, value = others[other], given.pop(other)
-                if name not in given and name not in names[:n_positional]:
+                if name not in given and name not in positional[:n_positional]:
                     given[name] = value
                 elif value is not None:
                     raise ValueError(f"{name} and {other} mean the same; give one of them")
             if not known.issuperset(given):
                 name = next(name for name in given if name not in known)
                 owner = function.__qualname__.removesuffix(".__init__")
-                raise TypeError(f"{owner}() has no argument {name!r}{_hint(name, argument_names(function))}")
+                raise TypeError(f"{owner}() has no argument {name!r}{_hint(name, names)}")
             return given
 
         @functools.wraps(function)

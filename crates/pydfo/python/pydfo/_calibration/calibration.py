@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import errno
+import functools
 import logging
 import os
 import sys
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import closing, nullcontext
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Literal, SupportsFloat, SupportsIndex
 
 import numpy as np
@@ -22,19 +23,19 @@ from .._args.keywords import also_called, argument_names, explained, given_once
 from .._errors import CalibrationWarning
 from .._model.files import OpenOptions, size_limit
 from .._optimize import evaluate as _evaluate
-from .._optimize.fmin import Callback, check_callback, combine, listen
-from .._optimize.live_line import DELAY, LiveLine, is_watched
-from .._optimize.progress import Printer
+from .._optimize.fmin import Callback, check_callback
 from .._optimize.result import OptimizeResult
 from . import check as _check
 from . import cost as _cost
 from . import stages as _stages
 from . import uncertainty as _uncertainty
 from . import worker as _worker
+from .display import Display
 from .evaluation import Evaluation
 from .experiment import Inputs, Names, Weights, collected, path_of
 from .fit import Fit
 from .parameter import Parameter
+from .settings import Limits, Process, Simulation, merged
 from .stages import Stage
 from .uncertainty import Preflight, Uncertainty
 from .validation import CrossValidation
@@ -43,6 +44,9 @@ if TYPE_CHECKING:
     import concurrent.futures
 
     from matplotlib.figure import Figure
+    from typing_extensions import Unpack
+
+    from .settings import LimitKeywords, SimulationKeywords
 
 _log = logging.getLogger("pydfo")
 
@@ -99,55 +103,14 @@ class Calibration(Evaluation):
     window : (float, float), optional
         Interval of time in s. Only measurements in this interval count. The simulation still starts at its start
         time.
-    timeout : float, optional
-        Wall-clock limit of one simulation in s. A simulation that reaches the limit counts as failed. The limit of a
-        whole fit is the argument `max_time` of `fit`.
     weights : dict, or sequence, optional
         Factor of the residuals of each output; default 1. Use the inverse of the standard deviation of the noise if
         it is known. A weight per measurement, or "range", "mean" or "sd", is also possible, see `Experiment`.
     start_values : dict, optional
         Values of other parameters and start values of variables, by name. Fitted parameters are not allowed.
-    relative_tolerance : float, optional
-        Relative tolerance of the integration. The default is the tolerance of the model's default experiment, but at
-        most 1e-6, because a larger one makes the cost noisy. Without a default experiment, it is 1e-6. A fit uses a
-        smaller tolerance if necessary. Unless `f_tol` is at least 100 times the model's tolerance, the fit divides
-        the tolerance by a power of ten. With the chosen tolerance, simulation errors of this size relative to the
-        measurements make the cost uncertain by less than `f_tol` near the best values. ``fit.tolerance`` and a note
-        among the findings report the choice.
-    solver : str
-        "auto", "tsit5", "dop853", "radau5", "bdf", "rk4" or "euler". With "auto", each simulation starts with an
-        explicit method and switches to an implicit one if the model is stiff.
-    step_size, max_step : float, optional
-        `step_size` is the step size of the fixed-step methods, or the communication step of co-simulation, in s.
-        `max_step` is the largest step of the other methods, in s. If a co-simulation cannot stop at the measured
-        times, values are interpolated linearly between its steps, see `between_steps` in `FMUModel.simulate`.
-    interior_samples : int, optional
-        Number of points within each step at which event indicators are evaluated, as in `FMUModel.simulate`.
-    chattering : {"error", "warn", "slide"}
-        Action if state events follow each other so closely that time hardly advances, as in `FMUModel.simulate`. A
-        simulation that ends with this error counts as failed.
     start_time : float, optional
         Start time of the simulations in s. It defaults to the start time of the model's default experiment, or 0. It
         is required if the recording starts more than ten of its sampling intervals later.
-    kind : {"auto", "ME", "CS"}, optional
-        Interface used to run the model, as in `FMUModel`. It defaults to the kind of the given FMUModel, otherwise
-        "auto".
-    input_derivatives : bool
-        If True, co-simulations receive the derivatives of their inputs, as in `FMUModel.simulate`.
-    isolation : {"process", "none"}
-        Process in which the FMU runs. The costs do not depend on it. "process": separate processes, one per worker,
-        that start when they are needed and end with the calibration, or at the latest with this process. A crash, a
-        hang beyond `timeout`, a call of `exit` or use of more than `memory_limit` is a failed evaluation with its
-        reason. "none": this process, one simulation at a time. Inputs that are functions are always called in this
-        process.
-    memory_limit : float, optional
-        Maximum memory of a process of the FMU in bytes; default: the memory of the machine.
-    sandbox : bool
-        Confines the processes of the FMU. They can write only into a private folder, which is removed with them. They
-        cannot open connections or reach other processes. Requires Linux with Landlock; SECURITY.md lists what remains
-        possible. Raises an error if the system does not support it, and with ``isolation="none"``.
-    max_description_bytes : int, optional
-        Largest size of ``modelDescription.xml`` if `model` is a path; default 64 MiB. An FMUModel has its own limit.
     units : dict of str to str, optional
         Units of outputs and inputs for which the model declares no unit: ``{"room.T": "K"}``. Columns with a unit are
         converted to it.
@@ -161,6 +124,13 @@ class Calibration(Evaluation):
         over each interval, excluding masked rows. The weights become weights of the means, see `Experiment`.
     initial_states, windows, warm_up, delays, hold_inputs : optional
         Settings of the single recording, as in `Experiment`.
+    simulation : Simulation or dict, optional
+        Solver, tolerance, steps and time limit of the simulations, see `Simulation`. Its settings are also accepted
+        as arguments: ``solver="bdf"`` is short for ``simulation={"solver": "bdf"}``.
+    process : Process or dict, optional
+        Isolation, memory limit and sandbox of the FMU, see `Process`. Its settings are also accepted as arguments.
+    **settings
+        Settings of `simulation` and `process`.
 
     Warns
     -----
@@ -181,7 +151,7 @@ class Calibration(Evaluation):
         Data, parameters or settings do not match. The message reports the arguments, the place and the numbers.
     """
 
-    @also_called(input="inputs", output="outputs")
+    @also_called(groups=(Simulation, Process), input="inputs", output="outputs")
     def __init__(
         self,
         model: Any,
@@ -190,34 +160,26 @@ class Calibration(Evaluation):
         parameters: Sequence[Parameter] | Parameter | None = None,
         inputs: Inputs | None = None,
         window: tuple[float, float] | None = None,
-        timeout: SupportsFloat | None = None,
+        *,
         weights: Weights | None = None,
         start_values: Mapping[str, Any] | str | os.PathLike[str] | None = None,
-        relative_tolerance: SupportsFloat | None = None,
-        solver: str = "auto",
-        step_size: SupportsFloat | None = None,
-        max_step: SupportsFloat | None = None,
         start_time: SupportsFloat | None = None,
-        kind: str | None = None,
-        chattering: Literal["error", "warn", "slide"] = "error",
-        input_derivatives: bool = True,
         time: str | None = None,
-        *,
-        isolation: Literal["process", "none"] = "process",
-        memory_limit: SupportsFloat | None = None,
-        sandbox: bool = False,
-        max_description_bytes: int | None = None,
-        interior_samples: SupportsIndex | None = None,
         units: Mapping[str, str] | None = None,
+        mask: Any = None,
+        resample: SupportsFloat | None = None,
         initial_states: Mapping[str, SupportsFloat | str | Parameter] | None = None,
         windows: Sequence[tuple[float, float]] | None = None,
         warm_up: SupportsFloat | None = None,
         delays: Mapping[str, SupportsFloat] | None = None,
         hold_inputs: bool | None = None,
-        mask: Any = None,
-        resample: SupportsFloat | None = None,
+        simulation: Simulation | Mapping[str, Any] | None = None,
+        process: Process | Mapping[str, Any] | None = None,
+        **settings: Unpack[SimulationKeywords],
     ) -> None:
-        if isolation == "process":
+        simulated = merged(Simulation, "simulation", simulation, settings)
+        run_in = merged(Process, "process", process, settings)
+        if run_in.isolation == "process":
             # An interpreter starts while data and model are read; it ends with this object if nothing is evaluated.
             self._started_ahead = _core.start_worker_ahead()
         own: dict[str, Any] = {
@@ -242,26 +204,14 @@ class Calibration(Evaluation):
         for parameter in self._parameters:
             if not isinstance(parameter, Parameter):
                 raise TypeError(f"{needed}, not of {_text.show(parameter)}")
-        settings: dict[str, Any] = {
-            "kind": getattr(model, "kind", "auto") if kind is None else kind,
-            "timeout": timeout,
-            "relative_tolerance": relative_tolerance,
-            "solver": _solver(solver),
-            "step_size": step_size,
-            "max_step": max_step,
-            "interior_samples": interior_samples,
-            "chattering": chattering,
-            "input_derivatives": input_derivatives,
-            "isolation": isolation,
-            "memory_limit": memory_limit,
-            "sandbox": sandbox,
-            "max_description_bytes": max_description_bytes,
-            "units": dict(_values.units(units)),
-        }
+        record: dict[str, Any] = {**asdict(simulated), **asdict(run_in), "units": dict(_values.units(units))}
+        record["solver"] = _solver(simulated.solver)
+        if simulated.kind is None:
+            record["kind"] = getattr(model, "kind", "auto")
         self._model = path_of(model)
         self._opened: OpenOptions | None = getattr(model, "_opened", None)
-        if self._opened is None and max_description_bytes is not None:
-            self._opened = OpenOptions(max_description_bytes=size_limit("max_description_bytes", max_description_bytes))
+        if self._opened is None and run_in.max_description_bytes is not None:
+            self._opened = OpenOptions(max_description_bytes=size_limit("max_description_bytes", run_in.max_description_bytes))
         opened = getattr(model, "_fmu", None)
         source = opened if isinstance(opened, _core.Fmu) else self._model
         self._functions = [
@@ -270,33 +220,28 @@ class Calibration(Evaluation):
             for variable, source in experiment.inputs
             if callable(source)
         ]
-        self._native = _core.Calibration(source, experiments, settings, list(self._parameters))
+        self._native = _core.Calibration(source, experiments, record, list(self._parameters))
         for warning in self._native.warnings():
             warnings.warn(warning, CalibrationWarning, stacklevel=3)
-        if isolation == "process" and not _worker.is_known:
+        if run_in.isolation == "process" and not _worker.is_known:
             said = f"the FMU runs in this process: no Python interpreter is found to start others (sys.executable is {sys.executable!r})"
             warnings.warn(said, CalibrationWarning, stacklevel=2)
         given = {name for parameter in self._parameters for name in (parameter.name, *(parameter.variables or ()))}
         given.update(name for experiment in experiments for name, _ in experiment.start_values + experiment.initial_states)
         if forgotten := [name for name in getattr(model, "_names_set", list)() if name not in given]:
             warnings.warn(
-                f"values set in an FMUModel do not count in a calibration: {_text.listed(forgotten)}; give them as "
-                "start_values, if they shall",
+                f"values set in an FMUModel do not count in a calibration: {_text.listed(forgotten)}; give them as start_values, if they shall",
                 CalibrationWarning,
                 stacklevel=3,
             )
 
-    @explained
+    @also_called(groups=(Limits,))
     def fit(
         self,
         method: str = "auto",
         workers: SupportsIndex | concurrent.futures.Executor | None = None,
         x_tol: float | None = None,
         f_tol: float | None = None,
-        max_evaluations: SupportsFloat | None = None,
-        max_iterations: SupportsFloat | None = None,
-        max_time: SupportsFloat | None = None,
-        target: SupportsFloat | None = None,
         stop: Literal["any", "all"] | None = None,
         batch: str | SupportsIndex = "auto",
         disp: bool | None = None,
@@ -317,6 +262,8 @@ class Calibration(Evaluation):
         preflight: bool = False,
         noise: Literal["auto", "stated", "estimated"] = "auto",
         watch: bool = False,
+        limits: Limits | Mapping[str, Any] | None = None,
+        **given_limits: Unpack[LimitKeywords],
     ) -> Fit:
         """Fits the parameters without the interpreter lock.
 
@@ -340,14 +287,6 @@ class Calibration(Evaluation):
         f_tol : float, optional
             Tolerance of the f test (default 1e-4): difference between the worst and the best vertex relative to the
             best cost.
-        max_evaluations, max_iterations : int, optional
-            Exact limits on the simulations and iterations of the search. The simulations counted in `Fit.n_checks`
-            follow after it.
-        max_time : float, optional
-            Limit on the wall-clock time in s.
-        target : float, optional
-            The fit ends with the first evaluation whose cost is at or below this value, for any number of workers.
-            Simultaneous evaluations that come later in the order count as speculative.
         stop : {"all", "any"}, optional
             "all" (the default): both tests must pass. "any": one test ends the fit.
         batch : {"auto", "serial", "ahead"}, "rounds", "workers" or int
@@ -427,6 +366,11 @@ class Calibration(Evaluation):
             and simulated values, costs, parameters, running simulations and failures. A button ends the fit with the
             best point. The address is printed to standard error, and the page cannot be reached without it. After the
             fit, the page shows the report until it is closed, the returned `Fit` is deleted or the program ends.
+        limits : Limits or dict, optional
+            Limits of the fit: evaluations, iterations, wall-clock time and target, see `Limits`. Each limit is also
+            accepted as an argument: ``max_time=60`` is short for ``limits={"max_time": 60}``.
+        **given_limits
+            Settings of `limits`.
 
         Returns
         -------
@@ -447,10 +391,11 @@ class Calibration(Evaluation):
 
         Notes
         -----
-        If none of the three limits is set, the limits of the method apply. For Nelder-Mead, they are 1000 (n + 1)
-        iterations and 5000 (n + 1) evaluations.
+        Without a limit on evaluations, iterations or time, the limits of the method apply. For Nelder-Mead, they are
+        1000 (n + 1) iterations and 5000 (n + 1) evaluations.
         """
         check_callback(callback)
+        bounds = merged(Limits, "limits", limits, given_limits)
         own = given_once(
             _options.dictionary(options), Calibration.fit, x_tol=x_tol, f_tol=f_tol, stop=stop, initial_simplex=initial_simplex, batch=batch
         )
@@ -463,71 +408,36 @@ class Calibration(Evaluation):
         if executor is not None:
             from .simulation_executor import Simulations
 
-            engine = Simulations(self, executor, _values.optional_number("max_time", max_time))
+            engine = Simulations(self, executor, _values.optional_number("max_time", bounds.max_time))
         count = engine.width if engine else _options.worker_count("workers", given, None)
         own = _options.with_plan(own, count)
         cost = _cost.built(objective, self)
-
-        def record(method: str, own: Mapping[str, Any], **more: Any) -> _options.Record:
-            return _options.record(
-                Calibration.fit,
-                method,
-                own,
-                len(self.names),
-                rng=rng,
-                checkpoint=checkpoint,
-                function=cost.function,
-                workers=count,
-                resume=resume,
-                search=search,
-                **more,
-            )
-
-        asked = record(
-            method,
-            own,
-            max_evaluations=max_evaluations,
-            max_iterations=max_iterations,
-            max_time=max_time,
-            target=target,
-            loss=loss,
-            f_scale=f_scale,
-            covariance=covariance,
-            preflight=preflight,
-            noise=noise,
+        record = functools.partial(
+            _options.record,
+            Calibration.fit,
+            n=len(self.names),
+            rng=rng,
+            checkpoint=checkpoint,
+            function=cost.function,
+            workers=count,
+            resume=resume,
+            search=search,
         )
-        of_stages = None if stages is None else _stages.records(_stages.collected(stages), method, own, record)
+        asked = record(method, own, **asdict(bounds), loss=loss, f_scale=f_scale, covariance=covariance, preflight=preflight, noise=noise)
+        display = Display(self.names, disp, watch, callback, bounds)
         begin = self._values(start, "start")
-        printer = Printer(self.names)
-        shown = disp if disp is None else _values.flag("disp", disp)
-        live: LiveLine | None = None
-        page: _core.LivePage | None = None
-
-        def opened(started: _core.LivePage) -> None:
-            nonlocal page
-            page = started
-            print(f"watch the fit at {page.url}", file=sys.stderr, flush=True)
-
-        watched = opened if _values.flag("watch", watch) else None
-        listeners: list[Callback] = []
-        if shown is not False and is_watched():
-            live = LiveLine(self.names, DELAY if shown is None else 0.0, max_evaluations, max_iterations, max_time)
-            listeners.append(live)
-        elif shown:
-            listeners.append(printer)
-        if callback is not None:
-            listeners.append(listen(callback))
-        observer = combine(listeners)
-        if live:
-            # The function is also called between iterations.
-            setattr(observer, "tick", live.tick)
+        objects = {
+            "start": begin,
+            "observer": display.observer,
+            "stages": None if stages is None else _stages.records(_stages.collected(stages), method, own, record),
+            "objective": cost,
+            "engine": engine,
+            "page": display.page_opened,
+        }
         try:
-            with closing(live) if live else nullcontext():
-                objects = {"start": begin, "observer": observer, "stages": of_stages, "objective": cost, "engine": engine, "page": watched}
+            with display.running():
                 result = self._native.fit(asked, objects)
         except BaseException as e:
-            if page is not None:
-                page.show_error(f"{type(e).__name__}: {e}")
             # Results attached by the native code also become fits.
             for name in ("result", "partial_result"):
                 attached = getattr(e, name, None)
@@ -535,14 +445,8 @@ class Calibration(Evaluation):
                     setattr(e, name, self._fit(attached, begin))
             raise
         fit = self._fit(result, begin)
-        # The page is served as long as the fit exists.
-        if page is not None:
-            fit._page = page
         _log.info("fit: %s; cost %r after %d evaluations", fit.message, fit.cost, fit.nfev)
-        if disp and fit.preflight is not None:
-            print(fit.preflight)
-        if disp:
-            printer.end(fit.message, fit.x, fit.cost, fit.nit, fit.nfev, fit.solve_time)
+        display.end(fit)
         return fit
 
     @explained
