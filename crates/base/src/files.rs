@@ -261,8 +261,7 @@ impl AtomicFile {
         if old.as_ref().is_some_and(fs::Metadata::is_dir) {
             return Err(io::ErrorKind::IsADirectory.into());
         }
-        if let Some(old) = old.as_ref().filter(|old| old.is_file() && old.permissions().readonly()) {
-            let _ = old;
+        if old.as_ref().is_some_and(|old| old.is_file() && old.permissions().readonly()) {
             return Err(io::Error::new(
                 io::ErrorKind::PermissionDenied,
                 "the file that is there is read-only",

@@ -14,7 +14,6 @@ use base::{Number, RunContext};
 use fmi::Trajectory;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use serde::{Deserialize, Serialize};
-use std::thread::available_parallelism;
 
 /// Minimum relative change of at least one parameter for a step along a principal axis. Steps are otherwise
 /// one standard error. With smaller steps, the noise of the simulations would dominate.
@@ -315,7 +314,7 @@ impl Calibration {
         for step in steps {
             points.extend([point(step, step.forward), point(step, -step.backward)]);
         }
-        let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
+        let workers = options.workers.unwrap_or_else(base::available_cores);
         let n = self.problem().experiments.len();
         let task = |i: usize, context: &RunContext<'_>| {
             self.simulate_experiment(i % n, &points[i / n], options.times.as_deref(), context)

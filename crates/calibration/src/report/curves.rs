@@ -12,7 +12,6 @@ use crate::problem::residual_layout::OutputResiduals;
 use base::RunContext;
 use fmi::Trajectory;
 use serde::Serialize;
-use std::thread::available_parallelism;
 
 /// Height of a panel of a plot, in pixels.
 #[cfg(feature = "report")]
@@ -105,7 +104,7 @@ impl Calibration {
         };
         let names = self.problem().experiment_names();
         // Chosen before several threads ask for it.
-        let workers = available_parallelism().map_or(1, usize::from);
+        let workers = base::available_cores();
         let simulate = |k: usize, context: &RunContext<'_>| {
             self.response(k / 2, if k.is_multiple_of(2) { &fit.start } else { &fit.x }, context)
         };

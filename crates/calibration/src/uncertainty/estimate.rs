@@ -23,7 +23,6 @@ use crate::uncertainty::stuck_parameters::AT;
 use base::RunContext;
 use dfo::{ParameterKind, RobustLoss};
 use nalgebra::{DMatrix, DVector};
-use std::thread::available_parallelism;
 
 /// Data that are known at a point before its uncertainty is estimated.
 #[derive(Default)]
@@ -189,7 +188,7 @@ impl Calibration {
         context: &RunContext<'_>,
     ) -> Result<Uncertainty, CalibrationError> {
         self.check_length(x)?;
-        let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
+        let workers = options.workers.unwrap_or_else(base::available_cores);
         let mut simulations = Simulations::new(self, RobustLoss::default(), workers, context)?;
         if let Some(index) = options.held.iter().find(|i| **i >= x.len()) {
             let n = x.len();

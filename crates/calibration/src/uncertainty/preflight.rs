@@ -15,7 +15,6 @@ use nalgebra::DMatrix;
 use ode::Stats;
 use serde::{Deserialize, Serialize};
 use std::fmt;
-use std::thread::available_parallelism;
 
 /// Relative size of the step of a parameter.
 const MOVE: f64 = 0.01;
@@ -138,7 +137,7 @@ impl Calibration {
     ) -> Result<Preflight, CalibrationError> {
         let start = options.start.clone().unwrap_or_else(|| self.start());
         self.check_length(&start)?;
-        let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
+        let workers = options.workers.unwrap_or_else(base::available_cores);
         let mut simulations = Simulations::new(self, options.loss, workers, context)?;
         let AtStart { residuals, stats: of_start } = match known {
             Some(known) => known.clone(),

@@ -12,7 +12,6 @@ use base::{Number, RunContext};
 use dfo::{AnyMethod, Record, RobustLoss, RunOptions};
 use ode::Stats;
 use std::fmt;
-use std::thread::available_parallelism;
 use std::time::Duration;
 
 /// Options of a cross-validation.
@@ -119,7 +118,7 @@ impl Calibration {
             return Err(CalibrationError::Cancelled);
         }
         self.prepare()?;
-        let workers = options.run.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
+        let workers = options.run.workers.unwrap_or_else(base::available_cores);
         let end = context.within(options.run.limits.max_time).end();
         let task = |fold: usize, context: &RunContext<'_>| {
             let context = context.until(end);

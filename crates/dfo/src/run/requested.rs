@@ -12,7 +12,6 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
-use std::thread::available_parallelism;
 use std::time::Duration;
 
 /// Options that every run has. Missing options have their defaults; a limit of `None` means no limit.
@@ -145,7 +144,7 @@ impl RequestedRun {
         if let Some(Value::Text(plan)) = of_method.get("batch")
             && plan.eq_ignore_ascii_case("workers")
         {
-            let n = asked.options.workers.unwrap_or_else(all_cores);
+            let n = asked.options.workers.unwrap_or_else(base::available_cores);
             of_method.insert("batch".to_owned(), Value::Count(n as u64));
         }
         let method = asked.method(&of_run, &of_method);
@@ -265,15 +264,10 @@ fn limit(limit: &mut Option<usize>, name: &str, said: &Value, least: u64) -> Res
     Ok(())
 }
 
-/// Returns the number of cores that this process may use.
-fn all_cores() -> usize {
-    available_parallelism().map_or(1, usize::from)
-}
-
 /// Reads the number of evaluations that may run at once, if it is given.
 fn workers(said: &Value) -> Result<Option<usize>, RecordError> {
     match said {
-        Value::Negative(-1) => Ok(Some(all_cores())),
+        Value::Negative(-1) => Ok(Some(base::available_cores())),
         Value::Negative(_) | Value::Count(0) => {
             Err(RecordError::range("at least 1, or -1 for all cores").of("workers", said))
         }

@@ -25,7 +25,8 @@ pub(crate) struct System {
     sent: Vec<f64>,
     /// Point last set in the FMU, if known.
     set_time: Option<f64>,
-    set_states: Option<()>,
+    /// True if `states` were set in the FMU.
+    has_states: bool,
     states: Vec<f64>,
     /// Point last committed. After a run, `get` refers to this point.
     last_time: f64,
@@ -69,7 +70,7 @@ impl System {
         Self {
             sent: Vec::with_capacity(plan.inputs.continuous.start().len()),
             set_time: None,
-            set_states: None,
+            has_states: false,
             is_evaluated: false,
             unused: vec![0.0; n],
             row_actions: StepAction::default(),
@@ -93,7 +94,7 @@ impl System {
             self.running.plan.n_states > 0 && self.running.plan.inputs.continuous.is_empty();
         self.running.current.core = Some(core);
         self.set_time = None;
-        self.set_states = None;
+        self.has_states = false;
         self.row_actions = StepAction::default();
         self.floor = f64::NEG_INFINITY;
         self.last_time = start;
@@ -208,13 +209,13 @@ impl System {
         if x.is_empty() {
             return Ok(());
         }
-        let same = self.set_states.is_some() && self.states.iter().zip(x).all(|(a, b)| same_bits(*a, *b));
+        let same = self.has_states && self.states.iter().zip(x).all(|(a, b)| same_bits(*a, *b));
         if !same {
             self.is_evaluated = false;
-            self.set_states = None;
+            self.has_states = false;
             self.call(|raw| raw.set_continuous_states(x))?;
             self.states.copy_from_slice(x);
-            self.set_states = Some(());
+            self.has_states = true;
         }
         Ok(())
     }
@@ -230,14 +231,14 @@ impl System {
     ) -> CallResult<()> {
         let time = if t > self.floor { t } else { self.floor };
         let has_time = self.set_time.is_some_and(|set| same_bits(set, time));
-        if !self.is_point_of_states || has_time && self.set_states.is_some() && has(&self.states, x) {
+        if !self.is_point_of_states || has_time && self.has_states && has(&self.states, x) {
             self.set_point(t, x)?;
             return self.call(|raw| call(raw, None));
         }
         self.is_evaluated = false;
-        (self.set_time, self.set_states) = (None, None);
+        (self.set_time, self.has_states) = (None, false);
         self.call(|raw| call(raw, Some((time, x))))?;
-        (self.set_time, self.set_states) = (Some(time), Some(()));
+        (self.set_time, self.has_states) = (Some(time), true);
         copy(&mut self.states, x);
         Ok(())
     }
@@ -508,7 +509,7 @@ impl HybridSystem for Integration<'_> {
         // The model is at its start time with its states and the inputs set in initialization mode. They can
         // be set again only in continuous-time mode.
         self.set_time = outcome.terminate.then_some(t0);
-        self.set_states = outcome.terminate.then_some(());
+        self.has_states = outcome.terminate;
         self.states.copy_from_slice(x);
         Ok(EventOutcome { states_changed: true, ..outcome })
     }
@@ -600,7 +601,7 @@ impl HybridSystem for Integration<'_> {
         self.leave_event_mode(&outcome)?;
         self.commit(t, x);
         self.set_time = outcome.terminate.then_some(t);
-        self.set_states = outcome.terminate.then_some(());
+        self.has_states = outcome.terminate;
         self.states.copy_from_slice(x);
         Ok(outcome)
     }

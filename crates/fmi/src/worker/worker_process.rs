@@ -23,7 +23,6 @@ use std::os::unix::net::UnixStream;
 use std::process::ExitStatus;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
-use std::thread::available_parallelism;
 use std::time::{Duration, Instant};
 
 /// Time between two checks for cancellation and limits while an answer is awaited.
@@ -43,7 +42,7 @@ const SPIN: Duration = Duration::from_millis(1);
 /// Number of calls in progress in this process.
 static CALLS: AtomicUsize = AtomicUsize::new(0);
 
-static CORES: LazyLock<usize> = LazyLock::new(|| available_parallelism().map_or(1, usize::from));
+static CORES: LazyLock<usize> = LazyLock::new(base::available_cores);
 
 /// Size of the read buffer in bytes.
 const BUFFER: usize = 64 << 10;

@@ -30,7 +30,6 @@ use std::collections::{HashMap, VecDeque};
 use std::ops::ControlFlow;
 use std::rc::Rc;
 use std::sync::{Arc, Mutex};
-use std::thread::available_parallelism;
 use std::time::Duration;
 
 /// Objective of one fit, which adds up the cost of its simulations.
@@ -243,7 +242,7 @@ impl<'a> Job<'a> {
                     .to_owned(),
             ));
         }
-        run.workers.get_or_insert_with(|| available_parallelism().map_or(1, usize::from));
+        run.workers.get_or_insert_with(base::available_cores);
         let start = options.start.unwrap_or_else(|| calibration.start());
         calibration.check_start(&start)?;
         if let Some(index) = options.held.iter().find(|&&i| i >= start.len()) {

@@ -25,7 +25,6 @@ pub use result::{ParameterProfile, Profile, ProfileEnd, ProfilePoint};
 use saved::{SavedSides, Side};
 use std::path::PathBuf;
 use std::sync::Mutex;
-use std::thread::available_parallelism;
 use walk::{Origin, walk};
 
 /// Options of [`Calibration::profile`].
@@ -130,7 +129,7 @@ impl Calibration {
         }
         let normal = check_level(options.level, f64::INFINITY)?.powi(2);
         let estimator = fit.uncertainty.as_ref().map(|uncertainty| uncertainty.estimator).unwrap_or_default();
-        let workers = options.workers.unwrap_or_else(|| available_parallelism().map_or(1, usize::from));
+        let workers = options.workers.unwrap_or_else(base::available_cores);
         let size = |i: usize| self.size_of(&self.parameters()[i], fit.x[i]);
         let step = |i: usize| step_of(fit.uncertainty.as_ref(), i).unwrap_or_else(|| 0.01 * size(i));
         let mut refits = Refits {
