@@ -242,26 +242,64 @@ def test_missing_model_is_sent_to_worker(tmp_path, monkeypatch):
     problem = _engine.Problem(state, own._opened, own._functions)
     point = (np.array([1.7]), np.inf)
     loss = calibration_loss(own)
-    assert _engine.simulate("key", None, *point, loss).what == "problem"
-    assert _engine.simulate("key", problem, *point, loss).what == "model"
-    _, answer = _engine.simulate("key", problem._replace(model=model), *point, loss)
-    again = _engine.simulate("key", None, *point, loss)[1]
+    assert _engine.simulate(pydfo.__version__, "key", None, *point, loss).what == "problem"
+    assert _engine.simulate(pydfo.__version__, "key", problem, *point, loss).what == "model"
+    _, answer = _engine.simulate(pydfo.__version__, "key", problem._replace(model=model), *point, loss)
+    again = _engine.simulate(pydfo.__version__, "key", None, *point, loss)[1]
     # Outcome, residuals and work precede the times and the checks, which only the second simulation makes.
     assert answer[: answer.index(b"checks")] == again[: again.index(b"checks")]
     (kept,) = tmp_path.glob("fmufit-models-*/*.fmu")
     # Another model at the same path is not used instead.
     path.write_bytes(open(pydfo.example_fmu("bouncing_ball"), "rb").read())
     monkeypatch.setattr(_engine, "_problems", {})
-    assert _engine.simulate("key", problem, *point, loss)[1][:20] == answer[:20]
+    assert _engine.simulate(pydfo.__version__, "key", problem, *point, loss)[1][:20] == answer[:20]
     kept.unlink()
     monkeypatch.setattr(_engine, "_problems", {})
-    assert _engine.simulate("key", problem, *point, loss).what == "model"
+    assert _engine.simulate(pydfo.__version__, "key", problem, *point, loss).what == "model"
     with pytest.raises(RuntimeError, match="has changed since"):
-        _engine.simulate("key", problem._replace(model=path.read_bytes()), *point, loss)
-    _engine.simulate("key", problem._replace(model=model), *point, loss)
+        _engine.simulate(pydfo.__version__, "key", problem._replace(model=path.read_bytes()), *point, loss)
+    _engine.simulate(pydfo.__version__, "key", problem._replace(model=model), *point, loss)
     (kept,) = tmp_path.glob("fmufit-models-*/*.fmu")
     assert kept.stem == content and kept.parent.stat().st_mode & 0o777 == 0o700
     assert calibration.cost([1.7]) < 1e-6
+
+
+class CountingSends(concurrent.futures.ProcessPoolExecutor):
+    """An executor that counts the tasks with which the problem is sent."""
+
+    n_sends = 0
+
+    def submit(self, fn, /, *args, **kwargs):
+        self.n_sends += args[2] is not None
+        return super().submit(fn, *args, **kwargs)
+
+
+def test_process_receives_each_problem_once(monkeypatch):
+    # forked processes inherit the problems of this one
+    monkeypatch.setattr("pydfo._calibration.simulation_executor._problems", {})
+
+    def other():
+        data = {"time": TIMES, "x": np.exp(-0.9 * TIMES)}
+        return pydfo.Calibration(pydfo.example_fmu("dahlquist"), data, ["x"], [pydfo.Parameter("k", 1, 0.1, 5)])
+
+    asked = {"method": "de", "rng": 1, "max_evaluations": 90}
+    with CountingSends(2) as executor:
+        # a problem may also reach the process that has it already
+        decay().fit(workers=executor, **asked)
+        assert 1 <= executor.n_sends <= 6
+        other().fit(workers=executor, **asked)
+        assert executor.n_sends <= 12
+        sent = executor.n_sends
+        for calibration in (decay(), other(), decay()):
+            calibration.fit(workers=executor, **asked)
+        assert executor.n_sends <= sent + 2
+
+
+def test_other_version_of_the_module_is_rejected():
+    from pydfo._calibration import simulation_executor as _engine
+
+    with pytest.raises(ImportError, match=f"has fmufit {pydfo.__version__}, but the fit was started with 0.0.0"):
+        _engine.simulate("0.0.0", "key", None, np.array([1.7]), np.inf, b"")
 
 
 def calibration_loss(calibration):

@@ -1,8 +1,8 @@
 """The simulations of a fit on an executor: the data sent, and their handling in the receiving process.
 
-A task contains a point and the key of its problem. A process that lacks the problem reports this and then receives
-it. A process that cannot find the model at its path receives the file and stores it for all processes of its machine.
-Problem and model are therefore sent only once.
+A task contains a point and the key of its problem. A process that lacks the problem reports this. The point is then
+sent again together with the problem. Meanwhile, other points that the process returns are sent again without it. A
+process that cannot find the model at its path receives the file and stores it for all processes of its machine.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import hashlib
 import os
 import socket
 import tempfile
+import threading
 import time
 import uuid
 from pathlib import Path
@@ -29,8 +30,12 @@ if TYPE_CHECKING:
 #: Maximum number of models stored on a machine.
 MOST_MODELS = 8
 
-#: Problems that this process has received.
-_problems: dict[str, Any] = {}
+#: Maximum size in bytes of the problems that a process keeps, apart from the most recent one.
+MOST_BYTES = 1 << 28
+
+#: Problems that this process has received, with their sizes in bytes. The most recently used one is the last.
+_problems: dict[str, tuple[Any, int]] = {}
+_lock = threading.Lock()
 
 
 class Problem(NamedTuple):
@@ -77,6 +82,8 @@ class Missing(NamedTuple):
 
     what: str
     machine: str
+    #: Id of the process that lacks a problem; 0 for a model, which all processes of the machine share.
+    process: int
 
 
 def _kept_model(content: str, model: bytes | None) -> Path:
@@ -101,25 +108,42 @@ def _kept_model(content: str, model: bytes | None) -> Path:
 
 
 def simulate(
-    key: str, problem: Problem | None, x: Any, cutoff: float, loss: bytes, deadline: Deadline | None = None
+    version: str, key: str, problem: Problem | None, x: Any, cutoff: float, loss: bytes, deadline: Deadline | None = None
 ) -> tuple[float, bytes] | Missing:
     """Runs a task and returns its run time and its answer, or the data that this process lacks."""
     start = time.perf_counter()
-    known = _problems.get(key)
+    if version != _core.__version__:
+        raise ImportError(f"{socket.gethostname()} has fmufit {_core.__version__}, but the fit was started with {version}. Install the same version.")
+    known = _kept_problem(key)
     if known is None:
         if problem is None:
-            return Missing("problem", socket.gethostname())
+            return Missing("problem", socket.gethostname(), os.getpid())
         try:
             known = problem.open()
         except FileNotFoundError:
             if problem.model is not None:
                 raise
-            return Missing("model", socket.gethostname())
-        # A process usually works on one problem at a time.
-        _problems.clear()
-        _problems[key] = known
+            return Missing("model", socket.gethostname(), 0)
+        _keep_problem(key, known, len(problem.state))
     answer = known.answer(np.ascontiguousarray(x), cutoff, loss, deadline and deadline.left())
     return time.perf_counter() - start, answer
+
+
+def _kept_problem(key: str) -> Any:
+    """Returns a problem that this process has received, and marks it as used; None if there is none."""
+    with _lock:
+        if key not in _problems:
+            return None
+        _problems[key] = found = _problems.pop(key)
+        return found[0]
+
+
+def _keep_problem(key: str, problem: Any, size: int) -> None:
+    """Keeps a problem, and drops the least recently used ones if all together are too large."""
+    with _lock:
+        _problems[key] = problem, size
+        while len(_problems) > 1 and sum(size for _, size in _problems.values()) > MOST_BYTES:
+            del _problems[next(iter(_problems))]
 
 
 class Simulations(_evaluate.Futures):
@@ -130,6 +154,8 @@ class Simulations(_evaluate.Futures):
         self._end = None if max_time is None else time.time() + max_time
         self._calibration = calibration
         self._tasks: dict[int, tuple[Any, ...]] = {}
+        #: The data under way to a process, and the point with which they travel.
+        self._under_way: dict[Missing, int] = {}
 
     def begin(self, state: bytes, loss: bytes) -> None:
         """Sets the problem of all following points."""
@@ -141,7 +167,7 @@ class Simulations(_evaluate.Futures):
 
     def _send(self, number: int, problem: Problem | None) -> None:
         key, *point = self._tasks[number]
-        self._began(number, self._executor.submit(simulate, key, problem, *point))
+        self._began(number, self._executor.submit(simulate, _core.__version__, key, problem, *point))
 
     def submit(self, number: int, x: Any, cutoff: float) -> None:
         """Starts the evaluation of a point."""
@@ -155,9 +181,13 @@ class Simulations(_evaluate.Futures):
         if polled is None:
             return None
         number, took, value, fault = polled
+        self._under_way = {missing: carrier for missing, carrier in self._under_way.items() if carrier != number}
         if not isinstance(value, Missing):
             self._tasks.pop(number, None)
             return polled
+        if value in self._under_way:
+            self._send(number, None)
+            return None
         problem = self._problem
         if value.what == "model":
             path, _ = _core.Calibration.model_of(problem.state)
@@ -168,6 +198,7 @@ class Simulations(_evaluate.Futures):
                 )
                 return number, took, why, "broken"
             problem = problem._replace(model=Path(path).read_bytes())
+        self._under_way[value] = number
         self._send(number, problem)
         return None
 
