@@ -566,3 +566,25 @@ fn fine_noise_does_not_exhaust_the_budget() {
         assert!(report.n_evaluations < 1000 && report.fun < 0.25, "{report}");
     }
 }
+
+/// The residuals of a cubic with the minimum 0 at (1, 3, 2). At the start, the cost does not change by more than
+/// rounding within the first resolution.
+#[test]
+fn tolerance_of_zero_searches_as_far_as_a_small_one() {
+    let cubic = |x: &[f64], out: &mut Vec<f64>| {
+        let (a, r, h) = (x[0], x[1], x[2]);
+        let curved = a * (a + 1.0) * r * h * h;
+        out.extend([
+            -0.5 * curved + a * r * h - r * (1.0 - (1.0 + h).powf(-a)) + 8.0,
+            -curved + a * r * h * (1.0 - (1.0 + h).powf(-a - 1.0)) + 56.0 / 3.0,
+            -curved * (1.0 - (1.0 + h).powf(-a - 2.0)) + 208.0 / 9.0,
+        ]);
+    };
+    for x_tol in [0.0, 1e-12] {
+        let run = minimize(residuals(cubic)).start(&[1.0, 0.0, 1.0]).x_tol(x_tol).max_evaluations(2000);
+        let run = run.bounds(&[f64::NEG_INFINITY, f64::NEG_INFINITY, -0.5], &[f64::INFINITY; 3]).unwrap();
+        let report = run.method(LeastSquares::default()).run().unwrap();
+        assert!(report.fun < 1e-15, "{x_tol}: {report}");
+        assert!(report.x.iter().zip([1.0, 3.0, 2.0]).all(|(x, root)| (x - root).abs() < 1e-4), "{report}");
+    }
+}

@@ -14,6 +14,8 @@ use std::borrow::Cow;
 
 /// Minimum radius that can be resolved.
 const SMALLEST: f64 = 1e-15;
+/// Resolution down to which a search with an x tolerance of 0 continues although the cost only rounds.
+const UNSTATED: f64 = 1e3 * SMALLEST;
 /// Relative sum of squares below which it counts as zero (the default `model.rel_tol` of DFO-LS: Cartis,
 /// Fiala, Marteau and Roberts 2019, section 4).
 const ZERO: f64 = 1e-20;
@@ -200,7 +202,8 @@ impl LeastSquaresState {
                 self.phase = Phase::Ended(Termination::Collapsed);
             } else if length < 0.5 * self.rho || predicted <= nothing {
                 let (x_size, gain) = self.uncertainty(base, &model.linear, length, predicted);
-                let may_pass = self.setup.tolerances.x_tol > 0.0 && !tests.x_passed;
+                let x_limit = if self.setup.tolerances.x_tol > 0.0 { 0.0 } else { UNSTATED };
+                let may_pass = !tests.x_passed && self.rho > x_limit;
                 if !may_pass
                     && (gain <= rounding || self.is_flat(&z, &model.linear, rounding, &lower, &upper))
                 {

@@ -198,11 +198,12 @@ class OptimizeResult:
         starts ("multistart", ``search="global"``) that a limit ended is not a success, because it may have missed the
         best minimum.
     status : int
-        0 converged, 10 target reached, 30 all parameters fixed; 1 limit of evaluations, 2 limit of iterations, 3
-        limit of time; 4 stopped by a callback, 5 interrupted, 6 ended by an exception, 7 the checkpoint could not be
-        written; 11 the simplex or population collapsed, 12 only one vertex has a cost, 13 every point failed, 14
-        stalled, 15 the cost did not change, 16 the cost is unbounded below, 17 too many calls failed, 18 points
-        around the best one fail, 19 one more step of least squares after the fit lowers the cost.
+        0 converged, 10 target reached, 20 the noise of the residuals hides any further decrease (a success if the x
+        test passed), 30 all parameters fixed; 1 limit of evaluations, 2 limit of iterations, 3 limit of time; 4
+        stopped by a callback, 5 interrupted, 6 ended by an exception, 7 the checkpoint could not be written; 11 the
+        simplex or population collapsed, 12 only one vertex has a cost, 13 every point failed, 14 stalled, 15 the cost
+        did not change, 16 the cost is unbounded below, 17 too many calls failed, 18 points around the best one fail,
+        19 one more step of least squares after the fit lowers the cost.
     termination : str
         The status as a word.
     message : str
