@@ -1,6 +1,7 @@
 //! System-dependent part of this module: loading a library.
 
 use crate::fair_lock::FairLock;
+use libloading::Library;
 use serde::{Deserialize, Serialize};
 use std::mem::ManuallyDrop;
 use std::ops::Deref;
@@ -26,16 +27,11 @@ pub struct LoaderOptions {
     pub lazy: bool,
 }
 
-#[cfg(unix)]
-pub(super) type Opened = libloading::os::unix::Library;
-#[cfg(not(unix))]
-pub(super) type Opened = libloading::Library;
-
 /// An open library, used by one thread at a time. It is never closed. A thread that has called the FMU may
 /// have thread-specific data (for example, `thread_local` of C++). Their destructor is code of the library
 /// and runs when the thread ends.
 pub(super) struct Handle {
-    library: ManuallyDrop<Opened>,
+    library: ManuallyDrop<Library>,
     /// Lock for access to the library.
     pub(super) lock: Arc<FairLock>,
     /// True after a call has returned `Fatal`.
@@ -45,16 +41,16 @@ pub(super) struct Handle {
 }
 
 impl Handle {
-    pub(super) fn new(library: Opened, lock: Arc<FairLock>) -> Self {
+    pub(super) fn new(library: Library, lock: Arc<FairLock>) -> Self {
         let library = ManuallyDrop::new(library);
         Self { library, lock, is_fatal: AtomicBool::new(false), is_used: AtomicBool::new(false) }
     }
 }
 
 impl Deref for Handle {
-    type Target = Opened;
+    type Target = Library;
 
-    fn deref(&self) -> &Opened {
+    fn deref(&self) -> &Library {
         &self.library
     }
 }
@@ -78,21 +74,19 @@ pub(super) fn check(options: &LoaderOptions) -> Result<(), &'static str> {
 ///
 /// # Safety
 /// Runs the library's constructors, which is foreign code.
-#[cfg(unix)]
-pub(super) unsafe fn open(path: &Path, options: &LoaderOptions) -> Result<Opened, libloading::Error> {
-    use libloading::os::unix::{RTLD_LAZY, RTLD_LOCAL, RTLD_NOW};
-    let when = if options.lazy { RTLD_LAZY } else { RTLD_NOW };
-    let deep = DEEPBIND.filter(|_| options.deepbind).unwrap_or(0);
-    // SAFETY: the caller upholds the requirements of this function.
-    unsafe { Opened::open(Some(path), when | RTLD_LOCAL | deep) }
-}
-
-/// Opens a shared library.
-///
-/// # Safety
-/// Runs the library's constructors, which is foreign code.
-#[cfg(not(unix))]
-pub(super) unsafe fn open(path: &Path, _: &LoaderOptions) -> Result<Opened, libloading::Error> {
-    // SAFETY: the caller upholds the requirements of this function.
-    unsafe { Opened::new(path) }
+pub(super) unsafe fn open(path: &Path, options: &LoaderOptions) -> Result<Library, libloading::Error> {
+    #[cfg(unix)]
+    {
+        use libloading::os::unix::{self, RTLD_LAZY, RTLD_LOCAL, RTLD_NOW};
+        let when = if options.lazy { RTLD_LAZY } else { RTLD_NOW };
+        let deep = DEEPBIND.filter(|_| options.deepbind).unwrap_or(0);
+        // SAFETY: the caller upholds the requirements of this function.
+        unsafe { unix::Library::open(Some(path), when | RTLD_LOCAL | deep) }.map(Library::from)
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = options;
+        // SAFETY: the caller upholds the requirements of this function.
+        unsafe { Library::new(path) }
+    }
 }
