@@ -37,7 +37,7 @@
 //! `sandbox` (on by default) confines worker processes on request (Landlock and seccomp, on Linux). `sparse`
 //! (off by default) enables the feature of the same name of `ode`.
 #![deny(unsafe_code)]
-// Worker processes exist only on Unix.
+// Only an implementation of `worker::platform` uses some functions.
 #![cfg_attr(not(unix), allow(dead_code))]
 
 pub mod archive;

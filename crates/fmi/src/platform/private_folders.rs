@@ -49,14 +49,19 @@ pub(crate) fn fallback_cache_folder() -> PathBuf {
     unpack_base().join("fmufit-cache")
 }
 
-/// Creates a folder that only its owner may write to. Returns an error if an existing folder has other
-/// permissions. Libraries are loaded from this folder, and folders for temporary files are open to all users.
-pub(crate) fn create_private_folder(path: &Path) -> io::Result<()> {
+/// Returns a builder of folders that only this user can access, on systems with such permissions.
+pub(crate) fn private_folder_builder() -> fs::DirBuilder {
     #[cfg_attr(not(unix), allow(unused_mut))]
     let mut builder = fs::DirBuilder::new();
     #[cfg(unix)]
     std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
-    match builder.create(path) {
+    builder
+}
+
+/// Creates a folder that only its owner may write to. Returns an error if an existing folder has other
+/// permissions. Libraries are loaded from this folder, and folders for temporary files are open to all users.
+pub(crate) fn create_private_folder(path: &Path) -> io::Result<()> {
+    match private_folder_builder().create(path) {
         Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(error),
         _ => {}
     }

@@ -44,66 +44,45 @@
 
 mod before_main;
 mod callbacks;
-mod compiler_limits;
 mod environment;
-#[cfg(unix)]
-mod faults;
 mod fmi1;
 mod fmi1_fmi2_values;
 mod fmi2;
 mod fmi3;
-#[cfg(unix)]
-mod fork;
 mod function;
 mod functions;
-#[cfg(unix)]
-mod shared_page;
-#[cfg(not(unix))]
-mod shared_page {
-    //! Replaces the shared page on systems without worker processes.
-    pub(super) fn number_of(_: &str) -> u32 {
-        0
-    }
-    pub(super) fn note_call(_: u32) {}
-    pub(super) fn note_time(_: f64) {}
-    pub(crate) fn note_run() {}
-    pub(crate) fn note_start() {}
-    pub(crate) fn is_worker() -> bool {
-        false
-    }
-}
 mod library;
 mod packed_integers;
 mod platform;
 mod raw_instance;
+mod shared_page;
 mod symbols;
 mod types;
+#[cfg(unix)]
+pub(crate) mod unix;
 mod versioned_functions;
 mod worker_state;
 
 #[cfg(target_os = "linux")]
 pub use before_main::is_loaded_to_serve;
-#[cfg(unix)]
 pub(crate) use before_main::{PRELOAD, PRELOADED_BEFORE};
-pub(crate) use compiler_limits::limit as limit_compiler;
 pub(crate) use environment::{Inside, set_float_mode};
-#[cfg(unix)]
-pub(crate) use faults::tell_faults;
-#[cfg(unix)]
-pub(crate) use fork::{close_inherited, fork, overwrite_variable, replace_environment};
 pub(crate) use library::{Library, LoadFrom};
 pub use platform::LoaderOptions;
 pub(crate) use raw_instance::{Fault, RawInstance, SavedSlot, Sizes};
-#[cfg(unix)]
-pub(crate) use shared_page::{Page, tell_calls};
-pub(crate) use shared_page::{is_worker, note_run, note_start};
+pub(crate) use shared_page::{Page, is_worker, note_run, note_start};
 pub(crate) use types::{Direction, EventInfo, Experiment, IntervalAnswer, Qualifier, Request, StepInfo};
 pub use types::{ElementDependency, InterfaceKind};
 #[cfg(unix)]
+pub(crate) use unix::limit_compiler;
 pub(crate) use worker_state::{
-    REFUSED, has_kept_instances, set_avoided_calls, set_confined, set_instance_suffix,
+    REFUSED, forget_refusal, has_kept_instances, instance_suffix, refusal, set_avoided_calls, set_confined,
+    set_instance_suffix,
 };
-pub(crate) use worker_state::{forget_refusal, instance_suffix, refusal};
+
+/// Sets no limits, which this system does not support.
+#[cfg(not(unix))]
+pub(crate) fn limit_compiler(_: &mut std::process::Command, _: std::time::Duration) {}
 
 #[cfg(test)]
 mod tests {

@@ -3,8 +3,6 @@
 //! page outlives the worker, so that the end of the worker can be explained.
 
 use crate::error::FmiError;
-use std::fs::File;
-use std::io;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -17,7 +15,7 @@ const NAMES: usize = 160;
 
 /// Memory shared by both processes. All bits are valid values, whatever an FMU writes to it.
 #[repr(C)]
-struct Shared {
+pub(super) struct Shared {
     /// Nonzero if the worker should stop its current work.
     cancel: AtomicU32,
     /// Number of simulations started.
@@ -45,7 +43,7 @@ struct Turns {
     may_spin: AtomicU32,
 }
 
-const LENGTH: usize = size_of::<Shared>();
+pub(super) const LENGTH: usize = size_of::<Shared>();
 
 /// An allocation failed.
 pub(super) const NO_MEMORY: u32 = 1;
@@ -62,9 +60,11 @@ pub(crate) struct LastCall {
     pub(crate) time: Option<f64>,
 }
 
-/// The shared page, mapped into this process.
+/// The shared page, mapped into this process. The module of the system creates, maps and unmaps it
+/// (`unix/mapping.rs`).
 pub(crate) struct Page {
-    shared: std::ptr::NonNull<Shared>,
+    /// Address of memory that exists until this is dropped, and contained zeros when it was created.
+    pub(super) shared: std::ptr::NonNull<Shared>,
 }
 
 // SAFETY: only atomics are reached through the pointer.
@@ -79,25 +79,10 @@ impl std::fmt::Debug for Page {
 }
 
 impl Page {
-    /// Creates a page and the file through which the other process maps it. The file cannot be truncated if
-    /// the system supports that.
-    pub(crate) fn new() -> io::Result<(Self, File)> {
-        let file = anonymous_file()?;
-        Ok((Self::of(&file)?, file))
-    }
-
-    /// Maps the page in a file that [`new`](Self::new) has created.
-    pub(crate) fn of(file: &File) -> io::Result<Self> {
-        use rustix::mm::{MapFlags, ProtFlags, mmap};
-        if file.metadata()?.len() < LENGTH as u64 {
-            return Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the shared page is too short"));
-        }
-        let protection = ProtFlags::READ | ProtFlags::WRITE;
-        // SAFETY: a new mapping, at an address chosen by the system, of a file that has this length.
-        let address = unsafe { mmap(std::ptr::null_mut(), LENGTH, protection, MapFlags::SHARED, file, 0) }?;
-        std::ptr::NonNull::new(address.cast())
-            .map(|shared| Self { shared })
-            .ok_or_else(|| io::ErrorKind::Other.into())
+    /// Makes this process record its calls in the page.
+    pub(crate) fn tell_calls(self) -> Result<&'static Self, FmiError> {
+        PAGE.set(self).map_err(|_| FmiError::BadSetting("this process serves already".to_owned()))?;
+        PAGE.get().ok_or(FmiError::Cancelled)
     }
 
     fn shared(&self) -> &Shared {
@@ -209,38 +194,8 @@ fn spin_until(longest: Duration, is_met: impl Fn() -> bool) {
     }
 }
 
-impl Drop for Page {
-    fn drop(&mut self) {
-        // SAFETY: mapped by `of` with this length; references do not outlive the page.
-        let _ = unsafe { rustix::mm::munmap(self.shared.as_ptr().cast(), LENGTH) };
-    }
-}
-
-#[cfg(any(target_os = "linux", target_os = "android"))]
-fn anonymous_file() -> io::Result<File> {
-    use rustix::fs::{MemfdFlags, SealFlags, fcntl_add_seals, ftruncate, memfd_create};
-    let file = memfd_create("fmufit-worker", MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING)?;
-    ftruncate(&file, LENGTH as u64)?;
-    // Reading a truncated page would kill the process.
-    fcntl_add_seals(&file, SealFlags::SHRINK | SealFlags::GROW | SealFlags::SEAL)?;
-    Ok(file.into())
-}
-
-#[cfg(not(any(target_os = "linux", target_os = "android")))]
-fn anonymous_file() -> io::Result<File> {
-    let file = tempfile::tempfile()?;
-    file.set_len(LENGTH as u64)?;
-    Ok(file)
-}
-
 /// Page of this process, if it is a worker.
 static PAGE: OnceLock<Page> = OnceLock::new();
-
-/// Makes this process record its calls.
-pub(crate) fn tell_calls(page: Page) -> Result<&'static Page, FmiError> {
-    PAGE.set(page).map_err(|_| FmiError::BadSetting("this process serves already".to_owned()))?;
-    PAGE.get().ok_or(FmiError::Cancelled)
-}
 
 /// True if this process is a worker.
 pub(crate) fn is_worker() -> bool {
@@ -292,6 +247,7 @@ pub(super) fn note_failed(what: u32) {
 }
 
 #[cfg(test)]
+#[cfg(unix)]
 mod tests {
     use super::*;
 

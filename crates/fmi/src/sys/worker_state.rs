@@ -14,7 +14,6 @@ static HAS_KEPT: AtomicBool = AtomicBool::new(false);
 static PLACE: AtomicU32 = AtomicU32::new(0);
 
 /// Sets the functions that this process does not call at the end of a run.
-#[cfg(unix)]
 pub(crate) fn set_avoided_calls(names: Vec<String>) {
     // Set only once, because a worker is started only once.
     let _ = AVOIDED.set(names);
@@ -31,13 +30,11 @@ pub(super) fn note_kept() {
 }
 
 /// True if this process has instances that were not freed. The process should then be replaced.
-#[cfg(unix)]
 pub(crate) fn has_kept_instances() -> bool {
     HAS_KEPT.load(Ordering::Relaxed)
 }
 
 /// Sets the number that distinguishes instance names of this process from the names in other workers.
-#[cfg(unix)]
 pub(crate) fn set_instance_suffix(place: u32) {
     PLACE.store(place, Ordering::Relaxed);
 }
@@ -67,7 +64,6 @@ pub(crate) fn forget_refusal() {
 }
 
 /// Records that the process may write only to its own folder.
-#[cfg(unix)]
 pub(crate) fn set_confined() {
     IS_CONFINED.store(true, Ordering::Relaxed);
 }

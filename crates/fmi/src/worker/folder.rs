@@ -1,5 +1,6 @@
 //! The folders of worker processes.
 
+use crate::platform::private_folder_builder;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -48,12 +49,11 @@ pub(super) fn worker_folder(template: &Path, number: u32) -> PathBuf {
 
 /// Creates a folder that only this user can access. The error contains its path.
 pub(super) fn make(folder: &Path) -> std::io::Result<()> {
-    use std::os::unix::fs::DirBuilderExt;
     let named = |error: std::io::Error| {
         let problem = format!("TMPDIR: cannot make the folder {}: {error}", folder.display());
         std::io::Error::new(error.kind(), problem)
     };
-    std::fs::DirBuilder::new().mode(0o700).create(folder).map_err(named)
+    private_folder_builder().create(folder).map_err(named)
 }
 
 /// Removes a folder in which other processes may still create files. A confined worker can only empty the

@@ -109,7 +109,6 @@ thread_local! {
 }
 
 /// Sets the connection through which this thread requests values from its caller.
-#[cfg(unix)]
 pub(super) fn set_caller(exchange: Exchange) {
     CALLER.set(Some((exchange, Frame::default())));
 }
@@ -130,7 +129,6 @@ fn ask_for_value(function: u64, time: f64) -> f64 {
 }
 
 /// Replaces a request for a value by the answer.
-#[cfg(unix)]
 pub(super) fn answer_wanted(frame: &mut Frame) -> io::Result<()> {
     let Wanted { function, time } = frame.head()?;
     frame.clear();
@@ -139,5 +137,4 @@ pub(super) fn answer_wanted(frame: &mut Frame) -> io::Result<()> {
 }
 
 /// Maximum size of such an answer.
-#[cfg(unix)]
 pub(super) const VALUE: super::frame::FrameSize = super::frame::FrameSize::of_numbers(1);

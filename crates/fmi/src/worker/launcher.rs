@@ -1,7 +1,10 @@
 //! Command that starts a worker process.
 
+use super::handshake::{ASKED, LEVEL, VERSION};
+use crate::sys::{PRELOAD, PRELOADED_BEFORE};
 use std::ffi::OsString;
 use std::path::PathBuf;
+use std::process::Command;
 use std::sync::{Mutex, PoisonError};
 
 /// A program that serves as a worker if it is started with these arguments. It must call
@@ -46,14 +49,23 @@ impl Launcher {
         *KNOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(self);
     }
 
-    /// True if this program can start worker processes.
-    pub fn is_known() -> bool {
-        cfg!(unix) && Self::known().is_some()
-    }
-
     /// Returns the launcher of workers; `None` if it has not been set.
     pub(super) fn known() -> Option<Self> {
         KNOWN.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Returns the command that starts the program to serve.
+    pub(super) fn command(&self) -> Command {
+        let mut command = Command::new(&self.program);
+        command.args(&self.arguments).env(ASKED, VERSION).env(LEVEL, log::max_level().as_str());
+        if let Some(library) = &self.preload {
+            let before = std::env::var_os(PRELOAD).unwrap_or_default();
+            let mut libraries = before.clone();
+            libraries.push(if before.is_empty() { "" } else { ":" });
+            libraries.push(library);
+            command.env(PRELOAD, libraries).env(PRELOADED_BEFORE, before);
+        }
+        command
     }
 }
 

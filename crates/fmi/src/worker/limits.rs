@@ -57,18 +57,3 @@ static MEMORY_OF_MACHINE: LazyLock<Option<u64>> = LazyLock::new(|| {
     let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kilobytes << 10)
 });
-
-/// Limits the memory of this process, and disables core files.
-#[cfg(unix)]
-pub(super) fn limit_self(limits: &WorkerLimits) -> std::io::Result<()> {
-    let lower = |resource: rustix::process::Resource, most: u64| {
-        let maximum = rustix::process::getrlimit(resource).maximum;
-        let most = Some(maximum.map_or(most, |maximum| maximum.min(most)));
-        rustix::process::setrlimit(resource, rustix::process::Rlimit { current: most, maximum: most })
-    };
-    lower(rustix::process::Resource::Core, 0)?;
-    if let Some(memory) = limits.memory {
-        lower(rustix::process::Resource::Data, memory)?;
-    }
-    Ok(())
-}

@@ -1,28 +1,21 @@
-//! The worker process itself. It limits itself, and answers requests until the other end of its socket is
+//! The worker process itself. It limits itself, and answers requests until the other end of its channel is
 //! closed.
 
-use super::folder::{make, remove};
-use super::fork_server::{Arrival, DESCRIPTORS, Hello, Start};
+use super::folder::remove;
 use super::frame::{Frame, FrameSize};
+use super::handshake::{ASKED, Arrival, Assigned, Hello, LEVEL, VERSION};
 use super::input_function::{Exchange, VALUE, set_caller};
-use super::limits::limit_self;
-use super::notes::{Notes, take_lines};
-use super::sandbox::confine;
+use super::launcher::know_this_program;
+use super::notes::{Notes, keep_lines, take_lines};
+use super::platform::{Channel, await_order, confine_self, limit_self, wait_until_closed};
 use super::service::Service;
 use crate::error::{ReportedError, ReportedErrorKind};
-use crate::sys::{
-    Page, has_kept_instances, set_avoided_calls, set_confined, set_instance_suffix, tell_calls, tell_faults,
-};
+use crate::sys::{Page, has_kept_instances, set_avoided_calls, set_confined, set_instance_suffix};
 use base::RunContext;
-use rustix::event::{PollFd, PollFlags, poll};
-use rustix::fs::{Mode, OFlags};
 use std::cell::Cell;
-use std::fs::File;
 use std::io::{self, BufReader, Write};
-use std::os::fd::OwnedFd;
-use std::os::unix::net::UnixStream;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::rc::Rc;
 use std::time::Duration;
 
@@ -35,28 +28,51 @@ const BUFFER: usize = 16 << 10;
 /// Stack size of the thread that runs the FMU, because compiled models allocate large arrays on the stack.
 const STACK_SIZE: usize = 64 << 20;
 
-/// A worker to be served in a fork of its template.
-pub(super) struct Worker {
-    pub(super) folder: PathBuf,
-    pub(super) start: Start,
-    pub(super) descriptors: Vec<OwnedFd>,
-    /// True if the template has loaded the problem.
-    pub(super) has_loaded: bool,
+/// Serves requests until the other end is closed, if this process was started for that. The process then
+/// ends, and this function does not return. Otherwise, it returns immediately. Call it at the beginning of
+/// `main`, before any other thread is started.
+pub fn serve_if_worker(service: impl FnOnce() -> Box<dyn Service + Send>) {
+    know_this_program();
+    let Some(version) = std::env::var_os(ASKED) else { return };
+    let served = match version == VERSION {
+        true => serve(service()),
+        false => Err(io::Error::other(format!("this program serves version {VERSION}, not {version:?}"))),
+    };
+    if let Err(error) = &served {
+        // The parent process reads this message.
+        let _ = writeln!(io::stderr(), "{error}");
+    }
+    std::process::exit(i32::from(served.is_err()));
 }
 
-/// Serves as a worker, in a fork of the template. The process then ends.
-pub(super) fn run(mut service: Box<dyn Service + Send>, worker: Worker) -> ! {
-    let folder = worker.folder.clone();
-    let served = begin(&mut *service, worker).and_then(|connection| {
+fn serve(mut service: Box<dyn Service + Send>) -> io::Result<()> {
+    let level = std::env::var(LEVEL).ok().and_then(|level| level.parse().ok());
+    keep_lines(level.unwrap_or(log::LevelFilter::Warn));
+    let mut load = |asked: &Frame| {
+        let mut answer = Frame::default();
+        respond(&mut *service, asked, &RunContext::new(), &mut answer)?;
+        // After a failure, a worker tries again, and reports the error.
+        Ok(!answer.is_error)
+    };
+    match await_order(&mut load)? {
+        Some(worker) => run(service, &worker),
+        None => Ok(()),
+    }
+}
+
+/// Serves as a worker. The process then ends.
+fn run(mut service: Box<dyn Service + Send>, worker: &Assigned<Channel>) -> ! {
+    let folder = &worker.folder;
+    let served = begin(&mut *service, worker).and_then(|()| {
         std::thread::scope(|scope| {
-            let serve = || serve(service, &connection);
+            let serve = || answer_requests(service, worker);
             let thread = std::thread::Builder::new().stack_size(STACK_SIZE).spawn_scoped(scope, serve);
             thread.map(|thread| thread.join())
         })
     });
-    // Removed here also, because the process may end before the thread that watches the socket has removed
-    // the folder.
-    remove(&folder);
+    // Removed here also, because the process may end before the thread that watches the channel has
+    // removed the folder.
+    remove(folder);
     let error = match served {
         Ok(Ok(Ok(()))) => std::process::exit(0),
         Ok(Ok(Err(error))) | Err(error) => error.to_string(),
@@ -68,50 +84,29 @@ pub(super) fn run(mut service: Box<dyn Service + Send>, worker: Worker) -> ! {
     std::process::exit(1);
 }
 
-/// A worker that is ready for requests.
-struct Connection {
-    socket: UnixStream,
-    page: &'static Page,
-    folder: PathBuf,
-    start: Start,
-    has_loaded: bool,
-}
-
 /// Limits and confines this process, which has one thread. All threads started later are also confined, and
-/// signal handlers run only in confined threads.
-fn begin(service: &mut dyn Service, worker: Worker) -> io::Result<Connection> {
-    let Worker { folder, start, descriptors, has_loaded } = worker;
-    let Ok([socket, page, output]) = <[OwnedFd; DESCRIPTORS]>::try_from(descriptors) else {
-        return Err(io::ErrorKind::InvalidInput.into());
-    };
-    // Ctrl-C in a terminal, and the signal that ends a worker, are sent to all processes of a group.
-    rustix::process::setpgid(None, None)?;
-    rustix::stdio::dup2_stdout(&output)?;
-    rustix::stdio::dup2_stderr(output)?;
-    make(&folder)?;
-    start.surroundings.enter(&folder)?;
+/// handlers of faults run only in confined threads.
+fn begin(service: &mut dyn Service, worker: &Assigned<Channel>) -> io::Result<()> {
+    let Assigned { start, channel, folder, .. } = worker;
     set_avoided_calls(start.avoided_calls.clone());
     set_instance_suffix(start.place);
     log::set_max_level(start.level);
-    let (socket, page) = (UnixStream::from(socket), File::from(page));
     // No foreign code has run in this process, so the message cannot be forged.
-    let arrival = Arrival { pid: std::process::id().cast_signed() };
-    Frame::of(&arrival)?.write(0, &mut &socket, &mut Vec::new())?;
-    let page = tell_calls(Page::of(&page)?).map_err(io::Error::other)?;
-    tell_faults()?;
+    let arrival = Arrival { id: std::process::id() };
+    Frame::of(&arrival)?.write(0, &mut &*channel, &mut Vec::new())?;
     limit_self(&start.limits)?;
     if start.limits.sandbox {
         // If this fails, the request also fails and reports the error.
         let _ = catch_unwind(AssertUnwindSafe(|| service.provide_files()));
-        confine(&folder)?;
+        confine_self(folder)?;
         set_confined();
     }
-    Ok(Connection { socket, page, folder, start, has_loaded })
+    Ok(())
 }
 
-fn serve(mut service: Box<dyn Service + Send>, connection: &Connection) -> io::Result<()> {
-    let Connection { socket, page, folder, start, has_loaded } = connection;
-    let (watched, folder_to_remove) = (socket.try_clone()?, folder.clone());
+fn answer_requests(mut service: Box<dyn Service + Send>, worker: &Assigned<Channel>) -> io::Result<()> {
+    let Assigned { start, channel, page, folder, has_loaded } = worker;
+    let (watched, folder_to_remove) = (channel.try_clone()?, folder.clone());
     std::thread::Builder::new().spawn(move || end_with(&watched, &folder_to_remove))?;
     if start.is_prepared {
         // If this fails, the request also fails and reports the error.
@@ -120,9 +115,9 @@ fn serve(mut service: Box<dyn Service + Send>, connection: &Connection) -> io::R
 
     let own = std::process::id();
     let (mut asked, mut answer, mut buffer) = (Frame::default(), Frame::default(), Vec::new());
-    let (mut questions, mut answers) = (BufReader::with_capacity(BUFFER, socket), socket);
+    let (mut questions, mut answers) = (BufReader::with_capacity(BUFFER, channel), channel);
     let number = Rc::new(Cell::new(0));
-    set_caller(exchange(socket.try_clone()?, page, Rc::clone(&number)));
+    set_caller(exchange(channel.try_clone()?, page, Rc::clone(&number)));
     Frame::of(&Hello { has_loaded: *has_loaded })?.write(0, &mut answers, &mut buffer)?;
     loop {
         page.wait_for_question(asked.number, SPIN);
@@ -147,18 +142,18 @@ fn serve(mut service: Box<dyn Service + Send>, connection: &Connection) -> io::R
 
 /// Returns a function that sends a frame to the caller during the answer to the current request, and reads
 /// the reply.
-fn exchange(socket: UnixStream, page: &'static Page, number: Rc<Cell<u32>>) -> Exchange {
+fn exchange(channel: Channel, page: &'static Page, number: Rc<Cell<u32>>) -> Exchange {
     let mut buffer = Vec::new();
     Box::new(move |frame| {
-        frame.write(number.get(), &mut &socket, &mut buffer)?;
+        frame.write(number.get(), &mut &channel, &mut buffer)?;
         // The caller may be spinning for the answer.
         page.note_answer(number.get());
-        frame.read(&mut &socket, &mut buffer, VALUE, &mut || Ok(()))
+        frame.read(&mut &channel, &mut buffer, VALUE, &mut || Ok(()))
     })
 }
 
 /// Answers a request with the service, and adds the notes. A panic becomes an error.
-pub(super) fn respond(
+fn respond(
     service: &mut dyn Service,
     asked: &Frame,
     context: &RunContext<'_>,
@@ -194,22 +189,8 @@ pub(super) fn respond(
 }
 
 /// Ends the process when the other end is closed, even during a call of the FMU, and removes its folder.
-fn end_with(socket: &UnixStream, folder: &Path) {
-    loop {
-        let mut ends = [PollFd::new(socket, PollFlags::empty())];
-        match poll(&mut ends, None) {
-            Err(rustix::io::Errno::INTR) => {}
-            Ok(_) if ends[0].revents().is_empty() => {}
-            _ => break,
-        }
-    }
+fn end_with(channel: &Channel, folder: &Path) {
+    wait_until_closed(channel);
     remove(folder);
     std::process::abort();
-}
-
-/// Replaces the standard input by `/dev/null`.
-pub(super) fn close_stdin() -> io::Result<()> {
-    let nothing: OwnedFd = rustix::fs::open("/dev/null", OFlags::RDONLY | OFlags::CLOEXEC, Mode::empty())?;
-    rustix::stdio::dup2_stdin(&nothing)?;
-    Ok(())
 }

@@ -1,26 +1,20 @@
 //! A worker process, as seen by its parent process.
 
-use super::end::{ProcessEnd, in_words};
-use super::fork_server::{Arrival, Hello, Start, Template, no_worker};
 use super::frame::{Frame, FrameSize, PatientWriter, decode};
+use super::handshake::{Arrival, Hello, Start, no_worker};
 use super::input_function::answer_wanted;
 use super::isolation::Question;
-use super::limits::WorkerLimits;
 use super::load::LoadId;
 use super::notes::Notes;
+use super::platform::{Channel, ProcessHandle, Starter};
 use super::printed::Printed;
-use super::surroundings::Surroundings;
 use crate::description::Quirk;
 use crate::error::{EndKind, FmiError, WorkerEnd};
 use crate::sys::{Page, REFUSED};
 use base::RunContext;
-use rustix::process::{Pid, Signal, kill_process};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeSet;
 use std::io::{self, BufReader, ErrorKind};
-use std::os::fd::AsFd;
-use std::os::unix::net::UnixStream;
-use std::process::ExitStatus;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -61,16 +55,11 @@ pub(super) enum NoAnswer {
 /// A worker process. It ends when this value is dropped.
 #[derive(Debug)]
 pub(super) struct Process {
-    /// Process id; `None` before the worker has arrived.
-    pid: Option<Pid>,
-    /// Number of the worker among the workers of its template.
-    number_of_worker: u32,
+    pub(super) handle: ProcessHandle,
     _place: Place,
     /// Functions that the worker does not call.
     pub(super) avoided_calls: Vec<String>,
-    template: Arc<Template>,
-    end: ProcessEnd,
-    socket: BufReader<UnixStream>,
+    pub(super) channel: BufReader<Channel>,
     page: Page,
     printed: Printed,
     buffer: Vec<u8>,
@@ -96,47 +85,28 @@ pub(super) struct Process {
 }
 
 impl Process {
-    /// Starts a worker; it [arrives](Self::arrive) later.
+    /// Starts a worker; it [arrives](Self::arrive) later. `loaded` is the load of the starter.
     pub(super) fn begin(
-        template: &Arc<Template>,
-        limits: &WorkerLimits,
-        is_prepared: bool,
-        surroundings: Surroundings,
-        avoided_calls: &[String],
-        places: &Places,
+        starter: &Arc<Starter>,
+        loaded: LoadId,
+        start: Start,
+        place: Place,
     ) -> Result<Self, FmiError> {
-        let (socket, theirs) = UnixStream::pair().map_err(no_worker)?;
-        socket.set_read_timeout(Some(LOOK)).map_err(no_worker)?;
-        socket.set_write_timeout(Some(LOOK)).map_err(no_worker)?;
-        let (page, file) = Page::new().map_err(no_worker)?;
         let (printed, pipe) = Printed::pipe().map_err(no_worker)?;
-        let (level, place) = (log::max_level(), places.take());
-        let start = Start {
-            number: 0,
-            limits: *limits,
-            level,
-            is_prepared,
-            surroundings,
-            avoided_calls: avoided_calls.to_vec(),
-            place: place.number,
-        };
-        let (number_of_worker, loaded) =
-            template.begin_worker(start, [theirs.as_fd(), file.as_fd(), pipe.as_fd()])?;
-        // The child has the other ends.
+        let (handle, channel, page) = starter.start_worker(&start, pipe)?;
+        channel.set_read_timeout(Some(LOOK)).map_err(no_worker)?;
+        channel.set_write_timeout(Some(LOOK)).map_err(no_worker)?;
         Ok(Self {
-            pid: None,
-            number_of_worker,
+            handle,
             _place: place,
-            avoided_calls: avoided_calls.to_vec(),
-            template: Arc::clone(template),
-            end: ProcessEnd::default(),
-            socket: BufReader::with_capacity(BUFFER, socket),
+            avoided_calls: start.avoided_calls,
+            channel: BufReader::with_capacity(BUFFER, channel),
             page,
             printed,
             buffer: Vec::new(),
             owner: std::process::id(),
             has_ended: false,
-            loaded,
+            loaded: Some(loaded),
             quirks: Vec::new(),
             n_calls: 0,
             is_used: false,
@@ -144,21 +114,17 @@ impl Process {
             number: 0,
             last_took: Duration::MAX,
             first_size: None,
-            most_memory: limits.memory.unwrap_or(u64::MAX),
+            most_memory: start.limits.memory.unwrap_or(u64::MAX),
         })
     }
 
     /// Waits until the worker has arrived, at most for `longest`.
     pub(super) fn arrive(&mut self, context: &RunContext<'_>, longest: Duration) -> Result<(), FmiError> {
         let late = Instant::now() + longest;
-        let Arrival { pid } = self.greeting(context, late)?;
-        // A number below 1 would refer to several processes (kill(2)).
-        let pid = Some(pid).filter(|pid| *pid > 0).and_then(Pid::from_raw);
-        let Some(pid) = pid.filter(|pid| self.template.is_parent_of(*pid)) else {
-            return Err(self.template.without_worker("its process is no child of that program"));
-        };
-        self.pid = Some(pid);
-        self.end = ProcessEnd::of(pid);
+        let Arrival { id } = self.greeting(context, late)?;
+        if !self.handle.arrived(id) {
+            return Err(self.handle.not_started("its process is no child of that program"));
+        }
         let Hello { has_loaded } = self.greeting(context, late)?;
         self.loaded = self.loaded.filter(|_| has_loaded);
         Ok(())
@@ -178,7 +144,7 @@ impl Process {
             Err(NoAnswer::Ended(end)) => Err(end.to_string()),
             Err(NoAnswer::Memory) => Err("no memory for its greeting".to_owned()),
         };
-        said.map_err(|error| self.template.without_worker(&error))
+        said.map_err(|error| self.handle.not_started(&error))
     }
 
     /// Sends a request and waits for the answer.
@@ -194,10 +160,9 @@ impl Process {
         let (page, number) = (&self.page, self.number);
         let run_limit =
             limits.run.map(|limit| RunLimit { limit, runs: page.runs(), left: limits.runs, since: began });
-        let whose = (self.pid, self.most_memory);
-        let mut watch = Watch::new(page, &self.end, whose, context, run_limit, None);
+        let mut watch = Watch { run_limit, ..Watch::new(page, &self.handle, self.most_memory, context) };
         let mut look = || watch.look();
-        let mut to = PatientWriter { to: self.socket.get_ref(), wait: &mut look };
+        let mut to = PatientWriter { to: self.channel.get_ref(), wait: &mut look };
         let sent = asked.write(number, &mut to, &mut self.buffer);
         // If the process has ended, reading the answer fails.
         let outcome = match sent {
@@ -208,13 +173,13 @@ impl Process {
                     page.wait_for_answer(number, SPIN);
                 }
                 loop {
-                    let read = answer.read(&mut self.socket, &mut self.buffer, limits.size, &mut look);
+                    let read = answer.read(&mut self.channel, &mut self.buffer, limits.size, &mut look);
                     if read.is_err() || !answer.is_asking {
                         break read;
                     }
                     let told = answer_wanted(answer).and_then(|()| {
                         look()?;
-                        let mut to = PatientWriter { to: self.socket.get_ref(), wait: &mut look };
+                        let mut to = PatientWriter { to: self.channel.get_ref(), wait: &mut look };
                         answer.write(number, &mut to, &mut self.buffer)
                     });
                     match told {
@@ -240,10 +205,10 @@ impl Process {
 
     /// Waits for a message that the worker sends without a request.
     fn receive(&mut self, context: &RunContext<'_>, end: Instant, to: &mut Frame) -> Result<(), NoAnswer> {
-        let whose = (self.pid, self.most_memory);
-        let mut watch = Watch::new(&self.page, &self.end, whose, context, None, Some(end));
+        let watch = Watch::new(&self.page, &self.handle, self.most_memory, context);
+        let mut watch = Watch { end: Some(end), ..watch };
         let mut look = || watch.look();
-        let received = to.read(&mut self.socket, &mut self.buffer, FrameSize::of_numbers(0), &mut look);
+        let received = to.read(&mut self.channel, &mut self.buffer, FrameSize::of_numbers(0), &mut look);
         let why = watch.why;
         received.map_err(|error| self.no_answer(why, &error))
     }
@@ -274,24 +239,18 @@ impl Process {
     #[cold]
     fn ended(&mut self, kind: EndKind, detail: &str) -> WorkerEnd {
         let last = self.page.last_call();
-        // A process that has closed its socket is about to end.
-        let has_died = kind == EndKind::Died && self.end.is_over_within(Duration::from_secs(2));
-        let status = self.kill();
-        let what = match (kind, status) {
+        // A process that has closed its channel is about to end.
+        let has_died = kind == EndKind::Died && self.handle.has_ended_within(Duration::from_secs(2));
+        let what = match (kind, self.kill()) {
             (EndKind::Hung, _) => "no answer within the time limit".to_owned(),
             (EndKind::Memory, _) => format!("more memory than its limit of {} bytes", self.most_memory),
             (EndKind::Garbage, _) => format!("the worker's answer could not be read ({detail})"),
             (EndKind::Died, _) if !has_died => "it has closed the connection".to_owned(),
-            (EndKind::Died, Some(status)) if self.page.is_without_memory() => {
-                let limit = self.most_memory;
-                format!("{} after an allocation beyond the memory limit of {limit} bytes", in_words(status))
+            (EndKind::Died, Some(end)) if self.page.is_without_memory() => {
+                format!("{end} after an allocation beyond the memory limit of {} bytes", self.most_memory)
             }
-            (EndKind::Died, Some(status)) => in_words(status),
-            // The template received the exit status.
-            (EndKind::Died, None) => format!(
-                "the process ended; how is not known, for the process that it was copied from had ended before: {}",
-                self.template.end_in_words().unwrap_or_else(|| "it does not answer".to_owned())
-            ),
+            (EndKind::Died, Some(end)) => end,
+            (EndKind::Died, None) => self.handle.unknown_end(),
         };
         let hint = self.page.is_refused().then(|| REFUSED.to_owned());
         let (function, time) = last.map_or((None, None), |last| (Some(last.function), last.time));
@@ -310,28 +269,16 @@ impl Process {
 
     /// Returns the memory of the worker in bytes, if the system reports it.
     pub(super) fn size(&self) -> Option<u64> {
-        self.pid.and_then(size_of)
+        self.handle.memory()
     }
 
-    /// Ends the worker and all processes that it has started. Returns its exit status.
-    fn kill(&mut self) -> Option<ExitStatus> {
+    /// Ends the worker and all processes that it has started. Describes its end, if known.
+    fn kill(&mut self) -> Option<String> {
         if self.has_ended || !self.is_own() {
             return None;
         }
         self.has_ended = true;
-        if self.template.is_over() {
-            return None;
-        }
-        let status = self.template.end_worker(self.number_of_worker);
-        if status.is_none() {
-            // The template has ended.
-            if let Some(pid) = self.pid.filter(|_| !self.end.is_over_within(Duration::ZERO)) {
-                let _ = kill_process(pid, Signal::KILL);
-                self.end.is_over_within(Duration::from_secs(1));
-            }
-            self.template.remove_folder(self.number_of_worker);
-        }
-        status
+        self.handle.kill()
     }
 }
 
@@ -341,26 +288,19 @@ impl Drop for Process {
     }
 }
 
-/// Returns the memory of a process in bytes, if the system reports it.
-fn size_of(pid: Pid) -> Option<u64> {
-    let text = std::fs::read_to_string(format!("/proc/{}/statm", pid.as_raw_nonzero())).ok()?;
-    let pages: u64 = text.split(' ').nth(1)?.parse().ok()?;
-    Some(pages * rustix::param::page_size() as u64)
-}
-
 /// Numbers of the workers of a set that run at the same time.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Places(Arc<Mutex<BTreeSet<u32>>>);
 
 /// Number of a worker: the smallest free one.
 #[derive(Debug)]
-struct Place {
-    number: u32,
+pub(super) struct Place {
+    pub(super) number: u32,
     taken: Places,
 }
 
 impl Places {
-    fn take(&self) -> Place {
+    pub(super) fn take(&self) -> Place {
         let mut taken = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let mut number = 0;
         while !taken.insert(number) {
@@ -405,8 +345,7 @@ enum KillReason {
 /// Conditions that end the wait for an answer, measured with the clock of this process.
 struct Watch<'a> {
     page: &'a Page,
-    end_of: &'a ProcessEnd,
-    pid: Option<Pid>,
+    handle: &'a ProcessHandle,
     most_memory: u64,
     context: &'a RunContext<'a>,
     run_limit: Option<RunLimit>,
@@ -418,27 +357,10 @@ struct Watch<'a> {
 }
 
 impl<'a> Watch<'a> {
-    fn new(
-        page: &'a Page,
-        end_of: &'a ProcessEnd,
-        (pid, most_memory): (Option<Pid>, u64),
-        context: &'a RunContext<'a>,
-        run_limit: Option<RunLimit>,
-        end: Option<Instant>,
-    ) -> Self {
+    fn new(page: &'a Page, handle: &'a ProcessHandle, most_memory: u64, context: &'a RunContext<'a>) -> Self {
         let next_look = Instant::now() + LOOK;
-        Self {
-            page,
-            end_of,
-            pid,
-            most_memory,
-            context,
-            run_limit,
-            end,
-            asked_to_end: None,
-            why: None,
-            next_look,
-        }
+        let (run_limit, end, asked_to_end, why) = (None, None, None, None);
+        Self { page, handle, most_memory, context, run_limit, end, asked_to_end, why, next_look }
     }
 
     /// Returns an error if the wait must end.
@@ -448,8 +370,8 @@ impl<'a> Watch<'a> {
             return Ok(());
         }
         self.next_look = now + LOOK;
-        // Processes started by the worker may keep its end of the socket open.
-        if self.end_of.is_over_within(Duration::ZERO) {
+        // Processes started by the worker may keep its end of the channel open.
+        if self.handle.has_ended_within(Duration::ZERO) {
             return Err(ErrorKind::UnexpectedEof.into());
         }
         if self.asked_to_end.is_none() && self.context.is_over() {
@@ -461,7 +383,7 @@ impl<'a> Watch<'a> {
         let is_hung = self.run_limit.as_mut().is_some_and(|limit| limit.is_over(runs, now));
         if is_out_of_grace {
             self.why = Some(KillReason::Cancelled);
-        } else if self.pid.and_then(size_of).is_some_and(|size| size > self.most_memory) {
+        } else if self.handle.memory().is_some_and(|size| size > self.most_memory) {
             // The system's limit does not count memory that is shared with other processes.
             self.why = Some(KillReason::Memory);
         } else if is_hung || self.end.is_some_and(|end| now > end) {
@@ -497,31 +419,6 @@ impl RunLimit {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::worker::Launcher;
-
-    #[test]
-    fn worker_must_be_child_of_template() {
-        let template = Arc::new(Template::start(&Launcher::of("/bin/cat")).unwrap());
-        let mut process = Process::begin(
-            &template,
-            &WorkerLimits::default(),
-            false,
-            Surroundings::present(),
-            &[],
-            &Places::default(),
-        )
-        .unwrap();
-        let context = RunContext::new();
-        for pid in [-1, 0, i32::MIN, 1, std::process::id().cast_signed()] {
-            let (socket, theirs) = UnixStream::pair().unwrap();
-            process.socket = BufReader::new(socket);
-            Frame::of(&Arrival { pid }).unwrap().write(0, &mut &theirs, &mut Vec::new()).unwrap();
-            let error = process.arrive(&context, Duration::from_secs(10)).unwrap_err().to_string();
-            assert!(error.contains("its process is no child of that program"), "{pid}: {error}");
-            assert_eq!(process.pid, None, "{pid}");
-        }
-        template.end();
-    }
 
     #[test]
     fn run_limit_ignores_excess_simulations() {

@@ -1,12 +1,14 @@
 //! A set of worker processes, with one worker for each calling thread. Workers are started when needed, and
 //! replaced when they end or grow.
 
-use super::fork_server::Template;
+use super::ahead;
 use super::frame::{Frame, FrameSize};
+use super::handshake::{Start, no_worker};
 use super::isolation::{AskedProcess, Question, Repeat};
 use super::launcher::Launcher;
 use super::limits::{AnswerLimits, WorkerLimits};
 use super::load::{Load, LoadId};
+use super::platform::{HAS_WORKERS, Starter};
 use super::surroundings::Surroundings;
 use super::worker_process::{NoAnswer, Places, Process};
 use crate::description::{Quirk, QuirkKind};
@@ -56,8 +58,8 @@ struct Idle {
     processes: Vec<(Process, Instant)>,
     /// Process that is being started.
     begun: Option<Process>,
-    /// Template from which the processes are forked.
-    template: Option<Arc<Template>>,
+    /// Starter of the processes, with the load that it has received.
+    starter: Option<(Arc<Starter>, LoadId)>,
     /// True if a thread watches for processes that are idle for too long.
     is_watched: bool,
     /// Process id of the owner. A forked child does not own any workers.
@@ -157,11 +159,18 @@ impl PinnedProcess {
     }
 }
 
+impl Launcher {
+    /// True if this program can start worker processes.
+    pub fn is_known() -> bool {
+        HAS_WORKERS && Self::known().is_some()
+    }
+}
+
 impl Workers {
     /// Creates a set without starting any process. Returns `None` if this program cannot start workers (see
     /// [`Launcher`]).
     pub fn new(limits: WorkerLimits) -> Option<Arc<Self>> {
-        let launcher = Launcher::known()?;
+        let launcher = Launcher::known().filter(|_| HAS_WORKERS)?;
         Some(Arc::new(Self {
             launcher,
             limits,
@@ -202,8 +211,8 @@ impl Workers {
         self.idle().n_changes
     }
 
-    /// Starts the template with this load and a first worker in the background, because this takes longer
-    /// than a short evaluation.
+    /// Starts the starter with this load and a first worker in the background, because this takes longer than
+    /// a short evaluation.
     pub fn prepare(self: &Arc<Self>, load: &Load) {
         self.prepare_one_of(1, load, false);
     }
@@ -223,28 +232,35 @@ impl Workers {
         }
     }
 
-    fn has_no_template(&self) -> bool {
-        self.idle().template.as_ref().is_none_or(|template| template.is_broken())
-    }
-
     fn begin(&self, load: &Load, is_prepared: bool) -> Result<Process, FmiError> {
-        let template = self.template(load)?;
+        let (starter, loaded) = self.starter(load)?;
+        let place = self.places.take();
         let idle = self.idle();
-        let (surroundings, avoided_calls) = (idle.surroundings.clone(), idle.avoided_calls.clone());
+        let start = Start {
+            limits: self.limits,
+            level: log::max_level(),
+            is_prepared,
+            surroundings: idle.surroundings.clone(),
+            avoided_calls: idle.avoided_calls.clone(),
+            place: place.number,
+        };
         drop(idle);
-        Process::begin(&template, &self.limits, is_prepared, surroundings, &avoided_calls, &self.places)
+        Process::begin(&starter, loaded, start, place)
     }
 
-    /// Returns the template from which workers are forked. Starts one if necessary.
-    fn template(&self, load: &Load) -> Result<Arc<Template>, FmiError> {
+    /// Returns the starter of workers. Uses one that was started in advance, or starts a new one, if
+    /// necessary.
+    fn starter(&self, load: &Load) -> Result<(Arc<Starter>, LoadId), FmiError> {
         let mut idle = self.idle();
-        match &idle.template {
-            Some(template) if !template.is_broken() => Ok(Arc::clone(template)),
-            _ => Ok(Arc::clone(idle.template.insert(Arc::new(Template::loading(&self.launcher, load)?)))),
+        if let Some(known) = idle.starter.as_ref().filter(|(starter, _)| !starter.is_broken()) {
+            return Ok(known.clone());
         }
+        let starter = ahead::take(&self.launcher).map_or_else(|| Starter::start(&self.launcher), Ok)?;
+        load.frame().and_then(|frame| starter.load(&frame)).map_err(no_worker)?;
+        Ok(idle.starter.insert((Arc::new(starter), load.id)).clone())
     }
 
-    /// Returns a process that has not received a request. If an FMU has ended the template, a new template is
+    /// Returns a process that has not received a request. If an FMU has ended the starter, a new one is
     /// started.
     fn new_process(&self, load: &Load, context: &RunContext<'_>) -> Result<Process, FmiError> {
         let arrived = |mut process: Process, longest| process.arrive(context, longest).map(|()| process);
@@ -256,8 +272,9 @@ impl Workers {
         }
         let longest = if self.limits.sandbox { START_CONFINED } else { START };
         let start = || self.begin(load, false).and_then(|process| arrived(process, longest));
+        let is_broken = || self.idle().starter.as_ref().is_none_or(|(starter, _)| starter.is_broken());
         let started = match start() {
-            Err(FmiError::NoWorker { .. }) if self.has_no_template() => start(),
+            Err(FmiError::NoWorker { .. }) if is_broken() => start(),
             outcome => outcome,
         };
         started.map_err(|error| match error {
@@ -425,7 +442,7 @@ impl Workers {
         let this = std::process::id();
         if idle.owner != this {
             idle.processes.clear();
-            (idle.begun, idle.template) = (None, None);
+            (idle.begun, idle.starter) = (None, None);
             (idle.owner, idle.is_watched, idle.n_held) = (this, false, 0);
         }
         idle
@@ -483,7 +500,7 @@ impl Workers {
                 let mut idle = workers.idle();
                 let old = idle.take_old();
                 let is_over = idle.processes.is_empty();
-                let rest = is_over.then(|| (idle.begun.take(), idle.template.take()));
+                let rest = is_over.then(|| (idle.begun.take(), idle.starter.take()));
                 idle.is_watched = !is_over;
                 drop(idle);
                 drop((old, rest));
@@ -500,8 +517,8 @@ impl Workers {
 impl Drop for Workers {
     fn drop(&mut self) {
         // Ends all workers at once.
-        if let Some(template) = self.idle().template.take() {
-            template.end();
+        if let Some((starter, _)) = self.idle().starter.take() {
+            starter.end();
         }
     }
 }
@@ -515,7 +532,7 @@ fn ask_to_load(
     said: &Mutex<HashSet<String>>,
 ) -> Result<(), FmiError> {
     process.loaded = None;
-    let asked = &load.frame().map_err(|error| FmiError::NoWorker { reason: error.to_string() })?;
+    let asked = &load.frame().map_err(no_worker)?;
     let limits = AnswerLimits { run: None, runs: 0, size: FrameSize::of_numbers(0) };
     ask(process, &Question { asked, context, limits, is_repetition: false }, answer, &mut |_| Ok(()), said)?;
     process.loaded = Some(load.id);

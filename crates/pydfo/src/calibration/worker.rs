@@ -20,13 +20,13 @@ pub(crate) fn set_launcher(program: PathBuf, arguments: Vec<OsString>, library: 
 /// unless it is in use.
 #[pyclass(frozen)]
 pub(crate) struct ForkServer(
-    #[expect(dead_code, reason = "kept alive")] Option<Arc<fmi::worker::ForkServer>>,
+    #[expect(dead_code, reason = "kept alive")] Option<Arc<fmi::worker::StartedAhead>>,
 );
 
 /// Starts the program of the worker processes in advance.
 #[pyfunction]
 pub(crate) fn start_worker_ahead(py: Python<'_>) -> ForkServer {
-    ForkServer(py.detach(fmi::worker::start_fork_server))
+    ForkServer(py.detach(fmi::worker::start_ahead))
 }
 
 /// Serves as a template of worker processes until it is no longer needed.

@@ -70,7 +70,7 @@ pub(crate) fn close_inherited() -> io::Result<()> {
 }
 
 /// Leaves inherited file descriptors open on systems without such a call.
-#[cfg(all(unix, not(any(target_os = "linux", target_os = "android"))))]
+#[cfg(not(any(target_os = "linux", target_os = "android")))]
 pub(crate) fn close_inherited() -> io::Result<()> {
     Ok(())
 }

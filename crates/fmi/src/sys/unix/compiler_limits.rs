@@ -1,7 +1,6 @@
 //! Limits of a compiler process: memory, file size, processor time. The process also ends with the thread
 //! that waits for it.
 
-#[cfg(unix)]
 use std::io;
 use std::process::Command;
 use std::time::Duration;
@@ -16,8 +15,7 @@ const FILE_SIZE: u64 = 1 << 30;
 /// GiB, and slightly more than `time` of processor time. The limits apply to each process that it starts. On
 /// Linux, the command is killed when the thread that started it ends, and therefore no later than the end of
 /// this process.
-#[cfg(unix)]
-pub(crate) fn limit(command: &mut Command, time: Duration) {
+pub(crate) fn limit_compiler(command: &mut Command, time: Duration) {
     use std::os::unix::process::CommandExt;
     let seconds = time.as_secs().saturating_add(2);
     let parent = std::process::id();
@@ -32,12 +30,7 @@ pub(crate) fn limit(command: &mut Command, time: Duration) {
     unsafe { command.pre_exec(prepare) };
 }
 
-/// Sets no limits on systems that do not support them.
-#[cfg(not(unix))]
-pub(crate) fn limit(_: &mut Command, _: Duration) {}
-
 /// Lowers a limit of the calling process. A lower existing limit is kept.
-#[cfg(unix)]
 fn set(resource: Resource, most: u64) -> io::Result<()> {
     let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
     // SAFETY: the address is the address of a local.
@@ -54,9 +47,9 @@ fn set(resource: Resource, most: u64) -> io::Result<()> {
     }
 }
 
-#[cfg(all(unix, target_env = "gnu"))]
+#[cfg(target_env = "gnu")]
 type Resource = libc::__rlimit_resource_t;
-#[cfg(all(unix, not(target_env = "gnu")))]
+#[cfg(not(target_env = "gnu"))]
 type Resource = libc::c_int;
 
 /// Requests that the calling process is killed when the thread that started it ends.
@@ -74,7 +67,7 @@ fn end_with(parent: u32) -> io::Result<()> {
     }
 }
 
-#[cfg(all(unix, not(any(target_os = "linux", target_os = "android"))))]
+#[cfg(not(any(target_os = "linux", target_os = "android")))]
 fn end_with(_: u32) -> io::Result<()> {
     Ok(())
 }
@@ -88,7 +81,7 @@ mod tests {
     fn limited_command_has_resource_limits() {
         let mut command = Command::new("sh");
         command.args(["-c", "ulimit -v; ulimit -f; ulimit -t"]);
-        limit(&mut command, Duration::from_secs(10));
+        limit_compiler(&mut command, Duration::from_secs(10));
         let output = command.output().unwrap();
         let said = String::from_utf8(output.stdout).unwrap();
         // In KiB, in blocks of 512 bytes (dash) or 1 KiB (bash), in s.
@@ -102,7 +95,7 @@ mod tests {
         let start = || {
             let mut command = Command::new("sleep");
             command.arg("600");
-            limit(&mut command, Duration::from_secs(10));
+            limit_compiler(&mut command, Duration::from_secs(10));
             command.spawn().unwrap()
         };
         let mut child = std::thread::spawn(start).join().unwrap();

@@ -37,7 +37,7 @@ pub fn check_sandbox() -> Result<(), FmiError> {
 
 /// Confines this process, which has one thread. It may then write only below this folder, and the system
 /// calls in [`REFUSED`] and [`refused_with`] fail with `EPERM`.
-pub(super) fn confine(folder: &Path) -> io::Result<()> {
+pub(in crate::worker) fn confine_self(folder: &Path) -> io::Result<()> {
     let n_threads = std::fs::read_dir("/proc/self/task")?.count();
     if n_threads != 1 {
         return Err(io::Error::other(format!("sandbox: {n_threads} threads instead of 1")));

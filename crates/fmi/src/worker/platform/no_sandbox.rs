@@ -16,7 +16,6 @@ pub fn check_sandbox() -> Result<(), FmiError> {
 }
 
 /// Returns the error of [`check_sandbox`].
-#[cfg(unix)]
-pub(super) fn confine(_: &std::path::Path) -> std::io::Result<()> {
+pub(in crate::worker) fn confine_self(_: &std::path::Path) -> std::io::Result<()> {
     check_sandbox().map_err(std::io::Error::other)
 }

@@ -1,92 +1,67 @@
 //! The process from which worker processes are forked. It executes orders until the other end is closed.
 
-use super::folder::{remove, worker_folder};
-use super::fork_server::{DESCRIPTORS, Order, Start};
-use super::frame::{Frame, FrameSize};
-use super::handshake::{ASKED, FOLDER, LEVEL, VERSION};
-use super::notes::keep_lines;
-use super::service::Service;
-use super::worker_main::{self, Worker, respond};
-use crate::sys::{close_inherited, fork};
-use base::RunContext;
-use rustix::net::{RecvAncillaryBuffer, RecvAncillaryMessage, RecvFlags, recvmsg};
+use super::orders::{FOLDER, Order, receive};
+use super::own_process::become_worker;
+use crate::sys::unix::{close_inherited, fork};
+use crate::worker::folder::{remove, worker_folder};
+use crate::worker::frame::{Frame, FrameSize};
+use crate::worker::handshake::{Assigned, Start};
+use rustix::fs::{Mode, OFlags};
 use rustix::process::{Pid, Signal, WaitOptions, kill_process, kill_process_group, waitpid};
-use std::io::{self, ErrorKind, IoSliceMut, Write};
-use std::mem::MaybeUninit;
+use std::io::{self, ErrorKind};
 use std::os::fd::OwnedFd;
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 
-/// Serves requests until the other end is closed, if this process was started for that. The process then
-/// ends, and this function does not return. Otherwise, it returns immediately. Call it at the beginning of
-/// `main`, before any other thread is started.
-pub fn serve_if_worker(service: impl FnOnce() -> Box<dyn Service + Send>) {
-    super::launcher::know_this_program();
-    let Some(version) = std::env::var_os(ASKED) else { return };
-    let served = match version == VERSION {
-        true => serve(service()),
-        false => Err(io::Error::other(format!("this program serves version {VERSION}, not {version:?}"))),
-    };
-    if let Err(error) = &served {
-        // The parent process reads this message.
-        let _ = writeln!(io::stderr(), "{error}");
-    }
-    std::process::exit(i32::from(served.is_err()));
-}
-
-fn serve(mut service: Box<dyn Service + Send>) -> io::Result<()> {
+/// Serves as the template. Returns the worker in each fork, and `None` in the template itself at its end.
+pub(in crate::worker) fn await_order(
+    load: &mut dyn FnMut(&Frame) -> io::Result<bool>,
+) -> io::Result<Option<Assigned<UnixStream>>> {
     let named = std::env::var_os(FOLDER.to_str().unwrap_or_default()).map(PathBuf::from);
     let folder = named.ok_or(ErrorKind::NotFound)?;
     std::env::set_current_dir(&folder)?;
     close_inherited()?;
     let control = UnixStream::from(rustix::io::fcntl_dupfd_cloexec(rustix::stdio::stdin(), 3)?);
-    worker_main::close_stdin()?;
+    let nothing: OwnedFd = rustix::fs::open("/dev/null", OFlags::RDONLY | OFlags::CLOEXEC, Mode::empty())?;
+    rustix::stdio::dup2_stdin(&nothing)?;
     #[cfg(target_os = "linux")]
     rustix::process::set_child_subreaper(Some(rustix::process::getpid()))?;
-    keep_lines(
-        std::env::var(LEVEL).ok().and_then(|level| level.parse().ok()).unwrap_or(log::LevelFilter::Warn),
-    );
     let mut workers = Workers { folder, running: Vec::new(), has_loaded: false };
     loop {
-        match take_order(&control, &mut *service, &mut workers) {
+        match take_order(&control, load, &mut workers) {
             Ok(None) => {}
-            Ok(Some(worker)) => {
-                drop(control);
-                worker_main::run(service, worker)
-            }
+            Ok(Some(worker)) => return worker.map(Some),
             // The other end is closed, or has sent an order that this version does not know.
             Err(_) => break,
         }
     }
     workers.end_all();
     remove(&workers.folder);
-    Ok(())
+    Ok(None)
 }
 
-/// Executes the next order. Returns the worker to be served in a fork of this process.
+/// Executes the next order. Returns the worker, or its error, in a fork of this process.
 fn take_order(
     control: &UnixStream,
-    service: &mut dyn Service,
+    load: &mut dyn FnMut(&Frame) -> io::Result<bool>,
     workers: &mut Workers,
-) -> io::Result<Option<Worker>> {
+) -> io::Result<Option<io::Result<Assigned<UnixStream>>>> {
     let (mut asked, mut answer, mut buffer) = (Frame::default(), Frame::default(), Vec::new());
     let (order, descriptors) = receive(control)?;
     asked.read(&mut &*control, &mut buffer, FrameSize::ANY, &mut || Ok(()))?;
     if order == Order::Load as u8 {
-        respond(service, &asked, &RunContext::new(), &mut answer)?;
-        // After a failure, a worker tries again, and reports the error.
-        workers.has_loaded = !answer.is_error;
+        workers.has_loaded = load(&asked)?;
         return Ok(None);
     }
     if order == Order::Start as u8 {
-        let start: Start = asked.head()?;
+        let (number, start): (u32, Start) = asked.head()?;
         match fork() {
             Ok(None) => {
-                let folder = worker_folder(&workers.folder, start.number);
-                return Ok(Some(Worker { folder, start, descriptors, has_loaded: workers.has_loaded }));
+                let folder = worker_folder(&workers.folder, number);
+                return Ok(Some(become_worker(start, descriptors, folder, workers.has_loaded)));
             }
-            Ok(Some(pid)) => workers.running.push((pid, start.number)),
+            Ok(Some(pid)) => workers.running.push((pid, number)),
             Err(error) => {
                 let mut refusal = Frame::of(&error.to_string())?;
                 refusal.is_error = true;
@@ -100,25 +75,6 @@ fn take_order(
     answer.set_head(&workers.end(asked.head()?))?;
     answer.write(0, &mut &*control, &mut buffer)?;
     Ok(None)
-}
-
-/// Receives the next order, with its descriptors.
-fn receive(control: &UnixStream) -> io::Result<(u8, Vec<OwnedFd>)> {
-    let mut space = [MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(DESCRIPTORS))];
-    let mut ancillary = RecvAncillaryBuffer::new(&mut space);
-    let mut order = [0];
-    let mut to = [IoSliceMut::new(&mut order)];
-    #[cfg(target_os = "linux")]
-    let flags = RecvFlags::CMSG_CLOEXEC;
-    #[cfg(not(target_os = "linux"))]
-    let flags = RecvFlags::empty();
-    let received = rustix::io::retry_on_intr(|| recvmsg(control, &mut to, &mut ancillary, flags))?;
-    let rights = ancillary.drain().filter_map(|message| match message {
-        RecvAncillaryMessage::ScmRights(rights) => Some(rights),
-        _ => None,
-    });
-    let descriptors = rights.flatten().collect();
-    if received.bytes == 0 { Err(ErrorKind::UnexpectedEof.into()) } else { Ok((order[0], descriptors)) }
 }
 
 /// Workers that were forked from this process and have not been ended, with their numbers.

@@ -1,7 +1,7 @@
 //! Records the cause of a fault of the FMU before the fault ends the process.
 
-use super::shared_page::{NO_MEMORY, REFUSED, note_failed};
-use super::worker_state::is_refused;
+use crate::sys::shared_page::{NO_MEMORY, REFUSED, note_failed};
+use crate::sys::worker_state::is_refused;
 use std::io;
 use std::mem::MaybeUninit;
 
