@@ -92,18 +92,18 @@ sanitize: nightly  ## the importer's tests under AddressSanitizer, LeakSanitizer
 	$(call suite,sanitize,RUSTFLAGS="-Zsanitizer=address -Cforce-frame-pointers=yes" ASAN_OPTIONS=detect_leaks=1 \
 		LSAN_OPTIONS=suppressions=$(CURDIR)/tools/sanitize.supp:print_suppressions=0 \
 		cargo +nightly test --quiet -p fmufit-fmi --tests --target $(HOST) --target-dir target/sanitize)
-	@command -v valgrind >/dev/null || { echo "valgrind is needed: it also sees what C does to our buffers"; exit 1; }
+	@command -v valgrind >/dev/null || { echo "valgrind is missing; install it to check accesses of C code to our buffers"; exit 1; }
 	$(call suite,valgrind,CARGO_TARGET_$(subst -,_,$(shell echo $(HOST) | tr a-z A-Z))_RUNNER="valgrind -q --error-exitcode=9 --suppressions=$(CURDIR)/tools/valgrind.supp" \
 		cargo test --quiet -p fmufit-fmi --tests)
 
 nightly:
-	@rustc +nightly --version >/dev/null 2>&1 || { echo "a nightly compiler is needed: rustup toolchain install nightly"; exit 1; }
+	@rustc +nightly --version >/dev/null 2>&1 || { echo "a nightly compiler is missing; run: rustup toolchain install nightly"; exit 1; }
 
 doc: $(SITE)/.done  ## the site of guides and reference, in target/site; refuses dead links
 	$(call suite,rustdoc,cargo doc --workspace --no-deps --quiet)
 	$(call suite,site,NO_MKDOCS_2_WARNING=1 $(SITE)/bin/mkdocs build --strict --quiet && rm -rf target/site/rust && cp -r target/doc target/site/rust)
 	$(call suite,links,$(SITE)/bin/python tools/doc_site.py target/site)
-	@echo; echo "target/site/index.html; to search it, too: $(PYTHON) -m http.server -d target/site"
+	@echo; echo "target/site/index.html; to use its search, run: $(PYTHON) -m http.server -d target/site"
 
 pictures: build  ## draws the pictures of docs/ anew
 	$(BIN)/python docs/pictures.py

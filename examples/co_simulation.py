@@ -43,7 +43,7 @@ def main():
     fit.export_fmu(folder / "quad_tank.fmu")
     again = pydfo.load_fit(folder / "quad_tank.fit")
     if not np.array_equal(again.x, fit.x):
-        raise SystemExit("what was saved is not what is read")
+        raise SystemExit("the loaded fit differs from the saved fit")
     print(f"\nReport, fit, parameters and calibrated FMU are in {folder}")
 
 

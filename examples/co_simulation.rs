@@ -52,7 +52,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     calibration.report(&fit, folder.join("report.html"), &RunContext::new())?;
     let again = SavedFit::load(folder.join("quad_tank.fit"))?;
     if again.fit.x != fit.x || again.calibration_with(fmu)?.cost(&fit.x, &RunContext::new())? != fit.cost {
-        return Err("what was saved is not what is read".into());
+        return Err("the loaded fit differs from the saved fit".into());
     }
     std::fs::remove_dir_all(&folder)?;
     Ok(())

@@ -35,7 +35,7 @@ def main():
         validation = fit.validate(window=VALIDATION)
         values = ", ".join(f"{name} = {value:.1f}" for name, value in fit.parameters.items())
         scaled = fit.rms / nominal, validation.rms / nominal_validation
-        print(f"{what}: {values}; scaled RMS {scaled[0]:.3f}, in the validation {scaled[1]:.3f}")
+        print(f"{what}: {values}; scaled RMS {scaled[0]:.3f} in the fit, {scaled[1]:.3f} in the validation")
         return validation
 
     fit = calibration.fit(stages=[RIGHT, LEFT])
@@ -50,11 +50,11 @@ def main():
         at_once[name] = calibration.fit(start=start)
         show(f"all four, from {name}", at_once[name])
     said = [sentence for one in at_once.values() for sentence in one.uncertainty.verdict if "move the outputs the same way" in sentence]
-    print("\nThree starts, three minima. What the fits say of themselves:")
+    print("\nThree starts, three minima. Findings of the fits:")
     for sentence in dict.fromkeys(said):
         print(f"- {sentence}")
     if not said:
-        raise SystemExit("four parameters at once are not identifiable, and no fit has said so")
+        raise SystemExit("the four parameters are not identifiable together, but no fit reported it")
 
     try:
         fit.plot().savefig("exhaust.png", dpi=120)

@@ -28,7 +28,10 @@ fn show(what: &str, fit: &Fit, validation: &Validation, nominal: (f64, f64)) {
     let values: Vec<String> =
         fit.names.iter().zip(&fit.x).map(|(name, x)| format!("{name} = {x:.1}")).collect();
     let (scaled, elsewhere) = (fit.rms / nominal.0, validation.rms / nominal.1);
-    println!("{what}: {}; scaled RMS {scaled:.3}, in the validation {elsewhere:.3}", values.join(", "));
+    println!(
+        "{what}: {}; scaled RMS {scaled:.3} in the fit, {elsewhere:.3} in the validation",
+        values.join(", ")
+    );
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -57,9 +60,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let at_once = calibration.fit(FitOptions::default())?;
     show("all four at once", &at_once, &validated(&at_once)?, nominal);
     println!("\n{at_once}");
-    let uncertainty = at_once.uncertainty.as_ref().ok_or("the uncertainty of the fit is not known")?;
+    let uncertainty = at_once.uncertainty.as_ref().ok_or("the fit has no uncertainty")?;
     if uncertainty.confounded.is_empty() {
-        return Err("four parameters at once are not identifiable, and the fit has not said so".into());
+        return Err("the four parameters are not identifiable together, but the fit did not report it".into());
     }
     Ok(())
 }

@@ -65,4 +65,4 @@ if __name__ == "__main__":
         print(error)
     else:
         figure.savefig("furuta.png", dpi=120)
-        print("\ndrawn into furuta.png")
+        print("\nplot written to furuta.png")

@@ -45,7 +45,7 @@ def main():
         if not low <= value <= high:
             raise SystemExit(f"{name}: the true value {value} is not in {low} ... {high}")
     if not 0.9 < fit.rms < 1.1:
-        raise SystemExit(f"residuals over their standard deviations have the RMS {fit.rms}, not 1")
+        raise SystemExit(f"residuals divided by their standard deviations have the RMS {fit.rms}, not 1")
 
 
 if __name__ == "__main__":

@@ -66,9 +66,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     let fit = builder.build()?.fit(FitOptions::default())?;
     println!("{fit}");
     if (fit.rms - 1.0).abs() > 0.1 {
-        return Err(
-            format!("residuals over their standard deviations have the RMS {}, not 1", fit.rms).into()
-        );
+        return Err(format!(
+            "residuals divided by their standard deviations have the RMS {}, not 1",
+            fit.rms
+        )
+        .into());
     }
     Ok(())
 }

@@ -114,7 +114,7 @@ def page_of(notebook: Path) -> tuple[str, dict[str, bytes]]:
             if "image/png" in data:
                 name = f"{notebook.stem}-{len(pictures) + 1}.png"
                 pictures[name] = base64.b64decode("".join(data["image/png"]))
-                parts.append(f"![what this cell draws]({name})")
+                parts.append(f"![plot of this cell]({name})")
             elif said := "".join(data.get("text/plain", output.get("text", []))).strip():
                 parts.append(f"```text\n{said}\n```")
     return "\n\n".join(parts), pictures
@@ -147,7 +147,7 @@ def dead_links(site: Path) -> list[str]:
     found = []
     for page, seen in pages.items():
         name = page.relative_to(site)
-        found += [f"{name}: loads {url} from a network" for url in seen.loaded if urlsplit(url).netloc]
+        found += [f"{name}: loads {url} from the network" for url in seen.loaded if urlsplit(url).netloc]
         if name.name == "404.html":
             continue
         for url in [*seen.links, *seen.loaded]:
@@ -157,9 +157,9 @@ def dead_links(site: Path) -> list[str]:
             place = Path(os.path.normpath(page.parent / unquote(parts.path))) if parts.path else page
             place = place / "index.html" if place.is_dir() else place
             if not place.exists():
-                found.append(f"{name}: {url} leads nowhere")
+                found.append(f"{name}: the target of {url} does not exist")
             elif parts.fragment and place in pages and unquote(parts.fragment) not in pages[place].anchors | {"__codelineno"}:
-                found.append(f"{name}: {url} names no place of {place.relative_to(site)}")
+                found.append(f"{name}: {url} is not an anchor of {place.relative_to(site)}")
     return found
 
 
@@ -167,7 +167,7 @@ def main() -> int:
     """Prints all errors; the exit status is 1 if there are any."""
     site = Path(sys.argv[1])
     found = dead_links(site)
-    print("\n".join(found) if found else f"site: the links of {len(list(site.rglob('*.html')))} pages lead somewhere")
+    print("\n".join(found) if found else f"site: all links of {len(list(site.rglob('*.html')))} pages are valid")
     return 1 if found else 0
 
 

@@ -94,7 +94,7 @@ def files_that_are_gone() -> list[str]:
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
             if path.suffix == ".md" or line.lstrip().startswith("//"):
                 gone = [name for name in NAMED_FILE.findall(line) if name not in known]
-                found += [f"{path.relative_to(ROOT)}:{number}: there is no {name}" for name in gone]
+                found += [f"{path.relative_to(ROOT)}:{number}: file {name} does not exist" for name in gone]
     return found
 
 

@@ -196,16 +196,16 @@ def findings(crates: Iterable[str] = LAYERS) -> list[str]:
         top = crate.within(())
         for module, imports in sorted(top.items()):
             if module not in rank:
-                found.append(f"{name}: module {module} stands in no layer of tools/layers.py")
+                found.append(f"{name}: module {module} is missing in tools/layers.py")
             for other in sorted(imports - {"mod.rs"}):
                 if module in rank and rank.get(other, -1) >= rank[module]:
-                    found.append(f"{name}: {module} imports from {other}, which is not below it")
+                    found.append(f"{name}: {module} imports from {other}, which is not in a lower layer")
         folders = {module[:depth] for module in crate.files for depth in range(1, len(module))}
         for folder in sorted(folders):
             graph = crate.within(folder)
             where = "/".join((name, *folder))
             upward = sorted(part for part, imports in graph.items() if "mod.rs" in imports)
-            found += [f"{where}: {part} imports from mod.rs, which knows it" for part in upward]
+            found += [f"{where}: {part} imports from mod.rs, which depends on it" for part in upward]
             if ring := cycles(graph):
-                found.append(f"{where}: {', '.join(ring)} import from each other in a circle")
+                found.append(f"{where}: {', '.join(ring)} form an import cycle")
     return found

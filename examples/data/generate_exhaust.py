@@ -131,7 +131,7 @@ def main():
     difference = max(np.abs(stored[name] - values).max() for name, values in made.items())
     print(f"largest difference {difference:.1e}")
     if difference > 0.02:
-        sys.exit("exhaust.csv is not what this script makes")
+        sys.exit("exhaust.csv differs from the output of this script")
 
 
 if __name__ == "__main__":

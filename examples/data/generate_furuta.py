@@ -1,7 +1,7 @@
 """Generates furuta.csv: the Furuta pendulum at known frictions with white noise, like a measurement.
 
-    python generate_furuta.py            writes furuta.csv next to this file
-    python generate_furuta.py --check    compares the file with the generated data
+python generate_furuta.py            writes furuta.csv next to this file
+python generate_furuta.py --check    compares the file with the generated data
 """
 
 import csv
@@ -56,7 +56,7 @@ def main():
     difference = max(np.abs(a - b).max() for a, b in zip(stored, (TIMES, phi, theta), strict=True))
     print(f"largest difference {difference:.1e}")
     if difference > 1e-6:
-        sys.exit("furuta.csv is not what this script makes")
+        sys.exit("furuta.csv differs from the output of this script")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Generates quad_tank.csv: the quadruple tank with known outlets and white noise, like a measurement.
 
-    python generate_quad_tank.py            writes quad_tank.csv next to this file
-    python generate_quad_tank.py --check    compares the file with the generated data
+python generate_quad_tank.py            writes quad_tank.csv next to this file
+python generate_quad_tank.py --check    compares the file with the generated data
 """
 
 import csv
@@ -58,7 +58,7 @@ def main():
     difference = max(np.abs(a - b).max() for a, b in zip(stored, (TIMES, *VOLTAGES.values(), *levels), strict=True))
     print(f"largest difference {difference:.1e}")
     if difference > 1e-6:
-        sys.exit("quad_tank.csv is not what this script makes")
+        sys.exit("quad_tank.csv differs from the output of this script")
 
 
 if __name__ == "__main__":

@@ -57,7 +57,7 @@ pub fn open_own(path: &Path) -> io::Result<File> {
     let file = require_regular(file)?;
     #[cfg(unix)]
     if !is_own(path.parent().unwrap_or(Path::new(".")), &file)? {
-        return Err(io::Error::new(io::ErrorKind::PermissionDenied, "it belongs to another user"));
+        return Err(io::Error::new(io::ErrorKind::PermissionDenied, "the file belongs to another user"));
     }
     Ok(file)
 }
@@ -90,7 +90,7 @@ fn require_regular(file: File) -> io::Result<File> {
         () if kind.is_dir() => Err(io::Error::from_raw_os_error(libc::EISDIR)),
         #[cfg(not(unix))]
         () if kind.is_dir() => Err(io::ErrorKind::IsADirectory.into()),
-        () => Err(io::Error::new(io::ErrorKind::InvalidInput, "it is no regular file")),
+        () => Err(io::Error::new(io::ErrorKind::InvalidInput, "it is not a regular file")),
     }
 }
 
@@ -152,7 +152,7 @@ impl Claim {
         match claimed.iter().find(|(path, owner, _)| *path == place && *owner == process) {
             Some((.., true)) => return Ok(Self { locked: None, path: place, process }),
             Some((.., false)) => {
-                let message = "another run of this process is writing to it";
+                let message = "another run in this process is writing to it";
                 return Err(io::Error::new(io::ErrorKind::ResourceBusy, message));
             }
             None => {}
@@ -262,10 +262,7 @@ impl AtomicFile {
             return Err(io::ErrorKind::IsADirectory.into());
         }
         if old.as_ref().is_some_and(|old| old.is_file() && old.permissions().readonly()) {
-            return Err(io::Error::new(
-                io::ErrorKind::PermissionDenied,
-                "the file that is there is read-only",
-            ));
+            return Err(io::Error::new(io::ErrorKind::PermissionDenied, "the existing file is read-only"));
         }
         let is_stream = old.as_ref().is_some_and(|old| !old.is_file());
         let stream = match is_stream {
@@ -285,7 +282,7 @@ impl AtomicFile {
         // Omits the name of the temporary file, which does not help the user.
         let file = file.map_err(|error| match error.kind() {
             io::ErrorKind::NotFound if !folder.is_dir() => {
-                io::Error::new(error.kind(), format!("there is no folder '{}'", folder.display()))
+                io::Error::new(error.kind(), format!("folder '{}' does not exist", folder.display()))
             }
             kind => io::Error::new(kind, format!("folder '{}': {}", folder.display(), io::Error::from(kind))),
         })?;
@@ -391,7 +388,7 @@ mod tests {
         for is_shared in [false, true] {
             let error = Claim::new(&path, is_shared).unwrap_err();
             assert_eq!(error.kind(), io::ErrorKind::ResourceBusy);
-            assert_eq!(error.to_string(), "another run of this process is writing to it");
+            assert_eq!(error.to_string(), "another run in this process is writing to it");
         }
         drop(claim);
         assert_eq!(names(folder.path()), Vec::<String>::new());
@@ -464,7 +461,7 @@ mod tests {
             let error = open_regular(path).unwrap_err();
             assert_eq!(
                 (error.kind(), error.to_string().as_str()),
-                (io::ErrorKind::InvalidInput, "it is no regular file")
+                (io::ErrorKind::InvalidInput, "it is not a regular file")
             );
         }
         assert_eq!(open_regular(folder.path()).unwrap_err().kind(), io::ErrorKind::IsADirectory);
@@ -482,7 +479,7 @@ mod tests {
         drop(AtomicFile::new(&file).unwrap());
         assert!(write_atomically(folder.path(), b"x").is_err());
         let message = write_atomically(&folder.path().join("none/a"), b"x").unwrap_err().to_string();
-        assert!(message.starts_with("there is no folder '"), "{message}");
+        assert!(message.starts_with("folder '") && message.ends_with("does not exist"), "{message}");
         // The process of this file no longer exists.
         fs::write(folder.path().join(".a.writing-999999999-Xy"), "").unwrap();
         fs::write(folder.path().join(".b.writing-999999999-Xy"), "").unwrap();

@@ -15,13 +15,13 @@ use std::fmt;
 #[non_exhaustive]
 pub enum Error {
     /// No start point was given.
-    #[error("no start point (x0) is given")]
+    #[error("the start point (x0) is missing")]
     NoStart,
     /// The start point has no parameters.
-    #[error("the start point is empty: there is nothing to minimise over")]
+    #[error("the start point (x0) is empty; expected at least one parameter")]
     Empty,
     /// A list does not have one entry per parameter.
-    #[error("{what}: {got} values given for {expected} parameters")]
+    #[error("{what}: expected {expected} values, one per parameter; got {got}")]
     Length {
         /// Name of the list.
         what: &'static str,
@@ -31,7 +31,7 @@ pub enum Error {
         got: usize,
     },
     /// A bound is NaN, a lower bound is +inf or an upper bound is -inf.
-    #[error("the {side} bound of x[{index}] is {value}", value = Number(*.value))]
+    #[error("the {side} bound of x[{index}] must not be {value}", value = Number(*.value))]
     BadBound {
         /// `"lower"` or `"upper"`.
         side: &'static str,
@@ -59,7 +59,7 @@ pub enum Error {
         value: f64,
     },
     /// The start point is outside of the box.
-    #[error("x0[{index}] = {value} lies outside of its bounds [{lower}, {upper}]", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper))]
+    #[error("x0[{index}] = {value} is outside its bounds [{lower}, {upper}]", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper))]
     StartOutside {
         /// Parameter, counted from 0.
         index: usize,
@@ -71,7 +71,7 @@ pub enum Error {
         upper: f64,
     },
     /// A parameter on a logarithmic scale has a start value or bound that has no logarithm.
-    #[error("x[{index}] is on a logarithmic scale, but its {what} is {value}", value = Number(*.value))]
+    #[error("x[{index}] has a logarithmic scale, but its {what} is {value}; expected a positive number", value = Number(*.value))]
     LogScale {
         /// Parameter, counted from 0.
         index: usize,
@@ -94,7 +94,7 @@ pub enum Error {
     },
     /// A discrete parameter has no integer between its bounds.
     #[error(
-        "x[{index}] is discrete, but between its bounds {lower} and {upper} there is no whole number", lower = Number(*.lower), upper = Number(*.upper)
+        "x[{index}] is discrete, but there is no integer between its bounds {lower} and {upper}", lower = Number(*.lower), upper = Number(*.upper)
     )]
     NoWholeNumber {
         /// Parameter, counted from 0.
@@ -118,7 +118,7 @@ pub enum Error {
     #[error(transparent)]
     Record(#[from] RecordError),
     /// The name or number of the method is unknown.
-    #[error("there is no method '{name}'{hint}; known are {known}")]
+    #[error("unknown method '{name}'; expected one of: {known}{hint}")]
     UnknownMethod {
         /// The name or number given.
         name: String,
@@ -129,14 +129,15 @@ pub enum Error {
     },
     /// A least-squares method was used with an objective that returns only a cost.
     #[error(
-        "{method} needs residuals, but the objective gives only a cost: give the vector of residuals, or take another method"
+        "{method} requires residuals, but the objective returns only a cost. Return the vector of residuals, \
+         or use another method"
     )]
     NeedsResiduals {
         /// The method.
         method: &'static str,
     },
     /// A method needs a finite range for each parameter.
-    #[error("{method} searches a box, but x[{index}] lies in [{lower}, {upper}]", lower = Number(*.lower), upper = Number(*.upper))]
+    #[error("{method} requires finite bounds, but x[{index}] has the bounds [{lower}, {upper}]", lower = Number(*.lower), upper = Number(*.upper))]
     NeedsBox {
         /// The method.
         method: &'static str,
@@ -149,7 +150,7 @@ pub enum Error {
     },
     /// The barrier method needs a start point strictly inside the bounds.
     #[error(
-        "x0[{index}] = {value} must lie strictly between its bounds {lower} and {upper}", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper)
+        "x0[{index}] = {value} must be strictly between its bounds {lower} and {upper}", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper)
     )]
     StartNotInterior {
         /// Parameter, counted from 0.
@@ -162,13 +163,13 @@ pub enum Error {
         upper: f64,
     },
     /// The method requires at least one bound, and there is none.
-    #[error("{method} needs at least one bound")]
+    #[error("{method} requires at least one bound")]
     NoBounds {
         /// The method.
         method: &'static str,
     },
     /// A method cannot search over a discrete parameter.
-    #[error("{method} cannot search over x[{index}], which is {kind}")]
+    #[error("{method} does not support x[{index}], which is {kind}")]
     NotContinuous {
         /// The method.
         method: &'static str,
@@ -178,7 +179,7 @@ pub enum Error {
         kind: ParameterKind,
     },
     /// The number of vertices of an initial simplex is not the number of free parameters plus one.
-    #[error("the initial simplex has {got} vertices; {expected} are needed (free parameters + 1)")]
+    #[error("the initial simplex has {got} vertices; expected {expected} (free parameters + 1)")]
     SimplexSize {
         /// Vertices needed.
         expected: usize,
@@ -187,7 +188,8 @@ pub enum Error {
     },
     /// A vertex of an initial simplex has a coordinate that is not finite or is outside of the box.
     #[error(
-        "initial simplex: coordinate {value} of vertex {vertex}, x[{index}], must lie in [{lower}, {upper}]", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper)
+        "initial simplex: coordinate x[{index}] = {value} of vertex {vertex} is outside its bounds [{lower}, \
+         {upper}]", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper)
     )]
     SimplexOutside {
         /// Vertex, counted from 0.
@@ -228,7 +230,7 @@ pub enum Error {
         message: String,
     },
     /// A checkpoint belongs to another run.
-    #[error("checkpoint {path} belongs to another run: {what}: {stored} in the file, {given} here")]
+    #[error("checkpoint {path} belongs to another run ({what}: {stored} in the file, {given} in this run)")]
     CheckpointMismatch {
         /// The file, which is left unchanged.
         path: String,
@@ -240,22 +242,22 @@ pub enum Error {
         given: String,
     },
     /// `tell` was called with an id that is not waiting for an answer.
-    #[error("tell called for point {id}, which is not waiting for an answer")]
+    #[error("tell: point {id} is not waiting for an answer")]
     UnknownPoint {
         /// The id.
         id: u64,
     },
     /// The saved state of a method cannot be continued.
-    #[error("the saved state of the method cannot be continued: {message}")]
+    #[error("cannot continue from the saved state of the method: {message}")]
     State {
         /// Reason why the state cannot be continued.
         message: String,
     },
     /// `tell` was called before a batch was requested.
-    #[error("tell called, but no batch is waiting for an answer: ask first")]
+    #[error("tell: no batch is waiting for an answer; call ask first")]
     TellWithoutAsk,
     /// `tell` was called with more outcomes than the batch has points.
-    #[error("{told} outcomes told for a batch of {asked} points")]
+    #[error("tell: got {told} outcomes for a batch of {asked} points")]
     TooManyOutcomes {
         /// Points in the batch.
         asked: usize,
@@ -263,7 +265,7 @@ pub enum Error {
         told: usize,
     },
     /// The number of residuals differs between points.
-    #[error("{got} residuals at x = {x:?}, but {expected} at the points before")]
+    #[error("the objective returned {got} residuals at x = {x:?}, but {expected} at earlier points")]
     ResidualCount {
         /// Number of residuals at the earlier points.
         expected: usize,
@@ -273,7 +275,7 @@ pub enum Error {
         x: Vec<f64>,
     },
     /// State that a method must keep does not fit into memory.
-    #[error("not enough memory for {what}: {} are needed", Bytes(*.bytes))]
+    #[error("not enough memory for {what}, which requires {}", Bytes(*.bytes))]
     Memory {
         /// Description of the state.
         what: &'static str,

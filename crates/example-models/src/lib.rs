@@ -67,7 +67,7 @@ pub fn example_fmu(name: &str) -> Result<PathBuf, FmiError> {
 pub fn example_fmu_as(name: &str, kind: ExampleKind) -> Result<PathBuf, FmiError> {
     let Some(example) = EXAMPLES.iter().find(|example| example.name == name) else {
         let known: Vec<&str> = example_names().collect();
-        let problem = format!("there is no example model \"{name}\"; there are {}", known.join(", "));
+        let problem = format!("unknown example model \"{name}\"; expected one of: {}", known.join(", "));
         return Err(FmiError::BadSetting(problem));
     };
     let file_name = format!("{name}{}.fmu", kind.suffix());

@@ -18,7 +18,7 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 
 /// Reason reported if the instance was freed after a call into the FMU failed.
-const LOST: &str = "the instance was freed when a call into it failed: make another one";
+const LOST: &str = "the instance was freed because a call into it failed; create a new instance";
 
 /// A call of a [`DrivenInstance`]. The input vector is passed separately.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -232,7 +232,7 @@ macro_rules! anywhere {
 /// Runs an expression with the instance in the phases in which values can be read.
 macro_rules! readable {
     ($state:expr, $call:literal, $instance:ident => $body:expr) => {
-        within!($state, $call, "initialization or a later one", [
+        within!($state, $call, "initialization or later", [
             Initialization, Event, Continuous, Terminated, SlaveInitialization, Step, SlaveTerminated
         ], $instance => $body)
     };
@@ -352,7 +352,7 @@ impl DrivenInstance {
                 done(within!(*state, "event_indicators", "event or continuous", [Event, Continuous],
                 instance => instance.get_event_indicators(sized(vector, instance.fmu().description().n_event_indicators))))
             }
-            Call::StateNames => within!(*state, "state_names", "initialization or a later one",
+            Call::StateNames => within!(*state, "state_names", "initialization or later",
                 [Initialization, Event, Continuous, Terminated], instance => instance.state_names())
             .map(Answer::Names),
             Call::CompletedIntegratorStep => {

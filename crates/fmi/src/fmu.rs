@@ -95,7 +95,8 @@ impl std::str::FromStr for InterfaceChoice {
             "me" | "modelexchange" => Ok(InterfaceChoice::ModelExchange),
             "cs" | "cosimulation" => Ok(InterfaceChoice::CoSimulation),
             _ => Err(FmiError::BadSetting(format!(
-                "kind = '{text}' is none of 'auto', 'ME' (ModelExchange), 'CS' (CoSimulation)"
+                "kind = '{text}' is invalid; expected one of: 'auto', 'ME' (ModelExchange), 'CS' \
+                 (CoSimulation)"
             ))),
         }
     }
@@ -144,7 +145,7 @@ impl Fmu {
                 n => format!(" and {n} more"),
             };
             let message =
-                format!("the archive holds \"{first}\"{more} more than once, with the same content");
+                format!("the archive contains \"{first}\"{more} more than once, with identical content");
             description.quirks.insert(0, Quirk { kind: QuirkKind::Duplicate, message, line: 0 });
         }
         let inner = Inner {
@@ -207,7 +208,7 @@ impl Fmu {
             match variable.unit.as_deref() {
                 Some(stated) if !stated.trim().is_empty() && stated != unit => {
                     return Err(FmiError::BadSetting(format!(
-                        "units: '{name}' is in '{stated}', as the model states, not in '{unit}'"
+                        "units: the model declares the unit '{stated}' for '{name}', not '{unit}'"
                     )));
                 }
                 _ => variable.unit = Some(unit.to_owned()),
@@ -397,9 +398,9 @@ impl Fmu {
     /// declares such a start value as a guess.
     pub(crate) fn note_ineffective_start_value(&self, name: &str, given: f64, found: f64) {
         let message = format!(
-            "{}, and is {} after the initialization: the start value is a guess (initial=\"approx\"). In model exchange \
-             initial_states sets the state after the initialization; otherwise set the parameters from which the model \
-             computes it",
+            "{}, but is {} after the initialization, because the start value is a guess \
+             (initial=\"approx\"). In model exchange, set the state with initial_states; otherwise set the \
+             parameters from which the model computes it",
             start_value_given(name, given),
             Number(found)
         );
@@ -495,8 +496,9 @@ impl Fmu {
         let archive = self.archive();
         if let Some(file) = archive.changed_library() {
             let name = file.strip_prefix(archive.unpack()?).unwrap_or(file).display();
-            let reason =
-                format!("{name} was written over or removed after the folder had been opened; open it again");
+            let reason = format!(
+                "{name} has been modified or removed since the folder was opened; open the folder again"
+            );
             return Err(FmiError::bad_archive(self.path(), reason));
         }
         Ok(LibraryFile { library, root: archive.unpack_part(Part::Running, cancel)? })
@@ -533,7 +535,7 @@ impl Fmu {
             return Ok(wanted);
         }
         Err(self.not_offered(match kind {
-            InterfaceChoice::Auto => "model exchange nor co-simulation".to_owned(),
+            InterfaceChoice::Auto => "model exchange or co-simulation".to_owned(),
             _ => wanted.to_string(),
         }))
     }
@@ -569,14 +571,14 @@ impl Fmu {
     /// Returns the name of the tool that the model calls at run time (`needsExecutionTool`), for messages.
     fn needed_tool(&self) -> Option<String> {
         let needs = |(_, interface): (_, &Interface)| interface.capabilities.needs_execution_tool;
-        let tool = || self.description().generation_tool.as_deref().unwrap_or("the tool that made it");
+        let tool = || self.description().generation_tool.as_deref().unwrap_or("the tool that exported it");
         self.interfaces().any(needs).then(|| tool().to_owned())
     }
 
     /// Logs once that the model requires a tool.
     pub fn note_needed_tool(&self) {
         if let Some(tool) = self.needed_tool().filter(|_| !is_worker()) {
-            let message = format!("the model needs {tool} to run (needsExecutionTool)");
+            let message = format!("the model requires {tool} at run time (needsExecutionTool)");
             self.say_once(log::Level::Warn, "tool", &message);
         }
     }
@@ -584,13 +586,13 @@ impl Fmu {
     /// Returns possible causes of a failure of the model. A required tool may be missing, or the model may
     /// follow a draft of the standard.
     pub fn hint(&self) -> Option<String> {
-        let tool = self
-            .needed_tool()
-            .map(|tool| format!("the model needs {tool} to run (needsExecutionTool), which may be missing"));
+        let tool = self.needed_tool().map(|tool| {
+            format!("the model requires {tool} at run time (needsExecutionTool), which may be missing")
+        });
         let version = &self.description().fmi_version;
         let draft = version.is_draft().then(|| {
             format!(
-                "the model follows FMI {version}, a draft whose functions differ from those of FMI {}.{}",
+                "the model uses FMI {version}, a draft whose functions differ from FMI {}.{}",
                 version.major, version.minor
             )
         });
@@ -624,9 +626,7 @@ impl Fmu {
         let hash = archive.present_hash()?;
         let check = || match archive.present_hash()? {
             now if now == hash => Ok(()),
-            _ => {
-                Err(FmiError::bad_archive(self.path(), "its files were changed while its library was built"))
-            }
+            _ => Err(FmiError::bad_archive(self.path(), "the files changed while the library was built")),
         };
         match source::build_unchanged(
             &root,
@@ -650,7 +650,8 @@ impl Fmu {
         if let Some(file) = platform::unusable_binary(root, &interface.model_identifier, names) {
             let file = file.strip_prefix(root).unwrap_or(&file).display().to_string();
             log::warn!(
-                "{}: {file} is no library for this platform: the sources are compiled instead, if there are any",
+                "{}: {file} is not a library for this platform; the sources are compiled instead, if \
+                 available",
                 self.path().display()
             );
         }
@@ -668,7 +669,10 @@ impl Fmu {
                 FmiError::LoadFailed { library, message: format!("{message}; {hint}") }
             }
             (FmiError::MissingSymbol { library, symbol }, Some(hint)) => {
-                let message = format!("it has no function {symbol}, which the standard demands; {hint}");
+                let message = format!(
+                    "the library does not export the function {symbol}, which the FMI \
+                                       standard requires; {hint}"
+                );
                 FmiError::LoadFailed { library, message }
             }
             (error, _) => error,
@@ -682,7 +686,7 @@ impl Fmu {
             Some(found) if numbers(&found) != numbers(described) => self.note_quirk(
                 QuirkKind::Promise,
                 format!(
-                    "the description follows FMI {described}, the library says \"{}\"",
+                    "the model description declares FMI {described}, but the library reports \"{}\"",
                     found.escape_debug()
                 ),
             ),
@@ -697,7 +701,7 @@ impl Fmu {
             FmiError::NoBinary { wanted, present, .. } => FmiError::NoBinary {
                 path: self.path().to_owned(),
                 wanted,
-                present: format!("{present}; none can be built: {no_sources}"),
+                present: format!("{present}; cannot build one: {no_sources}"),
             },
             other => other,
         }
@@ -706,5 +710,5 @@ impl Fmu {
 
 /// Returns the beginning of the message about a start value without effect.
 fn start_value_given(name: &str, value: f64) -> String {
-    format!("{name} was given the start value {}", Number(value))
+    format!("{name} was set to the start value {}", Number(value))
 }

@@ -188,7 +188,8 @@ impl Session {
         let is_last = |last: &Last| last.values == values && last.asked.is_same(&asked);
         if !self.last.as_ref().is_some_and(is_last) {
             if options.has_input_functions() {
-                let gone = "the values at the end of the simulation went with its process, and its input functions are not kept: simulate again";
+                let gone = "the final values of the simulation are no longer available, because its process \
+                            has ended and its input functions are not stored; simulate again";
                 return Err(FmiError::BadSetting(gone.to_owned()));
             }
             self.simulate_with(options, poll)?;

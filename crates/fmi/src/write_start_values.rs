@@ -46,7 +46,7 @@ impl Fmu {
         let file = open_regular(path).map_err(FmiError::io("open", path))?;
         let known = self.content_hash()?;
         if Fmu::open_with(path, self.options())?.content_hash()? != known {
-            return Err(FmiError::bad_archive(path, "it was written over since it was opened"));
+            return Err(FmiError::bad_archive(path, "the file has been modified since it was opened"));
         }
         let mut packed = ZipArchive::new(file).map_err(failed)?;
         archive.set_raw_comment(packed.comment().into()).map_err(failed)?;

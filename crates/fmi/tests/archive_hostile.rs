@@ -126,7 +126,7 @@ fn truncated_archive_is_distinguished_from_other_files() {
     for length in (1..whole.len()).filter(|length| length % 7 == 0 || whole.len() - length < 30) {
         let error = open(&whole[..length]).expect_err("truncated");
         assert!(matches!(error, FmiError::BadArchive { .. }), "{length}: {error}");
-        let part = if length < 4 { "not a zip archive" } else { "cut off" };
+        let part = if length < 4 { "not a zip archive" } else { "truncated" };
         assert!(error.to_string().contains(part), "{length}: {error}");
     }
 }
@@ -141,9 +141,9 @@ fn missing_model_description_is_reported_with_hint() {
     })]))
     .unwrap_err()
     .to_string();
-    assert!(down.contains("pack the contents of \"BouncingBall\""), "{down}");
+    assert!(down.contains("Pack the contents of \"BouncingBall\""), "{down}");
     let case = open(&zip(&[Entry::stored("ModelDescription.xml", b"")])).unwrap_err().to_string();
-    assert!(case.contains("upper and lower case matter"), "{case}");
+    assert!(case.contains("names are case-sensitive"), "{case}");
     let folder = open(&zip(&[Entry::stored("modelDescription.xml/", b"")])).unwrap_err().to_string();
     assert!(folder.contains("is a folder") && !folder.contains("case"), "{folder}");
     let folder = open(&zip(&[Entry::stored("modelDescription.xml/", b"")])).unwrap_err();
@@ -152,7 +152,7 @@ fn missing_model_description_is_reported_with_hint() {
         .map(|name| Entry::stored(name, b"<a/>"));
     let system = open(&zip(&system)).unwrap_err().to_string();
     assert!(
-        system.contains("it is an SSP archive, a system of models")
+        system.contains("it is an SSP archive (a system of models)")
             && system.contains("(resources/a.fmu), with a parameter set (resources/a.ssv)"),
         "{system}"
     );

@@ -293,7 +293,7 @@ fn total_number_of_array_elements_is_limited() {
     let message =
         ModelDescription::parse(fmi3("", &arrays(1_000_000), "").as_bytes()).unwrap_err().to_string();
     assert!(
-        message.contains("the arrays up to \"a2\" have together more than 2000000 elements")
+        message.contains("the arrays up to \"a2\" together have more than 2000000 elements")
             && message.contains("DescriptionLimits::elements"),
         "{message}"
     );
@@ -320,7 +320,7 @@ fn total_number_of_array_elements_is_limited() {
     let indicators = fmi2("", "", "").replace("guid", "numberOfEventIndicators=\"3000000\" guid");
     let message = ModelDescription::parse(indicators.as_bytes()).unwrap_err().to_string();
     assert!(
-        message.contains("numberOfEventIndicators=\"3000000\", more than the limit of 2000000"),
+        message.contains("numberOfEventIndicators=\"3000000\" exceeds the limit of 2000000"),
         "{message}"
     );
 }
@@ -338,7 +338,7 @@ fn structural_parameters_respect_element_limit() {
     for n in [2000, 1 << 40, i64::MAX] {
         let message = fmi::SimulationPlan::new(&fmu, &options(n)).unwrap_err().to_string();
         assert!(
-            message.contains("more than 2000000 elements, with the structural parameters given"),
+            message.contains("more than 2000000 elements with the specified structural parameters"),
             "{message}"
         );
     }

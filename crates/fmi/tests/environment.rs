@@ -102,7 +102,8 @@ fn binary_value_larger_than_memory_is_an_error() {
         let instance = fmu.instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
         let mut instance = instance.exit_initialization().unwrap();
         let message = format!(
-            "fmi3GetBinary: the FMU has a value of {} bytes, more than its maxSize or than memory can hold",
+            "fmi3GetBinary: the FMU returned a value of {} bytes, which exceeds its maxSize or the available \
+             memory",
             1u64 << power
         );
         assert_eq!(instance.get("bytes").unwrap_err().to_string(), message);

@@ -35,7 +35,7 @@ fn write_archive(path: &Path, more: &[Entry]) {
     let mut entries = example_entries();
     entries.push(Entry::stored("resources/deep/table.txt", b"1 2 3"));
     entries.push(Entry::stored("documentation/index.html", b"<p>"));
-    entries.push(Entry::stored("binaries/plan9/dahlquist.so", b"no library"));
+    entries.push(Entry::stored("binaries/plan9/dahlquist.so", b"not a library"));
     entries.extend_from_slice(more);
     fs::write(path, zip(&entries)).unwrap();
 }
@@ -148,7 +148,7 @@ fn what_cannot_be_unpacked_again_is_said() {
     fs::remove_dir_all(fmu.root().unwrap().parent().unwrap()).unwrap();
     write_archive(&path, &[Entry::stored("resources/new.txt", b"4")]);
     let message = fmu.instantiate().unwrap_err().to_string();
-    for part in ["m.fmu", "were removed from", "unpacking them again failed", "was written over"] {
+    for part in ["m.fmu", "were removed from", "unpacking them again failed", "has been modified since"] {
         assert!(message.contains(part), "{message}");
     }
     // A folder that is not a private one.
@@ -174,7 +174,7 @@ fn open_fmu_detects_a_modified_file() {
     let second = Fmu::open(&path).unwrap();
     write_archive(&path, &[Entry::stored("resources/newer.txt", b"5")]);
     for error in [second.instantiate().map(drop).unwrap_err(), second.content_hash().map(drop).unwrap_err()] {
-        assert!(error.to_string().contains("written over after it had been opened"), "{error}");
+        assert!(error.to_string().contains("modified since it was opened"), "{error}");
     }
     assert!(Fmu::open(&path).unwrap().root().unwrap().join("resources/newer.txt").exists());
     // The size is unchanged, and the modification time is restored.
@@ -184,7 +184,7 @@ fn open_fmu_detects_a_modified_file() {
     write_archive(&path, &[Entry::stored("resources/newer.txt", b"6")]);
     fs::File::options().write(true).open(&path).unwrap().set_modified(written).unwrap();
     let error = third.content_hash().map(drop).unwrap_err();
-    assert!(error.to_string().contains("written over after it had been opened"), "{error}");
+    assert!(error.to_string().contains("modified since it was opened"), "{error}");
     // A change of the mode does not change the content.
     let fourth = Fmu::open(&path).unwrap();
     let mut mode = fs::metadata(&path).unwrap().permissions();

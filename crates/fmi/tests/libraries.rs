@@ -274,7 +274,10 @@ fn library_with_instance_limit_is_replaced() {
         assert_eq!(simulator.trajectory(&[1.0]).unwrap().columns, truth.columns);
     }
     let messages: Vec<String> = fmu.quirks_seen().into_iter().map(|quirk| quirk.message).collect();
-    assert!(messages.iter().any(|message| message.contains("only so often")), "{messages:?}");
+    assert!(
+        messages.iter().any(|message| message.contains("only a limited number of instances")),
+        "{messages:?}"
+    );
 }
 
 #[test]

@@ -73,7 +73,7 @@ fn fmu_that_needs_its_tool_reports_the_tool_on_failure() {
         })
     };
     assert!((end(&needing(&[]).open(), 2.0).unwrap() - (-2f64).exp()).abs() < 1e-7);
-    let hint = "Bench 7 to run (needsExecutionTool), which may be missing";
+    let hint = "Bench 7 at run time (needsExecutionTool), which may be missing";
     let error = end(&needing(&["NOT_INSTANTIABLE"]).open(), 1.0).unwrap_err().to_string();
     assert!(error.contains("no licence for evil") && error.contains(hint), "{error}");
     let error = end(&needing(&["UNDEFINED_SYMBOL"]).open(), 1.0).unwrap_err().to_string();
@@ -89,10 +89,7 @@ fn fmu_of_a_draft_version_reports_the_draft_on_failure() {
     };
     assert!((end(&draft(&[]).open(), 2.0).unwrap() - (-2f64).exp()).abs() < 1e-7);
     let error = end(&draft(&["NOT_INSTANTIABLE"]).open(), 1.0).unwrap_err().to_string();
-    assert!(
-        error.contains("FMI 2.0-beta.4, a draft whose functions differ from those of FMI 2.0"),
-        "{error}"
-    );
+    assert!(error.contains("FMI 2.0-beta.4, a draft whose functions differ from FMI 2.0"), "{error}");
 }
 
 #[test]

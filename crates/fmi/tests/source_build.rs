@@ -293,7 +293,7 @@ fn ends_the_compiler() {
     };
     let message = run(1, &fmi::CancelRequest::default()).0.to_string();
     assert!(
-        message.contains("ended after 1 s") && message.contains("OpenOptions::compile_time"),
+        message.contains("stopped after 1 s") && message.contains("OpenOptions::compile_time"),
         "{message}"
     );
     let flag = Arc::new(AtomicBool::new(false));

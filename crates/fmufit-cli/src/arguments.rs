@@ -13,17 +13,17 @@ use std::path::{Path, PathBuf};
     version,
     arg_required_else_help = true,
     after_help = "A first fit:\n  \
-        fmufit info plant.fmu                      what the model has\n  \
-        fmufit init plant.fmu run.csv problem.toml writes a problem file with comments; edit it\n  \
-        fmufit check problem.toml                  looks for mistakes\n  \
-        fmufit fit problem.toml --save plant.fit   fits\n  \
-        fmufit report plant.fit plant.html         one page with figures\n\n\
+        fmufit info plant.fmu                      shows the contents of the model\n  \
+        fmufit init plant.fmu run.csv problem.toml writes a commented problem file to edit\n  \
+        fmufit check problem.toml                  checks the problem for mistakes\n  \
+        fmufit fit problem.toml --save plant.fit   fits the parameters\n  \
+        fmufit report plant.fit plant.html         writes a page with figures\n\n\
         Exit codes:\n  \
-        0    all went well\n  \
-        1    the work was done, and did not succeed\n  \
-        2    arguments, files or values that cannot be used\n  \
-        3    the fit ran, and its result is not to be used: the findings that are errors say why\n  \
-        130  Ctrl-C, SIGTERM or the button of --watch; of a fit the best point is printed and saved"
+        0    success\n  \
+        1    the command ran to its end without success\n  \
+        2    an argument, a file or a value is invalid\n  \
+        3    the fit ran, but its result should not be used; its error findings give the reasons\n  \
+        130  interrupted by Ctrl-C, SIGTERM or the button of --watch; a fit prints and saves its best point"
 )]
 pub(crate) struct CommandLine {
     /// Print results and errors only
@@ -37,7 +37,7 @@ pub(crate) struct CommandLine {
 pub(crate) enum Command {
     /// Show the contents of a model: interfaces, default experiment, variables
     #[command(
-        after_help = "Example:\n  fmufit info plant.fmu --causality parameter\n\nRuns no code of the model."
+        after_help = "Example:\n  fmufit info plant.fmu --causality parameter\n\nDoes not run code of the model."
     )]
     Info(Info),
     /// Report violations of the FMI standard and simulate a model in a separate process
@@ -52,10 +52,10 @@ pub(crate) enum Command {
     )]
     Simulate(Simulate),
     /// Write a commented problem file from a model and a recording
-    #[command(
-        after_help = "Example:\n  fmufit init plant.fmu run.csv problem.toml\n\nOutputs and inputs are matched with columns by their \
-            names. Parameters that move no output\nat the start are written as comments."
-    )]
+    #[command(after_help = "Example:\n  \
+            fmufit init plant.fmu run.csv problem.toml\n\n\
+            Matches outputs and inputs with columns by name. Parameters that do not affect any output\n\
+            at the start values are written as comments.")]
     Init(Init),
     /// Check a problem for mistakes before a fit
     #[command(
@@ -63,36 +63,38 @@ pub(crate) enum Command {
     )]
     Check(Check),
     /// Fit parameters to recordings
-    #[command(after_help = "Examples:\n  fmufit fit problem.toml --save plant.fit --report plant.html\n  \
-            fmufit fit furuta.fmu furuta.csv --output armJoint.phi=phi --parameter armFriction=0.012:0:0.022\n  \
-            fmufit fit problem.toml --option method=de --option max_time=60 --setting solver=radau5\n\n\
-            Ctrl-C ends the fit with the best point, which is printed and saved (exit code 130).\n\
-            Exits with 1 if the search did not converge, and with 3 if it converged and a finding is an error, for example a\n\
-            simulation that is worse than a constant.")]
+    #[command(after_help = "Examples:\n  \
+        fmufit fit problem.toml --save plant.fit --report plant.html\n  \
+        fmufit fit furuta.fmu furuta.csv --output armJoint.phi=phi --parameter armFriction=0.012:0:0.022\n  \
+        fmufit fit problem.toml --option method=de --option max_time=60 --setting solver=radau5\n\n\
+        Ctrl-C ends the fit; the best point is printed and saved (exit code 130).\n\
+        Exits with 1 if the search did not converge. Exits with 3 if it converged but a finding is an \
+        error,\n\
+        for example a simulation that fits worse than a constant.")]
     Fit(Fit),
     /// Continue a fit from its checkpoint
-    #[command(
-        after_help = "Example:\n  fmufit fit problem.toml --checkpoint plant.ckpt     (Ctrl-C, a reboot)\n  \
-            fmufit resume problem.toml --checkpoint plant.ckpt\n\nThe result has the same bits as that of a fit that was not interrupted."
-    )]
+    #[command(after_help = "Example:\n  \
+            fmufit fit problem.toml --checkpoint plant.ckpt     (Ctrl-C, a reboot)\n  \
+            fmufit resume problem.toml --checkpoint plant.ckpt\n\n\
+            The result is bit-for-bit identical to the result of an uninterrupted fit.")]
     Resume(Fit),
     /// Write the report of a saved fit as a page or as a file for other programs
-    #[command(
-        after_help = "Examples:\n  fmufit report plant.fit plant.html    a page with tables and figures\n  \
-            fmufit report plant.fit plant.csv     parameters as a table\n  \
-            fmufit report plant.fit plant.ssv     parameters for SSP tools\n  fmufit report plant.fit plant.json    all numbers"
-    )]
+    #[command(after_help = "Examples:\n  \
+            fmufit report plant.fit plant.html    page with tables and figures\n  \
+            fmufit report plant.fit plant.csv     table of parameters\n  \
+            fmufit report plant.fit plant.ssv     parameters for SSP tools\n  \
+            fmufit report plant.fit plant.json    all numbers")]
     Report(Report),
     /// Compile a source-code FMU for this platform
-    #[command(
-        after_help = "Example:\n  fmufit build plant/ plant.fmu\n\nRuns the C compiler of this machine on the sources of the model."
-    )]
+    #[command(after_help = "Example:\n  \
+            fmufit build plant/ plant.fmu\n\n\
+            Compiles the sources of the model with the C compiler of this machine.")]
     Build(Build),
     /// Write the JSON schema of problem files or of a result to the standard output
-    #[command(
-        after_help = "Example:\n  fmufit schema > problem.schema.json\n\nEditors that know TOML check a problem file against it and complete \
-            its fields; the first line\nof what init writes names this file."
-    )]
+    #[command(after_help = "Example:\n  \
+            fmufit schema > problem.schema.json\n\n\
+            TOML editors check problem files against the schema and complete their fields. The first line\n\
+            of a file written by init refers to problem.schema.json.")]
     Schema(SchemaOf),
     /// Write the completion script of a shell to the standard output
     #[command(

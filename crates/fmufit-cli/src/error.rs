@@ -45,7 +45,7 @@ pub(crate) struct Error {
 
 /// Error as printed by `--json`.
 #[derive(Serialize, JsonSchema)]
-#[schemars(title = "Error of fmufit")]
+#[schemars(title = "fmufit error")]
 pub(crate) struct ErrorDocument<'e> {
     error: ErrorFields<'e>,
 }
@@ -78,7 +78,7 @@ impl Error {
 
     /// Creates an error for work that Ctrl-C ended before it had a result.
     pub(crate) fn interrupted() -> Self {
-        Self { exit: Exit::Interrupted, message: "interrupted before there was a result".to_owned() }
+        Self { exit: Exit::Interrupted, message: "interrupted before a result was available".to_owned() }
     }
 
     /// Returns the error as a JSON document.

@@ -23,7 +23,7 @@ impl Interrupt {
             let shutdown = register_conditional_shutdown(signal, Exit::Interrupted.code().into(), flag());
             let handlers = [shutdown, register(signal, flag())];
             for handler in handlers {
-                let handler = handler.map_err(|e| Error::work(format!("Ctrl-C cannot be watched: {e}")))?;
+                let handler = handler.map_err(|e| Error::work(format!("cannot handle Ctrl-C: {e}")))?;
                 interrupt.handlers.push(handler);
             }
         }

@@ -15,12 +15,14 @@ pub(crate) fn check_written<'p>(
     for path in written {
         let (own, shown) = (place(path), path.display());
         if is_stream(path) {
-            return Err(Error::input("'-' is no file: this result needs the name of one"));
+            return Err(Error::input("'-' is not a file; specify a file name for this result"));
         } else if read.contains(&own) {
-            return Err(Error::input(format!("{shown} is read by this command: name another file to write")));
+            return Err(Error::input(format!(
+                "{shown} is an input of this command; specify another file to write"
+            )));
         } else if earlier.contains(&own) {
             return Err(Error::input(format!(
-                "{shown} would be written twice: give each result a file of its own"
+                "{shown} would be written twice; specify a separate file for each result"
             )));
         }
         // Reported now, not after hours of work. A pipe can be opened only once, so it is not tested.

@@ -156,27 +156,33 @@ impl ErrorKind {
     /// counted.
     pub fn summary(&self) -> String {
         match self {
-            Self::Span { .. } => "the span is not one".to_owned(),
-            Self::SampleTimes { .. } => "the requested times cannot be used".to_owned(),
-            Self::ToleranceCount { .. } => "the tolerances do not fit the states".to_owned(),
-            Self::NoTolerance { .. } => "a state has no tolerance".to_owned(),
-            Self::StepTooSmall { discarded: false } => {
-                "the error test wants steps that are too small".to_owned()
+            Self::Span { .. } => "invalid time span".to_owned(),
+            Self::SampleTimes { .. } => "invalid sample times".to_owned(),
+            Self::ToleranceCount { .. } => {
+                "the number of absolute tolerances differs from the number of states".to_owned()
             }
-            Self::StepTooSmall { discarded: true } => "the model cannot be evaluated any further".to_owned(),
-            Self::StepBelowRounding { .. } => "the steps asked for are too small".to_owned(),
+            Self::NoTolerance { .. } => "the error tolerance of a state is zero".to_owned(),
+            Self::StepTooSmall { discarded: false } => {
+                "the error test requires steps that are too small".to_owned()
+            }
+            Self::StepTooSmall { discarded: true } => {
+                "the model cannot be evaluated beyond this point".to_owned()
+            }
+            Self::StepBelowRounding { .. } => "the requested step size is too small".to_owned(),
             Self::NoConvergence => "the equations of the implicit method do not converge".to_owned(),
-            Self::MassMatrix { .. } => "the mass matrix cannot be used".to_owned(),
-            Self::TooLargeForDense { .. } => "there is no room for dense matrices".to_owned(),
-            Self::MassMatrixNeedsImplicit => "the mass matrix needs solver radau5 or bdf".to_owned(),
-            Self::ResidualNeedsBdf => "a residual needs solver bdf".to_owned(),
-            Self::HigherIndex => "the index is above 1".to_owned(),
-            Self::Inconsistent { .. } => "the states are not consistent".to_owned(),
-            Self::InconsistentSlopes { .. } => "the derivatives are not consistent".to_owned(),
-            Self::DiscardedAtRestart => "the model cannot be evaluated at its own state".to_owned(),
+            Self::MassMatrix { .. } => "invalid mass matrix".to_owned(),
+            Self::TooLargeForDense { .. } => "not enough memory for dense matrices".to_owned(),
+            Self::MassMatrixNeedsImplicit => "a mass matrix requires solver radau5 or bdf".to_owned(),
+            Self::ResidualNeedsBdf => "a system in residual form requires solver bdf".to_owned(),
+            Self::HigherIndex => "the index of the system is above 1".to_owned(),
+            Self::Inconsistent { .. } => "the states are inconsistent".to_owned(),
+            Self::InconsistentSlopes { .. } => "the derivatives are inconsistent".to_owned(),
+            Self::DiscardedAtRestart => "the model cannot be evaluated at its current state".to_owned(),
             Self::TooManySteps(n) => format!("the limit of {n} steps was reached"),
             Self::TooManyEvents(n) => format!("the limit of {n} events was reached"),
-            Self::TooManyRightHandSides(n) => format!("the limit of {n} right-hand sides was reached"),
+            Self::TooManyRightHandSides(n) => {
+                format!("the limit of {n} right-hand side evaluations was reached")
+            }
             Self::TimedOut(limit) => {
                 format!("the time limit of {} s was reached", Number(limit.as_secs_f64()))
             }
@@ -185,8 +191,8 @@ impl ErrorKind {
             Self::EventsAccumulate { indicator } => {
                 format!("events accumulate (event indicator {indicator})")
             }
-            Self::TimeEventLoop(_) => "time events that do not let time advance".to_owned(),
-            Self::EventInThePast(_) => "a time event in the past".to_owned(),
+            Self::TimeEventLoop(_) => "time events repeat without time advancing".to_owned(),
+            Self::EventInThePast(_) => "the model announced a time event in the past".to_owned(),
             Self::Model(e) => e.to_string(),
         }
     }
@@ -236,7 +242,7 @@ impl NotFinite {
             Evaluated::State => format!("state {index}"),
             Evaluated::Derivative => format!("the derivative of state {index}"),
             Evaluated::EventIndicator => format!("event indicator {index}"),
-            Evaluated::Jacobian => format!("entry {index} of the Jacobian, by columns,"),
+            Evaluated::Jacobian => format!("entry {index} of the Jacobian (column-major order)"),
         };
         let name = name.as_ref().map_or_else(String::new, |name| format!(" ({name})"));
         format!("{what}{name} is {}", Number(*value))
@@ -268,8 +274,9 @@ impl fmt::Display for Undetermined {
         let Self { equation, states, pivot } = self;
         write!(
             f,
-            "the problem looks like index 2 or higher: equation {equation}, in which no derivative stands, does not \
-             determine the states it should (their block of the Jacobian is singular: states {states:?}, largest pivot {})",
+            "the system probably has index 2 or higher, because equation {equation}, which contains no \
+             derivative, does not determine its states {states:?} (their block of the Jacobian is singular, \
+             largest pivot {})",
             Number(*pivot)
         )
     }
@@ -287,8 +294,9 @@ impl fmt::Display for TooLargeForDense {
         let gigabytes = 8e-9 * n * n;
         write!(
             f,
-            "an implicit method needs a dense Jacobian of {0} x {0} entries ({gigabytes:.1} GB), and one or three times as \
-             much for its factors: give the sparsity pattern of the Jacobian, or take an explicit method (tsit5, dop853)",
+            "an implicit method requires a dense Jacobian of {0} x {0} entries ({gigabytes:.1} GB), and one \
+             to three times as much memory for its factors. Specify the sparsity pattern of the Jacobian, or \
+             use an explicit method (tsit5, dop853)",
             self.states
         )
     }
@@ -333,30 +341,36 @@ impl ErrorKind {
             Self::Span { start, end } => {
                 let is_finite = start.is_finite() && end.is_finite();
                 let (start, end) = (Number(*start), Number(*end));
-                let why = if is_finite { "this system cannot run backward" } else { "both must be finite" };
+                let why = if is_finite {
+                    "this system cannot be integrated backward"
+                } else {
+                    "both times must be finite"
+                };
                 format!("cannot simulate from {start} to {end}: {why}")
             }
             Self::SampleTimes { index, time } => format!(
-                "requested time {} at position {index} is not finite, not in the order of the integration, or outside of the span",
+                "requested time {} at position {index} must be finite, in the order of the integration, and \
+                 within the time span",
                 Number(*time)
             ),
             Self::ToleranceCount { given, states } => {
-                format!("{given} absolute tolerances given for {states} states")
+                format!("absolute tolerances: expected {states}, one per state; got {given}")
             }
             Self::StepBelowRounding { step, least } => format!(
-                "steps of {} were asked for, but in this span only steps above {} tell instants apart",
+                "step size {} is too small for the resolution of times in this span; expected more than {}",
                 Number(*step),
                 Number(*least)
             ),
             Self::MassMatrix { given, states } => format!(
-                "the mass matrix must have {states} x {states} finite entries by columns, {given} were given"
+                "mass matrix: expected {states} x {states} finite entries in column-major order; got {given} \
+                 entries"
             ),
             Self::TooLargeForDense { states } => TooLargeForDense { states: *states }.to_string(),
             Self::MassMatrixNeedsImplicit => {
-                "a system with a mass matrix can only be integrated by radau5 or bdf (or auto)".to_owned()
+                "solver: a system with a mass matrix can be integrated only by radau5, bdf or auto".to_owned()
             }
             Self::ResidualNeedsBdf => {
-                "a system given by its residual can only be integrated by bdf".to_owned()
+                "solver: a system in residual form can be integrated only by bdf".to_owned()
             }
             _ => return None,
         })
@@ -369,45 +383,50 @@ impl SimulationError {
         let (t, h) = (Number(self.time), Number(self.step));
         match &self.kind {
             ErrorKind::NoTolerance { state } => format!(
-                "state {state} is 0 at t = {t}, and so is its absolute tolerance: a relative tolerance alone is none \
-                 there; give a positive absolute one"
+                "state {state} and its absolute tolerance are both 0 at t = {t}, so its error tolerance is \
+                 zero; set a positive absolute tolerance"
             ),
             ErrorKind::StepTooSmall { discarded: false } => {
-                format!("the error test wants steps below {h} at t = {t}")
+                format!("the error test requires steps below {h} at t = {t}")
             }
             ErrorKind::StepTooSmall { discarded: true } => {
-                format!("the model cannot be evaluated beyond t = {t}, down to steps of {h}")
+                format!("the model cannot be evaluated beyond t = {t}, even with a step size of {h}")
             }
             ErrorKind::NoConvergence => {
                 format!(
-                    "the equations of the implicit method do not converge at t = {t}, down to steps of {h}"
+                    "the equations of the implicit method do not converge at t = {t}, even with a step size \
+                     of {h}"
                 )
             }
-            ErrorKind::HigherIndex => format!("the states at t = {t} are not determined by the equations"),
+            ErrorKind::HigherIndex => format!("the equations do not determine the states at t = {t}"),
             ErrorKind::Inconsistent { equation, residual } => format!(
-                "the states at t = {t} are not consistent, and no others with the same left-hand side are: \
-                 equation {equation}, in which no derivative stands, has the residual {}",
+                "the states at t = {t} are inconsistent, and no consistent states with the same left-hand \
+                 side were found: equation {equation}, which contains no derivative, has residual {}",
                 Number(*residual)
             ),
             ErrorKind::InconsistentSlopes { equation, residual, is_singular } => {
                 let why = match is_singular {
-                    true => "the Jacobian with respect to the derivatives is singular there, but not near",
-                    false => "Newton's method finds no others from there",
+                    true => {
+                        "the Jacobian with respect to the derivatives is singular at this point but not \
+                             near it"
+                    }
+                    false => "Newton's method did not converge to consistent values",
                 };
                 format!(
-                    "the states and derivatives at t = {t} are not consistent, and {why}: equation {equation} has the \
-                     residual {}; give derivatives (dx0), or better guesses of states without a derivative",
+                    "the states and derivatives at t = {t} are inconsistent, and {why}: equation {equation} \
+                     has residual {}. Specify derivatives (dx0), or better guesses for states without a \
+                     derivative",
                     Number(*residual)
                 )
             }
             ErrorKind::DiscardedAtRestart => match &self.not_finite {
                 Some(value) => value.to_string(),
-                None => format!("the model cannot be evaluated at its own state at t = {t}"),
+                None => format!("the model cannot be evaluated at its current state at t = {t}"),
             },
             ErrorKind::TooManySteps(n) => format!("the limit of {n} steps was reached at t = {t}"),
             ErrorKind::TooManyEvents(n) => format!("the limit of {n} events was reached at t = {t}"),
             ErrorKind::TooManyRightHandSides(n) => {
-                format!("the limit of {n} right-hand sides was reached at t = {t}")
+                format!("the limit of {n} right-hand side evaluations was reached at t = {t}")
             }
             ErrorKind::TimedOut(limit) => {
                 format!("the time limit of {} s was reached at t = {t}", Number(limit.as_secs_f64()))
@@ -418,14 +437,17 @@ impl SimulationError {
                 Number(*within)
             ),
             ErrorKind::EventsAccumulate { indicator } => format!(
-                "chattering at t = {t}: event indicator {indicator} comes back to zero sooner after its event than \
-                 steps can resolve (its events accumulate there)"
+                "chattering at t = {t}: after its event, event indicator {indicator} returns to zero in less \
+                 time than a step can resolve (its events accumulate)"
             ),
             ErrorKind::TimeEventLoop(n) => {
-                format!("{n} time events at t = {t}, each announcing another one there or a hair later")
+                format!(
+                    "{n} consecutive time events at t = {t}, each announcing the next one at the same \
+                         instant or only slightly later"
+                )
             }
             ErrorKind::EventInThePast(next) => format!(
-                "the model announced its next time event for {}, which lies before t = {t}",
+                "the model announced its next time event for {}, which is before t = {t}",
                 Number(*next)
             ),
             ErrorKind::Model(error) => format!("at t = {t}: {error}"),

@@ -283,7 +283,7 @@ impl Options {
             AbsoluteTolerance::PerState(list) => Some(list.as_slice()),
         };
         if !((rtol == 0.0 && given.is_some()) || (1e-14..1.0).contains(&rtol)) {
-            let range = "at least 1e-14 and below 1, or 0 where absolute tolerances are given";
+            let range = "at least 1e-14 and below 1, or 0 if absolute tolerances are given";
             return Err(OptionsError::OutOfRange { name: "relative_tolerance", value: rtol, range });
         }
         for &value in given.unwrap_or_default() {
@@ -315,9 +315,9 @@ pub enum OptionsError {
         range: &'static str,
     },
     /// No method has this name.
-    #[error("unknown solver '{0}'; there are: auto, tsit5, dop853, radau5, bdf, rk4, euler")]
+    #[error("unknown solver '{0}'; expected one of: auto, tsit5, dop853, radau5, bdf, rk4, euler")]
     UnknownMethod(String),
     /// No chattering policy has this name.
-    #[error("unknown answer to chattering '{0}'; there are: error, warn, slide")]
+    #[error("unknown chattering policy '{0}'; expected one of: error, warn, slide")]
     UnknownChatteringPolicy(String),
 }

@@ -17,7 +17,8 @@ pub(crate) fn command_line(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
 pub(crate) fn command_line(arguments: Vec<OsString>) -> PyResult<u8> {
     let program = arguments.first().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let message = format!(
-        "{program}: this pydfo was built without the command line (feature `cli`): `make build` builds one with it"
+        "{program}: this pydfo was built without the command line (feature `cli`). Run `make build` to build \
+         pydfo with it"
     );
     Err(pyo3::exceptions::PyNotImplementedError::new_err(message))
 }

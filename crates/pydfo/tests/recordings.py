@@ -76,7 +76,5 @@ def exhaust(which):
         "w_turb2": 1500 + 3500 * load,
         "p_out": np.full_like(time, 1.013e5),
     }
-    res = FMUModel(example_fmu("exhaust")).simulate(
-        0, 1800, times=time, input=data, output=["T_out"], solver="radau5", relative_tolerance=1e-9
-    )
+    res = FMUModel(example_fmu("exhaust")).simulate(0, 1800, times=time, input=data, output=["T_out"], solver="radau5", relative_tolerance=1e-9)
     return data | {"T_out": res["T_out"] + rng.normal(0, 2.0, time.size)}

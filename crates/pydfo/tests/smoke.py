@@ -1,6 +1,6 @@
 """Checks an installed pydfo with NumPy alone. The packaging test runs it outside the checkout.
 
-    python smoke.py
+python smoke.py
 """
 
 from __future__ import annotations

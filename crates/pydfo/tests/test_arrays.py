@@ -89,7 +89,7 @@ def test_arrays_are_set_in_all_forms(path):
         with pytest.raises(TypeError):
             model.set(name, given)
     model.set("k", [1.0, 2.0])
-    with pytest.raises(TypeError, match="another size"):
+    with pytest.raises(TypeError, match="different size"):
         model.simulate(0, 1)
 
 

@@ -197,7 +197,7 @@ def test_checkpoint_is_bound_to_function_name(tmp_path):
     first = run(shifted)
     again = run(functools.partial(shifted))
     assert timeless(again) == timeless(first)
-    assert f"continued from {path}: its first {first.nfev} evaluations are from there" in again.message
+    assert f"continued from {path}, which contains the first {first.nfev} evaluations" in again.message
     assert "continued" not in first.message
     before = path.read_bytes()
     with pytest.raises(pydfo.CheckpointError, match=r'another function, \S*test_checkpoint.shifted instead of .*<lambda>; give resume="require"'):
@@ -221,7 +221,7 @@ def test_checkpoint_is_locked_within_a_process(tmp_path):
     with concurrent.futures.ThreadPoolExecutor(1) as pool:
         first = pool.submit(minimize, waits, [1.0], checkpoint=path, max_evaluations=5)
         started.wait(60.0)
-        with pytest.raises(pydfo.CheckpointError, match="another run of this process is writing to it: wait for its end"):
+        with pytest.raises(pydfo.CheckpointError, match="another run in this process is writing to it; wait until it has ended"):
             minimize(lambda x: float(x @ x), [1.0], checkpoint=path)
         go_on.set()
         assert first.result().nfev == 5
@@ -249,7 +249,7 @@ print(len(said), said[0][0] < 20, said[0][1], "|", result.status, result.message
 def test_unwritable_checkpoint_is_reported_before_the_run(tmp_path, workers):
     run = subprocess.run([sys.executable, "-c", FULL, tmp_path / "run.ckpt", str(workers)], capture_output=True, text=True, check=True)
     warned, _, ended = run.stdout.partition(" | ")
-    assert warned.startswith("1 True the run goes on without a checkpoint"), run.stdout + run.stderr
+    assert warned.startswith("1 True the checkpoint was not written; the run continues"), run.stdout + run.stderr
     assert "could not be saved" in ended
 
 

@@ -52,7 +52,7 @@ def test_clock_intervals_are_applied(path, kind):
     np.testing.assert_allclose(ticks["counted"], [0.125 + 0.25 * k for k in range(8)], rtol=0, atol=1e-15)
     assert ticks["optional"].tolist() == [0.25, 1.25]
     assert ticks["retuned"].tolist() == [0.25, 1.0, 1.25, 1.5, 1.75, 2.0]
-    with pytest.raises(ValueError, match="sample cannot be given an interval: it has constant intervals"):
+    with pytest.raises(ValueError, match="cannot set the interval of sample: it has constant intervals"):
         model.simulate(clock_intervals={"sample": 1.0})
     with pytest.raises(ValueError, match="not positive"):
         model.simulate(clock_intervals={"counted": -1.0})

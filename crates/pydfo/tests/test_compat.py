@@ -249,14 +249,10 @@ def test_rows_contain_both_sides_of_input_jumps(tmp_path):
     """Rows equal those of FMPy's test_input in event mode, even if they do not match the internal step of the
     model."""
     path = example_fmu("switched_input", version="3.0")
-    own_step = fmus.changed(
-        "switched_input", tmp_path / "own.fmu", ("<CoSimulation ", '<CoSimulation fixedInternalStepSize="0.1" '), version="3.0"
-    )
+    own_step = fmus.changed("switched_input", tmp_path / "own.fmu", ("<CoSimulation ", '<CoSimulation fixedInternalStepSize="0.1" '), version="3.0")
     signals = np.array([(0, 1), (0.5, 1), (0.5, 2), (1, 2)], dtype=[("time", float), ("u", float)])
     for file in (path, own_step):
-        result = ours.simulate_fmu(
-            file, fmi_type="CoSimulation", input=signals, stop_time=1, output_interval=0.25, output=["u"], use_event_mode=True
-        )
+        result = ours.simulate_fmu(file, fmi_type="CoSimulation", input=signals, stop_time=1, output_interval=0.25, output=["u"], use_event_mode=True)
         assert result["time"].tolist() == [0, 0.25, 0.5, 0.5, 0.75, 1] and result["u"].tolist() == [1, 1, 1, 2, 2, 2], file
     plain = ours.simulate_fmu(path, fmi_type="CoSimulation", input=signals, stop_time=1, output_interval=0.25, output=["u"])
     assert plain["time"].tolist() == [0, 0.25, 0.5, 0.75, 1]
@@ -283,9 +279,16 @@ def test_jumps_of_inputs_are_rows_when_times_are_large():
 def test_wrong_times_are_rejected():
     path = example_fmu("bouncing_ball")
     nan, inf = float("nan"), float("inf")
-    for wrong, word in [({"stop_time": -1}, "stop_time"), ({"stop_time": nan}, "stop_time"), ({"start_time": inf}, "stop_time"),
-                        ({"start_time": 5, "stop_time": 1}, "stop_time"), ({"output_interval": 0}, "output_interval"),
-                        ({"output_interval": -1}, "output_interval"), ({"step_size": nan}, "step_size"), ({"output_interval": 1e-12}, "rows")]:
+    for wrong, word in [
+        ({"stop_time": -1}, "stop_time"),
+        ({"stop_time": nan}, "stop_time"),
+        ({"start_time": inf}, "stop_time"),
+        ({"start_time": 5, "stop_time": 1}, "stop_time"),
+        ({"output_interval": 0}, "output_interval"),
+        ({"output_interval": -1}, "output_interval"),
+        ({"step_size": nan}, "step_size"),
+        ({"output_interval": 1e-12}, "rows"),
+    ]:
         with pytest.raises(ValueError, match=word):
             ours.simulate_fmu(path, **{"stop_time": 1, **wrong})
     assert ours.simulate_fmu(path, stop_time=1, output="h").dtype.names == ("time", "h")
@@ -433,6 +436,6 @@ def test_pyfmi_state_space_and_co_simulation_work():
 def test_pyfmi_names_refer_to_compat_module() -> None:
     model = FMUModel(example_fmu("dahlquist"))
     for name in ("simulate_options", "get_model_variables"):
-        with pytest.raises(AttributeError, match=f"no '{name}', PyFMI's models have: from pydfo.compat.pyfmi import load_fmu"):
+        with pytest.raises(AttributeError, match=f"no '{name}'; for PyFMI's methods, use pydfo.compat.pyfmi.load_fmu"):
             getattr(model, name)
     assert not hasattr(model, "nothing")

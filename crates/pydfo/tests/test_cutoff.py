@@ -74,6 +74,6 @@ def test_stopping_below_cutoff_is_a_failure():
         return Above(1.0) if x[0] > 0.0 else rosenbrock(x)
 
     res = minimize(early, **RUN, max_evaluations=100)
-    assert res.nfail > 0 and any("given up above 1, although" in reason for reason in res.failures)
+    assert res.nfail > 0 and any("the objective returned Above(1), although" in reason for reason in res.failures)
     with pytest.raises(TypeError, match="the cutoff of Above must return one number|cutoff of Above"):
         minimize(lambda x, *, cutoff: pydfo.Above("high"), **RUN)

@@ -150,8 +150,7 @@ def test_terminals_are_read(tmp_path):
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr(
             "terminalsAndIcons/terminalsAndIcons.xml",
-            f'<fmiTerminalsAndIcons><Terminals><Terminal name="bus" matchingRule="bus">{inner}</Terminal></Terminals>'
-            "</fmiTerminalsAndIcons>",
+            f'<fmiTerminalsAndIcons><Terminals><Terminal name="bus" matchingRule="bus">{inner}</Terminal></Terminals></fmiTerminalsAndIcons>',
         )
     (bus,) = read_description(path).terminals
     assert (bus.name, bus.matching_rule, bus.kind, bus.members) == ("bus", "bus", None, {})

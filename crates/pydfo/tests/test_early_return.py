@@ -30,9 +30,7 @@ def test_early_return_agrees_with_fmpy(path):
     assert validate_fmu(str(path)) == []
     # Both hold u constant between the communication points; x stays below the level, so there is no event.
     table = np.array([(0.0, 0.0), (4.0, 0.4)], dtype=[("time", float), ("u", float)])
-    theirs = fmpy.simulate_fmu(
-        str(path), stop_time=3.0, step_size=0.5, output_interval=0.5, input=table, output=["x", "w"], record_events=False
-    )
+    theirs = fmpy.simulate_fmu(str(path), stop_time=3.0, step_size=0.5, output_interval=0.5, input=table, output=["x", "w"], record_events=False)
     ours = FMUModel(path).simulate(0, 3, output_interval=0.5, step_size=0.5, input={"time": table["time"], "u": table["u"]})
     assert np.array_equal(ours.time, theirs["time"])
     for name in ("x", "w"):

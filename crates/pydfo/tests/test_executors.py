@@ -35,9 +35,7 @@ def same(one, other):
 @pytest.mark.parametrize("pool", [concurrent.futures.ThreadPoolExecutor, concurrent.futures.ProcessPoolExecutor])
 def test_executor_result_equals_serial_result(method, pool):
     def run(workers):
-        return pydfo.minimize(
-            slow_cost, [0.2, 0.3], [(-2, 2)] * 2, method, workers=workers, rng=3, max_evaluations=80, options={}
-        )
+        return pydfo.minimize(slow_cost, [0.2, 0.3], [(-2, 2)] * 2, method, workers=workers, rng=3, max_evaluations=80, options={})
 
     alone = run(1)
     with pool(3) as executor:
@@ -176,7 +174,7 @@ def test_too_many_failures_end_a_run():
     asked = {"bounds": [(-1, 1)] * 2, "method": "de", "rng": 1, "options": {"max_failed": 0.25}}
     result = pydfo.minimize(failing, **asked)
     assert result.status == 17 and result.nfev < 4 * result.nfail and np.isfinite(result.fun)
-    assert "more than the share of 0.25" in result.message
+    assert "more than the allowed share of 0.25" in result.message
     with pytest.raises(ValueError, match="max_failed"):
         pydfo.minimize(failing, **{**asked, "options": {"max_failed": 2}})
 

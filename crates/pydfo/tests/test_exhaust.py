@@ -35,9 +35,7 @@ def test_names_and_start_values_match_model():
 def test_nominal_model_reproduces_generated_recording():
     """The recording is the nominal response with a noise of 2 K, so the residuals are this noise."""
     record = recordings.exhaust("own")
-    calibration = Calibration(
-        example_fmu("exhaust"), record, ["T_out"], [Parameter("C1", 2500.0, 250.0, 25000.0)], inputs=INPUTS, solver="radau5"
-    )
+    calibration = Calibration(example_fmu("exhaust"), record, ["T_out"], [Parameter("C1", 2500.0, 250.0, 25000.0)], inputs=INPUTS, solver="radau5")
     rms = np.sqrt(calibration.cost() / calibration.n_residuals)
     assert rms == pytest.approx(2.0, abs=4 * 2.0 / np.sqrt(2 * 1801))
     assert calibration.cost([5000.0]) > 1.1 * calibration.cost()
@@ -82,9 +80,7 @@ def test_stiff_methods_agree_on_nominal_trajectory(solver, record):
 
     def run(solver, rtol):
         model = FMUModel(example_fmu("exhaust"))
-        return model.simulate(
-            0, 1800, times=record["time"], input=inputs, output=STATES, solver=solver, relative_tolerance=rtol
-        )
+        return model.simulate(0, 1800, times=record["time"], input=inputs, output=STATES, solver=solver, relative_tolerance=rtol)
 
     reference, res = run("radau5", 1e-11), run(solver, 1e-8)
     for name in STATES:

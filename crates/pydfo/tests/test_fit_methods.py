@@ -25,9 +25,7 @@ def test_methods_fit_with_their_options(dahlquist, method):
     calibration = decay(dahlquist, parameters=BOXED)
     options = {"population": 24} if method in ("de", "de-classic", "ga", "cma-es") else {"batch": 4}
     options = {"points": 3} if method == "quadratic-model" else options
-    fits = [
-        calibration.fit(method, rng=3, max_evaluations=500, workers=workers, options=options) for workers in (1, 2)
-    ]
+    fits = [calibration.fit(method, rng=3, max_evaluations=500, workers=workers, options=options) for workers in (1, 2)]
     fit = fits[0]
     assert fit.method == method and fit.x[0] == pytest.approx(2.0, abs=2e-3)
     assert timeless(fits[0]) == timeless(fits[1])

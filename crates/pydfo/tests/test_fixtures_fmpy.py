@@ -39,9 +39,7 @@ MORE = {
     "quad_tank": {"input": table(["u1", "u2"], (0, 5, 5), (15, 5, 5), (15, 6, 5), (40, 6, 5), (40, 5, 6), (60, 5, 6))},
     "exhaust": {
         "start_values": {"C1": 4500.0, "G1": 60.0},
-        "input": table(
-            ["T_in", "p_in", "w_turb1", "w_turb2", "p_out"], (0, *IDLE), (3, *IDLE), (3, *LOAD), (7, *LOAD), (7, *IDLE), (10, *IDLE)
-        ),
+        "input": table(["T_in", "p_in", "w_turb1", "w_turb2", "p_out"], (0, *IDLE), (3, *IDLE), (3, *LOAD), (7, *LOAD), (7, *IDLE), (10, *IDLE)),
     },
 }
 

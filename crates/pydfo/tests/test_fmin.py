@@ -95,9 +95,7 @@ def shifted(by, x):
     return rosenbrock(x - by)
 
 
-@pytest.mark.parametrize(
-    "func", [rosenbrock, partial(shifted, 0.0), Method().cost, Method(), lambda x: rosenbrock(x)], ids=repr
-)
+@pytest.mark.parametrize("func", [rosenbrock, partial(shifted, 0.0), Method().cost, Method(), lambda x: rosenbrock(x)], ids=repr)
 def test_any_callable_is_an_objective(func):
     assert fmin(func, [0.5, 0.5], **QUIET, x_tol=1e-7, f_tol=1e-12, stop="all").fun < 1e-10
 
@@ -305,9 +303,9 @@ def test_executors_maps_and_threads_give_one_path():
             np.testing.assert_array_equal(res[0], first[0])
             np.testing.assert_array_equal(res[1], first[1])
         assert fmin(rosenbrock, [-1.2, 1.0], nbr_cores=threads, max_iters=3, **QUIET).workers == 3
-    with pytest.raises(ValueError, match="two names for one argument"):
+    with pytest.raises(ValueError, match="are the same argument"):
         fmin(rosenbrock, [-1.2, 1.0], nbr_cores=2, workers=2, **QUIET)
-    with pytest.raises(TypeError, match="workers must be a whole number, not 'two'"):
+    with pytest.raises(TypeError, match="workers must be an integer, not 'two'"):
         fmin(rosenbrock, [-1.2, 1.0], workers="two", **QUIET)
 
 

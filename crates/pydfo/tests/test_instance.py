@@ -145,7 +145,7 @@ def test_instance_receives_values_set_in_model():
 
 
 def test_calls_in_wrong_phase_are_rejected(ball):
-    with pytest.raises(ValueError, match="enter_continuous_time is called in the phase event; the instance is in the phase instantiated"):
+    with pytest.raises(ValueError, match="enter_continuous_time requires the phase event, but the instance is in the phase instantiated"):
         ball.enter_continuous_time()
     with pytest.raises(pydfo.UnknownVariableError, match="no variable"):
         ball.set("hh", 1)

@@ -99,7 +99,8 @@ def test_closed_terminal_is_tolerated(terminal):
 
 def test_interrupt_leaves_terminal_clean(tmp_path):
     script = tmp_path / "fit.py"
-    script.write_text(textwrap.dedent("""
+    script.write_text(
+        textwrap.dedent("""
         import os, signal, threading
         import numpy as np, pydfo
         from pydfo._optimize import live_line as _live
@@ -112,7 +113,8 @@ def test_interrupt_leaves_terminal_clean(tmp_path):
             calibration.fit("nelder-mead", disp=True, x_tol=1e-12, f_tol=1e-14)
         except pydfo.Interrupted:
             os.write(2, b"END")
-    """))
+    """)
+    )
     main, other = pty.openpty()
     process = subprocess.Popen([sys.executable, script], stdout=subprocess.DEVNULL, stderr=other)
     os.close(other)

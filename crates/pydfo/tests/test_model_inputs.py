@@ -159,8 +159,8 @@ def test_single_function_drives_single_input(tmp_path):
         ({"time": [0, 1], "u": np.zeros((2, 2))}, "one-dimensional"),
         ({"time": [0, 1], "gear": [1, 1.5]}, "not an integer"),
         ({"time": [0, 1], "enabled": [1, 2]}, "0 or 1"),
-        ({"time": [0, 1], "T": [1, 2]}, "neither an input nor a tunable parameter.*parameter and variability fixed"),
-        ({"time": [0, 1], "u": [1, 2], "gear": lambda t: 1}, "continuous inputs of floating-point type"),
+        ({"time": [0, 1], "T": [1, 2]}, "neither an input nor a tunable parameter.*causality is parameter and its variability is fixed"),
+        ({"time": [0, 1], "u": [1, 2], "gear": lambda t: 1}, "only continuous floating-point inputs"),
         (("u", np.zeros((3, 3))), r"\(3, 3\)"),
         (("u", np.zeros(3)), r"\(3,\)"),
         ((["u", "u"], np.zeros((3, 3))), "twice"),
@@ -354,9 +354,7 @@ def test_steps_caused_by_input_rows_are_logged(caplog, tmp_path):
     path.write_bytes(example_fmu("switched_input", kind="CS").read_bytes())
     model = FMUModel(path)
     for derivatives in (True, False):
-        res = model.simulate(
-            0, 2, times=[0, 2], step_size=0.5, inputs={"time": times, "u": np.sin(9 * times)}, input_derivatives=derivatives
-        )
+        res = model.simulate(0, 2, times=[0, 2], step_size=0.5, inputs={"time": times, "u": np.sin(9 * times)}, input_derivatives=derivatives)
         assert res.stats.accepted_steps == 100
     said = [record.getMessage() for record in caplog.records if "communication points" in record.getMessage()]
     assert len(said) == 1 and "99 times" in said[0] and "step 0.5" in said[0]

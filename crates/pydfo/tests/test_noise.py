@@ -39,7 +39,7 @@ def test_stated_noise_is_kept() -> None:
     of_one = decay(1e-3, Normal(1.0, 0.3)).fit(noise="stated")
     assert of_one.x[0] < 1.5 and of_one.noise is not None and of_one.noise.source == "stated"
     assert Calibration(example_fmu("dahlquist"), {"time": T, "x": np.exp(-T)}, "x", [Parameter("k", 2, 0, 9)]).fit().noise is None
-    with pytest.raises(ValueError, match="noise = 'known' is none of 'auto', 'stated', 'estimated'"):
+    with pytest.raises(ValueError, match="noise = 'known' is invalid; expected one of: 'auto', 'stated', 'estimated'"):
         decay(1e-3, Normal(1.0, 0.3)).fit(noise="known")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="noise 'estimated' belongs to the sum of squares"):
         decay(1e-3, Normal(1.0, 0.3)).fit(noise="estimated", loss="huber")

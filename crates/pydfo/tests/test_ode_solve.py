@@ -76,7 +76,7 @@ def test_ends_of_steps_are_stored_by_default():
         bar = 1e-6 if method == "bdf" else 1e-7
         assert np.abs(res.sol(t) - [np.sin(t), np.cos(t)]).max() < bar, method
         assert res.sol(1.0).shape == (2,)
-    with pytest.raises(ValueError, match=r"6\.0 lies outside of \[0\.0, 5\.0\]"):
+    with pytest.raises(ValueError, match=r"6\.0 is outside \[0\.0, 5\.0\]"):
         res.sol(6.0)
 
 
@@ -154,8 +154,15 @@ def test_events_change_the_state(method):
 
     height.direction, height.terminal = -1, 11
     res = ode.solve(
-        lambda t, y, loss: [y[1], -9.81], (0, 4), [1.0, 0.0], method,
-        events=height, on_event=bounce, args=(0.7,), rtol=1e-9, dense_output=True,
+        lambda t, y, loss: [y[1], -9.81],
+        (0, 4),
+        [1.0, 0.0],
+        method,
+        events=height,
+        on_event=bounce,
+        args=(0.7,),
+        rtol=1e-9,
+        dense_output=True,
     )
     # The ball of the FMI reference models: closed form.
     expected = {0: 0.45152364098573090445, 1: 1.0836567383657541707, 9: 2.4736044636412544968, 10: 2.4991133142246206853}
@@ -177,9 +184,7 @@ def test_bouncing_ball_stays_above_the_floor(method):
         return y[0]
 
     height.direction = -1
-    res = ode.solve(
-        lambda t, y: [y[1], -9.81], (0, 4), [1.0, 0.0], method, events=height, on_event=lambda t, y, which: [0.0, -0.7 * y[1]]
-    )
+    res = ode.solve(lambda t, y: [y[1], -9.81], (0, 4), [1.0, 0.0], method, events=height, on_event=lambda t, y, which: [0.0, -0.7 * y[1]])
     assert not res.success and res.message.startswith("chattering at t = 2.5586")
     assert abs(res.end_time - 2.5586339655858085) < 1e-6 and res.y[0].min() > -1e-9
 
@@ -215,13 +220,19 @@ def test_resting_body_stays_on_its_side_for_both_signs(method, sign):
         (100.0, False, lambda t, y, which: [y[0], -0.5 * y[1]] if y[1] < 0 else None),
         (-3.0, True, lambda t, y, which: [-3.0, -0.5 * y[1]]),
     ):
+
         def event(t, y):
             return sign * (y[0] - floor)
 
         if declared:
             event.direction = -sign
         res = ode.solve(
-            lambda t, y: [y[1], -9.81], (0, 1.4), [floor + 1.0, 0.0], method, events=event, on_event=handler,
+            lambda t, y: [y[1], -9.81],
+            (0, 1.4),
+            [floor + 1.0, 0.0],
+            method,
+            events=event,
+            on_event=handler,
             chattering="slide",
         )
         assert res.success and res.y[0].min() > floor - 1e-6 and abs(res.y[0, -1] - floor) < 1e-6
@@ -249,7 +260,7 @@ def test_differential_algebraic_system_is_solved():
         res = ode.solve(rhs, (0, 1e3), [1, 0, 0], method, [1e3], mass=mass, rtol=1e-8, atol=1e-13)
         assert np.abs(res.y / reference.y - 1).max() < bar
         assert abs(res.y.sum() - 1) < 1e-8
-    with pytest.raises(ValueError, match="mass matrix can only be integrated by radau5 or bdf"):
+    with pytest.raises(ValueError, match="mass matrix can be integrated only by radau5, bdf or auto"):
         ode.solve(rhs, (0, 1), [1, 0, 0], "dop853", mass=mass)
     with pytest.raises(ValueError, match=r"mass must have the shape \(3, 3\), not \(2, 2\)"):
         ode.solve(rhs, (0, 1), [1, 0, 0], mass=np.eye(2))
@@ -270,7 +281,7 @@ def test_algebraic_states_are_guesses():
         other = ode.solve(rhs, (0, 2), [1.0, -0.1], method, mass=mass, rtol=1e-8, t_eval=[0.0, 2.0])
         assert np.abs(other.y[1] / [-2.0, -2 * math.exp(-1)] - 1).max() < 1e-7
         failed = ode.solve(rhs, (0, 2), [-1.0, 2.0], method, mass=mass)
-        assert not failed.success and "equation 1, in which no derivative stands, has the residual 8" in failed.message
+        assert not failed.success and "equation 1, which contains no derivative, has residual 8" in failed.message
 
 
 def test_algebraic_states_follow_events():
@@ -280,8 +291,13 @@ def test_algebraic_states_follow_events():
         state["opening"] = 3.0
 
     res = ode.solve(
-        lambda t, y: [-y[1], y[1] - state["opening"] * y[0]], (0, 2), [1.0, 1.0], mass=np.diag([1.0, 0.0]), rtol=1e-9,
-        events=lambda t, y: t - 1.0, on_event=open_valve,
+        lambda t, y: [-y[1], y[1] - state["opening"] * y[0]],
+        (0, 2),
+        [1.0, 1.0],
+        mass=np.diag([1.0, 0.0]),
+        rtol=1e-9,
+        events=lambda t, y: t - 1.0,
+        on_event=open_valve,
     )
     both = res.y[:, res.t == res.t_events[0][0]]
     assert np.abs(both * math.e - [[1, 1], [1, 3]]).max() < 1e-7
@@ -316,7 +332,7 @@ def test_empty_span_or_state_is_handled():
 def test_dense_output_without_steps_is_the_start():
     res = ode.solve(circle, (1.0, 1.0), [0.0, 1.0], dense_output=True)
     assert res.sol(1.0).tolist() == [0.0, 1.0] and res.sol([1.0, 1.0]).shape == (2, 2)
-    with pytest.raises(ValueError, match="lies outside"):
+    with pytest.raises(ValueError, match="is outside"):
         res.sol(1.5)
     res = ode.solve(lambda t, y: [math.nan], (0, 1), [3.0], dense_output=True)
     assert not res.success and res.message == "rhs returned NaN for component 0 at t = 0"
@@ -333,7 +349,7 @@ def test_terminal_accepts_values_of_scipy():
         assert abs(res.end_time - ends * math.pi) < 1e-7, terminal
     for terminal in [-1, 0.5, math.nan]:
         event.terminal = terminal
-        with pytest.raises(ValueError, match="terminal of event 0 = .* must be a whole number, at least 0"):
+        with pytest.raises(ValueError, match="terminal of event 0 = .* must be an integer of at least 0"):
             ode.solve(circle, (0, 1), [0.0, 1.0], events=event)
 
 
@@ -373,8 +389,14 @@ def test_chattering_can_be_a_warning(caplog):
         return y[0] + 1e-9 * y[1]
 
     res = ode.solve(
-        lambda t, y: [-y[1], 0.0], (0, 1), [1e-9, 1.0], "tsit5", events=hysteresis, max_events=250,
-        on_event=lambda t, y, which: [y[0], -y[1]], chattering="warn",
+        lambda t, y: [-y[1], 0.0],
+        (0, 1),
+        [1e-9, 1.0],
+        "tsit5",
+        events=hysteresis,
+        max_events=250,
+        on_event=lambda t, y, which: [y[0], -y[1]],
+        chattering="warn",
     )
     assert "limit of 250 events" in res.message and res.stats.chattering == 2
     assert "2 times a hundred events hardly advanced time" in caplog.text
@@ -429,36 +451,36 @@ def test_exceptions_keep_their_identity(method):
         ({"rhs": lambda t, y: ["a", "b"]}, TypeError, "rhs must return numbers"),
         ({"rhs": lambda t, y: [1j, 0]}, TypeError, "rhs must return numbers"),
         ({"rhs": 3}, TypeError, "rhs must be callable, not 3"),
-        ({"t_span": (1, -math.inf)}, ValueError, "from 1 to -inf: both must be finite"),
+        ({"t_span": (1, -math.inf)}, ValueError, "from 1 to -inf: both times must be finite"),
         ({"t_span": (0, math.inf)}, ValueError, "from 0 to inf"),
         ({"t_span": 3}, ValueError, "t_span must be two numbers"),
         ({"x0": [1j, 0]}, TypeError, "x0 must be numbers"),
         ({"x0": [math.nan, 0]}, ValueError, "x0 must be finite"),
         ({"t_eval": [0.5, 0.2]}, ValueError, "requested time 0.2 at position 1"),
         ({"t_eval": [7.0]}, ValueError, "requested time 7 at position 0"),
-        ({"method": "rk23"}, ValueError, "unknown solver 'rk23'; there are"),
-        ({"rtol": 0.0}, ValueError, "^rtol = 0 needs a positive atol"),
+        ({"method": "rk23"}, ValueError, "unknown solver 'rk23'; expected one of"),
+        ({"rtol": 0.0}, ValueError, "^rtol = 0 requires a positive atol"),
         ({"rtol": 0.0, "atol": 0.0}, ValueError, "^atol = 0"),
         ({"rtol": 1e-15}, ValueError, "^rtol = 1e-15"),
-        ({"atol": [1e-6]}, ValueError, "atol has 1 values for 2 states"),
+        ({"atol": [1e-6]}, ValueError, "atol: expected 2 values, one per state; got 1"),
         ({"atol": -1.0}, ValueError, "^atol = -1"),
         ({"events": [3]}, TypeError, "event 0 must be callable, not 3"),
         ({"events": lambda t, y: "a"}, TypeError, "event 0 must return one number"),
         ({"jac": [[1.0]], "method": "bdf"}, ValueError, r"jac must have the shape \(2, 2\), not \(1, 1\)"),
         ({"jac": lambda t, y: [1.0], "method": "bdf"}, ValueError, r"jac must have the shape \(2, 2\), not \(1,\)"),
         ({"jac_sparsity": [[1.0]]}, ValueError, r"jac_sparsity must have the shape \(2, 2\)"),
-        ({"chattering": "stop"}, ValueError, "unknown answer to chattering 'stop'"),
+        ({"chattering": "stop"}, ValueError, "unknown chattering policy 'stop'"),
         ({"timeout": -1}, ValueError, "max_time = -1 must be a positive number of seconds"),
         ({"max_step": 0.0}, ValueError, "max_step = 0"),
-        ({"max_step": 1e-300}, ValueError, "steps of 1e-300 were asked for"),
+        ({"max_step": 1e-300}, ValueError, "step size 1e-300 is too small"),
         ({"first_step": 0.0}, ValueError, "^first_step = 0"),
         ({"step": 0.0, "method": "rk4"}, ValueError, "^step = 0"),
-        ({"step": 1e-30, "method": "rk4"}, ValueError, "steps of 1e-30 were asked for"),
+        ({"step": 1e-30, "method": "rk4"}, ValueError, "step size 1e-30 is too small"),
         ({"args": 2}, TypeError, r"args must be a tuple of further arguments, such as \(2.0,\), not 2"),
         ({"jac": [[0, 1], [math.nan, 0]], "method": "bdf"}, ValueError, r"jac\[1, 0\] = NaN must be finite"),
         ({"mass": [[1, math.inf], [0, 1]]}, ValueError, r"mass\[0, 1\] = inf must be finite"),
         ({"interior_samples": 2**32}, ValueError, "interior_samples = 4294967296 must"),
-        ({"interior_samples": -1}, ValueError, "interior_samples = -1 must not be negative"),
+        ({"interior_samples": -1}, ValueError, "interior_samples = -1 must be at least 0"),
     ],
 )
 def test_bad_arguments_are_rejected(wrong, kind, message):
@@ -504,7 +526,7 @@ def test_many_states_need_no_matrix_with_explicit_method() -> None:
 
 
 def test_samples_without_memory_are_rejected() -> None:
-    with pytest.raises(MemoryError, match=r"t_eval: 10000000 times of 100000 states take 8000.0 GB"):
+    with pytest.raises(MemoryError, match=r"t_eval: 10000000 times of 100000 states require 8000.0 GB"):
         ode.solve(lambda t, y: -y, (0, 1), np.ones(100_000), t_eval=np.linspace(0, 1, 10_000_000))
 
 
@@ -568,7 +590,7 @@ def test_sparse_jacobians_stay_sparse(method):
 
 def test_sparse_jacobians_may_change_pattern_without_jac_sparsity():
     sparse = pytest.importorskip("scipy.sparse")
-    with pytest.raises(MemoryError, match="give the sparsity pattern of the Jacobian"):
+    with pytest.raises(MemoryError, match="Specify the sparsity pattern of the Jacobian"):
         n = 100_000
         ode.solve(lambda t, y: -y, (0, 1), np.ones(n), "bdf", jac=lambda t, y: -sparse.eye(n))
 
@@ -611,5 +633,5 @@ def test_either_tolerance_may_be_zero():
         for method in ("auto", "tsit5", "dop853", "radau5", "bdf"):
             res = ode.solve(lambda t, y: -y, (0, 2), [3.0], method=method, **tolerances)
             assert res.success and res.y[0, -1] == pytest.approx(exact, rel=1e-5)
-    with pytest.raises(ValueError, match="state 0 is 0 at t = 0, and so is its absolute tolerance"):
+    with pytest.raises(ValueError, match="state 0 and its absolute tolerance are both 0 at t = 0"):
         ode.solve(lambda t, y: np.ones(1), (0, 1), [0.0], atol=0.0)

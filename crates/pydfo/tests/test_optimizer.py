@@ -121,7 +121,7 @@ def test_cutoff_below_the_requested_one_is_a_failure():
     ids, _, cutoffs = opt.ask()
     assert np.isinf(cutoffs).all()
     opt.tell(ids, [3.0, pydfo.Above(1.0), 2.0])
-    assert opt.report().failures == {"given up above 1, although the cutoff was inf": 1}
+    assert opt.report().failures == {"the objective returned Above(1), although the cutoff is inf": 1}
     with pytest.raises(TypeError, match="the cutoff of Above must be a number"):
         opt.tell(opt.ask().ids[0], pydfo.Above("a"))
 

@@ -95,7 +95,7 @@ def test_strings_cannot_be_fitted(tmp_path):
     gain = '<ScalarVariable name="gain" valueReference="9" causality="parameter" variability="fixed"><Real start="1"/></ScalarVariable>'
     path = fmus.write(tmp_path / "m.fmu", fmus.xml(fmus.KINDS + gain))
     data = {"time": [0.0, 0.5], "y": [1.0, 2.0]}
-    with pytest.raises(ValueError, match="text cannot be an output: it is text or binary"):
+    with pytest.raises(ValueError, match="text cannot be an output: it is a string or binary variable"):
         Calibration(path, data, {"text": "y"}, [Parameter("gain", 1.0, 0.1, 10.0)])
 
 
@@ -170,8 +170,10 @@ def test_strings_and_bytes_are_inputs(path, kind):
 
 def test_64_bit_integer_inputs_are_exact(tmp_path):
     roles = [
-        (f'name="{name}" valueReference="{reference}" causality="parameter" variability="fixed"',
-         f'name="{name}" valueReference="{reference}" causality="input" variability="discrete"')
+        (
+            f'name="{name}" valueReference="{reference}" causality="parameter" variability="fixed"',
+            f'name="{name}" valueReference="{reference}" causality="input" variability="discrete"',
+        )
         for name, reference in (("i64", 17), ("u64", 18))
     ]
     model = FMUModel(fmus.compiled("arrays", tmp_path / "i.fmu", replacements=roles))

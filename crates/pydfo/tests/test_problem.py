@@ -36,9 +36,7 @@ def tank(parameters: Any, inputs: Any = None, **own: Any) -> Calibration:
     t = np.arange(31.0)
     data = {"time": t, "u1": 5.0 + 0.5 * np.sin(0.3 * t), "u2": 5.0 + 0.0 * t, "x": 0.06 - 1e-4 * t}
     data["w"] = np.where(t < 10, 0.0, 1.0)
-    return Calibration(
-        pydfo.example_fmu("quad_tank"), data, {"qt.x1": "x"}, parameters, inputs or {"u1": "u1", "u2": "u2"}, **own
-    )
+    return Calibration(pydfo.example_fmu("quad_tank"), data, {"qt.x1": "x"}, parameters, inputs or {"u1": "u1", "u2": "u2"}, **own)
 
 
 A1 = Parameter("qt.a1", 3e-6, 2e-6, 4e-6)
@@ -266,13 +264,13 @@ MISTAKES = {
     ),
     "window backwards": (bad(windows=[(0, 1), (2, 1.5)]), "window from 2 to 1.5"),
     "window with nothing": (bad(windows=[(5, 6)]), "no time of data lies in the window from 5 to 6; the times run from 0 to 2"),
-    "window and windows": (bad(window=(0, 1), windows=[(0, 1)]), "put the one among the others"),
+    "window and windows": (bad(window=(0, 1), windows=[(0, 1)]), "specify either window or windows, not both"),
     "windows a pair": (bad(windows=(0, 1)), "each of windows must be two times"),
     "no windows": (bad(windows=[]), "leave it out"),
     "warm-up too long": (bad(warm_up=5), "after the warm-up of 5 s.*shorter warm_up"),
     "warm-up negative": (bad(warm_up=-1), "warm_up = -1"),
     "weights too few": (bad(weights={"x": [1.0, 2.0]}), "2 weights of output 'x' for 21 rows"),
-    "weights per row in a list": (bad(weights=np.ones(21)), "give a dict"),
+    "weights per row in a list": (bad(weights=np.ones(21)), "use a dict"),
     "weights negative": (bad(weights={"x": -np.ones(21)}), "weight -1 of output 'x' at time 0"),
     "weights all 0": (bad(weights={"x": np.zeros(21)}), "no measurement of 'x'.*weight 0"),
     "weight 0": (bad(weights={"x": 0.0}), "leave the output out"),

@@ -83,9 +83,7 @@ def test_open_side_is_infinite_and_reported():
 
 
 def test_interrupt_contains_partial_profile(tmp_path):
-    calibration = Calibration(
-        example_fmu("furuta"), recordings.furuta("own"), ANGLES, FRICTION, relative_tolerance=1e-11, solver="tsit5"
-    )
+    calibration = Calibration(example_fmu("furuta"), recordings.furuta("own"), ANGLES, FRICTION, relative_tolerance=1e-11, solver="tsit5")
     fit, file = calibration.fit(), tmp_path / "profile.json"
 
     def interrupt():
@@ -107,7 +105,7 @@ def test_interrupt_contains_partial_profile(tmp_path):
 def test_mistakes_are_reported(tmp_path):
     fit = decay().fit()
     for options, said in (
-        ({"parameters": ["q"]}, "there is no parameter 'q'; there are: k, x"),
+        ({"parameters": ["q"]}, "unknown parameter 'q'; expected one of: k, x"),
         ({"level": 95}, "between 0 and 1"),
         ({"max_points": 0}, "max_points = 0"),
         ({"workers": 0}, "workers = 0"),

@@ -57,7 +57,7 @@ def test_any_array_layout_and_type_is_accepted():
         (([0.0], [0.0], [1.0, 0.0], [0.0, 0.0]), ValueError, "simulated time 0 at position 1 comes after 1"),
         (([0.0], [0.0], [], []), ValueError, "no simulated times"),
         (([0.0], [0.0], T, Y, [1.0, 2.0]), ValueError, "2 weights for 1"),
-        (([0.0], [[[0.0]]], T, Y), ValueError, "y_meas must have one row per quantity"),
+        (([0.0], [[[0.0]]], T, Y), ValueError, "y_meas must be a matrix with one row per quantity"),
         (([[0.0]], [0.0], T, Y), ValueError, "t_meas must be one-dimensional"),
         (([0.0], ["a"], T, Y), TypeError, "y_meas must be numbers"),
         (([0.0], [0.0], T, [Y, [1.0]]), TypeError, "y_sim must be numbers"),

@@ -117,9 +117,7 @@ def test_cost_is_smooth_across_kinks_of_voltages(solver, data):
         assert abs(problem.cost(moved) / cost - 1) < 1e-8
 
 
-@pytest.mark.parametrize(
-    ("n", "outlets", "cost"), [(2, [2.6555, 2.7097], 3.911e-5), (4, [2.6564, 2.6998, 3.0059, 2.9297], 1.243e-4)]
-)
+@pytest.mark.parametrize(("n", "outlets", "cost"), [(2, [2.6555, 2.7097], 3.911e-5), (4, [2.6564, 2.6998, 3.0059, 2.9297], 1.243e-4)])
 @published
 def test_held_voltages_give_reference_outlets(n, outlets, cost, data):
     steps = held(data)

@@ -16,9 +16,7 @@ BOX = [(-2.0, 2.0), (-2.0, 2.0)]
 
 @pytest.mark.parametrize("method", METHODS)
 def test_methods_give_equal_results_inside_scipy(method):
-    res = optimize.minimize(
-        rosenbrock, [-1.2, 1.0], bounds=BOX, method=pydfo.scipy_method(method, rng=3), options={"maxfev": 400}
-    )
+    res = optimize.minimize(rosenbrock, [-1.2, 1.0], bounds=BOX, method=pydfo.scipy_method(method, rng=3), options={"maxfev": 400})
     alone = pydfo.minimize(rosenbrock, [-1.2, 1.0], bounds=BOX, method=method, rng=3, max_evaluations=400)
     assert isinstance(res, optimize.OptimizeResult) and res.x.tobytes() == alone.x.tobytes()
     assert (res.fun, res.nfev, res.nit, res.message) == (alone.fun, alone.nfev, alone.nit, alone.message)
@@ -62,11 +60,11 @@ def test_callbacks_follow_scipy_convention():
 
 def test_unsupported_arguments_are_reported(capsys):
     method = pydfo.scipy_method("nelder-mead")
-    with pytest.raises(ValueError, match="no constraints"):
+    with pytest.raises(ValueError, match="not constraints"):
         optimize.minimize(rosenbrock, [0.0, 0.0], method=method, constraints={"type": "eq", "fun": sum})
     with pytest.warns(RuntimeWarning, match="does not use derivatives"):
         optimize.minimize(rosenbrock, [0.0, 0.0], method=method, jac=optimize.rosen_der)
-    with pytest.raises(ValueError, match="there is no option 'gtol'"):
+    with pytest.raises(ValueError, match="unknown option 'gtol'"):
         optimize.minimize(rosenbrock, [0.0, 0.0], method=method, options={"gtol": 1})
     with pytest.raises(ValueError, match="no method 'bfgs'; did you mean 'quadratic-model'"):
         pydfo.scipy_method("bfgs")

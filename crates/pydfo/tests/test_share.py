@@ -371,8 +371,8 @@ def test_fit_with_functions_is_loaded_with_them(tmp_path):
         loaded = load_fit(path, inputs=given, fmu=model)
         assert loaded.x.tobytes() == fit.x.tobytes() and loaded.residuals().tobytes() == fit.residuals().tobytes()
     for given, expected in (
-        ({}, r"functions of time drive u1, and a file does not hold functions: give them again, load_fit\(..., inputs="),
-        ({"u1": voltage, "u3": voltage}, "no function of time drives 'u3'; inputs that functions drive: u1"),
+        ({}, r"u1: these inputs are driven by functions of time, which files do not contain. Pass the functions again, load_fit\(..., inputs="),
+        ({"u1": voltage, "u3": voltage}, "'u3' is not driven by a function of time; inputs driven by functions: u1"),
     ):
         with pytest.raises(pydfo.BadCalibrationError, match=expected):
             load_fit(path, inputs=given)

@@ -16,9 +16,7 @@ WALLS = [["C2", "G2"], ["C1", "G1"]]
 def exhaust(record, **more):
     bounds = {"C": (1.0, 5e4), "G": (0.01, 500.0)}
     parameters = [Parameter(name, start, *bounds[name[0]]) for name, start in NOMINAL.items()]
-    return Calibration(
-        example_fmu("exhaust"), record, ["T_out"], parameters, inputs=recordings.EXHAUST_INPUTS, window=(0, 600), **more
-    )
+    return Calibration(example_fmu("exhaust"), record, ["T_out"], parameters, inputs=recordings.EXHAUST_INPUTS, window=(0, 600), **more)
 
 
 def tanks(n=4, **more):
@@ -45,9 +43,7 @@ def test_exhaust_pipe_is_fitted_in_stages(method):
 
 
 @pytest.mark.parametrize("method", ["nelder-mead", "least-squares"])
-@pytest.mark.parametrize(
-    ("n", "outlets", "cost"), [(2, [2.65838, 2.71220], 3.20422e-5), (4, [2.65931, 2.70252, 3.00666, 2.93158], 9.44303e-5)]
-)
+@pytest.mark.parametrize(("n", "outlets", "cost"), [(2, [2.65838, 2.71220], 3.20422e-5), (4, [2.65931, 2.70252, 3.00666, 2.93158], 9.44303e-5)])
 @pytest.mark.skipif("published" not in recordings.at_hand("qt_par_est_data.mat"), reason="the published recording is not at hand")
 def test_tank_outlets_are_fitted_in_stages(method, n, outlets, cost):
     """Two outlets, then four from the same start. Freeing all in the last of two stages equals a single fit of
@@ -111,14 +107,14 @@ def test_limits_and_callbacks_cover_all_stages(tmp_path):
 @pytest.mark.parametrize(
     ("stages", "error", "message"),
     [
-        (["qt.a1", "qt.a2"], TypeError, "stage 1 needs a list of names of parameters, as in"),
+        (["qt.a1", "qt.a2"], TypeError, "stage 1 requires a list of parameter names, such as"),
         ("qt.a1", TypeError, "stages must be a list of stages"),
         (Stage(["qt.a1"]), TypeError, "stages must be a list of stages"),
         ({"qt.a1": 1}, TypeError, "stages must be a list of stages"),
         ([], ValueError, "stages: there are none"),
         ([[]], ValueError, "stage 1: it frees no parameter"),
         ([["qt.a1"], ["qt.a9"]], ValueError, "stage 2: there is no parameter 'qt.a9'; there are: qt.a1, qt.a2"),
-        ([["qt.a1"], [3]], TypeError, "stage 2 needs names of parameters, not 3"),
+        ([["qt.a1"], [3]], TypeError, "stage 2 requires parameter names, not 3"),
         ([["qt.a1", "qt.a1"]], ValueError, "stage 1: parameter 'qt.a1' is named twice"),
     ],
 )

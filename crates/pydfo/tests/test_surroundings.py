@@ -92,7 +92,7 @@ def test_files_of_a_model_are_written_to_the_working_folder(tmp_path, monkeypatc
 def test_file_rejected_by_sandbox_is_named(tmp_path, monkeypatch, caplog):
     monkeypatch.chdir(tmp_path)
     needs = started(evil(tmp_path / "needs.fmu", NEEDS_TO_WRITE), 1.0, sandbox=True)
-    with pytest.raises(pydfo.SimulationError, match=r"denied permission: with sandbox=True .*\(TMPDIR\)"):
+    with pytest.raises(pydfo.SimulationError, match=r"the sandbox denied the model an operation: with sandbox=True.*\(TMPDIR\)"):
         needs.cost([0.5])
     crashes = started(evil(tmp_path / "crashes.fmu", 'AT_INITIALIZE=fputs("1", fopen("written.txt", "w"))'), 1.0, sandbox=True)
     with pytest.raises(pydfo.SimulationError, match="segmentation fault.*with sandbox=True"):
@@ -101,7 +101,7 @@ def test_file_rejected_by_sandbox_is_named(tmp_path, monkeypatch, caplog):
         calibration = started(evil(tmp_path / "writes.fmu", WRITES), 1.0, sandbox=True)
         assert calibration.cost([0.5]) < 1e-9
         assert calibration.cost([0.4]) > 0
-    named = [message for message in caplog.messages if "denied permission" in message]
+    named = [message for message in caplog.messages if "denied the model an operation" in message]
     assert len(named) == 1 and not (tmp_path / "written.txt").exists(), caplog.messages
 
 

@@ -29,9 +29,7 @@ def test_result_is_identical_for_all_kinds_of_workers(method, budget):
         return np.array([patchy(point) for point in x.T])
 
     def run(fun, **more):
-        return told(
-            pydfo.minimize(fun, [-0.5, 1.0], bounds=[(-2, 2)] * 2, method=method, rng=3, max_evaluations=budget, **more)
-        )
+        return told(pydfo.minimize(fun, [-0.5, 1.0], bounds=[(-2, 2)] * 2, method=method, rng=3, max_evaluations=budget, **more))
 
     serial = run(patchy)
     for workers in (2, 3, 7, 16):
@@ -71,7 +69,11 @@ def test_exception_counts_when_path_reaches_it(plan, vectorized):
     assert told(result) == told(path)
     with pytest.raises(Trap) as raised:
         pydfo.minimize(
-            columns if vectorized else trap, [-1.2, 1.0], workers=4, options={"batch": plan}, vectorized=vectorized,
+            columns if vectorized else trap,
+            [-1.2, 1.0],
+            workers=4,
+            options={"batch": plan},
+            vectorized=vectorized,
             method="nelder-mead",
         )
     assert raised.value.partial_result.x.tobytes() is not None
@@ -143,9 +145,7 @@ def test_warm_start_with_other_data_reuses_only_points():
 
     def calibration(k, start=1.0, upper=10.0):
         data = {"time": t, "x": np.exp(-k * t)}
-        return pydfo.Calibration(
-            pydfo.example_fmu("dahlquist"), data, ["x"], [pydfo.Parameter("k", start, 0.1, upper)]
-        )
+        return pydfo.Calibration(pydfo.example_fmu("dahlquist"), data, ["x"], [pydfo.Parameter("k", start, 0.1, upper)])
 
     first = calibration(2.0).fit(workers=1)
     fit = calibration(5.0).fit(workers=1, options={"warm_start": first})
@@ -159,9 +159,7 @@ def test_missing_limits_are_unlimited():
     def rastrigin(x):
         return float(np.sum(x * x + 10 - 10 * np.cos(2 * np.pi * x)))
 
-    result = pydfo.fmin(
-        rastrigin, lb=[-5] * 5, ub=[4] * 5, alg="de", max_fevals=None, max_iters=300, x_tol=0, f_tol=0, disp=False, rng=1
-    )
+    result = pydfo.fmin(rastrigin, lb=[-5] * 5, ub=[4] * 5, alg="de", max_fevals=None, max_iters=300, x_tol=0, f_tol=0, disp=False, rng=1)
     assert len(result.final_population[0]) < 45 and result.fun < 1e-2
 
 

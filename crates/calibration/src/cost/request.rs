@@ -174,7 +174,7 @@ mod tests {
             (answer(25.0, &[3.0, 4.0]), 20.0, "a cost of 25"),
             (answer(f64::NAN, &[f64::NAN, 4.0]), f64::INFINITY, "a cost of NaN"),
             (answer(9.0, &[3.0]), f64::INFINITY, "1 residuals instead of 2"),
-            (Frame::of(&"a text").unwrap(), f64::INFINITY, "its head has other contents"),
+            (Frame::of(&"a text").unwrap(), f64::INFINITY, "its header has unexpected contents"),
         ];
         for (frame, cutoff, expected) in wrong {
             let error = read(&frame, cutoff).unwrap_err().to_string();

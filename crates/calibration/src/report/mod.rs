@@ -359,7 +359,10 @@ mod tests {
         let (calibration, mut fit) = decay();
         let error =
             calibration.report(&fit, "/no/such/folder/x.html", &RunContext::new()).unwrap_err().to_string();
-        assert!(error.contains("cannot write /no/such/folder/x.html: there is no folder"), "{error}");
+        assert!(
+            error.contains("cannot write /no/such/folder/x.html: folder '/no/such/folder' does not exist"),
+            "{error}"
+        );
         let folder = tempfile::tempdir().unwrap();
         assert!(calibration.report(&fit, folder.path(), &RunContext::new()).is_err());
         let error = calibration

@@ -344,7 +344,7 @@ fn check_reports_more_than_a_million_steps_before_the_simulation() {
         let calibration = builder.parameter(Parameter::new("qt.a1", 3e-6)).build().unwrap();
         calibration.check_with(&NO_SIMULATION, &RunContext::new()).unwrap().to_string()
     };
-    let steps = "makes 2e9 steps, the longest of 1e-8";
+    let steps = "requires 2e9 steps of at most 1e-8";
     assert!(findings(1e-8).contains(steps), "{}", findings(1e-8));
     assert!(!findings(1e-3).contains("steps"), "{}", findings(1e-3));
 }

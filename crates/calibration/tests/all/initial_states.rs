@@ -172,7 +172,7 @@ fn state_that_the_model_computes_is_set_after_the_initialization() {
 #[test]
 fn state_without_effect_is_an_error_or_a_finding() {
     let is_said = |calibration: &Calibration| {
-        let sentence = "x was given the start value 2, and is 3 after the initialization";
+        let sentence = "x was set to the start value 2, but is 3 after the initialization";
         let fit = calibration.fit(FitOptions::default()).unwrap();
         let in_check = calibration.check().findings.iter().any(|f| f.sentence.starts_with(sentence));
         in_check && fit.findings().iter().any(|f| f.sentence.starts_with(sentence))
@@ -192,7 +192,7 @@ fn state_without_effect_is_an_error_or_a_finding() {
     for initial in [InitialState::Measured, start.into()] {
         let calibration = given(&co_simulation, Some(initial));
         let error = calibration.fit(FitOptions::default()).unwrap_err().to_string();
-        assert!(error.contains("x starts with 3 instead of"), "{error}");
+        assert!(error.contains("x starts at 3 instead of"), "{error}");
     }
 }
 

@@ -107,7 +107,7 @@ fn repeated_best_point_is_counted_separately_from_evaluations() {
 const DEATHS: [(&str, &str); 5] = [
     ("raise(SIGSEGV)", "segmentation fault in fmi2GetDerivatives"),
     ("abort()", "abort in fmi2GetDerivatives"),
-    ("exit(3)", "the process was ended with exit(3) in fmi2GetDerivatives"),
+    ("exit(3)", "the process called exit(3) in fmi2GetDerivatives"),
     ("overflow(m->time)", "in fmi2GetDerivatives"),
     ("close_all()", " in fmi2"),
 ];
@@ -299,13 +299,13 @@ fn worker_limits_are_enforced() {
     let folder = faulty(&["FAULT_ABOVE=2.2", "FAULT=fill_shared_memory()"]);
     let limited = SimulationSettings { memory_limit: Some(300 << 20), ..settings(Isolation::Process) };
     let error = decay(open(&folder), limited).cost(&[3.0], &RunContext::new()).unwrap_err().to_string();
-    assert!(error.contains("more memory than its limit of 314572800 bytes in fmi2GetDerivatives"), "{error}");
+    assert!(error.contains("memory limit of 314572800 bytes exceeded in fmi2GetDerivatives"), "{error}");
 
     let folder = faulty(&["FAULT_ABOVE=2.2", "FAULT=print_for_ever()"]);
     let timeout = Some(Duration::from_millis(300));
     let calibration = decay(open(&folder), with_limit(timeout));
     let error = calibration.cost(&[3.0], &RunContext::new()).unwrap_err().to_string();
-    assert!(error.contains("it had printed: ") && error.contains("what a model has to say"), "{error}");
+    assert!(error.contains("last output: ") && error.contains("what a model has to say"), "{error}");
 }
 
 #[test]
@@ -550,7 +550,8 @@ fn a_template_that_is_killed() {
     let error = calibration.cost(&[3.0], &RunContext::new()).unwrap_err().to_string();
     assert!(error.contains("segmentation fault in fmi2GetDerivatives"), "{error}");
     let said = SAID.lock().unwrap().join("\n");
-    let expected = "the process ended; how is not known, for the process that it was copied from had ended before: killed";
+    let expected =
+        "the process ended with an unknown status, because its parent process had ended before: killed";
     assert!(said.contains(expected) && said.contains("in fmi2GetDerivatives at t = "), "{said}");
     assert!((fit(&calibration, 2, 60).x[0] - 1.7).abs() < 0.1);
     std::fs::write(work.join("result"), "done").unwrap();
@@ -580,5 +581,5 @@ fn fit_ends_at_the_given_share_of_failures() {
     let found = decay(open(&folder), settings(Isolation::Process)).fit(run).unwrap();
     assert_eq!(found.report.termination, Termination::TooManyFailed);
     assert!(found.cost.is_finite() && found.report.n_evaluations < 100, "{found}");
-    assert!(found.report.message.contains("more than the share of 0.3"), "{}", found.report.message);
+    assert!(found.report.message.contains("more than the allowed share of 0.3"), "{}", found.report.message);
 }

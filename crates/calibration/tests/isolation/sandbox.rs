@@ -69,7 +69,7 @@ fn sandbox_blocks_unneeded_system_calls() {
     let folder = attacking("probe()", outside.path(), 9);
     let before = std::fs::metadata(outside.path().join("own")).unwrap();
     let error = decay(open(&folder), confined).cost(&[3.0], &RunContext::new()).unwrap_err().to_string();
-    assert!(error.contains("exit(9)") && error.ends_with("it had printed: all tried"), "{error}");
+    assert!(error.contains("exit(9)") && error.ends_with("last output: all tried"), "{error}");
     let after = std::fs::metadata(outside.path().join("own")).unwrap();
     assert_eq!(std::fs::read(outside.path().join("own")).unwrap(), b"kept");
     assert_eq!(
@@ -103,7 +103,7 @@ fn sandbox_is_rejected_before_the_run_when_the_model_is_not_confined() {
         .build();
     let error = built.unwrap_err().to_string();
     let expected = if check_sandbox().is_ok() { "isolation = \"none\"" } else { "sandbox: " };
-    assert!(error.contains(expected) && !error.contains("runs it in this one"), "{error}");
+    assert!(error.contains(expected) && !error.contains("To run the FMU in this process"), "{error}");
 }
 
 /// False claims of a worker cannot change the clock of its parent or make the parent read endlessly.
@@ -115,9 +115,9 @@ fn parent_is_not_delayed_by_false_claims_of_a_worker() {
         ("answer_byte_by_byte()", "no answer within the time limit"),
         (
             "answer_too_much()",
-            "the worker's answer could not be read (a message of 0 bytes and 33554432 numbers)",
+            "the answer of the worker is invalid (a message of 0 bytes and 33554432 numbers)",
         ),
-        ("answer_cut_off()", "the worker's answer could not be read (its head ends too early)"),
+        ("answer_cut_off()", "the answer of the worker is invalid (its header is truncated)"),
     ];
     for (attack, expected) in cases {
         let folder = attacking(attack, outside.path(), 9);

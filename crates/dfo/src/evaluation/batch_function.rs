@@ -135,7 +135,7 @@ impl<'a> Batches<'a> {
         let first = places.start;
         let answers = &mut self.answers[places.clone()];
         if got != len {
-            let message = format!("{got} outcomes were returned for a batch of {len} points");
+            let message = format!("the objective returned {got} outcomes for a batch of {len} points");
             answers[0].outcome = Outcome::Abort(message);
             return Ok(());
         }

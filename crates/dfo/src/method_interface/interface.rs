@@ -216,7 +216,7 @@ impl<'de> Deserialize<'de> for Lookahead {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         const NAMES: [(&str, Lookahead); 3] =
             [("auto", Lookahead::Measured), ("serial", Lookahead::None), ("ahead", Lookahead::Workers)];
-        let expected = "a whole number, 'auto', 'serial' or 'ahead'";
+        let expected = "an integer, 'auto', 'serial' or 'ahead'";
         name_or_number(deserializer, expected, &NAMES, Lookahead::Points)
     }
 }
@@ -386,7 +386,7 @@ pub trait MethodOptions {
     /// cannot be continued.
     fn restore(&self, setup: &Setup, state: &[u8]) -> Result<Self::Method, Error> {
         let _ = (setup, state);
-        Err(Error::State { message: "this method cannot be continued".to_owned() })
+        Err(Error::State { message: "this method does not support checkpoints".to_owned() })
     }
 
     /// Returns the method for a problem of this class and the reason for the choice, if these options leave
@@ -544,7 +544,7 @@ impl fmt::Display for Roughness {
                 "the cost has kinks or noise (the curvature of the model grows as its region shrinks)"
             }
             Self::RefusedSteps => {
-                "the cost has kinks or noise (steps that the model takes for good do not lower it)"
+                "the cost has kinks or noise (steps that the model predicts to lower it do not)"
             }
         })
     }
@@ -651,7 +651,7 @@ pub(crate) fn restored<S: DeserializeOwned>(state: &[u8], sound: impl Fn(&S) -> 
     if counts_are_possible(&counts) && sound(&state) {
         Ok(state)
     } else {
-        Err(Error::State { message: "its parts do not fit together".to_owned() })
+        Err(Error::State { message: "its parts are inconsistent".to_owned() })
     }
 }
 

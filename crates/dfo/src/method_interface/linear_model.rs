@@ -151,15 +151,16 @@ impl Covariance {
         let mut said = Vec::new();
         if self.variance.is_nan() && self.held.len() * self.held.len() < self.matrix.len() {
             said.push(
-                "there are no more residuals than parameters: they tell nothing of the variance".to_owned(),
+                "there are not more residuals than parameters, so the variance cannot be estimated"
+                    .to_owned(),
             );
         }
         if !self.undetermined.is_empty() {
-            let what = "do not determine (another value, alone or with others, fits as well)";
+            let what = "do not determine these parameters (other values fit equally well)";
             said.push(format!("the residuals {what}: {}", names(&self.undetermined)));
         }
         if !self.held.is_empty() {
-            said.push(format!("at a bound or fixed, taken as known: {}", names(&self.held)));
+            said.push(format!("at a bound or fixed, assumed to be known: {}", names(&self.held)));
         }
         said.join("; ")
     }
@@ -249,7 +250,7 @@ mod tests {
         assert!(of(0, 0) == f64::INFINITY && of(1, 1) == f64::INFINITY && of(0, 1).is_nan());
         assert!(of(2, 2).is_finite() && of(0, 2).is_finite());
         assert_eq!(covariance.undetermined, [0, 1]);
-        assert!(said(&covariance).ends_with("fits as well): x[0], x[1]"), "{}", said(&covariance));
+        assert!(said(&covariance).ends_with("fit equally well): x[0], x[1]"), "{}", said(&covariance));
         let none = computed(&[1.0, 2.0], &[1.0, 0.0, 0.0, 1.0], &[0, 0]);
         assert!(none.matrix[0] == f64::INFINITY && none.matrix[1].is_nan() && none.variance.is_nan());
         let zero = computed(&[1.0, 2.0], &[1.0, 0.0, 1.0, 0.0], &[0, 0]);

@@ -72,7 +72,7 @@ const BITS: usize = 32;
 
 fn sobol(seed: u64, n: usize, count: usize, out: &mut [f64]) -> Result<(), Error> {
     if n > POLYNOMIALS.len() + 1 {
-        let range = "at most 40 for Sobol's sequence";
+        let range = "at most 40 for a Sobol sequence";
         return Err(Error::Option { name: "free parameters", value: n as f64, range });
     }
     for k in 0..n {

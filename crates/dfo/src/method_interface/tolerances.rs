@@ -196,7 +196,7 @@ impl fmt::Display for ToleranceTests {
         let relation = |passed| if passed { "<=" } else { ">" };
         let verb = |passed| if passed { "passed" } else { "not passed" };
         let unit = match measure {
-            ToleranceMeasure::Relative => " (in units of the parameters' sizes)",
+            ToleranceMeasure::Relative => " (in units of the parameter sizes)",
             ToleranceMeasure::Absolute => "",
         };
         let x = relation(self.x_passed);

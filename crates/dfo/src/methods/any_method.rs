@@ -371,7 +371,7 @@ impl AnyMethod {
     ///
     /// let rosenbrock = |x: &[f64], out: &mut Vec<f64>| out.extend([10.0 * (x[1] - x[0] * x[0]), 1.0 - x[0]]);
     /// let report = minimize(residuals(rosenbrock)).start(&[-1.2, 1.0]).method(AnyMethod::auto(Search::Local)).run()?;
-    /// assert_eq!((&*report.method, report.method_reason.as_deref()), ("least-squares", Some("the objective gives residuals")));
+    /// assert_eq!((&*report.method, report.method_reason.as_deref()), ("least-squares", Some("the objective returns residuals")));
     /// # Ok::<(), dfo::Error>(())
     /// ```
     pub fn auto(search: Search) -> Self {
@@ -410,22 +410,25 @@ impl AnyMethod {
             }),
             (Search::Global, None, true) => chosen(
                 Multistart::default().polish(Polish::LeastSquares).into(),
-                "a global search was asked for, and the objective gives residuals: least squares from several starts",
+                "a global search with residuals uses least squares from several start points",
             ),
             (Search::Global, None, false) => chosen(
                 Multistart::default().into(),
-                "a global search was asked for: differential evolution, then local searches from several starts",
+                "a global search without residuals uses differential evolution, then local searches from \
+                 several start points",
             ),
             (Search::Local, _, true) => {
-                chosen(LeastSquares::default().into(), "the objective gives residuals")
+                chosen(LeastSquares::default().into(), "the objective returns residuals")
             }
             (Search::Local, _, false) if class.lower.len() > MOST_FOR_MODELS => chosen(
                 NelderMead::default().into(),
-                "the objective gives a cost and no residuals, of more parameters than a quadratic model is fast for",
+                "the objective returns a cost without residuals, and has too many parameters for a fast \
+                 quadratic model",
             ),
             (Search::Local, _, false) => chosen(
                 QuadraticModel::default().hand_over(true).into(),
-                "the objective gives a cost and no residuals: a quadratic model as long as the cost is smooth, Nelder-Mead where noise or kinks show",
+                "the objective returns a cost without residuals: a quadratic model while the cost is smooth, \
+                 Nelder-Mead if it has noise or kinks",
             ),
         }
     }
@@ -540,11 +543,11 @@ impl Auto {
         } else if can_take_simplex
             && let Some((_, word)) = plan.filter(|(plan, _)| simplex.takes("batch", plan))
         {
-            (method, reason) = (simplex, format!("the batch plan '{word}' is one of nelder-mead"));
+            (method, reason) = (simplex, format!("the batch plan '{word}' belongs to nelder-mead"));
         } else if can_take_simplex && let Some(option) = options.keys().find(|o| !own.contains(*o)) {
             let of_simplex = simplex.option_names()?;
             if options.keys().all(|option| of_simplex.contains(option)) {
-                (method, reason) = (simplex, format!("the option '{option}' is one of nelder-mead"));
+                (method, reason) = (simplex, format!("the option '{option}' belongs to nelder-mead"));
             }
         }
         Ok((method.with_options(&options)?, reason))

@@ -121,7 +121,7 @@ pub(super) fn described(option: &str) -> Option<&'static str> {
         "coefficients" => "'auto', 'standard', 'adaptive', or (reflection, expansion, contraction, shrink)",
         "initial_simplex" => "steps or vertices",
         "resolution" => "one number per parameter",
-        "selection" => "'fitness', or a number of members: the size of a tournament",
+        "selection" => "'fitness', or the number of members in a tournament",
         "weight" => "a number or (low, high)",
         _ => return None,
     })
@@ -134,6 +134,7 @@ pub(super) fn unknown(method: &'static str, option: &str, known: &BTreeSet<Strin
     let known = known.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
     let common = COMMON.join(", ");
     RecordError::message(format!(
-        "{method} has no option '{option}'{hint} it has {known}, and every method has {common}"
+        "{method} has no option '{option}'{hint} its options are {known}; options of every method are \
+         {common}"
     ))
 }

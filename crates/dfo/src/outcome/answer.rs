@@ -80,7 +80,7 @@ impl Outcome {
         match self {
             Self::Value(v) if !v.is_finite() => Self::not_finite(format!("cost is {v}")),
             Self::Above(c) if c.is_nan() || c < cutoff => {
-                Self::failed(format!("given up above {c}, although the cutoff was {cutoff}"))
+                Self::failed(format!("the objective returned Above({c}), although the cutoff is {cutoff}"))
             }
             Self::Skipped => Self::failed("the objective returned Skipped"),
             other => other,
@@ -203,7 +203,7 @@ impl Answer {
             return None;
         }
         if self.residuals.is_empty() {
-            return Some(Outcome::failed("the objective gave a cost without residuals"));
+            return Some(Outcome::failed("the objective returned a cost without residuals"));
         }
         let bad = self.residuals.iter().enumerate().find(|(_, r)| !r.is_finite());
         bad.map(|(k, r)| Outcome::not_finite(format!("residual {k} is {r}")))

@@ -192,9 +192,9 @@ impl RobustLoss {
             }
         }
         match sum.is_finite() {
-            true if residuals.is_empty() => Outcome::failed("there are no residuals"),
+            true if residuals.is_empty() => Outcome::failed("the objective returned no residuals"),
             true => Outcome::Value(sum),
-            false => Outcome::not_finite("the sum of the squares of the residuals is infinite".to_owned()),
+            false => Outcome::not_finite("the sum of the squared residuals is infinite".to_owned()),
         }
     }
 

@@ -197,13 +197,13 @@ fn load(options: &Checkpoint) -> Result<Option<Snapshot<'static>>, Error> {
     let path = &options.path;
     let is_required = options.resume == Resume::Require;
     if path.as_os_str().is_empty() {
-        return Err(failed(path, "its path is empty; give that of a file"));
+        return Err(failed(path, "the path is empty; specify the path of a file"));
     }
     let file = match base::files::open_regular(path) {
         Ok(file) => file,
         Err(e) if e.kind() == ErrorKind::NotFound && !is_required => return Ok(None),
         Err(e) if matches!(e.kind(), ErrorKind::InvalidInput | ErrorKind::IsADirectory) => {
-            return Err(failed(path, "this is no regular file"));
+            return Err(failed(path, "it is not a regular file"));
         }
         Err(e) => return Err(file_failed(path, &e)),
     };
@@ -215,7 +215,10 @@ fn load(options: &Checkpoint) -> Result<Option<Snapshot<'static>>, Error> {
         if bytes.is_empty() && options.resume == Resume::Never {
             return Ok(None);
         }
-        return Err(failed(path, "this is no checkpoint, and it is left as it is; give another path"));
+        return Err(failed(
+            path,
+            "the file is not a checkpoint and will not be overwritten; specify another path",
+        ));
     };
     if options.resume == Resume::Never {
         return Ok(None);
@@ -225,8 +228,8 @@ fn load(options: &Checkpoint) -> Result<Option<Snapshot<'static>>, Error> {
         return Err(failed(
             path,
             format!(
-                "it has format {format} of {age} version, this version reads format {FORMAT}; go on with the version \
-                 that wrote it, or start anew (resume never)"
+                "the file has format {format} of {age} version, but this version reads format {FORMAT}. \
+                 Continue with the version that wrote the file, or restart with resume=\"never\""
             ),
         ));
     }
@@ -234,13 +237,14 @@ fn load(options: &Checkpoint) -> Result<Option<Snapshot<'static>>, Error> {
     let Some((_, state)) = whole else {
         return Err(failed(
             path,
-            "the file is damaged: its checksum does not fit; go on with a copy of it, or start anew (resume never)",
+            "the file is damaged, because its checksum does not match. Continue with a backup copy, or \
+             restart with resume=\"never\"",
         ));
     };
     decode(state).map(Some).map_err(|e| {
         let writer =
             decode::<Written>(state).map_or_else(|_| "another".to_owned(), |written| written.version);
-        failed(path, format!("version {writer} wrote it, {VERSION} cannot read it: {e}"))
+        failed(path, format!("version {VERSION} cannot read this file of version {writer}: {e}"))
     })
 }
 
@@ -275,8 +279,8 @@ pub(crate) fn read(
     let (stored, given) = (function(&snapshot.fingerprint), function(fingerprint));
     if stored != given && options.resume == Resume::Auto {
         let what = format!(
-            "it belongs to another function, {stored} instead of {given}; give resume=\"require\" to continue it all the same, or \
-             resume=\"never\" to begin anew"
+            "it belongs to another function, {stored} instead of {given}. Set resume=\"require\" to continue \
+             anyway, or resume=\"never\" to restart"
         );
         return Err(failed(path, what));
     }
@@ -302,7 +306,7 @@ pub(crate) fn read(
         && snapshot.seconds >= 0.0
         && snapshot.seconds.is_finite())
     {
-        return Err(failed(path, "the parts of the file do not fit together"));
+        return Err(failed(path, "the contents of the file are inconsistent"));
     }
     Ok(Some(snapshot))
 }
@@ -339,7 +343,9 @@ impl Writer {
         base::files::remove_unfinished(path);
         AtomicFile::new(path).map_err(|e| file_failed(path, &e))?;
         let claim = Claim::new(path, by_hand).map_err(|e| match e.kind() {
-            ErrorKind::ResourceBusy => failed(path, format!("{e}: wait for its end, or give another path")),
+            ErrorKind::ResourceBusy => {
+                failed(path, format!("{e}; wait until it has ended, or specify another path"))
+            }
             _ => file_failed(path, &e),
         })?;
         let began = Instant::now();
@@ -366,7 +372,7 @@ impl Writer {
     ) -> Result<(), Error> {
         let path = &self.options.path;
         let begin = Instant::now();
-        let state = method.save().ok_or_else(|| failed(path, "this method cannot be continued"))?;
+        let state = method.save().ok_or_else(|| failed(path, "this method does not support checkpoints"))?;
         let snapshot = Snapshot {
             version: Cow::Borrowed(VERSION),
             fingerprint: Cow::Borrowed(&self.fingerprint),

@@ -187,7 +187,7 @@ impl<M: Method> Drive<M> {
         let mut report =
             report::conclude(&method, &mut ledger, &limits, workers, termination, seconds, context)?;
         if n_left > 0 {
-            let left = format!("; {n_left} evaluations were still running elsewhere and were not awaited");
+            let left = format!("; {n_left} evaluations were still running elsewhere when the run ended");
             report.message.push_str(&left);
         }
         Ok(Report { method_reason, options, resumed, ..report })
@@ -386,7 +386,7 @@ impl<M: Method> Drive<M> {
         }
         if let Outcome::Failed(Failure { message, .. }) = why {
             let message =
-                format!("the engine lost the same point {n} times ({message}); no cost of it is stored");
+                format!("the engine lost the same point {n} times ({message}), so the point has no cost");
             answer.outcome = Outcome::Abort(message);
         }
         false
@@ -578,7 +578,7 @@ impl<M: Method> Drive<M> {
         let written =
             writer.write(&self.method, &self.round, known, self.observed, self.first_recent, seconds);
         if let (Err(error), None) = (&written, &self.unsaved) {
-            log::warn!("the run goes on without a checkpoint, which is tried again: {error}");
+            log::warn!("the checkpoint was not written; the run continues and will try again: {error}");
         }
         self.unsaved = written.err();
     }

@@ -27,7 +27,7 @@ pub struct Resumed {
 impl fmt::Display for Resumed {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (path, n) = (self.path.display(), self.n_evaluations);
-        write!(f, "continued from {path}: its first {n} evaluations are from there")
+        write!(f, "continued from {path}, which contains the first {n} evaluations")
     }
 }
 
@@ -231,7 +231,7 @@ impl fmt::Display for Report {
         if self.n_lost > 0 {
             writeln!(
                 f,
-                "  lost         {} answers by the engine; their points were evaluated again",
+                "  lost         {} answers of the engine; their points were evaluated again",
                 self.n_lost
             )?;
         }
@@ -323,47 +323,51 @@ fn message<M: Method + ?Sized>(
         Termination::Noise => {
             let is_known = details.tests.is_some_and(|tests| tests.x_passed);
             let ended = if is_known { "ended" } else { "not converged: ended" };
-            let why = "in the noise of the residuals: what could still be gained is less than it makes of it";
+            let why = "in the noise of the residuals: the possible decrease is smaller than the effect of \
+                       the noise";
             with_tests(format!("{ended} {why}"))
         }
         Termination::Target => {
             let target = Number(limits.target.unwrap_or(f64::NAN));
             format!("target reached: cost {} <= {target}", Number(fun))
         }
-        Termination::ConstantCost => with_tests(
-            "nothing was learned: the search came to its end, but the cost did not change".to_owned(),
-        ),
+        Termination::ConstantCost => {
+            with_tests("not informative: the search ended, but the cost did not change".to_owned())
+        }
         Termination::Unbounded if fun >= UNBOUNDED => with_tests(
-            "not converged: the minimum lies at infinity, or bounds are missing: the cost still falls along the way that the parameters have gone from the start".to_owned(),
+            "not converged: the minimum is at infinity or bounds are missing, because the cost still \
+             decreases in the direction in which the parameters moved from the start"
+                .to_owned(),
         ),
         Termination::Unbounded => {
             format!(
-                "the cost has no minimum: it fell to {}, below {}, and would fall further",
+                "the cost has no minimum: it decreased to {}, below {}, and would decrease further",
                 Number(fun),
                 Number(UNBOUNDED)
             )
         }
         Termination::Collapsed => with_tests(
-            "not converged: the search has no extent left that floating-point numbers resolve".to_owned(),
+            "not converged: the search region has become too small for floating-point numbers".to_owned(),
         ),
         Termination::OneFiniteVertex => with_tests(
-            "not converged: only one vertex of the simplex has a cost, all others failed".to_owned(),
+            "not converged: only one vertex of the simplex has a cost, because all others failed".to_owned(),
         ),
         Termination::BesideFailures => with_tests(
-            "not converged: points around the best one fail, and a lower cost may lie between them".to_owned(),
+            "not converged: points around the best point fail, and there may be a lower cost between them"
+                .to_owned(),
         ),
-        Termination::BeforeMinimum => with_tests("not converged: the minimum lies elsewhere".to_owned()),
+        Termination::BeforeMinimum => with_tests("not converged: the minimum is elsewhere".to_owned()),
         Termination::AllFailed => {
-            with_tests("not converged: every point failed after some that did not".to_owned())
+            with_tests("not converged: after some successful points, all points failed".to_owned())
         }
         Termination::TooManyFailed => with_tests(format!(
-            "not converged: {} of {} evaluations failed, more than the share of {} that is allowed",
+            "not converged: {} of {} evaluations failed, more than the allowed share of {}",
             ledger.n_failed,
             ledger.n_evaluations,
             limits.max_failed.unwrap_or(f64::NAN)
         )),
-        Termination::Stalled => with_tests("not converged: nothing new was found for long".to_owned()),
-        Termination::AllFixed => "all parameters are fixed: their one point was evaluated".to_owned(),
+        Termination::Stalled => with_tests("not converged: no progress for a long time".to_owned()),
+        Termination::AllFixed => "all parameters are fixed, so only one point was evaluated".to_owned(),
         Termination::MaxEvaluations => {
             with_tests(format!("stopped at the limit of {} evaluations", ledger.n_evaluations))
         }
@@ -384,7 +388,7 @@ fn message<M: Method + ?Sized>(
     };
     let message = match (details.roughness, details.handed_over) {
         (Some(roughness), Some(points)) => {
-            format!("{ended}; nelder-mead took over after {points} evaluations: {roughness}")
+            format!("{ended}; switched to nelder-mead after {points} evaluations, because {roughness}")
         }
         (Some(roughness), None) if !termination.is_success() => format!("{ended}; {roughness}"),
         _ => ended,
@@ -396,7 +400,7 @@ fn message<M: Method + ?Sized>(
     } else {
         let names: Vec<String> = details.without_effect.iter().map(|index| format!("x[{index}]")).collect();
         format!(
-            "{message}; no step of {} from zero has changed the cost: if it should, give a nominal size",
+            "{message}; no step of {} from zero changed the cost. If it should, specify a nominal size",
             names.join(", ")
         )
     }

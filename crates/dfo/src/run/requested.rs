@@ -138,7 +138,7 @@ impl RequestedRun {
     /// # Errors
     /// Returns an error if an option does not exist or its value is not allowed.
     pub fn new(options: RunOptions<AnyMethod>, record: &Record, n: usize) -> Result<Self, Error> {
-        let (of_run, mut of_method) = read_part::<RunRecord>(record.clone(), "option of a run")?;
+        let (of_run, mut of_method) = read_part::<RunRecord>(record.clone(), "run option")?;
         let mut asked = Self { options, ..Self::default() };
         asked.options.workers = workers(&of_run.workers)?.or(asked.options.workers);
         if let Some(Value::Text(plan)) = of_method.get("batch")
@@ -206,7 +206,8 @@ impl RequestedRun {
             method => {
                 let name = method.name();
                 let message = format!(
-                    "search='global' leaves the choice of the method to the run; with method='{name}' leave it out"
+                    "search='global' selects the method automatically, so it cannot be combined with \
+                     method='{name}'"
                 );
                 return Err(RecordError::message(message).into());
             }
@@ -237,7 +238,9 @@ impl RequestedRun {
         limits.target = asked.target.or(limits.target);
         limits.max_failed = asked.max_failed.or(limits.max_failed);
         if asked.seed.is_some() && asked.rng.is_some() {
-            return Err(RecordError::message("rng and seed are two words for one option: give one").into());
+            return Err(
+                RecordError::message("rng and seed are the same option; specify only one of them").into()
+            );
         }
         run.seed = asked.seed.or(asked.rng).or(run.seed);
         run.problem = asked.problem.or(run.problem.take());
@@ -281,8 +284,7 @@ fn checkpoint(asked: &RunRecord) -> Result<Option<Checkpoint>, Error> {
     let seconds = interval.read::<Option<f64>>("checkpoint_interval")?;
     let Some(path) = &asked.checkpoint else {
         if asked.resume == Some(Resume::Require) {
-            let message =
-                "resume='require' has no effect without a checkpoint: give its file, checkpoint=...";
+            let message = "resume='require' requires a checkpoint; specify its file with checkpoint=...";
             return Err(RecordError::message(message).into());
         }
         return match seconds {
@@ -310,7 +312,7 @@ fn per_parameter<T: DeserializeOwned + Clone>(name: &str, value: &Value, n: usiz
         value => return Ok(vec![value.read(name)?; n]),
     };
     if values.len() != n {
-        let message = format!("{name} has {} values for {n} parameters", values.len());
+        let message = format!("{name}: expected {n} values, one per parameter; got {}", values.len());
         return Err(RecordError::message(message).into());
     }
     Ok(values.iter().map(|value| value.read(name)).collect::<Result<_, _>>()?)

@@ -111,7 +111,7 @@ impl Value {
     }
 
     fn out_of(&self, name: &str, least: u64) -> RecordError {
-        RecordError::range(format!("a whole number, at least {least}")).of(name, self)
+        RecordError::range(format!("an integer of at least {least}")).of(name, self)
     }
 }
 
@@ -212,9 +212,9 @@ impl RecordError {
         let hint = meant.map_or(";".to_owned(), |meant| format!("; did you mean '{meant}'?"));
         let listed = match meant.is_some() && known.len() > MOST_LISTED {
             true => String::new(),
-            false => format!(" there are {}", known.join(", ")),
+            false => format!(" expected one of: {}", known.join(", ")),
         };
-        Self::message(format!("there is no {what} '{name}'{hint}{listed}"))
+        Self::message(format!("unknown {what} '{name}'{hint}{listed}"))
     }
 
     /// Describes an unknown field of the outermost record as an unknown `what`.
@@ -288,10 +288,10 @@ impl RecordError {
                 let text = if let Value::Text(text) = &self.given { text } else { "" };
                 let meant = known.iter().find(|word| !text.is_empty() && word.starts_with(text));
                 let hint = meant.map_or_else(String::new, |word| format!("; did you mean '{word}'?"));
-                format!("{name} = {given} is none of {}{hint}", listed.join(", "))
+                format!("{name} = {given} is invalid; expected one of: {}{hint}", listed.join(", "))
             }
             Problem::NoCheckpoint => {
-                format!("{name} = {given} has no effect without a checkpoint: give its file, checkpoint=...")
+                format!("{name} = {given} requires a checkpoint; specify its file with checkpoint=...")
             }
             Problem::Field(field) => Self::unknown("field", &field.0, field.1).with_given(given),
             Problem::Message(message) => message.clone(),
@@ -315,7 +315,7 @@ impl de::Error for RecordError {
     fn invalid_type(found: Unexpected<'_>, expected: &dyn de::Expected) -> Self {
         let expected = expected.to_string();
         let what = match expected.as_str() {
-            "usize" | "u64" | "u32" => "a whole number, at least 0",
+            "usize" | "u64" | "u32" => "an integer of at least 0",
             "f64" => "a number",
             "a boolean" => "True or False",
             "any value" => "plain data",
@@ -327,7 +327,7 @@ impl de::Error for RecordError {
         let is_number =
             matches!(found, Unexpected::Float(_) | Unexpected::Signed(_) | Unexpected::Unsigned(_));
         // The number has the right type but is not allowed, for example a negative count.
-        let is_count = matches!(found, Unexpected::Signed(_)) && what.starts_with("a whole number");
+        let is_count = matches!(found, Unexpected::Signed(_)) && what.starts_with("an integer");
         Self::expected(what, !(is_count || is_number && what == "a number"))
     }
 
@@ -488,7 +488,7 @@ impl<'v> MapAccess<'v> for Fields<'v> {
 
     fn next_value_seed<S: DeserializeSeed<'v>>(&mut self, seed: S) -> Result<S::Value, RecordError> {
         let Some((name, value)) = self.current.take() else {
-            return Err(RecordError::message("a value was asked for before its name"));
+            return Err(RecordError::message("a value was requested before its name"));
         };
         seed.deserialize(value).map_err(|error| error.of(name, value))
     }

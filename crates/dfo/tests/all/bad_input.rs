@@ -32,7 +32,7 @@ fn bad_start_points_are_errors() {
     }
     let (e, text) = error(two().bounds(&[0.0, 3.0], &[2.0, 4.0]).unwrap().run());
     assert_eq!(e, Error::StartOutside { index: 1, value: 2.0, lower: 3.0, upper: 4.0 });
-    assert_eq!(text, "x0[1] = 2 lies outside of its bounds [3, 4]");
+    assert_eq!(text, "x0[1] = 2 is outside its bounds [3, 4]");
 }
 
 #[test]
@@ -123,7 +123,7 @@ fn wrong_number_of_outcomes_ends_the_run() {
     let short = |b: &BatchView<'_>| vec![Outcome::Value(1.0); b.len() - 1];
     let (e, text) = error(minimize_batches(short).start(&[1.0, 2.0]).run());
     assert!(matches!(e, Error::EndedWithoutPoint { termination: Termination::Aborted(_), .. }));
-    assert!(text.contains("2 outcomes were returned for a batch of 3 points"), "{text}");
+    assert!(text.contains("the objective returned 2 outcomes for a batch of 3 points"), "{text}");
 
     let mut calls = 0;
     let later = |b: &BatchView<'_>| {
@@ -223,5 +223,5 @@ fn errors_name_option_and_its_range() {
     let (_, text) = error(run().scales(&[1.0, 0.0]).run());
     assert!(text.contains("nominal size of x[1] = 0 must be positive and finite"), "{text}");
     let (_, text) = error(run().kinds(&[ParameterKind::Continuous, ParameterKind::Categorical]).run());
-    assert_eq!(text, "nelder-mead cannot search over x[1], which is categorical");
+    assert_eq!(text, "nelder-mead does not support x[1], which is categorical");
 }

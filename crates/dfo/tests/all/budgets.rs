@@ -237,7 +237,7 @@ fn too_many_failures_end_run_with_best_point() {
         assert_eq!(report.termination, Termination::TooManyFailed, "{report}");
         assert!(4 * report.n_failed > report.n_evaluations && report.n_evaluations >= 20, "{report}");
         assert!(report.fun.is_finite() && !report.is_success(), "{report}");
-        assert!(report.message.contains("more than the share of 0.25"), "{}", report.message);
+        assert!(report.message.contains("more than the allowed share of 0.25"), "{}", report.message);
     }
     let error = minimize(common::rosenbrock).start(&[1.0, 1.0]).max_failed(1.5).run().unwrap_err();
     assert!(matches!(error, dfo::Error::Option { name: "max_failed", .. }));

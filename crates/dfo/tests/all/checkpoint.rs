@@ -316,7 +316,7 @@ fn foreign_file_is_left_unchanged() {
                 .max_evaluations(20)
                 .run();
             let message = run.unwrap_err().to_string();
-            assert!(message.contains("data.csv") && message.contains("this is no checkpoint"), "{message}");
+            assert!(message.contains("data.csv") && message.contains("not a checkpoint"), "{message}");
             assert_eq!(std::fs::read_to_string(&path).unwrap(), content);
         }
     }

@@ -55,7 +55,8 @@ fn checkpoint_is_written_by_one_run_at_a_time() {
     };
     minimize(outer).start(&[1.0]).max_evaluations(3).checkpoint(file()).run().unwrap();
     let messages = refused.into_inner().unwrap();
-    let message = "another run of this process is writing to it: wait for its end, or give another path";
+    let message =
+        "another run in this process is writing to it; wait until it has ended, or specify another path";
     assert!(messages.len() == 3 && messages.iter().all(|text| text.ends_with(message)), "{messages:?}");
     // An optimizer driven by hand may be abandoned.
     let left = by_hand().start(&[1.0]).checkpoint(file().resume(Resume::Never)).optimizer().unwrap();
@@ -97,10 +98,10 @@ fn rejects_irregular_file_and_leaves_it_unchanged() {
             let checkpoint = Checkpoint::new(path).resume(resume);
             let run = minimize(|x: &[f64]| x[0] * x[0]).start(&[1.0]).checkpoint(checkpoint).run();
             let message = run.unwrap_err().to_string();
-            assert!(message.contains("this is no regular file"), "{message}");
+            assert!(message.contains("it is not a regular file"), "{message}");
         }
         assert!(!std::fs::metadata(path).unwrap().is_file());
     }
     let nowhere = minimize(|x: &[f64]| x[0] * x[0]).start(&[1.0]).checkpoint(Checkpoint::new("")).run();
-    assert!(nowhere.unwrap_err().to_string().contains("its path is empty"));
+    assert!(nowhere.unwrap_err().to_string().contains("the path is empty"));
 }

@@ -158,7 +158,7 @@ fn objective_without_residuals_is_rejected_before_evaluation() {
     };
     let refused = minimize(cost).start(&[1.0, 2.0]).method(LeastSquares::default()).run();
     let Err(error @ Error::NeedsResiduals { .. }) = refused else { panic!("{refused:?}") };
-    assert!(error.to_string().starts_with("least-squares needs residuals"), "{error}");
+    assert!(error.to_string().starts_with("least-squares requires residuals"), "{error}");
     assert_eq!(calls.into_inner(), 0);
 }
 
@@ -300,7 +300,7 @@ fn rounds_plan_is_chosen_by_name() {
     assert_eq!(told(&rounds), told(&run(LeastSquares::default().batch(6).into())));
     assert_eq!(told(&run(by_name("serial").unwrap())), told(&run(LeastSquares::default().into())));
     let refused = by_name("four").unwrap_err();
-    assert!(format!("{refused:?}").contains("a whole number, 'serial' or 'rounds'"), "{refused:?}");
+    assert!(format!("{refused:?}").contains("an integer, 'serial' or 'rounds'"), "{refused:?}");
 }
 
 /// Equal residuals at all points of the model are not a minimum.
@@ -504,7 +504,7 @@ fn minimum_at_infinity_is_not_reported_as_success() {
     {
         let report = minimize(residuals(f)).start(&x0).method(LeastSquares::default()).run().unwrap();
         assert!(report.termination == Termination::Unbounded && !report.is_success(), "{report}");
-        assert!(report.message.contains("the minimum lies at infinity"), "{report}");
+        assert!(report.message.contains("the minimum is at infinity"), "{report}");
         // With a bound, there is a minimum.
         let run = minimize(residuals(f)).start(&x0).bounds(&vec![-1.0; x0.len()], &vec![3.0; x0.len()]);
         let report = run.unwrap().method(LeastSquares::default()).run().unwrap();

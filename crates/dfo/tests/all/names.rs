@@ -29,7 +29,7 @@ fn methods_accept_full_names_and_scipy_names() {
         ("nelder-maed", "did you mean 'nelder-mead'?"),
         ("trf", "did you mean 'least-squares'?"),
         ("dual_annealing", "did you mean 'multistart'?"),
-        ("", "there is no method ''; known are nelder-mead (1), barrier (2), de,"),
+        ("", "unknown method ''; expected one of: nelder-mead (1), barrier (2), de,"),
     ] {
         assert!(name(asked).unwrap_err().to_string().contains(hint), "{asked}: {}", name(asked).unwrap_err());
     }

@@ -128,12 +128,12 @@ fn chosen_method_receives_given_options() {
     assert_eq!(method, QuadraticModel::default().points(6).hand_over(true).into());
     let (method, reason) = chosen(serde_json::json!({ "batch": "ahead" })).unwrap();
     assert_eq!(method, NelderMead::default().batch(Lookahead::Workers).into());
-    assert_eq!(reason, "the batch plan 'ahead' is one of nelder-mead");
+    assert_eq!(reason, "the batch plan 'ahead' belongs to nelder-mead");
     let (method, reason) = chosen(serde_json::json!({ "initial_simplex": [0.1, 0.2] })).unwrap();
     assert_eq!(method, NelderMead::default().initial_steps(&[0.1, 0.2]).into());
-    assert_eq!(reason, "the option 'initial_simplex' is one of nelder-mead");
+    assert_eq!(reason, "the option 'initial_simplex' belongs to nelder-mead");
     // A plan of the chosen method is applied to it, and "auto" applies to any method.
-    let residuals = "the objective gives residuals".to_owned();
+    let residuals = "the objective returns residuals".to_owned();
     let rounds = AnyMethod::from(LeastSquares::default().rounds());
     for (plan, method) in [
         (serde_json::json!("Serial"), LeastSquares::default().into()),
@@ -145,7 +145,7 @@ fn chosen_method_receives_given_options() {
         assert_eq!(chosen, (method, residuals.clone()), "{plan}");
     }
     let (method, reason) = chosen_for(serde_json::json!({ "batch": "ahead" }), true).unwrap();
-    assert_eq!((method.name(), &*reason), ("nelder-mead", "the batch plan 'ahead' is one of nelder-mead"));
+    assert_eq!((method.name(), &*reason), ("nelder-mead", "the batch plan 'ahead' belongs to nelder-mead"));
     let (method, _) = chosen(serde_json::json!({ "batch": "auto" })).unwrap();
     assert_eq!(method, QuadraticModel::default().hand_over(true).into());
     let error = chosen(serde_json::json!({ "batsch": 2 })).unwrap_err().to_string();
@@ -156,18 +156,18 @@ fn chosen_method_receives_given_options() {
 fn errors_name_option_and_value() {
     for (json, message, is_type) in [
         (serde_json::json!({ "x_tol": "small" }), "x_tol must be a number, not 'small'", true),
-        (serde_json::json!({ "max_fevals": 0 }), "max_fevals = 0 must be a whole number, at least 1", false),
+        (serde_json::json!({ "max_fevals": 0 }), "max_fevals = 0 must be an integer of at least 1", false),
         (serde_json::json!({ "stop": "both" }), "stop = 'both' is none of 'any', 'all'", false),
         (serde_json::json!({ "stop": 1 }), "stop must be a string, not 1", true),
         (serde_json::json!({ "max_time": 0 }), "max_time = 0 must be a positive number of seconds", false),
         (
             serde_json::json!({ "method": "ga", "selection": -3 }),
-            "option 'selection' of ga must be 'fitness', or a number of members: the size of a tournament, not -3",
+            "option 'selection' of ga must be 'fitness', or the number of members in a tournament, not -3",
             false,
         ),
         (
             serde_json::json!({ "method": "cma-es", "population": true }),
-            "option 'population' of cma-es must be a whole number, at least 0 or None, not true",
+            "option 'population' of cma-es must be an integer of at least 0 or None, not true",
             true,
         ),
         (serde_json::json!({ "kinds": ["integer"] }), "kinds has 1 values for 2 parameters", false),
@@ -182,5 +182,5 @@ fn errors_name_option_and_value() {
         "{error}"
     );
     let error = asked(serde_json::json!({ "method": "de", "search": "global" })).unwrap_err().to_string();
-    assert!(error.contains("leaves the choice of the method to the run"), "{error}");
+    assert!(error.contains("selects the method automatically"), "{error}");
 }

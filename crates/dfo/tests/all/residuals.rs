@@ -249,7 +249,7 @@ fn invalid_residual_vector_is_a_failure() {
     );
     let costs = described(minimize(|x: &[f64]| x[0])).max_evaluations(1).run();
     let Err(Error::EndedWithoutPoint { found, .. }) = costs else { panic!("{costs:?}") };
-    assert_eq!(found.failures[0].0, "the objective gave a cost without residuals");
+    assert_eq!(found.failures[0].0, "the objective returned a cost without residuals");
 }
 
 #[test]
@@ -260,7 +260,7 @@ fn changed_number_of_residuals_is_an_error_for_any_workers() {
         run.workers(workers).run().unwrap_err()
     };
     let error = run(1);
-    assert_eq!(error.to_string(), "3 residuals at x = [1.1], but 2 at the points before");
+    assert_eq!(error.to_string(), "3 residuals at x = [1.1], but 2 at earlier points");
     assert!((2..6).all(|workers| run(workers) == error));
     // Also with ask/tell: the run is then over.
     let mut optimizer = by_hand().start(&[1.0]).method(LeastSquares::default()).optimizer().unwrap();

@@ -75,7 +75,8 @@ pub(super) fn list(
     if let Some(last) = records.last()
         && has_record_after(file, last.entry.central_header_start()).map_err(FmiError::io("read", path))?
     {
-        let reason = format!("its directory has more than the {} entries it counts", records.len());
+        let reason =
+            format!("its directory contains more entries than the {} that it declares", records.len());
         return Err(FmiError::bad_archive(path, reason));
     }
     let mut names = Names::with_capacity(records.len());
@@ -159,10 +160,11 @@ fn unreadable_at(path: &Path, file: &File, error: ZipError) -> FmiError {
     let mut start = Vec::new();
     match Positioned::new(file).take(4).read_to_end(&mut start) {
         Ok(_) if start == b"PK\x03\x04" => {
-            let reason = format!("its directory, at its end, is missing, cut off or damaged: {error}");
+            let reason =
+                format!("the directory at the end of the file is missing, truncated or damaged: {error}");
             FmiError::bad_archive(path, reason)
         }
-        _ => FmiError::bad_archive(path, format!("it is not a zip archive: {error}")),
+        _ => FmiError::bad_archive(path, format!("not a zip archive: {error}")),
     }
 }
 
@@ -218,7 +220,7 @@ fn is_folder(record: &Record) -> Result<bool, EntryProblem> {
         0o020_000 | 0o060_000 => Err(EntryProblem::NotAFile("device")),
         0o010_000 => Err(EntryProblem::NotAFile("pipe")),
         0o140_000 => Err(EntryProblem::NotAFile("socket")),
-        _ => Err(EntryProblem::NotAFile("thing of an unknown type")),
+        _ => Err(EntryProblem::NotAFile("special file of unknown type")),
     }
 }
 
@@ -261,7 +263,7 @@ fn check_root(path: &Path, listed: &[Record]) -> Result<()> {
         return Ok(());
     }
     if listed.iter().any(|entry| entry.name == MODEL_DESCRIPTION) {
-        let hint = Some(": what has that name there is a folder".to_owned());
+        let hint = Some(", because the entry of this name is a folder".to_owned());
         return Err(FmiError::NoModelDescription { path: path.to_owned(), hint });
     }
     if listed.iter().any(|entry| entry.name == SYSTEM_STRUCTURE) {
@@ -276,7 +278,8 @@ fn check_root(path: &Path, listed: &[Record]) -> Result<()> {
             false => format!(", with a parameter set{sets} as its start values"),
         };
         let hint = format!(
-            ": it is an SSP archive, a system of models, of which none is simulated as a whole; unzip it and take one of its FMUs{fmus}{sets}"
+            ", because it is an SSP archive (a system of models). Unzip it and use one of its \
+             FMUs{fmus}{sets}"
         );
         return Err(FmiError::NoModelDescription { path: path.to_owned(), hint: Some(hint) });
     }
@@ -286,9 +289,9 @@ fn check_root(path: &Path, listed: &[Record]) -> Result<()> {
     });
     let hint = elsewhere.map(|name| match name.split_once('/') {
         Some((folder, _)) => {
-            format!(", but \"{name}\": pack the contents of \"{folder}\", not the folder itself")
+            format!(", but contains \"{name}\". Pack the contents of \"{folder}\", not the folder itself")
         }
-        None => format!(", but \"{name}\": upper and lower case matter"),
+        None => format!(", but contains \"{name}\"; names are case-sensitive"),
     });
     Err(FmiError::NoModelDescription { path: path.to_owned(), hint })
 }

@@ -88,7 +88,7 @@ pub(crate) fn files_below(root: &Path, limit: u64) -> Result<Vec<(String, PathBu
             if kind.is_dir() {
                 folders.push((name + "/", entry.path()));
             } else if entry.path().is_dir() {
-                let reason = format!("\"{name}\" is a link to a folder; put the folder itself there");
+                let reason = format!("\"{name}\" is a link to a folder; replace the link with the folder");
                 return Err(FmiError::bad_archive(root, reason));
             } else if kind.is_file() || entry.path().is_file() {
                 files.push((name, entry.path()));

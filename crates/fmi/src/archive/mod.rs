@@ -109,7 +109,7 @@ impl Archive {
         let content = match metadata.is_dir() {
             true => Content::Folder(Folder::open(path, limits)?),
             false if path.extension().is_some_and(|suffix| suffix.eq_ignore_ascii_case("ssd")) => {
-                let hint = ": an .ssd describes a system of models, of which none is simulated as a whole; give one of its FMUs";
+                let hint = ", because an .ssd file describes a system of models. Use one of its FMUs";
                 return Err(FmiError::NoModelDescription {
                     path: path.to_owned(),
                     hint: Some(hint.to_owned()),

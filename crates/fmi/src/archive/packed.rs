@@ -166,7 +166,7 @@ impl Packed {
         if n_removed > 0 {
             let path = self.path.display();
             log::warn!(
-                "{path}: {n_removed} files were removed from {}; they are unpacked again",
+                "{path}: {n_removed} files were removed from {} and are unpacked again",
                 root.display()
             );
         }
@@ -204,7 +204,10 @@ impl Packed {
         {
             return Ok(());
         }
-        Err(FmiError::bad_archive(&self.path, "it was written over after it had been opened; open it again"))
+        Err(FmiError::bad_archive(
+            &self.path,
+            "the file has been modified since it was opened; open it again",
+        ))
     }
 }
 

@@ -162,7 +162,7 @@ fn remove_unlocked(folder: &Path) {
     }
     drop(lock);
     if let Err(error) = fs::remove_dir_all(folder) {
-        log::debug!("{} stays: {error}", folder.display());
+        log::debug!("{} was not deleted: {error}", folder.display());
     }
 }
 

@@ -46,7 +46,7 @@ impl Source<'_> {
         let mut out = File::create_new(target).map_err(FmiError::io("create", target))?;
         let written = match (entry.entry.external_attributes() >> 16) & 0o111 != 0 {
             true => {
-                crate::platform::make_executable(&out).map_err(FmiError::io("mark as executable", target))
+                crate::platform::make_executable(&out).map_err(FmiError::io("set the permissions of", target))
             }
             false => Ok(()),
         };

@@ -48,7 +48,7 @@ pub(super) fn finish(mut draft: Draft) -> Result<ModelDescription> {
         let (variable, first) = (&model.variables[position], &model.variables[first]);
         quirks.add(QuirkKind::Duplicate, variable.line, || {
             format!(
-                "the alias \"{alias}\" of \"{}\" is a name of the variable in line {} too",
+                "the alias \"{alias}\" of \"{}\" is also a name of the variable in line {}",
                 variable.name, first.line
             )
         });
@@ -63,7 +63,7 @@ fn check_time(variables: &[Variable], quirks: &mut Quirks) {
     let Some(first) = independent.next() else { return };
     for other in independent {
         quirks.add(QuirkKind::Duplicate, other.line, || {
-            format!("\"{}\" is a second independent variable beside \"{}\"", other.name, first.name)
+            format!("\"{}\" is a second independent variable in addition to \"{}\"", other.name, first.name)
         });
     }
 }
@@ -93,7 +93,7 @@ fn inherit_types(draft: &mut Draft) -> Result<()> {
             if let Some(long) = text.take_if(|text| text.len() > LONGEST_INHERITED) {
                 draft.reading.quirk(QuirkKind::Attribute, 0, || {
                     format!(
-                        "a quantity or unit of the type \"{}\" has {} bytes; it is left out",
+                        "a quantity or unit of the type \"{}\" has {} bytes and is ignored",
                         definition.name,
                         long.len()
                     )
@@ -115,7 +115,10 @@ fn inherit_types(draft: &mut Draft) -> Result<()> {
                 variable.unbounded |= definition.unbounded && !flags.unbounded;
             }
             Some(definition) => draft.reading.quirk(QuirkKind::Undefined, line, || {
-                format!("{kind} \"{}\" has the type \"{name}\", which is {}", variable.name, definition.kind)
+                format!(
+                    "{kind} \"{}\" has the declared type \"{name}\", which is of type {}",
+                    variable.name, definition.kind
+                )
             }),
             None if !unknown.contains(name) => {
                 unknown.insert(name.clone());
@@ -170,7 +173,7 @@ fn resolve_dimensions(draft: &mut Draft) -> Result<()> {
                 .is_some_and(|v| v.causality == Causality::StructuralParameter && v.kind.is_integer());
             if !is_known {
                 return refuse(format!(
-                    "\"{}\" has a dimension that is no structural parameter",
+                    "\"{}\" has a dimension that is not a structural parameter",
                     variable.name
                 ));
             }
@@ -203,7 +206,9 @@ fn resolve_structure(draft: &mut Draft) -> Result<()> {
         structure.event_indicators.iter().zip(indicator_lines).map(|pair| ("an event indicator", pair));
     for (what, (unknown, &line)) in derivatives.chain(indicators) {
         if unknown.index >= n_variables {
-            let message = format!("{what} that is none of the {n_variables} variables");
+            let message = format!(
+                "{what} refers to a variable that does not exist (the model has {n_variables} variables)"
+            );
             return Err(FmiError::Description { file: MODEL_DESCRIPTION, line, message });
         }
     }
@@ -228,7 +233,10 @@ fn keep_known(what: &str, list: &mut Vec<Unknown>, lines: &[u32], n_variables: u
         let known = unknown.index < n_variables;
         if !known {
             quirks.add(QuirkKind::Structure, line, || {
-                format!("an {what} that is none of the {n_variables} variables; left out")
+                format!(
+                    "an {what} refers to a variable that does not exist (the model has {n_variables} \
+                         variables); ignored"
+                )
             });
         }
         known
@@ -243,7 +251,8 @@ fn resolve_dependencies(unknown: &mut Unknown, n_variables: usize, quirks: &mut 
         *dependencies = None;
         quirks.add(QuirkKind::Structure, 0, || {
             format!(
-                "variable number {} depends on variables that do not exist; taken as dependent on all",
+                "variable number {} depends on variables that do not exist; assumed to depend on all \
+                 variables",
                 *index + 1
             )
         });
@@ -252,7 +261,7 @@ fn resolve_dependencies(unknown: &mut Unknown, n_variables: usize, quirks: &mut 
         if in_range {
             quirks.add(QuirkKind::Structure, 0, || {
                 format!(
-                    "variable number {} has {} kinds of dependencies, not one for each",
+                    "variable number {} has {} dependency kinds; expected one per dependency",
                     *index + 1,
                     kinds.len()
                 )
@@ -266,15 +275,16 @@ fn check_header(model: &ModelDescription, quirks: &mut Quirks) {
     let has_interface = model.model_exchange.is_some() || model.co_simulation.is_some();
     // Scheduled execution has a separate quirk.
     if !has_interface && !model.offers_scheduled_execution {
-        quirks
-            .add(QuirkKind::Missing, 0, || "neither model exchange nor co-simulation is offered".to_owned());
+        quirks.add(QuirkKind::Missing, 0, || {
+            "neither model exchange nor co-simulation is supported".to_owned()
+        });
     }
     let experiment = &model.default_experiment;
     if let (Some(start), Some(stop)) = (experiment.start_time, experiment.stop_time)
         && stop < start
     {
         quirks.add(QuirkKind::Range, 0, || {
-            format!("the default experiment ends at {stop}, before its start {start}")
+            format!("the default experiment ends at {stop}, before it starts at {start}")
         });
     }
 }
@@ -284,7 +294,7 @@ fn check_units(model: &ModelDescription, quirks: &mut Quirks) {
     let units: HashMap<&str, &Unit> = model.units.iter().map(|unit| (unit.name.as_str(), unit)).collect();
     if units.len() < model.units.len() {
         quirks.add(QuirkKind::Duplicate, 0, || {
-            format!("{} units for {} names", model.units.len(), units.len())
+            format!("{} units have only {} different names", model.units.len(), units.len())
         });
     }
     let mut reported = HashSet::new();
@@ -323,8 +333,8 @@ fn check_structure(model: &ModelDescription, quirks: &mut Quirks) {
             complain("is not a Real variable");
         }
         match variable.derivative {
-            None => complain("does not say of which state it is the derivative"),
-            Some(state) if !states.insert(state) => complain("claims a state that another derivative has"),
+            None => complain("does not declare which state it is the derivative of"),
+            Some(state) if !states.insert(state) => complain("refers to the state of another derivative"),
             Some(_) => {}
         }
     }
@@ -338,7 +348,7 @@ fn check_structure(model: &ModelDescription, quirks: &mut Quirks) {
             quirks.add(QuirkKind::Structure, variable.line, || {
                 let not = if is_output { "not " } else { "" };
                 format!(
-                    "{} \"{}\" is {not}listed as output in the model structure",
+                    "{} \"{}\" is {not}listed as an output in the model structure",
                     variable.causality, variable.name
                 )
             });
@@ -353,11 +363,11 @@ fn check_range(variable: &Variable, quirks: &mut Quirks) {
     if let Some(nominal) = variable.nominal
         && !(nominal > 0.0 && nominal.is_finite())
     {
-        complain(format!("the nominal value {nominal}"));
+        complain(format!("an invalid nominal value {nominal}"));
     }
     let (min, max) = (variable.min.unwrap_or(f64::NEG_INFINITY), variable.max.unwrap_or(f64::INFINITY));
     if min > max {
-        complain(format!("the minimum {min} above its maximum {max}"));
+        complain(format!("a minimum {min} above its maximum {max}"));
         return;
     }
     let start = match variable.start {
@@ -366,7 +376,7 @@ fn check_range(variable: &Variable, quirks: &mut Quirks) {
         _ => return,
     };
     if start < min || start > max || start.is_nan() {
-        complain(format!("the start value {start} outside of {min} to {max}"));
+        complain(format!("a start value {start} outside its range {min} to {max}"));
     }
 }
 
@@ -391,7 +401,10 @@ fn check_roles(variable: &Variable, quirks: &mut Quirks) {
     if !pair_fits || (!initial_fits && variable.initial.is_some()) {
         quirks.add(QuirkKind::Combination, variable.line, || {
             let initial = variable.initial.map(|initial| format!(", initial {initial}")).unwrap_or_default();
-            format!("\"{}\" is {}, {}{initial}", variable.name, variable.causality, variable.variability)
+            format!(
+                "\"{}\" has an invalid combination of attributes: causality {}, variability {}{initial}",
+                variable.name, variable.causality, variable.variability
+            )
         });
     }
 }
@@ -402,7 +415,7 @@ fn check_start(variable: &Variable, quirks: &mut Quirks) {
         || matches!(variable.initial, Some(Initial::Exact | Initial::Approx));
     if needed != variable.start.is_some() {
         quirks.add(QuirkKind::Start, variable.line, || {
-            let what = if needed { "has no start value" } else { "has a start value without use" };
+            let what = if needed { "has no start value" } else { "has an unused start value" };
             format!("\"{}\" {what}", variable.name)
         });
     }
@@ -412,7 +425,7 @@ fn index_names(variables: &[Variable], quirks: &mut Quirks) -> NameIndex {
     NameIndex::build(variables, |duplicate, first| {
         let (duplicate, first) = (&variables[duplicate], &variables[first]);
         quirks.add(QuirkKind::Duplicate, duplicate.line, || {
-            format!("the name \"{}\" is that of the variable in line {} too", duplicate.name, first.line)
+            format!("the name \"{}\" is also the name of the variable in line {}", duplicate.name, first.line)
         });
     })
 }

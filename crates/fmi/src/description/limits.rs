@@ -97,8 +97,9 @@ impl Reading {
         let Self { limits: DescriptionLimits { bytes, .. }, .. } = self;
         self.is_exceeded.get().then(|| {
             format!(
-                "reading it takes more than {} bytes of memory, {MEMORY_PER_BYTE} times the limit of {bytes} for the \
-                 document; raise it with max_description_bytes (DescriptionLimits::bytes)",
+                "reading the file requires more than {} bytes of memory, {MEMORY_PER_BYTE} times the limit \
+                 of {bytes} bytes for the file; increase the limit with max_description_bytes \
+                 (DescriptionLimits::bytes)",
                 bytes.saturating_mul(MEMORY_PER_BYTE)
             )
         })
@@ -119,7 +120,8 @@ pub(super) fn check_size(bytes: &[u8], file: &'static str, limits: &DescriptionL
 /// Returns the error for a file that exceeds this limit.
 fn too_large(file: &'static str, limit: u64) -> FmiError {
     let message = format!(
-        "it has more bytes than the limit of {limit}; raise it with max_description_bytes (DescriptionLimits::bytes)"
+        "the file has more bytes than the limit of {limit}; increase the limit with max_description_bytes \
+         (DescriptionLimits::bytes)"
     );
     FmiError::Description { file, line: 1, message }
 }

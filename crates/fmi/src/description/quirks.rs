@@ -43,7 +43,7 @@ impl Quirks {
         self.list.sort_by_key(|quirk| quirk.line);
         for (kind, count) in self.counts {
             if count > KEPT {
-                let message = format!("{} more of the kind \"{kind}\"", count - KEPT);
+                let message = format!("{} more violations of the kind \"{kind}\"", count - KEPT);
                 self.list.push(Quirk { kind, message, line: 0 });
             }
         }

@@ -76,7 +76,7 @@ pub(crate) fn with_start_texts(
     }
     if let Some(missing) = starts.keys().find(|index| !found.contains(index)) {
         let name = description.variables.get(*missing).map_or("", |variable| &variable.name);
-        return Err(bad(format!("the variable '{name}' is not found in it")));
+        return Err(bad(format!("the variable '{name}' was not found")));
     }
     Ok(document.with(edits))
 }

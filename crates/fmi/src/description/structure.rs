@@ -59,7 +59,7 @@ impl Structure {
     pub(crate) fn check(&self, model: &ModelDescription) -> Result<(), (u32, String)> {
         let limit = model.most_elements;
         let refuse = |line, what: &str| {
-            let sizes = if self.is_default() { "" } else { ", with the structural parameters given" };
+            let sizes = if self.is_default() { "" } else { " with the specified structural parameters" };
             Err((
                 line,
                 format!("{what} more than {limit} elements{sizes}; the limit is DescriptionLimits::elements"),
@@ -78,7 +78,7 @@ impl Structure {
                 );
             }
             if sum > limit {
-                let what = format!("the arrays up to \"{}\" have together", variable.name);
+                let what = format!("the arrays up to \"{}\" together have", variable.name);
                 return refuse(variable.line, &what);
             }
         }

@@ -8,7 +8,7 @@ pub enum EntryProblem {
     #[error("has an empty name or an empty folder name in it")]
     EmptyName,
     /// The path contains `..` (or `.`, unless the path is the name of an entry).
-    #[error("leads out of the archive (\"..\" or \".\" in its path)")]
+    #[error("points outside the archive (\"..\" or \".\" in its path)")]
     Traversal,
     /// Starts with `/` or a drive letter.
     #[error("has an absolute path")]
@@ -25,7 +25,7 @@ pub enum EntryProblem {
         limit: usize,
     },
     /// The path has more components than allowed.
-    #[error("lies more than {limit} folders deep")]
+    #[error("is nested more than {limit} folders deep")]
     TooDeep {
         /// Maximum number of components.
         limit: usize,
@@ -34,7 +34,7 @@ pub enum EntryProblem {
     #[error("is a folder with {0} bytes of data")]
     FolderWithData(u64),
     /// A device name reserved on Windows, or a component ending in a dot or a space.
-    #[error("has a name that is not a file name on every system")]
+    #[error("has a name that is not a valid file name on every system")]
     ReservedName,
     /// Neither a file nor a folder: symbolic link, device, pipe or socket.
     #[error("is a {0}, not a file")]
@@ -49,7 +49,7 @@ pub enum EntryProblem {
     #[error("occurs twice, with different contents")]
     Duplicate,
     /// Two entries whose names differ only in case.
-    #[error("differs from \"{0}\" in upper and lower case only")]
+    #[error("differs from \"{0}\" only in upper and lower case")]
     CaseDuplicate(String),
     /// The name is used both for a file and for a folder.
     #[error("makes \"{0}\" both a file and a folder")]
@@ -68,7 +68,7 @@ pub enum EntryProblem {
     #[error("is described differently in its local header: {0}")]
     HeaderMismatch(String),
     /// The uncompressed size is smaller than the directory declares, or the size of stored data differs.
-    #[error("inflates to {found} bytes, its header says {declared}")]
+    #[error("inflates to {found} bytes, but its header declares {declared}")]
     WrongSize {
         /// Size found in bytes.
         found: u64,
@@ -84,7 +84,7 @@ pub enum EntryProblem {
         limit: u64,
     },
     /// The ratio of uncompressed to compressed size exceeds the limit.
-    #[error("would inflate from {compressed} to {size} bytes, more than {limit} times")]
+    #[error("would inflate from {compressed} to {size} bytes, more than {limit} times its packed size")]
     Ratio {
         /// Compressed size in bytes.
         compressed: u64,

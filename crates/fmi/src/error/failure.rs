@@ -88,7 +88,7 @@ impl fmt::Display for Status {
             Status::Fatal => f.write_str("fatal"),
             Status::Pending => f.write_str("pending"),
             Status::Missing => f.write_str("that there is no such function"),
-            Status::Unknown(code) => write!(f, "the unknown status {code}"),
+            Status::Unknown(code) => write!(f, "unknown status {code}"),
         }
     }
 }

@@ -22,7 +22,7 @@ pub enum FmiError {
     #[error(transparent)]
     Stopped(#[from] ode::Stopped),
     /// Not enough memory is available for a large object; nothing was allocated.
-    #[error("{what} would take {} MB of memory, more than is available", bytes / 1_000_000)]
+    #[error("{what} requires {} MB of memory, more than is available", bytes / 1_000_000)]
     Memory {
         /// Object to be allocated, with its dimensions.
         what: String,
@@ -36,7 +36,10 @@ pub enum FmiError {
     #[error("{0}")]
     WorkerEnded(Box<WorkerEnd>),
     /// No worker process can be started.
-    #[error("no process can be started for the FMU ({reason}); isolation = \"none\" runs it in this one")]
+    #[error(
+        "cannot start a worker process for the FMU ({reason}). To run the FMU in this process, set \
+             isolation = \"none\""
+    )]
     NoWorker {
         /// Reason.
         reason: String,
@@ -58,7 +61,7 @@ pub enum FmiError {
         source: io::Error,
     },
     /// Only the description of the FMU is available; see [`Fmu::absent`](crate::Fmu::absent).
-    #[error("the FMU {} is needed with the content that it had (SHA-256 {content_hash}); {reason}", path.display())]
+    #[error("the FMU {} is required with its original content (SHA-256 {content_hash}); {reason}", path.display())]
     Absent {
         /// Former path of the FMU.
         path: PathBuf,
@@ -116,11 +119,12 @@ pub enum FmiError {
         message: String,
     },
     /// The version of the standard is unknown.
-    #[error("the FMU follows FMI {0}; known are 1.0, 2.0 and 3.0")]
+    #[error("FMI version {0} is not supported; expected 1.0, 2.0 or 3.0")]
     UnknownVersion(String),
     /// `modelDescription.xml` is well formed but departs from the standard, and strict reading was requested.
     #[error(
-        "the model description departs from the FMI standard in {count} places, first (line {line}): {first}"
+        "the model description violates the FMI standard in {count} places; the first is in line {line}: \
+         {first}"
     )]
     NotConforming {
         /// Number of departures.
@@ -159,7 +163,7 @@ pub enum FmiError {
         output: String,
     },
     /// The FMU has no binary for this platform.
-    #[error("{} has no binary for this platform ({wanted}); present: {present}", path.display())]
+    #[error("{} has no binary for this platform ({wanted}); available: {present}", path.display())]
     NoBinary {
         /// Path of the FMU.
         path: PathBuf,
@@ -169,7 +173,7 @@ pub enum FmiError {
         present: String,
     },
     /// The FMU does not support the requested interface.
-    #[error("{model} offers no {wanted}; it offers {offered}")]
+    #[error("{model} does not support {wanted}; it supports {offered}")]
     NotOffered {
         /// Name of the model.
         model: String,
@@ -187,7 +191,7 @@ pub enum FmiError {
         message: String,
     },
     /// The library lacks a function that FMI requires.
-    #[error("{} has no function {symbol}, which the standard demands", library.display())]
+    #[error("{} does not export the function {symbol}, which the FMI standard requires", library.display())]
     MissingSymbol {
         /// Path of the library.
         library: PathBuf,
@@ -195,23 +199,22 @@ pub enum FmiError {
         symbol: &'static str,
     },
     /// A call requires an optional function that the library does not have.
-    #[error("the FMU has no function {0}")]
+    #[error("the FMU does not implement the function {0}")]
     MissingFunction(&'static str),
     /// A call of the loaded library of the instance, with this path, returned `Fatal`. The standard forbids
     /// all further calls of the library.
-    #[error("{} is unusable since one of its calls returned fatal; new instances and simulations have a newly loaded copy", .0.display())]
+    #[error("{} is unusable because one of its calls returned fatal; new instances and simulations use a \
+             newly loaded copy", .0.display())]
     LibraryUnusable(PathBuf),
     /// A call into the FMU failed.
     #[error(transparent)]
     Call(Box<CallFailure>),
     /// A call of an instance driven by the user, after this function had returned `Error`; the FMU was not
     /// called.
-    #[error(
-        "after {0} returned error nothing is left but to reset the instance, restore a saved state or free it"
-    )]
+    #[error("{0} returned error, so the instance can only be reset, freed, or restored to a saved state")]
     AfterError(&'static str),
     /// Slices differ in length, or a vector does not have the size of the model; the FMU was not called.
-    #[error("{call}: {found} values where {expected} are needed")]
+    #[error("{call}: expected {expected} values, got {found}")]
     Length {
         /// Name of the call.
         call: &'static str,
@@ -221,7 +224,10 @@ pub enum FmiError {
         found: usize,
     },
     /// The FMU reports a value with more bytes than its variable allows or than memory can hold.
-    #[error("{call}: the FMU has a value of {size} bytes, more than its maxSize or than memory can hold")]
+    #[error(
+        "{call}: the FMU returned a value of {size} bytes, which exceeds its maxSize or the available \
+             memory"
+    )]
     TooLarge {
         /// Name of the call.
         call: &'static str,
@@ -229,7 +235,7 @@ pub enum FmiError {
         size: usize,
     },
     /// The model repeatedly ended a step at its start time, without an event.
-    #[error("{call} returned early at t = {time} without having gone on, and without an event", time = Number(*.time))]
+    #[error("{call} returned early at t = {time} without advancing and without an event", time = Number(*.time))]
     NoProgress {
         /// Name of the call.
         call: &'static str,
@@ -237,7 +243,7 @@ pub enum FmiError {
         time: f64,
     },
     /// The event iteration did not converge.
-    #[error("the event iteration at t = {time} did not end after {limit} rounds", time = Number(*.time))]
+    #[error("the event iteration at t = {time} did not end within {limit} iterations", time = Number(*.time))]
     EventIteration {
         /// Time of the event.
         time: f64,
@@ -245,7 +251,7 @@ pub enum FmiError {
         limit: u32,
     },
     /// A call of an instance driven by the user is not allowed in the current phase.
-    #[error("{call} is called in the phase {needed}; the instance is in the phase {phase}")]
+    #[error("{call} requires the phase {needed}, but the instance is in the phase {phase}")]
     WrongPhase {
         /// Name of the call.
         call: &'static str,
@@ -261,7 +267,7 @@ pub enum FmiError {
     #[error("the saved state belongs to another instance")]
     ForeignState,
     /// A saved state belongs to another phase. Restoring it would contradict the type of the instance.
-    #[error("the state was saved in {saved}, the instance is in {now}")]
+    #[error("the state was saved in {saved}, but the instance is in {now}")]
     StateOfAnotherPhase {
         /// Phase of the saved state.
         saved: &'static str,
@@ -285,7 +291,7 @@ pub enum FmiError {
         reference: u32,
     },
     /// The value has the wrong type.
-    #[error("{name} is of type {kind}, {value} ({given}) does not fit")]
+    #[error("{name}: expected a value of type {kind}, got {value} ({given})")]
     WrongType {
         /// Name of the variable.
         name: String,
@@ -297,7 +303,7 @@ pub enum FmiError {
         given: &'static str,
     },
     /// A number is out of range for the type of its variable.
-    #[error("{name} is of type {kind} ({} bits, from {} to {}), {value} does not fit", bits(range.0, range.1), range.0, range.1)]
+    #[error("{name} = {value} is out of range for type {kind} ({} bits, from {} to {})", bits(range.0, range.1), range.0, range.1)]
     OutOfRange {
         /// Name of the variable.
         name: String,
@@ -318,8 +324,8 @@ pub enum FmiError {
     },
     /// A parameter does not keep the value that was set, because the model overrides it.
     #[error(
-        "{name} was given the value {given}, and after the initialization it is {found}: the model sets it by itself, or does not take \
-         values from outside",
+        "{name} was set to {given}, but is {found} after the initialization. The model computes the value \
+         itself or ignores the value that was set",
         given = Number(*.given), found = Number(*.found)
     )]
     NotTaken {
@@ -332,8 +338,9 @@ pub enum FmiError {
     },
     /// A variable does not have the requested value at the start of a simulation.
     #[error(
-        "{name} starts with {found} instead of {given}: the initialization computes it. In model exchange initial states are set after \
-         the initialization (kind = \"ME\"); otherwise set the parameters from which the model computes it",
+        "{name} starts at {found} instead of {given}, because the initialization computes it. In model \
+         exchange (kind = \"ME\"), initial states are set after the initialization; otherwise set the \
+         parameters from which the model computes it",
         given = Number(*.given), found = Number(*.found)
     )]
     StateNotTaken {
@@ -345,7 +352,7 @@ pub enum FmiError {
         found: f64,
     },
     /// A value is NaN or infinite, but must be finite.
-    #[error("{name} = {value}: a finite number is needed", value = Number(*.value))]
+    #[error("{name}: expected a finite number, got {value}", value = Number(*.value))]
     NotFinite {
         /// Name to which the value was assigned.
         name: String,
@@ -353,7 +360,8 @@ pub enum FmiError {
         value: f64,
     },
     /// A variable is NaN or infinite, but the continuous state that it represents is finite.
-    #[error("{name} is {value}, and the continuous state that it is by the description is finite", value = Number(*.value))]
+    #[error("{name} is {value}, although the continuous state that it represents according to the model \
+             description is finite", value = Number(*.value))]
     StateNotFinite {
         /// Name of the variable.
         name: String,
@@ -386,7 +394,7 @@ pub enum FmiError {
     #[error(transparent)]
     Simulation(Box<ode::SimulationError>),
     /// The result does not contain this variable.
-    #[error("there is no value of \"{name}\"; there are: {present}")]
+    #[error("\"{name}\" is not in the result; available: {present}")]
     NotInResult {
         /// Name that was requested.
         name: String,
@@ -492,8 +500,8 @@ impl FmiError {
 
     /// Returns the error for a library file that has been modified since it was loaded.
     pub(crate) fn written_over(library: &Path) -> FmiError {
-        let message = "the file was written over after this process had loaded it; restart the process, or give the new \
-                       version a file of its own";
+        let message = "the file has been modified since this process loaded it. Restart the process, or use \
+                       a separate file for the new version";
         FmiError::LoadFailed { library: library.to_owned(), message: message.to_owned() }
     }
 
@@ -527,9 +535,7 @@ fn open_files_limit() -> Option<u64> {
 fn limit_of_files(error: Option<i32>) -> String {
     match open_files_limit() {
         Some(limit) if error == Some(EMFILE) => {
-            format!(
-                "; the process may have {limit} open files (ulimit -n): close models that are not used any more"
-            )
+            format!("; the limit is {limit} open files per process (ulimit -n). Close unused models")
         }
         _ => String::new(),
     }

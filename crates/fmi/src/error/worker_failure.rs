@@ -121,7 +121,7 @@ impl fmt::Display for WorkerEnd {
             write!(f, " at t = {}", Number(time))?;
         }
         if !self.output.is_empty() {
-            write!(f, "; it had printed: {}", self.output)?;
+            write!(f, "; last output: {}", self.output)?;
         }
         if let Some(hint) = &self.hint {
             write!(f, "; {hint}")?;

@@ -31,9 +31,9 @@ pub(crate) fn convert(variable: &Variable, value: &Value, elements: Option<usize
             .map(|value| convert_one(variable, value))
             .collect::<Result<_, _>>()
             .map(Value::Array),
-        Value::Array(_) => Err(wrong("array of another size")),
+        Value::Array(_) => Err(wrong("array of different size")),
         _ if elements == 1 => Ok(Value::Array(vec![convert_one(variable, value)?])),
-        _ => Err(wrong("one value for an array")),
+        _ => Err(wrong("a scalar for an array")),
     }
 }
 
@@ -96,7 +96,7 @@ pub(crate) fn check_settable_at_start(variable: &Variable) -> Result<()> {
     } else if variable.variability == Variability::Constant {
         "it is a constant"
     } else if variable.kind == VariableKind::Clock {
-        "it is a clock, and clocks are activated in event mode"
+        "it is a clock; clocks are activated in event mode"
     } else if variable.causality == Causality::Input
         || matches!(variable.initial, Some(Initial::Exact | Initial::Approx))
     {
@@ -119,7 +119,10 @@ pub(crate) fn check_settable_in_initialization(variable: &Variable) -> Result<()
     if variable.causality == Causality::Input || variable.initial == Some(Initial::Exact) {
         Ok(())
     } else {
-        Err(not_settable(variable, "its start value is a guess, which initialization mode calculates"))
+        Err(not_settable(
+            variable,
+            "its start value is a guess, and initialization mode calculates its value",
+        ))
     }
 }
 
@@ -216,7 +219,7 @@ impl Assignments {
             (VariableKind::Real, Value::Real(x)) => self.reals.1.push(*x),
             (VariableKind::String, Value::String(text)) => {
                 let text = CString::new(text.as_str())
-                    .map_err(|_| wrong_type(variable, value, "text with a NUL character"))?;
+                    .map_err(|_| wrong_type(variable, value, "string with a NUL character"))?;
                 self.strings.1.push(text);
             }
             (VariableKind::Binary, Value::Binary(bytes)) => self.binaries.1.push(bytes.clone()),

@@ -37,7 +37,7 @@ impl<P: Readable, K> Instance<P, K> {
         let fmu = core.fmu().clone();
         let variable = &fmu.description().variables[resolve(fmu.description(), name)?];
         let Some(timing) = &variable.clock else {
-            return Err(FmiError::BadSetting(format!("{name} is no clock")));
+            return Err(FmiError::BadSetting(format!("{name} is not a clock")));
         };
         let (reference, fraction) = (variable.value_reference, timing.supports_fraction);
         let answer = core.call(|raw| raw.get_interval(reference, fraction))?;
@@ -52,14 +52,14 @@ pub(crate) fn check_interval(variable: &Variable, interval: Interval) -> Result<
     let positive = interval.value() > 0.0 && interval.value().is_finite();
     let problem = match timing {
         Some(timing) if !matches!(timing.kind, ClockKind::Fixed | ClockKind::Tunable) => {
-            format!("it has {} intervals; only fixed and tunable ones can be set", timing.kind.name())
+            format!("it has {} intervals; only fixed and tunable intervals can be set", timing.kind.name())
         }
         Some(timing) if matches!(interval, Interval::Fraction(..)) && !timing.supports_fraction => {
-            "its intervals are no fractions".to_owned()
+            "it does not support fractions".to_owned()
         }
         Some(_) if !positive => format!("{interval:?} is not positive and finite"),
         Some(_) => return Ok(()),
-        None => "it is no clock that the importer activates".to_owned(),
+        None => "it is not a clock that the importer activates".to_owned(),
     };
-    Err(FmiError::BadSetting(format!("{name} cannot be given an interval: {problem}")))
+    Err(FmiError::BadSetting(format!("cannot set the interval of {name}: {problem}")))
 }

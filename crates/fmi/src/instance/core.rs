@@ -87,7 +87,7 @@ impl Core {
         let (lines, dropped) = self.log();
         let model = &self.fmu.description().model_name;
         if dropped > 0 {
-            log::log!(level, "{model}: {dropped} other lines were not kept");
+            log::log!(level, "{model}: {dropped} other log lines were dropped");
         }
         for line in lines {
             log::log!(level, "{model}: {line}");
@@ -102,7 +102,7 @@ impl Core {
         let is_unknown = |name: &&String| model.fmi_version.major > 1 && !known().any(|known| known == *name);
         if let Some(name) = categories.iter().find(is_unknown) {
             let known: Vec<&str> = known().map(String::as_str).collect();
-            let problem = format!("there is no log category \"{name}\"; there are: {}", known.join(", "));
+            let problem = format!("unknown log category \"{name}\"; expected one of: {}", known.join(", "));
             return Err(FmiError::BadSetting(problem));
         }
         self.raw.keep_log_categories(categories);
@@ -163,7 +163,7 @@ impl Core {
             Sizes { states: self.structure.states(model), indicators: self.structure.indicators(model) };
         match self.call(RawInstance::ask_sizes)? {
             Some(found) if found != promised => Err(FmiError::BadSetting(format!(
-                "the description promises {} states and {} event indicators, the FMU has {} and {}",
+                "the model description declares {} states and {} event indicators, but the FMU has {} and {}",
                 promised.states, promised.indicators, found.states, found.indicators
             ))),
             _ => Ok(()),

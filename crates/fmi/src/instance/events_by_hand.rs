@@ -118,7 +118,7 @@ impl Core {
         self.progress.intervals = given;
         if let (false, Some(clock)) = (handles_events, self.progress.clocks.first()) {
             return Err(FmiError::BadSetting(format!(
-                "the clock {} ticks in event mode, and this co-simulation has none",
+                "the clock {} ticks in event mode, which this co-simulation does not support",
                 clock.name
             )));
         }

@@ -137,7 +137,7 @@ impl Instance<ContinuousTime> {
             Some(j) => {
                 let name = linear.states.iter().chain(&linear.inputs).nth(j).map_or("?", String::as_str);
                 Err(FmiError::BadSetting(format!(
-                    "the model has no finite derivatives with respect to {name} here"
+                    "the derivatives of the model with respect to {name} are not finite at this point"
                 )))
             }
         }

@@ -12,8 +12,7 @@ fn enter<P, K>(mut instance: Instance<P, K>) -> Result<Instance<Reconfiguration,
     let is_tunable = |v: &Variable| check_settable_in_reconfiguration(v).is_ok();
     if !instance.fmu().description().variables.iter().any(is_tunable) {
         let model = &instance.fmu().description().model_name;
-        let problem =
-            format!("{model} has no tunable structural parameters: there is nothing to reconfigure");
+        let problem = format!("{model} has no tunable structural parameters to reconfigure");
         return Err(FmiError::BadSetting(problem));
     }
     instance.core().call(RawInstance::enter_configuration)?;

@@ -28,9 +28,9 @@ impl TimedClock {
         if value.is_finite() && (value > 0.0 || (value == 0.0 && !positive)) {
             return Ok(());
         }
-        let least = if positive { "positive" } else { "not negative" };
+        let least = if positive { "positive" } else { "non-negative" };
         Err(FmiError::BadSetting(format!(
-            "the {} clock {} has an interval or shift of {interval:?}: it must be finite and {least}",
+            "the {} clock {} has an interval or shift of {interval:?}; expected a finite, {least} value",
             self.timing.kind.name(),
             self.name
         )))

@@ -142,12 +142,12 @@ pub(crate) fn check_length(library: &Path) -> Result<()> {
     });
     let what = match lengths.map_err(FmiError::io("read", library))? {
         (length, Some(needed)) if needed <= length => return Ok(()),
-        (length, Some(needed)) => format!(
-            "the file has {length} bytes, and what its headers say is to be loaded ends at byte {needed}"
-        ),
+        (length, Some(needed)) => {
+            format!("the file has {length} bytes, but its headers refer to content up to byte {needed}")
+        }
         (length, None) => format!("the file has {length} bytes, too few for its ELF headers"),
     };
-    let message = format!("{what}: it was cut off, perhaps while it was copied, downloaded or packed");
+    let message = format!("{what}. It was truncated, perhaps when it was copied, downloaded or packed");
     Err(FmiError::LoadFailed { library: library.to_owned(), message })
 }
 
@@ -195,11 +195,9 @@ pub(crate) fn describe(path: &Path) -> String {
         Ok(start) if start.is_empty() => "an empty file",
         // https://github.com/git-lfs/git-lfs/blob/main/docs/spec.md
         Ok(start) if start.starts_with(b"version https://git-lfs.github.com/spec/") => {
-            "a pointer of Git LFS instead of the file: \"git lfs pull\" fetches it"
+            "a Git LFS pointer instead of the file; fetch the file with \"git lfs pull\""
         }
-        Ok(start) if start.starts_with(b"\x7fELF") || start.starts_with(b"MZ") => {
-            "the beginning of a library, cut off"
-        }
+        Ok(start) if start.starts_with(b"\x7fELF") || start.starts_with(b"MZ") => "a truncated library",
         Ok(start)
             if std::str::from_utf8(&start[..start.len().min(64)]).is_ok_and(|text| !text.contains('\0')) =>
         {

@@ -34,7 +34,8 @@ pub fn find_binary(root: &Path, model_identifier: &str, names: FolderNames) -> R
             && runs_here(only)
         {
             let note = format!(
-                "{} taken for model identifier \"{model_identifier}\": the only library there",
+                "{} is used for the model identifier \"{model_identifier}\", because it is the only library \
+                 in its folder",
                 only.strip_prefix(root).unwrap_or(only).display()
             );
             return Ok(FoundBinary { path: only.clone(), note: Some(note) });
@@ -81,7 +82,7 @@ fn present_binaries(root: &Path) -> String {
     let folders = sorted_entries(&root.join("binaries"));
     let described: Vec<String> =
         folders.iter().filter(|path| path.is_dir()).take(20).map(|folder| describe_folder(folder)).collect();
-    if described.is_empty() { "no binaries at all".to_owned() } else { described.join(", ") }
+    if described.is_empty() { "no binaries".to_owned() } else { described.join(", ") }
 }
 
 fn describe_folder(folder: &Path) -> String {
@@ -153,6 +154,6 @@ mod tests {
     fn find_binary_reports_missing_binaries() {
         let root = tempfile::tempdir().unwrap();
         let message = find_binary(root.path(), "m", FolderNames::SystemAndBits).unwrap_err().to_string();
-        assert!(message.contains("no binaries at all"), "{message}");
+        assert!(message.contains("no binaries"), "{message}");
     }
 }

@@ -71,7 +71,7 @@ pub(crate) fn create_private_folder(path: &Path) -> io::Result<()> {
         let found = fs::symlink_metadata(path)?;
         let own = own_file()?.metadata()?.uid();
         if !found.is_dir() || found.uid() != own || found.mode() & 0o022 != 0 {
-            return Err(io::Error::new(io::ErrorKind::PermissionDenied, "others may write into it"));
+            return Err(io::Error::new(io::ErrorKind::PermissionDenied, "other users can write to it"));
         }
     }
     Ok(())
@@ -91,7 +91,7 @@ pub(crate) fn keep_others_out(folder: &Path, own: &File) -> io::Result<()> {
         use std::os::unix::fs::{MetadataExt, PermissionsExt};
         let found = folder.metadata()?;
         if found.uid() != own.metadata()?.uid() || found.mode() & 0o002 != 0 {
-            return Err(io::Error::new(io::ErrorKind::PermissionDenied, "others may write into it"));
+            return Err(io::Error::new(io::ErrorKind::PermissionDenied, "other users can write to it"));
         }
         if found.mode() & 0o020 != 0 {
             fs::set_permissions(folder, fs::Permissions::from_mode(found.mode() & 0o7755))?;

@@ -15,19 +15,21 @@ impl SimulateOptions {
     pub(crate) fn grid(&self, experiment: &DefaultExperiment) -> Result<Grid> {
         let given = [self.times.is_some(), self.output_interval.is_some(), self.ncp.is_some()];
         if given.iter().filter(|is| **is).count() > 1 {
-            return Err(BadSetting("at most one of times, output_interval and ncp can be given".to_owned()));
+            return Err(BadSetting("specify at most one of times, output_interval and ncp".to_owned()));
         }
         let start = self.start_time.or(experiment.start_time).unwrap_or(0.0);
         let last = self.times.as_ref().and_then(|times| times.last().copied());
         let Some(end) = self.final_time.or(experiment.stop_time).or(last) else {
             return Err(BadSetting(
-                "no final time: the model suggests none; give final_time (other tools take 1 s) or times"
+                "final_time is missing, and the model declares no stop time. Specify final_time (other tools \
+                 use 1 s) or times"
                     .to_owned(),
             ));
         };
         if !(start.is_finite() && end.is_finite() && start <= end) {
             return Err(BadSetting(format!(
-                "cannot simulate from {} to {}: both must be finite, the end not before the start{}",
+                "cannot simulate from {} to {}: both times must be finite, and the end must not be before \
+                 the start{}",
                 Number(start),
                 Number(end),
                 self.suggested(experiment)
@@ -35,7 +37,7 @@ impl SimulateOptions {
         }
         if !(end - start).is_finite() {
             return Err(BadSetting(format!(
-                "the span from {} to {} is too long for a number",
+                "the span from {} to {} is too long for a floating-point number",
                 Number(start),
                 Number(end)
             )));
@@ -45,7 +47,7 @@ impl SimulateOptions {
         let times: Vec<f64> = match (&self.times, self.output_interval, self.ncp) {
             (Some(times), ..) => snap(times, start..end, time_tolerance, &self.suggested(experiment))?,
             (_, Some(interval), _) => intervals(start, end, time_tolerance, interval)?,
-            (_, _, Some(0)) => return Err(BadSetting("ncp = 0: at least one interval is needed".to_owned())),
+            (_, _, Some(0)) => return Err(BadSetting("ncp = 0: expected at least 1 interval".to_owned())),
             (_, _, ncp) => {
                 let n = ncp.unwrap_or(DEFAULT_INTERVALS);
                 interval = Some((end - start) / n as f64);
@@ -67,7 +69,7 @@ impl SimulateOptions {
             experiment.stop_time.filter(|_| self.final_time.is_none()).map(|t| ("end", t, "final_time")),
         ];
         let said = |(what, time, option): (&str, f64, &str)| {
-            format!("; {} is the model's own {what}, {option} another one", Number(time))
+            format!("; {} is the {what} time of the model, which {option} overrides", Number(time))
         };
         of_model.into_iter().flatten().map(said).collect()
     }
@@ -100,7 +102,7 @@ fn uniform(start: f64, end: f64, time_tolerance: f64, n: usize) -> Result<Vec<f6
         return Ok(vec![start]);
     }
     if n > MAX_ROWS {
-        return Err(BadSetting(format!("{n} intervals are more than the limit of {MAX_ROWS}")));
+        return Err(BadSetting(format!("{n} intervals exceed the limit of {MAX_ROWS}")));
     }
     let h = (end - start) / n as f64;
     let mut times = vec![start];
@@ -136,7 +138,7 @@ fn intervals(start: f64, end: f64, time_tolerance: f64, interval: f64) -> Result
     let count = ((end - start) / interval).ceil();
     if count > MAX_ROWS as f64 || interval <= time_tolerance {
         return Err(BadSetting(format!(
-            "output_interval = {} from {} to {} makes more rows than the limit of {MAX_ROWS}",
+            "output_interval = {} from {} to {} results in more rows than the limit of {MAX_ROWS}",
             Number(interval),
             Number(start),
             Number(end)
@@ -157,7 +159,7 @@ fn snap(times: &[f64], span: Range<f64>, time_tolerance: f64, suggested: &str) -
     for (i, &time) in times.iter().enumerate() {
         if !(time >= start - time_tolerance && time <= end + time_tolerance) {
             return Err(BadSetting(format!(
-                "times[{i}] = {} is not within the span of the simulation, {} to {}{suggested}",
+                "times[{i}] = {} is outside the span of the simulation, {} to {}{suggested}",
                 Number(time),
                 Number(start),
                 Number(end)
@@ -173,7 +175,7 @@ fn snap(times: &[f64], span: Range<f64>, time_tolerance: f64, suggested: &str) -
         if let Some(&before) = snapped.last() {
             if times[i] < times[i - 1] {
                 return Err(BadSetting(format!(
-                    "times must ascend: times[{i}] = {} comes after {}",
+                    "times must not decrease: times[{i}] = {} follows {}",
                     Number(times[i]),
                     Number(times[i - 1])
                 )));
@@ -183,7 +185,8 @@ fn snap(times: &[f64], span: Range<f64>, time_tolerance: f64, suggested: &str) -
             }
             if i > 1 && time == snapped[i - 2] {
                 return Err(BadSetting(format!(
-                    "times[{i}] = {} is listed a third time; twice is left and right limit",
+                    "times[{i}] = {} occurs a third time; expected at most two occurrences (left and right \
+                     limit)",
                     Number(time)
                 )));
             }
@@ -269,7 +272,7 @@ mod tests {
         let end = || SimulateOptions::new().final_time(1.0);
         assert!(problem(&end().ncp(2).output_interval(0.1)).contains("at most one"));
         assert!(problem(&end().ncp(0)).contains("ncp = 0"));
-        assert!(problem(&end().times([0.5, 0.2])).contains("times[1] = 0.2 comes after 0.5"));
+        assert!(problem(&end().times([0.5, 0.2])).contains("times[1] = 0.2 follows 0.5"));
         assert!(problem(&end().times([0.5, 0.5, 0.5])).contains("third"));
         assert!(problem(&end().times([f64::NAN])).contains("NaN"));
         assert!(problem(&end().times([2.0])).contains("times[0] = 2"));

@@ -57,7 +57,8 @@ struct InitialState {
     state: f64,
 }
 
-const NOT_THE_STATE: &str = "has another value than the continuous state that it is by the description";
+const NOT_THE_STATE: &str =
+    "differs from the continuous state that it represents according to the model description";
 
 /// True if both numbers have the same bits. This distinguishes signed zeros, and NaN equals itself.
 fn same_bits(a: f64, b: f64) -> bool {
@@ -270,7 +271,7 @@ impl System {
             let plan = &self.running.plan;
             let name = &plan.output_names()[column];
             plan.fmu()
-                .note_quirk(QuirkKind::Promise, format!("{name} {NOT_THE_STATE}: the variable is recorded"));
+                .note_quirk(QuirkKind::Promise, format!("{name} {NOT_THE_STATE}; the variable is recorded"));
         }
         Ok(())
     }
@@ -329,7 +330,7 @@ impl System {
         }
         plan.fmu().note_quirk(
             QuirkKind::Promise,
-            format!("at the end of a simulation {name} {NOT_THE_STATE}: the state is recorded"),
+            format!("at the end of a simulation, {name} {NOT_THE_STATE}; the state is recorded"),
         );
         Ok(())
     }

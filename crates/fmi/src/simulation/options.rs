@@ -307,24 +307,26 @@ impl SimulateOptions {
         let mut found = Vec::new();
         if !integrates && method != Method::Auto {
             found.push(format!(
-                "solver '{}' has no effect in co-simulation: the model integrates itself",
+                "solver '{}' has no effect in co-simulation, because the model contains its own solver",
                 method.name()
             ));
         }
         if let Some(step) = self.run.step_size.filter(|_| integrates && !method.is_fixed_step()) {
             found.push(format!(
-                "step_size = {} has no effect with the solver '{}', which chooses its steps itself; max_step limits them",
+                "step_size = {} has no effect with the solver '{}', which selects its own steps; use \
+                 max_step to limit them",
                 Number(step),
                 method.name()
             ));
         }
         match self.run.max_step.map(Number) {
             Some(step) if !integrates => found.push(format!(
-                "max_step = {step} has no effect in co-simulation: the model integrates itself; step_size is the \
-                 communication step"
+                "max_step = {step} has no effect in co-simulation, because the model contains its own \
+                 solver; set the communication step with step_size"
             )),
             Some(step) if method.is_fixed_step() => found.push(format!(
-                "max_step = {step} has no effect with the solver '{}': all its steps are step_size",
+                "max_step = {step} has no effect with the solver '{}', because all its steps have the size \
+                 step_size",
                 method.name()
             )),
             _ => {}

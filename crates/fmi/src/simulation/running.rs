@@ -192,7 +192,7 @@ impl Running {
 
 #[cold]
 pub(crate) fn no_instance() -> FmiError {
-    FmiError::BadSetting("there is no running instance".to_owned())
+    FmiError::BadSetting("no instance is running".to_owned())
 }
 
 impl Running {
@@ -258,7 +258,7 @@ fn check_clocks(plan: &SimulationPlan, core: &mut Core) -> Result<()> {
     if plan.kind == InterfaceKind::ModelExchange || core.raw.has_event_mode() || plan.clocks.is_empty() {
         return Ok(());
     }
-    let problem = "the model has clocks, which tick in event mode; its description promises that mode, and the model \
-                   refuses to be instantiated with it";
+    let problem = "the clocks of the model tick in event mode, which its description declares, but the model \
+                   cannot be instantiated with event mode";
     Err(FmiError::BadSetting(problem.to_owned()))
 }

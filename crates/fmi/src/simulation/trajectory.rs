@@ -65,7 +65,7 @@ mod sides {
         type Value = Vec<Side>;
 
         fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-            f.write_str("a byte for each row")
+            f.write_str("one byte per row")
         }
 
         fn visit_bytes<E: Error>(self, bytes: &[u8]) -> Result<Vec<Side>, E> {
@@ -200,7 +200,7 @@ impl Trajectory {
             let what = if column[row].is_nan() { "NaN" } else { "infinite" };
             let later = match column[row..].iter().any(|value| value.is_finite()) {
                 true => "first",
-                false => "from there on",
+                false => "and in all later rows",
             };
             Some(format!("'{name}' ({what} at {} s, {later})", Number(self.time[row])))
         };

@@ -80,7 +80,8 @@ impl<'a> Starts<'a> {
                     other => usize::from(other.is_some()),
                 };
                 let problem = format!(
-                    "one element of {} is given; the others need start values, and there are {found} for {n} elements",
+                    "one element of {} is specified, so the other elements require start values, but there \
+                     are {found} start values for {n} elements",
                     array.name
                 );
                 Err(FmiError::BadSetting(problem))

@@ -13,11 +13,11 @@ use serde::{Deserialize, Serialize};
 use std::ffi::CString;
 use std::sync::Arc;
 
-const NO_EVENT_MODE: &str = "the description promises an event mode in co-simulation, the model refuses to be instantiated with it: it \
-                             is run without";
+const NO_EVENT_MODE: &str = "the model description declares event mode in co-simulation, but the model \
+                             cannot be instantiated with event mode and runs without it";
 
-const SO_OFTEN: &str =
-    "a loaded library can be instantiated only so often: simulations go on in newly loaded copies of it";
+const SO_OFTEN: &str = "a loaded library supports only a limited number of instances; simulations continue in newly loaded \
+     copies";
 
 /// Options for creating an instance.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
@@ -128,12 +128,13 @@ impl Fmu {
         let interface = self.check_interface(kind)?;
         let description = self.description();
         let text = |what: &str, text: &str| {
-            CString::new(text).map_err(|_| FmiError::BadSetting(format!("the {what} holds a NUL character")))
+            CString::new(text)
+                .map_err(|_| FmiError::BadSetting(format!("the {what} contains a NUL character")))
         };
         // The name is unique among the processes that run at the same time, because some models derive file
         // names from it.
         let default = || format!("{}{}", description.model_name, instance_suffix());
-        let name = text("name of the instance", &options.name.clone().unwrap_or_else(default))?;
+        let name = text("instance name", &options.name.clone().unwrap_or_else(default))?;
         let guid = text("guid", &description.guid)?;
         // Temporary files may have been deleted since the library was loaded.
         let resources = self.running_root()?.join("resources");

@@ -38,7 +38,7 @@ impl Simulator {
             Ok(instance) => self.was_reset = Some(instance.into_raw().0),
             Err(error) => {
                 log::debug!(
-                    "{}: {error}; each run has a new instance",
+                    "{}: {error}; each run uses a new instance",
                     self.plan.fmu().description().model_name
                 );
                 self.reset_fails = true;

@@ -164,7 +164,7 @@ impl Simulator {
             return Err(FmiError::NotTaken { name, given, found });
         }
         let (given, found) = (Number(given), Number(found));
-        let message = format!("{name} was given the value {given}, and is {found} after the initialization");
+        let message = format!("{name} was set to {given}, but is {found} after the initialization");
         plan.fmu().note_quirk(QuirkKind::Promise, message);
         plan.values.read_back.set_overridden();
         Ok(())

@@ -183,9 +183,10 @@ impl Simulator {
     /// # Errors
     /// As for [`value`](Self::value); also if the variable is not a single number.
     pub fn get(&mut self, name: &str) -> Result<f64, FmiError> {
-        self.value(name)?
-            .as_number()
-            .ok_or_else(|| FmiError::NotAnOutput { name: name.to_owned(), reason: "it is no single number" })
+        self.value(name)?.as_number().ok_or_else(|| FmiError::NotAnOutput {
+            name: name.to_owned(),
+            reason: "it is not a scalar number",
+        })
     }
 
     /// Initializes the FMU without simulating. Afterwards [`value`](Self::value) returns initial values.

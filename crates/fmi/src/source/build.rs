@@ -99,7 +99,7 @@ impl Recipe {
                 status: "success".to_owned(),
                 output: match header {
                     Some(header) => format!("the library is for {header}, not for this platform"),
-                    None => "what it wrote is no library".to_owned(),
+                    None => "the output is not a library".to_owned(),
                 },
             }),
         }
@@ -139,7 +139,7 @@ impl Sources<'_> {
     /// returns every C file.
     fn build_set(&self, description: &ModelDescription, interface: &Interface) -> Result<BuildSet> {
         if !self.folder.is_dir() {
-            return Err(self.error("there is no folder \"sources\"".to_owned()));
+            return Err(self.error("the folder \"sources\" does not exist".to_owned()));
         }
         if !interface.source_files.is_empty() {
             return Ok(BuildSet { files: interface.source_files.clone(), ..BuildSet::default() });
@@ -153,7 +153,7 @@ impl Sources<'_> {
         }
         let files = self.all_c_files()?;
         if files.is_empty() {
-            return Err(self.error("the folder \"sources\" has no C files".to_owned()));
+            return Err(self.error("the folder \"sources\" contains no C files".to_owned()));
         }
         log::warn!(
             "\"{}\" does not list its source files; compiling all {} C files in \"sources\"",
@@ -186,16 +186,16 @@ impl Sources<'_> {
         let relative = relative.trim_end_matches('/');
         let refuse = |why: &str| self.error(format!("\"{}\" {why}", name.escape_debug()));
         if !is_inside(relative) {
-            return Err(refuse("is listed, but is no path inside of \"sources\""));
+            return Err(refuse("is listed, but is not a path inside \"sources\""));
         }
         let path = self.folder.join(relative);
         if !is_right(&path) {
-            return Err(refuse("is listed, but is not there"));
+            return Err(refuse("is listed, but does not exist"));
         }
         let real = path.canonicalize().map_err(FmiError::io("find", &path))?;
         let real_folder = self.folder.canonicalize().map_err(FmiError::io("find", self.folder))?;
         if !real.starts_with(real_folder) {
-            return Err(refuse("is a link that leads out of \"sources\""));
+            return Err(refuse("is a link to a path outside \"sources\""));
         }
         Ok(format!("./{relative}"))
     }
@@ -334,9 +334,9 @@ mod tests {
     fn recipe_rejects_paths_outside_sources() {
         for name in ["../a.c", "/etc/passwd", "..\\a.c", "C:\\a.c", "x/../../a.c", ""] {
             let message = recipe(&["a.c"], &[name]).unwrap_err().to_string();
-            assert!(message.contains("no path inside"), "{name}: {message}");
+            assert!(message.contains("not a path inside"), "{name}: {message}");
         }
-        assert!(recipe(&["a.c"], &["b.c"]).unwrap_err().to_string().contains("not there"));
+        assert!(recipe(&["a.c"], &["b.c"]).unwrap_err().to_string().contains("does not exist"));
     }
 
     #[test]
@@ -347,7 +347,7 @@ mod tests {
         std::os::unix::fs::symlink(outside.path(), root.path().join("sources/a.c")).unwrap();
         let description = description(&["a.c"]);
         let result = Recipe::find(root.path(), &description, description.model_exchange.as_ref().unwrap());
-        assert!(result.unwrap_err().to_string().contains("leads out"));
+        assert!(result.unwrap_err().to_string().contains("is a link to a path outside"));
     }
 
     #[test]
@@ -356,6 +356,6 @@ mod tests {
         let empty = tempfile::tempdir().unwrap();
         let description = description(&[]);
         let result = Recipe::find(empty.path(), &description, description.model_exchange.as_ref().unwrap());
-        assert!(result.unwrap_err().to_string().contains("no folder"));
+        assert!(result.unwrap_err().to_string().contains("the folder \"sources\" does not exist"));
     }
 }

@@ -29,7 +29,7 @@ const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 fn folder(name: &str) -> Result<PathBuf> {
     if let Some(usual) = platform::cache_folder().map(|folder| folder.join(name)) {
         let Err(error) = prepare(&usual) else { return Ok(usual) };
-        log::warn!("no cache in {}: {error}", usual.display());
+        log::warn!("cannot use {} as a cache: {error}", usual.display());
     }
     let fallback = platform::fallback_cache_folder();
     platform::create_private_folder(&fallback).map_err(FmiError::io("create", &fallback))?;
@@ -85,7 +85,7 @@ fn touch(kept: &Path) {
     let file = fs::File::options().create(true).append(true).open(mark);
     let touched = file.and_then(|file| file.set_modified(SystemTime::now()));
     if let Err(error) = touched {
-        log::debug!("{} not marked as used: {error}", kept.display());
+        log::debug!("cannot mark {} as used: {error}", kept.display());
     }
 }
 
@@ -147,7 +147,7 @@ fn remove(path: &Path) {
     if let Err(error) = fs::remove_dir_all(path)
         && error.kind() != io::ErrorKind::NotFound
     {
-        log::debug!("{} stays in the cache: {error}", path.display());
+        log::debug!("{} was not removed from the cache: {error}", path.display());
     }
 }
 

@@ -104,7 +104,7 @@ impl Compiler {
         }
         let mut text = Vec::new();
         let read = said.rewind().and_then(|()| said.take(SEARCHED_BYTES).read_to_end(&mut text));
-        read.map_err(FmiError::io("read the answer of", &program))?;
+        read.map_err(FmiError::io("read the output of", &program))?;
         let version = String::from_utf8_lossy(&text).lines().next().unwrap_or_default().to_owned();
         Ok(Some(Compiler { program, arguments, version }))
     }
@@ -141,7 +141,7 @@ impl Compiler {
             Ok(status) => status.to_string(),
             Err(Impatience::Cancelled) => return Err(FmiError::Cancelled),
             Err(Impatience::TimeLimit) => format!(
-                "ended after {} s, the time limit of OpenOptions::compile_time",
+                "stopped after {} s, the time limit OpenOptions::compile_time",
                 patience.limit.as_secs_f64()
             ),
         };
@@ -151,7 +151,7 @@ impl Compiler {
             model_identifier: model_identifier.to_owned(),
             command: words.join(" "),
             status,
-            output: messages(&mut said).map_err(FmiError::io("read what it said of", folder))?,
+            output: messages(&mut said).map_err(FmiError::io("read the compiler output for", folder))?,
         })
     }
 }

@@ -143,6 +143,6 @@ fn check_result(path: &Path, source: &Archive, folder: &Path) -> Result<()> {
     if text(&archive)? == text(source)? {
         return Ok(());
     }
-    let reason = "its model description changed while it was packed".to_owned();
+    let reason = "the model description changed during packing".to_owned();
     Err(FmiError::CannotPack { folder: folder.to_owned(), reason })
 }

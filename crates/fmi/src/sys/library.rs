@@ -119,7 +119,7 @@ impl Library {
 
     fn load(path: &Path, lock: &Arc<FairLock>, options: &LoaderOptions) -> Result<Arc<Handle>> {
         platform::check(options).map_err(|option| {
-            FmiError::BadSetting(format!("the loader of this system has no option {option}"))
+            FmiError::BadSetting(format!("the loader of this system does not support the option {option}"))
         })?;
         check_length(path)?;
         let _inside = Inside::enter(lock);
@@ -167,8 +167,7 @@ fn check_types(functions: &Functions, path: &Path) -> Result<()> {
     match text_of(&functions.get_types_platform) {
         Some(platform) if !["standard32", "default", ""].contains(&platform.as_str()) => {
             let message = format!(
-                "its types are those of the platform \"{}\"; known are those of the standard's headers \
-                                   (standard32, default)",
+                "its types platform \"{}\" is not supported; expected one of: standard32, default",
                 platform.escape_debug()
             );
             Err(FmiError::LoadFailed { library: path.to_owned(), message })

@@ -51,8 +51,8 @@ pub(crate) fn instance_suffix() -> String {
 static IS_CONFINED: AtomicBool = AtomicBool::new(false);
 
 /// Hint in errors after the sandbox has denied an operation.
-pub(crate) const REFUSED: &str = "the model was denied permission: with sandbox=True it can read files, and can write only below its folder for \
-                                  temporary files (TMPDIR)";
+pub(crate) const REFUSED: &str = "the sandbox denied the model an operation: with sandbox=True, the model \
+                                  can read files, but can write only to its temporary folder (TMPDIR)";
 
 /// Clears earlier denials before a simulation.
 pub(crate) fn forget_refusal() {

@@ -50,7 +50,7 @@ pub(super) fn worker_folder(template: &Path, number: u32) -> PathBuf {
 /// Creates a folder that only this user can access. The error contains its path.
 pub(super) fn make(folder: &Path) -> std::io::Result<()> {
     let named = |error: std::io::Error| {
-        let problem = format!("TMPDIR: cannot make the folder {}: {error}", folder.display());
+        let problem = format!("TMPDIR: cannot create the folder {}: {error}", folder.display());
         std::io::Error::new(error.kind(), problem)
     };
     private_folder_builder().create(folder).map_err(named)

@@ -146,7 +146,7 @@ impl Frame {
         let word =
             |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
         if word(0) != MAGIC || word(4) > 31 {
-            return Err(bad("no message of a worker of this version".to_owned()));
+            return Err(bad("not a message of a worker of this version".to_owned()));
         }
         let flag = |bit: u32| word(4) & bit != 0;
         let length = |part: usize| u64::from(word(16 + 8 * part)) | u64::from(word(20 + 8 * part)) << 32;
@@ -238,10 +238,10 @@ pub(crate) fn decode<T: DeserializeOwned>(bytes: &[u8]) -> io::Result<T> {
     use ciborium::de::Error;
     in_frame(|| ciborium::from_reader(bytes)).map_err(|error| {
         bad(match error {
-            Error::Io(_) => "its head ends too early".to_owned(),
-            Error::Syntax(place) => format!("its head is no CBOR at byte {place}"),
-            Error::Semantic(_, problem) => format!("its head has other contents: {problem}"),
-            Error::RecursionLimitExceeded => "its head is nested too deeply".to_owned(),
+            Error::Io(_) => "its header is truncated".to_owned(),
+            Error::Syntax(place) => format!("its header is not valid CBOR at byte {place}"),
+            Error::Semantic(_, problem) => format!("its header has unexpected contents: {problem}"),
+            Error::RecursionLimitExceeded => "its header is nested too deeply".to_owned(),
         })
     })
 }

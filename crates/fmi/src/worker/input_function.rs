@@ -78,7 +78,7 @@ impl Serialize for InputFunction {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
         match is_in_frame() {
             true => self.0.number.serialize(to),
-            false => Err(S::Error::custom("a function of time cannot be stored")),
+            false => Err(S::Error::custom("functions of time cannot be stored")),
         }
     }
 }
@@ -88,7 +88,7 @@ impl<'de> Deserialize<'de> for InputFunction {
         let number = u64::deserialize(from)?;
         match is_in_frame() {
             true => Ok(Self::numbered(Some(number), Box::new(move |time| ask_for_value(number, time)))),
-            false => Err(D::Error::custom("a function of time was not stored")),
+            false => Err(D::Error::custom("the function of time was not stored")),
         }
     }
 }

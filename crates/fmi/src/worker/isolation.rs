@@ -39,7 +39,7 @@ impl FromStr for Isolation {
         let found = Self::NAMES.iter().find(|(known, _)| known.eq_ignore_ascii_case(name));
         found.map(|(_, isolation)| *isolation).ok_or_else(|| {
             crate::error::FmiError::BadSetting(format!(
-                "isolation = \"{name}\"; there are: \"process\", \"none\""
+                "isolation = \"{name}\" is invalid; expected one of: \"process\", \"none\""
             ))
         })
     }

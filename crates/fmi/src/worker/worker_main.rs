@@ -36,7 +36,7 @@ pub fn serve_if_worker(service: impl FnOnce() -> Box<dyn Service + Send>) {
     let Some(version) = std::env::var_os(ASKED) else { return };
     let served = match version == VERSION {
         true => serve(service()),
-        false => Err(io::Error::other(format!("this program serves version {VERSION}, not {version:?}"))),
+        false => Err(io::Error::other(format!("this program supports version {VERSION}, not {version:?}"))),
     };
     if let Err(error) = &served {
         // The parent process reads this message.

@@ -123,7 +123,7 @@ impl Process {
         let late = Instant::now() + longest;
         let Arrival { id } = self.greeting(context, late)?;
         if !self.handle.arrived(id) {
-            return Err(self.handle.not_started("its process is no child of that program"));
+            return Err(self.handle.not_started("its process is not a child of that program"));
         }
         let Hello { has_loaded } = self.greeting(context, late)?;
         self.loaded = self.loaded.filter(|_| has_loaded);
@@ -142,7 +142,7 @@ impl Process {
             Ok(()) => greeting.head().map_err(|error| error.to_string()),
             Err(NoAnswer::Cancelled) => return Err(FmiError::Cancelled),
             Err(NoAnswer::Ended(end)) => Err(end.to_string()),
-            Err(NoAnswer::Memory) => Err("no memory for its greeting".to_owned()),
+            Err(NoAnswer::Memory) => Err("not enough memory for its first message".to_owned()),
         };
         said.map_err(|error| self.handle.not_started(&error))
     }
@@ -195,7 +195,7 @@ impl Process {
         self.last_took = began.elapsed();
         if answer.number != self.number {
             // For example, the answer of a copy of the worker that the FMU has forked.
-            return Err(NoAnswer::Ended(self.unreadable("it is the answer to another question")));
+            return Err(NoAnswer::Ended(self.unreadable("it belongs to another request")));
         }
         if answer.notes.is_empty() {
             return Ok(Notes::default());
@@ -243,9 +243,9 @@ impl Process {
         let has_died = kind == EndKind::Died && self.handle.has_ended_within(Duration::from_secs(2));
         let what = match (kind, self.kill()) {
             (EndKind::Hung, _) => "no answer within the time limit".to_owned(),
-            (EndKind::Memory, _) => format!("more memory than its limit of {} bytes", self.most_memory),
-            (EndKind::Garbage, _) => format!("the worker's answer could not be read ({detail})"),
-            (EndKind::Died, _) if !has_died => "it has closed the connection".to_owned(),
+            (EndKind::Memory, _) => format!("memory limit of {} bytes exceeded", self.most_memory),
+            (EndKind::Garbage, _) => format!("the answer of the worker is invalid ({detail})"),
+            (EndKind::Died, _) if !has_died => "the worker closed the connection".to_owned(),
             (EndKind::Died, Some(end)) if self.page.is_without_memory() => {
                 format!("{end} after an allocation beyond the memory limit of {} bytes", self.most_memory)
             }

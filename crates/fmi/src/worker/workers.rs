@@ -368,7 +368,7 @@ impl Workers {
                 }
                 n_left -= 1;
             }
-            log::info!("{error}; the same is tried once more in a fresh process");
+            log::info!("{error}; trying again in a new process");
         }
     }
 
@@ -387,8 +387,8 @@ impl Workers {
         }
         idle.avoided_calls.push(function.to_owned());
         let message = format!(
-            "{function} does not return at the end of a run ({}): the rows of the run count, the function is not called any more, and \
-             processes with instances that it would have freed are replaced",
+            "{function} does not return at the end of a run ({}). The rows of the run are kept; instead of \
+             further calls, the processes of unfreed instances are replaced",
             end.what
         );
         idle.quirks.push(Quirk { kind: QuirkKind::Promise, message, line: 0 });
@@ -561,7 +561,7 @@ fn ask<T>(
             break;
         }
         if process.n_repeated == MOST_REPEATED {
-            let end = process.unreadable("the question was to be repeated too often");
+            let end = process.unreadable("too many repetitions were requested");
             return Err(FmiError::WorkerEnded(Box::new(end)));
         }
         process.n_repeated += 1;
@@ -583,8 +583,5 @@ fn ask<T>(
 /// that was received.
 fn no_memory(answer: &Frame) -> FmiError {
     let bytes = 8 * answer.numbers.len() as u64;
-    FmiError::Memory {
-        what: "the result of the worker process, from which this part had arrived,".to_owned(),
-        bytes,
-    }
+    FmiError::Memory { what: "the received part of the result of the worker process".to_owned(), bytes }
 }

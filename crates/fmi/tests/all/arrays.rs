@@ -99,8 +99,8 @@ fn array_elements_work_as_start_values_parameters_and_inputs() {
     }
     let problem = |options: SimulateOptions| SimulationPlan::new(&fmu, &options).unwrap_err().to_string();
     let new = SimulateOptions::new;
-    assert!(problem(new().parameters(["k"])).contains("its elements can be"));
-    assert!(problem(new().parameters(["k[1]", "k[1]"])).contains("given twice"));
+    assert!(problem(new().parameters(["k"])).contains("specify its elements"));
+    assert!(problem(new().parameters(["k[1]", "k[1]"])).contains("specified twice"));
     assert!(problem(new().start_value("k[4]", 1.0)).contains("k[4]"));
     assert!(problem(new().start_value("n", 2).start_value("k[1]", 1.0)).contains("3 for 2 elements"));
     assert!(problem(new().start_value("k[1]", "one")).contains("Real"));
@@ -244,10 +244,10 @@ fn start_values_that_do_not_fit_are_rejected_by_name() {
         SimulationPlan::new(&fmu, &SimulateOptions::new().start_value(name, value)).unwrap_err().to_string()
     };
     for (name, value, text) in [
-        ("i8", 128.into(), "i8 is of type Int8 (8 bits, from -128 to 127), 128"),
+        ("i8", 128.into(), "i8 = 128 is out of range for type Int8 (8 bits, from -128 to 127)"),
         ("u64", (-1).into(), "64 bits, from 0 to 18446744073709551615"),
-        ("k", vec![1.0, 2.0].into(), "array of another size"),
-        ("k", 1.0.into(), "one value for an array"),
+        ("k", vec![1.0, 2.0].into(), "array of different size"),
+        ("k", 1.0.into(), "a scalar for an array"),
         ("k", vec![1.0, f64::NAN, 1.0].into(), "NaN"),
         ("flags", vec![1, 0].into(), "Boolean"),
         ("bytes", "text".into(), "Binary"),

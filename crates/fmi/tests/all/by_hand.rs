@@ -156,7 +156,7 @@ fn arrays_and_structural_parameters_can_be_set_in_any_order() {
     let mut instance = fmu.instantiate().unwrap();
     instance.set("k", two()).unwrap();
     let error = instance.enter_initialization(0.0, None, None).unwrap_err().to_string();
-    assert!(error.contains("array of another size"), "{error}");
+    assert!(error.contains("array of different size"), "{error}");
 }
 
 /// x' = n + 10 on. "on" is true if u was above 0.5 at the last event. At 1 s, u jumps.
@@ -289,7 +289,8 @@ fn driven_instance_rejects_calls_of_other_phases() {
     let refused = driver.call(InstanceCall::States, &[]).unwrap_err().to_string();
     assert_eq!(
         refused,
-        "reading the states is called in the phase event or continuous; the instance is in the phase instantiated"
+        "reading the states requires the phase event or continuous, but the instance is in the phase \
+         instantiated"
     );
     let enter = InstanceCall::EnterInitialization { start_time: 0.0, stop_time: None, tolerance: None };
     let lead = [

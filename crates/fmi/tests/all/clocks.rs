@@ -227,10 +227,10 @@ fn unsupported_clock_uses_are_reported() {
     let message = refused(plain(true), SimulateOptions::new().inputs(one("button", 1.0)));
     assert!(message.contains("the inputs trigger clocks"), "{message}");
     let message = refused(plain(true), SimulateOptions::new().outputs(["alarm"]));
-    assert!(message.contains("clocks are recorded"), "{message}");
+    assert!(message.contains("recorded clocks"), "{message}");
     let message =
         refused(plain(true), SimulateOptions::new().clock_interval("counted", Interval::Decimal(1.0)));
-    assert!(message.contains("the clock counted is given an interval"), "{message}");
+    assert!(message.contains("an interval of the clock counted is specified"), "{message}");
     let quiet = SimulateOptions::new().kind(InterfaceChoice::CoSimulation).outputs(["x"]);
     SimulationPlan::new(&plain(true).open(), &quiet).unwrap();
 }
@@ -264,11 +264,11 @@ fn clock_intervals_can_be_set_in_options() {
     }
     for (name, interval, text) in [
         ("sample", Interval::Decimal(0.5), "constant intervals"),
-        ("optional", Interval::Fraction(1, 2), "no fractions"),
+        ("optional", Interval::Fraction(1, 2), "does not support fractions"),
         ("counted", Interval::Decimal(0.0), "not positive"),
         ("counted", Interval::Fraction(1, 0), "not positive"),
-        ("alarm", Interval::Decimal(1.0), "no clock that the importer activates"),
-        ("x", Interval::Decimal(1.0), "no clock that the importer activates"),
+        ("alarm", Interval::Decimal(1.0), "not a clock that the importer activates"),
+        ("x", Interval::Decimal(1.0), "not a clock that the importer activates"),
         ("y", Interval::Decimal(1.0), "no variable"),
     ] {
         let error = SimulationPlan::new(&fmu, &SimulateOptions::new().clock_interval(name, interval));
@@ -284,7 +284,7 @@ fn clocks_require_event_mode() {
     let folder = fixture_with("clocks", &["NO_EVENT_MODE"], |xml| xml);
     let error =
         folder.open().simulate(&SimulateOptions::new().kind(InterfaceChoice::CoSimulation)).unwrap_err();
-    assert!(error.to_string().contains("the model has clocks, which tick in event mode"), "{error}");
+    assert!(error.to_string().contains("the clocks of the model tick in event mode"), "{error}");
 }
 
 #[test]
@@ -298,7 +298,7 @@ fn clocks_can_be_set_on_instance() {
     instance.set_clock_interval("counted", Interval::Fraction(1, 8)).unwrap();
     assert_eq!(instance.clock_interval("counted").unwrap(), Some(Interval::Fraction(125, 1000)));
     assert!(instance.set_clock_interval("later", Interval::Decimal(1.0)).is_err());
-    assert!(instance.clock_interval("x").unwrap_err().to_string().contains("x is no clock"));
+    assert!(instance.clock_interval("x").unwrap_err().to_string().contains("x is not a clock"));
     let mut instance = instance.exit_initialization().unwrap();
     instance.set("button", true).unwrap();
     instance.set("sample", true).unwrap();

@@ -181,7 +181,7 @@ fn time_after_step_is_always_read() {
     fmu.simulate(&SimulateOptions::new().times([0.0, 0.25, 1.0])).unwrap();
     let seen = fmu.quirks_seen();
     assert!(seen.len() == 1 && seen[0].kind == QuirkKind::Promise, "{seen:?}");
-    assert!(seen[0].message.contains("to 0.25 the model stands at 0.2"), "{seen:?}");
+    assert!(seen[0].message.contains("to 0.25, the model is at 0.2"), "{seen:?}");
 }
 
 #[test]

@@ -105,7 +105,7 @@ fn check(what: &str, ends: Ends, outcome: &Result<Report, FmiError>) {
         (Iteration, Err(error)) => {
             let text = error.to_string();
             assert!(
-                text.contains("did not end after 100 rounds") || text.contains("do not end"),
+                text.contains("did not end within 100 iterations") || text.contains("do not end"),
                 "{what}: {text}"
             );
         }

@@ -73,7 +73,7 @@ fn start_value_without_effect_is_a_quirk_and_not_settable_if_calculated() {
         assert!(
             quirks.len() == 1
                 && quirks[0].kind == QuirkKind::Start
-                && quirks[0].message.starts_with("x was given the start value 2, and is 3 after the init"),
+                && quirks[0].message.starts_with("x was set to the start value 2, but is 3 after the init"),
             "{quirks:?}"
         );
         assert!(fmu.ineffective_start_value("x", 2.0).is_some());

@@ -36,7 +36,7 @@ fn library_version_mismatch_is_a_quirk_and_type_mismatch_an_error() {
     let fmu = fmu.open();
     fmu.simulate(&SimulateOptions::new().ncp(1)).unwrap();
     let message = &fmu.quirks_seen()[0].message;
-    assert_eq!(message, "the description follows FMI 2.0, the library says \"3.0\"");
+    assert_eq!(message, "the model description declares FMI 2.0, but the library reports \"3.0\"");
     // A later release of the same version is accepted.
     let fmu = evil(&["VERSION=\"2.0.4\""]);
     let fmu = fmu.open();
@@ -67,7 +67,7 @@ fn array_derivatives_support_directional_and_adjoint_calls() {
     let old = model("dahlquist");
     let mut old = in_event_mode(&old.open());
     let error = old.adjoint_derivative(&[], &[], &[], &mut []).unwrap_err();
-    assert_eq!(error.to_string(), "the FMU has no function (adjoint derivatives)");
+    assert_eq!(error.to_string(), "the FMU does not implement the function (adjoint derivatives)");
 }
 
 #[test]

@@ -256,7 +256,7 @@ fn inputs_reject_two_aliases_with_different_values() {
     );
     let inputs = fmi::Inputs::new().function("u", |t| t).function("also", |t| t);
     let error = folder.open().simulate(&SimulateOptions::new().inputs(inputs)).unwrap_err().to_string();
-    assert!(error.contains("input also: it is the same variable as u, which is given too"), "{error}");
+    assert!(error.contains("input also: it is the same variable as u, which is also specified"), "{error}");
     // If both names have the same rows, the input is driven once.
     let run = |inputs: fmi::Inputs| {
         let options = SimulateOptions::new().final_time(2.0).outputs(["x"]).inputs(inputs);
@@ -267,7 +267,7 @@ fn inputs_reject_two_aliases_with_different_values() {
     let both = one.clone().series("also", times(), vec![0.0, 1.0, 0.5]);
     assert_eq!(run(one.clone()).unwrap(), run(both).unwrap());
     let error = run(one.series("also", times(), vec![0.0, 1.0, 0.6])).unwrap_err().to_string();
-    assert!(error.contains("which is given too, with different values"), "{error}");
+    assert!(error.contains("which is also specified, with different values"), "{error}");
 }
 
 #[test]

@@ -52,7 +52,7 @@ fn parameter_overridden_by_the_model_is_an_error() {
         for k in [1.0, 2.0, 3.0, 1.0] {
             let message = simulator.trajectory(&[k]).unwrap_err().to_string();
             let expected = format!(
-                "k was given the value {k}, and after the initialization it is 1.5: the model sets it"
+                "k was set to {k}, but is 1.5 after the initialization. The model computes the value itself"
             );
             assert!(message.contains(&expected), "{message}");
         }

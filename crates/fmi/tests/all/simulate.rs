@@ -40,8 +40,8 @@ fn not_finite_lists_columns_with_times() {
     let one = "1 of 2 results is not finite: 'v' (NaN at 0.5 s, first)";
     assert_eq!(result.not_finite().as_deref(), Some(one));
     result.columns[0][3..].fill(f64::INFINITY);
-    let two =
-        "2 of 2 results are not finite: 'h' (infinite at 0.75 s, from there on), 'v' (NaN at 0.5 s, first)";
+    let two = "2 of 2 results are not finite: 'h' (infinite at 0.75 s, and in all later rows), 'v' (NaN at 0.5 s, \
+         first)";
     assert_eq!(result.not_finite().as_deref(), Some(two));
 }
 
@@ -329,17 +329,17 @@ fn input_errors_contain_variable_row_and_number() {
     for (inputs, text) in [
         (
             new().series("u", vec![0.0, 2.0, 1.0], vec![0.0; 3]),
-            "input u: times must ascend: row 2 has 1 after 2",
+            "input u: times must not decrease: row 2 has 1 after 2",
         ),
         (new().series("u", vec![0.0, 1.0], vec![0.0; 3]), "input u: 3 values for 2 times"),
         (new().series("u", vec![0.0, 1.0], vec![0.0, f64::NAN]), "row 1 (time 1, value NaN)"),
         (new().series("u", vec![], vec![]), "no rows"),
         (new().series("gear", vec![0.0, 1.0], vec![1.0, 1.5]), "input gear: 1.5 in row 1 is not an integer"),
         (new().series("enabled", vec![0.0, 1.0], vec![1.0, 2.0]), "input enabled: 2 in row 1 is not 0 or 1"),
-        (new().function("gear", |t| t), "continuous inputs of floating-point type only"),
-        (new().function("u", |t| t).function("u", |t| t), "input u: it is given twice"),
+        (new().function("gear", |t| t), "only continuous floating-point inputs"),
+        (new().function("u", |t| t).function("u", |t| t), "input u: it is specified twice"),
         (new().function("T", |t| t), "input T: it is neither an input nor a tunable parameter"),
-        (new().function("K", |t| t), "continuous inputs of floating-point type only"),
+        (new().function("K", |t| t), "only continuous floating-point inputs"),
         (new().function("uu", |t| t), "did you mean u"),
     ] {
         let problem = problem(inputs);

@@ -287,7 +287,7 @@ fn enumerations_before_fmi3_are_limited_to_32_bits() {
     let error = with(4_294_967_298).unwrap_err();
     assert!(matches!(error, FmiError::OutOfRange { .. }));
     let error = error.to_string();
-    assert!(error.contains("32 bits") && error.contains("4294967298 does not fit"), "{error}");
+    assert!(error.contains("32 bits") && error.contains("4294967298 is out of range"), "{error}");
 }
 
 #[test]
@@ -300,7 +300,7 @@ fn missing_listed_source_is_reported() {
     std::fs::create_dir(folder.path().join("sources")).unwrap();
     let error = folder.open().instantiate().unwrap_err().to_string();
     assert!(
-        error.contains("no binary") && error.contains("\"gone.c\" is listed, but is not there"),
+        error.contains("no binary") && error.contains("\"gone.c\" is listed, but does not exist"),
         "{error}"
     );
 }

@@ -277,6 +277,6 @@ fn scheduled_execution_is_described_but_not_run() {
     let error = fmu.simulate(&SimulateOptions::new()).unwrap_err();
     assert_eq!(
         error.to_string(),
-        "Dahlquist offers no model exchange nor co-simulation; it offers scheduled execution"
+        "Dahlquist does not support model exchange or co-simulation; it supports scheduled execution"
     );
 }

@@ -19,7 +19,7 @@ pub(crate) fn run(arguments: &Build, console: &Console) -> Result<Exit, Error> {
         None => {
             let name = model.display();
             return Err(Error::input(format!(
-                "{name} is no folder: name the file to write, fmufit build {name} built.fmu"
+                "{name} is not a folder. Specify the file to write: fmufit build {name} built.fmu"
             )));
         }
     };

@@ -12,7 +12,7 @@ use serde::Serialize;
 
 /// Result of a check as printed by `--json`.
 #[derive(Serialize, JsonSchema)]
-#[schemars(title = "Check of fmufit")]
+#[schemars(title = "Result of fmufit check")]
 pub(super) struct Document<'c> {
     /// True if no finding prevents a fit.
     is_ok: bool,

@@ -48,8 +48,8 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
         (Some(checkpoint), Begin::Resume) => checkpoint.resume = Resume::Require,
         (None, Begin::Resume) => {
             return Err(Error::input(
-                "resume: there is no checkpoint to continue from: give the one of the fit, --checkpoint FILE, or checkpoint = \"FILE\" \
-                 in the table [fit] of the problem file",
+                "resume: no checkpoint is specified. Use --checkpoint FILE, or set checkpoint = \"FILE\" in \
+                 the table [fit] of the problem file",
             ));
         }
     }
@@ -71,7 +71,9 @@ pub(crate) fn run(arguments: &Fit, begin: Begin, console: &Console) -> Result<Ex
     }
     if let Some(path) = &arguments.report {
         if interrupt.is_asked() {
-            console.note("no report after Ctrl-C: fmufit report writes that of a saved fit");
+            console.note(
+                "no report was written after Ctrl-C; use fmufit report to write the report of a saved fit",
+            );
         } else {
             report::write(&fit, &calibration, path, &RunContext::new().asking(&is_asked))?;
             console.note(&format!("wrote {}", path.display()));
@@ -114,10 +116,10 @@ fn reasons_against(fit: &calibration::Fit) -> Vec<String> {
     let findings = fit.findings();
     let errors = findings.iter().filter(|finding| finding.severity == Severity::Error);
     let mut said: Vec<String> =
-        errors.map(|error| format!("error: the result is not to be used: {}", error.text())).collect();
+        errors.map(|error| format!("error: the result should not be used: {}", error.text())).collect();
     let cause = findings.iter().find(|f| f.severity == Severity::Warning && f.origin == Origin::Problem);
     said.extend(
-        cause.filter(|_| !said.is_empty()).map(|cause| format!("look first at this: {}", cause.advice())),
+        cause.filter(|_| !said.is_empty()).map(|cause| format!("probable cause: {}", cause.advice())),
     );
     said
 }
@@ -125,9 +127,9 @@ fn reasons_against(fit: &calibration::Fit) -> Vec<String> {
 /// Serves a page that will show the fit, and prints its address.
 fn watch(calibration: &Calibration, console: &Console) -> Result<LivePage, Error> {
     let watch = LivePage::start(calibration)
-        .map_err(|error| Error::work(format!("--watch: the page cannot be served: {error}")))?;
+        .map_err(|error| Error::work(format!("--watch: cannot serve the page: {error}")))?;
     // Printed even with `--quiet`, because the page is useless without its address.
-    console.say(&format!("watch it at {}", watch.url()));
+    console.say(&format!("watch the fit at {}", watch.url()));
     Ok(watch)
 }
 
@@ -146,13 +148,13 @@ fn show_report(
     }
     match watch.show_report(calibration, fit, &RunContext::new().asking(&is_asked)) {
         Ok(()) => {
-            console.say(&format!("the report is at {} until Ctrl-C", watch.url()));
+            console.say(&format!("the report is available at {} until you press Ctrl-C", watch.url()));
             while !(interrupt.is_asked() || watch.is_closed()) {
                 std::thread::sleep(Duration::from_millis(50));
             }
         }
         // The fit itself is complete; only its display failed.
-        Err(error) => console.say(&format!("the page cannot show the report: {error}")),
+        Err(error) => console.say(&format!("cannot show the report on the page: {error}")),
     }
 }
 

@@ -25,7 +25,7 @@ pub(crate) fn run(arguments: &Info, console: &Console) -> Result<Exit, Error> {
         known.dedup();
         let known = known.join(", ");
         return Err(Error::input(format!(
-            "no variable has the causality '{word}'; there are variables of: {known}"
+            "--causality {word}: no variable has this causality; expected one of: {known}"
         )));
     }
     if arguments.json {
@@ -52,11 +52,11 @@ pub(crate) fn run(arguments: &Info, console: &Console) -> Result<Exit, Error> {
     console.result(&table.text(console.width()));
     match asked.len() - shown.len() {
         0 => {}
-        n => console.result(&format!("\nand {n} internal variables: --all shows them")),
+        n => console.result(&format!("\nand {n} internal variables; use --all to show them")),
     }
     if !description.quirks.is_empty() {
         let n = description.quirks.len();
-        console.result(&format!("\n{n} departures from the standard: fmufit validate lists them"));
+        console.result(&format!("\n{n} violations of the FMI standard; use fmufit validate to list them"));
     }
     Ok(Exit::Success)
 }
@@ -105,7 +105,7 @@ fn interfaces(description: &ModelDescription) -> Vec<(&'static str, &Interface)>
 
 /// Model as printed by `--json`.
 #[derive(Serialize, JsonSchema)]
-#[schemars(title = "Model of fmufit")]
+#[schemars(title = "Model, as shown by fmufit info")]
 pub(super) struct Document<'m> {
     /// Path of the model.
     path: String,

@@ -31,7 +31,7 @@ pub(crate) fn run(command: Command, console: &Console) -> Result<Exit, Error> {
         Command::Schema(arguments) => schema::run(&arguments, console),
         Command::Completions(arguments) => completions::run(&arguments, console),
         Command::Worker => Err(Error::input(
-            "worker: no program has started this one to run models in it; programs do so by themselves",
+            "worker: this command is started by other programs only; do not run it directly",
         )),
     }
 }

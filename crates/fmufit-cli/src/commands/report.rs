@@ -40,7 +40,7 @@ pub(super) fn check_suffix(path: &Path) -> Result<(), Error> {
     match ["html", "htm", "csv", "json", "ssv"].contains(&suffix(path).as_str()) {
         true => Ok(()),
         false => Err(Error::input(format!(
-            "{}: give a name that ends in .html (a page), .csv, .json or .ssv",
+            "{}: unknown report format; expected a name that ends in .html, .csv, .json or .ssv",
             path.display()
         ))),
     }

@@ -21,9 +21,7 @@ pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error
     check_written(output.into_iter().chain(&arguments.plot), &read)?;
     if let Some(path) = arguments.plot.as_ref().filter(|path| !is_drawing(path)) {
         let path = path.display();
-        return Err(Error::input(format!(
-            "--plot {path}: a plot is an SVG drawing: give a name that ends in .svg"
-        )));
+        return Err(Error::input(format!("--plot {path}: expected a name that ends in .svg")));
     }
     if arguments.sandbox {
         check_sandbox().map_err(Error::input)?;
@@ -59,7 +57,7 @@ pub(crate) fn run(arguments: &Simulate, console: &Console) -> Result<Exit, Error
         let columns = trajectory.names.iter().zip(&trajectory.columns);
         let plot =
             calibration::plot(&trajectory.time, columns.map(|(name, values)| (label(name), &values[..])));
-        write(path, &plot.ok_or_else(|| Error::work("there is nothing finite to draw"))?)?;
+        write(path, &plot.ok_or_else(|| Error::work("--plot: the result has no finite values to plot"))?)?;
     }
     if let Some(said) = trajectory.not_finite() {
         console.note(&format!("warning: {said}"));
@@ -216,7 +214,7 @@ fn inputs(fmu: &Fmu, data: &Data, given: &[String], console: &Console) -> Result
     }
     if !without_unit.is_empty() {
         console.note(&format!(
-            "{}: columns without a unit are taken in those of the model: {}",
+            "{}: columns without a unit are assumed to be in the unit of the model: {}",
             data.source(),
             without_unit.join(", ")
         ));
@@ -226,7 +224,7 @@ fn inputs(fmu: &Fmu, data: &Data, given: &[String], console: &Console) -> Result
 
 /// Returns the rows as comma-separated values. All numbers have enough digits to be read back exactly.
 fn table(trajectory: &Trajectory) -> Result<String, Error> {
-    let failed = |e: &dyn std::fmt::Display| Error::work(format!("no table can be made: {e}"));
+    let failed = |e: &dyn std::fmt::Display| Error::work(format!("cannot write the table: {e}"));
     // Exact integers are also among the numeric columns.
     let texts = trajectory.values.iter().filter(|column| !trajectory.names.contains(&column.name));
     let texts: Vec<_> = texts.collect();

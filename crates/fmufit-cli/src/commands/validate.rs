@@ -26,7 +26,7 @@ enum Run {
 
 /// Result of a validation as printed by `--json`.
 #[derive(Serialize, JsonSchema)]
-#[schemars(title = "Validation of fmufit")]
+#[schemars(title = "Result of fmufit validate")]
 pub(super) struct Document<'v> {
     /// Path of the model.
     path: String,
@@ -79,15 +79,15 @@ pub(crate) fn run(arguments: &Validate, console: &Console) -> Result<Exit, Error
         })?;
     } else {
         let departures = match quirks.len() {
-            0 => "no departures from the standard".to_owned(),
-            1 => "1 departure from the standard:".to_owned(),
-            n => format!("{n} departures from the standard:"),
+            0 => "no violations of the FMI standard".to_owned(),
+            1 => "1 violation of the FMI standard:".to_owned(),
+            n => format!("{n} violations of the FMI standard:"),
         };
         console.result(&format!("{}: {departures}", fmu.path().display()));
         quirks.iter().for_each(|quirk| console.result(&format!("  {}", visible_line(quirk))));
         console.result(&match &outcome {
             Ok(message) => format!("simulated: {message}"),
-            Err((Run::Ended, message)) => format!("simulated, not as it should be: {message}"),
+            Err((Run::Ended, message)) => format!("simulated with problems: {message}"),
             Err((Run::Failed, message)) => format!("not simulated: {message}"),
         });
     }
@@ -98,7 +98,7 @@ pub(crate) fn run(arguments: &Validate, console: &Console) -> Result<Exit, Error
 fn result(trajectory: &Trajectory) -> String {
     let (end, stats, n_events) = (Number(trajectory.end_time), &trajectory.stats, trajectory.events.len());
     let by_model = match trajectory.termination {
-        Termination::StoppedByModel => ", where the model ended it",
+        Termination::StoppedByModel => ", ended by the model",
         _ => "",
     };
     format!("to {end} s{by_model}, {} steps, {n_events} events", stats.accepted_steps)

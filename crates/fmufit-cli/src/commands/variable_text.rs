@@ -17,7 +17,7 @@ pub(crate) fn value_of(description: &ModelDescription, name: &str, text: &str) -
     })?;
     let one = |text: &str| {
         scalar(description, variable, text.trim()).ok_or_else(|| {
-            Error::input(format!("'{name}' = '{text}': the variable is of type {}", variable.kind))
+            Error::input(format!("'{name}' = '{text}': expected a value of type {}", variable.kind))
         })
     };
     match variable.dimensions.is_empty() || variable.name != name {

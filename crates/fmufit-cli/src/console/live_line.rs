@@ -58,7 +58,7 @@ impl LiveLine {
             bar.finish_and_clear();
         }
         if self.bar.is_some() || self.printed.is_some() {
-            messages::print("ending; Ctrl-C again ends at once, without a result");
+            messages::print("ending; press Ctrl-C again to end at once without a result");
         }
     }
 

@@ -53,7 +53,7 @@ impl Console {
     /// Prints a JSON document for other programs.
     pub(crate) fn json(&self, document: &impl serde::Serialize) -> Result<(), Error> {
         let text = serde_json::to_string_pretty(document);
-        self.data(&(text.map_err(|e| Error::work(format!("no JSON can be made: {e}")))? + "\n"));
+        self.data(&(text.map_err(|e| Error::work(format!("cannot write JSON: {e}")))? + "\n"));
         Ok(())
     }
 

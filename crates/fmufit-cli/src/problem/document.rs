@@ -63,14 +63,14 @@ impl Reader<'_> {
             DeValue::Boolean(flag) => Value::Flag(*flag),
             DeValue::Integer(integer) => {
                 let number = i64::from_str_radix(&integer.as_str().replace('_', ""), integer.radix());
-                let number = number.map_err(|_| bad("this whole number is too large"))?;
+                let number = number.map_err(|_| bad("the integer is too large"))?;
                 u64::try_from(number).map_or(Value::Negative(number), Value::Count)
             }
             DeValue::Float(float) => {
                 let number = float.as_str().replace('_', "").parse();
-                Value::Number(number.map_err(|_| bad("this number cannot be read"))?)
+                Value::Number(number.map_err(|_| bad("invalid number"))?)
             }
-            DeValue::Datetime(_) => return Err(bad("a date is none of the values here; times are in s")),
+            DeValue::Datetime(_) => return Err(bad("dates are not supported; specify times in s")),
             DeValue::Array(items) => {
                 let mut values = Vec::with_capacity(items.len());
                 for (k, value) in items.iter().enumerate() {
@@ -116,7 +116,9 @@ mod tests {
         }
         assert_eq!(Document::parse("a = 1\nb = [1,\n").err().map(|(line, _)| line), Some(2));
         assert!(
-            Document::parse("a = 2024-01-01").err().is_some_and(|(_, message)| message.contains("a: a date"))
+            Document::parse("a = 2024-01-01")
+                .err()
+                .is_some_and(|(_, message)| message.contains("a: dates are not supported"))
         );
     }
 

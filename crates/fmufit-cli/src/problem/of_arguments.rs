@@ -18,7 +18,8 @@ pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<Pro
         arguments;
     if problem.is_dir() && !problem.join("modelDescription.xml").is_file() {
         return Err(Error::input(format!(
-            "{} is a folder without a modelDescription.xml, so no model: give a problem file, or a model and a recording",
+            "{} is not a model, because the folder contains no modelDescription.xml. Specify a problem file, \
+             or a model and a recording",
             problem.display()
         )));
     }
@@ -44,15 +45,16 @@ pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<Pro
         }
         Some(data) => {
             return Err(Error::input(format!(
-                "{} is no model, and {} no part of a problem file: give a problem file alone, or a model (.fmu) and a recording",
+                "{} is not a model, so {} is not expected. Specify either a problem file, or a model (.fmu) \
+                 and a recording",
                 problem.display(),
                 data.display()
             )));
         }
         None if is_model => {
             return Err(Error::input(format!(
-                "{} is a model: give a recording, too, with --output and --parameter, or write a problem file: fmufit init {} \
-                 recording.csv problem.toml",
+                "{} is a model, so a recording is also required. Specify a recording with --output and \
+                 --parameter, or write a problem file: fmufit init {} recording.csv problem.toml",
                 problem.display(),
                 problem.display()
             )));
@@ -67,7 +69,7 @@ pub(crate) fn of_arguments(arguments: &Problem, console: &Console) -> Result<Pro
             ];
             if let Some((option, _)) = of_model.iter().find(|(_, is_given)| *is_given) {
                 return Err(Error::input(format!(
-                    "{option} belongs to a model (.fmu) and a recording, and {} is a problem file, which says that itself",
+                    "{option} cannot be used with a problem file. Edit {} instead",
                     problem.display()
                 )));
             }
@@ -107,10 +109,13 @@ fn driven(
         inputs.into_iter().partition(|name| find_column(data.names(), name).is_ok());
     let listed = |names: &[&String]| names.iter().map(|name| name.as_str()).collect::<Vec<_>>().join(", ");
     if !driven.is_empty() {
-        console.note(&format!("driven by the columns of the same names: {}", listed(&driven)));
+        console.note(&format!("inputs driven by the columns of the same names: {}", listed(&driven)));
     }
     if !others.is_empty() {
-        console.note(&format!("warning: no column drives {}: at the start value", listed(&others)));
+        console.note(&format!(
+            "warning: no column drives these inputs, which keep their start values: {}",
+            listed(&others)
+        ));
     }
     Ok(driven.into_iter().cloned().collect())
 }

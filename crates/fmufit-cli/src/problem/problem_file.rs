@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 /// A problem file, which specifies the parameters of a model and the recordings to fit them to.
 #[derive(Debug, Default, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-#[schemars(title = "Problem of fmufit")]
+#[schemars(title = "fmufit problem file")]
 pub(crate) struct ProblemRecord {
     /// Path of the FMU.
     #[schemars(with = "PathBuf")]
@@ -81,7 +81,7 @@ impl ProblemFile {
         }
         let bytes = base::files::read_regular(path).map_err(failed)?;
         let text = String::from_utf8(bytes).map_err(|_| {
-            Error::input(format!("{}: this is no text in UTF-8, so no problem file", path.display()))
+            Error::input(format!("{}: not a problem file, because it is not UTF-8 text", path.display()))
         })?;
         Self::parse(&text, path)
     }
@@ -123,9 +123,9 @@ impl ProblemFile {
         let home = tables.iter().find(|(_, is_home)| *is_home);
         Err(match home {
             Some((table, _)) => {
-                self.error(name, format!("'{name}' stands in the table {table}: write it below that line"))
+                self.error(name, format!("'{name}' belongs to the table {table}; move it below that line"))
             }
-            None => self.error(name, RecordError::unknown("field of a problem", name, &known)),
+            None => self.error(name, RecordError::unknown("problem field", name, &known)),
         })
     }
 
@@ -207,7 +207,7 @@ impl ProblemFile {
             None => Ok(Record::new()),
             Some(Value::Record(fields)) => Ok(fields.clone()),
             Some(other) => {
-                let message = format!("{path} must be a table of names and values, [{path}], not {other}");
+                let message = format!("{path}: expected a table of names and values, [{path}]; got {other}");
                 Err(self.error(path, message))
             }
         }
@@ -218,7 +218,11 @@ impl ProblemFile {
         let n = match self.value(name) {
             None => 0,
             Some(Value::List(items)) => items.len(),
-            Some(_) => return Err(self.error(name, format!("{name} must be tables, each headed [[{name}]]"))),
+            Some(_) => {
+                return Err(
+                    self.error(name, format!("{name}: expected tables, each with the heading [[{name}]]"))
+                );
+            }
         };
         let paths = (0..n).map(|k| item(name, k));
         paths.map(|path| self.fields(&path).map(|fields| (path, fields))).collect()
@@ -234,7 +238,7 @@ impl ProblemFile {
         let known: Vec<String> = known.into_iter().collect();
         match fields.keys().find(|name| !known.contains(name)) {
             Some(name) => {
-                Err(self.error(&field(path, name), RecordError::unknown("option of a fit", name, &known)))
+                Err(self.error(&field(path, name), RecordError::unknown("fit option", name, &known)))
             }
             None => Ok(()),
         }
@@ -257,7 +261,7 @@ impl ProblemFile {
     /// Opens the model.
     pub(crate) fn model(&self) -> Result<Fmu, Error> {
         let model = self.value("model").ok_or_else(|| {
-            self.error("", "model is missing: give the path of an FMU, model = \"plant.fmu\"")
+            self.error("", "model is missing; specify the path of an FMU, model = \"plant.fmu\"")
         })?;
         let path: PathBuf = model.read("model").map_err(|error| self.located("model", error.into()))?;
         let options = self.settings()?.open_options();

@@ -11,7 +11,7 @@ pub(crate) fn assignment(text: &str, what: &str) -> Result<(String, String), Err
         Some((name, value)) if !name.trim().is_empty() => {
             Ok((name.trim().to_owned(), value.trim().to_owned()))
         }
-        _ => Err(Error::input(format!("'{text}' must be {what}"))),
+        _ => Err(Error::input(format!("'{text}': expected {what}"))),
     }
 }
 
@@ -21,7 +21,7 @@ pub(crate) fn assignments(given: &[String], what: &str) -> Result<Vec<(String, S
     for text in given {
         let (name, value) = assignment(text, what)?;
         if let Some((_, first)) = pairs.iter().find(|(earlier, _)| *earlier == name) {
-            return Err(Error::input(format!("'{name}' is given twice: {first} and {value}")));
+            return Err(Error::input(format!("'{name}' is specified twice: {first} and {value}")));
         }
         pairs.push((name, value));
     }
@@ -33,7 +33,7 @@ pub(crate) fn options(given: &[String]) -> Result<Vec<(String, Value)>, Error> {
     let pairs = assignments(given, "name=value")?;
     let is_given = |word: &str| pairs.iter().any(|(name, _)| name == word);
     if is_given("rng") && is_given("seed") {
-        return Err(Error::input("rng and seed are two words for one option: give one"));
+        return Err(Error::input("rng and seed are the same option; specify only one of them"));
     }
     Ok(pairs.into_iter().map(|(name, value)| (name, value_of_text(&value))).collect())
 }
@@ -42,7 +42,7 @@ pub(crate) fn options(given: &[String]) -> Result<Vec<(String, Value)>, Error> {
 pub(crate) fn text_of(path: &Path) -> Result<String, Error> {
     path.to_str().map(str::to_owned).ok_or_else(|| {
         let path = path.display();
-        Error::input(format!("the name {path} is not in UTF-8, which a problem cannot hold: rename the file"))
+        Error::input(format!("{path}: the name is not valid UTF-8; rename the file"))
     })
 }
 
@@ -53,14 +53,14 @@ fn parameter(text: &str) -> Result<Value, Error> {
     let mut record = Record::from([("name".to_owned(), Value::Text(name))]);
     let parts: Vec<&str> = numbers.split(':').collect();
     if parts.len() > 3 {
-        return Err(Error::input(format!("'{text}' must be {FORM}")));
+        return Err(Error::input(format!("'{text}': expected {FORM}")));
     }
     for (field, part) in
         ["start", "lower", "upper"].into_iter().zip(parts).filter(|(_, part)| !part.trim().is_empty())
     {
         let number = part.trim().parse();
         let number = number.map_err(|_| {
-            Error::input(format!("'{text}': {field} '{part}' is no number; it must be {FORM}"))
+            Error::input(format!("'{text}': {field} '{part}' is not a number; expected {FORM}"))
         })?;
         record.insert(field.to_owned(), Value::Number(number));
     }

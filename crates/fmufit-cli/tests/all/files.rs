@@ -12,15 +12,18 @@ fn commands_do_not_overwrite_their_input() {
     folder.write("problem.toml", PROBLEM);
     let recording = folder.read("run.csv");
     for (arguments, expected) in [
-        ("simulate model.fmu --output model.fmu", "model.fmu is read by this command"),
-        ("simulate model.fmu --plot ./model.fmu", "model.fmu is read by this command"),
-        ("fit problem.toml --save run.csv", "run.csv is read by this command"),
-        ("fit problem.toml --report problem.toml", "problem.toml is read by this command"),
-        ("fit problem.toml --save model.fmu", "model.fmu is read by this command"),
+        ("simulate model.fmu --output model.fmu", "model.fmu is an input of this command"),
+        ("simulate model.fmu --plot ./model.fmu", "model.fmu is an input of this command"),
+        ("fit problem.toml --save run.csv", "run.csv is an input of this command"),
+        ("fit problem.toml --report problem.toml", "problem.toml is an input of this command"),
+        ("fit problem.toml --save model.fmu", "model.fmu is an input of this command"),
         ("fit problem.toml --save a.fit --checkpoint a.fit", "a.fit would be written twice"),
-        ("fit problem.toml --save -", "'-' is no file"),
-        ("fit problem.toml --report fit.pdf", "fit.pdf: give a name that ends in .html"),
-        ("init model.fmu run.csv run.csv --force", "run.csv is read by this command"),
+        ("fit problem.toml --save -", "'-' is not a file"),
+        (
+            "fit problem.toml --report fit.pdf",
+            "fit.pdf: unknown report format; expected a name that ends in .html",
+        ),
+        ("init model.fmu run.csv run.csv --force", "run.csv is an input of this command"),
     ] {
         if expected.starts_with("a.fit") {
             folder.write("a.fit", "");
@@ -50,18 +53,18 @@ fn errors_name_options_given_twice() {
     let folder = Folder::with_model("dahlquist");
     folder.record_decay();
     for (arguments, expected) in [
-        ("simulate model.fmu --set k=1 --set k=2", "'k' is given twice: 1 and 2"),
+        ("simulate model.fmu --set k=1 --set k=2", "'k' is specified twice: 1 and 2"),
         (
             "fit model.fmu run.csv --output x --parameter k=1 -O max_time=1 -O max_time=2",
-            "'max_time' is given twice",
+            "'max_time' is specified twice",
         ),
         (
             "fit model.fmu run.csv --output x --parameter k=1 -S solver=rk4 -S solver=bdf",
-            "'solver' is given twice",
+            "'solver' is specified twice",
         ),
         (
             "fit model.fmu run.csv --output x --parameter k=1 -O rng=1 -O seed=2",
-            "rng and seed are two words for one option: give one",
+            "rng and seed are the same option; specify only one of them",
         ),
         ("fit model.fmu run.csv --output x --output x --parameter k=1", "twice"),
         ("fit model.fmu run.csv --output x --parameter k=1 --parameter k=2", "twice"),
@@ -148,7 +151,7 @@ fn file_names_outside_utf8_are_used_or_rejected() {
     run("info", &[model], "").good();
     for (command, rest) in [("fit", "--output x --parameter k=1"), ("init", "problem.toml")] {
         let message = run(command, &[model, data], rest).wrong_input();
-        assert!(message.contains("is not in UTF-8"), "{command}: {message}");
+        assert!(message.contains("is not valid UTF-8"), "{command}: {message}");
     }
     assert!(!folder.path("problem.toml").exists());
 }

@@ -114,13 +114,11 @@ fn fit_worse_than_a_constant_exits_with_3_and_reports_the_reason() {
     let lines: Vec<&str> = ran.err.lines().collect();
     assert!(
         lines[0]
-            .starts_with("error: the result is not to be used: output 'x' (column 'x'): the fit is worse"),
+            .starts_with("error: the result should not be used: output 'x' (column 'x'): the fit is worse"),
         "{ran:?}"
     );
     assert!(
-        lines.len() == 2
-            && lines[1].starts_with("look first at this: ")
-            && lines[1].contains("another unit?"),
+        lines.len() == 2 && lines[1].starts_with("probable cause: ") && lines[1].contains("another unit?"),
         "{ran:?}"
     );
     let shown = folder.run("fit problem.toml").out;
@@ -207,7 +205,7 @@ fn wrong_arguments_are_reported_as_json() {
     for (arguments, expected) in [
         ("fit problem.toml --json --no-such-option", "unexpected argument '--no-such-option' found"),
         ("fit --json", "the following required arguments were not provided: <PROBLEM.toml | MODEL.fmu>"),
-        ("fit problem.toml --json --parameter k=1", "--parameter belongs to a model"),
+        ("fit problem.toml --json --parameter k=1", "--parameter cannot be used with a problem file"),
     ] {
         let ran = folder.run(arguments);
         let document = json(&ran.out);
@@ -260,9 +258,9 @@ max_evaluations = 50
 fn errors_name_the_line_of_a_mistake() {
     let folder = decay("");
     for (from, to, line, expected) in [
-        ("model = ", "modell = ", 1, "no field of a problem 'modell'; did you mean 'model'?"),
+        ("model = ", "modell = ", 1, "unknown problem field 'modell'; did you mean 'model'?"),
         ("model.fmu", "none.fmu", 1, "none.fmu"),
-        ("model = ", "units = { x = \"m\" }\nmodel = ", 1, "'units' stands in the table [settings]"),
+        ("model = ", "units = { x = \"m\" }\nmodel = ", 1, "'units' belongs to the table [settings]"),
         ("data = ", "date = ", 4, "no field of an experiment 'date'; did you mean 'data'?"),
         ("run.csv", "none.csv", 4, "none.csv"),
         ("x = \"x\"", "y = \"x\"", 5, "no variable \"y\""),
@@ -299,7 +297,12 @@ fn errors_name_the_line_of_a_mistake() {
             "no objective 'rms'; did you mean 'rmse'?",
         ),
         ("upper = 10", "upper = 10\n[[stages]]\nparametres = [\"k\"]", 13, "did you mean 'parameters'?"),
-        ("[[parameters]]", "[parameters]", 7, "parameters must be tables, each headed [[parameters]]"),
+        (
+            "[[parameters]]",
+            "[parameters]",
+            7,
+            "parameters: expected tables, each with the heading [[parameters]]",
+        ),
     ] {
         assert!(PROBLEM.contains(from), "{from}");
         folder.write("wrong.toml", &PROBLEM.replacen(from, to, 1));
@@ -311,27 +314,24 @@ fn errors_name_the_line_of_a_mistake() {
     }
     for (arguments, expected) in [
         ("none.toml", "cannot read none.toml"),
-        ("model.fmu", "give a recording, too"),
-        ("problem.toml run.csv", "give a problem file alone"),
+        ("model.fmu", "a recording is also required"),
+        ("problem.toml run.csv", "Specify either a problem file"),
         ("run.csv", "run.csv, line 1"),
-        ("model.fmu run.csv --parameter k=a", "start 'a' is no number"),
-        ("model.fmu run.csv --parameter k=1:2:3:4", "must be name=start:lower:upper"),
+        ("model.fmu run.csv --parameter k=a", "start 'a' is not a number"),
+        ("model.fmu run.csv --parameter k=1:2:3:4", "expected name=start:lower:upper"),
         (
             "model.fmu run.csv --output x",
             "there is no parameter to fit: give --parameter NAME=START:LOWER:UPPER",
         ),
-        (".", ". is a folder without a modelDescription.xml, so no model"),
+        (".", ". is not a model, because the folder contains no modelDescription.xml"),
         (
             "problem.toml --option max_time=-1",
             "--option max_time: max_time = -1 must be a positive number of seconds",
         ),
-        ("problem.toml -O max_tiem=1", "--option max_tiem: there is no option of a fit 'max_tiem'"),
+        ("problem.toml -O max_tiem=1", "--option max_tiem: unknown fit option 'max_tiem'"),
         ("problem.toml -S solver=rk5", "--setting solver: unknown solver 'rk5'"),
-        ("problem.toml --setting solver", "must be name=value"),
-        (
-            "problem.toml --parameter k=1",
-            "--parameter belongs to a model (.fmu) and a recording, and problem.toml",
-        ),
+        ("problem.toml --setting solver", "expected name=value"),
+        ("problem.toml --parameter k=1", "--parameter cannot be used with a problem file. Edit problem.toml"),
         ("problem.toml --setting solvr=1", "did you mean 'solver'?"),
     ] {
         let message = folder.run(&format!("fit {arguments}")).wrong_input();
@@ -392,7 +392,7 @@ fn report_rejects_files_that_are_not_saved_fits() {
     for (arguments, expected) in [
         ("none.fit a.html", "none.fit"),
         ("run.csv a.html", "this is no saved fit"),
-        ("decay.fit a.pdf", "a.pdf: give a name that ends in .html"),
+        ("decay.fit a.pdf", "a.pdf: unknown report format; expected a name that ends in .html"),
         ("decay.fit no/such/a.html", "no/such/a.html"),
         ("decay.fit a.html --model none.fmu", "none.fmu"),
     ] {

@@ -20,7 +20,7 @@ const COMMANDS: [&str; 11] = [
 fn help_contains_examples_and_exit_codes() {
     let folder = Folder::new();
     let all = folder.run("--help").good();
-    assert!(all.contains("130  Ctrl-C") && all.contains("3    the fit ran"), "{all}");
+    assert!(all.contains("130  interrupted by Ctrl-C") && all.contains("3    the fit ran"), "{all}");
     for command in COMMANDS {
         assert!(all.contains(&format!("\n  {command} ")), "{all}");
         let help = folder.run(&format!("{command} --help")).good();
@@ -38,14 +38,14 @@ fn errors_name_wrong_arguments() {
         ("info", "required arguments were not provided"),
         ("info model.fmu --jsn", "a similar argument exists: '--json'"),
         ("simulate model.fmu --final-time soon", "invalid value 'soon'"),
-        ("fit problem.toml --output x=x", "--output belongs to a model (.fmu) and a recording"),
+        ("fit problem.toml --output x=x", "--output cannot be used with a problem file"),
         ("check problem.toml --no-run --preflight", "cannot be used with"),
         ("completions tcsh", "possible values"),
     ] {
         let ran = folder.run(arguments);
         assert!(ran.code == 2 && ran.out.is_empty() && ran.err.contains(expected), "{arguments}: {ran:?}");
     }
-    assert!(folder.run("worker").wrong_input().contains("no program has started this one"));
+    assert!(folder.run("worker").wrong_input().contains("started by other programs only"));
 }
 
 #[test]

@@ -35,11 +35,11 @@ fn init_reports_unmatched_columns_and_variables() {
     let folder = Folder::with_model("furuta");
     folder.write("run.csv", "time,PHI,x\n0,0,1\n1,0.1,2\n2,0.2,1\n");
     let ran = folder.run("init model.fmu run.csv");
-    assert!(ran.code == 0 && ran.err.contains("no column belongs to an output"), "{ran:?}");
+    assert!(ran.code == 0 && ran.err.contains("no column matches an output"), "{ran:?}");
     let text = folder.read("problem.toml");
-    assert!(text.contains("# Column 'PHI' may belong to armJoint.phi, pendulumJoint.phi."), "{text}");
-    assert!(text.contains("# Column 'x' is called as no output or input."), "{text}");
-    assert!(folder.run("init model.fmu run.csv").wrong_input().contains("problem.toml is there already"));
+    assert!(text.contains("# Column 'PHI' may match armJoint.phi, pendulumJoint.phi."), "{text}");
+    assert!(text.contains("# Column 'x' does not match any output or input."), "{text}");
+    assert!(folder.run("init model.fmu run.csv").wrong_input().contains("problem.toml already exists"));
     folder.run("init model.fmu run.csv --force --output armJoint.phi=PHI --parameter armFriction").good();
     let text = folder.read("problem.toml");
     assert!(
@@ -56,7 +56,7 @@ fn init_reports_unmatched_columns_and_variables() {
         ("--output armJoint.fi=PHI", "did you mean"),
         ("--output armJoint.phi=none", "no column 'none'"),
         ("--parameter none", "no variable \"none\""),
-        ("--parameter time", "'time' cannot be proposed"),
+        ("--parameter time", "--parameter time: expected a scalar real variable"),
         ("--time t", "there is no column 't'"),
     ] {
         let message = folder.run(&format!("init model.fmu run.csv other.toml {arguments}")).wrong_input();
@@ -82,7 +82,8 @@ fn parameters_without_effect_are_listed_in_one_comment() {
     folder.run("init model.fmu run.csv").good();
     let text = folder.read("problem.toml");
     assert!(
-        text.contains("\nname = \"g\"") && text.contains("\n# Left out, moves no output at the start: "),
+        text.contains("\nname = \"g\"")
+            && text.contains("\n# Left out (no effect on any output at the start values): "),
         "{text}"
     );
     assert!(!text.contains("name = \"e\"") && text.contains("start: e, v_min\n"), "{text}");

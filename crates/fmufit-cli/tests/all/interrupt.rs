@@ -58,7 +58,7 @@ fn interrupted(folder: &Folder, arguments: &str, signal: Signal) -> Value {
     assert_eq!((&result["termination"], &result["success"]), (&"interrupted".into(), &false.into()));
     // The start is one of the points.
     assert!(result["cost"].as_f64().unwrap() <= result["start_cost"].as_f64().unwrap(), "{result}");
-    assert!(rest.contains("ending; Ctrl-C again") && rest.contains("saved furuta.fit"), "{rest}");
+    assert!(rest.contains("ending; press Ctrl-C again") && rest.contains("saved furuta.fit"), "{rest}");
     result
 }
 
@@ -76,7 +76,7 @@ fn page_button_ends_the_fit_with_best_point() {
     let mut lines = BufReader::new(child.stderr.take().unwrap());
     let mut line = String::new();
     lines.read_line(&mut line).unwrap();
-    let place = line.trim_end().strip_prefix("watch it at http://").unwrap_or_else(|| panic!("{line}"));
+    let place = line.trim_end().strip_prefix("watch the fit at http://").unwrap_or_else(|| panic!("{line}"));
     let (host, path) = place.split_once('/').unwrap();
     let asked = |method: &str, path: &str| {
         let mut stream = TcpStream::connect(host).unwrap();

@@ -18,13 +18,17 @@ fn info_shows_variables_with_causality_unit_and_start() {
     let line = text.lines().find(|line| line.contains("armFriction")).unwrap();
     let words: Vec<&str> = line.split_whitespace().take(6).collect();
     assert_eq!(words, ["armFriction", "parameter", "tunable", "Real", "N.m", "0.012"]);
-    assert!(text.contains("internal variables: --all shows them") && !text.contains("armJoint.w"), "{text}");
+    assert!(
+        text.contains("internal variables; use --all to show them") && !text.contains("armJoint.w"),
+        "{text}"
+    );
     assert!(folder.run("info model.fmu --all").good().contains("armJoint.w"));
     let parameters = folder.run("info model.fmu --causality parameter").good();
     assert!(parameters.contains("arm.length") && !parameters.contains("armJoint.phi"), "{parameters}");
     let message = folder.run("info model.fmu --causality paramter").wrong_input();
     assert!(
-        message.contains("no variable has the causality 'paramter'") && message.contains("parameter"),
+        message.contains("--causality paramter: no variable has this causality")
+            && message.contains("parameter"),
         "{message}"
     );
 
@@ -41,7 +45,7 @@ fn validate_runs_a_model_and_reports_violations() {
     let folder = Folder::with_model("dahlquist");
     let text = folder.run("validate model.fmu").good();
     assert!(
-        text.contains("no departures from the standard") && text.contains("simulated: to 10 s"),
+        text.contains("no violations of the FMI standard") && text.contains("simulated: to 10 s"),
         "{text}"
     );
     let document = json(&folder.run("validate model.fmu --json").good());
@@ -90,9 +94,9 @@ fn systems_of_models_are_rejected() {
     let folder = Folder::with_model("dahlquist");
     folder.write("system.ssd", "<ssd:SystemStructureDescription/>");
     let message = folder.run("info system.ssd").wrong_input();
-    assert!(message.contains("an .ssd describes a system of models"), "{message}");
+    assert!(message.contains("an .ssd file describes a system of models"), "{message}");
     let message = folder.run("fit system.ssd run.csv --output x --parameter k=1").wrong_input();
-    assert!(message.contains("an .ssd describes a system of models"), "{message}");
+    assert!(message.contains("an .ssd file describes a system of models"), "{message}");
     let message = folder.run("simulate model.fmu --set @system.ssd").wrong_input();
     assert!(message.contains("this describes a system of models (.ssd)"), "{message}");
 }
@@ -176,8 +180,8 @@ fn simulate_names_unusable_arguments() {
     for (arguments, expected) in [
         ("none.fmu", "cannot open none.fmu"),
         ("model.fmu --set armFrction=1", "did you mean armFriction?"),
-        ("model.fmu --set armFriction=stiff", "'armFriction' = 'stiff': the variable is of type Real"),
-        ("model.fmu --set armFriction", "must be NAME=VALUE"),
+        ("model.fmu --set armFriction=stiff", "'armFriction' = 'stiff': expected a value of type Real"),
+        ("model.fmu --set armFriction", "expected NAME=VALUE"),
         ("model.fmu --solver rk5", "unknown solver 'rk5'"),
         ("model.fmu --kind XY", "kind = 'XY'"),
         ("model.fmu --outputs armJoint.fi", "armJoint.phi"),
@@ -205,7 +209,7 @@ fn warning_names_invalid_library_when_sources_replace_it() {
     let ran = folder.run("simulate decay --final-time 1 --interval 1");
     let named = library.strip_prefix(folder.path("decay")).unwrap().display().to_string();
     assert!(
-        ran.code == 0 && ran.err.contains(&format!("{named} is no library for this platform")),
+        ran.code == 0 && ran.err.contains(&format!("{named} is not a library for this platform")),
         "{ran:?}"
     );
     // A missing library cannot be invalid.
@@ -217,8 +221,8 @@ fn warning_names_invalid_library_when_sources_replace_it() {
 fn simulate_errors_use_argument_names() {
     let folder = Folder::with_model("dahlquist");
     for (arguments, expected) in [
-        ("--plot x.png", "--plot x.png: a plot is an SVG drawing: give a name that ends in .svg"),
-        ("--start-time 20", "10 is the model's own end, --final-time another one"),
+        ("--plot x.png", "--plot x.png: expected a name that ends in .svg"),
+        ("--start-time 20", "10 is the end time of the model, which --final-time overrides"),
         ("--interval 1e-300", "--interval = 1e-300"),
     ] {
         let message = folder.run(&format!("simulate model.fmu {arguments}")).wrong_input();
@@ -237,7 +241,7 @@ fn build_packs_a_folder_that_can_be_simulated() {
     assert!(out.starts_with("wrote ") && folder.path("decay.fmu").is_file(), "{out}");
     let table = folder.run("simulate decay.fmu --final-time 1 --interval 1").good();
     assert!((column(&table, "x")[1] - (-1.0_f64).exp()).abs() < 1e-6, "{table}");
-    assert!(folder.run("build decay.fmu").wrong_input().contains("name the file to write"));
+    assert!(folder.run("build decay.fmu").wrong_input().contains("Specify the file to write"));
     folder.write("decay/sources/model.c", "this is no C\n");
     let ran = folder.run("build decay other.fmu");
     assert!(ran.code == 1 && !folder.path("other.fmu").exists(), "{ran:?}");

@@ -111,7 +111,7 @@ pub enum SolveError {
     #[error(transparent)]
     Options(#[from] OptionsError),
     /// The length of an argument differs from the number of states.
-    #[error("{name} has {given} values instead of {wanted}")]
+    #[error("{name}: expected {wanted} values, got {given}")]
     Length {
         /// Name of the argument.
         name: &'static str,

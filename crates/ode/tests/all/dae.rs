@@ -182,7 +182,7 @@ fn pendulum_of_index_1_is_solved_and_higher_index_is_reported() {
 #[test]
 fn unsolvable_residuals_are_errors() {
     let length = solve_dae(linear, 0.0..1.0, &[1.0, 1.0], &[0.0]).run().unwrap_err();
-    assert_eq!(length.to_string(), "dx0 has 1 values instead of 2");
+    assert_eq!(length.to_string(), "dx0: expected 2 values, got 1");
     let tolerances = solve_dae(linear, 0.0..1.0, &[1.0, 1.0], &[0.0; 2]).absolute_tolerances(&[1e-6]).run();
     let Err(SolveError::Simulation(error)) = tolerances else { panic!("{tolerances:?}") };
     assert!(matches!(error.kind, ErrorKind::ToleranceCount { given: 1, states: 2 }), "{error}");

@@ -63,7 +63,7 @@ class DenseOutput:
         slack = 1e-14 * max(abs(self.t_min), abs(self.t_max))
         outside = ~((flat >= self.t_min - slack) & (flat <= self.t_max + slack))
         if outside.any():
-            raise ValueError(f"t = {flat[outside][0]} lies outside of [{self.t_min}, {self.t_max}]")
+            raise ValueError(f"t = {flat[outside][0]} is outside [{self.t_min}, {self.t_max}]")
         begins = self._sign * self._spans[:, 0]
         which = np.clip(np.searchsorted(begins, self._sign * flat, side="right") - 1, 0, len(begins) - 1)
         start, end = self._spans[which].T
@@ -407,7 +407,7 @@ def solve_dae(
     states = _values.vector("x0", x0)
     slopes = np.zeros(len(states)) if dx0 is None else _values.vector("dx0", dx0)
     if len(slopes) != len(states) or not np.isfinite(slopes).all():
-        raise ValueError(f"dx0 must be {len(states)} finite values, as x0, not {slopes}")
+        raise ValueError(f"dx0 must be {len(states)} finite values, one per value of x0, not {slopes}")
     if jac is not None and not callable(jac):
         pair = tuple(jac)
         if len(pair) != 2:
@@ -475,12 +475,12 @@ def solve_second_order(
     x, v = _values.vector("x0", x0), _values.vector("v0", v0)
     n = len(x)
     if len(v) != n:
-        raise ValueError(f"v0 has {len(v)} values, x0 has {n}")
+        raise ValueError(f"v0: expected {n} values, as in x0; got {len(v)}")
     if not callable(acceleration):
         raise TypeError(f"acceleration must be callable, not {acceleration!r}")
 
     def rhs(t: float, y: FloatArray, *more: Any) -> FloatArray:
-        a = _values.vector("what acceleration returns", acceleration(t, y[:n], y[n:], *more))
+        a = _values.vector("the result of acceleration", acceleration(t, y[:n], y[n:], *more))
         if len(a) != n:
             raise ValueError(f"acceleration must return an array of shape ({n},), not one of shape {a.shape}")
         return np.concatenate((y[n:], a))
@@ -546,7 +546,7 @@ def _run(
         problem[name] = _values.limit(name, asked[name], 0)
     result = _core.solve(problem)
     if result.stats.chattering and chattering == "warn":
-        _log.warning("solve: %d times a hundred events hardly advanced time", result.stats.chattering)
+        _log.warning("solve: time hardly advanced during %d sequences of 100 events", result.stats.chattering)
     return result
 
 
@@ -562,7 +562,7 @@ def _listed(events: Any) -> list[Callable[..., Any]]:
     try:
         functions = [] if events is None else [events] if callable(events) else list(events)
     except TypeError:
-        raise TypeError(f"events must be a function, or several in a list, not {events!r}") from None
+        raise TypeError(f"events must be a function or a list of functions, not {events!r}") from None
     for i, function in enumerate(functions):
         if not callable(function):
             raise TypeError(f"event {i} must be callable, not {function!r}")
@@ -585,9 +585,9 @@ def _count(name: str, value: SupportsIndex | None) -> int | None:
     try:
         count = operator.index(value)
     except TypeError:
-        raise TypeError(f"{name} must be a whole number, not {value!r}") from None
+        raise TypeError(f"{name} must be an integer, not {value!r}") from None
     if not 0 <= count < 2**32:
-        raise ValueError(f"{name} = {count} must not be negative, and below 2**32")
+        raise ValueError(f"{name} = {count} must be at least 0 and below 2**32")
     return count
 
 
@@ -595,11 +595,11 @@ def _tolerances(atol: npt.ArrayLike | None, rtol: float, n: int) -> list[float]:
     """Returns one absolute tolerance, or one per state."""
     if atol is None:
         if rtol == 0.0:
-            raise ValueError("rtol = 0 needs a positive atol")
+            raise ValueError("rtol = 0 requires a positive atol")
         return [0.01 * rtol]
     tolerances = _values.vector("atol", atol)
     if np.ndim(atol) > 0 and len(tolerances) != n:
-        raise ValueError(f"atol has {len(tolerances)} values for {n} states")
+        raise ValueError(f"atol: expected {n} values, one per state; got {len(tolerances)}")
     return [float(v) for v in tolerances]
 
 

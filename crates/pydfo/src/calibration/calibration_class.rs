@@ -444,7 +444,7 @@ impl PyCalibration {
                 {
                     // The page only shows an existing fit, so its errors do not fail the fit.
                     page.show_report(&inner, fit, &RunContext::new().flagged(&flag))
-                        .unwrap_or_else(|error| log::warn!("the page cannot show the report: {error}"));
+                        .unwrap_or_else(|error| log::warn!("cannot show the report on the page: {error}"));
                 }
                 fit
             },
@@ -485,5 +485,5 @@ type Recording<'py> = (Bound<'py, PyArray1<f64>>, Vec<(String, Bound<'py, PyArra
 
 fn stored(state: &[u8]) -> PyResult<Problem> {
     ciborium::from_reader(state)
-        .map_err(|e| PyValueError::new_err(format!("this is no pickled Calibration of this version: {e}")))
+        .map_err(|e| PyValueError::new_err(format!("not a pickled Calibration of this version: {e}")))
 }

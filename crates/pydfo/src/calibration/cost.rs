@@ -59,7 +59,8 @@ pub(crate) fn kind(
             let known = CostKind::named().map(|kind| format!("'{}'", kind.name()));
             let known = known.collect::<Vec<_>>().join(", ");
             PyValueError::new_err(format!(
-                "objective = '{name}' is none of {known}, nor a function of (measured, simulated)"
+                "objective = '{name}' is invalid; expected one of {known}, or a function of (measured, \
+                 simulated)"
             ))
         });
     };
@@ -84,7 +85,8 @@ pub(crate) fn kind(
                 }
                 let got = numbers.len();
                 Err(PyValueError::new_err(format!(
-                    "the objective returned {got} residuals, and {expected} before: always the same number is needed"
+                    "the objective returned {got} residuals, but {expected} in earlier calls; the number \
+                     must not change"
                 )))
             };
             returned().map_err(|e: PyErr| {

@@ -158,7 +158,7 @@ impl ExperimentFields {
                 StateFields::Word(word) if word.eq_ignore_ascii_case("measured") => InitialState::Measured,
                 StateFields::Word(word) => {
                     return Err(PyValueError::new_err(format!(
-                        "initial_states: '{name}' = '{word}': it must be a number, 'measured' or a Parameter"
+                        "initial_states: '{name}' = '{word}' must be a number, 'measured' or a Parameter"
                     )));
                 }
                 StateFields::Fitted(fields) => InitialState::from(fields.check(py)?),
@@ -201,7 +201,7 @@ impl ExperimentFields {
                 Data::read_csv(path, request)?
             }
             (None, Some(table)) => table.get().inner.clone(),
-            (None, None) => return Err(CalibrationError::Setup("there is no recording".to_owned())),
+            (None, None) => return Err(CalibrationError::Setup("the recording is missing".to_owned())),
         };
         let measured: Vec<&str> = self.outputs.iter().map(|(_, column, _)| column.as_str()).collect();
         let data = match (&self.mask, &self.mask_column) {

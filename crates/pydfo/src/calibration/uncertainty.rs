@@ -38,7 +38,7 @@ impl PyUncertainty {
     /// Creates an uncertainty from its state.
     #[staticmethod]
     fn restore(state: &[u8]) -> PyResult<Self> {
-        let bad = |what: String| PyValueError::new_err(format!("this is no state of a Uncertainty: {what}"));
+        let bad = |what: String| PyValueError::new_err(format!("not a pickled Uncertainty: {what}"));
         let uncertainty: Uncertainty = ciborium::from_reader(state).map_err(|e| bad(e.to_string()))?;
         uncertainty.check_lengths().map_err(bad)?;
         Ok(Self::new(uncertainty))

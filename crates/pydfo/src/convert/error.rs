@@ -35,8 +35,8 @@ pub(crate) fn optimiser(py: Python<'_>, error: &dfo::Error) -> PyErr {
         }
         dfo::Error::NeedsResiduals { method } => {
             return PyValueError::new_err(format!(
-                "{method} needs the vector of residuals: use pydfo.least_squares(fun, x0) with a function that returns it, or \
-                 another method"
+                "{method} requires the vector of residuals. Use pydfo.least_squares(fun, x0) with a function \
+                 that returns the residuals, or use another method"
             ));
         }
         dfo::Error::Record(e) => return refused(e, &message),

@@ -58,7 +58,7 @@ impl Snapshot {
         let ended = dict!(py;;
             "termination": "interrupted",
             "success": false,
-            "message": "interrupted twice: the state after the last complete iteration",
+            "message": "interrupted twice; the result is the state after the last complete iteration",
         );
         record.update(ended.as_mapping())?;
         made(&record, "result", kind.class())

@@ -127,7 +127,10 @@ fn array(description: &ModelDescription, variable: &Variable, given: &Bound<'_, 
             Dimension::Parameter(_) => true,
         });
     if shape.len() > 1 && !fits {
-        let text = format!("{}: an array of shape {shape:?} does not fit", variable.name);
+        let text = format!(
+            "{}: the shape {shape:?} of the array does not match the dimensions of the variable",
+            variable.name
+        );
         return Err(BadModelValueError::new_err(text));
     }
     let flat = elements.call_method0("ravel")?.call_method0("tolist")?;
@@ -171,7 +174,7 @@ fn scalar(description: &ModelDescription, variable: &Variable, given: &Bound<'_,
 /// Returns the only element of an array, a list or a tuple. Returns other objects unchanged.
 fn single<'py>(variable: &Variable, given: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
     let many = |count: usize| {
-        BadModelValueError::new_err(format!("{}: one value is needed, {count} are given", variable.name))
+        BadModelValueError::new_err(format!("{}: expected one value, got {count}", variable.name))
     };
     if given.is_instance_of::<PyList>() || given.is_instance_of::<PyTuple>() {
         let count = given.len()?;
@@ -216,7 +219,7 @@ fn item(description: &ModelDescription, variable: &Variable, name: &str) -> PyRe
 fn no_item(variable: &Variable, given: &str, items: &[EnumerationItem]) -> PyErr {
     let known: Vec<String> = items.iter().map(|item| format!("{} ({})", item.name, item.value)).collect();
     BadModelValueError::new_err(format!(
-        "{} = {given} is none of the items of its type: {}",
+        "{} = {given} is invalid; expected one of the items of its type: {}",
         variable.name,
         known.join(", ")
     ))
@@ -228,7 +231,7 @@ fn unfit(variable: &Variable, given: &Bound<'_, PyAny>) -> PyErr {
     let shown: String = text.chars().take(60).collect();
     let dots = if shown.len() < text.len() { "..." } else { "" };
     ModelTypeError::new_err(format!(
-        "{} is of type {}, {shown}{dots} ({kind}) does not fit",
+        "{}: expected a value of type {}, got {shown}{dots} ({kind})",
         variable.name, variable.kind
     ))
 }

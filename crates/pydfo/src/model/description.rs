@@ -114,7 +114,7 @@ impl Fmu {
         description: Vec<u8>,
         content_hash: String,
     ) -> PyResult<Self> {
-        let reason = "a pickle of a Description holds no more of it: open the file".to_owned();
+        let reason = "a pickled Description contains only the description; open the file".to_owned();
         let options = OpenOptions::default();
         let fmu = py.detach(|| fmi::Fmu::absent(path, description, content_hash, reason, &options));
         Ok(Self { fmu: fmu.map_err(|e| fmu_error::raise(py, &e))? })

@@ -65,8 +65,8 @@ pub(crate) fn example_fmu(py: Python<'_>, name: &str, version: &str, kind: &str)
         ("3.0", "ME" | "CS") => ExampleKind::Fmi3,
         _ => {
             let problem = format!(
-                "there are no example models of version '{version}' and kind '{kind}'; versions are '1.0', '2.0', \
-                 '3.0', kinds 'ME', 'CS'"
+                "no example model has version '{version}' and kind '{kind}'; expected version '1.0', '2.0' \
+                 or '3.0' and kind 'ME' or 'CS'"
             );
             return Err(PyValueError::new_err(problem));
         }

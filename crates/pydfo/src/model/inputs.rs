@@ -158,7 +158,7 @@ impl Callback {
     fn numbers(&self, time: f64, result: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
         let bad = || {
             let text = result.repr().map_or_else(|_| "?".to_owned(), |text| text.to_string());
-            let kind = if self.count == 1 { "a number" } else { "as many numbers as there are names" };
+            let kind = if self.count == 1 { "a number" } else { "one number per name" };
             PyTypeError::new_err(format!(
                 "the input function must return {kind}; at t = {time} it returned {text}"
             ))

@@ -316,5 +316,5 @@ impl PyInstance {
 
 /// Creates the error for an answer that belongs to another call.
 fn unexpected(answer: &Answer) -> PyErr {
-    PyRuntimeError::new_err(format!("the worker process gave another answer: {answer:?}"))
+    PyRuntimeError::new_err(format!("the worker process returned an unexpected answer: {answer:?}"))
 }

@@ -29,7 +29,7 @@ pyo3::import_exception!(pydfo._errors, Interrupted);
 
 /// Logged once for each model.
 const RESTARTED: &str =
-    "the process of the model ended in an earlier call; a new one is started with the same values set";
+    "the process of the model ended in an earlier call; a new process is started with the same values";
 
 /// A model with the values set since it was opened or reset. Code that waits for its session, or frees an
 /// instance, does not hold the interpreter lock, because the functions of a simulation may need it.
@@ -155,7 +155,7 @@ impl Request<'_> {
         match isolation {
             Isolation::Process => Ok(Some(WorkerLimits { sandbox: self.sandbox, ..WorkerLimits::default() })),
             Isolation::None if self.sandbox => Err(FmiError::BadSetting(
-                "sandbox: isolation = \"none\" runs the model in this process, which is not confined"
+                "sandbox: not available with isolation = \"none\", which runs the model in this process"
                     .to_owned(),
             )),
             Isolation::None => Ok(None),
@@ -457,8 +457,8 @@ impl Model {
 
 fn busy() -> PyErr {
     PyRuntimeError::new_err(
-        "the model is being simulated, by another thread or around this call; \
-         open it once for each thread, that costs next to nothing",
+        "the model is being simulated by another thread or by the caller of this call. Open the model once \
+         per thread, which is fast",
     )
 }
 

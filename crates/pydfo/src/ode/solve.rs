@@ -117,19 +117,19 @@ impl<'py> Problem<'py> {
         let fixed = method.is_fixed_step();
         let is_implicit = method.is_implicit();
         if self.on_event.is_some() && self.events.is_empty() {
-            crate::convert::error::warn(py, "on_event has no effect: there are no events")?;
+            crate::convert::error::warn(py, "on_event has no effect without events")?;
         }
         let ignored = [
-            ("step", self.step.is_some() && !fixed, "chooses its steps itself; max_step limits them"),
-            ("max_step", self.max_step.is_some() && fixed, "makes steps of one size, step"),
-            ("first_step", self.first_step.is_some() && fixed, "makes steps of one size, step"),
-            ("jac", self.jacobian.is_some() && !is_implicit, "is explicit and needs no Jacobian"),
-            ("jac_sparsity", self.sparsity.is_some() && !is_implicit, "is explicit and needs no Jacobian"),
+            ("step", self.step.is_some() && !fixed, "selects its own steps; use max_step to limit them"),
+            ("max_step", self.max_step.is_some() && fixed, "uses the constant step size step"),
+            ("first_step", self.first_step.is_some() && fixed, "uses the constant step size step"),
+            ("jac", self.jacobian.is_some() && !is_implicit, "is explicit and uses no Jacobian"),
+            ("jac_sparsity", self.sparsity.is_some() && !is_implicit, "is explicit and uses no Jacobian"),
         ];
         for (name, _, why) in ignored.into_iter().filter(|(_, is, _)| *is) {
             crate::convert::error::warn(
                 py,
-                &format!("{name} has no effect: method '{}' {why}", method.name()),
+                &format!("{name} has no effect, because method '{}' {why}", method.name()),
             )?;
         }
         Ok(())
@@ -229,7 +229,7 @@ pub(crate) fn solve<'py>(py: Python<'py>, problem: Problem<'py>) -> PyResult<Bou
     keeper.states.try_reserve_exact(times.len().saturating_mul(n)).map_err(|_| {
         let gigabytes = 8e-9 * times.len() as f64 * n as f64;
         PyMemoryError::new_err(format!(
-            "t_eval: {} times of {n} states take {gigabytes:.1} GB, for which there is no room",
+            "t_eval: {} times of {n} states require {gigabytes:.1} GB, more memory than is available",
             times.len()
         ))
     })?;
@@ -334,7 +334,8 @@ fn result<'py>(
                 ErrorKind::NoConvergence | ErrorKind::InconsistentSlopes { is_singular: false, .. }
             ) && system.jacobian_pattern().is_some()
             {
-                message.push_str("; places that jac_sparsity lacks may make the Jacobian wrong or singular");
+                message
+                    .push_str("; entries missing from jac_sparsity may make the Jacobian wrong or singular");
             }
             (-1, message, e.time, &e.stats)
         }

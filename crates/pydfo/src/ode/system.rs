@@ -116,8 +116,10 @@ impl<'py> PySystem<'py> {
     fn keep(&mut self, t: f64, x: &[f64]) -> CallResult<()> {
         if self.keeps_steps {
             if let Err(full) = self.states.try_reserve(x.len()) {
-                let message =
-                    format!("no room for the states of step {}: {full}; give t_eval", self.times.len());
+                let message = format!(
+                    "not enough memory for the states of step {} ({full}); specify t_eval",
+                    self.times.len()
+                );
                 self.raised.get_or_insert(PyMemoryError::new_err(message.clone()));
                 return Err(CallError::failed(message));
             }
@@ -343,7 +345,9 @@ pub(crate) fn is_sparse(value: &Bound<'_, PyAny>) -> bool {
 /// Row, column and value of the entries of a sparse Jacobian.
 pub(crate) fn sparse_entries(value: &Bound<'_, PyAny>, n: usize) -> PyResult<Vec<(usize, usize, f64)>> {
     if !is_sparse(value) {
-        return Err(PyTypeError::new_err("jac must return a sparse matrix, as it did at the start"));
+        return Err(PyTypeError::new_err(
+            "jac must always return a sparse matrix, because its first result was sparse",
+        ));
     }
     let shape: (usize, usize) = value.getattr("shape")?.extract()?;
     if shape != (n, n) {

@@ -238,7 +238,7 @@ impl Answers for Simulated {
                 *answer = found;
             }
             Err(why) => {
-                answer.outcome = Outcome::Abort(format!("an answer of the executor cannot be read: {why}"));
+                answer.outcome = Outcome::Abort(format!("cannot read a result of the executor: {why}"));
             }
         }
     }

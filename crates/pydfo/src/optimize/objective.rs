@@ -161,7 +161,7 @@ impl PyObjective {
             return Ok(answers);
         }
         let (got, points) = (answers.len(), batch.len());
-        Err(PyValueError::new_err(format!("{got} costs were returned for {points} points")))
+        Err(PyValueError::new_err(format!("the objective returned {got} costs for {points} points")))
     }
 }
 

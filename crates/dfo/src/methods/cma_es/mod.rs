@@ -86,9 +86,9 @@ impl MethodOptions for CmaEs {
         let members = self.members(n)?;
         // Population, candidates and batch on two scales, the steps, the matrix, its axes, and the
         // decomposition workspace.
-        memory::check("a covariance matrix of so many parameters", &[4, n, n])?;
+        memory::check("a covariance matrix for this many parameters", &[4, n, n])?;
         let rows = 4 * members + self.lag;
-        memory::check("a population of so many members and parameters", &[rows, setup.space.n() + n])?;
+        memory::check("a population with this many members and parameters", &[rows, setup.space.n() + n])?;
         WithSizes::begin(self, prepared(setup))
     }
 

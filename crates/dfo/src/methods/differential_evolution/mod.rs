@@ -65,8 +65,8 @@ impl MethodOptions for DifferentialEvolution {
         let budget = self.budget.or(setup.max_evaluations).unwrap_or_else(|| planned(n));
         let members = self.population_of(n, budget);
         if !(least..=MAX_MEMBERS).contains(&members) {
-            let range = "large enough for the strategy (rand/1: 4, rand/2: 6, L-SHADE: its final population), at most \
-                         a million";
+            let range = "large enough for the strategy (rand/1: 4, rand/2: 6, L-SHADE: its final \
+                         population), and at most a million";
             return Err(Error::Option { name: "population", value: members as f64, range });
         }
         let members = if n == 0 { 1 } else { members };
@@ -77,7 +77,7 @@ impl MethodOptions for DifferentialEvolution {
         let restored: DifferentialEvolutionState = Generations::restore(setup, state)?;
         match restored.rules().is_of(self) {
             true => Ok(restored),
-            false => Err(Error::State { message: "it was made with other options".to_owned() }),
+            false => Err(Error::State { message: "it was created with other options".to_owned() }),
         }
     }
 

@@ -46,7 +46,7 @@ impl MethodOptions for Genetic {
         let restored: GeneticState = Generations::restore(setup, state)?;
         match restored.rules().is_of(self) {
             true => Ok(restored),
-            false => Err(Error::State { message: "it was made with other options".to_owned() }),
+            false => Err(Error::State { message: "it was created with other options".to_owned() }),
         }
     }
 

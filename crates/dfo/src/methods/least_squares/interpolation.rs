@@ -322,7 +322,7 @@ impl TryFrom<Stored> for Interpolation {
         let n = factor.len().checked_div(rows).unwrap_or(0);
         let finite = gradients.iter().chain(&factor).chain(&reached).all(|v| v.is_finite());
         if n == 0 || factor.len() != n * rows || gradients.len() / n != n + 1 || base > n || !finite {
-            return Err("the parts of the model do not fit together");
+            return Err("the parts of the model are inconsistent");
         }
         let factor = DMatrix::from_vec(rows, n, factor);
         Ok(Self { linear: Linear { factor, reached: DVector::from_vec(reached) }, base, gradients })

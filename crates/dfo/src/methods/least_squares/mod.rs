@@ -40,7 +40,7 @@ impl MethodOptions for LeastSquares {
         self.check()?;
         setup.space.require_continuous("least-squares")?;
         let (n, n_user) = (setup.space.n_free(), setup.space.n());
-        memory::check("a model of so many parameters", &[n + 1, 4 * n + 2 * n_user])?;
+        memory::check("a model for this many parameters", &[n + 1, 4 * n + 2 * n_user])?;
         Ok(LeastSquaresState::new(&near(setup), self))
     }
 

@@ -26,7 +26,7 @@ pub enum StepPlan {
 impl<'de> Deserialize<'de> for StepPlan {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         const NAMES: [(&str, StepPlan); 2] = [("serial", StepPlan::Serial), ("rounds", StepPlan::Rounds)];
-        let expected = "a whole number, 'serial' or 'rounds'";
+        let expected = "an integer, 'serial' or 'rounds'";
         name_or_number(deserializer, expected, &NAMES, StepPlan::Points)
     }
 }

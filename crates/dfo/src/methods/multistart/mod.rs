@@ -59,7 +59,7 @@ impl MethodOptions for Multistart {
             return Err(Error::Option { name: "sample", value: sample as f64, range });
         }
         memory::check(
-            "a sample of so many points and parameters",
+            "a sample of this many points and parameters",
             &[3 * sample, space.n() + space.n_free()],
         )?;
         MultistartState::begin(self, setup)

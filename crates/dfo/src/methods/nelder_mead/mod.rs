@@ -72,7 +72,7 @@ impl MethodOptions for NelderMead {
         let numbers = self.coefficients.resolve(setup.space.n_free())?;
         let (n, n_user) = (setup.space.n_free(), setup.space.n());
         // Vertices on two scales, and the vertices of a batch.
-        memory::check("a simplex of so many parameters", &[n + 1, n + 2 * n_user])?;
+        memory::check("a simplex for this many parameters", &[n + 1, n + 2 * n_user])?;
         let mut simplex = initial::simplex(&setup.space.without_far_bounds(), &self.initial)?;
         let setup = self.prepared(setup);
         simplex.rewrite(&setup.space);

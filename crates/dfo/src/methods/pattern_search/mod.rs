@@ -86,7 +86,7 @@ impl MethodOptions for PatternSearch {
         setup.space.require_continuous("pattern-search")?;
         self.check()?;
         memory::check(
-            "the directions of so many parameters",
+            "the directions for this many parameters",
             &[2, setup.space.n_free(), setup.space.n_free()],
         )?;
         WithSizes::begin(self, prepared(setup))

@@ -91,7 +91,7 @@ impl MethodOptions for QuadraticModel {
         setup.space.require_continuous("quadratic-model")?;
         let (n, n_user) = (setup.space.n_free(), setup.space.n());
         let points = self.resolve(n)?;
-        memory::check("a quadratic model of so many parameters", &[points, 7 * points + 2 * n_user])?;
+        memory::check("a quadratic model for this many parameters", &[points, 7 * points + 2 * n_user])?;
         WithSizes::begin(self, prepared(setup))
     }
 

@@ -101,7 +101,7 @@ impl QuadraticModel {
         let default = (if n > MOST_FROM_SCRATCH { 2 * n + 1 } else { 4 * n + 1 }).min(*range.end());
         match self.points {
             Some(points) if !range.contains(&points) => {
-                let range = "from n + 2 to (n + 1)(n + 2)/2, n the number of free parameters";
+                let range = "from n + 2 to (n + 1)(n + 2)/2, where n is the number of free parameters";
                 Err(Error::Option { name: "points", value: points as f64, range })
             }
             points => Ok(points.unwrap_or(default)),

@@ -319,7 +319,7 @@ impl Populations {
         let n = space.n_free();
         // Both on two scales, the sampled points, and the points of a batch.
         let rows = 3 * members + 2 * candidates;
-        memory::check("a population of so many members and parameters", &[rows, space.n() + n])?;
+        memory::check("a population with this many members and parameters", &[rows, space.n() + n])?;
         let mut population = RankedPoints::new(space, members);
         let mut points = Vec::new();
         sampling.fill(space, seed, members, &mut points)?;

@@ -264,11 +264,11 @@ impl Space {
                 return Err(Error::NoWholeNumber { index, lower: ends[0], upper: ends[1] });
             }
             if let Some(value) = ends.into_iter().find(|b| b.is_finite() && b.abs() > LARGEST_WHOLE) {
-                let range = "at most 2^53 in size, for the parameter is discrete";
+                let range = "at most 2^53 in magnitude, because the parameter is discrete";
                 return Err(Error::ParameterOption { name: "bound", index, value, range });
             }
             if value != value.round() {
-                let range = "a whole number, for the parameter is discrete";
+                let range = "an integer, because the parameter is discrete";
                 return Err(Error::ParameterOption { name: "start value", index, value, range });
             }
             if self.transforms[k] == Transform::Linear {

@@ -49,14 +49,14 @@ impl<'e> Attributes<'e> {
     /// string.
     pub(super) fn expected(&self, name: &str) -> String {
         self.text(name).unwrap_or_else(|| {
-            self.quirk(QuirkKind::Missing, || format!("<{}> has no {name}", self.element));
+            self.quirk(QuirkKind::Missing, || format!("<{}> has no attribute {name}", self.element));
             String::new()
         })
     }
 
     /// Returns a mandatory value. Without it the element cannot be used.
     pub(super) fn required(&self, name: &str) -> Result<&str> {
-        self.get(name).ok_or_else(|| self.error(format!("no {name}")))
+        self.get(name).ok_or_else(|| self.error(format!("missing attribute {name}")))
     }
 
     /// Returns a mandatory value as an owned string.
@@ -134,7 +134,7 @@ impl<'e> Attributes<'e> {
     }
 
     pub(super) fn count(&self, name: &str) -> Option<u32> {
-        self.parsed(name, "a count", |text| text.parse().ok())
+        self.parsed(name, "a non-negative integer", |text| text.parse().ok())
     }
 
     /// Returns the length of an array.
@@ -142,7 +142,7 @@ impl<'e> Attributes<'e> {
         let limit = self.reading.limits.elements;
         match self.count(name).map(|count| count as usize) {
             Some(count) if count > limit => Err(self.error(format!(
-                "{name}=\"{count}\", more than the limit of {limit} elements (DescriptionLimits::elements)"
+                "{name}=\"{count}\" exceeds the limit of {limit} elements (DescriptionLimits::elements)"
             ))),
             count => Ok(count),
         }
@@ -159,7 +159,7 @@ impl<'e> Attributes<'e> {
 
     /// Returns the meaning of one of these words.
     pub(super) fn choice<T: Copy>(&self, name: &str, words: &[(&str, T)]) -> Option<T> {
-        self.parsed(name, "a word the standard knows", |text| {
+        self.parsed(name, "a value that the standard defines", |text| {
             words.iter().find(|(word, _)| *word == text).map(|(_, meaning)| *meaning)
         })
     }
@@ -170,7 +170,7 @@ impl<'e> Attributes<'e> {
         if !self.may_list::<(u32, usize)>(name) {
             return None;
         }
-        self.parsed(name, "a list of counts", |text| {
+        self.parsed(name, "a list of non-negative integers", |text| {
             text.split_ascii_whitespace().map(|word| word.parse().ok()).collect()
         })
     }
@@ -180,7 +180,7 @@ impl<'e> Attributes<'e> {
         if !self.may_list::<T>(name) {
             return None;
         }
-        self.parsed(name, "a list of words the standard knows", |text| {
+        self.parsed(name, "a list of values that the standard defines", |text| {
             let meaning = |text| words.iter().find(|(word, _)| *word == text).map(|(_, meaning)| *meaning);
             text.split_ascii_whitespace().map(meaning).collect()
         })
@@ -189,7 +189,9 @@ impl<'e> Attributes<'e> {
     /// Returns the value reference of a variable.
     pub(super) fn value_reference(&self) -> Result<u32> {
         let text = self.required("valueReference")?.trim();
-        text.parse().map_err(|_| self.error(format!("valueReference=\"{}\" is not one", shortened(text))))
+        text.parse().map_err(|_| {
+            self.error(format!("valueReference=\"{}\" is not a value reference", shortened(text)))
+        })
     }
 }
 

@@ -53,9 +53,8 @@ fn source_file_set(xml: &mut Xml<'_>, level: usize, set: &mut BuildSet) -> Resul
             "PreprocessorDefinition" if attributes.get("optional") != Some("true") => {
                 let name = name()?;
                 if !is_identifier(&name) {
-                    return Err(
-                        attributes.error(format!("name=\"{}\" cannot be defined", name.escape_debug()))
-                    );
+                    return Err(attributes
+                        .error(format!("name=\"{}\" is not a valid macro name", name.escape_debug())));
                 }
                 set.definitions.push((name, attributes.text("value")));
             }

@@ -75,7 +75,7 @@ impl ClockAttributes {
     fn timing(self, reading: &Reading) -> ClockTiming {
         if self.kind.is_none() {
             reading.quirk(QuirkKind::Missing, self.line, || {
-                "a clock has no intervalVariability; taken as triggered".to_owned()
+                "a clock has no intervalVariability; assumed to be triggered".to_owned()
             });
         }
         let interval = self.interval.resolved(self.resolution);

@@ -44,7 +44,7 @@ fn decode_body<'b>(encoding: &'static Encoding, body: &'b [u8], quirks: &mut Qui
             false => 0,
         };
         quirks.add(QuirkKind::Encoding, line, || {
-            format!("bytes that are not {}; replaced by U+FFFD", encoding.name())
+            format!("invalid {} bytes were replaced by U+FFFD", encoding.name())
         });
     }
     text
@@ -63,7 +63,7 @@ fn without_mark(bytes: &[u8], quirks: &mut Quirks) -> &'static Encoding {
         Some(encoding) if encoding != UTF_16LE && encoding != UTF_16BE => encoding,
         _ => {
             quirks.add(QuirkKind::Encoding, 1, || {
-                format!("encoding \"{}\" cannot be right; read as UTF-8", String::from_utf8_lossy(label))
+                format!("encoding \"{}\" is wrong; read as UTF-8", String::from_utf8_lossy(label))
             });
             UTF_8
         }
@@ -125,7 +125,7 @@ mod tests {
     fn decode_replaces_invalid_bytes_and_reports_their_line() {
         let (text, quirks) = decoded(b"<a>\n\n\xff</a>");
         assert_eq!(text, "<a>\n\n\u{fffd}</a>");
-        assert_eq!(quirks, ["line 3: bytes that are not UTF-8; replaced by U+FFFD"]);
+        assert_eq!(quirks, ["line 3: invalid UTF-8 bytes were replaced by U+FFFD"]);
     }
 
     #[test]

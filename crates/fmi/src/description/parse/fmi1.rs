@@ -85,7 +85,7 @@ fn variables(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Resu
             }
         }
         let Some((mut variable, flags, fixed)) = typed else {
-            return Err(attributes.error("a variable without type".to_owned()));
+            return Err(attributes.error("the variable has no type".to_owned()));
         };
         roles(&attributes, &mut variable, fixed);
         draft.add_variable(variable, flags);

@@ -50,7 +50,7 @@ fn variables(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Resu
             // The model structure refers to indices in this list. Unknown elements do not count.
             let line = element.line;
             draft.reading.quirk(QuirkKind::Element, line, || {
-                format!("<{}> among the variables; ignored", element.name())
+                format!("unexpected element <{}> among the variables; ignored", element.name())
             });
         }
     }
@@ -64,7 +64,7 @@ fn variable(xml: &mut Xml<'_>, element: &Element<'_>, draft: &mut Draft) -> Resu
         let Some(kind) = shared::scalar_kind(child.name()) else { continue };
         if typed.is_some() {
             draft.reading.quirk(QuirkKind::Element, child.line, || {
-                format!("a second type, <{}>, for one variable; ignored", child.name())
+                format!("the variable has a second type <{}>; ignored", child.name())
             });
             continue;
         }
@@ -104,7 +104,7 @@ fn structure(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut Draft) -> Resu
 fn unknown(attributes: &Attributes<'_>) -> Result<Unknown> {
     let index = attributes.required("index")?;
     let index = index.trim().parse().map(shared::position).map_err(|_| {
-        attributes.error(format!("index=\"{}\" is not a position", super::attributes::shortened(index)))
+        attributes.error(format!("index=\"{}\" is not a valid index", super::attributes::shortened(index)))
     })?;
     let dependencies = attributes.counts("dependencies");
     Ok(Unknown {

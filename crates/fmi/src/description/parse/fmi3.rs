@@ -54,7 +54,7 @@ pub(super) fn parse(xml: &mut Xml<'_>, root: &Element<'_>, draft: &mut Draft) ->
 }
 
 fn unsupported(draft: &mut Draft, element: &Element<'_>, what: &str) {
-    draft.reading.quirk(QuirkKind::Unsupported, element.line, || format!("{what} is left out"));
+    draft.reading.quirk(QuirkKind::Unsupported, element.line, || format!("{what} is not supported; ignored"));
 }
 
 fn interface(element: &Element<'_>) -> Result<Interface> {
@@ -98,7 +98,7 @@ fn type_definitions(
 ) -> Result<()> {
     while let Some(element) = xml.child(parent.level)? {
         let Some(kind) = kind(element.name()) else {
-            unsupported(draft, &element, "a type of variables this importer does not know");
+            unsupported(draft, &element, "an unknown variable type");
             continue;
         };
         let attributes = Attributes::of(&element)?;
@@ -190,7 +190,7 @@ fn start_attribute(attributes: &Attributes<'_>, variable: &Variable) -> Option<V
         _ => Value::String(attributes.text("start")?),
     };
     attributes.quirk(QuirkKind::Start, || {
-        format!("\"{}\" has its start value in an attribute, not in elements <Start>", variable.name)
+        format!("\"{}\" has its start value in an attribute instead of <Start> elements", variable.name)
     });
     Some(if variable.dimensions.is_empty() { start } else { Value::Array(vec![start]) })
 }
@@ -225,7 +225,7 @@ fn variable_children(
                     draft.reading.push(&mut later.dimensions, (position, number, reference));
                 } else if extent.is_none() {
                     return Err(
-                        attributes.error(format!("\"{}\" has a dimension without extent", variable.name))
+                        attributes.error(format!("\"{}\" has a dimension without an extent", variable.name))
                     );
                 }
                 let extent = Dimension::Fixed(extent.unwrap_or(0) as usize);

@@ -67,6 +67,6 @@ fn version(root: &Attributes<'_>) -> Result<FmiVersion> {
             let minor = minor.and_then(Result::ok).unwrap_or(0);
             Ok(FmiVersion { major, minor, text: text.to_owned() })
         }
-        _ => Err(root.error(format!("fmiVersion=\"{}\" is not one", attributes::shortened(text)))),
+        _ => Err(root.error(format!("fmiVersion=\"{}\" is not a version", attributes::shortened(text)))),
     }
 }

@@ -37,10 +37,10 @@ pub(super) fn model_identifier(attributes: &Attributes<'_>) -> Result<String> {
         Err(attributes.error(format!("modelIdentifier=\"{}\" {why}", shown.escape_debug())))
     };
     if name.contains(['/', '\\', ':']) {
-        return refuse("has a path separator in it");
+        return refuse("contains a path separator");
     }
     if name.is_empty() || name == "." || name == ".." || name.chars().any(char::is_control) {
-        return refuse("is not the name of a file");
+        return refuse("is not a valid file name");
     }
     if name.len() > 200 {
         return refuse("is longer than 200 bytes");
@@ -222,7 +222,7 @@ pub(super) fn scalar_types(xml: &mut Xml<'_>, parent: &Element<'_>, draft: &mut 
         match definition {
             Some(definition) => draft.reading.push(&mut draft.model.type_definitions, definition),
             None => draft.reading.quirk(QuirkKind::Missing, element.line, || {
-                format!("type \"{name}\" does not say what it is; left out")
+                format!("type \"{name}\" has no base type; ignored")
             }),
         }
     }
@@ -268,7 +268,7 @@ pub(super) fn roles(attributes: &Attributes<'_>, variable: &mut Variable) {
         // continuous.
         Some(Variability::Continuous) if !variable.kind.is_float() => {
             attributes.quirk(QuirkKind::Combination, || {
-                format!("{} \"{}\" is continuous; taken as discrete", variable.kind, variable.name)
+                format!("{} \"{}\" is continuous; treated as discrete", variable.kind, variable.name)
             });
             Variability::Discrete
         }

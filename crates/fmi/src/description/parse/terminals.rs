@@ -109,13 +109,13 @@ mod tests {
     fn terminals_rejects_invalid_documents_with_their_line() {
         let refused =
             |text: &str| terminals(text.as_bytes(), &DescriptionLimits::default()).unwrap_err().to_string();
-        assert!(refused("<a/>").contains("<a> is the outermost element"));
+        assert!(refused("<a/>").contains("the root element is <a>"));
         let message = refused(&EXAMPLE.replace(" variableName=\"phi\"", ""));
         assert!(message.starts_with("terminalsAndIcons.xml, line 7: <TerminalMemberVariable>"), "{message}");
         let nested = format!(
             "<fmiTerminalsAndIcons><Terminals>{}",
             "<Terminal name=\"a\" matchingRule=\"b\">".repeat(200)
         );
-        assert!(refused(&nested).contains("inside each other"));
+        assert!(refused(&nested).contains("levels deep"));
     }
 }

@@ -50,7 +50,7 @@ impl<'a> Xml<'a> {
         let mut xml = Xml { reader, file, text, reading, depth: 0, n_events: 0, counted: 0, line: 1 };
         // NUL is not allowed in XML, and would truncate strings that are later passed to C.
         match text.find('\0') {
-            Some(at) => Err(xml.error_at(at as u64, "a NUL character")),
+            Some(at) => Err(xml.error_at(at as u64, "NUL characters are not allowed")),
             None => Ok(xml),
         }
     }
@@ -59,7 +59,7 @@ impl<'a> Xml<'a> {
     pub(super) fn root(&mut self) -> Result<Element<'a>> {
         match self.child(0)? {
             Some(root) => Ok(root),
-            None => Err(self.error("there is no element in it")),
+            None => Err(self.error("the file contains no element")),
         }
     }
 
@@ -69,7 +69,7 @@ impl<'a> Xml<'a> {
         if root.name() == name {
             return Ok(root);
         }
-        Err(self.error(format!("<{}> is the outermost element, not <{name}>", root.name())))
+        Err(self.error(format!("the root element is <{}>; expected <{name}>", root.name())))
     }
 
     /// Returns the next child of the element at `level`, or `None` at its end. Skips the remaining content of
@@ -88,9 +88,10 @@ impl<'a> Xml<'a> {
                 Ok(Event::Start(start)) => {
                     self.depth += 1;
                     if self.depth > DEEPEST {
-                        return Err(
-                            self.error_at(before, format!("more than {DEEPEST} elements inside each other"))
-                        );
+                        return Err(self.error_at(
+                            before,
+                            format!("elements are nested more than {DEEPEST} levels deep"),
+                        ));
                     }
                     if self.depth == level + 1 {
                         return Ok(Some(Element {
@@ -109,14 +110,12 @@ impl<'a> Xml<'a> {
                     }
                 }
                 Ok(Event::DocType(_)) => {
-                    return Err(
-                        self.error_at(before, "a document type definition; entities are not accepted")
-                    );
+                    return Err(self.error_at(before, "document type definitions are not supported"));
                 }
                 Ok(Event::Eof) if self.depth == 0 => return Ok(None),
                 Ok(Event::Eof) => {
                     return Err(
-                        self.error_at(before, format!("the file ends with {} elements open", self.depth))
+                        self.error_at(before, format!("the file ends with {} unclosed elements", self.depth))
                     );
                 }
                 Ok(_) => {}
@@ -182,7 +181,7 @@ impl Element<'_> {
                 return Err(error(format!("more than {MOST_ATTRIBUTES} attributes")));
             }
             if pairs.iter().any(|(known, _)| *known == key) {
-                return Err(error(format!("attribute {key} twice")));
+                return Err(error(format!("duplicate attribute {key}")));
             }
             let value = attribute
                 .normalized_value(XmlVersion::Explicit1_0)
@@ -224,7 +223,7 @@ mod tests {
         let bomb = "<?xml version=\"1.0\"?>\n<!DOCTYPE a [<!ENTITY b \"bb\"><!ENTITY c \"&b;&b;\">]>\n<a b=\"&c;\"/>";
         assert_eq!(
             refusal(bomb),
-            "modelDescription.xml, line 2: a document type definition; entities are not accepted"
+            "modelDescription.xml, line 2: document type definitions are not supported"
         );
         assert!(refusal("<a><b c='&bomb;'/></a>").contains("<b>: attribute c"));
     }
@@ -234,7 +233,7 @@ mod tests {
         let deep = format!("{}{}", "<a>\n".repeat(1000), "</a>".repeat(1000));
         assert_eq!(
             refusal(&deep),
-            "modelDescription.xml, line 129: more than 128 elements inside each other"
+            "modelDescription.xml, line 129: elements are nested more than 128 levels deep"
         );
         let many: String = (0..300).map(|i| format!(" a{i}='1'")).collect();
         assert!(refusal(&format!("<r><a{many}/></r>")).contains("more than 64 attributes"));
@@ -245,7 +244,7 @@ mod tests {
         for (text, line, part) in [
             ("", 1, "no element"),
             ("just text", 1, "no element"),
-            ("<a>\n<b>\n", 3, "2 elements open"),
+            ("<a>\n<b>\n", 3, "2 unclosed elements"),
             ("<a>\n</b>\n", 2, "b"),
             ("<a>\n<b", 2, ""),
             ("<a>\n<b c='1' c='2'/></a>", 2, "attribute c twice"),

@@ -140,11 +140,14 @@ impl ClockPlan {
                 && v.clock.as_ref().is_some_and(|clock| clock.kind != ClockKind::Triggered)
         };
         let problem = if let Some(clock) = description.variables.iter().find(ticks) {
-            format!("the clock {} ticks in event mode, and this co-simulation has none", clock.name)
+            format!("the clock {} ticks in event mode, which this co-simulation does not support", clock.name)
         } else if let Some((name, _)) = intervals.first() {
-            format!("the clock {name} is given an interval, and this co-simulation has no event mode")
+            format!(
+                "an interval of the clock {name} is specified, but this co-simulation does not support \
+                     event mode"
+            )
         } else if !inputs.ticks.is_empty() {
-            "the inputs trigger clocks, which takes an event mode, and this co-simulation has none".to_owned()
+            "the inputs trigger clocks in event mode, which this co-simulation does not support".to_owned()
         } else {
             return Ok(Self::default());
         };

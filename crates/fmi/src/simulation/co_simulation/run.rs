@@ -264,7 +264,8 @@ impl Run<'_, '_> {
         drop(knowledge);
         if known != now && now == StopTime::Withheld {
             let message = format!(
-                "the model refuses the step that ends at the stop time {} if it is told that time: it is not told",
+                "the model rejects the last step if it receives the stop time {}, so the stop time is not \
+                 passed to it",
                 Number(stop)
             );
             self.plan.fmu().note_quirk(QuirkKind::Promise, message);
@@ -280,8 +281,9 @@ impl Run<'_, '_> {
         self.is_elsewhere = (reached - target.time).abs() > tolerance;
         if self.is_elsewhere {
             let message = format!(
-                "after a complete step from {} to {} the model stands at {} (lastSuccessfulTime): what is read there are its \
-                 values of that time; a communication step (step_size) that is a multiple of its own avoids that",
+                "after a complete step from {} to {}, the model is at {} (lastSuccessfulTime), and the \
+                 recorded values belong to that time. To avoid this, use a communication step (step_size) \
+                 that is a multiple of the internal step of the model",
                 Number(self.t),
                 Number(target.time),
                 Number(reached)
@@ -397,8 +399,8 @@ impl Run<'_, '_> {
             Some(tick) if tick < target.time - time_tolerance && !self.communication.variable => {
                 let name = clocks.name_of_next(&self.plan.clocks).unwrap_or_default();
                 let problem = format!(
-                    "the clock {name} ticks at {tick}, within the step from {} to {}, and the model takes no steps of \
-                     other lengths than {}: choose a step that meets the ticks",
+                    "the clock {name} ticks at {tick}, within the step from {} to {}, but the model supports \
+                     only steps of {}. Choose a step_size whose steps end at the ticks",
                     self.t, target.time, target.step
                 );
                 Err(FmiError::BadSetting(problem).into())

@@ -290,7 +290,8 @@ impl InputPlan {
                 return Err(bad(
                     variable,
                     format!(
-                        "it is neither an input nor a tunable parameter, but a variable of causality {} and variability {}",
+                        "it is neither an input nor a tunable parameter; its causality is {} and its \
+                         variability is {}",
                         variable.causality, variable.variability
                     ),
                 ));
@@ -306,16 +307,16 @@ impl InputPlan {
                     continue;
                 }
                 let problem = match &first.name {
-                    first if first == name => "it is given twice".to_owned(),
+                    first if first == name => "it is specified twice".to_owned(),
                     first => format!(
-                        "it is the same variable as {first}, which is given too, with different values"
+                        "it is the same variable as {first}, which is also specified, with different values"
                     ),
                 };
                 return Err(FmiError::BadInput { name: name.clone(), problem });
             }
             plan.driven.push(place);
             if !variable.dimensions.is_empty() && place.element.is_none() {
-                let problem = format!("it is an array; drive its elements, {name}[...], counted from 1");
+                let problem = format!("it is an array; drive its elements {name}[...], with indices from 1");
                 return Err(bad(variable, problem));
             }
             match source {
@@ -325,13 +326,13 @@ impl InputPlan {
                     plan.functions.push((function.clone(), sign, at));
                 }
                 SourceValues::Function(_) => {
-                    let problem = "a function can drive continuous inputs of floating-point type only; use a table, whose changes are \
-                         events";
+                    let problem = "a function can drive only continuous floating-point inputs; use a table, \
+                                   whose changes are events";
                     return Err(bad(variable, problem.to_owned()));
                 }
                 SourceValues::Any(times, values) if !variable.kind.is_number() => {
                     if place.element.is_some() || !variable.clocks.is_empty() {
-                        let problem = "texts drive single variables that belong to no clock";
+                        let problem = "strings can drive only scalar variables without a clock";
                         return Err(bad(variable, problem.to_owned()));
                     }
                     let (text, numbers) = TextInput::new(variable, values)?;
@@ -409,7 +410,7 @@ impl InputPlan {
         let variable = &starts.description.variables[place.variable];
         let is_clocked = !variable.clocks.is_empty();
         if place.element.is_some() && (variable.kind == VariableKind::Clock || is_clocked) {
-            let problem = "elements of arrays cannot be clocks, nor be driven by clocks";
+            let problem = "an array element must not be a clock or depend on a clock";
             return Err(bad(variable, problem.to_owned()));
         }
         if is_clocked {
@@ -450,7 +451,8 @@ impl InputPlan {
             Some(timing) if timing.kind != ClockKind::Triggered => Err(bad(
                 variable,
                 format!(
-                    "it is a clock with {} intervals, which the model determines, and cannot be deactivated",
+                    "it is a clock with {} intervals; the model determines its ticks, so it cannot be \
+                     deactivated",
                     timing.kind.name()
                 ),
             )),
@@ -585,7 +587,10 @@ fn check_rows(variable: &Variable, times: &[f64], values: &[f64]) -> Result<()> 
         }
         if row > 0 && *time < times[row - 1] {
             let before = times[row - 1];
-            return Err(bad(variable, format!("times must ascend: row {} has {time} after {before}", row)));
+            return Err(bad(
+                variable,
+                format!("times must not decrease: row {} has {time} after {before}", row),
+            ));
         }
     }
     Ok(())

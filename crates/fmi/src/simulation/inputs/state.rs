@@ -142,7 +142,7 @@ impl InputState {
     pub(crate) fn bad_function_value(&self, t: f64) -> FmiError {
         let bad = self.continuous.iter().find(|value| !value.is_finite());
         let value = bad.copied().unwrap_or(f64::NAN);
-        FmiError::NotFinite { name: format!("an input function at t = {t}"), value }
+        FmiError::NotFinite { name: format!("input function at t = {t}"), value }
     }
 }
 

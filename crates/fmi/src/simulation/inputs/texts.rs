@@ -46,10 +46,11 @@ impl TextInput {
             let number = *known.entry(bytes).or_insert(n);
             if number == n {
                 match &mut values {
-                    Values::Texts(texts) => texts.push(
-                        CString::new(bytes)
-                            .map_err(|_| bad(format!("the text in row {} has a NUL in it", row)))?,
-                    ),
+                    Values::Texts(texts) => {
+                        texts.push(CString::new(bytes).map_err(|_| {
+                            bad(format!("the string in row {} contains a NUL character", row))
+                        })?)
+                    }
                     Values::Bytes(all) => all.push(bytes.to_vec()),
                 }
             }

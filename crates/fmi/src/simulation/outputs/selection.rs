@@ -41,8 +41,8 @@ impl Selection {
             });
             if chosen.len() > MOST_UNASKED {
                 log::warn!(
-                    "{}: the model declares neither outputs nor states, and {} variables that change are too many to be \
-                     recorded unasked; say which",
+                    "{}: the model declares neither outputs nor states, and its {} changing variables are \
+                     too many to record by default. Specify outputs",
                     context.model.model_name,
                     chosen.len()
                 );
@@ -81,7 +81,7 @@ impl Selection {
                 selection.add_matching(context, "*", &mut known);
             } else if name.contains(['*', '?']) {
                 if selection.add_matching(context, name, &mut known) == 0 {
-                    let problem = format!("the pattern \"{name}\" fits the name of no variable");
+                    let problem = format!("the pattern \"{name}\" does not match any variable");
                     return Err(FmiError::BadSetting(problem));
                 }
             } else if name != "time" {

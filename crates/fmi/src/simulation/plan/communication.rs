@@ -52,7 +52,8 @@ impl Communication {
             |step: &f64| step.is_finite() && *step > grid.time_tolerance && span / *step <= MAX_STEPS;
         if let Some(step) = options.run.step_size.filter(|step| !makes_sense(step)) {
             let problem = format!(
-                "step_size = {} from {} to {}: it must be positive, finite, and not make more than {MAX_STEPS:e} steps",
+                "step_size = {} from {} to {}: expected a positive, finite value that results in at most \
+                 {MAX_STEPS:e} steps",
                 Number(step),
                 Number(grid.start),
                 Number(grid.end)
@@ -94,7 +95,8 @@ impl Communication {
             let next = if lower > 0.0 { format!("{below} and {above}") } else { above.to_string() };
             let (step, internal) = (Number(step), Number(internal));
             let problem = format!(
-                "a communication step of {step} is no multiple of the model's own step {internal}; next to it: {next}"
+                "the communication step {step} is not a multiple of the internal step {internal} of the \
+                 model; nearest multiples: {next}"
             );
             return Err(FmiError::BadSetting(problem));
         }
@@ -139,14 +141,15 @@ impl Communication {
         let Some((time, (below, above))) = grid.times.iter().find_map(beside) else { return Ok(None) };
         let (time, below, above) = (Number(time), Number(below), Number(above));
         let what = format!(
-            "the row at t = {time} lies between two steps of the model, {below} and {above} (it makes steps of {})",
+            "the row at t = {time} is between two communication points of the model, {below} and {above} \
+             (its step size is {})",
             Number(step)
         );
         match between {
-            BetweenSteps::Interpolate => Ok(Some(format!("{what}: such rows are interpolated linearly"))),
+            BetweenSteps::Interpolate => Ok(Some(format!("{what}; such rows are interpolated linearly"))),
             BetweenSteps::Refuse => {
                 let problem = format!(
-                    "{what}, and rows between steps are to be refused: ask for rows at multiples of the step"
+                    "{what}, and between_steps rejects such rows. Request rows at multiples of the step"
                 );
                 Err(FmiError::BadSetting(problem))
             }
@@ -159,8 +162,8 @@ impl Communication {
         let regular = ((grid.end - grid.start) / step).ceil();
         (points as f64 > regular).then(|| {
             format!(
-                "the inputs change at {points} times, which are communication points in addition to those of the step {}: the \
-                 model steps from one to the next",
+                "the inputs change at {points} times. These are communication points in addition to the \
+                 multiples of the step {}",
                 Number(step)
             )
         })

@@ -58,7 +58,8 @@ impl InitialValues {
             let place = VariableElement::of_name(description, starts.structure, name)?;
             let given = given_number(starts, parameters, place)?.ok_or_else(|| {
                 FmiError::BadSetting(format!(
-                    "initial state {name} has no value: give it a start value, or make it a parameter of the run"
+                    "initial state {name} has no value; specify a start value, or make it a parameter of the \
+                     run"
                 ))
             })?;
             values.required.push(InitialValue { place, given, state: states.of(description, place) });
@@ -162,7 +163,9 @@ fn given_number(
         Value::Real(value) => Ok(Some(GivenNumber::Constant(relative(*index) * value))),
         _ => {
             let name = &description.variables[place.variable].name;
-            Err(FmiError::BadSetting(format!("{name} cannot be an initial state: it is not one real number")))
+            Err(FmiError::BadSetting(format!(
+                "{name} cannot be an initial state: it is not a scalar real variable"
+            )))
         }
     }
 }

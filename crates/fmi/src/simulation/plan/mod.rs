@@ -179,11 +179,11 @@ impl SimulationPlan {
         };
         plan.take_outputs(description, options.outputs.as_deref(), &states)?;
         if let Some(message) = plan.many_steps() {
-            let message = &format!("{message}. Set a larger step_size or fewer rows");
+            let message = &format!("{message}. Use a larger step_size or fewer rows");
             fmu.say_once(log::Level::Warn, "steps", message);
         }
         if !has_events && !plan.outputs.plan.clocks.is_empty() {
-            let problem = "clocks are recorded, which tick in event mode, and this co-simulation has none";
+            let problem = "the recorded clocks tick in event mode, which this co-simulation does not support";
             return Err(FmiError::BadSetting(problem.to_owned()));
         }
         Ok(plan)
@@ -306,7 +306,7 @@ impl SimulationPlan {
         let steps = ((self.end - self.start) / step).max(rows);
         (steps > MANY_STEPS).then(|| {
             format!(
-                "the simulation from {} to {} makes {} steps, the longest of {}, which may take long",
+                "the simulation from {} to {} requires {} steps of at most {}, which may take a long time",
                 Number(self.start),
                 Number(self.end),
                 Number(steps.round()),
@@ -322,9 +322,9 @@ impl SimulationPlan {
     /// [`FmiError::NotAnOutput`] contains the name of the first such output.
     pub fn require_single_numbers(&self) -> Result<()> {
         let reason = |recorded: &Recorded| match () {
-            () if !recorded.kind.is_number() => Some("it is text or binary, and numbers are needed"),
+            () if !recorded.kind.is_number() => Some("it is a string or binary variable; expected a number"),
             () if !recorded.extents.is_empty() => {
-                Some("it is an array, and single numbers are needed: its elements")
+                Some("it is an array; expected a scalar, such as one of its elements")
             }
             () => None,
         };
@@ -354,7 +354,8 @@ impl SimulationPlan {
                 let state = states(description, self.structure()).get(i).copied().flatten();
                 let name =
                     state.map_or_else(|| format!("state {i}"), |k| description.variables[k].name.clone());
-                let message = format!("the nominal value of {name} is {nominal}; {corrected} is used");
+                let message =
+                    format!("the nominal value of {name} is {nominal}; {corrected} is used instead");
                 self.fmu.note_quirk(QuirkKind::Range, message);
             }
             *nominal = corrected;

@@ -147,27 +147,27 @@ impl RunValues {
             if !variable.kind.is_float() {
                 return Err(assignments::not_settable(
                     variable,
-                    "only variables of floating-point type can be parameters of a run",
+                    "only floating-point variables can be parameters of a run",
                 ));
             }
             if !variable.dimensions.is_empty() && place.element.is_none() {
                 return Err(assignments::not_settable(
                     variable,
-                    "it is an array; its elements can be parameters of a run, one by one: name[1]",
+                    "it is an array; specify its elements individually, such as name[1]",
                 ));
             }
             let is_same = |known: &VariableElement| known.overlaps(place, starts.description);
             if let Some(first) = self.parameters.iter().position(|known| is_same(&known.place)) {
                 let problem = match &names[first] {
-                    first if first == name => format!("parameter {name} is given twice"),
+                    first if first == name => format!("parameter {name} is specified twice"),
                     first => {
-                        format!("parameter {name} is the same variable as {first}, which is given too")
+                        format!("parameter {name} is the same variable as {first}, which is also specified")
                     }
                 };
                 return Err(FmiError::BadSetting(problem));
             }
             if driven.iter().any(is_same) {
-                return Err(assignments::not_settable(variable, "it is driven by the inputs"));
+                return Err(assignments::not_settable(variable, "it is driven by an input"));
             }
             let set = match variable.causality {
                 Causality::Input => SetAt::Initialization,
@@ -298,7 +298,7 @@ impl RunValues {
     pub(crate) fn check_parameters(&self, values: &[f64]) -> Result<()> {
         let expected = self.parameters.len();
         if values.len() != expected {
-            return Err(FmiError::Length { call: "values of the parameters", expected, found: values.len() });
+            return Err(FmiError::Length { call: "parameter values", expected, found: values.len() });
         }
         match values.iter().position(|value| !value.is_finite()) {
             Some(i) => Err(FmiError::NotFinite { name: self.parameter_names[i].clone(), value: values[i] }),

@@ -29,7 +29,7 @@ pub(crate) fn overwrite_variable(name: &CStr, value: &[u8]) -> io::Result<()> {
     if place.is_null() || unsafe { CStr::from_ptr(place) }.count_bytes() != value.len() {
         return Err(io::Error::new(
             io::ErrorKind::InvalidInput,
-            format!("no {name:?} of {} bytes", value.len()),
+            format!("expected the variable {name:?} with {} bytes", value.len()),
         ));
     }
     // SAFETY: the memory of this process contains this number of bytes (System V ABI: strings of the initial

@@ -15,7 +15,7 @@ pub(in crate::worker) const HAS_WORKERS: bool = false;
 /// Has the required functions. No value is created.
 pub(in crate::worker) type Channel = std::net::TcpStream;
 
-const REASON: &str = "there are no worker processes on this system";
+const REASON: &str = "worker processes are not supported on this system";
 
 #[derive(Debug)]
 pub(in crate::worker) struct Absent(Infallible);

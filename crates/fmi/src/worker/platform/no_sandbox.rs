@@ -9,8 +9,8 @@ use crate::error::FmiError;
 pub fn check_sandbox() -> Result<(), FmiError> {
     let has_system = cfg!(all(target_os = "linux", any(target_arch = "x86_64", target_arch = "aarch64")));
     let reason = match has_system {
-        true => "this build has no sandbox (feature `sandbox`)",
-        false => "it needs Linux on x86-64 or 64-bit ARM",
+        true => "this build does not include the sandbox (feature `sandbox`)",
+        false => "requires Linux on x86-64 or 64-bit ARM",
     };
     Err(FmiError::NoSandbox { reason: reason.to_owned() })
 }

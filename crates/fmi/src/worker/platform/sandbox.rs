@@ -31,7 +31,7 @@ const READABLE_DEVICES: [&str; 3] = ["/dev/random", "/dev/urandom", "/dev/shm"];
 /// [`FmiError::NoSandbox`] with the reason.
 pub fn check_sandbox() -> Result<(), FmiError> {
     ruleset().map(drop).map_err(|error| FmiError::NoSandbox {
-        reason: format!("the kernel has no Landlock, which needs Linux 5.13 or newer ({error})"),
+        reason: format!("the kernel does not support Landlock, which requires Linux 5.13 or newer ({error})"),
     })
 }
 
@@ -40,7 +40,7 @@ pub fn check_sandbox() -> Result<(), FmiError> {
 pub(in crate::worker) fn confine_self(folder: &Path) -> io::Result<()> {
     let n_threads = std::fs::read_dir("/proc/self/task")?.count();
     if n_threads != 1 {
-        return Err(io::Error::other(format!("sandbox: {n_threads} threads instead of 1")));
+        return Err(io::Error::other(format!("sandbox: expected 1 thread, got {n_threads}")));
     }
     let confined = || -> Result<(), Box<dyn Error>> {
         confine_files(folder)?;

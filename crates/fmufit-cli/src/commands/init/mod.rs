@@ -19,7 +19,7 @@ use std::path::Path;
 pub(crate) fn run(arguments: &Init, console: &Console) -> Result<Exit, Error> {
     let Init { model, data, problem, .. } = arguments;
     if problem.exists() && !arguments.force {
-        return Err(Error::input(format!("{} is there already: --force replaces it", problem.display())));
+        return Err(Error::input(format!("{} already exists; use --force to replace it", problem.display())));
     }
     check_written([problem], &[model.clone(), data.clone()])?;
     if arguments.sandbox {
@@ -40,13 +40,17 @@ pub(crate) fn run(arguments: &Init, console: &Console) -> Result<Exit, Error> {
     };
     let mut why_not = None;
     if !columns.has_outputs() {
-        why_not = Some("no column belongs to an output, so no parameter was tried out: name one, --output VARIABLE=COLUMN".to_owned());
+        why_not = Some(
+            "no column matches an output, so no parameter was tested. Specify an output: --output \
+                        VARIABLE=COLUMN"
+                .to_owned(),
+        );
     } else if arguments.parameter.is_empty() && proposed.has_active() && !arguments.no_run {
         let tried = tried(&text(&proposed), problem, console);
         match tried {
             Ok(preflight) => proposed.judge(&preflight),
             Err(error) if error.exit == Exit::Interrupted => return Err(error),
-            Err(error) => why_not = Some(format!("the parameters could not be tried out: {error}")),
+            Err(error) => why_not = Some(format!("the parameters could not be tested: {error}")),
         }
     }
     let text = text(&proposed);
@@ -57,8 +61,8 @@ pub(crate) fn run(arguments: &Init, console: &Console) -> Result<Exit, Error> {
     why_not.iter().for_each(|reason| console.note(reason));
     let path = problem.display();
     console.note(&match columns.has_outputs() && proposed.has_active() {
-        true => format!("read it, then: fmufit check {path}; fmufit fit {path}"),
-        false => format!("fill in what is missing in it, then: fmufit check {path}"),
+        true => format!("next, review the file, then run: fmufit check {path}; fmufit fit {path}"),
+        false => format!("next, fill in the missing fields, then run: fmufit check {path}"),
     });
     Ok(Exit::Success)
 }
@@ -79,7 +83,7 @@ fn relative(path: &Path, folder: &Path) -> Result<String, Error> {
 fn tried(text: &str, path: &Path, console: &Console) -> Result<calibration::Preflight, Error> {
     let interrupt = Interrupt::watch()?;
     let line = console.live_line();
-    let shown = || line.show_until(interrupt.is_asked(), "trying the parameters");
+    let shown = || line.show_until(interrupt.is_asked(), "testing the parameters");
     let context = RunContext::new().asking(&shown);
     let calibration = ProblemFile::parse(text, path)?.calibration(&context)?;
     calibration.preflight(&PreflightOptions::default(), &context).map_err(Error::of_work)

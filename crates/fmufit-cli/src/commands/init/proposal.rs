@@ -45,7 +45,7 @@ impl Proposed {
             })?;
             candidates.push(candidate(variable).ok_or_else(|| {
                 Error::input(format!(
-                    "'{name}' cannot be proposed: it is no single real number with a start value"
+                    "--parameter {name}: expected a scalar real variable with a start value"
                 ))
             })?);
         }
@@ -57,7 +57,7 @@ impl Proposed {
             candidates = description.variables.iter().filter(is_parameter).filter_map(candidate).collect();
             let beyond = candidates.iter_mut().filter(|candidate| candidate.reason.is_none()).skip(MOST);
             beyond.for_each(|candidate| {
-                candidate.reason = Some(format!("not tried out: one of more than {MOST}"))
+                candidate.reason = Some(format!("not tested because there are more than {MOST} parameters"))
             });
         }
         Ok(Self { candidates, confounded: Vec::new() })
@@ -82,8 +82,8 @@ impl Proposed {
             let own = self.candidates.iter_mut().find(|candidate| candidate.name == tried.name);
             let Some(own) = own else { continue };
             own.reason = match &tried.failure {
-                Some(failure) => Some(format!("moved a little, the simulation fails: {failure}")),
-                None if !tried.has_effect => Some("moves no output at the start".to_owned()),
+                Some(failure) => Some(format!("a small change makes the simulation fail: {failure}")),
+                None if !tried.has_effect => Some("no effect on any output at the start values".to_owned()),
                 None => None,
             };
         }
@@ -94,11 +94,12 @@ impl Proposed {
             match &names[..] {
                 [one, other] => {
                     format!(
-                        "{one} and {other} move the outputs the same way ({correlation}): keep one of both"
+                        "{one} and {other} have the same effect on the outputs ({correlation}); keep only \
+                         one of them"
                     )
                 }
                 all => format!(
-                    "{} move the outputs alike ({correlation} and more): keep one of them",
+                    "{} have similar effects on the outputs ({correlation} or more); keep only one of them",
                     all.join(", ")
                 ),
             }

@@ -24,11 +24,11 @@ pub(super) fn text(
     let mut lines = vec![
         // For editors.
         "#:schema problem.schema.json".to_owned(),
-        "# Which parameters of a model are fitted to which recordings.".to_owned(),
-        "#   fmufit check FILE    looks for mistakes".to_owned(),
-        "#   fmufit fit FILE      fits".to_owned(),
-        "#   fmufit schema > problem.schema.json    has editors check this file".to_owned(),
-        "# Relative paths begin in the folder of this file. Times are in s.".to_owned(),
+        "# Parameters of a model to fit, and recordings to fit them to.".to_owned(),
+        "#   fmufit check FILE    checks this file for mistakes".to_owned(),
+        "#   fmufit fit FILE      fits the parameters".to_owned(),
+        "#   fmufit schema > problem.schema.json    lets editors check this file".to_owned(),
+        "# Paths are relative to the folder of this file. Times are in s.".to_owned(),
         String::new(),
         format!(
             "model = {}  # {}, FMI {}",
@@ -37,47 +37,49 @@ pub(super) fn text(
             description.fmi_version
         ),
         String::new(),
-        "# A recording; further ones are further tables of this name.".to_owned(),
+        "# A recording. Add one more table of this name for each further recording.".to_owned(),
         "[[experiments]]".to_owned(),
         format!("data = {}", quoted(data)),
     ];
     lines.extend(time.map(|time| format!("time = {}", quoted(time))));
-    lines.push("# The column that measured each output: variable of the model = column.".to_owned());
+    lines.push("# Measured column of each output: variable of the model = column.".to_owned());
     lines.push(pairs("outputs", &columns.outputs));
     for (column, candidates) in &columns.unmatched {
         lines.push(format!(
             "# Column '{}' {}",
             one_line(column),
             match &candidates[..] {
-                [] => "is called as no output or input.".to_owned(),
-                several => format!("may belong to {}.", one_line(&several.join(", "))),
+                [] => "does not match any output or input.".to_owned(),
+                several => format!("may match {}.", one_line(&several.join(", "))),
             }
         ));
     }
     if !columns.inputs.is_empty() || !columns.undriven.is_empty() {
-        lines.push("# The column that drives each input, or its constant value.".to_owned());
+        lines.push("# Column of each input, or its constant value.".to_owned());
         lines.push(pairs("inputs", &columns.inputs));
     }
     if !columns.undriven.is_empty() {
         lines.push(format!(
-            "# Nothing drives {}: at the start value.",
+            "# Undriven inputs, which keep their start values: {}.",
             one_line(&columns.undriven.join(", "))
         ));
     }
     lines.extend(
         [
-            "# weights = \"range\"            # outputs count by the inverse of their range; or { output = number or column }",
+            "# weights = \"range\"            # weight of each output: inverse of its range; or { output = \
+             number or column }",
             "# start_values = { name = 1.0 }  # other parameters, start values of variables",
             "# initial_states = { x = \"measured\", y = { start = 1.0, lower = 0.0, upper = 2.0 } }",
-            "# windows = [[0.0, 10.0]]        # only measurements in these count",
+            "# windows = [[0.0, 10.0]]        # only measurements in these windows are compared",
             "# start_time = 0.0             # time of the recording at which the model has its start values; needed for Unix times",
-            "# warm_up = 5.0                  # for so long from its start the simulation is not compared",
+            "# warm_up = 5.0                  # initial part of the simulation that is not compared",
             "",
         ]
         .map(str::to_owned),
     );
     lines.push(
-        "# Parameters: start and bounds. Fit those that were never measured, and leave out those that are known.".to_owned(),
+        "# Parameters with start values and bounds. Fit unknown parameters and leave out known ones."
+            .to_owned(),
     );
     lines.push(
         "# Further fields: scale = \"log\", nominal, fixed, local, variables, unit, tied_to, prior."
@@ -101,25 +103,26 @@ fn settings(without_unit: &[Pair], max_description_bytes: Option<u64>, sandbox: 
     let mut lines = vec!["[settings]".to_owned()];
     lines.extend(max_description_bytes.map(|bytes| format!("max_description_bytes = {bytes}")));
     lines.extend(sandbox.then(|| {
-        "sandbox = true               # the model writes into a folder of its own only, and opens no connections".to_owned()
+        "sandbox = true               # the model writes only into a separate folder and opens no connections".to_owned()
     }));
     if !without_unit.is_empty() {
         lines.push(
-            "# The model states no unit of these; in which are its values? Columns are converted to it."
+            "# The model declares no unit for these variables. Specify the unit of each; columns are \
+             converted to it."
                 .to_owned(),
         );
         lines.push(format!("# {}", pairs("units", without_unit)));
     }
     lines.extend([
         format!(
-            "# solver = \"{}\"             # explicit, implicit where the model is stiff",
+            "# solver = \"{}\"             # explicit, switches to implicit if the model is stiff",
             settings.run.method.name()
         ),
         "# relative_tolerance = 1e-6".to_owned(),
-        "# timeout = 10.0              # of one simulation, in s; one that takes longer has failed"
+        "# timeout = 10.0              # limit per simulation, in s; a longer simulation counts as failed"
             .to_owned(),
         format!(
-            "# isolation = \"{}\"       # the model runs in processes of its own",
+            "# isolation = \"{}\"       # the model runs in separate processes",
             settings.isolation.name()
         ),
         String::new(),
@@ -157,7 +160,7 @@ fn left_out(candidates: &[Candidate]) -> Vec<String> {
             n => format!(" and {n} more (fmufit info --causality parameter)"),
         };
         let listed = names.iter().take(LISTED).copied().collect::<Vec<_>>().join(", ");
-        format!("# Left out, {}: {}{more}", one_line(reason), one_line(&listed))
+        format!("# Left out ({}): {}{more}", one_line(reason), one_line(&listed))
     };
     let mut lines: Vec<String> = reasons.iter().map(line).collect();
     if !lines.is_empty() {

@@ -21,7 +21,7 @@ def pairs_of_bounds(bounds: Any, n: int | None) -> tuple[FloatArray, FloatArray]
     Without a start point, the number of bounds is the number of parameters."""
     if bounds is None:
         if n is None:
-            raise ValueError("x0 is needed: the point to start from (methods that sample a box need at least bounds)")
+            raise ValueError("x0 (the start point) is missing; methods that sample a box require at least bounds")
         return np.full(n, -np.inf), np.full(n, np.inf)
     if hasattr(bounds, "lb") and hasattr(bounds, "ub"):
         if n is None:
@@ -37,9 +37,9 @@ def pairs_of_bounds(bounds: Any, n: int | None) -> tuple[FloatArray, FloatArray]
         raise TypeError(f"bounds must be pairs of numbers or None, or an object with lb and ub, not {show(bounds)}") from None
     for index, pair in enumerate(pairs):
         if len(pair) != 2:
-            raise ValueError(f"bounds[{index}] has {len(pair)} values, not two: {pair!r}")
+            raise ValueError(f"bounds[{index}] = {pair!r} has {len(pair)} values; expected 2")
     if n is not None and len(pairs) != n:
-        raise ValueError(f"bounds has {len(pairs)} pairs for {n} parameters")
+        raise ValueError(f"bounds: expected {n} pairs, one per parameter; got {len(pairs)}")
     return (
         bound("lower bounds", [pair[0] for pair in pairs], len(pairs), -np.inf),
         bound("upper bounds", [pair[1] for pair in pairs], len(pairs), np.inf),
@@ -70,8 +70,8 @@ def bounds_of_least_squares(bounds: Any, x0: FloatArray) -> Any:
             return bounds
         if fits[0]:
             raise ValueError(
-                f"bounds = {show(bounds)} may mean (lower, upper) for each of two parameters, or all lower and all upper bounds: "
-                "give a list of pairs, [(lower, upper), ...], or scipy.optimize.Bounds(lb, ub)"
+                f"bounds = {show(bounds)} may mean (lower, upper) for each of two parameters, or all lower and all upper bounds. "
+                "Use a list of pairs, [(lower, upper), ...], or scipy.optimize.Bounds(lb, ub)"
             )
     return as_sides
 
@@ -85,5 +85,5 @@ def bound(name: str, value: npt.ArrayLike | Sequence[float | None] | None, n: in
     if np.ndim(given) == 0:
         return np.full(n, array[0])
     if len(array) != n:
-        raise ValueError(f"{name} has {len(array)} values for {n} parameters")
+        raise ValueError(f"{name}: expected {n} values, one per parameter; got {len(array)}")
     return array.copy()

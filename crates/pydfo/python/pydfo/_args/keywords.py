@@ -59,16 +59,16 @@ _FOREIGN: Final[Mapping[str, tuple[str, ...]]] = {
 
 #: Names without a counterpart here, and the alternative.
 _ABSENT: Final[Mapping[str, str]] = {
-    **dict.fromkeys(("gtol", "tr_solver", "tr_options"), "the tests are x_tol and f_tol: leave it out"),
-    "mutation": "method 'de' adapts it; 'de-classic' has the option weight",
-    "recombination": "method 'de' adapts it; 'de-classic' has the option probability",
-    "diff_step": "steps follow from the noise and the sizes of the parameters (option nominal): leave it out",
-    **dict.fromkeys(("jac", "hess", "hessp", "gradient", "grad"), "no method here uses derivatives: leave it out"),
+    **dict.fromkeys(("gtol", "tr_solver", "tr_options"), "unsupported; the tolerances are x_tol and f_tol"),
+    "mutation": "method 'de' adapts it; method 'de-classic' has the option weight",
+    "recombination": "method 'de' adapts it; method 'de-classic' has the option probability",
+    "diff_step": "unsupported; the steps are derived from the noise and the parameter sizes (option nominal)",
+    **dict.fromkeys(("jac", "hess", "hessp", "gradient", "grad"), "unsupported; the methods do not use derivatives"),
     **dict.fromkeys(
         ("constraints", "cons"),
-        "there are bounds only; a point that breaks another constraint may be given no cost (return NaN)",
+        "only bounds are supported; return NaN at points that violate other constraints",
     ),
-    **dict.fromkeys(("args", "kwargs", "fargs"), "put further arguments into the function: lambda x: f(x, a)"),
+    **dict.fromkeys(("args", "kwargs", "fargs"), "pass additional arguments through a function: lambda x: f(x, a)"),
 }
 
 
@@ -79,19 +79,19 @@ def _hint(name: str, arguments: Collection[str], among_options: bool = False) ->
         parts = ours.split(" and ")
         plural = "s" if len(parts) > 1 else ""
         if ours != name and all(part in arguments for part in parts):
-            return f"; here it is the argument{plural} {ours}"
+            return f"; use the argument{plural} {ours}"
         if all(part in options for part in parts):
             how = "" if among_options else f": options={{{', '.join(f'{part!r}: ...' for part in parts)}}}"
-            return f"; here it is the option{plural} {ours}{how}"
+            return f"; use the option{plural} {ours}{how}"
         if ours.startswith("options=") and options:
-            return f"; here it is {ours}"
+            return f"; use {ours}"
     if name in _ABSENT:
         return f"; {_ABSENT[name]}"
     import difflib
 
     near = difflib.get_close_matches(name, {*arguments, *options}, 1)
     if not near:
-        return f"; there are: {', '.join(arguments)}"
+        return f"; expected one of: {', '.join(arguments)}"
     return f"; did you mean {near[0]}?" if near[0] in arguments else f"; did you mean options={{{near[0]!r}: ...}}?"
 
 
@@ -125,7 +125,7 @@ def also_called(*, groups: tuple[type, ...] = (), **others: str) -> Callable[[Ca
                 if name not in given and name not in positional[:n_positional]:
                     given[name] = value
                 elif value is not None:
-                    raise ValueError(f"{name} and {other} mean the same; give one of them")
+                    raise ValueError(f"{name} and {other} are the same argument; specify only one of them")
             if not known.issuperset(given):
                 name = next(name for name in given if name not in known)
                 owner = function.__qualname__.removesuffix(".__init__")
@@ -153,8 +153,8 @@ def positional_until(count: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
         def call(*args: Any, **kwargs: Any) -> R:
             if count < len(args) <= len(names):
                 moved = dict(zip(names[count:], args[count:]))
-                what = f"{function.__name__}(): arguments after {names[count - 1]} by position"
-                warnings.warn(f"{what} are deprecated: write {', '.join(f'{n}=...' for n in moved)}", DeprecationWarning, stacklevel=2)
+                what = f"{function.__name__}(): positional arguments after {names[count - 1]}"
+                warnings.warn(f"{what} are deprecated; use {', '.join(f'{n}=...' for n in moved)}", DeprecationWarning, stacklevel=2)
                 if twice := moved.keys() & kwargs.keys():
                     raise TypeError(f"{function.__name__}() got multiple values for argument '{min(twice)}'")
                 args, kwargs = args[:count], {**moved, **kwargs}
@@ -174,9 +174,9 @@ def check_options(options: Collection[str], function: Callable[..., Any]) -> Non
         if name in known and name != "rng":
             continue
         if name in arguments:
-            raise ValueError(f"{name} is an argument of {function.__name__}, not one of the options")
+            raise ValueError(f"{name} is an argument of {function.__name__}, not an option")
         if name in _FOREIGN or name in _ABSENT:
-            raise ValueError(f"there is no option {name!r}{_hint(name, arguments, among_options=True)}")
+            raise ValueError(f"unknown option {name!r}{_hint(name, arguments, among_options=True)}")
 
 
 def given_once(options: Mapping[str, Any], function: Callable[..., Any], **arguments: Any) -> dict[str, Any]:
@@ -187,6 +187,6 @@ def given_once(options: Mapping[str, Any], function: Callable[..., Any], **argum
         default = _signature(function).parameters[name].default
         is_default = value is default or (isinstance(value, (int, float, str)) and value == default)
         if name in options and not is_default:
-            raise ValueError(f"{name} is given twice: as an argument, and among the options")
+            raise ValueError(f"{name} is specified twice, as an argument and as an option")
     given = {name: value for name, value in arguments.items() if not (value is None or isinstance(value, str) and value == "auto")}
     return {**given, **options}

@@ -11,7 +11,7 @@ def library(name: str, user: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as e:
-        raise ImportError(f"{user} needs {name}: pip install {name}") from e
+        raise ImportError(f"{user} requires {name}; install it with pip install {name}") from e
 
 
 def pandas() -> Any:

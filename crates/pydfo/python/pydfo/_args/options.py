@@ -79,8 +79,8 @@ def tell_of_checkpoint(checkpoint: str | os.PathLike[str] | None, resume: str, o
     if not os.path.isfile(place):
         return
     _log.warning(
-        "checkpoint %s is there: the run goes on from it, or its result is returned, whatever the function computes now; resume='never' "
-        "begins anew, resume='require' or options={'problem': ...} say that this is meant",
+        "checkpoint %s exists, so the run continues from it or returns its result, even if the function has changed. Use resume='never' to "
+        "restart, or resume='require' or options={'problem': ...} to suppress this warning",
         place,
     )
 
@@ -106,7 +106,7 @@ def seed(rng: int | np.random.Generator | None) -> int | None:
     try:
         value = operator.index(rng)
     except TypeError:
-        raise TypeError(f"rng must be a whole number, a numpy.random.Generator or None, not {show(rng)}") from None
+        raise TypeError(f"rng must be an integer, a numpy.random.Generator or None, not {show(rng)}") from None
     if not 0 <= value < 2**64:
         raise ValueError(f"rng = {value} must be from 0 to 2**64 - 1")
     return value
@@ -134,7 +134,7 @@ def warm_start(value: Any, n: int) -> tuple[list[tuple[list[float], float]], str
     except (TypeError, ValueError):
         raise TypeError(f"warm_start must be a result, a trace, or points (m, n) and costs (m,), not {show(value)}") from None
     if points.ndim != 2 or points.shape[1] != n or costs.shape != points.shape[:1]:
-        raise ValueError(f"warm_start: points of shape {points.shape}, costs of shape {costs.shape}; (m, {n}) and (m,) fit")
+        raise ValueError(f"warm_start: got points of shape {points.shape} and costs of shape {costs.shape}; expected shapes (m, {n}) and (m,)")
     return list(zip(points.tolist(), costs.tolist())), problem
 
 
@@ -154,13 +154,13 @@ def worker_count(name: str, value: SupportsIndex | None, default: int | None) ->
     try:
         count = operator.index(value)
     except TypeError:
-        raise TypeError(f"{name} must be a whole number, not {show(value)}") from None
+        raise TypeError(f"{name} must be an integer, not {show(value)}") from None
     if count == -1:
         return all_cores()
     if count < 1:
         raise ValueError(f"{name} = {count} must be at least 1, or -1 for all cores")
     if count > sys.maxsize:
-        raise ValueError(f"{name} = {count} are more than any machine has")
+        raise ValueError(f"{name} = {count} is too large")
     return count
 
 
@@ -182,8 +182,8 @@ def check_simplex(value: npt.ArrayLike, n: int) -> None:
         raise ValueError(f"initial_simplex{index} = {array[tuple(index)]} must be finite")
     if array.shape != (n,) and not (array.ndim == 2 and array.shape[1] == n):
         raise ValueError(
-            f"initial_simplex of shape {array.shape}: either vertices, shape ({n + 1}, {n}), or one step per parameter, "
-            f"shape ({n},), is needed"
+            f"initial_simplex has shape {array.shape}; expected vertices of shape ({n + 1}, {n}), or one step per parameter, "
+            f"shape ({n},)"
         )
 
 
@@ -192,7 +192,7 @@ def solver(name: str, argument: str = "solver") -> str:
     ours = _core.solver_standing_for(_values.choice(argument, name))
     if ours is None:
         return name
-    _log.info("there is no %s here: %s=%r is used instead", name, argument, ours)
+    _log.info("%s is not available; using %s=%r instead", name, argument, ours)
     return ours
 
 

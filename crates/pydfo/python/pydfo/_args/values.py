@@ -51,7 +51,7 @@ def path(name: str, value: str | os.PathLike[str]) -> str:
     if not isinstance(found, str):
         raise TypeError(f"{name} must be a path, not {show(value)}")
     if not found:
-        raise ValueError(f"{name} must be a path, not an empty text")
+        raise ValueError(f"{name} must be a path, not an empty string")
     return found
 
 
@@ -70,7 +70,7 @@ def limit(name: str, value: SupportsFloat | None, least: int) -> int | None:
     if count == np.inf:
         return None
     if not (count >= least and count == int(count)):
-        raise ValueError(f"{name} = {value} must be a whole number, at least {least}")
+        raise ValueError(f"{name} = {value} must be an integer of at least {least}")
     # A count above the maximum of the machine means no limit.
     return int(count) if count <= sys.maxsize else None
 
@@ -80,7 +80,7 @@ def index(name: str, value: SupportsIndex) -> int:
     try:
         return operator.index(value)
     except TypeError:
-        raise TypeError(f"{name} must be whole numbers, not {show(value)}") from None
+        raise TypeError(f"{name} must be integers, not {show(value)}") from None
 
 
 def vector(name: str, value: npt.ArrayLike) -> FloatArray:

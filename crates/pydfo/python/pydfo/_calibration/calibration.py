@@ -224,13 +224,13 @@ class Calibration(Evaluation):
         for warning in self._native.warnings():
             warnings.warn(warning, CalibrationWarning, stacklevel=3)
         if run_in.isolation == "process" and not _worker.is_known:
-            said = f"the FMU runs in this process: no Python interpreter is found to start others (sys.executable is {sys.executable!r})"
+            said = f"the FMU runs in this process, because no Python interpreter was found for worker processes (sys.executable is {sys.executable!r})"
             warnings.warn(said, CalibrationWarning, stacklevel=2)
         given = {name for parameter in self._parameters for name in (parameter.name, *(parameter.variables or ()))}
         given.update(name for experiment in experiments for name, _ in experiment.start_values + experiment.initial_states)
         if forgotten := [name for name in getattr(model, "_names_set", list)() if name not in given]:
             warnings.warn(
-                f"values set in an FMUModel do not count in a calibration: {_text.listed(forgotten)}; give them as start_values, if they shall",
+                f"values set in an FMUModel are ignored in a calibration: {_text.listed(forgotten)}. To use them, pass them as start_values",
                 CalibrationWarning,
                 stacklevel=3,
             )
@@ -401,7 +401,7 @@ class Calibration(Evaluation):
         )
         for name in ("scale", "nominal", "kinds"):
             if name in own:
-                raise ValueError(f"options: {name} of a fit is that of its parameters")
+                raise ValueError(f"options: set {name} in each Parameter instead")
         given: Any = workers
         executor = _evaluate.executor_of(given)
         engine = None
@@ -639,7 +639,7 @@ class Calibration(Evaluation):
     def __setattr__(self, name: str, value: object) -> None:
         # An attribute with the name of an argument would have no effect.
         if name in argument_names(Calibration.__init__):
-            raise AttributeError(f"{name} cannot be changed: make another Calibration({name}=...)")
+            raise AttributeError(f"{name} cannot be changed; create another Calibration({name}=...)")
         super().__setattr__(name, value)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -653,7 +653,7 @@ def _solver(name: str) -> str:
     """Returns the name of an integration method, and warns if it replaces the method of another tool."""
     ours = _options.solver(name)
     if ours != name:
-        warnings.warn(f"there is no {name} here: solver={ours!r} is used instead", CalibrationWarning, stacklevel=4)
+        warnings.warn(f"{name} is not available; using solver={ours!r} instead", CalibrationWarning, stacklevel=4)
     return ours
 
 
@@ -669,7 +669,7 @@ def _restore(
     try:
         fmu = _core.Fmu(path, opened)
     except FileNotFoundError:
-        what = f"the model of a pickled Calibration (SHA-256 of its content: {content}) is not where it was"
+        what = f"the model of a pickled Calibration (SHA-256 of its content: {content}) was not found"
         raise FileNotFoundError(errno.ENOENT, what, os.fspath(path)) from None
     calibration = of.__new__(of)
     calibration._parameters = parameters

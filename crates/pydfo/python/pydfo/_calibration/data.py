@@ -60,8 +60,8 @@ def read(data: Any, needed: list[str], time: str | None) -> Table:
             return Table(None, _core.Table.from_csv(text, path, time, needed, others), None)
         case ".xls" | ".ods" | ".feather" | ".h5" | ".hdf5" | ".pkl" | ".json" | ".npy" | ".npz" as other:
             raise BadCalibrationError(
-                f"data: {path}: {other} files are not read; CSV, .mat, .parquet and .xlsx files are. Read it with a library, and "
-                "give a dict of arrays or a DataFrame"
+                f"data: {path}: {other} files are not supported; expected CSV, .mat, .parquet or .xlsx. Read the file with a library, and "
+                "pass a dict of arrays or a DataFrame"
             )
     return Table(path, None, time)
 
@@ -91,7 +91,7 @@ def _selected(source: _data_files.Columns, needed: list[str], time: str | None) 
         try:
             found = names[_core.find_column(names, name)]
         except ValueError as e:
-            hint = f". Of another length than the times: {', '.join(source.others)}" if source.others else ""
+            hint = f". Ignored, because their length differs from the times: {', '.join(source.others)}" if source.others else ""
             raise BadCalibrationError(f"data: {e}{hint}") from None
         if found not in taken:
             taken.append(found)
@@ -99,7 +99,7 @@ def _selected(source: _data_files.Columns, needed: list[str], time: str | None) 
     durations, change = _seconds(table[at], at)
     if durations is not None and numerator != denominator:
         raise BadCalibrationError(
-            f"data: column '{at}' holds durations or dates, which have a unit of their own; take the unit out of its name"
+            f"data: column '{at}' contains durations or dates, which include their unit; remove the unit from its name"
         )
     # Converted one by one, so that no temporary array outlives its copy.
     columns = ((name, _numbers(name, table[name]) if name != at or durations is None else durations) for name in taken)
@@ -121,7 +121,7 @@ def _columns(data: Any) -> dict[str, Any]:
         return _framed(data.to_frame(data.name if isinstance(data.name, str) else "value"))
     hint = ""
     if isinstance(data, (np.ndarray, list, tuple)):
-        hint = ": its columns have no names; give a dict, {'time': t, 'y': y}"
+        hint = ", because its columns have no names; use a dict such as {'time': t, 'y': y}"
     raise TypeError(
         "data must be the path of a file (CSV, .mat, .parquet, .xlsx), a dict of arrays, a DataFrame or a structured array, not "
         f"{type(data).__name__}{hint}"
@@ -137,7 +137,7 @@ def _framed(frame: Any) -> dict[str, Any]:
     for label in frame.columns:
         name = _name(label)
         if name in table:
-            raise BadCalibrationError(f"data: two columns are named '{name}'")
+            raise BadCalibrationError(f"data: two columns have the name '{name}'")
         table[name] = frame[label]
     index: Any = getattr(frame, "index", None)
     if hasattr(index, "to_timestamp"):
@@ -218,8 +218,8 @@ def _in_utc(dates: Any) -> tuple[Any, bool]:
     if not all(with_zone):
         naive, other = with_zone.index(False), with_zone.index(True)
         raise BadCalibrationError(
-            f"data: the date in row {naive}, {dates[naive]}, has no time zone and the one in row {other}, {dates[other]}, has one. Give "
-            "all of them a time zone, or none"
+            f"data: the date in row {naive}, {dates[naive]}, has no time zone, but the date in row {other}, {dates[other]}, has one. Specify "
+            "a time zone for all dates, or for none"
         )
     return [value.astimezone(datetime.timezone.utc) for value in dates], False
 
@@ -263,7 +263,7 @@ def _numbers(name: str, values: Any) -> FloatArray:
     array = np.asarray(values)
     if array.dtype.kind in "mM":
         raise BadCalibrationError(
-            f"data: column '{name}' holds dates or durations, not measurements; if it holds the times, name it so: time='{name}'"
+            f"data: column '{name}' contains dates or durations, not measurements; if it is the time column, set time='{name}'"
         )
     if array.ndim != 1:
         raise BadCalibrationError(f"data: column '{name}' must be one-dimensional, not of shape {array.shape}")
@@ -282,7 +282,7 @@ def _number(name: str, row: int, value: Any) -> float:
             return float(value)
         except OverflowError:
             raise BadCalibrationError(
-                f"data: a number in column '{name}', row {row}, is beyond the largest number 1.8e308"
+                f"data: a number in column '{name}', row {row}, exceeds the largest number 1.8e308"
             ) from None
         except (TypeError, ValueError):
             pass

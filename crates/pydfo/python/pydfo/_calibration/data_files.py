@@ -41,7 +41,7 @@ def _library(path: str, names: list[str]) -> Any:
         except ImportError:
             pass
     package = names[0].split(".", maxsplit=1)[0]
-    raise ImportError(f"{path}: reading {suffix(path)} files needs {package}: pip install {package}")
+    raise ImportError(f"{path}: reading {suffix(path)} files requires {package}; install it with pip install {package}")
 
 
 @dataclass(frozen=True)
@@ -72,8 +72,8 @@ def check_size(path: str, n_values: int) -> None:
     most = max(MOST_BYTES, 8 * os.path.getsize(path))
     if 8 * n_values > most:
         raise MemoryError(
-            f"{path}: the columns that are needed have {n_values} values, which take {8 * n_values} bytes, more than {most} (1 GiB, or 8 "
-            "times the size of the file): give parts of it as arrays"
+            f"{path}: the required columns have {n_values} values, which require {8 * n_values} bytes, more than {most} (1 GiB, or 8 "
+            "times the size of the file). Pass parts of the file as arrays"
         )
 
 
@@ -87,11 +87,11 @@ def _reading(path: str, what: str) -> Iterator[None]:
     except OSError as e:
         if e.errno is not None and e.filename is not None:
             raise
-        raise BadCalibrationError(f"{path}: this is not {what}, or it is damaged") from None
+        raise BadCalibrationError(f"{path}: the file is not {what}, or it is damaged") from None
     except BadCalibrationError:
         raise
     except Exception as e:
-        raise BadCalibrationError(f"{path}: this is not {what}, or it is damaged: {_text.beginning(str(e))}") from e
+        raise BadCalibrationError(f"{path}: the file is not {what}, or it is damaged: {_text.beginning(str(e))}") from e
 
 
 def parquet(path: str) -> Columns:
@@ -151,7 +151,7 @@ def workbook(path: str, needed: list[str], time: str | None) -> tuple[bytes, lis
         with zipfile.ZipFile(path) as archive:
             kept = sum(entry.file_size for entry in archive.infolist() if "/worksheets/" not in entry.filename)
         if kept > max(_MOST_TEXT, 8 * os.path.getsize(path)):
-            raise MemoryError(f"{path}: the texts and formats of this workbook take {kept} bytes, more than {_MOST_TEXT}")
+            raise MemoryError(f"{path}: the strings and formats of this workbook require {kept} bytes, more than {_MOST_TEXT}")
         book = module.load_workbook(path, read_only=True, data_only=True)
         try:
             sheet = book.worksheets[0]
@@ -220,7 +220,7 @@ def _find_library(path: str, name: str) -> None:
         is_found = False
     if not is_found:
         package = name.partition(".")[0]
-        raise ImportError(f"{path}: reading {suffix(path)} files needs {package}: pip install {package}")
+        raise ImportError(f"{path}: reading {suffix(path)} files requires {package}; install it with pip install {package}")
 
 
 #: Runs a file as a program with the import path of this process.
@@ -231,15 +231,15 @@ def _ask_reader(path: str, request: dict[str, Any]) -> bytes:
     """Returns the answer of `matlab_reader`, which runs in a separate process, because a damaged file can crash its
     reader."""
     if (program := interpreter()) is None:
-        raise BadCalibrationError(f"{path}: MATLAB files are read by another Python process, and no interpreter is found (sys.executable)")
+        raise BadCalibrationError(f"{path}: MATLAB files are read by another Python process, but no interpreter was found (sys.executable)")
     command = [program, "-c", _RUN, json.dumps(sys.path), os.path.join(os.path.dirname(__file__), "matlab_reader.py"), os.path.abspath(path)]
     done = subprocess.run(command, input=json.dumps(request).encode(), capture_output=True, check=False)
     if done.returncode == 0:
         return done.stdout
-    message = f"{path}: this is not a MATLAB file, or it is damaged"
+    message = f"{path}: the file is not a MATLAB file, or it is damaged"
     if done.returncode == matlab_reader.REFUSED:
         raise BadCalibrationError(f"{message}: {_text.beginning(done.stderr.decode(errors='replace').strip())}")
-    raise BadCalibrationError(f"{message}: the process that read it ended with code {done.returncode}")
+    raise BadCalibrationError(f"{message}: the reader process ended with code {done.returncode}")
 
 
 def _of_one_length(
@@ -251,7 +251,7 @@ def _of_one_length(
     MATLAB and in models. The other variables are listed with their sizes."""
     n = math.prod(shapes[time])
     if max(shapes[time], default=0) != n:
-        raise BadCalibrationError(f"data: the times '{time}' are a {_size(shapes[time])} matrix, not a vector")
+        raise BadCalibrationError(f"data: the times '{time}' must be a vector, not a {_size(shapes[time])} matrix")
     sources: dict[str, tuple[str, int | None]] = {}
     others = list(others)
     for name, shape in shapes.items():

@@ -73,13 +73,13 @@ class Evaluation:
         """
         names = self.experiments
         if experiment is not None and experiment not in names:
-            raise BadCalibrationError(f"there is no experiment '{experiment}'; there are: {', '.join(names)}")
+            raise BadCalibrationError(f"unknown experiment '{experiment}'; expected one of: {', '.join(names)}")
         return dict(self._native.model_values(0 if experiment is None else names.index(experiment), self._checked(x)))
 
     def _checked(self, x: npt.ArrayLike | Mapping[str, float] | None) -> list[float]:
         values = self._values(x)
         if len(values) != len(self.names):
-            raise BadCalibrationError(f"{len(values)} values given for {len(self.names)} parameters ({', '.join(self.names)})")
+            raise BadCalibrationError(f"expected {len(self.names)} values, one per parameter; got {len(values)} ({', '.join(self.names)})")
         return values
 
     @property
@@ -94,11 +94,11 @@ class Evaluation:
             tied = {name: given.pop(name) for name, _ in self._native.tied(self._native.start()) if name in given}
             for name, value in given.items():
                 if name not in values:
-                    raise BadCalibrationError(f"there is no parameter '{name}'; there are: {', '.join(values)}")
+                    raise BadCalibrationError(f"unknown parameter '{name}'; expected one of: {', '.join(values)}")
                 values[name] = _values.number(name, value)
             for name, expected in self._native.tied(list(values.values())):
                 if name in tied and not np.isclose(_values.number(name, tied[name]), expected, rtol=1e-9, atol=0.0):
-                    raise BadCalibrationError(f"{name} = {tied[name]!r}: it is tied to another parameter, by which it is {expected!r}")
+                    raise BadCalibrationError(f"{name} = {tied[name]!r}: the parameter is tied to another parameter, which determines the value {expected!r}")
             return list(values.values())
         return [float(value) for value in _values.vector(argument, x)]
 

@@ -165,7 +165,7 @@ class Experiment:
                     raise
                 variable, column = turned[0]
                 raise BadCalibrationError(
-                    f"{e}. Are outputs the wrong way round? They map variables of the model to columns: {{{column!r}: {variable!r}}}"
+                    f"{e}. outputs must map variables of the model to columns, perhaps {{{column!r}: {variable!r}}}"
                 ) from None
             put(self, "mask", rows)
             put(self, "mask_column", by)
@@ -213,13 +213,13 @@ def collected(data: Any, outputs: Any, parameters: Any, inputs: Any, **own: Any)
             outputs, parameters = None, outputs
         given = {"outputs": outputs, "inputs": inputs, **own}
         if misplaced := [name for name, value in given.items() if value is not None]:
-            raise TypeError(f"{', '.join(misplaced)}: with experiments this is an argument of Experiment, given for each")
+            raise TypeError(f"{', '.join(misplaced)}: with experiments, specify this argument in each Experiment")
     elif outputs is None:
-        raise TypeError("Calibration() needs the argument 'outputs'")
+        raise TypeError("Calibration() requires the argument 'outputs'")
     else:
         experiments = [Experiment(data, outputs, inputs, **{name: value for name, value in own.items() if value is not None})]
     if parameters is None:
-        raise TypeError("Calibration() needs the argument 'parameters'")
+        raise TypeError("Calibration() requires the argument 'parameters'")
     return experiments, parameters
 
 
@@ -229,13 +229,13 @@ def listed(data: Any) -> list[Experiment] | None:
         return [data]
     if isinstance(data, Mapping):
         if any(isinstance(value, Experiment) for value in data.values()):
-            raise TypeError("experiments must be a list, not a dict; Experiment(..., name=...) names each")
+            raise TypeError("experiments must be a list, not a dict; set names with Experiment(..., name=...)")
         return None
     if isinstance(data, (str, bytes)) or not isinstance(data, Iterable) or hasattr(data, "dtype") or hasattr(data, "columns"):
         return None
     experiments = list(data)
     if not experiments:
-        raise BadCalibrationError("there are no experiments: the list is empty")
+        raise BadCalibrationError("the list of experiments is empty")
     for index, one in enumerate(experiments):
         if not isinstance(one, Experiment):
             raise TypeError(f"entry {index} of the list is a {type(one).__name__}, not an Experiment")
@@ -252,7 +252,7 @@ def pairs_of_columns(name: str, value: Mapping[str, str] | Sequence[str] | str |
         return [(_values.choice(name, variable), _values.choice(name, column)) for variable, column in value.items()]
     if isinstance(value, Iterable) and not isinstance(value, (set, frozenset)):
         return [(_values.choice(name, variable), variable) for variable in value]
-    raise TypeError(f"{name} must be a dict of variable and column, or a list of variables, not {_text.show(value)}")
+    raise TypeError(f"{name} must be a dict of variables and columns, or a list of variables, not {_text.show(value)}")
 
 
 def sources(given: Inputs | None) -> list[tuple[str, Source]]:
@@ -265,7 +265,7 @@ def sources(given: Inputs | None) -> list[tuple[str, Source]]:
         if not isinstance(source, str) and not callable(source):
             if np.ndim(source) > 0:
                 raise TypeError(
-                    f"inputs: '{_text.line(variable)}' must be driven by a column, a number or a function of time, not by an array: put it among the "
+                    f"inputs: '{_text.line(variable)}' must be driven by a column, a number or a function of time, not by an array. Add the array to the "
                     "columns of the data"
                 )
             source = _values.number("inputs", source)
@@ -287,12 +287,12 @@ def intervals(
 ) -> list[tuple[float, float]]:
     """Returns the list of windows from either argument."""
     if window is not None and windows is not None:
-        raise ValueError("window and windows are given: put the one among the others")
+        raise ValueError("specify either window or windows, not both")
     if windows is not None and (isinstance(windows, (str, Mapping)) or not isinstance(windows, Iterable)):
         raise TypeError(f"windows must be a list of pairs of times, not {_text.show(windows)}")
     listed = [window] if window is not None else list(windows or [])
     if windows is not None and not listed:
-        raise ValueError("windows is empty: leave it out, if all measurements count")
+        raise ValueError("windows is empty; omit it to use all measurements")
     for pair in listed:
         if isinstance(pair, str) or np.shape(pair) != (2,):
             name = "window" if windows is None else "each of windows"
@@ -308,7 +308,7 @@ def weighted(outputs: list[tuple[str, str]], weights: Weights | None) -> list[tu
         known = [variable for variable, _ in outputs]
         for name in weights:
             if name not in known:
-                raise BadCalibrationError(f"weights: there is no output '{name}'; there are: {', '.join(known)}")
+                raise BadCalibrationError(f"weights: unknown output '{name}'; expected one of: {', '.join(known)}")
         return [(v, c, _weight(v, weights.get(v, 1.0))) for v, c in outputs]
     if isinstance(weights, str):
         return [(variable, column, (weights,)) for variable, column in outputs]
@@ -316,8 +316,8 @@ def weighted(outputs: list[tuple[str, str]], weights: Weights | None) -> list[tu
         raise TypeError(f"weights must be a dict of outputs and numbers, or a number per output, not {_text.show(weights)}")
     listed = list(weights)
     if len(listed) != len(outputs):
-        per_row = "; for one weight per measurement give a dict: weights={output: array}"
-        raise BadCalibrationError(f"{len(listed)} weights for {len(outputs)} outputs{per_row}")
+        per_row = ". For one weight per measurement, use a dict: weights={output: array}"
+        raise BadCalibrationError(f"weights: expected {len(outputs)} values, one per output; got {len(listed)}{per_row}")
     return [(variable, column, _weight(variable, weight)) for (variable, column), weight in zip(outputs, listed)]
 
 

@@ -72,7 +72,7 @@ def load_fit(path: PathLike, fmu: Any = None, inputs: Inputs | Mapping[str, Inpu
 def _functions(path: str, given: Inputs | Mapping[str, Inputs]) -> list[tuple[int, str, Any]]:
     """Returns the functions of time of a file from the given ones."""
     if not isinstance(given, Mapping):
-        raise TypeError(f"inputs must be a dict of functions by the names of the inputs, not {show(given)}")
+        raise TypeError(f"inputs must be a dict of input names and functions, not {show(given)}")
     wanted = _core.functions_of_fit(path)
     experiments = {name for _, name, _ in wanted}
     nested = {name: own for name, own in given.items() if isinstance(own, Mapping)}
@@ -89,11 +89,11 @@ def _functions(path: str, given: Inputs | Mapping[str, Inputs]) -> list[tuple[in
     named = [name for name in given if name not in nested] + [name for own in nested.values() for name in own]
     if unknown := [name for name in nested if name not in experiments] + [name for name in named if name not in known]:
         there = ", ".join(sorted(known)) or "none"
-        raise BadCalibrationError(f"{path}: no function of time drives {unknown[0]!r}; inputs that functions drive: {there}")
+        raise BadCalibrationError(f"{path}: {unknown[0]!r} is not driven by a function of time; inputs driven by functions: {there}")
     if missing:
         names = ", ".join(dict.fromkeys(missing))
         raise BadCalibrationError(
-            f"{path}: functions of time drive {names}, and a file does not hold functions: give them again, "
+            f"{path}: {names}: these inputs are driven by functions of time, which files do not contain. Pass the functions again, "
             f"load_fit(..., inputs={{{missing[0]!r}: ...}})"
         )
     return found
@@ -143,7 +143,7 @@ def native_of(fit: Fit) -> _core.Fit:
     """Returns the native fit."""
     native: _core.Fit | None = vars(fit).get("_native")
     if native is None:
-        raise BadCalibrationError("the fit was interrupted twice, and has nothing but its last iteration: fit again")
+        raise BadCalibrationError("the fit was interrupted twice and contains only its last iteration; fit again")
     return native
 
 

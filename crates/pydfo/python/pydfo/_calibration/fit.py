@@ -255,7 +255,7 @@ class Fit(OptimizeResult):
             The level is not between 0 and 1, or the fit has no `uncertainty`.
         """
         if self.uncertainty is None:
-            raise ValueError("the uncertainty of the fit was not found: it was interrupted, or covariance=None was given")
+            raise ValueError("the fit has no uncertainty, because it was interrupted or used covariance=None")
         return self.uncertainty.confidence_intervals(level, corrected=corrected)
 
     @property

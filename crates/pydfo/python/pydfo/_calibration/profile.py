@@ -127,7 +127,7 @@ def of_fit(
     if parameters is not None:
         given = _values.names("parameters", [parameters] if isinstance(parameters, str) else parameters)
         if unknown := [name for name in given if name not in names]:
-            raise BadCalibrationError(f"there is no parameter '{unknown[0]}'; there are: {', '.join(names)}")
+            raise BadCalibrationError(f"unknown parameter '{unknown[0]}'; expected one of: {', '.join(names)}")
         chosen = [names.index(name) for name in given]
     units = {one["name"]: one["unit"] for one in fit.to_dict()["parameters"] if one.get("unit")}
     try:

@@ -157,7 +157,7 @@ def merged(record: type[R], argument: str, group: R | Mapping[str, Any] | None, 
     if not isinstance(values, Mapping):
         raise TypeError(f"{argument} must be a {record.__name__} or a dict, not {_text.show(group)}")
     if unknown := [name for name in values if name not in names]:
-        raise TypeError(f"{argument}: unknown setting {_text.show(unknown[0])}; expected {', '.join(names)}")
+        raise TypeError(f"{argument}: unknown setting {_text.show(unknown[0])}; expected one of: {', '.join(names)}")
     if given:
-        raise TypeError(f"{argument} and {next(iter(given))} are both given; put {next(iter(given))} into {argument}")
+        raise TypeError(f"{argument} and {next(iter(given))} are both specified; put {next(iter(given))} into {argument}")
     return record(**values)

@@ -91,13 +91,13 @@ def _kept_model(content: str, model: bytes | None) -> Path:
     folder = Path(tempfile.gettempdir()) / f"fmufit-models-{os.getuid() if hasattr(os, 'getuid') else os.getlogin()}"
     folder.mkdir(mode=0o700, exist_ok=True)
     if folder.is_symlink() or (hasattr(os, "getuid") and folder.stat().st_uid != os.getuid()):
-        raise PermissionError(f"{folder} belongs to somebody else")
+        raise PermissionError(f"{folder} belongs to another user")
     place = folder / f"{content}.fmu"
     if not place.exists():
         if model is None:
             raise FileNotFoundError(os.fspath(place))
         if hashlib.sha256(model).hexdigest() != content:
-            raise RuntimeError("the file of the model has changed since the calibration was made; make the calibration again")
+            raise RuntimeError("the file of the model has changed since the calibration was created; create the calibration again")
         with tempfile.NamedTemporaryFile(dir=folder, suffix=".part", delete=False) as file:
             file.write(model)
         os.replace(file.name, place)
@@ -194,7 +194,7 @@ class Simulations(_evaluate.Futures):
             if os.path.isdir(path):
                 self._tasks.pop(number, None)
                 why = FileNotFoundError(
-                    f"{path} is a folder, which cannot travel to {value.machine}: give the .fmu file, or a folder that all machines see"
+                    f"{path} is a folder, which cannot be sent to {value.machine}; use the .fmu file, or a folder that all machines can read"
                 )
                 return number, took, why, "broken"
             problem = problem._replace(model=Path(path).read_bytes())

@@ -64,11 +64,11 @@ class Stage:
 def names(value: Any, what: str) -> list[str]:
     """Returns a list of names of parameters."""
     if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
-        raise TypeError(f"{what} needs a list of names of parameters, as in [['C2', 'G2'], ['C1', 'G1']], not {_text.show(value)}")
+        raise TypeError(f"{what} requires a list of parameter names, such as [['C2', 'G2'], ['C1', 'G1']], not {_text.show(value)}")
     found = []
     for name in value:
         if not isinstance(name, str):
-            raise TypeError(f"{what} needs names of parameters, not {_text.show(name)}")
+            raise TypeError(f"{what} requires parameter names, not {_text.show(name)}")
         found.append(name)
     return found
 
@@ -99,7 +99,7 @@ def intervals(name: str, value: Any) -> list[tuple[float, float]]:
 def collected(stages: Any) -> list[Stage]:
     """Converts the argument ``stages``: stages, or lists of names."""
     if isinstance(stages, (str, bytes, Stage, Mapping)) or not isinstance(stages, Iterable):
-        raise TypeError(f"stages must be a list of stages, as in [['C2', 'G2'], ['C1', 'G1']], not {_text.show(stages)}")
+        raise TypeError(f"stages must be a list of stages, such as [['C2', 'G2'], ['C1', 'G1']], not {_text.show(stages)}")
     return [stage if isinstance(stage, Stage) else Stage(names(stage, f"stage {k}")) for k, stage in enumerate(stages, 1)]
 
 

@@ -246,7 +246,7 @@ def at(
     if parameters is not None:
         free = _values.names("parameters", [parameters] if isinstance(parameters, str) else parameters)
         if unknown := [name for name in free if name not in calibration.names]:
-            raise BadCalibrationError(f"there is no parameter '{unknown[0]}'; there are: {', '.join(calibration.names)}")
+            raise BadCalibrationError(f"unknown parameter '{unknown[0]}'; expected one of: {', '.join(calibration.names)}")
         held = [i for i, name in enumerate(calibration.names) if name not in free]
     count = _options.worker_count("workers", workers, None)
     return Uncertainty(calibration._native.uncertainty(x, covariance, held, count))

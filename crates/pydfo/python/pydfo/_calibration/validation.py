@@ -263,10 +263,10 @@ def prediction_band(
 def validate(fit: Fit, experiment: Experiment | Sequence[Experiment] | None, windows: Windows | None) -> Validation:
     """Implements `Fit.validate`."""
     if (experiment is None) == (windows is None):
-        raise BadCalibrationError("a fit is validated on another recording, experiment=Experiment(...), or in windows=(from, to): one of both")
+        raise BadCalibrationError("validation requires either another recording, experiment=Experiment(...), or windows=(from, to), but not both")
     experiments = None
     if experiment is not None:
         experiments = listed(experiment)
         if experiments is None:
-            raise TypeError(f"experiment must be an Experiment or a list of such, not {_text.show(experiment)}")
+            raise TypeError(f"experiment must be an Experiment or a list of Experiments, not {_text.show(experiment)}")
     return Validation(_core.validate(_export.native_of(fit), intervals("windows", windows), experiments))

@@ -276,7 +276,7 @@ class Variables(Mapping[str, Variable]):
         widths = [max(map(len, column)) for column in zip(*rows)]
         lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip() for row in rows]
         if len(self) > len(shown):
-            lines.append(f"... and {len(self) - len(shown)} more: to_dataframe() has all")
+            lines.append(f"... and {len(self) - len(shown)} more; to_dataframe() returns all variables")
         return "\n".join(lines)
 
     def to_dataframe(self) -> Any:

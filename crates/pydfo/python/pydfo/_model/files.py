@@ -36,7 +36,7 @@ def size_limit(name: str, value: int | None) -> int | None:
     if value is None:
         return None
     if isinstance(value, bool) or not hasattr(value, "__index__"):
-        raise TypeError(f"{name} must be a whole number, not {value!r}")
+        raise TypeError(f"{name} must be an integer, not {value!r}")
     number = operator.index(value)
     if not 0 < number < 2**63:
         raise ValueError(f"{name} must be a positive number, not {value!r}")

@@ -56,8 +56,8 @@ def normalize(
         inputs = fmu.names_of("input")
         if len(inputs) != 1:
             raise ValueError(
-                f"a function alone can drive a model with one input; this one has {len(inputs)} "
-                f"({_text.names(inputs[:10]) or 'none'}): give (names, function) or a dict of functions"
+                f"a single function can drive only a model with one input; this model has {len(inputs)} "
+                f"({_text.names(inputs[:10]) or 'none'}). Use (names, function) or a dict of functions"
             )
         return [], [Function(inputs, given)]
     if isinstance(given, (tuple, list)) and len(given) == 2 and isinstance(given[0], (str, Sequence, np.ndarray)):
@@ -94,8 +94,8 @@ def held_beyond(tables: list[Table], first: float, last: float) -> str:
         if start - first > row or last - end > row:
             named = _text.names([name for name, _ in table.columns + table.values][:10])
             return (
-                f"inputs {named} are given from {start:g} s to {end:g} s and the simulation runs from {first:g} s to {last:g} s: beyond "
-                "they keep their first and last values"
+                f"inputs {named} cover {start:g} s to {end:g} s, but the simulation runs from {first:g} s to {last:g} s. Outside this range "
+                "they keep their first or last value"
             )
     return ""
 
@@ -131,14 +131,14 @@ def _table(names: Sequence[str], column: Callable[[str], Any], what: str) -> Tab
         if not any("time" in name.lower() for name in names):
             there = _text.names(names[:10])
             raise ValueError(
-                f"{what} of inputs has no times, there are: {there}; add them, inputs={{'time': [...], {names[0]!r}: [...]}}, or give a "
-                "number for an input that is constant"
+                f"{what} of inputs has no times, only {there}. Add them, inputs={{'time': [...], {names[0]!r}: [...]}}, or use a "
+                "number for a constant input"
             ) from None
         raise ValueError(f"{what} of inputs: {e}") from None
     given = column(names[at])
     durations = _data.seconds(given)
     if durations is not None and numerator != denominator:
-        raise ValueError(f"{what} of inputs: '{_text.line(names[at])}' holds durations, which have a unit of their own; take the unit out of its name")
+        raise ValueError(f"{what} of inputs: '{_text.line(names[at])}' contains durations, which include their unit; remove the unit from its name")
     times = _column(names[at], given if durations is None else durations)
     if numerator != denominator:
         times = times * numerator / denominator
@@ -187,7 +187,7 @@ def _pair(names: Any, data: Any) -> tuple[list[Table], list[Function]]:
         raise TypeError(f"the matrix of inputs must be numbers, not {_text.show(data)}") from None
     if matrix.ndim != 2 or matrix.shape[1] != len(names) + 1:
         raise ValueError(
-            f"the matrix of inputs has the shape {matrix.shape}: time and {len(names)} inputs need {len(names) + 1} columns"
+            f"the matrix of inputs has the shape {matrix.shape}; expected {len(names) + 1} columns for time and {len(names)} inputs"
         )
     columns = [np.ascontiguousarray(matrix[:, k]) for k in range(len(names) + 1)]
     return [Table(columns[0], list(zip(names, columns[1:])), [])], []
@@ -207,6 +207,6 @@ def _column(name: str, values: Any) -> FloatArray:
         array = array.ravel()
     if array.ndim != 1:
         elements = ", ".join(f"'{name}[{k + 1}]'" for k in range(min(array.shape[-1], 3))) if array.ndim == 2 else ""
-        hint = f"; elements of an array are inputs of their own ({elements}), each with its column" if elements else ""
+        hint = f"; use a separate column for each element of an array ({elements})" if elements else ""
         raise ValueError(f"input {name} must be one-dimensional, not of shape {array.shape}{hint}")
     return array

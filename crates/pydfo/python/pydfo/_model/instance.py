@@ -181,7 +181,7 @@ class Instance:
             self.set(values)
 
     def __reduce__(self) -> NoReturn:
-        raise TypeError("an Instance cannot be pickled, because its state is inside of the FMU: make one in each process")
+        raise TypeError("an Instance cannot be pickled, because its state is inside the FMU; create one in each process")
 
     @cached_property
     def description(self) -> Description:
@@ -472,7 +472,7 @@ class Instance:
     def restore_state(self, state: SavedState) -> None:
         """Restores a state that this instance saved in its current phase."""
         if not isinstance(state, SavedState):
-            raise TypeError(f"state must be one that save_state() gave, not {_text.show(state)}")
+            raise TypeError(f"state must be a result of save_state(), not {_text.show(state)}")
         self._native.restore_state(state._native)
         self._time = state.time
 

@@ -188,11 +188,11 @@ class FMUModel:
     def __setattr__(self, name: str, value: object) -> None:
         # An attribute with the name of a variable would have no effect on the model.
         if not name.startswith("_") and name in self.description.variables:
-            raise AttributeError(f"variables of the model are no attributes: set('{name}', {_text.show(value)}) sets this one")
+            raise AttributeError(f"variables of the model are not attributes; use set('{name}', {_text.show(value)})")
         super().__setattr__(name, value)
 
     def __reduce__(self) -> NoReturn:
-        raise TypeError("an FMUModel cannot be pickled, because it holds a loaded library: open the FMU in each process")
+        raise TypeError("an FMUModel cannot be pickled, because it contains a loaded library; open the FMU in each process")
 
     @property
     def path(self) -> Path:
@@ -494,7 +494,7 @@ class FMUModel:
         if len(result.time) and (said := _inputs.held_beyond(tables, float(result.time[0]), float(result.time[-1]))):
             warnings.warn(said, UserWarning, stacklevel=2)
         if chattering == "warn" and result.stats.chattering:
-            _log.warning("simulate: %d times a hundred events hardly advanced time", result.stats.chattering)
+            _log.warning("simulate: time hardly advanced during %d sequences of 100 events", result.stats.chattering)
         return result
 
     if not TYPE_CHECKING:
@@ -505,7 +505,7 @@ class FMUModel:
                 from ..compat.pyfmi import FMUModelME2
 
                 if hasattr(FMUModelME2, name):
-                    raise AttributeError(f"'FMUModel' has no '{name}', PyFMI's models have: from pydfo.compat.pyfmi import load_fmu")
+                    raise AttributeError(f"'FMUModel' has no '{name}'; for PyFMI's methods, use pydfo.compat.pyfmi.load_fmu")
             raise AttributeError(f"'FMUModel' object has no attribute '{name}'", name=name, obj=self)
 
     def _outputs(self, outputs: str | Iterable[str] | None) -> list[str] | None:
@@ -542,10 +542,10 @@ def names_and_values(name: str | Iterable[str] | Mapping[str, object], value: ob
     """Returns the names and values passed to `set`."""
     if isinstance(name, Mapping):
         if value is not _NOT_GIVEN:
-            raise TypeError("set() takes a dict of names and values, or names and values, not both")
+            raise TypeError("set() requires either a dict of names and values, or names and values as two arguments")
         return _values.names("name", list(name)), list(name.values())
     if value is _NOT_GIVEN:
-        raise TypeError(f"set() needs a value for {_text.show(name)}, or a dict of names and values")
+        raise TypeError(f"set() requires a value for {_text.show(name)}, or a dict of names and values")
     if isinstance(name, str):
         return [name], [value]
     names = _values.names("name", name)
@@ -556,7 +556,7 @@ def names_and_values(name: str | Iterable[str] | Mapping[str, object], value: ob
     else:
         values = [value]
     if len(values) != len(names):
-        raise ValueError(f"{len(values)} values are given for {len(names)} names")
+        raise ValueError(f"set(): expected {len(names)} values, one per name; got {len(values)}")
     return names, values
 
 

@@ -217,7 +217,7 @@ class SimulationResult(Mapping[str, Column]):
         hint = f"; did you mean {_text.names(nearest)}?" if nearest else "."
         names = list(self._columns)
         shown = _text.names(names[:20]) + (", ..." if len(names) > 20 else "")
-        return f'"{_text.line(str(name))}" was not recorded{hint} Recorded are {shown}; simulate(outputs=[...]) chooses'
+        return f'"{_text.line(str(name))}" was not recorded{hint} Recorded variables: {shown}; select others with simulate(outputs=[...])'
 
     def keys(self) -> KeysView[str]:
         """Returns the names of the variables, "time" first. Arrays are listed without their elements."""
@@ -332,7 +332,7 @@ class SimulationResult(Mapping[str, Column]):
         groups: dict[str | None, list[tuple[str, str, Column]]] = {}
         for name, variable, column in self._flat(chosen):
             if column.dtype == np.object_:
-                raise ValueError(f"{_text.line(name)} is of type {self._types[variable]} and cannot be drawn")
+                raise ValueError(f"{_text.line(name)} is of type {self._types[variable]} and cannot be plotted")
             groups.setdefault(self.units[variable], []).append((name, variable, column))
         figure: Figure
         figure, plots = plt.subplots(max(len(groups), 1), 1, sharex=True, squeeze=False, layout="constrained")

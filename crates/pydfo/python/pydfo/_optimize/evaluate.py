@@ -122,7 +122,7 @@ def residual_vector(value: Any) -> FloatArray:
     except (TypeError, ValueError, OverflowError):
         raise TypeError(f"{needed}, not {_text.show(value)}") from None
     if array.ndim == 0:
-        raise TypeError(f"{needed}, not one number ({_text.show(value)}): a cost is for minimize, a single residual r is [r]")
+        raise TypeError(f"{needed}, not one number ({_text.show(value)}): use minimize for a cost, or return a single residual r as [r]")
     if array.ndim != 1:
         raise TypeError(f"{needed}, not one of shape {array.shape}")
     return np.ascontiguousarray(np.ma.filled(array, np.nan))
@@ -158,7 +158,7 @@ def mapped(fun: Callable[..., Any], apply: Callable[..., Iterable[Any]], takes_c
     def evaluate(points: FloatArray, cutoffs: FloatArray, stopped: Callable[[], bool]) -> list[Any]:
         results = apply(returning, pieces(points, cutoffs))
         if not isinstance(results, Iterable):
-            raise TypeError(f"workers must return the results of a batch as map does, not {_text.show(results)}")
+            raise TypeError(f"workers must return an iterable of the results of a batch, as map does, not {_text.show(results)}")
         return list(results)
 
     return evaluate
@@ -225,14 +225,14 @@ def executor_of(workers: Any) -> Any:
 
     Raises TypeError for objects of Dask and joblib that are not executors, and names the object to pass instead."""
     if callable(getattr(workers, "get_executor", None)):
-        raise TypeError("a Dask Client is no executor: give workers=client.get_executor()")
+        raise TypeError("a Dask Client is not an executor; use workers=client.get_executor()")
     if callable(getattr(workers, "submit", None)):
         if isinstance(workers, type):
-            raise TypeError(f"workers cannot be the class {workers.__name__}: give an executor, {workers.__name__}(...)")
+            raise TypeError(f"workers must be an executor, not the class {workers.__name__}; use {workers.__name__}(...)")
         return workers
     if type(workers).__module__.partition(".")[0] == "joblib":
         raise TypeError(
-            f"workers cannot be a joblib {type(workers).__name__}: give an executor, workers=joblib.externals.loky.get_reusable_executor()"
+            f"workers must be an executor, not a joblib {type(workers).__name__}; use workers=joblib.externals.loky.get_reusable_executor()"
         )
     return None
 

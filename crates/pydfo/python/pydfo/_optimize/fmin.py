@@ -40,7 +40,7 @@ def _algorithm(alg: int | str | None) -> str:
     try:
         return _core.method_of_number(operator.index(alg))
     except (ValueError, TypeError, OverflowError):
-        raise ValueError(f"alg = {alg!r} is none of the numbers 1 to 4, nor a name as in minimize") from None
+        raise ValueError(f"alg = {alg!r} must be a number from 1 to 4, or a method name as in minimize") from None
 
 
 def check_callback(callback: Any) -> None:
@@ -48,7 +48,7 @@ def check_callback(callback: Any) -> None:
     if callback is not None and not callable(callback):
         raise TypeError(f"callback must be callable, not {callback!r}")
     if inspect.iscoroutinefunction(callback):
-        raise TypeError("callback is a coroutine function (async def), whose body would never run: give a plain function")
+        raise TypeError("callback is a coroutine function (async def), which would never run; use a regular function")
 
 
 def listen(callback: Callback) -> Callback:
@@ -205,16 +205,16 @@ def fmin(
     >>> x_opt, f_opt, nbr_iters, nbr_fevals, solve_time = res
     """
     if not callable(func):
-        hint = "; give the function itself, not the name of its file" if isinstance(func, str) else ""
+        hint = "; pass the function itself, not the name of its file" if isinstance(func, str) else ""
         raise TypeError(f"func must be callable, not {func!r}{hint}")
     for name, value in (("plot", plot), ("plot_conv", plot_conv), ("disp", disp), ("debug", debug)):
         _values.flag(name, value)
     method = _algorithm(alg)
     if on_error not in ("raise", "fail"):
-        raise ValueError(f"on_error = {on_error!r} is none of 'raise', 'fail'")
+        raise ValueError(f"on_error = {on_error!r} is invalid; expected one of: 'raise', 'fail'")
     check_callback(callback)
     if xstart is None and method not in _options.SAMPLERS:
-        raise ValueError(f"xstart is needed: the point where {method} starts")
+        raise ValueError(f"xstart, the start point of {method}, is missing")
     start = None if xstart is None else _values.vector("xstart", xstart)
     n = _size(start, lb, ub)
     lower = _bounds.bound("lb", lb, n, -np.inf)
@@ -227,7 +227,7 @@ def fmin(
     # Default of the paper.
     own.setdefault("tolerances", "absolute")
     if nbr_cores is not None and workers is not None:
-        raise ValueError("nbr_cores and workers are two names for one argument: give one of them")
+        raise ValueError("nbr_cores and workers are the same argument; specify only one of them")
     name, given = ("nbr_cores", nbr_cores) if workers is None else ("workers", workers)
     batches, count = _evaluate.shared_out(func, name, given, 1)
     asked = _options.record(

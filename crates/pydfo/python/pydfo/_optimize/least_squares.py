@@ -123,7 +123,7 @@ def least_squares(
     (array([2. , 0.7]), True, (9,))
     """
     if x0 is None:
-        raise ValueError("x0 is needed: the point to start from")
+        raise ValueError("x0 (the start point) is missing")
     start = _values.vector("x0", x0)
     result = run(
         least_squares,

@@ -247,7 +247,7 @@ def run(
     if not callable(fun):
         raise TypeError(f"fun must be callable, not {fun!r}")
     if on_error not in ("raise", "fail"):
-        raise ValueError(f"on_error = {on_error!r} is none of 'raise', 'fail'")
+        raise ValueError(f"on_error = {on_error!r} is invalid; expected one of: 'raise', 'fail'")
     check_callback(callback)
     extra = args if isinstance(args, tuple) else (args,)
     called = _evaluate.WithArguments(fun, extra) if extra else fun
@@ -257,7 +257,7 @@ def run(
         if cutoffs:
             raise ValueError("fun has a parameter cutoff, but vectorized=True evaluates many points at once")
         if batches is not None:
-            raise ValueError("vectorized=True evaluates whole batches itself; workers must be a number then")
+            raise ValueError("workers must be a number if vectorized=True, because fun evaluates whole batches")
         batches = _evaluate.vectorized(called, of_residuals)
     own = _options.with_plan(options, count) if of_residuals else options
     start, lower, upper, asked = describe(of, method, x0, bounds, own, function=fun, workers=count, **arguments)

@@ -153,10 +153,10 @@ class Optimizer:
         costs = list(values)
         tell = self._native.tell
         if len(numbers) != len(costs):
-            raise ValueError(f"{len(costs)} values for {len(numbers)} points")
+            raise ValueError(f"tell: got {len(costs)} values for {len(numbers)} points")
         for number, cost in zip(numbers, costs):
             if not 0 <= number < 2**64:
-                raise KeyError(f"tell called for point {number}, which is not waiting for an answer")
+                raise KeyError(f"tell: point {number} is not waiting for an answer")
             above = isinstance(cost, Above)
             tell(number, cost.cutoff if above else cost, above)
 

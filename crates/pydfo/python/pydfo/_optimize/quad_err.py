@@ -20,7 +20,7 @@ def _rows(name: str, value: npt.ArrayLike) -> FloatArray:
     if array.ndim == 1:
         array = array[np.newaxis, :]
     if array.ndim != 2:
-        raise ValueError(f"{name} must have one row per quantity, not the shape {array.shape}")
+        raise ValueError(f"{name} must be a matrix with one row per quantity, not of shape {array.shape}")
     return array
 
 

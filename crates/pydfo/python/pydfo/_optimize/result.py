@@ -315,7 +315,7 @@ class OptimizeResult:
         try:
             return vars(self)[key]
         except KeyError:
-            raise KeyError(f"{key} (there are: {', '.join(vars(self))})") from None
+            raise KeyError(f"{key} (expected one of: {', '.join(vars(self))})") from None
 
     def __iter__(self) -> Iterator[Any]:
         return iter(self._tuple())

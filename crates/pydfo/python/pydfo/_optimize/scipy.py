@@ -71,7 +71,7 @@ def scipy_method(method: str = "auto", **fixed: Any) -> Callable[..., Any]:
         **given: Any,
     ) -> Any:
         if constraints is not None and np.size(constraints) > 0:
-            raise ValueError(f"{method} knows bounds only, no constraints")
+            raise ValueError(f"{method} supports only bounds, not constraints")
         if any(derivative not in (None, False) for derivative in (jac, hess, hessp)):
             warnings.warn(f"{method} does not use derivatives (jac, hess, hessp)", RuntimeWarning, stacklevel=3)
         options = {**fixed, **given}

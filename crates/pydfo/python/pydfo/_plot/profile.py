@@ -75,6 +75,6 @@ def profiles(profile: Profile) -> Figure:
     for axes in grid.flat[len(names) :]:
         axes.set_visible(False)
     for row in grid:
-        row[0].set_ylabel("rise of the cost [standard errors squared]")
+        row[0].set_ylabel("increase of the cost [standard errors squared]")
     figure.suptitle(f"Profile likelihood, {100.0 * profile.level:g} % intervals", fontsize="medium")
     return figure

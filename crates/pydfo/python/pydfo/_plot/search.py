@@ -59,7 +59,7 @@ def convergence(result: OptimizeResult, names: Sequence[str] | None = None) -> F
 def waterfall(result: OptimizeResult) -> Figure:
     """Draws the sorted final costs of the local searches; steps are minima."""
     if not result.optima:
-        raise ValueError("there are no minima to compare: fit with method='multistart' or search='global'")
+        raise ValueError("the result has no minima to compare; use method='multistart' or search='global'")
     plt = pyplot()
     figure: Figure
     figure, axes = plt.subplots(figsize=(6.4, 4.4), layout="constrained")

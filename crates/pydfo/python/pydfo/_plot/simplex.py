@@ -34,8 +34,8 @@ class SimplexWalk:
         self._axes = np.flatnonzero(free)
         if len(self._axes) != 2:
             raise ValueError(
-                f"plot=True draws the plane of two parameters, but {len(self._axes)} are free; "
-                "plot_conv=True works for any number"
+                f"plot=True requires two free parameters, got {len(self._axes)}; "
+                "plot_conv=True supports any number"
             )
         self._figure: Figure
         self._plane: Axes

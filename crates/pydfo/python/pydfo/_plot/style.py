@@ -22,7 +22,7 @@ def pyplot() -> Any:
     try:
         import matplotlib.pyplot as plt
     except ImportError as e:
-        raise ImportError("plotting needs matplotlib: pip install matplotlib") from e
+        raise ImportError("plotting requires matplotlib; install it with pip install matplotlib") from e
     return plt
 
 

@@ -21,7 +21,7 @@ MOST_NUMBERS = 12
 #: Maximum number of distinguishable lines over time.
 MOST_LINES = 6
 
-_NO_WORTH = "the fit has no standard errors (see its report), so there is nothing to draw"
+_NO_WORTH = "the fit has no standard errors to plot (see its report)"
 
 
 def correlation(matrix: FloatArray | None, names: list[str]) -> Figure:

@@ -47,10 +47,10 @@ pub(super) fn in_words(status: ExitStatus) -> String {
         (Some(libc::SIGBUS), _) => "bus error".to_owned(),
         (Some(libc::SIGFPE), _) => "arithmetic exception".to_owned(),
         (Some(libc::SIGILL), _) => "illegal instruction".to_owned(),
-        (Some(libc::SIGKILL), _) => "killed from outside, or for want of memory".to_owned(),
-        (Some(libc::SIGXCPU | libc::SIGXFSZ), _) => "a limit of resources was reached".to_owned(),
+        (Some(libc::SIGKILL), _) => "killed by another process, or out of memory".to_owned(),
+        (Some(libc::SIGXCPU | libc::SIGXFSZ), _) => "a resource limit was reached".to_owned(),
         (Some(signal), _) => format!("signal {signal}"),
-        (None, Some(code)) => format!("the process was ended with exit({code})"),
+        (None, Some(code)) => format!("the process called exit({code})"),
         (None, None) => "the process ended".to_owned(),
     }
 }

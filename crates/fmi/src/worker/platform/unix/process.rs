@@ -77,9 +77,9 @@ impl ProcessHandle {
 
     pub(in crate::worker) fn unknown_end(&self) -> String {
         // The template received the exit status.
-        let end = self.starter.end_in_words().unwrap_or_else(|| "it does not answer".to_owned());
+        let end = self.starter.end_in_words().unwrap_or_else(|| "no answer".to_owned());
         format!(
-            "the process ended; how is not known, for the process that it was copied from had ended before: {end}"
+            "the process ended with an unknown status, because its parent process had ended before: {end}"
         )
     }
 
@@ -121,7 +121,7 @@ mod tests {
             process.channel = BufReader::new(socket);
             Frame::of(&Arrival { id }).unwrap().write(0, &mut &theirs, &mut Vec::new()).unwrap();
             let error = process.arrive(&context, Duration::from_secs(10)).unwrap_err().to_string();
-            assert!(error.contains("its process is no child of that program"), "{id}: {error}");
+            assert!(error.contains("its process is not a child of that program"), "{id}: {error}");
             assert_eq!(process.handle.pid, None, "{id}");
         }
         template.end();

@@ -96,7 +96,7 @@ def extract(filename: PathLike, unzipdir: PathLike | None = None, include: Calla
         names = archive.namelist()
         for name in names:
             if "\\" in name or ":" in name or name.startswith("/") or ".." in name.split("/"):
-                raise ValueError(f"Illegal path {_text.line(name)} found in {filename}: it must be relative, with forward slashes, and stay inside")
+                raise ValueError(f"Illegal path {_text.line(name)} found in {filename}: the path must be relative, use forward slashes and stay inside the folder")
         members = [name for name in names if include is None or include(name)]
         folder = Path(unzipdir if unzipdir is not None else mkdtemp())
         try:

@@ -52,7 +52,7 @@ class _Instance:
     @property
     def _instance(self) -> Instance:
         if self._made is None:
-            raise ValueError("instantiate() has not been called, or freeInstance() has")
+            raise ValueError("no instance exists; call instantiate() first")
         return self._made
 
     def instantiate(self, visible: bool = False, callbacks: Any = None, loggingOn: bool = False, **more: Any) -> None:
@@ -72,7 +72,7 @@ class _Instance:
         names = [self._name(kind, reference) for reference in vr]
         sizes = [int(np.prod(self._instance.description.variables[name].shape)) for name in names]
         if len(rest) != sum(sizes):
-            raise ValueError(f"{len(rest)} values for {sum(sizes)} of the variables {', '.join(names)}")
+            raise ValueError(f"got {len(rest)} values for the {sum(sizes)} elements of the variables {', '.join(names)}")
         for name, n in zip(names, sizes):
             given, rest = rest[:n], rest[n:]
             value = given if self._instance.description.variables[name].shape else given[0]
@@ -82,7 +82,7 @@ class _Instance:
         try:
             return self._names[kind, int(reference)]
         except KeyError:
-            raise KeyError(f"there is no variable of type {kind} with the value reference {reference}") from None
+            raise KeyError(f"the model has no variable of type {kind} with the value reference {reference}") from None
 
     def setupExperiment(self, tolerance: float | None = None, startTime: float = 0.0, stopTime: float | None = None) -> None:
         """Sets times in s and relative tolerance of the experiment."""
@@ -160,8 +160,8 @@ class _Instance:
     getUInt64, setUInt64 = _accessors("UInt64")
     getBinary, setBinary = _accessors("Binary")
     getClock, setClock = _accessors("Clock")
-    serializeFMUstate = serializeFMUState = refused("serializeFMUState", "states live in one instance: getFMUState() and setFMUState()")
-    deSerializeFMUstate = deserializeFMUState = refused("deserializeFMUState", "states live in one instance: getFMUState() and setFMUState()")
+    serializeFMUstate = serializeFMUState = refused("serializeFMUState", "states are valid only in their instance; use getFMUState() and setFMUState()")
+    deSerializeFMUstate = deserializeFMUState = refused("deserializeFMUState", "states are valid only in their instance; use getFMUState() and setFMUState()")
 
 
 class Model(_Instance):
@@ -236,6 +236,6 @@ class Slave(_Instance):
         """Sets the first derivatives of inputs."""
         self._instance.set_input_derivatives([self._name("Real", reference) for reference in vr], value)
 
-    getRealOutputDerivatives = getOutputDerivatives = refused("getRealOutputDerivatives", "derivatives of outputs are not asked for: differentiate the result")
-    cancelStep = refused("cancelStep", "steps are awaited")
-    getStatus = refused("getStatus", "steps are awaited; a refused call is a SimulationError with .status")
+    getRealOutputDerivatives = getOutputDerivatives = refused("getRealOutputDerivatives", "unsupported; differentiate the result")
+    cancelStep = refused("cancelStep", "steps are blocking")
+    getStatus = refused("getStatus", "steps are blocking; a rejected call raises SimulationError with .status")

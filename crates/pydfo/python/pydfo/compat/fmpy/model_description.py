@@ -272,7 +272,7 @@ class ModelDescription:
         """Name of the library, if all interfaces have the same one."""
         names = {interface.modelIdentifier for interface in (self.modelExchange, self.coSimulation) if interface is not None}
         if len(names) != 1:
-            raise ValueError(f"the interfaces have other libraries each: {', '.join(sorted(map(str, names))) or 'none'}")
+            raise ValueError(f"the interfaces have different libraries: {', '.join(sorted(map(str, names))) or 'none'}")
         return str(names.pop())
 
 
@@ -494,7 +494,7 @@ def read_model_description(
     path, folder = path_of(filename)
     try:
         if Path(path).suffix == ".xml":
-            refuse("read_model_description() of an XML file", "give the .fmu, or the folder that holds modelDescription.xml")
+            refuse("read_model_description() of an XML file", "use the .fmu file, or the folder that contains modelDescription.xml")
         found = _native.read_description(path)
         problems = [quirk.message for quirk in found.quirks]
         if problems and (validate_variable_names or validate_model_structure):
@@ -505,14 +505,14 @@ def read_model_description(
             shutil.rmtree(folder, ignore_errors=True)
 
 
-_BUILD = "sources are built by themselves when an FMU is first simulated"
+_BUILD = "sources are built automatically when an FMU is first simulated"
 REFUSED = {
     "BuildConfiguration": _BUILD,
     "PreProcessorDefinition": _BUILD,
-    "ScheduledExecution": "scheduled execution is not simulated",
+    "ScheduledExecution": "scheduled execution is not supported",
     "SourceFileSet": _BUILD,
-    "is_float_literal": "float() says so",
-    "read_build_description": "sources are built by themselves when an FMU is first simulated; pydfo.build_fmu packs a folder",
-    "write_model_description": "pydfo does not write descriptions; Fit.export_fmu writes an FMU with other start values",
+    "is_float_literal": "use float()",
+    "read_build_description": "sources are built automatically when an FMU is first simulated; use pydfo.build_fmu to pack a folder",
+    "write_model_description": "pydfo does not write descriptions; use Fit.export_fmu to write an FMU with other start values",
 }
 __getattr__ = hand_out("pydfo.compat.fmpy.model_description", REFUSED)

@@ -80,7 +80,7 @@ def _converted(description: Description, variable: Variable, value: Any) -> Any:
         known = description.units.get(variable.unit or "")
         shown = next((display for display in known.display_units if display.name == unit), None) if known else None
         if shown is None:
-            raise ValueError(f"{variable.name}: {unit!r} is neither the unit of the variable ({variable.unit}) nor one to show it in")
+            raise ValueError(f"{variable.name}: {unit!r} is neither the unit of the variable ({variable.unit}) nor one of its display units")
         return (shown.factor / number if shown.inverse else (number - shown.offset) / shown.factor)
     if not isinstance(value, str) or variable.type in ("String", "Binary"):
         return value
@@ -88,7 +88,7 @@ def _converted(description: Description, variable: Variable, value: Any) -> Any:
         return [float(item) for item in value.split()]
     if variable.type == "Boolean":
         if value.lower() not in ("true", "false", "1", "0"):
-            raise ValueError(f"{variable.name}: a Boolean is 'true' or 'false', not {value!r}")
+            raise ValueError(f"{variable.name}: expected 'true' or 'false', got {value!r}")
         return value.lower() in ("true", "1")
     return float(value) if variable.type in ("Real", "Float32") else int(value) if value.lstrip("+-").isdigit() else value
 
@@ -109,7 +109,7 @@ def _inputs(signals: np.ndarray[Any, Any] | None, description: Description) -> d
     first, *others = signals.dtype.names
     columns: dict[str, Any] = {"time": np.asarray(signals[first], dtype=np.float64)}
     if left_out := [name for name in others if not _is_driven(name, description)]:
-        warnings.warn(f"columns of input that are no inputs of the model have no effect: {', '.join(left_out)}", stacklevel=3)
+        warnings.warn(f"columns of input that are not inputs of the model have no effect: {', '.join(left_out)}", stacklevel=3)
     for name in (name for name in others if name not in left_out):
         column = np.asarray(signals[name])
         for index in np.ndindex(*column.shape[1:]):
@@ -226,11 +226,11 @@ def simulate_fmu(
     by_hand = "drive the instance yourself with pydfo.fmi.instantiate() or instantiate_fmu()"
     reasons = {
         "visible": (visible, by_hand),
-        "logger": (logger, 'lines of the FMU go to logging.getLogger("pydfo"): debug_logging=True'),
-        "fmi_call_logger": (fmi_call_logger, "calls are made in Rust; the last lines of the FMU's log are part of every error"),
+        "logger": (logger, 'set debug_logging=True to log messages of the FMU with logging.getLogger("pydfo")'),
+        "fmi_call_logger": (fmi_call_logger, "calls are made in Rust; every error contains the last lines of the FMU's log"),
         "step_finished": (step_finished, by_hand),
-        "fmu_instance": (fmu_instance, f"leave it out: an FMU that was opened once opens again in no time, each time as new; or {by_hand}"),
-        "fmu_state": (fmu_state, "pydfo.fmi.Instance.save_state() and restore_state() work on one instance"),
+        "fmu_instance": (fmu_instance, f"omit it, because opening an FMU again is fast and creates a new instance, or {by_hand}"),
+        "fmu_state": (fmu_state, "pydfo.fmi.Instance.save_state() and restore_state() save and restore the state of an instance"),
         "initialize=False": (not initialize, by_hand),
         "terminate=False": (not terminate, by_hand),
         "set_stop_time=False": (not set_stop_time, by_hand),
@@ -262,7 +262,7 @@ def simulate_fmu(
                 description, is_cs, start, stop, _positive("output_interval", output_interval), _positive("step_size", step_size)
             )
             if (stop - start) / interval > _MOST_ROWS:
-                raise ValueError(f"{stop - start!r} s in intervals of {interval!r} s are more than {_MOST_ROWS} rows")
+                raise ValueError(f"{stop - start!r} s in intervals of {interval!r} s exceed the limit of {_MOST_ROWS} rows")
             time_tolerance = _core.time_tolerance(start, stop)
             n = int(np.floor((stop - start + time_tolerance) / interval))
             times = start + interval * np.arange(n + 1)
@@ -390,14 +390,14 @@ def instantiate_fmu(
     return fmu
 
 
-_SETTABLE = "pydfo.fmi.Instance.set says whether a variable can be set in a phase, and why not"
+_SETTABLE = "pydfo.fmi.Instance.set raises an error with the reason if a variable cannot be set in a phase"
 REFUSED = {
     "has_start_value": _SETTABLE,
     "settable_in_initialization_mode": _SETTABLE,
     "settable_in_instantiated": _SETTABLE,
-    "Recorder": "rows are recorded in Rust: simulate_fmu(output=...)",
-    "Input": "inputs are set in Rust: simulate_fmu(input=...)",
-    "ForwardEuler": "the methods are those of FMUModel.simulate(solver=...)",
+    "Recorder": "rows are recorded in Rust; use simulate_fmu(output=...)",
+    "Input": "inputs are set in Rust; use simulate_fmu(input=...)",
+    "ForwardEuler": "use a method of FMUModel.simulate(solver=...)",
     "apply_start_values": "simulate_fmu(start_values=...)",
     "simulateME": 'simulate_fmu(fmi_type="ModelExchange")',
     "simulateCS": 'simulate_fmu(fmi_type="CoSimulation")',

@@ -144,25 +144,25 @@ def validate_fmu(filename: PathLike | IO[bytes]) -> list[str]:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-_ELSEWHERE = "FMPy's own package has it; it needs no simulation"
+_ELSEWHERE = "use the FMPy package for this, because it does not simulate"
 REFUSED = {
-    "add_remoting": "an FMU runs on its own platform; FMUModel.simulate(isolation='process') has a process for it",
-    "can_simulate": "FMUModel raises an FmuError that says why an FMU cannot run here",
-    "create_cmake_project": "pydfo.build_fmu compiles the sources of a folder",
+    "add_remoting": "FMUs run only on their own platform; FMUModel.simulate(isolation='process') runs an FMU in a separate process",
+    "can_simulate": "FMUModel raises FmuError with the reason if an FMU cannot run on this machine",
+    "create_cmake_project": "use pydfo.build_fmu to compile the sources of a folder",
     "create_jupyter_notebook": _ELSEWHERE,
-    "create_plotly_figure": "plot_result draws with matplotlib",
-    "create_zip_archive": "pydfo.build_fmu packs a folder",
+    "create_plotly_figure": "use plot_result, which draws with matplotlib",
+    "create_zip_archive": "use pydfo.build_fmu to pack a folder",
     "download_file": "pydfo opens no connections",
     "download_test_file": "pydfo opens no connections",
-    "fmu_path_info": "it is about the repository of cross checks, which is closed",
-    "has_wine64": "FMUs of other platforms are not run",
-    "has_wsl": "FMUs of other platforms are not run",
-    "read_ref_opt_file": "it is about the repository of cross checks, which is closed",
+    "fmu_path_info": "the FMI Cross-Check repository is closed",
+    "has_wine64": "FMUs of other platforms are not supported",
+    "has_wsl": "FMUs of other platforms are not supported",
+    "read_ref_opt_file": "the FMI Cross-Check repository is closed",
     "remove_source_code": _ELSEWHERE,
     "sha256_checksum": "hashlib.file_digest",
-    "validate_result": "it is about the repository of cross checks, which is closed",
-    "validate_signal": "it is about the repository of cross checks, which is closed",
-    "visual_c_versions": "sources are built by the compiler in CC",
-    "visual_studio_installation_paths": "sources are built by the compiler in CC",
+    "validate_result": "the FMI Cross-Check repository is closed",
+    "validate_signal": "the FMI Cross-Check repository is closed",
+    "visual_c_versions": "sources are built with the compiler in CC",
+    "visual_studio_installation_paths": "sources are built with the compiler in CC",
 }
 __getattr__ = hand_out("pydfo.compat.fmpy.util", REFUSED)

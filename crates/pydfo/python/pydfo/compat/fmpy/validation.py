@@ -7,5 +7,5 @@ from .util import validate_fmu
 
 __all__ = ["validate_fmu"]
 
-REFUSED = {"validate_model_description": "validate_fmu looks at the file; pydfo.read_description(...).quirks has the lines, too"}
+REFUSED = {"validate_model_description": "use validate_fmu for a file; pydfo.read_description(...).quirks also contains the lines"}
 __getattr__ = hand_out("pydfo.compat.fmpy.validation", REFUSED)

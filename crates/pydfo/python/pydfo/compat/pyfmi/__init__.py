@@ -12,9 +12,9 @@ from .model import FMUModelCS1, FMUModelCS2, FMUModelME1, FMUModelME2, FMUModelM
 __all__ = ["FMUModelCS1", "FMUModelCS2", "FMUModelME1", "FMUModelME2", "FMUModelME3", "NotProvided", "load_fmu"]
 
 REFUSED = {
-    "CoupledFMUModelME2": "one FMU is simulated at a time",
-    "FMUModelME1Extended": "one FMU is simulated at a time: load_fmu(kind='CS') has co-simulation",
-    "Master": "one FMU is simulated at a time",
+    "CoupledFMUModelME2": "only one FMU is simulated at a time",
+    "FMUModelME1Extended": "only one FMU is simulated at a time; use load_fmu(kind='CS') for co-simulation",
+    "Master": "only one FMU is simulated at a time",
     "check_packages": "pip check",
 }
 __getattr__ = hand_out("pydfo.compat.pyfmi", REFUSED)

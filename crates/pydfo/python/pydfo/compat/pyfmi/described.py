@@ -125,7 +125,7 @@ class DescribedModel:
     def _stated(self, name: str, what: str) -> Any:
         value = getattr(self._variable(name), what)
         if value is None:
-            raise FMUException(f"the model states no {what} for {name}")
+            raise FMUException(f"the model declares no {what} for {name}")
         return value
 
     def get_variable_unit(self, variable_name: str) -> str:
@@ -173,7 +173,7 @@ class DescribedModel:
         for name, v in self._description.variables.items():
             if v.value_reference == valueref and constants.type_number(self._version, v.type) == type:
                 return name
-        raise FMUException(f"there is no variable of type {type} with the value reference {valueref}")
+        raise FMUException(f"the model has no variable of type {type} with the value reference {valueref}")
 
     def get_variable_alias(self, variable_name: str) -> dict[str, int]:
         """Returns all aliases of a variable with 0 for the first name and 1 for the others."""
@@ -304,7 +304,7 @@ class DescribedModel:
                 known.setdefault(v.value_reference, name)
         for reference in wanted:
             if reference not in known:
-                raise FMUException(f"there is no variable of type {' or '.join(kinds)} with the value reference {reference}")
+                raise FMUException(f"the model has no variable of type {' or '.join(kinds)} with the value reference {reference}")
         return [known[reference] for reference in wanted]
 
 

@@ -20,9 +20,9 @@ from .described import DescribedModel
 from .exceptions import FMUException
 from .results import Result
 
-_BY_FIT = "pydfo.Calibration fits parameters: fit()"
-_LOG = 'the last lines are in get_log(), and all go to logging.getLogger("pydfo")'
-_STRUCTURE = "dependencies are not handed to Python"
+_BY_FIT = "use pydfo.Calibration.fit() to fit parameters"
+_LOG = 'get_log() returns the last lines, and logging.getLogger("pydfo") receives all lines'
+_STRUCTURE = "dependencies are not available in Python"
 
 
 class FMUModelBase(DescribedModel):
@@ -36,7 +36,7 @@ class FMUModelBase(DescribedModel):
         self, fmu: str | os.PathLike[str], log_file_name: Any = None, log_level: int = 2, kind: str = "auto", allow_unzipped_fmu: bool = False
     ) -> None:
         if log_file_name not in (None, ""):
-            refuse("log_file_name", 'get_log() has the lines, and logging.getLogger("pydfo")')
+            refuse("log_file_name", 'use get_log() or logging.getLogger("pydfo")')
         super().__init__(FMUModel(fmu, kind, log_level=log_level))
         self._instance: Instance | None = None
         self._time: float | None = None
@@ -79,7 +79,7 @@ class FMUModelBase(DescribedModel):
 
     def _live(self) -> Instance:
         if self._instance is None:
-            raise FMUException("the model is not initialized: call initialize(), or setup_experiment() and enter_initialization_mode()")
+            raise FMUException("the model is not initialized; call initialize(), or setup_experiment() and enter_initialization_mode()")
         return self._instance
 
     def _get_typed(self, kinds: Sequence[str], references: Any, dtype: Any) -> Any:
@@ -259,7 +259,7 @@ class FMUModelBase(DescribedModel):
         try:
             csc_matrix = importlib.import_module("scipy.sparse").csc_matrix
         except ImportError as e:
-            raise ImportError("sparse matrices need SciPy: pip install scipy, or use_structure_info=False") from e
+            raise ImportError("sparse matrices require SciPy; install it with pip install scipy, or set use_structure_info=False") from e
         return tuple(csc_matrix(matrix) if is_asked else False for is_asked, matrix in asked)  # type: ignore[return-value]
 
     # --- simulations --------------------------------------------------------------------------------------------------
@@ -310,32 +310,32 @@ class FMUModelBase(DescribedModel):
         return Result(self, asked, native, path)
 
     append_log_message = refused("FMUModel.append_log_message", _LOG)
-    cancel_step = refused("FMUModel.cancel_step", "steps are awaited")
-    deserialize_fmu_state = refused("FMUModel.deserialize_fmu_state", "states live in one instance: get_fmu_state() and set_fmu_state()")
+    cancel_step = refused("FMUModel.cancel_step", "steps are blocking")
+    deserialize_fmu_state = refused("FMUModel.deserialize_fmu_state", "states are valid only in their instance; use get_fmu_state() and set_fmu_state()")
     estimate = refused("FMUModel.estimate", _BY_FIT)
     estimate_options = refused("FMUModel.estimate_options", _BY_FIT)
     extract_xml_log = refused("FMUModel.extract_xml_log", _LOG)
-    get_boolean_status = refused("FMUModel.get_boolean_status", "steps are awaited; a refused call is a SimulationError with .status")
+    get_boolean_status = refused("FMUModel.get_boolean_status", "steps are blocking; a rejected call raises SimulationError with .status")
     get_derivatives_dependencies = refused("FMUModel.get_derivatives_dependencies", _STRUCTURE)
     get_derivatives_dependencies_kind = refused("FMUModel.get_derivatives_dependencies_kind", _STRUCTURE)
     get_fmil_log_level = refused("FMUModel.get_fmil_log_level", _LOG)
-    get_integer_status = refused("FMUModel.get_integer_status", "steps are awaited; a refused call is a SimulationError with .status")
-    get_last_result_file = refused("FMUModel.get_last_result_file", "res.result_file, where one is written")
+    get_integer_status = refused("FMUModel.get_integer_status", "steps are blocking; a rejected call raises SimulationError with .status")
+    get_last_result_file = refused("FMUModel.get_last_result_file", "use res.result_file, if a file was written")
     get_log_filename = refused("FMUModel.get_log_filename", _LOG)
     get_log_level = refused("FMUModel.get_log_level", _LOG)
     get_max_log_size = refused("FMUModel.get_max_log_size", _LOG)
     get_model_time_varying_value_references = refused("FMUModel.get_model_time_varying_value_references", "get_model_variables(variability=...)")
     get_output_dependencies = refused("FMUModel.get_output_dependencies", _STRUCTURE)
     get_output_dependencies_kind = refused("FMUModel.get_output_dependencies_kind", _STRUCTURE)
-    get_output_derivatives = refused("FMUModel.get_output_derivatives", "derivatives of outputs are not asked for: differentiate the result")
-    get_real_status = refused("FMUModel.get_real_status", "steps are awaited; a refused call is a SimulationError with .status")
-    get_status = refused("FMUModel.get_status", "steps are awaited; a refused call is a SimulationError with .status")
-    get_string_status = refused("FMUModel.get_string_status", "steps are awaited; a refused call is a SimulationError with .status")
+    get_output_derivatives = refused("FMUModel.get_output_derivatives", "unsupported; differentiate the result")
+    get_real_status = refused("FMUModel.get_real_status", "steps are blocking; a rejected call raises SimulationError with .status")
+    get_status = refused("FMUModel.get_status", "steps are blocking; a rejected call raises SimulationError with .status")
+    get_string_status = refused("FMUModel.get_string_status", "steps are blocking; a rejected call raises SimulationError with .status")
     get_unpacked_fmu_path = refused("FMUModel.get_unpacked_fmu_path", "FMUs are unpacked into a private folder")
     get_variable_references = refused("FMUModel.get_variable_references", "get_variable_valueref(name)")
     has_reached_max_log_size = refused("FMUModel.has_reached_max_log_size", _LOG)
-    serialize_fmu_state = refused("FMUModel.serialize_fmu_state", "states live in one instance: get_fmu_state() and set_fmu_state()")
-    serialized_fmu_state_size = refused("FMUModel.serialized_fmu_state_size", "states live in one instance: get_fmu_state() and set_fmu_state()")
+    serialize_fmu_state = refused("FMUModel.serialize_fmu_state", "states are valid only in their instance; use get_fmu_state() and set_fmu_state()")
+    serialized_fmu_state_size = refused("FMUModel.serialized_fmu_state_size", "states are valid only in their instance; use get_fmu_state() and set_fmu_state()")
     set_additional_logger = refused("FMUModel.set_additional_logger", _LOG)
     set_log_level = refused("FMUModel.set_log_level", "load_fmu(log_level=...)")
     set_max_log_size = refused("FMUModel.set_max_log_size", _LOG)
@@ -503,7 +503,7 @@ def load_fmu(
         The FMU cannot be read or run.
     """
     if isinstance(kind, str) and kind.upper() == "SE":
-        refuse('load_fmu(kind="SE")', "scheduled execution is not simulated")
+        refuse('load_fmu(kind="SE")', "scheduled execution is not supported")
     opened = FMUModel(Path(fmu), kind)
     version = opened.description.fmi_version[0]
     classes = {(c.__name__[-3:-1], c.__name__[-1]): c for c in (FMUModelME1, FMUModelCS1, FMUModelME2, FMUModelCS2, FMUModelME3, FMUModelCS3)}

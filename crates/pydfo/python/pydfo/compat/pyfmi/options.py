@@ -32,7 +32,7 @@ class Options(dict[str, Any]):
         if name not in self:
             nearest = difflib.get_close_matches(str(name), list(self), n=1)
             hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
-            raise UnrecognizedOptionError(f"there is no option {name!r}{hint}")
+            raise UnrecognizedOptionError(f"unknown option {name!r}{hint}")
         super().__setitem__(name, value)
 
     def update(self, *given: Any, **more: Any) -> None:
@@ -72,15 +72,15 @@ def default_options(kind: str) -> Options:
 
 
 _REASONS = {
-    "initialize": (True, "drive the instance by hand with pydfo.fmi.instantiate(): initialize(), do_step()"),
-    "result_handler": (None, "the result is in memory: SimulationResult.to_csv, to_dataframe, to_xarray"),
-    "synchronize_simulation": (False, "simulations do not wait for the clock"),
-    "sensitivities": (None, "pydfo.Calibration estimates the sensitivities of a fit: fit.uncertainty()"),
-    "extra_equations": (None, "pydfo.ode.solve integrates systems that are written in Python"),
-    "dynamic_diagnostics": (False, "res.native.stats has the counts of a simulation, .events its events"),
-    "logging": (False, "res.native.stats has the counts of a simulation, .events its events"),
-    "result_downsampling_factor": (1, "choose fewer rows: ncp"),
-    "write_scaled_result": (False, "values are those of the model"),
+    "initialize": (True, "drive the instance with pydfo.fmi.instantiate(), initialize() and do_step()"),
+    "result_handler": (None, "the result is in memory; use SimulationResult.to_csv, to_dataframe or to_xarray"),
+    "synchronize_simulation": (False, "real-time simulation is not supported"),
+    "sensitivities": (None, "use fit.uncertainty() of a pydfo.Calibration to estimate sensitivities"),
+    "extra_equations": (None, "use pydfo.ode.solve for systems written in Python"),
+    "dynamic_diagnostics": (False, "res.native.stats contains the counts of a simulation, and .events contains its events"),
+    "logging": (False, "res.native.stats contains the counts of a simulation, and .events contains its events"),
+    "result_downsampling_factor": (1, "use a smaller ncp"),
+    "write_scaled_result": (False, "values are not scaled"),
 }
 _HANDLINGS = ("binary", "memory", "file", "csv", None)
 
@@ -91,21 +91,21 @@ def arguments(options: Mapping[str, Any], kind: str, suggested: float | None) ->
         if name in options and options[name] != allowed:
             refuse(f"simulate(options={{{name!r}: {options[name]!r}}})", reason)
     if options["result_handling"] not in _HANDLINGS:
-        refuse(f"result_handling={options['result_handling']!r}", "the result is in memory: SimulationResult.to_csv, to_dataframe, to_xarray")
+        refuse(f"result_handling={options['result_handling']!r}", "the result is in memory; use SimulationResult.to_csv, to_dataframe or to_xarray")
     if not options["ncp"]:
-        refuse("ncp=0", "rows lie on a grid; record_events of FMUModel.simulate adds those of events")
+        refuse("ncp=0", "rows have a regular spacing; record_events of FMUModel.simulate adds rows at events")
     made: dict[str, Any] = {"ncp": options["ncp"], "outputs": options["filter"] if options["filter"] is not None else "all"}
     if kind == "CS":
         return {**made, "max_time": options["time_limit"]}
     solver = options["solver"]
     if solver in _OTHERS:
-        refuse(f"solver={solver!r}", f"{_OTHERS[solver]} (radau5) is for stiff systems, too")
+        refuse(f"solver={solver!r}", f"{_OTHERS[solver]} (radau5) also supports stiff systems")
     if solver not in SOLVERS:
         raise InvalidOptionException(f"solver must be one of {', '.join(SOLVERS)}, not {solver!r}")
     given = options[f"{solver}_options"]
     without = [name for name, value in given.items() if name not in ("rtol", "maxh", "h") and value != default_options(kind)[f"{solver}_options"].get(name)]
     if without:
-        warnings.warn(f"{', '.join(without)} of {solver}_options: no effect (absolute tolerances follow from rtol and the nominal values)", stacklevel=4)
+        warnings.warn(f"{', '.join(without)} of {solver}_options have no effect (absolute tolerances are derived from rtol and the nominal values)", stacklevel=4)
     made["solver"] = SOLVERS[solver]
     if solver == "ExplicitEuler":
         return {**made, "step_size": given.get("h")}

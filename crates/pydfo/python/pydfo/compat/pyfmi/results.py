@@ -29,7 +29,7 @@ class Result:
     def result_file(self) -> str:
         """Path of the written file (``result_handling="csv"``)."""
         if self._file is None:
-            raise ValueError('no file was written: options["result_handling"] = "csv" writes one, SimulationResult.to_csv too')
+            raise ValueError('no file was written; set options["result_handling"] = "csv", or use SimulationResult.to_csv')
         return self._file
 
     @property
