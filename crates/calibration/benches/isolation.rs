@@ -19,7 +19,7 @@ const ROWS: usize = 800;
 const CALLS: usize = 400;
 const ROUNDS: usize = 15;
 
-/// Bytes of a request and of a response with two outputs.
+/// Number of bytes of a request and of a response with two outputs.
 const ASKED: usize = 160;
 const ANSWER: usize = 8 * 2 * ROWS + 160;
 
@@ -99,7 +99,7 @@ fn overhead() {
     child.wait().unwrap();
 }
 
-/// Whole fits, including opening the model, with and without isolation in turn.
+/// Times whole fits, including opening the model, alternately with and without isolation.
 fn fits() {
     let fit = |isolation| {
         let began = Instant::now();

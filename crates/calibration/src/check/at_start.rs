@@ -1,5 +1,5 @@
 //! Checks of an evaluation at the start values: measurements that are in another unit, swapped, or far from
-//! the simulation from the beginning.
+//! the simulation at the start.
 
 use super::experiment_subject::ExperimentSubject;
 use super::simulated_outputs::{Outputs, Place, Series, range, rounded, size, size_of_difference};
@@ -36,9 +36,9 @@ pub(super) fn findings(subjects: &[ExperimentSubject<'_>], outputs: &Outputs<'_>
     findings
 }
 
-/// Returns a finding and a factor if range and size of the measurements are the same multiple of the
-/// simulated ones. Also returns a finding if they differ by 273.15, which a parameter may compensate for at
-/// any size.
+/// Returns a finding and a factor if the range and the size of the measurements are the same multiple of the
+/// simulated range and size. Also returns a finding if they differ by 273.15, which a parameter may
+/// compensate for at any size.
 fn unit(series: &Series<'_>, subject: &ExperimentSubject<'_>) -> Option<(Finding, f64)> {
     let (measured, simulated) = (&series.of.measured, &series.simulated);
     let unit = declared(subject.description, &series.of.variable).and_then(|v| v.unit.as_deref());

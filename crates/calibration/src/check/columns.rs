@@ -5,11 +5,11 @@ use super::simulated_outputs::rounded;
 use crate::findings::finding::Finding;
 use base::Number;
 
-/// Values that loggers write if they have no measurement.
+/// Values that loggers write when they have no measurement.
 const PLACEHOLDERS: [f64; 12] =
     [99.9, 999.0, 9999.0, 99999.0, 999_999.0, 9999.9, 32767.0, 65535.0, 1e20, 1e30, 1e31, 1e37];
 
-/// Minimum distance of a placeholder from the other values, in ranges of the other values.
+/// Minimum distance of a placeholder from the other values, as a multiple of their range.
 const OUTSIDE: f64 = 2.0;
 
 /// Returns findings about constant measured columns, and used columns with placeholders.

@@ -1,4 +1,4 @@
-//! Checks of the columns that drive inputs: all zero, long gaps, outside of the range of the model, or in
+//! Checks of the columns that drive inputs: only zeros, long gaps, values outside the range of the model, and
 //! degC instead of K.
 
 use super::experiment_subject::ExperimentSubject;
@@ -12,7 +12,7 @@ use fmi::description::{Variability, Variable};
 
 /// Minimum length of a gap in an input, in sampling intervals.
 const LONG_GAP: f64 = 3.0;
-/// An input with values in fewer than this part of the rows is recorded only when it changes, so gaps are
+/// An input with values in less than this fraction of the rows is recorded only when it changes, so gaps are
 /// permitted.
 const SPARSE: f64 = 0.5;
 

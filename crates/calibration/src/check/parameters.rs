@@ -1,4 +1,4 @@
-//! Checks of parameters and given values against the model: ranges and its own start values.
+//! Checks of parameters and given values against the ranges and start values that the model declares.
 
 use super::experiment_subject::ExperimentSubject;
 use super::simulated_outputs::rounded;

@@ -64,8 +64,9 @@ impl<'a> Outputs<'a> {
         if self.fitted.is_some() { Place::Fitted } else { Place::Start }
     }
 
-    /// True if there is no fit, or if the fit moved a parameter as far as a factor in the data requires. This
-    /// means by half of the factor on a logarithmic scale, from zero, or to another sign.
+    /// True if there is no fit, or if the fit moved a parameter far enough to compensate for a factor in the
+    /// data. The parameter must have changed sign, left or reached zero, or changed by at least half of the
+    /// factor on a logarithmic scale.
     pub(super) fn may_have_taken(&self, factor: f64) -> bool {
         let (start, Some(x)) = self.x else { return true };
         let has = |(from, to): (&f64, &f64)| {
@@ -111,7 +112,7 @@ pub(super) fn rounded(value: f64) -> f64 {
     with_digits(3, value)
 }
 
-/// Rounds a time to as many digits as distinguish rows.
+/// Rounds a time to the number of digits needed to distinguish rows.
 pub(super) fn rounded_time(value: f64) -> f64 {
     with_digits(9, value)
 }

@@ -1,4 +1,4 @@
-//! Checks of the times of a recording: another unit, or far from the start of the simulation.
+//! Checks of the times of a recording: a different unit, or times far from the start of the simulation.
 
 use super::experiment_subject::ExperimentSubject;
 use super::simulated_outputs::{rounded, rounded_time};

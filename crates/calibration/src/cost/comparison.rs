@@ -1,5 +1,5 @@
-//! Comparisons that show if a model can be reset between two simulations: the answers of worker processes
-//! that were used before, and of fresh ones.
+//! Comparisons of the answers of used and fresh worker processes. They show whether a model can be reset
+//! between two simulations.
 
 use crate::cost::failure::ReportedCostFailure;
 use crate::cost::request::Evaluated;
@@ -16,7 +16,7 @@ pub(crate) enum ProcessChoice {
     Any,
     /// The process that has been idle longest among the processes that have loaded the problem.
     LongestIdle,
-    /// Any process. If a used process answers, the first question of all is repeated and compared, until one
+    /// Any process. If a used process answers, the very first question is repeated and compared, until one
     /// comparison agrees. Use it in searches, which compare the best point at their end.
     ComparedFirst,
     /// Any process. After the first comparison that agrees, the first, second, fourth, eighth ... of the next
@@ -30,12 +30,12 @@ pub(crate) enum ProcessChoice {
 pub(crate) const NOT_REPRODUCED: &str =
     "two runs of the same simulation in fresh processes differ: no result can be reproduced";
 
-/// First question of all, and the answer of an unused process.
+/// The very first question, and the answer of an unused process.
 #[derive(Debug, Clone)]
 pub(super) struct FirstQuestion {
     pub(super) asked: Frame,
     pub(super) limits: AnswerLimits,
-    /// The question without the values of parameters. A question of another shape becomes the first one,
+    /// The question without parameter values. A question with a different shape replaces the first one,
     /// because the first one may take longer.
     pub(super) shape: Frame,
     /// Number of changes of the environment before the question.
@@ -44,7 +44,7 @@ pub(super) struct FirstQuestion {
 }
 
 impl FirstQuestion {
-    /// Returns the question, to be asked again during another one.
+    /// Returns the question, to be repeated during another one.
     pub(super) fn during<'a>(&'a self, other: &Question<'a>) -> Question<'a> {
         Question { asked: &self.asked, limits: self.limits, is_repetition: true, ..*other }
     }

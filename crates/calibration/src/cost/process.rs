@@ -164,7 +164,7 @@ impl Processes {
         Ok(accepted)
     }
 
-    /// Sends a request to a worker. If a used process answers, repeats the first question of all and compares
+    /// Sends a request to a worker. If a used process answers, repeats the very first question and compares
     /// the answer with the answer of a fresh process. If they differ, switches to the next way of resetting
     /// the model and answers from a fresh process.
     fn ask_compared<T>(
@@ -230,7 +230,7 @@ impl Processes {
                     log::warn!("{}: {NOT_REPRODUCED}", self.fmu.description().model_name);
                 }
             }
-            // Also if the question was cancelled before the model could be found to be random.
+            // This also applies if the question was cancelled before the model could be found to be random.
             _ => self.give_up(reuse),
         }
         self.call(question, answer, accept, AskedProcess::Fresh, None)

@@ -148,7 +148,7 @@ pub(crate) fn sum_of_squares(residuals: &[f64]) -> f64 {
 }
 
 /// Computes the residuals from the samples of a simulation and adds up their squares, time by time and output
-/// by output within a time. The sum shows as soon as the cost must exceed a cutoff.
+/// by output within a time. The sum shows as early as possible that the cost exceeds a cutoff.
 pub(crate) struct Accumulator<'a> {
     comparison: &'a Comparison,
     schedule: &'a Schedule,
@@ -345,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn schedule_samples_late_outputs_earlier_but_not_before_the_start() {
+    fn schedule_shifts_samples_of_delayed_outputs_but_not_before_the_start() {
         let c = Comparison::new(&[
             measured(&[(0.0, 1.0), (1.0, 2.0), (3.0, 3.0)]),
             measured(&[(0.7, 4.0), (1.0, 5.0)]),

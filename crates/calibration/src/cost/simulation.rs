@@ -195,7 +195,7 @@ impl Simulation {
         let is_late = self.is_shifted_by_x || self.schedule.times != self.times;
         let spacing = match plan.kind() {
             InterfaceKind::ModelExchange => Some((end - start) / (n - 1) as f64),
-            // Samples of late outputs are not at communication points.
+            // Samples of delayed outputs are not at communication points.
             InterfaceKind::CoSimulation => plan.regular_communication_step().filter(|_| !is_late),
         };
         let tolerance = base::time_tolerance(start, end);
@@ -266,7 +266,8 @@ impl Simulation {
         let times = times.unwrap_or(&self.times);
         let is_late = self.assigned.outputs.iter().any(|(delay, _)| delay.in_model(x) != 0.0);
         if let Some(given) = given {
-            // Sample times of late outputs are sorted and begin at the start, and the last one ends the run.
+            // Sample times of delayed outputs are sorted and begin at the start, and the last one ends the
+            // run.
             check_times(given, self.options.start_time.unwrap_or_default())?;
         }
         let rows = Comparison::at_times(times, self.assigned.outputs.len());

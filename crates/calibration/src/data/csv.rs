@@ -13,7 +13,7 @@ use std::borrow::Cow;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Spellings of a missing value in a CSV file, compared without regard to case.
+/// Spellings of a missing value in a CSV file, in upper or lower case.
 const MISSING: [&str; 5] = ["", "nan", "na", "n/a", "null"];
 
 /// Maximum length of a column name in bytes.
@@ -25,7 +25,7 @@ const ROWS_PER_LOOK: usize = 4096;
 /// Columns to read from a CSV file, and the context that can end the reading.
 #[derive(Clone, Copy)]
 pub struct CsvRequest<'a> {
-    /// Name of the time column. `None` selects `time`, in any case.
+    /// Name of the time column. `None` selects `time`, in upper or lower case.
     pub time: Option<&'a str>,
     /// Columns to keep in addition to the times. Only the names of the other columns are kept. `None` keeps
     /// all columns.
@@ -44,16 +44,16 @@ impl Data {
     /// Reads a CSV file with a header line, which may be followed by a line of units. Lines that begin with
     /// `#` are comments.
     ///
-    /// - Delimiter: comma, semicolon or tab, whichever occurs most often in the header. A first line `sep=;`
-    ///   sets it, as spreadsheets write it. One additional delimiter at the end of each row is ignored, and
-    ///   so are columns without a name at the end of the header.
+    /// - Delimiter: comma, semicolon or tab, whichever occurs most often in the header. A first line `sep=;`,
+    ///   as some spreadsheets write it, sets the delimiter. One additional delimiter at the end of each row
+    ///   is ignored, and so are columns without a name at the end of the header.
     /// - Numbers: decimal commas are supported if the delimiter is not a comma. A file that mixes commas and
     ///   points is ambiguous because one of them may separate thousands. Using such a column is an error.
-    /// - Times: the column `time` (in any case), in s or in the unit that follows in brackets or parentheses:
-    ///   s, ms, us, ns, min, h, d (`time [ms]`). Dates (ISO 8601, or as `31.05.2024 13:45:10`) and times of
-    ///   day are converted to s since the first row. If `00:01` is ambiguous, the name must include the
-    ///   format, as in `time [mm:ss]` or `time [hh:mm]`.
-    /// - Missing values: empty cells, `NaN`, `NA`, `N/A` and `null`, in any case.
+    /// - Times: the column `time` (in upper or lower case), in s or in the unit that follows in brackets or
+    ///   parentheses: s, ms, us, ns, min, h, d (`time [ms]`). Dates (ISO 8601, or as `31.05.2024 13:45:10`)
+    ///   and times of day are converted to s since the first row. If `00:01` is ambiguous, the name must
+    ///   include the format, as in `time [mm:ss]` or `time [hh:mm]`.
+    /// - Missing values: empty cells, `NaN`, `NA`, `N/A` and `null`, in upper or lower case.
     /// - Text columns are kept separately, and using one is an error. Using a column whose name and line of
     ///   units declare different units is also an error.
     ///

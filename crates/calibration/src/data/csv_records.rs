@@ -166,6 +166,6 @@ fn delimiter(header: &str) -> u8 {
             *count += 1;
         }
     }
-    // In a tie, the first one wins.
+    // If counts are equal, the first delimiter is used.
     counts.into_iter().rev().max_by_key(|c| c.1).map_or(b',', |c| c.0)
 }

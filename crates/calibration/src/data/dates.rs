@@ -52,9 +52,9 @@ pub enum DateError {
 /// meaning of two numbers (`10:02`). Without `pair`, they are minutes and seconds if they cannot be anything
 /// else. The context can end the conversion.
 ///
+/// # Errors
 /// Returns the index of an invalid cell and the problem. Two numbers that may be hours and minutes or minutes
-/// and seconds are an error, and so is a doubled hour. Also returns [`DateError::Cancelled`]. minutes and
-/// seconds; an hour that is doubled. [`DateError::Cancelled`].
+/// and seconds are an error, and so is a doubled hour. Also returns [`DateError::Cancelled`].
 pub fn date_seconds(
     cells: &[impl AsRef<str>],
     pair: Option<PairUnit>,

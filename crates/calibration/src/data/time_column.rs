@@ -16,8 +16,8 @@ pub struct TimeColumn {
 }
 
 impl TimeColumn {
-    /// Finds the time column by name. It is the column `named`, or `time` in any case if no name is given. A
-    /// unit may follow in brackets or parentheses: `time [ms]`, `Time (min)`.
+    /// Finds the time column by name. It is the column `named`, or `time` (in upper or lower case) if no name
+    /// is given. A unit may follow in brackets or parentheses: `time [ms]`, `Time (min)`.
     ///
     /// # Errors
     /// Returns an error if there is no or more than one such column, or its unit is unknown. The message
@@ -75,7 +75,7 @@ pub enum PairUnit {
 }
 
 impl PairUnit {
-    /// Returns the units for `hh:mm` or `mm:ss`, in any case.
+    /// Returns the units for `hh:mm` or `mm:ss`, in upper or lower case.
     pub fn named(name: &str) -> Option<Self> {
         match name.to_lowercase().as_str() {
             "hh:mm" | "h:mm" => Some(Self::HoursMinutes),

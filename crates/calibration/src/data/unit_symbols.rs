@@ -117,7 +117,7 @@ const SYMBOLS: &[Symbol] = &[
     ("ppm", false, NONE, (1.0, 1e6), 0.0),
 ];
 
-/// Words for units, in any case, and their symbols.
+/// Words for units, in upper or lower case, and their symbols.
 const WORDS: &[(&[&str], &str)] = &[
     (&["sec", "second", "seconds"], "s"),
     (&["msec", "millisecond", "milliseconds"], "ms"),

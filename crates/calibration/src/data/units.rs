@@ -166,9 +166,9 @@ impl Unit {
     }
 
     /// Parses the name of a unit. Supported are SI symbols with prefixes, other common symbols (`mm`, `bar`,
-    /// `degC`, `rpm`, `kWh`, `%`), and words for simple units (`seconds`, in any case). Products (`N.m`,
-    /// `kg*m2`, `kg m2`) and quotients (`W/K`, `J/(kg.K)`) may contain powers (`m2`, `m^2`, `s-1`). `degC`
-    /// alone is a temperature; in a product, it is a temperature difference.
+    /// `degC`, `rpm`, `kWh`, `%`), and words for simple units (`seconds`, in upper or lower case). Products
+    /// (`N.m`, `kg*m2`, `kg m2`) and quotients (`W/K`, `J/(kg.K)`) may contain powers (`m2`, `m^2`, `s-1`).
+    /// `degC` alone is a temperature; in a product, it is a temperature difference.
     ///
     /// # Errors
     /// Returns [`UnitError::Unknown`] if the name is not a unit.

@@ -123,7 +123,7 @@ impl LiveFit {
         lock(&self.known).clone()
     }
 
-    /// Returns the evaluations in progress, longest first.
+    /// Returns the evaluations in progress, longest-running first.
     pub(crate) fn under_way(&self) -> Vec<RunningPoint> {
         let mut running = lock(&self.running).clone();
         running.sort_by_key(|running| running.since);

@@ -166,7 +166,7 @@ impl Left {
     /// left.
     fn run(&self, run: &RunOptions<AnyMethod>, stage: &Stage) -> (RunOptions<AnyMethod>, Option<Duration>) {
         let mut own = run.clone();
-        // The message of the stage names the limit that ends the stage.
+        // The message of the stage reports the limit that ends the stage.
         let of_stage =
             stage.limits.max_time.filter(|limit| self.limits.max_time.is_none_or(|time| *limit < time));
         if let Some(method) = &stage.method {

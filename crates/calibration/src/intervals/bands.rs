@@ -80,7 +80,7 @@ pub struct PredictionBand {
     pub measured_upper: Vec<f64>,
 }
 
-/// Step along a principal axis. `forward` and `backward` are parts of one standard error.
+/// Step along a principal axis. `forward` and `backward` are fractions of one standard error.
 struct Step {
     direction: DVector<f64>,
     /// Axis divided by the root of its variance.

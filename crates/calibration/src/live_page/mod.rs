@@ -73,7 +73,8 @@ impl LivePage {
         options.phase = Arc::clone(self.page.phase());
     }
 
-    /// True after the button that ends the fit was pressed. The context of the fit must check it.
+    /// True after the user has pressed the button that ends the fit. Use it in the interrupt check of the
+    /// fit's context.
     pub fn is_stop_asked(&self) -> bool {
         self.page.is_stop_asked()
     }

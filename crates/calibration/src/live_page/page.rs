@@ -41,7 +41,7 @@ pub(super) struct Page {
     is_report_read: AtomicBool,
 }
 
-/// The state as drawn last.
+/// The last drawn state.
 #[derive(Debug)]
 struct Drawn {
     text: Arc<str>,
@@ -110,8 +110,8 @@ impl Page {
 
     /// Answers a request that was received at the address of the server.
     pub(super) fn answer(&self, request: &Request, own: SocketAddr) -> Response {
-        // Another host name for this address belongs to a site that tries to reach the server
-        // through the browsers of its readers.
+        // Another host name for this address belongs to a site that tries to reach the server through its
+        // visitors' browsers.
         let is_own = |host: &str| {
             [own.to_string(), format!("localhost:{}", own.port())]
                 .iter()

@@ -7,10 +7,10 @@ const SHARE: f64 = 0.25;
 /// Maximum number of additional simulations.
 const MOST: f64 = 3.5;
 
-/// A simulation in addition to the search and the standard errors, if the budget allows it.
+/// A simulation in addition to those of the search and of the standard errors, if the budget allows it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Extra {
-    /// A parameter moved to its bound or off it, or a moved parameter without a visible effect.
+    /// Test of a parameter: moved to its bound or away from it, or moved because it has no visible effect.
     StuckParameter,
     /// The result, simulated again in a fresh process.
     FreshProcess,

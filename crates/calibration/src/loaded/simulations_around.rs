@@ -21,11 +21,11 @@ use std::time::Instant;
 /// Divisor of the relative tolerance in accurate simulations. The remaining error is a tenth.
 pub(crate) const ACCURATE: f64 = 10.0;
 
-/// Work of an accurate simulation, in simulations of a fit. At a tenth of the tolerance, a method of order 5
-/// takes this many times as many steps.
+/// Work of an accurate simulation, relative to a simulation of the fit. At a tenth of the tolerance, a method
+/// of order 5 requires 1.6 times as many steps.
 const PRICE_OF_ACCURATE: f64 = 1.6;
 
-/// Work of a simulation with half the step, in simulations of a fit.
+/// Work of a simulation with half the step, relative to a simulation of the fit.
 const HALF_STEP: f64 = 2.0;
 
 /// Smallest relative tolerance of an integration.
@@ -191,7 +191,7 @@ impl Calibration {
         self.evaluator().simulations[0].pool.plan().kind() == InterfaceKind::CoSimulation
     }
 
-    /// Returns the work of an accurate simulation, in simulations of a fit.
+    /// Returns the work of an accurate simulation, relative to a simulation of the fit.
     pub(crate) fn price_of_accurate(&self) -> f64 {
         if self.has_fixed_step() || self.is_co_simulation() { HALF_STEP } else { PRICE_OF_ACCURATE }
     }

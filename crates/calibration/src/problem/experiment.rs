@@ -22,7 +22,7 @@ use std::collections::HashSet;
 pub struct Experiment {
     pub(crate) name: Option<String>,
     pub(crate) data: Data,
-    /// Interval in s over which means replace the rows; `None` after the means have been taken.
+    /// Interval in s over which means replace the rows; `None` after the means have been computed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) resample: Option<f64>,
     pub(crate) outputs: Vec<Measured>,
@@ -77,8 +77,8 @@ pub enum Weight {
     Column(String),
     /// One number for each row of the recording.
     Rows(Series),
-    /// The inverse of this scale for all measurements, so that outputs of different units count alike. The
-    /// scale is computed from the whole recording, even if only a part of it counts.
+    /// The inverse of this scale for all measurements, so that outputs in different units have comparable
+    /// weight. The scale is computed from the whole recording, even if only a part of it counts.
     Inverse(OutputScale),
 }
 

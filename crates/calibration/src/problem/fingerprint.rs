@@ -1,4 +1,4 @@
-//! Identity of the problem of a fit, by the names of its fields. A checkpoint belongs to one identity, and a
+//! Identity of the problem of a fit, as a list of named fields. A checkpoint belongs to one identity, and a
 //! rejected checkpoint can report the difference.
 
 use crate::error::CalibrationError;

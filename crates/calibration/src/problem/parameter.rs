@@ -40,7 +40,7 @@ pub struct Tie {
 /// use calibration::{Parameter, Prior};
 /// let friction = Parameter::new("armFriction", 0.012).bounds(0.0, 0.022);
 /// assert_eq!(friction.upper(), 0.022);
-/// // One value for two variables, of which something is known; a delay; a value that follows another.
+/// // One value with a prior for two variables; a delay; a value that is tied to another one.
 /// let outlet = Parameter::new("outlet", 3e-6).variables(["qt.a1", "qt.a2"]).prior(Prior::LogNormal { median: 3e-6, sigma: 0.1 });
 /// let delay = Parameter::new("tau", 0.05).bounds(0.0, 1.0).delay_of("armJoint.phi");
 /// let other = Parameter::tied("qt.a3", "outlet", 0.5, 0.0);

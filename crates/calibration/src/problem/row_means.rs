@@ -8,10 +8,10 @@ use crate::problem::measurements::{is_mask, weights_of_rows};
 use fmi::ModelDescription;
 use fmi::description::VariableKind;
 
-/// Replaces the rows of a recording by means if the experiment has an interval for that. Weights of rows that
+/// Replaces the rows of a recording by means if the experiment specifies an interval. Weights of rows that
 /// declare noise become weights of the means: the root of the sum of their squares. Weights that are only 0
-/// and 1 select the rows whose mean is taken. Columns that drive inputs with discrete values (Boolean,
-/// integer) are not averaged: they keep their values and the times of their changes.
+/// and 1 select the rows to average. Columns that drive inputs with discrete values (Boolean, integer) are
+/// not averaged: they keep their values and the times of their changes.
 ///
 /// # Errors
 /// Returns the errors of [`Data::resampled`](crate::Data::resampled). Returns an error if weights are

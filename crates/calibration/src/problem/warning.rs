@@ -46,7 +46,7 @@ pub enum SetupWarning {
         /// Column, unit of the column, unit of the variable.
         columns: Vec<(String, String, String)>,
     },
-    /// Inputs of the model are not the name of any column in the recording of its inputs.
+    /// The recording of the inputs has no columns named after these inputs of the model.
     WithoutColumn {
         /// The recording.
         data: String,

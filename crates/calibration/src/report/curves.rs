@@ -103,7 +103,6 @@ impl Calibration {
             _ => layout.reweighed(&self.residuals(&fit.x, context)?, self.residual_layout()),
         };
         let names = self.problem().experiment_names();
-        // Chosen before several threads ask for it.
         let workers = base::available_cores();
         let simulate = |k: usize, context: &RunContext<'_>| {
             self.response(k / 2, if k.is_multiple_of(2) { &fit.start } else { &fit.x }, context)

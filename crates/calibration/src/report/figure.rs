@@ -232,7 +232,7 @@ fn thinned(points: &[Point]) -> Vec<Point> {
 }
 
 /// Returns the range of the finite values, with a margin on both sides relative to the width. If all values
-/// are equal to the digits of the labels, the range still has a width.
+/// are equal within the digits of the labels, the width of the range is still positive.
 fn range(values: impl Iterator<Item = f64>, margin: f64) -> Option<Range<f64>> {
     let drawable = values.filter(|v| v.abs() < 1e200);
     let (low, high) =

@@ -93,7 +93,7 @@ mod tests {
     use crate::{BoundSide, Calibration, Data, Experiment, Finding, Fit, FitOptions, Origin, Parameter};
     use base::RunContext;
 
-    /// x' = -k x with k = 2, recorded with an error of a thousandth.
+    /// x' = -k x with k = 2, recorded with an error of 0.001.
     fn decay() -> (Calibration, Fit) {
         let t: Vec<f64> = (0..31).map(|i| f64::from(i) / 10.0).collect();
         let x = t.iter().enumerate().map(|(i, t)| (-2.0 * t).exp() + if i % 2 == 0 { 1e-3 } else { -1e-3 });

@@ -325,7 +325,7 @@ impl Calibration {
     }
 
     /// Returns the checks of the residuals of all outputs. The `by_starts` are the changes of the residuals
-    /// by measured initial states.
+    /// due to measured initial states.
     fn residual_checks(
         &self,
         residuals: &[f64],

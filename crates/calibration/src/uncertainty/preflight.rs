@@ -97,7 +97,7 @@ pub struct ParameterCheck {
     pub sensitivity: Option<f64>,
     /// True if the parameter changes an output by more than the simulation error.
     pub has_effect: bool,
-    /// Reason if the simulation failed.
+    /// Reason for the failure of the simulation; `None` if it succeeded.
     pub failure: Option<String>,
 }
 

@@ -132,7 +132,7 @@ pub struct Uncertainty {
     /// Checks of the residuals of each output of each experiment, in the order of the residual vector.
     pub residual_checks: Vec<ResidualCheck>,
     /// Number of measurements minus the number of parameters that they determine. The latter is the trace of
-    /// the projection onto the changes by the parameters, over the residuals of the measurements. Without
+    /// the projection onto the changes due to the parameters, over the residuals of the measurements. Without
     /// priors, it is the number of parameters that are not held. A parameter whose prior is as precise as the
     /// measurements counts one half. Measurements of weight zero and measurements that a simulation starts
     /// from are not counted.
@@ -166,7 +166,7 @@ pub struct Uncertainty {
     /// Cost with a tenth of the relative tolerance, or with half the step; `None` if that simulation failed
     /// or was skipped.
     pub accurate_cost: Option<f64>,
-    /// Largest change of a parameter by that accuracy, in its standard errors.
+    /// Largest change of a parameter due to the higher accuracy, in its standard errors.
     #[serde(default)]
     pub shift_by_accuracy: f64,
     /// True if the method uses a fixed step. The accurate cost is then the cost with half the step.
@@ -263,8 +263,8 @@ impl Uncertainty {
         own.map(|((error, x), is_log)| if *is_log { error / x } else { *error })
     }
 
-    /// Stores the largest change of a parameter by another accuracy of the simulations. The `steps` are the
-    /// changes in the coordinates of the search.
+    /// Stores the largest change of a parameter due to a different accuracy of the simulations. The `steps`
+    /// are the changes in the coordinates of the search.
     pub(crate) fn note_shift(&mut self, free: &[usize], steps: &DVector<f64>) {
         let errors: Vec<f64> = self.errors_of_search().collect();
         let shifts = free.iter().zip(steps).map(|(i, step)| (step / errors[*i]).abs());

@@ -234,7 +234,7 @@ impl Calibration {
         (a - b).abs() <= tolerance * kind.size(a, self.n_measurements())
     }
 
-    /// Returns a value of a parameter at a part of its size from `x`, towards the farther bound.
+    /// Returns a value of a parameter at a fraction of its size from `x`, towards the farther bound.
     fn moved(&self, parameter: &Parameter, x: f64) -> f64 {
         let (lower, upper) = (inner(parameter, parameter.lower()), inner(parameter, parameter.upper()));
         let from = inner(parameter, x);

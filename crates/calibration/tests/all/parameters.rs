@@ -186,7 +186,7 @@ fn initial_states_are_given_measured_or_fitted() {
         with(experiment(), initial).unwrap().cost(&[1.0], &RunContext::new()).unwrap()
     };
     assert!(cost(3.0.into()) < 1e-8);
-    // The first measurement is used, and no later one.
+    // Only the first measurement is used.
     assert!(cost(InitialState::Measured) < 1e-8);
     let late = decay(&|t| if t < 0.05 { f64::NAN } else { measured(t) });
     let refused = with(late, InitialState::Measured).unwrap_err().to_string();

@@ -185,7 +185,7 @@ fn checkpoint_uses_one_file_per_stage() {
     // The uncertainty of the whole fit uses some simulations too.
     let of_stages: u64 = again.stages.iter().map(|s| s.stats.right_hand_sides).sum();
     assert!(again.stats.right_hand_sides > of_stages);
-    // Other stages are another fit.
+    // A fit with other stages is a different fit.
     let other = [Stage::new(["qt.a1", "qt.a3"]), Stage::new(["qt.a2"])];
     let error = calibration.fit_stages(&other, with(1000, Resume::Auto)).unwrap_err().to_string();
     assert!(error.contains("stage 1: ") && error.contains("fit.ckpt.stage1"), "{error}");

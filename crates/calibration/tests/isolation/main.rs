@@ -207,10 +207,10 @@ fn another_program(test: &str, temporary: &Path, work: &Path) -> Command {
     command
 }
 
-/// Runs a fit of some 0.4 s with a checkpoint. Other tests run this function.
+/// Runs a fit of about 0.4 s with a checkpoint. Other tests run this function.
 #[test]
 #[ignore = "run by other tests"]
-fn a_fit_with_a_checkpoint() {
+fn helper_runs_a_fit_with_a_checkpoint() {
     let Some(work) = std::env::var_os("WORK").map(PathBuf::from) else { return };
     let calibration = decay(Fmu::open(work.join("model")).unwrap(), settings(Isolation::Process));
     let run = RunOptions {
@@ -247,7 +247,7 @@ fn killed_and_resumed(moments: u64) {
     let (model, temporary) = (faulty(&["SLOW=50"]), tempfile::tempdir().unwrap());
     let run = |work: &Path| {
         std::os::unix::fs::symlink(model.path(), work.join("model")).unwrap();
-        another_program("a_fit_with_a_checkpoint", temporary.path(), work)
+        another_program("helper_runs_a_fit_with_a_checkpoint", temporary.path(), work)
     };
     let whole = tempfile::tempdir().unwrap();
     let began = Instant::now();
@@ -264,7 +264,7 @@ fn killed_and_resumed(moments: u64) {
         child.wait().unwrap();
         is_gone_soon(temporary.path());
         assert!(
-            another_program("a_fit_with_a_checkpoint", temporary.path(), work.path())
+            another_program("helper_runs_a_fit_with_a_checkpoint", temporary.path(), work.path())
                 .status()
                 .unwrap()
                 .success()
@@ -369,7 +369,7 @@ fn daemons_end_with_their_worker() {
         (faulty(&["FAULT_ABOVE=0", "FAULT=leave_daemon()"]), tempfile::tempdir().unwrap());
     let run = |work: &Path| {
         std::os::unix::fs::symlink(model.path(), work.join("model")).unwrap();
-        another_program("a_fit_with_a_checkpoint", temporary.path(), work)
+        another_program("helper_runs_a_fit_with_a_checkpoint", temporary.path(), work)
     };
     for is_killed in [false, true] {
         let work = tempfile::tempdir().unwrap();
@@ -537,7 +537,7 @@ impl log::Log for Listener {
 /// continues. Other tests run this function.
 #[test]
 #[ignore = "run by other tests"]
-fn a_template_that_is_killed() {
+fn helper_kills_its_template() {
     let Some(work) = std::env::var_os("WORK").map(PathBuf::from) else { return };
     log::set_logger(&Listener).unwrap();
     log::set_max_level(log::LevelFilter::Info);
@@ -563,7 +563,7 @@ fn worker_end_is_explained_when_its_template_was_killed() {
         (faulty(&["FAULT_ABOVE=2.2", "FAULT=raise(SIGSEGV)"]), tempfile::tempdir().unwrap());
     let work = tempfile::tempdir().unwrap();
     std::os::unix::fs::symlink(model.path(), work.path().join("model")).unwrap();
-    let done = another_program("a_template_that_is_killed", temporary.path(), work.path());
+    let done = another_program("helper_kills_its_template", temporary.path(), work.path());
     let output = { done }.stdout(Stdio::piped()).output().unwrap();
     assert!(work.path().join("result").exists(), "{}", String::from_utf8_lossy(&output.stdout));
     is_gone_soon(temporary.path());

@@ -158,22 +158,22 @@ mod tests {
         // Four values with twice the deviation may occur by chance.
         let few = Sums { differences: 20.0, ..all };
         assert!(few.is_worse_than_a_constant() && !few.is_no_chance());
-        // A set of 40 times as many values is significant unless the misfit may be due to rounding.
+        // A set with 40 times as many values is significant unless the misfit may be due to rounding.
         let many = Sums { n: 160.0, about_mean: 200.0, differences: 1600.0, ..all };
         assert!(many.is_worse_than_a_constant() && many.is_no_chance());
         assert!(!Sums { mean: 1e12, ..many }.is_worse_than_a_constant());
         assert!(!Sums { about_mean: 0.0, ..many }.is_worse_than_a_constant());
     }
 
-    /// Alpha-pinene from a start at zero: the squares of five outputs of eight rows are 3.6, 1.5, 141, 74 and
-    /// 3.9 times the squares about their means.
+    /// Alpha-pinene from a start at zero: the sums of squares of five outputs with eight rows each are 3.6,
+    /// 1.5, 141, 74 and 3.9 times the sums about their means.
     #[test]
     fn misfit_is_combined_when_all_outputs_are_worse_than_a_constant() {
         let sums = |ratio: f64| Sums { n: 8.0, mean: 1.0, about_mean: 1.0, differences: ratio };
         let all = [3.6, 1.5, 141.0, 74.0, 3.9].map(sums);
         assert!(!all[0].is_no_chance() && are_all_worse(&all));
-        // The first set contains a reproduced output. The outputs of the second set may both be chance: 0.33
-        // and 0.2, or 0.25 by Fisher's method.
+        // The first set contains a reproduced output. The misfits of the second set may both be due to
+        // chance: their probabilities are 0.33 and 0.2, or 0.25 by Fisher's method.
         assert!(!are_all_worse(&[sums(0.1), all[2]]));
         assert!(!are_all_worse(&[sums(1.37), sums(1.58)]));
         // A constant output does not count, and a single output has a separate test.

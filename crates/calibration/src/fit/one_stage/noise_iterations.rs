@@ -159,7 +159,7 @@ impl Job<'_> {
         }
     }
 
-    /// Changes this job to the round that follows a search.
+    /// Prepares this job for the round after a search.
     fn go_on_from(&mut self, searched: &SearchResult, checkpoint: Option<&Checkpoint>, round: usize) {
         self.start.clone_from(&searched.report.x);
         self.wants_preflight = false;
@@ -316,7 +316,7 @@ impl Calibration {
             searched.residuals = kept.with(x, searched.residuals.at(x));
         }
         job.start = begun;
-        // The last of several searches began elsewhere.
+        // The last of several searches started from another point.
         let in_trace = start_cost_in(&searched.report, &job.start);
         searched.start_cost = in_trace.or_else(|| searched.residuals.at_start().map(sum_of_squares));
         Ok(FinalSearch { own: Some(own), searched, noise: Some(FitNoise::Estimated(noise)), tolerance: None })

@@ -37,8 +37,8 @@ pub struct FitOptions<'a> {
     pub start: Option<Vec<f64>>,
     /// Indices of parameters to fix at the start; default: none.
     pub held: Vec<usize>,
-    /// True to stop a simulation when its cost can no longer matter; default: true. It changes only the work
-    /// and no decision.
+    /// True to stop a simulation when its cost can no longer matter; default: true. This reduces the work but
+    /// does not change any decision.
     pub cutoffs: bool,
     /// Cost to minimise; default: the sum of the squared residuals.
     pub objective: CostKind,

@@ -91,8 +91,8 @@ pub struct Fit {
     /// an interrupt or when the time limit has expired.
     pub n_checks: usize,
     /// Checks that were skipped because the search was short. Empty if nothing was skipped. Simulations other
-    /// than the search and the standard errors are limited to a quarter of the evaluations of the search.
-    /// They are also limited to four simulations of the result.
+    /// than those of the search and of the standard errors are limited to a quarter of the evaluations of the
+    /// search. They are also limited to four simulations of the result.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub skipped: Vec<String>,
     /// Quality of fit of each output, in the order of the residual vector. Empty if the run was interrupted.
@@ -134,8 +134,8 @@ impl Fit {
         self.uncertainty.as_ref().map_or(0.0, |uncertainty| uncertainty.left_to_gain)
     }
 
-    /// Marks the report as not converged if the search ended before its minimum. Not for stages, because
-    /// their fixed parameters are free in other stages.
+    /// Marks the report as not converged if the search ended before its minimum. This does not apply to
+    /// stages, because their fixed parameters are free in other stages.
     pub(crate) fn note_end_before_minimum(&mut self) {
         let left = self.left_to_gain();
         if left > 0.0 && matches!(self.report.termination, Termination::Converged | Termination::Noise) {

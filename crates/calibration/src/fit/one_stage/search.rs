@@ -212,7 +212,7 @@ pub(crate) struct Job<'a> {
     pub(crate) live: Option<Arc<LiveFit>>,
     /// Context that can interrupt the fit, with its time limit.
     pub(crate) context: RunContext<'a>,
-    /// True if it is part of a fit that has already chosen the tolerance.
+    /// True if the job is part of a fit that has already chosen the tolerance.
     pub(crate) is_part: bool,
     /// True if only the parameters that no stage frees are fixed, so that the result can be used to check the
     /// problem.

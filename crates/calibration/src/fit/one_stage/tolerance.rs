@@ -12,9 +12,9 @@ use serde::{Deserialize, Serialize};
 
 /// Relative tolerance that was chosen for the simulations of a fit if the user did not specify one.
 ///
-/// Simulations with a tolerance T are assumed to change the residuals by T times the measurements, with the
-/// norm `d`. Near the best values, the N residuals are noise of size s. The cost then has the relative
-/// uncertainty `2 d / (N s) + d^2 / (N s^2)`, because error and noise are independent.
+/// Simulations with a tolerance T are assumed to change the residuals by T times the measurements, a change
+/// with the norm `d`. Near the best values, the N residuals are noise of size s. The cost then has the
+/// relative uncertainty `2 d / (N s) + d^2 / (N s^2)`, because error and noise are independent.
 ///
 /// T is the tolerance of the calibration, which is the tolerance of the model but at most 1e-6. The chosen
 /// tolerance is the first of T, T / 10, T / 100 and so on whose uncertainty is below 0.3 `f_tol`. The noise s

@@ -15,8 +15,8 @@ use base::RunContext;
 use nalgebra::DMatrix;
 use std::ops::Range;
 
-/// Absolute correlation from which two parameters are confounded. Less than a fifth of the variance of each
-/// is then independent of the other.
+/// Minimum absolute correlation of two confounded parameters. Less than a fifth of the variance of each is
+/// then independent of the other.
 const CONFOUNDED: f64 = 0.9;
 
 /// Condition index above which a dependency among the columns of the Jacobian is harmful. The columns have
@@ -282,8 +282,8 @@ impl Uncertainty {
         said
     }
 
-    /// Returns findings about pairs with a high correlation, and about which combination is known worse and
-    /// which better.
+    /// Returns findings about pairs with a high correlation. Each reports which combination of the pair is
+    /// known better and which worse.
     fn confounded_findings(&self) -> impl Iterator<Item = Finding> {
         self.confounded.iter().map(|(i, j, correlation)| {
             let names = self.list(&[*i, *j]);

@@ -69,8 +69,8 @@ impl Calibration {
         self.derived_beside(problem)
     }
 
-    /// Computes the changes of the residuals by measured initial states, with one simulation for each state.
-    /// The steps are about the noise of the measurements. Starts whose simulation fails are omitted.
+    /// Computes the changes of the residuals due to measured initial states, with one simulation for each
+    /// state. The steps are about the noise of the measurements. Starts whose simulation fails are omitted.
     ///
     /// # Errors
     /// Returns [`CalibrationError::Cancelled`] if the context is over.

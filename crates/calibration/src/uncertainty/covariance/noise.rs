@@ -67,9 +67,9 @@ pub(crate) struct Noise {
     /// Variance of each residual under the assumption of independence.
     pub(crate) variances: Vec<f64>,
     /// Number of rows with separate noise, minus the trace of a projection over these rows. The projection is
-    /// onto the changes by the parameters (Hastie and Tibshirani, Generalized Additive Models, 1990, section
-    /// 3.5). A prior removes no degree of freedom. The measurements lose degrees of freedom only for what
-    /// they determine themselves.
+    /// onto the changes due to the parameters (Hastie and Tibshirani, Generalized Additive Models, 1990,
+    /// section 3.5). A prior removes no degree of freedom. The measurements lose degrees of freedom only for
+    /// what they determine themselves.
     pub(crate) degrees_of_freedom: f64,
     /// Model with independent residuals.
     pub(crate) independent: NoiseModel,
@@ -121,12 +121,11 @@ impl Noise {
     /// standard deviations. This is tested for residuals of one variance, and for residuals of any variances,
     /// `sum r_i^2 r_(i+1)^2` (Lo and MacKinlay, Rev. Financial Studies 1, 1988). The autocorrelation is at
     /// most `exp(-1 / n)`, for noise that lasts as long as the series. Longer noise is an offset. It is
-    /// estimated from the residuals of the group without the changes by the parameters. Otherwise the effect
-    /// of a prior, or of the noise of another group, would look like autocorrelation.
+    /// estimated from the residuals of the group without the changes due to the parameters. Otherwise the
+    /// effect of a prior, or of the noise of another group, would look like autocorrelation.
     ///
-    /// The covariance of the estimates is the covariance of quadratic forms of normal errors:
-    /// `cov(r'B r, r'C r) = 2 tr(B M S M C M S M)`. It uses the residuals of the whole fit, also for
-    /// autocorrelations.
+    /// The covariance of the estimates is the covariance of quadratic forms of normal errors: `cov(r'B r, r'C
+    /// r) = 2 tr(B M S M C M S M)`. It uses the residuals of the whole fit, also for autocorrelations.
     ///
     /// The unbiased equations may leave no variance for one of several groups. All groups then use the
     /// variance `r'r / n_g` times N divided by the degrees of freedom.
@@ -201,7 +200,7 @@ impl Noise {
 }
 
 impl NoiseModel {
-    /// Creates the model with the changes by the parameters and by measured initial states. The noise of
+    /// Creates the model with the changes due to the parameters and to measured initial states. The noise of
     /// these states is independent of the noise of the other measurements.
     fn new(
         found: Variances,
@@ -269,8 +268,8 @@ fn with_starts(
     left_by(&columns, &residuals, context)
 }
 
-/// Returns the autocorrelation of a group alone, from its residuals without the changes by the parameters;
-/// see [`Moments::autocorrelation`].
+/// Returns the autocorrelation of a group alone, from its residuals without the changes due to the
+/// parameters; see [`Moments::autocorrelation`].
 fn alone(
     group: &Group,
     base: &DMatrix<f64>,

@@ -31,7 +31,7 @@ fn large_fixed_step_is_compared_with_half_the_step() {
     let fit = coarse.fit(FitOptions { preflight: true, run, ..FitOptions::default() }).unwrap();
     assert!(fit.report.is_success() && (fit.x[0] - 1.6).abs() < 0.1, "{fit}");
     assert!(warns(&fit.findings(), "with half the step"), "{fit}");
-    // The error of a fixed step is not noise, and no reason to end early.
+    // The error of a fixed step is not noise, so it is not a reason to end early.
     assert!(!fit.to_string().contains("f_tol was raised"), "{fit}");
     let mae =
         || FitOptions { objective: calibration::CostKind::of_name("mae").unwrap(), ..FitOptions::default() };
