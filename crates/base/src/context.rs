@@ -4,9 +4,9 @@ use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Conditions under which an operation may continue: it has not been cancelled, and its time is not over. The
-/// context is passed by reference to every long operation, which checks [`is_over`](Self::is_over) between
-/// its steps.
+/// Conditions under which an operation may continue: it has not been cancelled, and its time limit has not
+/// expired. The context is passed by reference to every long operation, which checks
+/// [`is_over`](Self::is_over) between its steps.
 ///
 /// ```
 /// use base::RunContext;
@@ -43,15 +43,15 @@ impl<'a> RunContext<'a> {
         Self { flag: Some(flag), ..self }
     }
 
-    /// Limits the remaining time, unless an earlier end is already set. A limit beyond the range of the clock
-    /// means no limit. Also restarts [`elapsed`](Self::elapsed).
+    /// Limits the remaining time, unless an earlier deadline is already set. A limit beyond the range of the
+    /// clock means no limit. Also restarts [`elapsed`](Self::elapsed).
     #[must_use]
     pub fn within(self, limit: Option<Duration>) -> Self {
         let began = Instant::now();
         Self { began, ..self }.until(limit.and_then(|limit| began.checked_add(limit)))
     }
 
-    /// Sets the end of the time, unless an earlier end is already set.
+    /// Sets the deadline, unless an earlier one is already set.
     #[must_use]
     pub fn until(self, end: Option<Instant>) -> Self {
         let end = match (self.end, end) {
@@ -76,12 +76,12 @@ impl<'a> RunContext<'a> {
         self.flag
     }
 
-    /// True if the time is over.
+    /// True if the time limit has expired.
     pub fn is_late(&self) -> bool {
         self.end.is_some_and(|end| Instant::now() >= end)
     }
 
-    /// True if the operation must end because it was cancelled or its time is over.
+    /// True if the operation must end because it was cancelled or its time limit has expired.
     pub fn is_over(&self) -> bool {
         self.is_late() || self.is_cancelled()
     }
@@ -91,7 +91,7 @@ impl<'a> RunContext<'a> {
         self.end.map(|end| end.saturating_duration_since(Instant::now()))
     }
 
-    /// Returns the end of the time; `None` without a limit.
+    /// Returns the deadline; `None` without a limit.
     pub fn end(&self) -> Option<Instant> {
         self.end
     }

@@ -49,8 +49,8 @@ pub fn example_names() -> impl ExactSizeIterator<Item = &'static str> {
 /// [`fmi::build_library`]).
 ///
 /// # Errors
-/// [`FmiError::BadSetting`] with the available names if the name is unknown. There is no compiler, or a file
-/// cannot be written.
+/// Returns [`FmiError::BadSetting`] with the available names if the name is unknown. Also returns an error if
+/// there is no compiler, or a file cannot be written.
 ///
 /// ```no_run
 /// let furuta = fmi::Fmu::open(example_models::example_fmu("furuta")?)?;
@@ -63,7 +63,7 @@ pub fn example_fmu(name: &str) -> Result<PathBuf, FmiError> {
 /// Returns a path as [`example_fmu`] does, for any version of the standard.
 ///
 /// # Errors
-/// As for [`example_fmu`].
+/// Returns the errors of [`example_fmu`].
 pub fn example_fmu_as(name: &str, kind: ExampleKind) -> Result<PathBuf, FmiError> {
     let Some(example) = EXAMPLES.iter().find(|example| example.name == name) else {
         let known: Vec<&str> = example_names().collect();

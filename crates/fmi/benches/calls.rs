@@ -25,7 +25,7 @@ fn best(mut call: impl FnMut(u32)) -> f64 {
     1e9 * best / f64::from(CALLS)
 }
 
-/// Names and nanoseconds of the same calls from C.
+/// Names of the same calls from C, with their times in nanoseconds.
 fn raw(library: &Path, token: &str, n_states: usize) -> Vec<(String, f64)> {
     let folder = tempfile::tempdir().unwrap();
     let program = folder.path().join("raw_calls");

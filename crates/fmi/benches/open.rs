@@ -1,5 +1,5 @@
-//! Opening of large model descriptions: 1 000 to 100 000 variables, all three versions. Requirement: ten
-//! times the variables take ten times as long, not a hundred times. `cargo bench -p fmufit-fmi --bench open`.
+//! Opening of large model descriptions: 1 000 to 100 000 variables, all three versions. The time must grow
+//! linearly with the number of variables. `cargo bench -p fmufit-fmi --bench open`.
 
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 

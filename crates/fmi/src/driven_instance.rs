@@ -272,7 +272,7 @@ impl DrivenInstance {
     /// Creates an instance. **This loads the library and runs its code.**
     ///
     /// # Errors
-    /// As [`Fmu::instantiate`].
+    /// Returns the errors of [`Fmu::instantiate`].
     pub fn new(fmu: &Fmu, kind: InterfaceKind, options: &InstanceOptions) -> Result<Self> {
         let state = match kind {
             InterfaceKind::ModelExchange => State::Made(fmu.instantiate_with(options)?),
@@ -291,7 +291,7 @@ impl DrivenInstance {
     /// ends with [`FmiError::Cancelled`] when the run context ends.
     ///
     /// # Errors
-    /// [`FmiError::WrongPhase`], [`FmiError::Freed`], and the errors of the corresponding method of
+    /// Returns [`FmiError::WrongPhase`], [`FmiError::Freed`], and the errors of the corresponding method of
     /// [`Instance`].
     pub fn call(
         &mut self,

@@ -7,7 +7,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, ThreadId};
 use std::time::Duration;
 
-/// Time between two calls of the function that decides if a thread continues to wait.
+/// Time between two calls of the function that decides whether a thread continues to wait.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 type Task = Box<dyn FnOnce() + Send>;

@@ -60,7 +60,7 @@ struct Inner {
     reuse: AtomicU8,
     /// Number of times that earlier answers of worker processes were found to be possibly wrong.
     n_late: AtomicU64,
-    /// True if a worker process has left a repetition to its caller.
+    /// True if a worker process has left the repetition of a simulation to its caller.
     is_to_be_repeated: AtomicBool,
     /// Subjects of messages that simulations have logged. Each subject is logged once.
     said: Mutex<Vec<&'static str>>,
@@ -85,8 +85,7 @@ pub enum InterfaceChoice {
 impl std::str::FromStr for InterfaceChoice {
     type Err = FmiError;
 
-    /// Parses `auto`, `me` or `cs`, or a full name (`ModelExchange`, `co-simulation`). Upper and lower case
-    /// are not distinguished.
+    /// Parses `auto`, `me` or `cs`, or a full name (`ModelExchange`, `co-simulation`). Case is ignored.
     fn from_str(text: &str) -> Result<Self> {
         let letters =
             text.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_ascii_lowercase();
@@ -130,7 +129,7 @@ impl Fmu {
     /// Opens a `.fmu` file or an unpacked folder with other limits or other loader options.
     ///
     /// # Errors
-    /// As [`open`](Self::open).
+    /// Returns the errors of [`open`](Self::open).
     pub fn open_with(path: impl AsRef<Path>, options: &OpenOptions) -> Result<Fmu> {
         let path = path.as_ref();
         Self::describe(Archive::open_with(path, &options.limits, &options.cancel)?, path, options)
@@ -256,7 +255,8 @@ impl Fmu {
     /// the FMU has no such file. The members of a terminal are names of variables that need not exist.
     ///
     /// # Errors
-    /// [`FmiError::Description`] with a line if the file is invalid, and the errors of reading the file.
+    /// Returns [`FmiError::Description`] with a line if the file is invalid, and the errors of reading the
+    /// file.
     pub fn terminals(&self) -> Result<Vec<Terminal>> {
         let limits = &self.inner.options.description;
         let name = format!("terminalsAndIcons/{TERMINALS}");
@@ -267,7 +267,7 @@ impl Fmu {
     /// Returns the folder with all files of the FMU. Unpacks it if necessary.
     ///
     /// # Errors
-    /// As [`Archive::unpack`].
+    /// Returns the errors of [`Archive::unpack`].
     pub fn root(&self) -> Result<PathBuf> {
         self.inner.archive.unpack()
     }
@@ -281,7 +281,7 @@ impl Fmu {
     /// Returns the SHA-256 of the content, in hexadecimal. The first call computes it.
     ///
     /// # Errors
-    /// As [`Archive::content_hash`].
+    /// Returns the errors of [`Archive::content_hash`].
     pub fn content_hash(&self) -> Result<&str> {
         self.inner.archive.content_hash()
     }
@@ -319,9 +319,9 @@ impl Fmu {
         self.inner.reuse.store(reuse as u8, Ordering::Relaxed);
     }
 
-    /// Switches to the next way after `reuse`, because a simulation after others differed from a simulation
-    /// in a fresh process. Adds a quirk. `is_late`: an earlier comparison had agreed, so answers since then
-    /// may be wrong.
+    /// Switches to the method after `reuse`, because the result of a simulation after others differed from
+    /// the result in a fresh process. Adds a quirk. `is_late`: an earlier comparison had agreed, so answers
+    /// since then may be wrong.
     pub fn give_up(&self, reuse: Reuse, is_late: bool) {
         let (next, kind, message) = match reuse {
             Reuse::Reset => (Reuse::Reinstantiate, QuirkKind::Promise, LEAVES_TRACES),
@@ -425,7 +425,7 @@ impl Fmu {
     /// because simulations may change them.
     ///
     /// # Errors
-    /// As [`Archive::unpack`].
+    /// Returns the errors of [`Archive::unpack`].
     pub fn unpack_for_copies(&self) -> Result<()> {
         let archive = self.archive();
         if archive.serves_copies() {
@@ -456,7 +456,8 @@ impl Fmu {
     /// early if `cancel` requests it. **This loads the library and runs its code.**
     ///
     /// # Errors
-    /// [`FmiError::Cancelled`], and other variants of [`FmiError`] if the FMU cannot be run on this machine.
+    /// Returns [`FmiError::Cancelled`], and other variants of [`FmiError`] if the FMU cannot be run on this
+    /// machine.
     pub fn prepare(&self, kind: InterfaceChoice, cancel: &CancelRequest) -> Result<()> {
         self.library(self.choose(kind)?, Some(&[]), cancel, &mut || !cancel.is_asked()).map(|_| ())
     }
@@ -467,7 +468,8 @@ impl Fmu {
     /// waits while `wait` (called every 20 ms) returns true.
     ///
     /// # Errors
-    /// [`FmiError::Cancelled`], and other variants of [`FmiError`] if the FMU cannot be run on this machine.
+    /// Returns [`FmiError::Cancelled`], and other variants of [`FmiError`] if the FMU cannot be run on this
+    /// machine.
     pub(crate) fn library(
         &self,
         kind: InterfaceKind,

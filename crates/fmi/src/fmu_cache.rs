@@ -42,7 +42,7 @@ impl FmuCache {
     /// Returns the FMU at `path`, from the cache if possible.
     ///
     /// # Errors
-    /// As [`Fmu::open`].
+    /// Returns the errors of [`Fmu::open`].
     pub fn open(&self, path: impl AsRef<Path>) -> Result<Fmu> {
         self.open_with(path, &OpenOptions::default())
     }
@@ -50,7 +50,7 @@ impl FmuCache {
     /// Returns the FMU at `path` with these options, from the cache if possible.
     ///
     /// # Errors
-    /// As [`Fmu::open_with`].
+    /// Returns the errors of [`Fmu::open_with`].
     pub fn open_with(&self, path: impl AsRef<Path>, options: &OpenOptions) -> Result<Fmu> {
         let path = path.as_ref();
         let key = key_of(path)?;

@@ -100,7 +100,7 @@ impl Session {
     /// Sets several variables in order. If one cannot be set, none is changed.
     ///
     /// # Errors
-    /// As [`set`](Self::set).
+    /// Returns the errors of [`set`](Self::set).
     pub fn set_all<'a>(&mut self, given: impl IntoIterator<Item = (&'a str, Value)>) -> Result<()> {
         let mut given = given.into_iter();
         if given.size_hint() == (1, Some(1)) {
@@ -249,17 +249,17 @@ impl Session {
     /// precedence over these values, for this simulation only.
     ///
     /// # Errors
-    /// As [`Fmu::simulate`].
+    /// Returns the errors of [`Fmu::simulate`].
     pub fn simulate(&mut self, options: &SimulateOptions) -> Result<Trajectory> {
         self.simulate_with(options, &mut || ControlFlow::Continue(()))
     }
 
-    /// Simulates as [`simulate`](Self::simulate), and calls `poll` before every step. `Break` ends the
+    /// Simulates as [`simulate`](Self::simulate) does, and calls `poll` before every step. `Break` ends the
     /// simulation at that step. The result then contains the rows so far and
     /// [`Termination::StoppedByObserver`](ode::Termination::StoppedByObserver).
     ///
     /// # Errors
-    /// As [`Fmu::simulate`].
+    /// Returns the errors of [`Fmu::simulate`].
     pub fn simulate_with(
         &mut self,
         options: &SimulateOptions,
@@ -320,7 +320,7 @@ impl Session {
                 others.push((name, value));
                 continue;
             };
-            // The last value counts, also if it is set through an alias.
+            // The last value counts, even if it is set through an alias.
             match references.iter().position(|known| *known == variable.value_reference) {
                 Some(k) => (parameters[k], values[k]) = (name, number),
                 None => {
@@ -361,11 +361,11 @@ impl Fmu {
         self.simulate_with(options, &mut || ControlFlow::Continue(()))
     }
 
-    /// Simulates as [`simulate`](Self::simulate), and calls `poll` before every step. `Break` ends the
+    /// Simulates as [`simulate`](Self::simulate) does, and calls `poll` before every step. `Break` ends the
     /// simulation at that step.
     ///
     /// # Errors
-    /// As [`simulate`](Self::simulate).
+    /// Returns the errors of [`simulate`](Self::simulate).
     pub fn simulate_with(
         &self,
         options: &SimulateOptions,

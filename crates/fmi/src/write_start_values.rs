@@ -23,9 +23,10 @@ impl Fmu {
     /// importing tool sets the start values of the description. (FMI 2.0.4, section 2.2.7.)
     ///
     /// # Errors
-    /// [`FmiError::UnknownVariable`], [`FmiError::NotSettable`], [`FmiError::WrongType`] and similar errors
-    /// for values that cannot be set. [`FmiError::BadArchive`] if the file has been modified since it was
-    /// opened. [`FmiError::Io`] if reading or writing fails. After an error, the output is not a valid FMU.
+    /// Returns [`FmiError::UnknownVariable`], [`FmiError::NotSettable`], [`FmiError::WrongType`] and similar
+    /// errors for values that cannot be set. Returns [`FmiError::BadArchive`] if the file has been modified
+    /// since it was opened, or [`FmiError::Io`] if reading or writing fails. After an error, the output is
+    /// not a valid FMU.
     pub fn write_with_start_values(&self, values: &[(String, f64)], out: &File) -> Result<()> {
         let bytes = self.description_file()?;
         let description = with_start_texts(&bytes, self.description(), &self.start_texts(values)?)?;

@@ -245,7 +245,7 @@ fn description_memory_is_at_most_eight_times_the_limit() {
         let used = allocation_counter::measure(|| {
             outcome = Some(ModelDescription::read_with(&archive, &limits, &CancelRequest::default()));
         });
-        // What inflating takes stands in no relation to the size.
+        // The memory for inflating does not depend on the size.
         let most = 8 * LIMIT as u64 + (512 << 10);
         assert!(used.bytes_max <= most, "{name}: {} bytes", used.bytes_max);
         let complaint = outcome.unwrap().err().map(|error| error.to_string());
@@ -305,7 +305,7 @@ fn total_number_of_array_elements_is_limited() {
     };
     assert!(open(10_000).is_ok());
     assert!(open(9999).unwrap_err().to_string().contains("more than 9999 elements"));
-    // One by itself, a product beyond all numbers, states and event indicators.
+    // A single array above the limit, a product that overflows, states, and event indicators.
     let one = "<Float64 name=\"a\" valueReference=\"1\"><Dimension start=\"4294967295\"/><Dimension start=\"4294967295\"/>\
                <Dimension start=\"2\"/></Float64>";
     let message = ModelDescription::parse(fmi3("", one, "").as_bytes()).unwrap_err().to_string();

@@ -76,8 +76,8 @@ fn instantiate(fmu: &Fmu) -> Instance<Instantiated> {
 }
 
 #[test]
-fn a_part_is_unpacked_when_it_is_needed() {
-    if !is_alone("a_part_is_unpacked_when_it_is_needed") {
+fn archive_part_is_unpacked_when_it_is_needed() {
+    if !is_alone("archive_part_is_unpacked_when_it_is_needed") {
         return;
     }
     let (base, folder) = (std::env::temp_dir(), tempfile::tempdir().unwrap());
@@ -104,8 +104,8 @@ fn a_part_is_unpacked_when_it_is_needed() {
 }
 
 #[test]
-fn what_is_removed_is_unpacked_again() {
-    if !is_alone("what_is_removed_is_unpacked_again") {
+fn removed_files_are_unpacked_again() {
+    if !is_alone("removed_files_are_unpacked_again") {
         return;
     }
     let (base, folder) = (std::env::temp_dir(), tempfile::tempdir().unwrap());
@@ -137,8 +137,8 @@ fn what_is_removed_is_unpacked_again() {
 }
 
 #[test]
-fn what_cannot_be_unpacked_again_is_said() {
-    if !is_alone("what_cannot_be_unpacked_again_is_said") {
+fn files_that_cannot_be_unpacked_again_are_reported() {
+    if !is_alone("files_that_cannot_be_unpacked_again_are_reported") {
         return;
     }
     let folder = tempfile::tempdir().unwrap();

@@ -73,8 +73,8 @@ fn kept() -> Vec<PathBuf> {
 }
 
 #[test]
-fn libraries_are_built_once_per_content() {
-    in_own_environment("libraries_are_built_once_per_content", &[], builds_once_per_content);
+fn library_is_built_once_per_content() {
+    in_own_environment("library_is_built_once_per_content", &[], builds_once_per_content);
 }
 
 fn builds_once_per_content() {
@@ -121,8 +121,8 @@ fn bundled(root: &Path) {
 }
 
 #[test]
-fn a_library_is_kept_for_the_sources_it_was_built_from() {
-    in_own_environment("a_library_is_kept_for_the_sources_it_was_built_from", &[], builds_what_is_there);
+fn library_is_cached_for_the_sources_it_was_built_from() {
+    in_own_environment("library_is_cached_for_the_sources_it_was_built_from", &[], builds_what_is_there);
 }
 
 fn builds_what_is_there() {
@@ -160,8 +160,8 @@ fn open_rejects_links_to_folders() {
 
 #[test]
 #[cfg(unix)]
-fn without_a_home_no_library_lies_where_everybody_writes() {
-    let name = "without_a_home_no_library_lies_where_everybody_writes";
+fn library_is_not_kept_in_a_shared_folder_without_a_home() {
+    let name = "library_is_not_kept_in_a_shared_folder_without_a_home";
     in_own_environment(name, &[("FMUFIT_CACHE", ""), ("HOME", ""), ("XDG_CACHE_HOME", "")], || {
         use std::os::unix::fs::PermissionsExt;
         let root = source_folder();
@@ -182,8 +182,8 @@ const char *fmi2GetVersion(void) { return \"2.0\"; }
 ";
 
 #[test]
-fn functions_with_the_prefix_of_source_code_lose_it() {
-    in_own_environment("functions_with_the_prefix_of_source_code_lose_it", &[], loses_the_prefix);
+fn source_code_prefix_is_removed_from_function_names() {
+    in_own_environment("source_code_prefix_is_removed_from_function_names", &[], loses_the_prefix);
 }
 
 fn loses_the_prefix() {
@@ -198,8 +198,8 @@ fn loses_the_prefix() {
 
 /// An assertion that fails would end the process.
 #[test]
-fn assertions_of_the_sources_are_left_out() {
-    in_own_environment("assertions_of_the_sources_are_left_out", &[], leaves_assertions_out);
+fn assertions_in_sources_are_disabled() {
+    in_own_environment("assertions_in_sources_are_disabled", &[], leaves_assertions_out);
 }
 
 fn leaves_assertions_out() {
@@ -212,8 +212,8 @@ fn leaves_assertions_out() {
 }
 
 #[test]
-fn what_the_compiler_says_is_passed_on() {
-    in_own_environment("what_the_compiler_says_is_passed_on", &[], passes_on_what_the_compiler_says);
+fn compiler_messages_are_passed_on() {
+    in_own_environment("compiler_messages_are_passed_on", &[], passes_on_what_the_compiler_says);
 }
 
 fn passes_on_what_the_compiler_says() {
@@ -259,7 +259,7 @@ fn finds_headers() {
 
 #[test]
 #[cfg(unix)]
-fn a_compiler_that_does_not_end_is_ended() {
+fn hanging_compiler_is_killed() {
     use std::os::unix::fs::PermissionsExt;
     // A compiler that answers `--version`, and otherwise starts another program and waits for it.
     let folder = tempfile::tempdir().unwrap();
@@ -268,7 +268,7 @@ fn a_compiler_that_does_not_end_is_ended() {
     fs::write(&compiler, script).unwrap();
     fs::set_permissions(&compiler, fs::Permissions::from_mode(0o755)).unwrap();
     let variables = [("CC", compiler.to_str().unwrap())];
-    in_own_environment("a_compiler_that_does_not_end_is_ended", &variables, ends_the_compiler);
+    in_own_environment("hanging_compiler_is_killed", &variables, ends_the_compiler);
 }
 
 fn ends_the_compiler() {
@@ -313,9 +313,9 @@ fn ends_the_compiler() {
 }
 
 #[test]
-fn a_missing_compiler_is_named() {
+fn missing_compiler_is_reported_by_name() {
     in_own_environment(
-        "a_missing_compiler_is_named",
+        "missing_compiler_is_reported_by_name",
         &[("CC", "no-such-compiler -x")],
         names_a_missing_compiler,
     );
@@ -327,12 +327,12 @@ fn names_a_missing_compiler() {
 }
 
 #[test]
-fn without_a_usable_cache_folder_the_library_is_built_elsewhere() {
+fn library_is_built_elsewhere_when_the_cache_folder_is_unusable() {
     let blocked = tempfile::NamedTempFile::new().unwrap();
     let temporary = tempfile::tempdir().unwrap();
     let temporary = temporary.path().to_str().unwrap();
     in_own_environment(
-        "without_a_usable_cache_folder_the_library_is_built_elsewhere",
+        "library_is_built_elsewhere_when_the_cache_folder_is_unusable",
         &[
             ("FMUFIT_CACHE", blocked.path().to_str().unwrap()),
             ("TMPDIR", temporary),
@@ -349,8 +349,8 @@ fn builds_elsewhere() {
 }
 
 #[test]
-fn a_folder_is_packed_reproducibly() {
-    in_own_environment("a_folder_is_packed_reproducibly", &[], packs_reproducibly);
+fn folder_is_packed_reproducibly() {
+    in_own_environment("folder_is_packed_reproducibly", &[], packs_reproducibly);
 }
 
 fn packs_reproducibly() {

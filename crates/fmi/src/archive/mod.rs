@@ -63,7 +63,7 @@ enum Content {
     Absent(Absent),
 }
 
-/// A file or folder that is not available (any more), with its stored description.
+/// A file or folder that does not exist or no longer exists, with its stored description.
 #[derive(Debug)]
 struct Absent {
     path: PathBuf,
@@ -87,7 +87,7 @@ impl Archive {
     /// Opens a `.fmu` file or an unpacked folder with the default limits.
     ///
     /// # Errors
-    /// As [`open_with`](Self::open_with).
+    /// Returns the errors of [`open_with`](Self::open_with).
     pub fn open(path: impl AsRef<Path>) -> Result<Archive> {
         Archive::open_with(path, &ArchiveLimits::default(), &CancelRequest::default())
     }
@@ -95,9 +95,9 @@ impl Archive {
     /// Opens a `.fmu` file or an unpacked folder.
     ///
     /// # Errors
-    /// [`FmiError::Io`] for errors of the operating system; [`FmiError::BadArchive`], [`FmiError::BadEntry`]
-    /// and [`FmiError::ArchiveLimit`] for archives that are damaged, inconsistent or too large;
-    /// [`FmiError::NoModelDescription`] for archives and folders without a model description;
+    /// Returns [`FmiError::Io`] for errors of the operating system; [`FmiError::BadArchive`],
+    /// [`FmiError::BadEntry`] and [`FmiError::ArchiveLimit`] for archives that are damaged, inconsistent or
+    /// too large; [`FmiError::NoModelDescription`] for archives and folders without a model description; or
     /// [`FmiError::Cancelled`].
     pub fn open_with(
         path: impl AsRef<Path>,
@@ -143,9 +143,9 @@ impl Archive {
     /// unchanged.
     ///
     /// # Errors
-    /// [`FmiError::BadEntry`] for contents that differ from the directory of the archive; [`FmiError::Io`];
-    /// [`FmiError::BadArchive`] if the file has been modified since it was opened. No files remain after an
-    /// error.
+    /// Returns [`FmiError::BadEntry`] for contents that differ from the directory of the archive,
+    /// [`FmiError::Io`], or [`FmiError::BadArchive`] if the file has been modified since it was opened. No
+    /// files remain after an error.
     pub fn unpack(&self) -> Result<PathBuf> {
         self.unpack_part(Part::All, &CancelRequest::default())
     }

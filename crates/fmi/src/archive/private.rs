@@ -133,7 +133,7 @@ fn new_lock(path: &Path) -> Option<File> {
 const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 
 /// Removes the folders in `base` with a lock file of ours that is not locked, because their processes have
-/// ended. Folders of other users, recent folders that have no lock file so far, and folders with another
+/// ended. Folders of other users, recent folders that do not have a lock file yet, and folders with another
 /// layout are not changed.
 fn sweep(base: &Path) {
     let Ok(own) = platform::own_file() else { return };
@@ -178,7 +178,7 @@ fn has_our_layout(folder: &Path) -> bool {
     fs::read_dir(folder).is_ok_and(|mut entries| entries.all(is_ours))
 }
 
-/// Removes what a process left behind that was killed while creating a folder: empty folders, and a lock file
+/// Removes the remains of a process that was killed while creating a folder: empty folders, and a lock file
 /// with its temporary name. On a file system without locks, a folder in use is not empty.
 fn remove_begun(folder: &Path) {
     let unnamed = folder.join(NEW_LOCK);

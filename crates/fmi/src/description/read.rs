@@ -28,7 +28,7 @@ impl ModelDescription {
     /// Reads and parses `modelDescription.xml` from an archive. Reads no other file of the archive.
     ///
     /// # Errors
-    /// As for [`parse`](Self::parse), and read errors.
+    /// Returns the errors of [`parse`](Self::parse), and read errors.
     pub fn read(archive: &Archive) -> Result<ModelDescription> {
         Self::read_with(archive, &DescriptionLimits::default(), &CancelRequest::default())
     }
@@ -37,7 +37,7 @@ impl ModelDescription {
     /// it.
     ///
     /// # Errors
-    /// As for [`read`](Self::read), and [`FmiError::Cancelled`](crate::FmiError::Cancelled).
+    /// Returns the errors of [`read`](Self::read), and [`FmiError::Cancelled`](crate::FmiError::Cancelled).
     pub fn read_with(
         archive: &Archive,
         limits: &DescriptionLimits,

@@ -20,7 +20,8 @@ const TYPES: [&str; 5] = ["Real", "Integer", "Boolean", "String", "Enumeration"]
 /// element without `start` gets the attribute.
 ///
 /// # Errors
-/// [`FmiError::Description`]: the document does not match the description, or a variable is not found in it.
+/// Returns [`FmiError::Description`] if the document does not match the description, or a variable is not
+/// found in it.
 pub(crate) fn with_start_texts(
     bytes: &[u8],
     description: &ModelDescription,

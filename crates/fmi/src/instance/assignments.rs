@@ -9,7 +9,7 @@ use std::ffi::CString;
 /// Returns the index of the variable with this name.
 ///
 /// # Errors
-/// [`FmiError::UnknownVariable`] with the nearest names.
+/// Returns [`FmiError::UnknownVariable`] with the nearest names.
 pub(crate) fn resolve(description: &ModelDescription, name: &str) -> Result<usize> {
     description.variable_index(name).ok_or_else(|| FmiError::UnknownVariable {
         name: name.to_owned(),
@@ -21,7 +21,7 @@ pub(crate) fn resolve(description: &ModelDescription, name: &str) -> Result<usiz
 /// an array, `elements` is the required number of elements.
 ///
 /// # Errors
-/// [`FmiError::WrongType`], and [`FmiError::NotFinite`] for NaN and infinities.
+/// Returns [`FmiError::WrongType`], and [`FmiError::NotFinite`] for NaN and infinities.
 pub(crate) fn convert(variable: &Variable, value: &Value, elements: Option<usize>) -> Result<Value> {
     let wrong = |given| wrong_type(variable, value, given);
     let Some(elements) = elements else { return convert_one(variable, value) };
@@ -179,7 +179,7 @@ impl Assignments {
             && self.binaries.0.is_empty()
     }
 
-    /// The variables set, each by its type and reference.
+    /// Returns the types and references of the variables to set.
     pub(crate) fn references(&self) -> impl Iterator<Item = (VariableKind, u32)> + '_ {
         fn of(kind: VariableKind, list: &[u32]) -> impl Iterator<Item = (VariableKind, u32)> + '_ {
             list.iter().map(move |reference| (kind, *reference))
@@ -193,7 +193,7 @@ impl Assignments {
     /// Adds a value, or the elements of an array (`elements` of them).
     ///
     /// # Errors
-    /// The value has the wrong type, is not finite, or is a text with a NUL.
+    /// Returns an error if the value has the wrong type, is not finite, or is a text with a NUL.
     pub(crate) fn push(&mut self, variable: &Variable, value: &Value, elements: Option<usize>) -> Result<()> {
         let value = convert(variable, value, elements)?;
         let value = if variable.negated { negate(value) } else { value };

@@ -11,8 +11,8 @@ impl<K> Instance<Initialization, K> {
     /// Sets the interval between the ticks of a clock with fixed or tunable intervals.
     ///
     /// # Errors
-    /// There is no such clock, or its interval cannot be set to this value. The FMU does not support clock
-    /// intervals, or returns an error.
+    /// Returns an error if there is no such clock, or its interval cannot be set to this value. Also returns
+    /// an error if the FMU does not support clock intervals, or returns an error.
     pub fn set_clock_interval(&mut self, name: &str, interval: Interval) -> Result<()> {
         let core = self.core();
         let fmu = core.fmu().clone();
@@ -30,8 +30,8 @@ impl<P: Readable, K> Instance<P, K> {
     /// event mode. Returns `None` while a countdown is not running.
     ///
     /// # Errors
-    /// There is no such variable, or it is not a clock. The FMU does not report intervals, or returns an
-    /// error.
+    /// Returns an error if there is no such variable, or it is not a clock. Also returns an error if the FMU
+    /// does not report intervals, or returns an error.
     pub fn clock_interval(&mut self, name: &str) -> Result<Option<Interval>> {
         let core = self.core();
         let fmu = core.fmu().clone();

@@ -85,7 +85,8 @@ impl Instance<Initialization, CoSimulation> {
     /// Ends the initialization and handles the initial events.
     ///
     /// # Errors
-    /// The model has a clock that ticks without being activated but no event mode; the FMU returns an error.
+    /// Returns an error if the model has a clock that ticks without being activated but no event mode, or if
+    /// the FMU returns an error.
     pub fn exit_initialization(mut self) -> Result<Instance<StepMode, CoSimulation>> {
         let has_event_mode = self.core().raw.has_event_mode();
         self.core().begin_clocks(has_event_mode)?;
@@ -108,8 +109,8 @@ impl Instance<StepMode, CoSimulation> {
     /// handled by [`handle_events`](Self::handle_events) or the next step.
     ///
     /// # Errors
-    /// The FMU returns an error. A step that the FMU computes only partly or not at all is not an error: see
-    /// [`StepOutcome`].
+    /// Returns an error if the FMU does. A step that the FMU computes only partly or not at all is not an
+    /// error: see [`StepOutcome`].
     pub fn do_step(&mut self, time: f64, step: f64) -> Result<StepOutcome> {
         let core = self.core();
         let tolerance = core.progress.time_tolerance(time + step);
@@ -141,7 +142,7 @@ impl Instance<StepMode, CoSimulation> {
     /// requests it.
     ///
     /// # Errors
-    /// The FMU has no event mode, or returns an error.
+    /// Returns an error if the FMU has no event mode, or returns an error.
     pub fn handle_events(&mut self, time: f64) -> Result<EventOutcome> {
         let core = self.core();
         core.call(RawInstance::enter_event_mode)?;
@@ -151,8 +152,8 @@ impl Instance<StepMode, CoSimulation> {
     /// Sets the first derivatives of real inputs with respect to time for the next step.
     ///
     /// # Errors
-    /// The slices differ in length, or a reference does not belong to a variable of type Real. The FMU does
-    /// not support input derivatives, or returns an error.
+    /// Returns an error if the slices differ in length, or a reference does not belong to a variable of type
+    /// Real. Also returns an error if the FMU does not support input derivatives, or returns an error.
     pub fn set_input_derivatives(&mut self, references: &[u32], values: &[f64]) -> Result<()> {
         self.core().check_reals("set_input_derivatives", references, values.len())?;
         self.core().call(|raw| raw.set_input_derivatives(references, values))
@@ -161,7 +162,7 @@ impl Instance<StepMode, CoSimulation> {
     /// Ends the simulation.
     ///
     /// # Errors
-    /// The FMU returns an error.
+    /// Returns an error if the FMU does.
     pub fn terminate(self) -> Result<Instance<Terminated, CoSimulation>> {
         self.step_to(RawInstance::terminate)
     }

@@ -102,7 +102,8 @@ impl Core {
     /// `handles_events` is true if the instance will have an event mode.
     ///
     /// # Errors
-    /// A clock ticks without being activated but there is no event mode; an interval is invalid.
+    /// Returns an error if a clock ticks without being activated but there is no event mode, or if an
+    /// interval is invalid.
     pub(super) fn begin_clocks(&mut self, handles_events: bool) -> Result<()> {
         let start = self.raw.time().unwrap_or(0.0);
         self.progress.start = Some(start);
@@ -156,7 +157,7 @@ impl Core {
     /// True if the domain of an event indicator has changed since before the inputs were set.
     ///
     /// # Errors
-    /// The FMU returns an error.
+    /// Returns an error if the FMU does.
     pub(super) fn inputs_cross(&mut self) -> Result<bool> {
         let Some(before) = self.progress.before_inputs.take() else { return Ok(false) };
         let now = self.indicators()?;

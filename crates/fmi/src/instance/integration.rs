@@ -33,8 +33,8 @@ impl Instance<ContinuousTime> {
     /// event is handled at `start`.
     ///
     /// # Errors
-    /// The options are invalid, the solver fails ([`FmiError::Simulation`]), or the FMU returns an error. The
-    /// instance is then freed.
+    /// Returns an error if the options are invalid, the solver fails ([`FmiError::Simulation`]), or the FMU
+    /// returns an error. The instance is then freed.
     pub fn integrate(self, start: f64, end: f64, options: Options) -> Result<Integrated> {
         self.integrate_until(start, end, options, &mut Ignore)
     }

@@ -83,7 +83,7 @@ impl Instance<ContinuousTime> {
     /// `differences` is false, otherwise central differences. The model is at the same point afterwards.
     ///
     /// # Errors
-    /// The FMU returns an error, or an element of a matrix is not finite.
+    /// Returns an error if the FMU returns an error, or an element of a matrix is not finite.
     pub fn linearize(&mut self, differences: bool) -> Result<Linearization> {
         let fmu = self.fmu().clone();
         let model = fmu.description();

@@ -13,7 +13,7 @@ impl Core {
     /// Updates the discrete states until they settle.
     ///
     /// Flags that the model reports in any round are combined. A next event time equal to `time` causes one
-    /// more round, also if it is earlier by at most `tolerance`. This does not apply to co-simulation with
+    /// more round, even if it is earlier by at most `tolerance`. This does not apply to co-simulation with
     /// event mode, because the model keeps its own time there. A next event time earlier than `time -
     /// tolerance` is returned unchanged. `before_round` inspects the model before each round, and may end the
     /// iteration.
@@ -52,7 +52,7 @@ impl<P: Readable> Instance<P> {
     /// and its answer may change after an event. In later versions the description defines them.
     ///
     /// # Errors
-    /// The FMU returns an error, or has no such function.
+    /// Returns an error if the FMU returns one or has no such function.
     pub fn state_names(&mut self) -> Result<Vec<Option<String>>> {
         let fmu = self.fmu().clone();
         if fmu.description().fmi_version.major > 1 {
@@ -80,29 +80,33 @@ impl<P: Running> Instance<P> {
         /// Reads the continuous states.
         ///
         /// # Errors
-        /// The length of the slice differs from the length of the state vector; the FMU returns an error.
+        /// Returns an error if the length of the slice differs from the length of the state vector, or if the
+        /// FMU returns an error.
         get_continuous_states(states: &mut [f64]) -> ();
         /// Computes the event indicators.
         ///
         /// # Errors
-        /// The length of the slice differs from the number of indicators; the FMU returns an error.
+        /// Returns an error if the length of the slice differs from the number of indicators, or if the FMU
+        /// returns an error.
         get_event_indicators(indicators: &mut [f64]) -> ();
         /// Computes the derivatives of the states.
         ///
         /// # Errors
-        /// The length of the slice differs from the length of the state vector; the FMU returns an error.
+        /// Returns an error if the length of the slice differs from the length of the state vector, or if the
+        /// FMU returns an error.
         get_derivatives(derivatives: &mut [f64]) -> ();
         /// Reads the nominal values of the states as reported by the FMU.
         ///
         /// # Errors
-        /// The length of the slice differs from the length of the state vector; the FMU returns an error.
+        /// Returns an error if the length of the slice differs from the length of the state vector, or if the
+        /// FMU returns an error.
         get_nominals(nominals: &mut [f64]) -> ();
     }
 
     /// Ends the simulation.
     ///
     /// # Errors
-    /// The FMU returns an error.
+    /// Returns an error if the FMU does.
     pub fn terminate(self) -> Result<Instance<Terminated>> {
         self.step_to(RawInstance::terminate)
     }
@@ -114,7 +118,8 @@ impl Instance<EventMode> {
     /// triggered clocks.
     ///
     /// # Errors
-    /// [`FmiError::EventIteration`] if the states do not settle; the FMU returns an error.
+    /// Returns [`FmiError::EventIteration`] if the states do not settle. Also returns an error if the FMU
+    /// does.
     pub fn update_discrete_states(&mut self, limit: u32) -> Result<EventOutcome> {
         let core = self.core();
         let time = core.raw.time().unwrap_or(0.0);
@@ -124,7 +129,7 @@ impl Instance<EventMode> {
     /// Enters continuous-time mode.
     ///
     /// # Errors
-    /// The FMU returns an error.
+    /// Returns an error if the FMU does.
     pub fn enter_continuous_time(self) -> Result<Instance<ContinuousTime>> {
         self.step_to(RawInstance::enter_continuous_time_mode)
     }
@@ -135,18 +140,20 @@ impl Instance<ContinuousTime> {
         /// Sets the time.
         ///
         /// # Errors
-        /// The FMU returns an error.
+        /// Returns an error if the FMU does.
         set_time(time: f64) -> ();
         /// Sets the continuous states.
         ///
         /// # Errors
-        /// The length of the slice differs from the length of the state vector; the FMU returns an error.
+        /// Returns an error if the length of the slice differs from the length of the state vector, or if the
+        /// FMU returns an error.
         set_continuous_states(states: &[f64]) -> ();
         /// Sets the time and the states, and computes the derivatives. An integrator needs these three calls
         /// for each evaluation. Inputs stay unchanged.
         ///
         /// # Errors
-        /// The length of a slice differs from the length of the state vector; the FMU returns an error.
+        /// Returns an error if the length of a slice differs from the length of the state vector, or if the
+        /// FMU returns an error.
         right_hand_side(time: f64, states: &[f64], derivatives: &mut [f64]) -> ();
     }
 
@@ -155,7 +162,7 @@ impl Instance<ContinuousTime> {
     /// simulation.
     ///
     /// # Errors
-    /// The FMU returns an error.
+    /// Returns an error if the FMU does.
     pub fn completed_integrator_step(&mut self) -> Result<(bool, bool)> {
         self.core().progress.before_inputs = None;
         self.core().call(RawInstance::completed_integrator_step)
@@ -164,7 +171,7 @@ impl Instance<ContinuousTime> {
     /// Enters event mode.
     ///
     /// # Errors
-    /// The FMU returns an error.
+    /// Returns an error if the FMU does.
     pub fn enter_event_mode(self) -> Result<Instance<EventMode>> {
         self.step_to(RawInstance::enter_event_mode)
     }

@@ -38,7 +38,7 @@ pub trait Phase: sealed::Sealed {
     /// Checks that the standard allows this variable to be set in this phase.
     ///
     /// # Errors
-    /// [`FmiError::NotSettable`] with the reason.
+    /// Returns [`FmiError::NotSettable`] with the reason.
     fn check_settable(variable: &Variable) -> Result<()>;
 
     /// True if structural parameters can be set without entering another mode.
@@ -180,7 +180,7 @@ impl<P, K> Instance<P, K> {
     /// Switches the FMU's logging on or off for all categories.
     ///
     /// # Errors
-    /// The FMU returns an error, or has no such function.
+    /// Returns an error if the FMU returns one or has no such function.
     pub fn set_logging(&mut self, on: bool) -> Result<()> {
         self.core.set_logging(on, &[])
     }
@@ -191,8 +191,8 @@ impl<P, K> Instance<P, K> {
     /// all of them, and any name is accepted.
     ///
     /// # Errors
-    /// [`FmiError::BadSetting`] for a category that the description does not contain; the FMU returns an
-    /// error, or has no such function.
+    /// Returns [`FmiError::BadSetting`] for a category that the description does not contain. Also returns an
+    /// error if the FMU returns one or has no such function.
     pub fn log_categories<S: AsRef<str>>(&mut self, categories: &[S]) -> Result<()> {
         let categories: Vec<String> = categories.iter().map(|name| name.as_ref().to_owned()).collect();
         self.core.set_logging(true, &categories)
@@ -202,7 +202,7 @@ impl<P, K> Instance<P, K> {
     /// ticks, and values that were set but are not in effect yet.
     ///
     /// # Errors
-    /// The FMU does not support saved states, or returns an error.
+    /// Returns an error if the FMU does not support saved states, or returns an error.
     pub fn save_state(&mut self) -> Result<SavedState> {
         let slot = self.core.call(RawInstance::save_state)?;
         let (structure, progress) = (self.core.structure.clone(), self.core.progress.clone());
@@ -217,7 +217,7 @@ impl<P, K> Instance<P, K> {
     /// state. [`Simulator`](crate::Simulator) compares values after a reset.
     ///
     /// # Errors
-    /// The FMU does not support reset, or returns an error; the instance is then freed.
+    /// Returns an error if the FMU does not support reset, or returns an error. The instance is then freed.
     pub fn reset(self) -> Result<Instance<Instantiated, K>> {
         let mut fresh: Instance<Instantiated, K> = self.step_to(RawInstance::reset)?;
         // After a reset, structural parameters have their start values.
@@ -234,7 +234,7 @@ impl<P: Readable, K> Instance<P, K> {
     /// Reads a variable.
     ///
     /// # Errors
-    /// There is no such variable, or the FMU returns an error.
+    /// Returns an error if there is no such variable, or the FMU returns an error.
     pub fn get(&mut self, name: &str) -> Result<Value> {
         let fmu = self.core.fmu.clone();
         let index = assignments::resolve(fmu.description(), name)?;
@@ -247,8 +247,8 @@ impl<P: Readable, K> Instance<P, K> {
     /// Reads real variables by value reference in one call.
     ///
     /// # Errors
-    /// The slices differ in length, or a reference does not belong to a variable of type Real. The FMU
-    /// returns an error.
+    /// Returns an error if the slices differ in length, or a reference does not belong to a variable of type
+    /// Real. Also returns an error if the FMU returns an error.
     pub fn get_reals(&mut self, references: &[u32], values: &mut [f64]) -> Result<()> {
         self.core.check_reals("get_reals", references, values.len())?;
         self.core
@@ -262,8 +262,8 @@ impl<P: Readable, K> Instance<P, K> {
     /// `sensitivity` as it has values.
     ///
     /// # Errors
-    /// The slices differ in length, or a reference does not belong to a variable of type Real. The FMU does
-    /// not support directional derivatives, or returns an error.
+    /// Returns an error if the slices differ in length, or a reference does not belong to a variable of type
+    /// Real. Also returns an error if the FMU does not support directional derivatives, or returns an error.
     pub fn directional_derivative(
         &mut self,
         unknowns: &[u32],
@@ -280,7 +280,7 @@ impl<P: Readable, K> Instance<P, K> {
     /// `knowns` (FMI 3.0). This is the vector-Jacobian product of `seed` and the Jacobian.
     ///
     /// # Errors
-    /// As for [`directional_derivative`](Self::directional_derivative).
+    /// Returns the errors of [`directional_derivative`](Self::directional_derivative).
     pub fn adjoint_derivative(
         &mut self,
         unknowns: &[u32],
@@ -297,8 +297,8 @@ impl<P: Readable, K> Instance<P, K> {
     /// 3.0).
     ///
     /// # Errors
-    /// There is no such variable. The FMU does not support dependencies, returns an error, or reports a kind
-    /// of dependency that the standard does not define.
+    /// Returns an error if there is no such variable. Also returns an error if the FMU does not support
+    /// dependencies, returns an error, or reports a kind of dependency that the standard does not define.
     pub fn variable_dependencies(&mut self, name: &str) -> Result<Vec<ElementDependency>> {
         let index = assignments::resolve(self.core.fmu.description(), name)?;
         let reference = self.core.fmu.description().variables[index].value_reference;
@@ -314,8 +314,8 @@ impl<P: Phase, K> Instance<P, K> {
     /// mode, except those of continuous inputs. Event mode is entered before the next step at the latest.
     ///
     /// # Errors
-    /// There is no such variable, or it cannot be set in this phase. The value has the wrong type or is not
-    /// finite. The FMU returns an error.
+    /// Returns an error if there is no such variable, or it cannot be set in this phase. Also returns an
+    /// error if the value has the wrong type or is not finite, or if the FMU returns an error.
     pub fn set(&mut self, name: &str, value: impl Into<Value>) -> Result<()> {
         let fmu = self.core.fmu.clone();
         let index = assignments::resolve(fmu.description(), name)?;
@@ -362,8 +362,9 @@ impl<P: Phase, K> Instance<P, K> {
     /// Restores a state saved by this instance **in the same phase**.
     ///
     /// # Errors
-    /// [`FmiError::ForeignState`] for a state of another instance; [`FmiError::StateOfAnotherPhase`]; the FMU
-    /// does not support saved states, or returns an error.
+    /// Returns [`FmiError::ForeignState`] for a state of another instance, or
+    /// [`FmiError::StateOfAnotherPhase`]. Also returns an error if the FMU does not support saved states, or
+    /// returns an error.
     pub fn restore_state(&mut self, state: &SavedState) -> Result<()> {
         self.check_own(state)?;
         let now = phase_name::<P>();
@@ -392,7 +393,7 @@ impl<K> Instance<Instantiated, K> {
     /// Sets up the experiment and enters initialization mode.
     ///
     /// # Errors
-    /// The FMU returns an error.
+    /// Returns an error if the FMU does.
     pub fn enter_initialization(
         mut self,
         start_time: f64,
@@ -418,7 +419,7 @@ impl Instance<Initialization> {
     /// Ends the initialization. The instance is then in event mode, and its initial events are due.
     ///
     /// # Errors
-    /// The FMU returns an error.
+    /// Returns an error if the FMU does.
     pub fn exit_initialization(mut self) -> Result<Instance<EventMode>> {
         self.core.begin_clocks(true)?;
         self.step_to(RawInstance::exit_initialization)

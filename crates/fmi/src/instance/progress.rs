@@ -14,7 +14,7 @@ pub(crate) struct Progress {
     pub(super) set_before_setup: Vec<(usize, Value)>,
     /// Values that the importer sets when event mode is next entered (co-simulation).
     pub(super) waiting: Vec<(usize, Value)>,
-    /// True if the model has requested event mode and has not been in it since (co-simulation).
+    /// True if the model has requested event mode and has not entered it since (co-simulation).
     pub(super) is_event_asked: bool,
     /// Next time event of the model or tick of a clock.
     pub(super) next_event: Option<f64>,

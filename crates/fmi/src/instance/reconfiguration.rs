@@ -23,7 +23,8 @@ impl Instance<EventMode, ModelExchange> {
     /// Enters reconfiguration mode, in which tunable structural parameters can be set.
     ///
     /// # Errors
-    /// The model has no tunable structural parameters, or returns an error; the instance is then freed.
+    /// Returns an error if the model has no tunable structural parameters, or returns an error. The instance
+    /// is then freed.
     pub fn enter_reconfiguration(self) -> Result<Instance<Reconfiguration, ModelExchange>> {
         enter(self)
     }
@@ -34,7 +35,7 @@ impl Instance<Reconfiguration, ModelExchange> {
     /// parameters.
     ///
     /// # Errors
-    /// The FMU returns an error, or its sizes differ from those in the description.
+    /// Returns an error if the FMU returns an error, or its sizes differ from those in the description.
     pub fn exit_reconfiguration(mut self) -> Result<Instance<EventMode, ModelExchange>> {
         self.core().call(RawInstance::exit_configuration)?;
         self.core().check_sizes()?;
@@ -46,7 +47,8 @@ impl Instance<StepMode, CoSimulation> {
     /// Enters reconfiguration mode, in which tunable structural parameters can be set.
     ///
     /// # Errors
-    /// The model has no tunable structural parameters, or returns an error; the instance is then freed.
+    /// Returns an error if the model has no tunable structural parameters, or returns an error. The instance
+    /// is then freed.
     pub fn enter_reconfiguration(self) -> Result<Instance<Reconfiguration, CoSimulation>> {
         enter(self)
     }
@@ -56,7 +58,7 @@ impl Instance<Reconfiguration, CoSimulation> {
     /// Returns to step mode. The array sizes now follow from the structural parameters.
     ///
     /// # Errors
-    /// The FMU returns an error.
+    /// Returns an error if the FMU does.
     pub fn exit_reconfiguration(self) -> Result<Instance<StepMode, CoSimulation>> {
         self.step_to(RawInstance::exit_configuration)
     }

@@ -13,8 +13,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// Owner that keeps the folder of a copy from being removed.
 pub(super) type FolderOwner = Arc<dyn Any + Send + Sync>;
 
-/// A variable that runs set: true if it is set before the initialization (false during it and later), its
-/// type, and its value reference.
+/// A variable that runs set: a flag, its type, and its value reference. The flag is true if the variable is
+/// set before the initialization, and false if it is set during the initialization or later.
 pub(crate) type Setting = (bool, VariableKind, u32);
 
 /// A loaded copy of a library.
@@ -35,8 +35,8 @@ impl std::fmt::Debug for LoadedLibrary {
 }
 
 impl LoadedLibrary {
-    /// Creates a copy that is not loaded so far. The copy is a file in a separate folder, or the original
-    /// file if the folder of `owner` is not used otherwise.
+    /// Creates a copy that is not loaded yet. The copy is a file in a separate folder, or the original file
+    /// if the folder of `owner` is not used otherwise.
     ///
     /// # Errors
     /// Returns an error if the file cannot be copied.

@@ -147,7 +147,7 @@ impl Libraries {
         found.or_else(first).map(Arc::clone)
     }
 
-    /// True if the file itself should be loaded: it is in a private folder, and is not loaded so far.
+    /// True if the file itself should be loaded: it is in a private folder, and has not been loaded yet.
     fn takes_original(&self, source: &OriginalLibrary, archive: &Archive) -> bool {
         if !(archive.is_private() && source.is_inside()) {
             return false;

@@ -47,9 +47,9 @@ impl StopTime {
     }
 }
 
-/// Way in which a worker process resets a model between two simulations. A new model begins with `Reset`. The
-/// parent process compares answers with the answers of a fresh process. If they differ, the parent uses the
-/// next way.
+/// Method by which a worker process resets a model between two simulations. A new model begins with `Reset`.
+/// The parent process compares answers with the answers of a fresh process. If they differ, the parent uses
+/// the next method.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 #[non_exhaustive]
 pub enum Reuse {
@@ -64,7 +64,7 @@ pub enum Reuse {
 }
 
 impl Reuse {
-    /// All ways, in the order in which they are tried.
+    /// All methods, in the order in which they are tried.
     pub(crate) const ALL: [Self; 3] = [Self::Reset, Self::Reinstantiate, Self::NewProcess];
 }
 #[cfg(test)]

@@ -9,8 +9,8 @@ use std::path::Path;
 /// succeeds, the temporary file replaces `out`. Otherwise it is removed, and an existing file is unchanged.
 ///
 /// # Errors
-/// The errors of `fill`; [`FmiError::Io`] for errors of the operating system. For example, the folder does
-/// not exist or is not writable, or `out` is a folder or read-only.
+/// Returns the errors of `fill`, and [`FmiError::Io`] for errors of the operating system. For example, the
+/// folder may not exist or may not be writable, or `out` may be a folder or read-only.
 pub fn fill_atomically<E: From<FmiError>>(
     out: &Path,
     fill: impl FnOnce(&File, &Path) -> Result<(), E>,

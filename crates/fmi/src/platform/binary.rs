@@ -131,7 +131,7 @@ impl fmt::Display for BinaryHeader {
 /// the process (SIGBUS). The loaders of Windows and macOS check the length.
 ///
 /// # Errors
-/// [`FmiError::LoadFailed`] with both lengths; [`FmiError::Io`] if the file cannot be read.
+/// Returns [`FmiError::LoadFailed`] with both lengths, or [`FmiError::Io`] if the file cannot be read.
 pub(crate) fn check_length(library: &Path) -> Result<()> {
     let lengths = open_regular(library).and_then(|mut file| {
         let length = file.metadata()?.len();

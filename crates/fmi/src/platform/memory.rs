@@ -10,7 +10,7 @@ const SMALL: u64 = 64 << 20;
 /// Returns an error if `bytes` for `what` exceed the available memory.
 ///
 /// # Errors
-/// [`FmiError::Memory`].
+/// Returns [`FmiError::Memory`].
 pub(crate) fn check(what: impl FnOnce() -> String, bytes: u64) -> Result<()> {
     if bytes <= SMALL {
         return Ok(());
@@ -27,7 +27,7 @@ pub(crate) fn check(what: impl FnOnce() -> String, bytes: u64) -> Result<()> {
 /// Returns an empty list with capacity for `n` items.
 ///
 /// # Errors
-/// [`FmiError::Memory`].
+/// Returns [`FmiError::Memory`].
 pub(crate) fn list_of<T>(what: &str, n: usize) -> Result<Vec<T>> {
     let bytes = (n as u64).saturating_mul(size_of::<T>() as u64);
     check(|| what.to_owned(), bytes)?;

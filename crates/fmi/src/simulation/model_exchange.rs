@@ -290,7 +290,8 @@ impl System {
     /// finite at the end, the recorded rows are wrong.
     ///
     /// # Errors
-    /// [`FmiError::StateNotFinite`] if a recorded state variable is not finite; errors of a failed call.
+    /// Returns [`FmiError::StateNotFinite`] if a recorded state variable is not finite, and the errors of
+    /// failed calls.
     pub(crate) fn compared_at_end(&mut self, report: Report) -> Result<Report, Box<SimulationError>> {
         if report.termination == Termination::StoppedByObserver {
             return Ok(report);

@@ -76,8 +76,8 @@ pub struct RunSettings {
     ///
     /// Co-simulation: communication step size. It defaults to the default experiment's step size or the row
     /// spacing, whichever is larger. If the model supports only steps of one length, it defaults to the
-    /// default experiment's step size. The row spacing is used instead if that step size would make more than
-    /// 1e6 steps.
+    /// default experiment's step size. The row spacing is used instead if that step size would result in more
+    /// than 1e6 steps.
     ///
     /// If the model supports steps of any length, rows are also communication points. So are the times at
     /// which an input jumps or changes its slope. If the model does not receive input derivatives, so are the

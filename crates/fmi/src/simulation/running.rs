@@ -40,7 +40,7 @@ impl Current {
     /// Returns the running instance.
     ///
     /// # Errors
-    /// There is no running instance.
+    /// Returns an error if there is no running instance.
     #[inline]
     pub(crate) fn core(&mut self) -> Result<&mut Core> {
         self.core.as_deref_mut().ok_or_else(no_instance)
@@ -49,7 +49,7 @@ impl Current {
     /// Returns the running instance for reading values.
     ///
     /// # Errors
-    /// There is no instance, or it failed.
+    /// Returns an error if there is no instance, or it failed.
     pub(crate) fn trusted(&mut self) -> Result<&mut Core> {
         if self.broken {
             return Err(no_instance());
@@ -60,7 +60,7 @@ impl Current {
     /// Returns the instance if it is in event mode (model exchange).
     ///
     /// # Errors
-    /// The instance is not in event mode.
+    /// Returns an error if the instance is not in event mode.
     pub(crate) fn in_event_mode(&mut self) -> Result<&mut Core> {
         if self.mode == Mode::Event { self.core() } else { Err(no_instance()) }
     }
@@ -201,8 +201,8 @@ impl Running {
     /// passed to the FMU as the stop time, which no step exceeds.
     ///
     /// # Errors
-    /// The FMU returns an error, or an input function is not finite at the start time. There is no instance
-    /// afterwards.
+    /// Returns an error if the FMU returns an error, or an input function is not finite at the start time.
+    /// There is no instance afterwards.
     pub(super) fn begin(
         &mut self,
         raw: RawInstance,

@@ -170,7 +170,7 @@ impl Trajectory {
     /// Returns the column with this name. `time` is also a name.
     ///
     /// # Errors
-    /// [`FmiError::NotInResult`] lists the available names.
+    /// Returns [`FmiError::NotInResult`], which lists the available names.
     pub fn get(&self, name: &str) -> Result<&[f64]> {
         if let Some(i) = self.names.iter().position(|n| n == name) {
             return Ok(&self.columns[i]);
@@ -184,7 +184,7 @@ impl Trajectory {
     /// Returns the values of a string, a binary variable or a 64-bit integer, one per row.
     ///
     /// # Errors
-    /// [`FmiError::NotInResult`] lists the available names.
+    /// Returns [`FmiError::NotInResult`], which lists the available names.
     pub fn values_of(&self, name: &str) -> Result<&ValueColumn> {
         match self.values.iter().find(|column| column.name == name) {
             Some(column) => Ok(column),
@@ -217,7 +217,7 @@ impl Trajectory {
     /// Returns the last value of the column with this name, or `None` if there are no rows.
     ///
     /// # Errors
-    /// [`FmiError::NotInResult`] lists the available names.
+    /// Returns [`FmiError::NotInResult`], which lists the available names.
     pub fn final_value(&self, name: &str) -> Result<Option<f64>> {
         Ok(self.get(name)?.last().copied())
     }
@@ -245,7 +245,7 @@ impl<'a> Recorder<'a> {
     /// Creates a recorder for the plan's rows.
     ///
     /// # Errors
-    /// [`FmiError::Memory`]: the rows and columns need too much memory.
+    /// Returns [`FmiError::Memory`] if the rows and columns need too much memory.
     pub(crate) fn new(plan: &SimulationPlan, poll: &'a mut dyn FnMut() -> ControlFlow<()>) -> Result<Self> {
         let (rows, columns) = (plan.times().len(), plan.outputs().len() + 1);
         let cells = (rows as u64).saturating_mul(columns as u64);

@@ -20,7 +20,7 @@ impl VariableElement {
     /// Resolves a name of a variable or of an element such as `name[2,1]`, counted from 1.
     ///
     /// # Errors
-    /// [`FmiError::UnknownVariable`] with the nearest names.
+    /// Returns [`FmiError::UnknownVariable`] with the nearest names.
     pub(crate) fn of_name(description: &ModelDescription, structure: &Structure, name: &str) -> Result<Self> {
         if let Some(variable) = description.variable_index(name) {
             return Ok(Self { variable, element: None });
@@ -63,7 +63,7 @@ impl<'a> Starts<'a> {
     /// Returns the start values of all elements of an array.
     ///
     /// # Errors
-    /// There are no start values, or their number differs from the number of elements.
+    /// Returns an error if there are no start values, or their number differs from the number of elements.
     pub(crate) fn elements(&self, variable: usize) -> Result<Vec<Value>> {
         let array = &self.description.variables[variable];
         let n = self.structure.elements(self.description, array);
@@ -92,7 +92,7 @@ impl<'a> Starts<'a> {
     /// Returns the array with one element replaced.
     ///
     /// # Errors
-    /// As for [`elements`](Self::elements).
+    /// Returns the errors of [`elements`](Self::elements).
     pub(crate) fn with_element(&self, variable: usize, element: usize, value: Value) -> Result<Value> {
         let mut values = self.elements(variable)?;
         // The index is in range, because it was computed from the same extents.
@@ -131,7 +131,7 @@ impl<T> Slots<T> {
     /// variable.
     ///
     /// # Errors
-    /// Errors of `whole`.
+    /// Returns the errors of `whole`.
     pub(crate) fn place(
         &mut self,
         reference: u32,
@@ -172,7 +172,7 @@ impl FloatSlots {
     /// others.
     ///
     /// # Errors
-    /// Errors of `Starts::reals`.
+    /// Returns the errors of `Starts::reals`.
     pub(crate) fn place(&mut self, starts: &Starts<'_>, place: VariableElement) -> Result<usize> {
         let variable = &starts.description.variables[place.variable];
         let found = self.slots.place(variable.value_reference, place.element, || starts.reals(place))?;
@@ -218,7 +218,7 @@ impl FloatSlots {
     /// Sets the variables. An error contains their names.
     ///
     /// # Errors
-    /// The FMU returns an error.
+    /// Returns an error if the FMU does.
     pub(crate) fn set(&self, core: &mut Core, values: &[f64]) -> Result<()> {
         let sent = self.send(&mut core.raw, values);
         sent.map_err(|fault| core.error_about(fault, &self.slots.references, VariableKind::is_float))

@@ -40,7 +40,8 @@ impl Fmu {
     /// Creates a model-exchange instance. **This loads the library and runs its code.**
     ///
     /// # Errors
-    /// The FMU cannot be run on this machine (see [`FmiError`]), or its instantiation fails.
+    /// Returns an error if the FMU cannot be run on this machine (see [`FmiError`]), or its instantiation
+    /// fails.
     pub fn instantiate(&self) -> Result<Instance<Instantiated>, FmiError> {
         self.instantiate_with(&InstanceOptions::default())
     }
@@ -48,7 +49,7 @@ impl Fmu {
     /// Creates a model-exchange instance with a name and logging options.
     ///
     /// # Errors
-    /// As for [`instantiate`](Self::instantiate).
+    /// Returns the errors of [`instantiate`](Self::instantiate).
     pub fn instantiate_with(&self, options: &InstanceOptions) -> Result<Instance<Instantiated>, FmiError> {
         let (core, library) = self.instantiate_by_hand(InterfaceKind::ModelExchange, options)?;
         Ok(Instance::by_hand(core, library))
@@ -57,7 +58,7 @@ impl Fmu {
     /// Creates a co-simulation instance. **This loads the library and runs its code.**
     ///
     /// # Errors
-    /// As for [`instantiate`](Self::instantiate).
+    /// Returns the errors of [`instantiate`](Self::instantiate).
     pub fn instantiate_co_simulation(
         &self,
         options: &InstanceOptions,

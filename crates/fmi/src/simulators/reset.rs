@@ -27,7 +27,7 @@ impl Simulator {
         }
     }
 
-    /// Terminates the last run's instance, and resets it if it is to be used again.
+    /// Terminates the last run's instance, and resets it if it will be used again.
     pub(super) fn retire(&mut self) {
         let Some(used) = self.engine.running().retire() else { return };
         if !self.resets() {

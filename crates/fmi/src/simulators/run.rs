@@ -35,8 +35,8 @@ impl Simulator {
     /// Waits until no other thread is inside the library. Loads the library if necessary.
     ///
     /// # Errors
-    /// The library cannot be loaded, or `observer`, the plan's flag or the time limit has ended the
-    /// simulation.
+    /// Returns an error if the library cannot be loaded, or `observer`, the plan's flag or the time limit has
+    /// ended the simulation.
     fn enter(&mut self, observer: &mut dyn Observer) -> Result<Inside, FmiError> {
         let cancel = CancelRequest::from(self.plan.options.cancel.clone());
         let mut goes_on = || !cancel.is_asked() && observer.poll().is_continue();

@@ -29,7 +29,7 @@ impl SharedSimulator {
     /// waits. The wait does not count towards any time limit.
     ///
     /// # Errors
-    /// Errors of `work` and of [`Simulator::new`]; [`FmiError::Cancelled`].
+    /// Returns the errors of `work` and of [`Simulator::new`], and [`FmiError::Cancelled`].
     pub fn with_simulator<T>(
         &self,
         context: &RunContext<'_>,

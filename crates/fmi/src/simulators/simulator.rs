@@ -54,7 +54,7 @@ impl Simulator {
     /// Creates a simulator. It does not load or run the model.
     ///
     /// # Errors
-    /// The method options are invalid.
+    /// Returns an error if the method options are invalid.
     pub fn new(plan: Arc<SimulationPlan>) -> Result<Self, FmiError> {
         Ok(Self {
             engine: Engine::new(&plan)?,
@@ -96,7 +96,7 @@ impl Simulator {
     /// the instance.
     ///
     /// # Errors
-    /// As for [`new`](Self::new).
+    /// Returns the errors of [`new`](Self::new).
     pub fn set_plan(&mut self, plan: Arc<SimulationPlan>) -> Result<(), FmiError> {
         if self.plan.fits(&plan) {
             self.use_plan(&plan);
@@ -138,7 +138,7 @@ impl Simulator {
     /// Simulates once and records all samples.
     ///
     /// # Errors
-    /// As for [`run`](Self::run).
+    /// Returns the errors of [`run`](Self::run).
     pub fn trajectory(&mut self, parameters: &[f64]) -> Result<Trajectory, FmiError> {
         self.trajectory_with(parameters, &mut || ControlFlow::Continue(()))
     }
@@ -147,7 +147,7 @@ impl Simulator {
     /// `Break` ends the simulation there.
     ///
     /// # Errors
-    /// As for [`run`](Self::run).
+    /// Returns the errors of [`run`](Self::run).
     pub fn trajectory_with(
         &mut self,
         parameters: &[f64],
@@ -168,7 +168,8 @@ impl Simulator {
     /// run was stopped inside a step, the value is from the end of the previous step.
     ///
     /// # Errors
-    /// There is no such variable, no run has taken place, the run failed, or the FMU returns an error.
+    /// Returns an error if there is no such variable, no run has taken place, the run failed, or the FMU
+    /// returns an error.
     pub fn value(&mut self, name: &str) -> Result<Value, FmiError> {
         let plan = Arc::clone(&self.plan);
         let description = plan.fmu().description();
@@ -181,7 +182,8 @@ impl Simulator {
     /// converted.
     ///
     /// # Errors
-    /// As for [`value`](Self::value); also if the variable is not a single number.
+    /// Returns the errors of [`value`](Self::value). Also returns an error if the variable is not a single
+    /// number.
     pub fn get(&mut self, name: &str) -> Result<f64, FmiError> {
         self.value(name)?.as_number().ok_or_else(|| FmiError::NotAnOutput {
             name: name.to_owned(),

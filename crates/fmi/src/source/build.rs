@@ -16,7 +16,7 @@ use std::time::Duration;
 /// Extensions of source files that are not compiled separately.
 const HEADERS: &[&str] = &["h", "hpp", "hh", "inc"];
 
-/// Increased when libraries built by earlier versions must not be used any more.
+/// Increased when libraries built by earlier versions must no longer be used.
 const RECIPE_VERSION: &str = "3";
 
 /// Instructions for building one library.
@@ -178,7 +178,7 @@ impl Sources<'_> {
         Ok(names)
     }
 
-    /// Converts a path from a file to an argument. The path must be in `sources/`, also after resolving
+    /// Converts a path from a file to an argument. The path must be in `sources/`, even after resolving
     /// links, and satisfy `is_right`. The prefix `./` prevents names from being read as options.
     fn checked(&self, name: &str, is_right: fn(&Path) -> bool) -> Result<String> {
         // Windows tools write backslashes here.
@@ -225,10 +225,11 @@ pub(crate) const COMPILE_TIME: Duration = Duration::from_secs(300);
 /// Headers of FMI 2.0 and 3.0 are provided if the FMU does not contain them. The compiler is killed after
 /// five minutes.
 ///
-/// Errors: [`FmiError::NoSources`](crate::FmiError::NoSources),
-/// [`FmiError::NoCompiler`](crate::FmiError::NoCompiler),
+/// # Errors
+/// Returns [`FmiError::NoSources`](crate::FmiError::NoSources),
+/// [`FmiError::NoCompiler`](crate::FmiError::NoCompiler) or [`FmiError::Io`](crate::FmiError::Io). Returns
 /// [`FmiError::CompileFailed`](crate::FmiError::CompileFailed) with the command, the first error and the last
-/// lines of the compiler; [`FmiError::Io`](crate::FmiError::Io).
+/// lines of the compiler.
 pub fn build_library(
     root: &Path,
     description: &ModelDescription,
@@ -239,8 +240,8 @@ pub fn build_library(
     build_unchanged(root, description, interface, content_hash, &patience, || Ok(()))
 }
 
-/// Builds the library as [`build_library`]. The compiler is ended when `patience` is exhausted. The library
-/// is kept only if `check` succeeds after the compiler has run, because the sources may have changed.
+/// Builds the library as [`build_library`] does. The compiler is ended when `patience` is exhausted. The
+/// library is kept only if `check` succeeds after the compiler has run, because the sources may have changed.
 pub(crate) fn build_unchanged(
     root: &Path,
     description: &ModelDescription,

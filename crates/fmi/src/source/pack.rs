@@ -22,15 +22,17 @@ use zip::write::{SimpleFileOptions, ZipWriter};
 /// An unchanged folder and compiler result in identical bytes: entries are sorted and have no time stamps.
 /// The result replaces `out` atomically, after it has been opened and parsed again.
 ///
-/// Errors: [`FmiError::CannotPack`]; the errors of opening a folder, parsing its description, and building
+/// # Errors
+/// Returns [`FmiError::CannotPack`], and the errors of opening a folder, parsing its description and building
 /// its library.
 pub fn pack(folder: &Path, out: &Path) -> Result<()> {
     pack_unless(folder, out, &CancelRequest::default())
 }
 
-/// Packs a folder as [`pack`], unless `cancel` requests an early end. Nothing is written in that case.
+/// Packs a folder as [`pack`] does, unless `cancel` requests an early end. Nothing is written in that case.
 ///
-/// Errors: the errors of [`pack`]; [`FmiError::Cancelled`].
+/// # Errors
+/// Returns the errors of [`pack`], and [`FmiError::Cancelled`].
 pub fn pack_unless(folder: &Path, out: &Path, cancel: &CancelRequest) -> Result<()> {
     let source = Archive::open_with(folder, &ArchiveLimits::default(), cancel)?;
     let description = ModelDescription::read_with(&source, &DescriptionLimits::default(), cancel)?;
@@ -61,7 +63,7 @@ pub fn pack_unless(folder: &Path, out: &Path, cancel: &CancelRequest) -> Result<
 /// entries, the least recently used ones are removed, as for libraries.
 ///
 /// # Errors
-/// The errors of [`pack`]; [`FmiError::Io`] if writing fails.
+/// Returns the errors of [`pack`], and [`FmiError::Io`] if writing fails.
 pub fn pack_texts(file_name: &str, files: &[(String, String)]) -> Result<PathBuf> {
     let platform = [env!("CARGO_PKG_VERSION"), std::env::consts::OS, std::env::consts::ARCH];
     let texts = files.iter().flat_map(|(name, text)| [name.as_str(), text]);

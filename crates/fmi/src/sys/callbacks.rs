@@ -105,7 +105,7 @@ impl Environment {
     fn make_known(&'static self) {
         let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
         if known.is_empty() {
-            // SAFETY: no FMU has an environment so far, so none calls the logger.
+            // SAFETY: no FMU has an environment yet, so none calls the logger.
             unsafe { fmufit_set_find(find) };
         }
         known.push(std::ptr::from_ref(self).addr());

@@ -101,7 +101,7 @@ impl Page {
         self.shared().cancel.load(Ordering::Relaxed) != 0
     }
 
-    /// Sets if the worker may [wait](Self::wait_for_question) for the next request by spinning.
+    /// Sets whether the worker may [wait](Self::wait_for_question) for the next request by spinning.
     pub(crate) fn set_may_spin(&self, may_spin: bool) {
         self.shared().turns.may_spin.store(may_spin.into(), Ordering::Relaxed);
     }

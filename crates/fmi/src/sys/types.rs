@@ -100,7 +100,7 @@ pub(crate) struct IntervalAnswer {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Qualifier {
     NotYetKnown,
-    /// The interval is the one reported before.
+    /// The interval has not changed since it was last reported.
     Unchanged,
     Changed,
 }

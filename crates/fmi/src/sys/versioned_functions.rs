@@ -19,8 +19,8 @@ pub(super) trait Version: Send + Sync {
     /// Returns the component (NULL if creation failed) and the name of the function. The callbacks must never
     /// be freed, nor used for another live component.
     unsafe fn instantiate(&self, request: &Request<'_>, callbacks: &Callbacks) -> (Component, &'static str);
-    /// Switches logging for these categories; an empty list means all categories. FMI 1.0 cannot select
-    /// categories.
+    /// Switches logging on or off for these categories; an empty list means all categories. FMI 1.0 cannot
+    /// select categories.
     unsafe fn set_debug_logging(&self, c: Component, on: bool, categories: &[*const c_char]) -> Answer;
     unsafe fn enter_initialization(&self, f: &Functions, c: Component, experiment: &Experiment) -> Answer;
     /// Ends the initialization. `announced` receives the events that it reported (FMI 1.0).
@@ -38,8 +38,8 @@ pub(super) trait Version: Send + Sync {
     unsafe fn new_discrete_states(&self, c: Component, info: &mut EventInfo) -> Answer;
     unsafe fn completed_integrator_step(&self, c: Component, no_prior: bool, info: &mut StepInfo) -> Answer;
     /// Performs one communication step from `time`. `is_new` is false for a repetition of the previous
-    /// attempt. Returns `Discard` if the step was not computed or only in part, also if the model ended the
-    /// simulation. Returns `Pending` if the step is still being computed.
+    /// attempt. Returns `Discard` if the step was not computed or was computed only in part, even if the
+    /// model ended the simulation. Returns `Pending` if the step is still being computed.
     unsafe fn do_step(&self, f: &Functions, c: Component, step: Step, info: &mut StepInfo) -> Answer;
     /// Returns the name of the function that performs a step.
     fn step_function(&self) -> &'static str;

@@ -212,8 +212,8 @@ fn outputs_of_every_type_share_sample_rows() {
         let error = result.values_of("sum").unwrap_err().to_string();
         assert!(error.contains("label, count"), "{error}");
 
-        // The default outputs are all variables with causality output, also strings. Repeated with the same
-        // instance and other strings.
+        // The default outputs are all variables with causality output, including strings. The run is repeated
+        // with the same instance and other strings.
         let mut session = Session::of_kind(fmu.clone(), kind);
         let result = session.simulate(&options).unwrap();
         assert_eq!(result.recorded.len(), 3);
@@ -346,7 +346,7 @@ fn tunable_structural_parameters_resize_running_instance() {
     let two = run(2);
     assert_eq!((run(4).names.len(), run(2)), (5, two));
 
-    // Nothing can be reconfigured, or not this variable.
+    // The model has nothing to reconfigure, or this variable cannot be reconfigured.
     let fixed = arrays();
     let instance = fixed.open().instantiate().unwrap();
     let instance = instance.enter_initialization(0.0, None, None).unwrap().exit_initialization().unwrap();
@@ -355,11 +355,11 @@ fn tunable_structural_parameters_resize_running_instance() {
 }
 
 #[test]
-fn structural_parameter_accepts_whole_real_number() {
+fn structural_parameter_accepts_real_with_integer_value() {
     let folder = arrays();
     let fmu = folder.open();
     let mut instance = fmu.instantiate().unwrap();
-    // A whole number is accepted, also for the sizes of vectors.
+    // A real with an integer value is accepted, even for the sizes of vectors.
     instance.set("n", 2.0).unwrap();
     let mut instance = instance.enter_initialization(0.0, None, None).unwrap().exit_initialization().unwrap();
     let mut states = [0.0; 2];

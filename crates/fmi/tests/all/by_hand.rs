@@ -37,7 +37,7 @@ fn number<P: fmi::Readable, K>(instance: &mut Instance<P, K>, name: &str) -> f64
     instance.get(name).unwrap().as_number().unwrap()
 }
 
-/// n after k ticks, and x, the integral of n. The times of steps accumulate rounding errors.
+/// Checks n after k ticks, and x, the integral of n. The times of steps accumulate rounding errors.
 #[test]
 fn step_includes_tick_rounded_past_its_end() {
     let folder = sampled();

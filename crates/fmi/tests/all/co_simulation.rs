@@ -139,7 +139,7 @@ fn discrete_outputs_are_held_between_fixed_steps() {
 }
 
 #[test]
-fn a_model_may_end_the_simulation() {
+fn model_may_end_the_simulation() {
     let options = SimulateOptions::new().final_time(20.0).output_interval(0.5);
     let result = slave("stair").simulate(&options).unwrap();
     assert_eq!((result.termination, result.end_time), (Termination::StoppedByModel, 9.0));
@@ -394,7 +394,7 @@ fn rows_of_held_input_are_communication_points() {
 }
 
 #[test]
-fn communication_step_is_the_larger_of_stated_step_and_row_distance() {
+fn communication_step_is_the_larger_of_declared_step_and_row_spacing() {
     let stated = |step: &str, variable: bool| {
         evil_with(&[], |xml| {
             let interface = format!(

@@ -192,7 +192,7 @@ fn log_filter_drops_lines_below_level() {
 }
 
 #[test]
-fn a_model_may_end_the_simulation() {
+fn model_may_end_the_simulation() {
     let folder = evil(&["ENDS_ITSELF"]);
     let mut simulator = Simulator::new(plan(&folder)).unwrap();
     let first = simulator.trajectory(&[1.0]).unwrap();
@@ -217,7 +217,7 @@ fn inputs_are_set_once_per_time_point() {
             canHandleMultipleSetPerTimeInstant="false"><Real start="0"/></ScalarVariable></ModelVariables>"#;
         xml.replace("</ModelVariables>", input)
     });
-    // A ramp from 0 to 1, a jump to 3, and 3 until the end: the integral of it at 2 is 0.5 + 3.
+    // A ramp from 0 to 1, a jump to 3, and 3 until the end: its integral at 2 is 0.5 + 3.
     let inputs = Inputs::new().table(vec![0.0, 1.0, 1.0, 2.0], [("u", vec![0.0, 1.0, 3.0, 3.0])]);
     let options = SimulateOptions::new()
         .final_time(2.0)

@@ -116,7 +116,7 @@ fn static_parameters_do_not_leak_between_users() {
         drop(instance.enter_initialization(0.0, None, None).unwrap());
         assert_eq!(fmu.simulate(&options()).unwrap().columns, truth.columns);
     }
-    // Also while others have theirs.
+    // The result is also unchanged while another simulator exists.
     let mut setting = simulator(&fmu);
     setting.run(&[4.0], &mut Ignore).unwrap();
     assert_eq!(fmu.simulate(&options()).unwrap().columns, truth.columns);

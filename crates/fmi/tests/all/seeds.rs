@@ -1,4 +1,4 @@
-//! The stored inputs of the fuzz targets, including all that caused a failure, keep the promises.
+//! The promises hold for the stored inputs of the fuzz targets, including all that caused a failure.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 

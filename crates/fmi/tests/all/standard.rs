@@ -112,7 +112,7 @@ fn openmodelica_outputs_are_current_when_computed_in_completed_steps() {
     // The derivative changes from the first step on, y only from 0.5 on.
     let rests = |t: f64| if t < 0.5 { 1.0 } else { (-t).exp() };
     is_right_with_completed_steps(&["RESTS_AT_FIRST"], &["der(x)", "y"], rests);
-    // The model is late only after an event.
+    // The model computes y too late only after an event.
     is_right_with_completed_steps(&["LATE_FROM=0.4"], &["y"], |t| (-t).exp());
     // A model that computes its outputs when they are read gives bit-for-bit the same values.
     let options = SimulateOptions::new().ncp(97).outputs(["y"]);
@@ -245,7 +245,7 @@ fn co_simulation_continues_after_discarded_and_early_steps() {
 }
 
 #[test]
-fn model_is_told_if_the_state_may_be_restored() {
+fn model_is_notified_if_its_state_may_be_restored() {
     let folder = evil(&["REPORTS_PRIOR", "STATES"]);
     let instance = folder.open().instantiate().unwrap().enter_initialization(0.0, None, None).unwrap();
     let mut instance = instance.exit_initialization().unwrap().enter_continuous_time().unwrap();

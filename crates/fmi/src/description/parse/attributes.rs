@@ -175,7 +175,7 @@ impl<'e> Attributes<'e> {
         })
     }
 
-    /// Returns the meanings of a list of words, each one of these words.
+    /// Returns the meanings of a list of words, each of which must be one of `words`.
     pub(super) fn choices<T: Copy>(&self, name: &str, words: &[(&str, T)]) -> Option<Vec<T>> {
         if !self.may_list::<T>(name) {
             return None;

@@ -79,7 +79,7 @@ impl ClockPlan {
     /// Resolves the clocks of a model with these inputs and clock intervals.
     ///
     /// # Errors
-    /// An interval cannot be set for its clock.
+    /// Returns an error if an interval cannot be set for its clock.
     pub(crate) fn new(
         description: &ModelDescription,
         inputs: &ClockInputs,
@@ -129,7 +129,8 @@ impl ClockPlan {
     /// Returns an empty plan for a co-simulation without event mode.
     ///
     /// # Errors
-    /// The model has clocks that tick without being triggered, or the options or inputs refer to its clocks.
+    /// Returns an error if the model has clocks that tick without being triggered, or the options or inputs
+    /// refer to its clocks.
     pub(crate) fn without_event_mode(
         description: &ModelDescription,
         inputs: &ClockInputs,

@@ -26,8 +26,8 @@ impl CoSimulationState {
     /// Runs from the start to the end.
     ///
     /// # Errors
-    /// [`FmiError::Simulation`] contains the reason, the time and the statistics. Samples delivered before
-    /// the error stay valid.
+    /// Returns [`FmiError::Simulation`] with the reason, the time and the statistics. Samples delivered
+    /// before the error stay valid.
     pub(crate) fn run(&mut self, max_steps: Option<u64>, outside: &SharedObserver<'_>) -> Result<Report> {
         let began = Instant::now();
         let plan = Arc::clone(&self.running.plan);

@@ -18,7 +18,7 @@ const MAX_DISCARDS: u32 = 12;
 /// Maximum number of events at one time.
 const MAX_EVENTS_HERE: u32 = 100;
 
-/// Part of a step by which a model may miss the step's end because its internal steps are summed up.
+/// Fraction of a step by which a model may miss the step's end because it adds up internal steps.
 const INTERNAL_TIME_TOLERANCE: f64 = 1e-6;
 
 /// Number of step lengths that are remembered.

@@ -267,7 +267,8 @@ impl InputPlan {
     /// true if the model receives input values only at communication points.
     ///
     /// # Errors
-    /// A name is unknown, a variable cannot be driven, or the rows of a table are invalid.
+    /// Returns an error if a name is unknown, a variable cannot be driven, or the rows of a table are
+    /// invalid.
     pub(crate) fn new(
         starts: &Starts<'_>,
         inputs: &Inputs,

@@ -62,7 +62,7 @@ impl Selection {
     /// recorded twice.
     ///
     /// # Errors
-    /// A name is unknown, or a pattern matches nothing.
+    /// Returns an error if a name is unknown, or a pattern matches nothing.
     pub(crate) fn of_names<'a>(context: &OutputContext<'a>, names: &'a [String]) -> Result<Self> {
         let (model, structure) = (context.model, context.structure);
         let mut selection = Self::default();

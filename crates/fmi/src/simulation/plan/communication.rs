@@ -26,7 +26,7 @@ pub(super) const MANY_STEPS: f64 = 1e6;
 /// Communication points of a simulation.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Communication {
-    /// Distance of the regular points; `None` if only requested times and inputs determine points.
+    /// Spacing of the regular points; `None` if only requested times and inputs determine points.
     pub(crate) step: Option<f64>,
     /// True if points at other times are possible.
     pub(crate) variable: bool,
@@ -63,7 +63,7 @@ impl Communication {
         let variable = capabilities.can_handle_variable_communication_step_size;
         let stated = experiment.step_size.filter(makes_sense);
         // A model with steps of one length may reject any step size except its declared one. Rows between
-        // steps are interpolated. The declared step size is kept unless it makes too many steps.
+        // steps are interpolated. The declared step size is kept unless it results in too many steps.
         let stays = |stated: f64| !variable && span / stated <= MANY_STEPS;
         let stated =
             stated.map(|stated| if stays(stated) { stated } else { stated.max(grid.mean_interval()) });
@@ -133,7 +133,8 @@ impl Communication {
     /// Returns a message if rows are between the steps of the model.
     ///
     /// # Errors
-    /// Rows between steps are not allowed. The message contains the first such row and the neighboring steps.
+    /// Returns an error if there are rows between steps and the options do not allow them. The message
+    /// contains the first such row and the neighboring steps.
     pub(crate) fn check_rows(&self, grid: &Grid, between: BetweenSteps) -> Result<Option<String>> {
         let Some(step) = self.fixed_step() else { return Ok(None) };
         let beside =
@@ -210,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn step_is_the_larger_of_stated_step_and_interval_unless_asked_for() {
+    fn step_is_the_larger_of_declared_step_and_interval_unless_requested() {
         let step = |step, suggested, variable| communication(step, suggested, variable).unwrap().step;
         for (suggested, variable, expected) in
             [(1e-8, true, 0.1), (0.01, true, 0.1), (0.25, true, 0.25), (1e-8, false, 0.1), (1e-12, true, 0.1)]

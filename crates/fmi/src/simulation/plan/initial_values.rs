@@ -44,8 +44,8 @@ impl InitialValues {
     /// `parameters` are the parameters of the run.
     ///
     /// # Errors
-    /// A name is unknown, has no value among the start values and parameters, or is not a floating-point
-    /// number.
+    /// Returns an error if a name is unknown, has no value among the start values and parameters, or is not a
+    /// floating-point number.
     pub(super) fn new(
         starts: &Starts<'_>,
         required: &[String],

@@ -193,7 +193,7 @@ impl SimulationPlan {
     /// communication points stay unchanged. A simulator of this plan can continue with the new one.
     ///
     /// # Errors
-    /// As for [`new`](Self::new).
+    /// Returns the errors of [`new`](Self::new).
     pub fn with_rows(&self, options: &SimulateOptions) -> Result<Self> {
         Ok(Self {
             options: self.options.clone(),
@@ -291,7 +291,7 @@ impl SimulationPlan {
         self.communication.as_ref().map(|c| c.step.unwrap_or((self.end - self.start) / rows))
     }
 
-    /// Returns the distance of the regular communication points of a co-simulation. Returns `None` if only
+    /// Returns the spacing of the regular communication points of a co-simulation. Returns `None` if only
     /// rows and inputs determine points, or for model exchange.
     pub fn regular_communication_step(&self) -> Option<f64> {
         self.communication.as_ref()?.step
@@ -319,7 +319,7 @@ impl SimulationPlan {
     /// column.
     ///
     /// # Errors
-    /// [`FmiError::NotAnOutput`] contains the name of the first such output.
+    /// Returns [`FmiError::NotAnOutput`] with the name of the first such output.
     pub fn require_single_numbers(&self) -> Result<()> {
         let reason = |recorded: &Recorded| match () {
             () if !recorded.kind.is_number() => Some("it is a string or binary variable; expected a number"),

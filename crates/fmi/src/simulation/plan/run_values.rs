@@ -92,7 +92,8 @@ impl RunValues {
     /// parameter.
     ///
     /// # Errors
-    /// A parameter is unknown, specified twice, driven or cannot be set; a value does not fit its variable.
+    /// Returns an error if a parameter is unknown, specified twice, driven or cannot be set, or if a value
+    /// does not fit its variable.
     pub(super) fn new(
         starts: &Starts<'_>,
         parameters: &[String],

@@ -33,7 +33,7 @@ impl Inside {
         Self::with(lock.enter(), lock)
     }
 
-    /// Waits as [`enter`](Self::enter), while `wait` (called every 20 ms) returns true.
+    /// Waits as [`enter`](Self::enter) does, while `wait` (called every 20 ms) returns true.
     pub(crate) fn enter_while(lock: &Arc<FairLock>, wait: &mut dyn FnMut() -> bool) -> Option<Self> {
         lock.enter_while(wait).map(|turn| Self::with(turn, lock))
     }

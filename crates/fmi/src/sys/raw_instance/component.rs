@@ -237,7 +237,7 @@ impl RawInstance {
 }
 
 impl RawInstance {
-    /// Switches logging for these categories; an empty list means all categories.
+    /// Switches logging on or off for these categories; an empty list means all categories.
     pub(crate) fn set_debug_logging(&mut self, on: bool, categories: &[CString]) -> Outcome {
         let categories: Vec<_> = categories.iter().map(|category| category.as_ptr()).collect();
         run!(self, |library, c| library.version.set_debug_logging(c, on, &categories))
@@ -507,7 +507,7 @@ impl Left {
             note_kept();
         }
         if is_kept || self.library.is_fatal() {
-            // Also if a call of another instance has returned `Fatal` in the meantime.
+            // This also applies if a call of another instance has returned `Fatal` in the meantime.
             std::mem::forget(self);
             return;
         }

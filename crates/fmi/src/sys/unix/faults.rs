@@ -9,8 +9,8 @@ use std::mem::MaybeUninit;
 /// uncaught exception.
 const SIGNALS: [libc::c_int; 3] = [libc::SIGSEGV, libc::SIGBUS, libc::SIGABRT];
 
-/// Installs signal handlers that record if an allocation failed before a fault, or if the sandbox denied an
-/// operation.
+/// Installs signal handlers that record whether an allocation failed before a fault, and whether the sandbox
+/// denied an operation.
 pub(crate) fn tell_faults() -> io::Result<()> {
     for signal in SIGNALS {
         // SAFETY: all zeros are a valid action: the default action, no flags and an empty mask.
@@ -27,7 +27,7 @@ pub(crate) fn tell_faults() -> io::Result<()> {
     Ok(())
 }
 
-/// Records if the last failed system call ran out of memory or was denied. The process then ends by this
+/// Records whether the last failed system call ran out of memory or was denied. The process then ends by this
 /// signal, even if the signal was sent once and would not recur.
 extern "C" fn look(signal: libc::c_int) {
     if io::Error::last_os_error().raw_os_error() == Some(libc::ENOMEM) {

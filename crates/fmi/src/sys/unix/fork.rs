@@ -58,7 +58,8 @@ pub(crate) fn replace_environment(variables: &[(OsString, OsString)], kept: &[&C
 /// Closes all file descriptors of this process except the three standard ones.
 #[cfg(any(target_os = "linux", target_os = "android"))]
 pub(crate) fn close_inherited() -> io::Result<()> {
-    // SAFETY: the caller is a program that has just been started. It has opened nothing so far, so no owner of a descriptor loses it. The first argument is below the second, and no flags are set.
+    // SAFETY: the caller is a program that has just been started. It has not opened anything yet, so no owner
+    // of a descriptor loses it. The first argument is below the second, and no flags are set.
     match unsafe { libc::syscall(libc::SYS_close_range, 3, libc::c_uint::MAX, 0) } {
         0 => Ok(()),
         _ => match io::Error::last_os_error() {
