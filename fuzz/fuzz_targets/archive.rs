@@ -1,4 +1,4 @@
-//! Any bytes as an archive.
+//! Opens arbitrary bytes as an archive.
 #![no_main]
 
 #[path = "../../crates/fmi/tests/promises/mod.rs"]

@@ -1,4 +1,4 @@
-//! Archives that are well formed but for the fields that lie: what random bytes do not reach.
+//! Archives that are well formed except for false fields, which random bytes do not reach.
 #![no_main]
 
 #[path = "../../crates/fmi/tests/promises/mod.rs"]
@@ -10,7 +10,7 @@ mod zip_bytes;
 use arbitrary::Arbitrary;
 use zip_bytes::{Entry, description, zip};
 
-/// One entry, and in what it lies.
+/// An entry and its false fields.
 #[derive(Arbitrary, Debug)]
 struct Wish {
     name: Name,

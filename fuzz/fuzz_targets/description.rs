@@ -1,4 +1,4 @@
-//! Any bytes as a model description.
+//! Parses arbitrary bytes as a model description.
 #![no_main]
 
 #[path = "../../crates/fmi/tests/promises/mod.rs"]

@@ -1,7 +1,7 @@
 //! `auto` compared with the best of the other methods: right-hand sides, including those for Jacobians, at
-//! equal digits, as a table. Run with `cargo bench -p fmufit-ode --bench auto`. Names of problems restrict
-//! the run to these. `--tuning` selects the problems used to tune the constants of `auto`. The recorded table
-//! is in `benches/work_precision.md`.
+//! equal digits, as a table. Run with `cargo bench -p fmufit-ode --bench auto`. Problem names restrict the
+//! run to these problems. `--tuning` selects the problems used to tune the constants of `auto`. The recorded
+//! table is in `benches/work_precision.md`.
 
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 

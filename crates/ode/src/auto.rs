@@ -27,7 +27,8 @@ const TIGHT: f64 = 1e-7;
 /// `--tuning` in `benches/auto.rs`: half the right-hand sides). Radau5 is also better near the imaginary
 /// axis, where BDF of order 3 to 5 is unstable, and for small systems, whose Jacobians are cheap.
 const LARGE: usize = 16;
-/// If the product of step size and largest eigenvalue is below this, stability limits no explicit method.
+/// If the product of step size and largest eigenvalue is below this, stability does not limit any explicit
+/// method.
 const FREE: f64 = 1.0;
 /// Consecutive steps at the limit of stability that start a trial, and consecutive clean steps that reset
 /// their count (6: dopri5.f of Hairer and Wanner, which uses 15 for the former, because it then stops).

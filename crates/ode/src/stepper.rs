@@ -103,8 +103,8 @@ pub(crate) struct Properties {
     pub(crate) only_own_slopes: bool,
     /// Treatment of a step that contains a located event.
     pub(crate) step_with_event: StepWithEvent,
-    /// Default number of points inside each step at which event indicators are evaluated. More points if
-    /// steps are longer relative to the curvature of the solution.
+    /// Default number of points inside each step at which event indicators are evaluated. There are more
+    /// points if steps are longer relative to the curvature of the solution.
     pub(crate) interior_samples: u32,
     /// True if the method [begins](Stepper::begin_with) with the second derivative while indicators slide.
     pub(crate) wants_second_derivative: bool,

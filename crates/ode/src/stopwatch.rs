@@ -8,7 +8,8 @@ const FAST: f64 = 1e-6;
 /// After this number of consecutive fast calls, only some of the next calls are timed.
 const TRUST: u32 = 8;
 
-/// One call of this number is then timed. A prime, so that it is not always the same stage of a step.
+/// One call out of this number is then timed. It is a prime, so that it is not always the same stage of a
+/// step.
 const STRIDE: u32 = 61;
 
 /// A call among fast ones that takes longer than this counts only once, because the scheduler probably

@@ -1,4 +1,4 @@
-//! A warm driver allocates nothing: not per step, not per event, not per run.
+//! A warm driver allocates no memory: not per step, not per event, not per run.
 
 #![allow(clippy::unwrap_used)]
 
@@ -35,7 +35,7 @@ fn warm_driver_does_not_allocate() {
     }
 }
 
-/// `x' = -y`, `0 = y - k x` from a guess of y; each second k changes, and y with it.
+/// `x' = -y`, `0 = y - k x` from a guess of y. Every second, k changes, and y changes with it.
 struct Valve {
     /// None: the system is given by its residual.
     mass: Option<[f64; 4]>,
@@ -92,7 +92,7 @@ fn algebraic_correction_does_not_allocate() {
     }
 }
 
-/// Heat in a rod of 150 cells, whose pattern is known: decompositions are sparse.
+/// Heat in a rod of 150 cells with a known pattern, so decompositions are sparse.
 struct Rod(JacobianPattern);
 
 impl HybridSystem for Rod {
@@ -116,8 +116,8 @@ impl HybridSystem for Rod {
     }
 }
 
-/// The library for sparse matrices allocates 37 times for a decomposition and once for a solution, and gives everything
-/// back; steps and right-hand sides allocate nothing there either.
+/// The library for sparse matrices allocates 37 times per decomposition and once per solution, and frees
+/// everything. Steps and right-hand sides allocate nothing.
 #[test]
 fn sparse_run_allocates_only_in_decompositions_and_solutions() {
     let n = 150;
@@ -138,7 +138,7 @@ fn sparse_run_allocates_only_in_decompositions_and_solutions() {
             assert_eq!(counted.count_current, 0, "{}: {counted:?}", method.name());
             let steps = stats.accepted_steps + stats.rejected_steps;
             let solutions = match method {
-                // Two in an iteration, one or two for the error of a step.
+                // Two per iteration, and one or two for the error of a step.
                 Method::Radau5 => 2 * stats.newton_iterations + 2 * steps,
                 _ => stats.newton_iterations,
             };

@@ -1,4 +1,4 @@
-//! Large sparse systems need no room that grows with the square of their size.
+//! The memory for large sparse systems does not grow with the square of their size.
 
 #![allow(clippy::unwrap_used)]
 
@@ -7,7 +7,7 @@ use std::ops::ControlFlow;
 
 const N: usize = 10_000;
 
-/// Where the Jacobian comes from.
+/// Source of the Jacobian.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Given {
     Nothing,
@@ -15,7 +15,7 @@ enum Given {
     Entries,
 }
 
-/// Heat in a rod with cold ends that starts with its slowest mode.
+/// Heat in a rod with cold ends. The start is its slowest mode.
 struct Rod {
     pattern: JacobianPattern,
     given: Given,
@@ -56,7 +56,8 @@ impl HybridSystem for Rod {
     }
     fn jacobian_entries(&mut self, _: f64, _: &[f64], entries: &mut [f64]) -> CallResult<bool> {
         assert_eq!(entries.len(), 3 * N - 2);
-        // The first column has the rows 0 and 1, the next ones those above, on and below the diagonal.
+        // The first column has the rows 0 and 1; the next ones have the rows above, on and below the
+        // diagonal.
         for (p, entry) in entries.iter_mut().enumerate() {
             *entry = if p.is_multiple_of(3) { -2e8 } else { 1e8 };
         }
@@ -83,7 +84,7 @@ impl Observer for Last {
     }
 }
 
-/// A matrix of `N * N` numbers takes 800 MB, and even one of bits 12.5 MB.
+/// A matrix of `N * N` numbers would need 800 MB, and even a matrix of bits would need 12.5 MB.
 #[test]
 fn sparse_run_of_ten_thousand_states_uses_few_megabytes() {
     let rate = -4e8 * (0.5 * std::f64::consts::PI / (N + 1) as f64).sin().powi(2);
@@ -110,7 +111,7 @@ fn sparse_run_of_ten_thousand_states_uses_few_megabytes() {
     }
 }
 
-/// Each column has an entry of its own and one in the last row: no two of them share a group.
+/// Each column has one separate entry and one in the last row, so no two columns share a group.
 #[test]
 fn colouring_avoids_quadratic_memory() {
     let counted = allocation_counter::measure(|| {

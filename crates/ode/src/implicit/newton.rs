@@ -151,7 +151,8 @@ mod tests {
         convergence.iterate(&mut equations, &mut iteration, tolerance, change).unwrap()
     }
 
-    /// By hand: after the second increment 1/2 the error is 1/2, after four more iterations it would be 1/32.
+    /// Computed by hand: after the second increment, 1/2, the error is 1/2. After four more iterations, it
+    /// would be 1/32.
     #[test]
     fn iterate_predicts_failure_from_rate() {
         let mut convergence = Convergence::new(7);

@@ -257,9 +257,9 @@ mod tests {
     }
 
     #[test]
-    #[ignore = "a table to read"]
+    #[ignore = "a prints_a_table_of_decomposition_times to read"]
     #[allow(clippy::print_stdout)]
-    fn table() {
+    fn prints_a_table_of_decomposition_times() {
         let chain = |n: usize| {
             let entries = (0..n).flat_map(|k| (k.saturating_sub(2)..(k + 3).min(n)).map(move |i| (i, k)));
             JacobianPattern::new(n, entries).unwrap()

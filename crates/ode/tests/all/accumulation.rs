@@ -1,4 +1,5 @@
-//! Balls past their Zeno limit: never through the floor unseen, whatever the event leaves behind, with every method.
+//! Balls beyond their Zeno limit never fall through the floor undetected, with every method and for any state
+//! that the event leaves.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -14,19 +15,19 @@ const METHODS: [Method; 7] =
 struct BallSpec {
     height: f64,
     factor: f64,
-    /// The event puts it exactly on the floor, or leaves it where it was found.
+    /// True if the event puts the ball exactly on the floor; false if it leaves the ball where it was found.
     put_on_floor: bool,
 }
 
-/// Balls that fall on a floor at `floor`, all lengths in units of `unit`; an event reverses the speed of those that fall,
-/// or of all that cross if it is `blind`.
+/// Balls that fall on a floor at height `floor`. All lengths are in units of `unit`. An event reverses the
+/// speed of the falling balls or, if it is `blind`, of all crossing balls.
 #[derive(Debug, Clone)]
 struct Balls {
     balls: Vec<BallSpec>,
     direction: Direction,
     blind: bool,
     gravity: f64,
-    /// The rate of a further state, which is stiff; 0: there is none.
+    /// Rate of an additional stiff state; 0 if there is none.
     rate: f64,
     floor: f64,
     unit: f64,
@@ -35,7 +36,7 @@ struct Balls {
 }
 
 impl Balls {
-    /// When the bounces of the first of them accumulate.
+    /// Returns the time at which the bounces of the first ball accumulate.
     fn limit(&self) -> f64 {
         let limit =
             |b: &BallSpec| (2.0 * b.height / self.gravity).sqrt() * (1.0 + b.factor) / (1.0 - b.factor);
@@ -101,7 +102,7 @@ impl HybridSystem for Balls {
     }
 }
 
-/// A run with everything that decides how it goes.
+/// A run with all its settings.
 #[derive(Debug)]
 struct Case {
     system: Balls,
@@ -131,7 +132,7 @@ impl Case {
             least: 0.0,
         };
         if number.is_multiple_of(10) && n > 1 {
-            // They land together.
+            // Both balls land at the same time.
             system.balls[1].height = system.balls[0].height;
         }
         let rtol = random.of(&[1e-3, 1e-5, 1e-6, 1e-6, 1e-8, 1e-10]);
@@ -141,9 +142,10 @@ impl Case {
             4 => ChatteringPolicy::Warn,
             _ => ChatteringPolicy::Error,
         };
-        // FMI's rule tells of a ball that leaves the floor, too.
+        // With FMI's rule, leaving the floor is also an event.
         system.blind &= system.direction != Direction::Both;
-        // While one ball slides the step ends at events of the others wherever it is: its handler must look at its speed.
+        // While one ball slides, steps end at events of the other balls, wherever the sliding ball is. The
+        // handler must therefore check its speed.
         system.blind &= n == 1 || chattering != ChatteringPolicy::Slide;
         system.nominals |= system.unit != 1.0;
         if matches!(method, Method::Auto | Method::Radau5 | Method::Bdf) {
@@ -152,7 +154,7 @@ impl Case {
         Self { system, rtol, method, chattering, t0: random.of(&[0.0, 0.0, -3.0, 1e4]) }
     }
 
-    /// What is wrong with the run, if anything is.
+    /// Runs the case. Returns a description of the error, if there is one.
     fn run(&mut self) -> Result<(), String> {
         let Self { system, rtol, method, chattering, t0 } = self;
         let (rtol, method, chattering, t0) = (*rtol, *method, *chattering, *t0);
@@ -166,11 +168,12 @@ impl Case {
         let outcome = Driver::new(options).unwrap().run(system, t0, t0 + span, &times, &mut seen);
         let samples = seen.rows.iter().flat_map(|row| row.3[..2 * n].chunks_exact(2));
         let least = samples.map(|x| x[0] / system.unit - system.floor).fold(system.least, f64::min);
-        // What still slides comes back within a hundred steps: so deep does it fall in the last of them.
+        // A ball that still slides returns within a hundred steps. This is how deep it sinks in the last
+        // hundred steps.
         let step = ChatteringPolicy::SLIDING_STEP * span;
         let sunk = if slides { 0.5 * 100.0 * system.gravity * step * step } else { 0.0 };
         let highest = system.balls.iter().map(|b| b.height).fold(0.0, f64::max);
-        // An event is located to a few times 100 u max(|t|, span).
+        // An event is located within a few times 100 u max(|t|, span).
         let speed = (2.0 * highest * system.gravity).sqrt();
         let located = 16.0 * 100.0 * 0.5 * f64::EPSILON * (t0.abs() + span) * speed;
         let tolerance = 100.0 * rtol * (highest + system.floor.abs()) + sunk + located;
@@ -179,7 +182,8 @@ impl Case {
         }
         let Err(error) = outcome else { return Ok(()) };
         if slides && method == Method::Bdf && matches!(error.kind, ErrorKind::TooManySteps(_)) {
-            // Its first step after each event is of order 1: far below the step of sliding where the tolerance is tight.
+            // The first step after each event is of order 1. If the tolerance is tight, it is far shorter
+            // than a step of sliding.
             return Ok(());
         }
         let (ErrorKind::Chattering { indicator, .. } | ErrorKind::EventsAccumulate { indicator }) =
@@ -187,7 +191,8 @@ impl Case {
         else {
             return Err(error.to_string());
         };
-        // BDF begins anew with order 1: it ends where bounces are below the tolerance, of which the height may be a small part.
+        // BDF restarts at order 1, so the run ends when the bounces are below the tolerance. The height may
+        // be a small fraction of the tolerance.
         let early = if matches!(method, Method::Bdf | Method::Euler) { 0.0 } else { 0.97 };
         if indicator >= n || error.time - t0 < early * limit {
             return Err(format!("{error}, limit {limit}"));
@@ -199,7 +204,7 @@ impl Case {
     }
 }
 
-/// Cases drawn with this seed.
+/// Runs random cases with this seed.
 fn run_cases(seed: u64, count: usize) {
     let mut random = Random(seed);
     let mut wrong = Vec::new();
@@ -225,10 +230,11 @@ fn many_balls_stay_above_floor() {
     }
 }
 
-/// One ball, put exactly on the floor: all of its bounces until they cannot be told apart are found, and then it is said.
+/// One ball, put exactly on the floor. All bounces are found until their times cannot be distinguished. The
+/// error then reports the indicator.
 #[test]
 fn accumulation_error_reports_indicator_at_zeno_limit() {
-    // Not Euler: its balls come to rest, a step of it being a straight line.
+    // Euler's method is excluded: its steps are straight lines, so the balls come to rest.
     for &method in &METHODS[..6] {
         for factor in [0.2, 0.5, 0.8] {
             for put_on_floor in [true, false] {
@@ -260,11 +266,11 @@ fn accumulation_error_reports_indicator_at_zeno_limit() {
     }
 }
 
-/// Crossings that just go on cost no right-hand side and one look at the indicators each; a fall that begins far below the
-/// floor is none that comes back.
+/// A plain crossing costs no right-hand side and one evaluation of the indicators. A fall that begins far
+/// below the floor does not count as a return.
 #[test]
 fn plain_crossings_need_few_extra_evaluations() {
-    /// x'' = -g; z = x; what the event does with the speed.
+    /// x'' = -g with the indicator z = x. The function changes the state at an event.
     struct Fall(Event);
     type Event = fn(&mut [f64]);
     impl HybridSystem for Fall {
@@ -316,7 +322,7 @@ fn plain_crossings_need_few_extra_evaluations() {
     }
 }
 
-/// A ball that its event stops at the floor has not gone on: it does not fall from there, seen by nobody.
+/// A ball that its event stops at the floor does not continue and fall undetected.
 #[test]
 fn ball_stopped_at_floor_does_not_fall_through() {
     for method in METHODS {
@@ -345,8 +351,8 @@ fn ball_stopped_at_floor_does_not_fall_through() {
     }
 }
 
-/// With [`Direction::Either`] a handler that reverses the speed whatever has crossed makes a ball bounce: leaving the floor
-/// is no event.
+/// With [`Direction::Either`], a handler that always reverses the speed makes a ball bounce, because leaving
+/// the floor is not an event.
 #[test]
 fn leaving_the_floor_is_ignored_with_direction_either() {
     for method in METHODS {

@@ -1,4 +1,5 @@
-//! Digits on smooth problems: reference values as listed with each (computed in quadruple precision).
+//! Correct digits on smooth problems. Each problem lists its reference values, computed in quadruple
+//! precision.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -7,7 +8,8 @@ use crate::common;
 use common::*;
 use ode::*;
 
-/// Smallest number of correct digits over the components at the end, and the right-hand sides it took.
+/// Returns the smallest number of correct digits of all components at the end, and the number of right-hand
+/// sides.
 fn digits(
     f: impl FnMut(f64, &[f64], &mut [f64]),
     x0: &[f64],
@@ -70,7 +72,8 @@ fn error_decreases_with_tolerance() {
     }
 }
 
-/// x'' = -x from (1, 0): errors at the samples between the steps must be of the size of those at the steps.
+/// x'' = -x from (1, 0). The errors at samples between steps must be similar to the errors at the ends of
+/// steps.
 #[test]
 fn samples_between_steps_are_as_accurate_as_steps() {
     let times: Vec<f64> = (0..=2000).map(|k| f64::from(k) * 0.01).collect();
@@ -104,7 +107,7 @@ fn fixed_step_methods_converge_with_their_order() {
     }
 }
 
-/// Steps that an input has cut are halved as well: Euler's method multiplies with 1 + h in each.
+/// Steps shortened by an input are also halved. Euler's method multiplies by 1 + h in each step.
 #[test]
 fn halve_steps_splits_every_step() {
     let stops: Vec<f64> = (1..20).map(|k| 0.05 * f64::from(k)).collect();
@@ -151,7 +154,8 @@ impl HybridSystem for Stopped {
     }
 }
 
-/// An angle that turns on and on: against its size its error would be allowed to grow, and does.
+/// An angle that grows without bound. A tolerance relative to its size would allow its error to grow, and the
+/// error does grow.
 #[test]
 fn error_of_unbounded_states_is_independent_of_their_size() {
     struct Rotor {

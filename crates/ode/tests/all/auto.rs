@@ -1,4 +1,5 @@
-//! `auto` takes about as many right-hand sides as the best method, and nothing large where nothing large is needed.
+//! `auto` needs about as many right-hand sides as the best method, and allocates large matrices only if they
+//! are needed.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -9,8 +10,9 @@ use common::Smooth;
 use ode::*;
 use problems::{Problem, large, nonstiff, stiff};
 
-/// The right-hand sides that it may take, those for Jacobians included, and the digits that it must have: the best method's at equal
-/// digits times 1.3 or less (the table is in `benches/work_precision.md`).
+/// Maximum number of right-hand sides, including those for Jacobians, and required digits. The maximum is at
+/// most 1.3 times the number that the best method needs for the same digits (see the table in
+/// `benches/work_precision.md`).
 #[test]
 fn auto_needs_about_as_many_right_hand_sides_as_the_best_method() {
     let bars: [(Problem, f64, u64, f64); 14] = [
@@ -36,7 +38,7 @@ fn auto_needs_about_as_many_right_hand_sides_as_the_best_method() {
     }
 }
 
-/// What the explicit method leaves of fast oscillations Radau5 would have to follow.
+/// Radau5 would have to follow any fast oscillations that the explicit method leaves behind.
 #[test]
 fn auto_switches_to_radau5_before_exciting_stiff_oscillations() {
     for rtol in [1e-3, 1e-4, 1e-6] {
@@ -47,7 +49,7 @@ fn auto_switches_to_radau5_before_exciting_stiff_oscillations() {
     }
 }
 
-/// Slow phases that are a little stiff, and fast ones that are not.
+/// Oscillators with slow phases that are slightly stiff, and fast phases that are not.
 #[test]
 fn auto_costs_little_more_than_the_explicit_method_for_oscillators() {
     let work = |method, mu: f64, rtol, end| {
@@ -65,7 +67,8 @@ fn auto_costs_little_more_than_the_explicit_method_for_oscillators() {
             }
         }
     }
-    // Where all but the jumps is stiff, both methods in turn beat either.
+    // If the system is stiff except at its jumps, alternating between both methods is better than either
+    // method alone.
     for rtol in [1e-4, 1e-6, 1e-8] {
         let [auto, explicit, implicit] =
             [Method::Auto, Method::Dop853, Method::Radau5].map(|m| work(m, 20.0, rtol, 50.0));
@@ -118,7 +121,8 @@ fn auto_stores_only_pattern_entries_for_large_sparse_systems() {
     }
 }
 
-/// A right-hand side that refuses every point but those of a smooth path: no Jacobian can be had there.
+/// A right-hand side that refuses all points except those on a smooth path, so that no Jacobian can be
+/// computed.
 #[test]
 fn auto_continues_when_a_trial_is_impossible() {
     struct Refusing(u64);

@@ -1,4 +1,4 @@
-//! Runs whose end lies before their start.
+//! Runs whose end is before their start.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -9,7 +9,7 @@ use ode::*;
 
 const ADAPTIVE: [Method; 5] = [Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf];
 
-/// `x'' = -x` from t = 2 back to -1, with samples on the way, one listed twice, and the whole as a function of time.
+/// Integrates `x'' = -x` from t = 2 back to -1, with samples (one listed twice) and dense output.
 #[test]
 fn backward_run_returns_to_start() {
     let times = [2.0, 1.0, 1.0, 0.0, -1.0];
@@ -35,7 +35,7 @@ fn backward_run_returns_to_start() {
     }
 }
 
-/// The same steps as those of the system with its time turned.
+/// The steps equal the steps of the time-reversed system.
 #[test]
 fn backward_run_equals_run_of_time_reversed_system() {
     let forward = solve(|t, x, dx| dx[0] = -(0.3 - t).sin() * x[0], 0.0..3.0, &[1.0]).run().unwrap();
@@ -44,7 +44,7 @@ fn backward_run_equals_run_of_time_reversed_system() {
     assert_eq!(forward.times, back.times.iter().map(|t| 0.0 - t).collect::<Vec<_>>());
 }
 
-/// `x = t`: back from 2 it crosses 1 downward, as seen along the integration.
+/// `x = t`: backward from 2, x crosses 1 downward in the direction of the integration.
 #[test]
 fn event_directions_follow_the_integration() {
     for (direction, crossings) in [(Direction::Down, 1), (Direction::Up, 0), (Direction::Both, 1)] {
@@ -55,7 +55,7 @@ fn event_directions_follow_the_integration() {
         assert_eq!(solution.events[0].len(), crossings, "{direction:?}");
         assert!(solution.events[0].iter().all(|e| (e.0 - 1.0).abs() < 1e-9));
     }
-    // A terminal one, and a change of the state on the way.
+    // A terminal event, and a change of the state before it.
     let solution = solve(|_, _, dx| dx[0] = 1.0, 2.0..0.0, &[2.0])
         .event(Event::new(|_, x| x[0] - 1.0).direction(Direction::Down).terminal(2))
         .on_event(|_, x, _| x[0] = 1.5)
@@ -94,11 +94,11 @@ fn backward_errors_report_system_times() {
     let run = |times: &[f64]| solve(|_, x, dx| dx[0] = -1.0 / x[0], 0.0..-1.0, &[1.0]).times(times).run();
     let error = run(&[-0.5, -0.25]).unwrap_err();
     assert!(error.to_string().contains("requested time -0.25 at position 1"), "{error}");
-    // x' = sqrt(x) back from 1 ends at t = -2.
+    // The solution of x' = sqrt(x), backward from 1, ends at t = -2.
     let error = solve(|_, x, dx| dx[0] = x[0].sqrt() + 0.1, 0.0..-9.0, &[1.0]).run().unwrap_err();
     let SolveError::Simulation(error) = error else { panic!("{error}") };
     assert!((-3.0..-1.0).contains(&error.time), "{error}");
-    // What cannot be taken back is refused.
+    // A system that cannot run backward is rejected.
     let mut smooth = Smooth { x0: vec![1.0], f: |_: f64, _: &[f64], dx: &mut [f64]| dx[0] = 1.0 };
     let mut driver = Driver::new(Options::default()).unwrap();
     let error = driver.run(&mut smooth, 1.0, 0.0, &[], &mut Ignore).unwrap_err();

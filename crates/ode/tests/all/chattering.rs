@@ -1,4 +1,5 @@
-//! State events that follow each other while time hardly advances: the three answers, and clocks that stand still.
+//! State events that follow each other while time hardly advances: the three policies, and clocks that do not
+//! advance.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -13,7 +14,8 @@ fn driver(method: Method, chattering: ChatteringPolicy) -> Driver {
     Driver::new(Options { method, chattering, ..Options::default() }).unwrap()
 }
 
-/// `x' = push(t) - s`, `y' = 2 - s` with `s = sign(x)`, that changes where x passes the hysteresis; x(0) = 1, y(0) = 0.
+/// `x' = push(t) - s`, `y' = 2 - s` with `s = sign(x)`, which changes when x passes the hysteresis. Starts at
+/// x(0) = 1, y(0) = 0.
 struct Switched {
     push: fn(f64) -> f64,
     hysteresis: f64,
@@ -54,8 +56,9 @@ impl HybridSystem for Switched {
 
 #[test]
 fn sliding_matches_filippov_solution() {
-    // Above x' = -0.5, y' = 1, below x' = 1.5, y' = 3. It reaches x = 0 at t = 2 with y = 2. The mixture that stays there
-    // has three parts of the upper field and one of the lower: y' = 1.5.
+    // Above zero, x' = -0.5 and y' = 1; below, x' = 1.5 and y' = 3. The solution reaches x = 0 at t = 2 with
+    // y = 2. To stay there, it combines three quarters of the upper field and one quarter of the lower field:
+    // y' = 1.5.
     for &method in ADAPTIVE {
         let mut seen = Recorder::default();
         let mut system = Switched::new(|_| 0.5, 0.0);
@@ -74,7 +77,7 @@ fn sliding_matches_filippov_solution() {
 
 #[test]
 fn sliding_ends_when_fields_point_away() {
-    // x' = t - 1.5 - s: comes down to 0, slides until t = 2.5, then leaves upwards as (t - 2.5)^2 / 2.
+    // With x' = t - 1.5 - s, x falls to 0, slides until t = 2.5, and then rises as (t - 2.5)^2 / 2.
     for &method in ADAPTIVE {
         let mut seen = Recorder::default();
         let mut system = Switched::new(|t| t - 1.5, 0.0);
@@ -83,19 +86,19 @@ fn sliding_ends_when_fields_point_away() {
         let x: Vec<f64> = seen.rows.iter().map(|row| row.3[0]).collect();
         assert!(x[0].abs() < 1e-3 && x[1].abs() < 1e-3, "{}: {x:?}", method.name());
         assert!((x[2] / (0.5 * 47.5 * 47.5) - 1.0).abs() < 1e-4, "{}: {x:?}", method.name());
-        // Two units of time in steps of 1e-5 of 50, and little more; BDF's first step after an event is of order 1, and
-        // its error test wants shorter ones.
+        // Two units of time in steps of 1e-5 times 50, and a few more steps. BDF's first step after an event
+        // is of order 1, and its error test requires shorter steps.
         let most = if method == Method::Bdf { 30_000 } else { 6000 };
         assert!(report.stats.accepted_steps < most, "{}: {}", method.name(), report.stats.accepted_steps);
     }
 }
 
-/// `x' = v`, `v' = -force r`, where the event keeps `r` in the states: 1 where `weight x + v` has become positive, -1 where it has
-/// become negative. `x(0) = v(0) = r(0) = 1`.
+/// `x' = v`, `v' = -force r`. The event sets the state `r` to 1 when `weight x + v` becomes positive, and
+/// to -1 when it becomes negative. `x(0) = v(0) = r(0) = 1`.
 struct Relay {
     weight: f64,
     force: f64,
-    /// One indicator for each direction, or one for both.
+    /// True for one indicator per direction, false for one indicator for both directions.
     two_indicators: bool,
     /// Time and states after the last event.
     last: (f64, Vec<f64>),
@@ -135,7 +138,7 @@ impl HybridSystem for Relay {
     }
 }
 
-/// On the surface `v = -weight x`, so `x` decays from where the parabola has reached it.
+/// On the surface, `v = -weight x`, so `x` decays from the point at which the parabola reaches the surface.
 #[test]
 fn sliding_never_moves_states_unchanged_by_event() {
     for &method in ADAPTIVE {
@@ -164,8 +167,8 @@ fn sliding_never_moves_states_unchanged_by_event() {
 #[test]
 fn ball_with_accumulating_bounces_slides_on_floor() {
     let limit = 2.558_633_965_585_808_4;
-    // Not BDF: its first steps after a bounce are as inexact as the tolerance allows, and this ball, which has no least
-    // speed, sinks into the floor when it is not above it after a bounce.
+    // BDF is excluded: its first steps after a bounce are as inaccurate as the tolerance allows. This ball
+    // has no minimum speed, so it sinks into the floor if it is not above the floor after a bounce.
     for &method in &ADAPTIVE[..4] {
         let (mut seen, mut ball) = (Recorder::default(), Ball { v_min: 0.0, resting: false });
         let report =
@@ -185,8 +188,8 @@ fn ball_with_accumulating_bounces_slides_on_floor() {
 
 #[test]
 fn warn_policy_continues_and_counts_chattering() {
-    // It switches every 2e-7 of time, in a span of 10: a hundred times within 2e-5, above 1e-6 of the span; a fifth of
-    // that is below.
+    // The system switches every 2e-7 units of time in a span of 10. A hundred switches take 2e-5, which is
+    // above 1e-6 of the span. A fifth of this is below the limit.
     for (hysteresis, fired) in [(1e-7, 0), (4e-9, 20)] {
         let mut options =
             Options { chattering: ChatteringPolicy::Warn, method: Method::Tsit5, ..Options::default() };
@@ -198,7 +201,7 @@ fn warn_policy_continues_and_counts_chattering() {
     }
 }
 
-/// Nothing but a clock that ticks each `period`.
+/// A system that consists of a clock that ticks every `period`.
 struct Clock {
     period: f64,
     ticks: u64,
@@ -245,8 +248,8 @@ fn policies_parse_from_names() {
     assert!("stop".parse::<ChatteringPolicy>().unwrap_err().to_string().contains("error, warn, slide"));
 }
 
-/// A relay that switches 2000 times a second, or a clock of 1 kHz, is no chattering, however long the run is; a solution
-/// that cannot leave the border of a domain, or a clock that stands still, is.
+/// A relay that switches 2000 times per second and a clock of 1 kHz are not chattering, however long the run
+/// is. A solution that cannot leave the border of a domain and a clock that does not advance are.
 #[test]
 fn allowed_event_rate_is_independent_of_span() {
     for span in [10.0, 1e4, 1e7, 1e9] {
@@ -260,7 +263,7 @@ fn allowed_event_rate_is_independent_of_span() {
                 "{} {span:e}: {error}",
                 method.name()
             );
-            // Times closer than 1.1e-14 of the span are one.
+            // Times closer than 1.1e-14 of the span are equal.
             assert!((error.time - 1.5).abs() < 1e-3 + 2e-11 * span, "{} {span:e}: {error}", method.name());
 
             let mut sliding = Switched::new(|_| 0.0, 0.0);
@@ -282,8 +285,8 @@ fn allowed_event_rate_is_independent_of_span() {
     }
 }
 
-/// A ball that an event puts on the floor exactly, with arcs that become shorter than any step: it never falls through.
-/// (BDF's first step is a straight line: it does.)
+/// A ball that its event puts exactly on the floor never falls through, although its arcs become shorter than
+/// any step. (With BDF it does, because the first step of BDF is a straight line.)
 #[test]
 fn ball_on_floor_does_not_fall_through() {
     struct Bare {
@@ -323,7 +326,7 @@ fn ball_on_floor_does_not_fall_through() {
             let mut driver = driver(method, ChatteringPolicy::Error);
             let what = format!("{} {direction:?}", method.name());
             let error = driver.run(&mut Bare { direction }, 0.0, 4.0, &[], &mut Ignore).expect_err(&what);
-            // Which of the two comes first depends on what times can tell apart.
+            // The resolution of times determines which of the two errors occurs first.
             let kind = &error.kind;
             let named = matches!(
                 kind,

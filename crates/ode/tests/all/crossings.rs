@@ -1,4 +1,4 @@
-//! Plain crossings are events and nothing else, whatever the shape of the event function at zero.
+//! Only crossings are events, for any shape of the event function at zero.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -6,7 +6,8 @@ use ode::*;
 
 const ADAPTIVE: [Method; 5] = [Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf];
 
-/// `y = cos t`, and an event function with the sign of `v = y - 0.3`; events change nothing, or a third state.
+/// `y = cos t` with an event function that has the sign of `v = y - 0.3`. Events change nothing, or a third
+/// state.
 struct Shaped {
     shape: fn(f64) -> f64,
     resets: bool,
@@ -73,7 +74,7 @@ fn crossings_are_located_for_any_shape_at_zero() {
     }
 }
 
-/// `y0' = 0`, `y1' = -1e4 (y1 - y0) / length`, and an event at a time that changes `y0`.
+/// `y0' = 0`, `y1' = -1e4 (y1 - y0) / length`, and a time event that changes `y0`.
 struct Step {
     at: f64,
     length: f64,
@@ -154,8 +155,8 @@ impl<F: Fn(f64, f64) -> f64> HybridSystem for Oscillator<F> {
     }
 }
 
-/// Times of the events between 0 and 40 of the event function `sin(w t) + offset`, of which the steps know nothing, or why there
-/// are none.
+/// Returns the times of the events of `sin(w t) + offset` between 0 and 40, or the error of the run. This
+/// event function does not affect the steps.
 fn dips(method: Method, relative_tolerance: f64, (w, offset): (f64, f64)) -> Result<Vec<f64>, String> {
     let mut system = Oscillator { z: |t: f64, _| (w * t).sin() + offset, times: Vec::new() };
     let options = Options { method, relative_tolerance, ..Options::default() };
@@ -163,7 +164,8 @@ fn dips(method: Method, relative_tolerance: f64, (w, offset): (f64, f64)) -> Res
     run.map(|_| system.times).map_err(|error| error.to_string())
 }
 
-/// Times at which that event function crosses zero: it is below it around three quarters of each period.
+/// Returns the times at which this event function crosses zero. It is negative around three quarters of each
+/// period.
 fn crossings((w, offset): (f64, f64)) -> impl Iterator<Item = f64> {
     use std::f64::consts::PI;
     let from = f64::asin(offset) + PI;
@@ -171,7 +173,7 @@ fn crossings((w, offset): (f64, f64)) -> impl Iterator<Item = f64> {
     turns.flat_map(move |turn| [turn + from, turn + 3.0 * PI - from].map(|phase| phase / w))
 }
 
-/// Every crossing and its return in short dips below zero, which lie between long steps.
+/// Every crossing and return is found in short dips below zero between the ends of long steps.
 #[test]
 fn short_dips_in_long_steps_are_located() {
     for method in ADAPTIVE {
@@ -186,7 +188,8 @@ fn short_dips_in_long_steps_are_located() {
     }
 }
 
-/// Steps that begin at a dip and end in another one, periods later, may miss those between, but they show no return that is none.
+/// A step from one dip to another, several periods later, may miss the dips between them, but it reports no
+/// false returns.
 #[test]
 fn steps_longer_than_indicator_period_locate_only_true_crossings() {
     for method in ADAPTIVE {

@@ -1,4 +1,4 @@
-//! Systems `F(t, x, x') = 0`: known solutions, consistent initial values, index, what cannot be done.
+//! Systems `F(t, x, x') = 0`: known solutions, consistent initial values, index, and unsolvable systems.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -21,8 +21,8 @@ fn solved(problem: &Dae, rtol: f64) -> (f64, Stats) {
 }
 
 #[test]
-#[ignore = "a table to read"]
-fn table() {
+#[ignore = "a prints_a_table_of_decomposition_times to read"]
+fn prints_a_table_of_decomposition_times() {
     for problem in &ALL {
         for k in 8..=20 {
             let (digits, s) = solved(problem, 10f64.powf(-0.5 * f64::from(k)));
@@ -41,7 +41,8 @@ fn table() {
     }
 }
 
-/// Digits, and residuals at most: at 1e-6 and 1e-8 as many as IDA of SUNDIALS 7 takes (`benches/dae.md`).
+/// Required digits and maximum number of residuals. At 1e-6 and 1e-8, the maximum is the number that IDA of
+/// SUNDIALS 7 needs (`benches/dae.md`).
 #[test]
 fn residual_solutions_match_test_set_digits() {
     for (problem, rtol, bar, most) in [
@@ -61,7 +62,8 @@ fn residual_solutions_match_test_set_digits() {
     }
 }
 
-/// Wherever the error test fails again and again, a start with consistent values is found: no tolerance ends the run.
+/// After repeated failures of the error test, the restart finds consistent values, so the run succeeds at
+/// every tolerance.
 #[test]
 fn amplifier_is_solved_at_every_tolerance() {
     for k in 12..36 {
@@ -72,8 +74,8 @@ fn amplifier_is_solved_at_every_tolerance() {
     }
 }
 
-/// `x' + x - sin t = 0` and `y - x^2 = 0`, with the solution for x(0) = 1; once more with equations and states mixed, so that
-/// no column of `dF/dx'` is zero.
+/// `x' + x - sin t = 0` and `y - x^2 = 0`, with the solution for x(0) = 1. A second version mixes equations
+/// and states, so that no column of `dF/dx'` is zero.
 fn linear(t: f64, x: &[f64], d: &[f64], r: &mut [f64]) {
     r[0] = d[0] + x[0] - t.sin();
     r[1] = x[1] - x[0] * x[0];
@@ -102,7 +104,7 @@ fn guesses_of_states_without_derivative_are_corrected() {
         for (t, x) in solution.times.iter().zip(&solution.states) {
             assert!((x[0] - exact(*t)).abs() < 2e-7 && (x[1] - exact(*t).powi(2)).abs() < 2e-7, "{t}: {x:?}");
         }
-        // x = 1, y = 1 is u = 1, v = 0.
+        // x = 1, y = 1 corresponds to u = 1, v = 0.
         let other = solve_dae(mixed, 0.0..2.0, &[(2.0 + y) / 3.0, (1.0 - y) / 3.0], &[slope, 0.0])
             .relative_tolerance(1e-8)
             .times(&[0.0, 2.0])
@@ -114,7 +116,7 @@ fn guesses_of_states_without_derivative_are_corrected() {
     }
 }
 
-/// The slopes are what a nonlinear equation makes them: `x'^3 + x' = x`.
+/// A nonlinear equation determines the slopes: `x'^3 + x' = x`.
 #[test]
 fn residual_nonlinear_in_slopes_is_solved() {
     let residual = |_: f64, x: &[f64], d: &[f64], r: &mut [f64]| r[0] = d[0].powi(3) + d[0] - x[0];
@@ -138,7 +140,8 @@ fn variable_matrix_of_slopes_is_supported() {
 
 const G: f64 = 9.81;
 
-/// The pendulum of length 1 with the equation of the rod differentiated `2 - depth` times: index 1, 2, 3.
+/// Returns the residual of a pendulum of length 1, with the equation of the rod differentiated `2 - depth`
+/// times: index 1, 2, 3.
 fn pendulum(depth: u32) -> impl Fn(f64, &[f64], &[f64], &mut [f64]) {
     move |_, x, d, r| {
         let [px, py, vx, vy, force] = x else { panic!("five states") };
@@ -189,7 +192,7 @@ fn unsolvable_residuals_are_errors() {
     let method = solve_dae(linear, 0.0..1.0, &[1.0, 1.0], &[0.0; 2]).method(Method::Radau5).run();
     let Err(SolveError::Simulation(error)) = method else { panic!("{method:?}") };
     assert!(matches!(error.kind, ErrorKind::ResidualNeedsBdf), "{error}");
-    // No y has y^2 + 1 = 0.
+    // y^2 + 1 = 0 has no solution.
     let none = |_: f64, x: &[f64], d: &[f64], r: &mut [f64]| {
         r.copy_from_slice(&[d[0] + x[0], x[1] * x[1] + 1.0]);
     };
@@ -198,7 +201,7 @@ fn unsolvable_residuals_are_errors() {
     };
     let ErrorKind::Inconsistent { equation: 1, residual } = error.kind else { panic!("{error}") };
     assert_eq!(residual, 5.0);
-    // Two equations, of which one is the other.
+    // Two identical equations.
     let twice = |_: f64, x: &[f64], d: &[f64], r: &mut [f64]| r.fill(d[0] + x[1] - x[0]);
     let Err(SolveError::Simulation(error)) = solve_dae(twice, 0.0..1.0, &[1.0, 2.0], &[0.0; 2]).run() else {
         panic!("solved")
@@ -206,7 +209,8 @@ fn unsolvable_residuals_are_errors() {
     assert!(matches!(error.kind, ErrorKind::HigherIndex), "{error}");
 }
 
-/// `dF/dx'` is singular at the guess alone: states that have a derivative at consistent values keep theirs.
+/// `dF/dx'` is singular only at the guess. States that have a derivative at consistent values keep their
+/// values.
 #[test]
 fn state_is_unchanged_when_its_derivative_vanishes_at_guess() {
     let product = |_: f64, x: &[f64], d: &[f64], r: &mut [f64]| {
@@ -221,7 +225,7 @@ fn state_is_unchanged_when_its_derivative_vanishes_at_guess() {
     let whole = solve_dae(slopes, 0.0..1.0, &[1.0, 0.0], &[0.0; 2]).relative_tolerance(1e-8).run().unwrap();
     assert_eq!(whole.states[0], [1.0, 0.0]);
     assert!((whole.last()[0] - (-1f64).exp()).abs() < 1e-6, "{:?}", whole.last());
-    // The same for a hundred such pairs with sparse Jacobians.
+    // A hundred such pairs with sparse Jacobians.
     let n = 100;
     let many = move |_: f64, x: &[f64], d: &[f64], r: &mut [f64]| {
         for i in 0..n {
@@ -239,7 +243,8 @@ fn state_is_unchanged_when_its_derivative_vanishes_at_guess() {
     assert!((sparse.last()[0] - (-0.5f64).exp()).abs() < 1e-6, "{:?}", sparse.last()[0]);
 }
 
-/// Slopes of 0 as a guess, where `dF/dx'` is 0: no state is moved, and the message has the residual of what was given.
+/// With zero slopes as a guess, `dF/dx'` is zero. No state is changed, and the message contains the residual
+/// of the given values.
 #[test]
 fn singular_jacobian_of_slopes_is_an_error() {
     type Scalar = fn(f64, f64) -> f64;
@@ -261,11 +266,11 @@ fn singular_jacobian_of_slopes_is_an_error() {
         let solution = solve_dae(residual, 0.0..1.0, &[x0], &[slope]).run().unwrap();
         assert_eq!(solution.states[0], [x0]);
     }
-    // With the slope: y' = y^(1/3), y = (1 + 2 t / 3)^(3/2).
+    // With the correct slope as a guess: y' = y^(1/3), y = (1 + 2 t / 3)^(3/2).
     let cube = |_: f64, x: &[f64], d: &[f64], r: &mut [f64]| r[0] = d[0].powi(3) - x[0];
     let solution = solve_dae(cube, 0.0..1.0, &[1.0], &[1.0]).relative_tolerance(1e-8).run().unwrap();
     assert!((solution.last()[0] - (5f64 / 3.0).powf(1.5)).abs() < 1e-5);
-    // No slope at all has d^2 + 1 = 0.
+    // d^2 + 1 = 0 has no solution.
     let none = |_: f64, _: &[f64], d: &[f64], r: &mut [f64]| r[0] = d[0] * d[0] + 1.0;
     let failed = solve_dae(none, 0.0..1.0, &[1.0], &[1.0]).run();
     let Err(SolveError::Simulation(error)) = failed else { panic!("{failed:?}") };
@@ -274,7 +279,8 @@ fn singular_jacobian_of_slopes_is_an_error() {
     };
 }
 
-/// `x' = u`, `u' = l - x` and an equation without `l` that decides `u` (index 2) or `x` (index 3), many times.
+/// Many copies of `x' = u`, `u' = l - x` with an equation without `l` that determines `u` (index 2) or `x`
+/// (index 3).
 fn bound(n: usize, index: usize, start: f64, exclude: bool) -> Result<Solution, SolveError> {
     let residual = move |t: f64, x: &[f64], d: &[f64], r: &mut [f64]| {
         for i in 0..n {
@@ -303,12 +309,13 @@ fn higher_index_is_reported_for_sparse_matrices() {
         assert!(undetermined.states.iter().all(|k| (80..120).contains(k)), "{error}");
         assert!(error.to_string().contains("index 2 or higher"), "{error}");
     }
-    // Too large to be looked at as dense: states that do not fulfil an equation are an error at least.
+    // The system is too large to be treated as dense. States that violate an equation are still an error.
     let Err(SolveError::Simulation(error)) = bound(200, 2, 5.0, true) else { panic!("solved") };
     assert!(matches!(error.kind, ErrorKind::Inconsistent { equation: 400, residual: 4.0 }), "{error}");
 }
 
-/// Equations and states in pairs, so that no column of `dF/dx'` is zero, sparse: consistent values are found.
+/// Consistent values are found for a sparse system with equations and states mixed in pairs, so that no
+/// column of `dF/dx'` is zero.
 #[test]
 fn mixed_states_of_sparse_systems_are_corrected() {
     let n = 60;
@@ -329,7 +336,7 @@ fn mixed_states_of_sparse_systems_are_corrected() {
     assert!((end[2 * n - 2] + end[2 * n - 1] - exact(2.0)).abs() < 2e-7, "{:?}", &end[..2]);
 }
 
-/// Where the residual is NaN smaller steps are tried, up to the place itself.
+/// If the residual is NaN, smaller steps are tried, up to the time at which it becomes NaN.
 #[test]
 fn nan_residual_ends_run_at_its_time() {
     let root = |_: f64, x: &[f64], d: &[f64], r: &mut [f64]| r[0] = d[0] + 1.0 - 0.0 * x[0].sqrt();
@@ -349,7 +356,8 @@ fn panic_in_residual_propagates() {
     let _ = solve_dae(|_, _, _, _| panic!("of the user"), 0.0..1.0, &[1.0], &[0.0]).run();
 }
 
-/// Jacobians of the user, a pattern, and differences: the same solution; the first two take fewer residuals.
+/// Jacobians of the user, a pattern, and differences give the same solution. The first two need fewer
+/// residuals.
 #[test]
 fn user_jacobians_give_the_same_solution() {
     let plain = solved(&AKZO, 1e-6);
@@ -389,7 +397,7 @@ fn large_sparse_dae_is_solved() {
     let mode = |i: usize| (k * (i + 1) as f64).sin();
     let decay = 2.0 * (k.cos() - 1.0);
     let pattern = JacobianPattern::new(2 * n, places).unwrap();
-    // Consistent, and with a guess of the forces.
+    // With consistent forces, and with guessed forces.
     for guess in [decay, 7.0] {
         let x0: Vec<f64> = (0..n).map(mode).chain((0..n).map(|i| guess * mode(i))).collect();
         let solution = solve_dae(residual, 0.0..100.0, &x0, &vec![0.0; 2 * n])
@@ -404,7 +412,8 @@ fn large_sparse_dae_is_solved() {
     }
 }
 
-/// Leaving algebraic states out of the error test takes fewer steps, and the differential ones keep their digits.
+/// Excluding algebraic states from the error test reduces the number of steps, and the differential states
+/// keep their digits.
 #[test]
 fn algebraic_states_can_be_excluded_from_error_test() {
     let plain = solved(&AKZO, 1e-6);
@@ -413,7 +422,7 @@ fn algebraic_states_can_be_excluded_from_error_test() {
     assert!(without.report.stats.accepted_steps != plain.1.accepted_steps);
 }
 
-/// Events: at y = 0.25 (x = 0.5) the state is put back to 1, twice, then the run ends.
+/// Events at y = 0.25 (x = 0.5) reset the state to 1 twice. The third event ends the run.
 #[test]
 fn events_restart_with_consistent_states() {
     let decay = |_: f64, x: &[f64], d: &[f64], r: &mut [f64]| {
@@ -442,9 +451,9 @@ fn events_restart_with_consistent_states() {
         assert!((x[0] - expected).abs() < 1e-7 && (x[1] - expected * expected).abs() < 1e-7, "{t}: {x:?}");
     }
     assert_eq!(dense.at(5.0), None);
-    // The value after the event, consistent.
+    // The values after the event are consistent.
     let mut after = solution.states.iter().filter(|x| x[0] == 1.0).collect::<Vec<_>>();
-    // At the last event the run ends before anything is made consistent.
+    // At the last event, the run ends before the states are made consistent.
     assert_eq!(after.pop(), Some(&vec![1.0, solution.events[0][2].1[1]]));
     assert!(after.len() == 3 && after.iter().all(|x| (x[1] - 1.0).abs() < 1e-8), "{after:?}");
 }

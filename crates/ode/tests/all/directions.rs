@@ -1,4 +1,4 @@
-//! Events that are wanted in one direction of a crossing only.
+//! Events that are requested in only one direction of a crossing.
 
 #![allow(clippy::unwrap_used)]
 
@@ -60,7 +60,7 @@ fn options(method: Method, max_step: Option<f64>) -> Options {
 #[test]
 fn crossings_in_opposite_direction_are_ignored() {
     for method in ALL {
-        // Euler's circle grows by 2 pi^2 h a turn, and its turns are as long as they should be up to h^2.
+        // Euler's circle grows by 2 pi^2 h per turn. The duration of a turn is accurate to h^2.
         let bar = if method == Method::Euler { 1e-4 } else { 1e-7 };
         for (direction, sign, first) in [(Direction::Up, 1, 1.0), (Direction::Down, -1, 0.5)] {
             let mut wave = Wave::new(0.0, Some(direction));
@@ -68,7 +68,8 @@ fn crossings_in_opposite_direction_are_ignored() {
                 .unwrap()
                 .run(&mut wave, 0.0, 3.75, &[], &mut Ignore)
                 .unwrap();
-            // At the start it is at zero, on its way up: that is an event of this direction, a hair after the start.
+            // At the start, the indicator is at zero and rising. This is an event of this direction,
+            // immediately after the start.
             let wanted = wave.seen.iter().filter(|(t, _)| *t > 0.1);
             let times: Vec<f64> = wanted.clone().map(|(t, _)| *t).collect();
             assert_eq!(times.len(), if sign == 1 { 3 } else { 4 }, "{}: {:?}", method.name(), wave.seen);
@@ -88,12 +89,13 @@ fn ignored_crossings_do_not_change_steps() {
             let mut seen = Recorder::default();
             let mut wave = Wave::new(-0.5, direction);
             let mut driver = Driver::new(options(method, None)).unwrap();
-            // It comes down through 0.5 at 5/12, and up again not before the end.
+            // The sine falls through 0.5 at 5/12 and does not rise through it again before the end.
             let report = driver.run(&mut wave, 0.25, 1.0, &[1.0], &mut seen).unwrap();
             (seen.rows, report.stats.accepted_steps, report.stats.right_hand_sides, report.stats.state_events)
         };
         let (rows, steps, calls, events) = run(Some(Direction::Up));
-        // Where steps are looked into DOP853 pays for its interpolation; so exactly Auto integrates with it.
+        // DOP853 needs additional evaluations for its interpolation when steps are examined. At this
+        // tolerance, Auto uses DOP853.
         let extra = if matches!(method, Method::Dop853 | Method::Auto) { 3 * steps } else { 0 };
         let without = run(None);
         assert_eq!((rows, steps, events), (without.0, without.1, 0), "{}", method.name());
@@ -103,7 +105,7 @@ fn ignored_crossings_do_not_change_steps() {
 
 #[test]
 fn return_inside_a_step_is_an_event() {
-    // Below zero from 0.727 to 0.773 only: steps of 0.1 go over it.
+    // The indicator is negative only from 0.727 to 0.773, so steps of 0.1 pass over this interval.
     let (down, up) = (0.727_473_293_177_793_95, 0.772_526_706_822_206_05);
     for method in [Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf] {
         for (direction, time) in [(Direction::Down, down), (Direction::Up, up)] {

@@ -1,4 +1,5 @@
-//! Corners of the driver: large times, ends at the start, events that change nothing, refused samples, near instants.
+//! Edge cases of the driver: large times, an end at the start, events that change nothing, refused samples,
+//! and instants close to each other.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -135,7 +136,7 @@ fn input_jumps_cost_no_more_than_time_events() {
 
 #[test]
 fn refused_sample_shrinks_step() {
-    // x' = -50 x: interpolants of large steps dip below zero, where the output has no value.
+    // x' = -50 x: interpolants of large steps dip below zero, where the output is undefined.
     let mut system = Scripted {
         x0: vec![1.0],
         f: |_, x, dx| dx[0] = -50.0 * x[0],
@@ -191,7 +192,7 @@ fn repeated_time_event_is_an_error() {
     assert_eq!(error.time, 0.5);
 }
 
-/// Contrary to its contract, an input announces the same instant over and over.
+/// An input violates its contract and announces the same instant repeatedly.
 #[test]
 fn repeated_input_stop_is_an_error() {
     struct Stuck {
@@ -219,7 +220,7 @@ fn repeated_input_stop_is_an_error() {
     }
 }
 
-/// Without states nothing but a refused point makes a step smaller; the next one is as long as ever.
+/// Without states, only a refused point shortens a step. The next step has its usual length.
 #[test]
 fn refused_point_without_states_shrinks_one_step() {
     struct Clock {

@@ -129,7 +129,7 @@ fn dry_friction_turning_points_match_closed_form() {
     assert_eq!(seen.rows.last().unwrap().3[1], 0.0);
 }
 
-/// Counts time events; no states at all.
+/// Counts time events. Has no states.
 struct Stair {
     counter: f64,
     last: f64,
@@ -198,7 +198,8 @@ fn recorded_events_have_two_rows_and_requested_times_have_index() {
     );
 }
 
-/// x' = u with u = 1 up to t = 1, -2 after it (a jump), kink at 2 where u starts to grow with slope 3.
+/// x' = u. The input u is 1 up to t = 1 and -2 afterwards (a jump). At t = 2 (a kink), it starts to grow with
+/// slope 3.
 struct Driven {
     after_jump: bool,
     inputs_seen: Vec<(f64, f64)>,
@@ -252,7 +253,7 @@ fn input_jumps_are_events_and_kinks_end_steps() {
     }
 }
 
-/// Asks for a step event after every step, refuses x < 0 (a square root), or fails altogether.
+/// Requests a step event after every step, refuses x < 0 (a square root), or fails.
 struct Odd {
     step_events: bool,
     discard_below: f64,
@@ -289,7 +290,8 @@ fn step_events_avoid_restart_when_nothing_changes() {
     assert_eq!(report.stats.restarts, 0);
 }
 
-/// (sin t, cos t) beside a state that follows the first at this rate, with an event at each crossing, which does nothing.
+/// (sin t, cos t) and a state that follows the first one at this rate. An event without effect happens at
+/// each crossing.
 struct Silent {
     rate: f64,
     events: usize,
@@ -315,7 +317,7 @@ impl HybridSystem for Silent {
     }
 }
 
-/// That the slope of what was interpolated is not the right-hand side is no reason for a restart.
+/// A difference between the slope of an interpolant and the right-hand side does not cause a restart.
 #[test]
 fn state_events_avoid_restart_when_nothing_changes() {
     for rate in [1.0, 50.0, 1e5] {
@@ -334,8 +336,8 @@ fn state_events_avoid_restart_when_nothing_changes() {
                 let ((with, x), (without, y)) = (run(2), run(0));
                 let name = format!("{} rate {rate} at {relative_tolerance:e}", method.name());
                 assert_eq!((with.state_events, with.restarts), (19, 0), "{name}");
-                // Steps that end at the events, and no new beginnings. DOP853, which is in Auto too, ends one before an event
-                // that its interpolant has put a little too early.
+                // Steps end at the events, but there are no restarts. DOP853, which Auto also uses, ends one
+                // step before an event that its interpolant places slightly too early.
                 let (steps, plain) = (with.accepted_steps, without.accepted_steps);
                 let per_event = if matches!(method, Method::Auto | Method::Dop853) { 2 } else { 1 };
                 assert!(steps < 3 * plain / 2 + per_event * with.state_events, "{name}: {steps} for {plain}");
@@ -348,7 +350,7 @@ fn state_events_avoid_restart_when_nothing_changes() {
 
 #[test]
 fn refused_points_shrink_steps_and_error_reports_numbers() {
-    // x = (1 - t/2)^2 reaches 0 at t = 2; at 1.9 all is well, beyond 2 nothing can be evaluated.
+    // x = (1 - t/2)^2 reaches 0 at t = 2. A run to 1.9 succeeds; beyond 2, nothing can be evaluated.
     let mut odd = Odd { step_events: false, discard_below: 0.0, fail_after: 9.0 };
     let mut d = driver(Method::Tsit5, Options { relative_tolerance: 1e-8, ..Options::default() });
     let mut seen = Recorder::default();
@@ -448,7 +450,7 @@ fn zero_span_and_times_near_1e9_are_supported() {
     let report = d.run(&mut ball, t0, t0 + 4.0, &[t0 + 4.0], &mut seen).unwrap();
     assert_eq!(report.stats.state_events, 11);
     for (t, e) in seen.event_times().iter().zip(bounce_times(0.1, 100)) {
-        // Up there, times within 100 u t = 1.1e-5 are one, and each bounce passes its error on.
+        // Near 1e9, times within 100 u t = 1.1e-5 are equal, and each bounce passes on its error.
         assert!((t - t0 - e).abs() < 1e-3, "{t}");
     }
 }

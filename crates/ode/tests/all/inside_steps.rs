@@ -1,4 +1,4 @@
-//! Between the ends of steps the solution is as accurate as at them.
+//! The solution is as accurate inside steps as at their ends.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -71,7 +71,7 @@ fn interpolation_is_accurate_for_stiff_component_on_slow_path() {
     }
 }
 
-/// The same with a clock that ticks each 0.4 and changes nothing.
+/// As above, with a clock that ticks every 0.4 and changes nothing.
 struct Clocked;
 
 impl HybridSystem for Clocked {
@@ -106,7 +106,7 @@ fn interpolation_is_accurate_with_clock_events() {
     }
 }
 
-/// 0 = z - sin t beside x' = 0: nothing but the algebraic state says how long steps may be.
+/// 0 = z - sin t and x' = 0: only the algebraic state limits the step size.
 struct Algebraic;
 
 impl HybridSystem for Algebraic {
@@ -158,7 +158,7 @@ fn interpolation_is_accurate_for_smooth_oscillation() {
     }
 }
 
-/// x' = -rate (x - u) with u a triangle of kinks at whole numbers.
+/// x' = -rate (x - u), where u is a triangle wave with kinks at integers.
 struct Follower {
     rate: f64,
 }
@@ -168,7 +168,8 @@ fn triangle(t: f64) -> f64 {
 }
 
 impl Follower {
-    /// On each slope the state goes exponentially to the path `slope / rate` behind the input.
+    /// Returns the exact solution. On each slope, the state exponentially approaches the path that is `slope
+    /// / rate` behind the input.
     fn exact(&self, t: f64) -> f64 {
         let (mut x, mut slope) = (0.0, 1.0);
         for kink in 0..=t as usize {
@@ -213,7 +214,7 @@ fn interpolation_is_accurate_after_input_kink() {
                 let points: Vec<(f64, f64)> = seen.rows.iter().map(|row| (row.0, row.3[0])).collect();
                 let off = largest(&points, |t| follower.exact(t)) / tolerance;
                 assert!(off <= 12.0, "{} at rate {rate}, {tolerance:e}: {off} tolerances", method.name());
-                // The step after the last kink tells what this one needs.
+                // The step after the last kink determines the size of this step.
                 assert!(method != Method::Radau5 || stats.rejected_steps <= 20, "{tolerance:e}: {stats:?}");
             }
         }

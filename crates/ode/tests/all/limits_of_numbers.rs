@@ -1,4 +1,5 @@
-//! Where doubles come to their limits: times far from zero, steps too small to see, numbers that are not finite.
+//! Limits of double precision: times far from zero, steps too small to resolve, and numbers that are not
+//! finite.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -15,8 +16,8 @@ fn oscillator() -> Smooth<impl FnMut(f64, &[f64], &mut [f64])> {
     Smooth { x0: vec![1.0, 0.0], f: |_: f64, x: &[f64], dx: &mut [f64]| dx.copy_from_slice(&[x[1], -x[0]]) }
 }
 
-/// A system that knows no time goes the same way wherever its time begins: what rounding takes from one step it must
-/// give to the next.
+/// An autonomous system has the same solution for any start time. The time that rounding removes from one
+/// step must be added to the next.
 #[test]
 fn accuracy_is_kept_at_times_far_from_zero() {
     for method in ADAPTIVE {
@@ -59,7 +60,8 @@ fn steps_below_rounding_are_rejected_or_enlarged() {
     assert!(error.to_string().starts_with("step size 0.001 is too small"), "{error}");
 }
 
-/// Solutions that grow without bound end in an error about steps, not in a swarm of steps that do not advance.
+/// A solution that grows without bound ends with an error about steps, not with many steps that do not
+/// advance.
 #[test]
 fn diverging_solution_is_an_error() {
     for method in ADAPTIVE {
@@ -79,7 +81,7 @@ fn diverging_solution_is_an_error() {
     }
 }
 
-/// A right-hand side that is not finite where a run begins has nothing to do with its steps.
+/// A right-hand side that is not finite at the start of a run is not reported as a problem of the step size.
 #[test]
 fn error_reports_start_that_cannot_be_evaluated() {
     for method in ALL {
@@ -120,7 +122,7 @@ fn vanishing_absolute_tolerances_count_as_zero() {
     }
 }
 
-/// Where times are tiny, or huge, messages do not count zeros.
+/// Messages use exponents for very small and very large times.
 #[test]
 fn messages_format_numbers_with_exponents() {
     let mut driver = Driver::new(Options::default()).unwrap();
@@ -141,7 +143,7 @@ fn messages_format_numbers_with_exponents() {
     );
 }
 
-/// Either tolerance may be zero: SciPy and CVODE take that, too.
+/// Either tolerance may be zero, as in SciPy and CVODE.
 #[test]
 fn either_tolerance_can_be_zero() {
     let (sine, cosine) = 10f64.sin_cos();

@@ -11,15 +11,15 @@ use ode::*;
 enum Cause {
     Indicator,
     FallingIndicator,
-    /// An indicator of a state that is the time.
+    /// An indicator of a state that equals the time.
     Clock,
     Time,
-    /// A step event where an input ends a step.
+    /// A step event at the end of a step that an input shortens.
     Step,
     Input,
 }
 
-/// `x' = -rate x`, set to 10 by the event at `at`, beside a state that is the time.
+/// `x' = -rate x`, set to 10 by the event at `at`, and a state that equals the time.
 struct Jump {
     cause: Cause,
     at: f64,
@@ -87,7 +87,7 @@ fn time_listed_twice_yields_values_before_and_after_event() {
             for (start, span) in [(0.0, 2.0), (-1.0, 2.0), (1000.0, 2.0), (0.0, 1e5)] {
                 for k in 0..40 {
                     for record_events in [false, true] {
-                        // Multiples of the golden section leave no regular remainders.
+                        // Multiples of the golden ratio avoid regular remainders.
                         let at = start + span * (0.1 + 0.8 * (0.618_033_988_749_895 * f64::from(k)).fract());
                         let mut seen = Recorder::default();
                         let options = Options { method, record_events, ..Options::default() };
@@ -115,7 +115,7 @@ fn time_listed_twice_yields_values_before_and_after_event() {
     assert!(wrong.is_empty(), "{} wrong:\n{}", wrong.len(), wrong[..wrong.len().min(12)].join("\n"));
 }
 
-/// Two requested times that rounding alone tells apart are one time that is listed twice.
+/// Two requested times that differ only by rounding count as one time that is listed twice.
 #[test]
 fn times_within_rounding_count_as_listed_twice() {
     for method in Method::ALL {

@@ -1,4 +1,4 @@
-//! The tests of the stepper that may share a process. Those that count allocations are programs of their own.
+//! Tests of the stepper that can share a process. Tests that count allocations are separate programs.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 #[path = "../common/mod.rs"]

@@ -43,7 +43,7 @@ fn solve<F: FnMut(f64, &[f64], &mut [f64])>(
     seen.rows[0].3.clone()
 }
 
-/// Robertson's reaction with the last equation replaced by conservation: the same solution.
+/// Robertson's reaction with the last equation replaced by conservation. The solution does not change.
 #[test]
 fn robertson_with_conservation_matches_robertson() {
     let exact = [7.158270687194050905e-1, 9.185534764557763904e-6, 2.841637457458303518e-1];
@@ -66,8 +66,9 @@ fn robertson_with_conservation_matches_robertson() {
     }
 }
 
-/// The chemical Akzo Nobel problem of the IVP test set (F. Mazzia, C. Magherini, Test Set for Initial Value Problem
-/// Solvers, 2008, II-1), in which an equilibrium decides the last concentration; its values at t = 180 are theirs.
+/// The chemical Akzo Nobel problem of the IVP test set (F. Mazzia, C. Magherini, Test Set for Initial Value
+/// Problem Solvers, 2008, II-1), in which an equilibrium determines the last concentration. The values at t =
+/// 180 come from the test set.
 #[test]
 fn akzo_nobel_is_accurate_from_any_guess() {
     let exact = [
@@ -121,8 +122,8 @@ fn akzo_nobel_is_accurate_from_any_guess() {
     }
 }
 
-/// x' = z with 0 = x^2 + z^2 - 1 on the branch z > 0 from x = 0: sin and cos. Then the same with equations mixed, so that
-/// the matrix is singular but has no zero row.
+/// x' = z with 0 = x^2 + z^2 - 1 on the branch z > 0 from x = 0: sin and cos. A second version mixes the
+/// equations, so that the matrix is singular but has no zero row.
 #[test]
 fn algebraic_states_are_solved_with_mixed_equations() {
     let plain =
@@ -177,7 +178,7 @@ fn rejects_unsupported_mass_matrices() {
     }
 }
 
-/// What the equations without derivatives decide may be given as a guess.
+/// States that are determined by the equations without derivatives may be given as guesses.
 #[test]
 fn algebraic_guess_is_corrected_at_start() {
     struct Told<F> {
@@ -202,11 +203,12 @@ fn algebraic_guess_is_corrected_at_start() {
             Ok(())
         }
     }
-    // x' = -x + y, with y + y^3 = 10 + 20 x and z = x y - 3: at x = 1 these are 3 and 0.
+    // x' = -x + y, with y + y^3 = 10 + 20 x and z = x y - 3. At x = 1, y = 3 and z = 0.
     let plain = |_: f64, x: &[f64], d: &mut [f64]| {
         d.copy_from_slice(&[x[1] - x[0], x[1] + x[1].powi(3) - 10.0 - 20.0 * x[0], x[2] - x[0] * x[1] + 3.0]);
     };
-    // The same times a matrix from the left, and for states u with x = B u: nothing in it is zero.
+    // This system is multiplied by a matrix from the left and written in states u with x = B u, so that it
+    // contains no zeros.
     let (a, b) = (
         [[2.0, 1.0, -1.0], [1.0, 1.0, 0.5], [-1.0, 2.0, 1.0]],
         [[1.0, 2.0, 0.5], [-1.0, 1.0, 1.0], [0.5, 0.0, 2.0]],
@@ -276,7 +278,7 @@ fn inconsistent_start_is_an_error_with_equation_and_residual() {
         let mut dae = Dae { x0, mass, f: |_: f64, x: &[f64], d: &mut [f64]| f(x, d) };
         Driver::new(Options::default()).unwrap().run(&mut dae, 0.5, 1.0, &[], &mut Ignore)
     };
-    // No y has y^2 + 1 = 0; at 2 it is 5.
+    // y^2 + 1 = 0 has no solution. The residual at y = 2 is 5.
     let error = run(vec![1.0, 2.0], vec![1.0, 0.0, 0.0, 0.0], |x, d| {
         d.copy_from_slice(&[-x[0], x[1] * x[1] + 1.0]);
     })
@@ -284,15 +286,15 @@ fn inconsistent_start_is_an_error_with_equation_and_residual() {
     let ErrorKind::Inconsistent { equation: 1, residual } = error.kind else { panic!("{error}") };
     assert_eq!(residual, 5.0);
     assert!(error.to_string().contains("t = 0.5") && error.to_string().contains("equation 1"), "{error}");
-    // Of index 2: the equation says what x must be, and y is what keeps it there.
+    // A system of index 2: the equation determines x, and y keeps it there.
     let index_2 = |x: &[f64], d: &mut [f64]| d.copy_from_slice(&[x[1], x[0] - 1.0]);
     let error = run(vec![1.5, 0.0], vec![1.0, 0.0, 0.0, 0.0], index_2).unwrap_err();
     assert!(matches!(error.kind, ErrorKind::Inconsistent { equation: 1, residual: 0.5 }), "{error}");
-    // Consistent, it is not refused.
+    // Consistent values are accepted.
     run(vec![1.0, 0.0], vec![1.0, 0.0, 0.0, 0.0], index_2).unwrap();
 }
 
-/// At t = 1 a valve is opened: the states stay, the flow that they make jumps.
+/// At t = 1, a valve opens. The states do not change, but the flow that they cause jumps.
 #[test]
 fn algebraic_states_are_corrected_at_events() {
     struct Valve {

@@ -1,4 +1,5 @@
-//! What every method must do: events where they belong, samples as good as steps, the same bits again.
+//! Requirements for every method: correct event times, samples as accurate as steps, and bit-for-bit
+//! identical repetitions.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -102,7 +103,7 @@ fn coincident_events_share_one_visit() {
     }
 }
 
-/// sin(2 pi t) dips below -0.99 for 0.045 only.
+/// sin(2 pi t) is below -0.99 for only 0.045 units of time.
 #[test]
 fn crossing_and_return_within_a_step_are_located() {
     for &method in ADAPTIVE {
@@ -139,7 +140,7 @@ fn jump_indicators_are_located_loosely_when_allowed() {
             (turning.seen[0].0, report.stats.event_indicators)
         };
         let ((tight, many), (loose, few)) = (run(false), run(true));
-        // Radau5 repeats its step, and is content with a thousandth of its tolerance.
+        // Radau5 repeats its step and locates the event to a thousandth of its tolerance.
         let bar = if method == Method::Radau5 { 1e-9 } else { 1e-14 };
         assert!((0.0..bar).contains(&(tight - 0.3)), "{}: {tight}", method.name());
         assert!((0.0..1e-9).contains(&(loose - 0.3)), "{}: {loose}", method.name());
@@ -166,7 +167,7 @@ fn second_run_is_bitwise_identical_for_every_method() {
     }
 }
 
-/// x' = -1000 (x - u) with u a triangle of kinks at whole numbers, up to t = 5, where it jumps to 3.
+/// x' = -1000 (x - u), where u is a triangle wave with kinks at integers up to t = 5, where it jumps to 3.
 struct Follower(Vec<f64>);
 
 impl HybridSystem for Follower {
@@ -201,16 +202,16 @@ fn input_jumps_are_hit_with_and_without_kinks() {
         let mut seen = Recorder::default();
         driver(method, 1e-6).run(&mut follower, 0.0, 6.0, &[4.5, 5.0, 5.0, 6.0], &mut seen).unwrap();
         assert_eq!(follower.0, [5.0], "{}", method.name());
-        // On a slope s the state follows s / 1000 behind.
+        // On a slope s, the state is s / 1000 behind the input.
         let expected = [0.499, 0.999, 0.999, 3.0];
         for (row, e) in seen.rows.iter().zip(expected) {
-            // An explicit method walks along its limit of stability here.
+            // An explicit method operates at its stability limit here.
             assert!((row.3[0] - e).abs() < 3e-5, "{}: {row:?} instead of {e}", method.name());
         }
     }
 }
 
-/// x' = -sqrt(x), refused below zero, or x' = log(1 - t) with a NaN beyond 1.
+/// x' = -sqrt(x), refused below zero, or x' = log(1 - t), which is NaN after t = 1.
 #[test]
 fn refused_points_shrink_steps_and_then_fail() {
     for &method in ADAPTIVE {
@@ -238,7 +239,7 @@ fn systems_without_states_or_span_finish() {
     }
 }
 
-/// Keeps the state in the middle of every step, and where steps begin and end.
+/// Stores the state in the middle of every step, and the ends of the steps.
 #[derive(Default)]
 struct Steps {
     spans: Vec<(f64, f64)>,
@@ -285,7 +286,7 @@ fn observer_can_interpolate_inside_steps() {
             assert!((pair[0][1][0] - pair[1][0][0]).abs() < 1e-14, "{}", method.name());
         }
     }
-    // A step that is cut by an event ends there, with the state before it.
+    // A step that an event shortens ends at the event, with the state before it.
     for &method in ADAPTIVE {
         let mut steps = Steps::default();
         let mut ball = Ball { v_min: 0.1, resting: false };
@@ -325,7 +326,7 @@ fn results_are_bitwise_identical_across_threads_and_instances() {
     }
 }
 
-/// A right-hand side that jumps each half second, and no event tells of it.
+/// A right-hand side that jumps every half second without an event.
 #[test]
 fn bdf_restarts_at_order_1_after_three_failures() {
     let problem = problems::Problem {
@@ -339,6 +340,6 @@ fn bdf_restarts_at_order_1_after_three_failures() {
         ..problems::Problem::default()
     };
     let stats = problem.end_state(problem.options(Method::Bdf, 1e-8)).unwrap().1;
-    // 2903 with the order lowered by one at a time.
+    // It needs 2903 if the order is lowered by one at a time.
     assert!(stats.right_hand_sides < 2750, "{stats:?}");
 }

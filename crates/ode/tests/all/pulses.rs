@@ -1,4 +1,4 @@
-//! A force that acts between two events: no method goes on over it as if nothing had happened.
+//! A force that acts between two events. No method may step over it.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -7,12 +7,12 @@ use crate::common;
 use common::*;
 use ode::*;
 
-/// Who tells the right-hand side that the force acts, and who declares the two instants.
+/// How the right-hand side detects the force, and how the two instants are declared.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Kind {
     /// The right-hand side reads the time; indicators `t - a`, `t - b`.
     Rising,
-    /// The same with `a - t`, `b - t`: zero already belongs to the new domain.
+    /// As `Rising`, with `a - t`, `b - t`: zero already belongs to the new domain.
     Falling,
     /// The right-hand side reads the time, and the force acts at both instants.
     Closed,
@@ -26,7 +26,7 @@ enum Kind {
     State,
 }
 
-/// `x_i' = -(x_i - u_i)`, of which only the last has a force `u`, and a state that is the time.
+/// `x_i' = -(x_i - u_i)`, where only the last has a force `u`, and a state that equals the time.
 struct Pulse {
     kind: Kind,
     n: usize,
@@ -99,7 +99,8 @@ fn force_between_two_events_is_integrated() {
             for (length, area) in [(10.0, 10.0), (1.0, 1.0), (1e-2, 1.0), (1e-5, 0.5), (1e-7, 0.5)] {
                 for n in [1, 40] {
                     for rtol in [1e-3, 1e-6, 1e-9] {
-                        // Where instants are known to 1e-14 so short a pulse has no area to nine digits.
+                        // Instants are known only to 1e-14, so the area of such a short pulse is not accurate
+                        // to nine digits.
                         let too_short = length < 1e-6 && rtol < 1e-6;
                         if too_short || method.is_fixed_step() && (length < 1.0 || rtol != 1e-6) {
                             continue;

@@ -1,10 +1,10 @@
-//! What the message of a run that failed says: the value that was not finite, and the index of a system that is too high.
+//! Messages of failed runs: the value that was not finite, and a system whose index is too high.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use ode::*;
 
-/// `x_i' = 1`, with a value of one sort that is not finite from some time on.
+/// `x_i' = 1`, with one kind of value that is not finite after a certain time.
 struct Bad {
     what: Evaluated,
     value: f64,
@@ -92,7 +92,7 @@ fn error_reports_non_finite_value() {
     }
 }
 
-/// `M x' = f`, by closures.
+/// `M x' = f`, defined by closures.
 struct Dae {
     x0: Vec<f64>,
     mass: Vec<f64>,
@@ -128,17 +128,17 @@ fn error_reports_higher_index_only_for_index_above_one() {
     const G: f64 = 9.81;
     let ones = [1.0, 1.0, 1.0, 1.0, 0.0];
     let high: [System; 4] = [
-        // x = sin t decides y = cos t only when it is differentiated.
+        // x = sin t determines y = cos t only after differentiation.
         (vec![0.0, 1.0], vec![1.0, 0.0], |t, x, d| d.copy_from_slice(&[x[1], x[0] - t.sin()])),
-        // The pendulum, by its length: index 3.
+        // The pendulum with a constraint on its length has index 3.
         (vec![1.0, 0.0, 0.0, 0.0, 0.0], ones.to_vec(), |_, x, d| {
             d.copy_from_slice(&[x[2], x[3], -x[0] * x[4], -x[1] * x[4] - G, x[0] * x[0] + x[1] * x[1] - 1.0]);
         }),
-        // By the speed along its rod: index 2, from a state that is not consistent.
+        // With a constraint on the speed along the rod, it has index 2. The start is not consistent.
         (vec![1.0, 0.0, 0.3, 0.0, 0.0], ones.to_vec(), |_, x, d| {
             d.copy_from_slice(&[x[2], x[3], -x[0] * x[4], -x[1] * x[4] - G, x[0] * x[2] + x[1] * x[3]]);
         }),
-        // An equation that says nothing at all.
+        // An equation that does not contain any state.
         (vec![0.0, 1.0], vec![1.0, 0.0], |t, x, d| d.copy_from_slice(&[x[1], (20.0 * t).sin()])),
     ];
     for method in [Method::Radau5, Method::Auto, Method::Bdf] {
@@ -152,13 +152,13 @@ fn error_reports_higher_index_only_for_index_above_one() {
         }
     }
     let low: [System; 4] = [
-        // x = y^2 ends where y is 0.
+        // The solution of x = y^2 ends when y is 0.
         (vec![1.0, 1.0], vec![1.0, 0.0], |_, x, d| d.copy_from_slice(&[-1.0, x[1] * x[1] - x[0]])),
         // x' = y, y = x^2: infinite at t = 1.
         (vec![1.0, 1.0], vec![1.0, 0.0], |_, x, d| d.copy_from_slice(&[x[1], x[0] * x[0] - x[1]])),
-        // Not consistent, and nothing that is.
+        // The start is not consistent, and no consistent states exist.
         (vec![1.0, 2.0], vec![1.0, 0.0], |_, x, d| d.copy_from_slice(&[-x[0], x[1] * x[1] + 1.0])),
-        // The state of the algebraic equation is a million times the other.
+        // The algebraic state is a million times as large as the other one.
         (vec![1.0, 1e6], vec![1.0, 0.0], |_, x, d| {
             d.copy_from_slice(&[1e-12 * x[1] * x[1], 1e-6 * x[1] - x[0]])
         }),

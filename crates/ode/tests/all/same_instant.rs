@@ -1,4 +1,4 @@
-//! Events that rounding alone tells apart, or from the end of the run, are events of one instant, with every method.
+//! Events that differ only by rounding, or from the end of the run, happen at one instant, with every method.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -7,12 +7,12 @@ use crate::common;
 use common::*;
 use ode::*;
 
-/// Ticks at `start + k period`, each of which counts only if the system is shown its very time, and `x' = n`.
+/// Ticks at `start + k period`, and `x' = n`. A tick counts only if the system receives exactly its time.
 struct Ticks {
     start: f64,
     period: f64,
     n: u32,
-    /// It may be shown no event before this.
+    /// The system must not receive an event before this time.
     shown: f64,
 }
 
@@ -49,7 +49,7 @@ impl HybridSystem for Ticks {
     }
 }
 
-/// The end of a run is what a person writes for `start + k * period`.
+/// The end of a run is the number that a user would write for `start + k * period`.
 #[test]
 fn tick_at_end_counts_when_rounded_past_end() {
     let mut behind = 0;
@@ -67,7 +67,7 @@ fn tick_at_end_counts_when_rounded_past_end() {
                     let what = format!("{} from {start} to {end} by {period}", method.name());
                     assert_eq!((report.termination, report.time), (Termination::Finished, end), "{what}");
                     assert_eq!(report.stats.time_events, u64::from(k), "{what}");
-                    // x is the integral of the ticks before.
+                    // x is the integral of the previous ticks.
                     let [found, n] = seen.rows.last().unwrap().3[..] else { panic!("{what}") };
                     let x = 0.5 * f64::from(k * (k - 1)) * period;
                     assert_eq!(n, f64::from(k), "{what}");
@@ -79,7 +79,8 @@ fn tick_at_end_counts_when_rounded_past_end() {
     assert!(behind > 100, "{behind}");
 }
 
-/// A time event at `at` and an indicator that a state makes pass zero there, or two indicators: each adds 1 to the last state.
+/// A time event at `at` and an indicator of a state that crosses zero there, or two indicators. Each event
+/// adds 1 to the last state.
 struct Two {
     at: f64,
     by_time: bool,

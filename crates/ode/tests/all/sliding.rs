@@ -1,5 +1,5 @@
-//! Bodies that come to rest with `ChatteringPolicy::Slide`: each stays on the side of its floor that it came from, whatever the sign of
-//! its indicator, the direction declared and what the event leaves behind.
+//! Bodies that come to rest with `ChatteringPolicy::Slide`. Each stays on its initial side of the floor, for
+//! any sign of its indicator, any declared direction and any state that the event leaves.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -10,21 +10,21 @@ use ode::*;
 
 const METHODS: [Method; 5] = [Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf];
 
-/// What the event does with a body that has crossed: its place, and its speed beside that of the floor.
+/// Effect of the event on a body that has crossed: its position, and its speed relative to the floor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Handler {
-    /// It is put on the floor, or left where it is found.
+    /// True if the body is put on the floor; false if it is left where it was found.
     puts_on_floor: bool,
     speed: Speed,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Speed {
-    /// Reversed, whatever it is.
+    /// Always reversed.
     Reversed,
-    /// Away from the floor, whatever it was.
+    /// Always away from the floor.
     Away,
-    /// Reversed where it leads into the floor; else nothing is changed at all.
+    /// Reversed if it leads into the floor; otherwise nothing changes.
     ReversedIfInwards,
 }
 
@@ -42,12 +42,12 @@ struct Bodies {
     bodies: Vec<Body>,
     drift: f64,
     drag: f64,
-    /// The indicator is the height above the floor times this.
+    /// Factor of the height above the floor in the indicator.
     sign: f64,
     direction: Direction,
     handler: Handler,
     t0: f64,
-    /// The lowest gap so far, as a share of the height that the body has fallen from.
+    /// Smallest gap so far, as a fraction of the height from which the body fell.
     deepest: f64,
 }
 
@@ -142,7 +142,7 @@ impl Case {
         let direction = random.of(&[Direction::Down, Direction::Either, Direction::Either, Direction::Both]);
         let mut speed = random.of(&[Speed::Reversed, Speed::Away, Speed::ReversedIfInwards]);
         if direction == Direction::Both && speed == Speed::Reversed {
-            // FMI's rule tells of a body that leaves the floor, too.
+            // With FMI's rule, leaving the floor is also an event.
             speed = Speed::ReversedIfInwards;
         }
         let time = (2.0 * size / gravity).sqrt();
@@ -160,7 +160,7 @@ impl Case {
         Self { system, method, rtol, span: time * random.of(&[4.0, 12.0]) }
     }
 
-    /// What is wrong with the run, if anything is.
+    /// Runs the case. Returns a description of the error, if there is one.
     fn run(&mut self) -> Result<(), String> {
         let Self { system, method, rtol, span } = self;
         let options = Options {
@@ -178,7 +178,8 @@ impl Case {
             system.note(*t, x);
         }
         let scale = |b: &Body| {
-            // What still slides comes back within a hundred steps: so deep does it fall in the last of them.
+            // A ball that still slides returns within a hundred steps. This is how deep it sinks in the last
+            // hundred steps.
             let step = ChatteringPolicy::SLIDING_STEP * *span;
             (100.0 * *rtol * (b.height + b.floor.abs()) + 50.0 * b.gravity * step * step) / b.height
         };
@@ -188,14 +189,14 @@ impl Case {
         }
         match outcome {
             Ok(_) => Ok(()),
-            // What its tolerance leaves of bounces may go on for long.
+            // Bounces within the tolerance may continue for a long time.
             Err(e) if *method == Method::Bdf && matches!(e.kind, ErrorKind::TooManySteps(_)) => Ok(()),
             Err(e) => Err(e.to_string()),
         }
     }
 }
 
-/// Cases drawn with this seed for each method.
+/// Runs random cases with this seed for each method.
 fn run_cases(seed: u64, count: usize) {
     let mut wrong = Vec::new();
     for method in METHODS {

@@ -1,5 +1,5 @@
-//! Large systems whose pattern is known: coloured differences and sparse decompositions, against closed forms and against
-//! the same system taken as dense.
+//! Large systems with a known pattern: coloured differences and sparse decompositions, compared with closed
+//! forms and with dense matrices.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -8,7 +8,8 @@ use crate::common;
 use common::*;
 use ode::*;
 
-/// Heat on a square of `m * m` inner points with cold borders; starts with the slowest mode, which only decays.
+/// Heat on a square of `m * m` inner points with cold borders. The start is the slowest mode, which only
+/// decays.
 struct Heat {
     m: usize,
     pattern: Option<JacobianPattern>,
@@ -79,7 +80,8 @@ fn heat_equation_matches_closed_form() {
             let off = (x - decay * heat.mode(p)).abs();
             assert!(off < 2e-6, "{} at {p}: {off:e}", method.name());
         }
-        // A Jacobian of 324 columns from a handful of differences. (So short a time is not stiff to `auto`.)
+        // A Jacobian of 324 columns from a few differences. (For such a short time, the system is not stiff
+        // for `auto`.)
         let implicit = stats.jacobians > 0 || method == Method::Auto;
         assert!(implicit && stats.right_hand_sides < 1500, "{}: {stats:?}", method.name());
     }
@@ -124,8 +126,9 @@ impl HybridSystem for Chain {
     }
 }
 
-/// It is not stiff, and the explicit method is as good as any. A trial of Radau5 is cheap where its matrices are sparse; where they
-/// are dense, one takes as long as thousands of right-hand sides. x_k(t) = exp(-t) t^k / k!.
+/// The system is not stiff, so the explicit method is as good as any other. A trial of Radau5 is cheap with
+/// sparse matrices. With dense matrices, one trial costs as much as thousands of right-hand sides. x_k(t) =
+/// exp(-t) t^k / k!.
 #[test]
 fn auto_avoids_dense_decompositions_when_pattern_is_sparse() {
     let n = 1000;

@@ -1,4 +1,4 @@
-//! Cancelling and the time limit also end long steps: no evaluation follows, in whatever part of a step they come.
+//! Cancellation and the time limit also end long steps. No evaluation follows, in any part of a step.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -10,7 +10,7 @@ use std::time::Duration;
 const METHODS: &[Method] =
     &[Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf, Method::Rk4, Method::Euler];
 
-/// A chain of tanks with a level that is watched; counts evaluations, and at one of them calls `then`.
+/// A chain of tanks with an indicator for a level. Counts evaluations, and calls `then` at one of them.
 struct Chain<F> {
     calls: u64,
     at: u64,
@@ -78,7 +78,8 @@ fn run(
 #[test]
 fn cancelled_run_makes_no_further_evaluations() {
     for &method in METHODS {
-        // The first differences of a Jacobian are evaluations 3 to 42 or so; later ones are Newton's, stages, indicators.
+        // Evaluations 3 to about 42 are the first differences of a Jacobian. Later ones belong to Newton's
+        // method, stages and indicators.
         for at in (1..60).chain([97, 150, 151, 152, 153, 154, 155, 1003]) {
             let flag = Arc::new(AtomicBool::new(false));
             let set = Arc::clone(&flag);
@@ -102,7 +103,7 @@ fn timed_out_run_makes_no_further_evaluations() {
     }
 }
 
-/// Ends a run at the sample of this number, by the flag or by its next poll.
+/// Ends a run at the tenth sample, by the flag or at its next poll.
 struct Rows {
     flag: Option<Arc<AtomicBool>>,
     samples: usize,

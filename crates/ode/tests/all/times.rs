@@ -1,4 +1,4 @@
-//! Where the time of a run goes: into the model, or around it. Bounds from below only, by sleeping.
+//! Time of a run inside and outside the model. Sleeping gives lower bounds only.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -9,7 +9,7 @@ use std::time::Duration;
 
 const NAP: Duration = Duration::from_millis(2);
 
-/// A decay that is reset at `t = 0.5`; sleeps in each of the calls that are named.
+/// A decay that is reset at `t = 0.5`, and sleeps in each of the named calls.
 struct Sleepy {
     in_derivatives: bool,
     in_events: bool,
@@ -69,7 +69,7 @@ fn slow_calls_count_as_time_in_model() {
         let stats = driver.run(&mut system, 0.0, 1.0, &[], &mut Ignore).unwrap().stats;
         let (seconds, in_model) = (stats.seconds.get(), stats.seconds_in_model.get());
         assert!(system.naps >= if in_events { 2 } else { 20 }, "{}", system.naps);
-        // The clock's own time is subtracted.
+        // The time of reading the clock is subtracted.
         assert!(in_model > 0.99 * naps(system.naps) && in_model <= seconds, "{in_model} of {seconds}");
     }
 }

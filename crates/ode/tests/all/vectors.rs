@@ -1,4 +1,4 @@
-//! Reference vectors: every method, its bar in correct digits, and error against tolerance.
+//! Reference values: required correct digits of every method, and error as a function of the tolerance.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -7,7 +7,7 @@ use crate::problems;
 use ode::*;
 use problems::{Problem, nonstiff, stiff};
 
-/// At rtol 1e-6 and 1e-10 each problem must have this many correct digits.
+/// Checks that each problem has the required number of correct digits at rtol 1e-6 and 1e-10.
 fn meets(method: Method, problem: &Problem, bars: [f64; 2]) {
     for (rtol, bar) in [1e-6, 1e-10].into_iter().zip(bars) {
         let (digits, stats) = problem.run(method, rtol);
@@ -15,8 +15,8 @@ fn meets(method: Method, problem: &Problem, bars: [f64; 2]) {
     }
 }
 
-/// Over tolerances from 1e-4 to 1e-10 the error goes with a power of the tolerance of at least one half, and no run is
-/// more than ten times worse than that line; errors near rounding are left out.
+/// Checks that the error between rtol 1e-4 and 1e-10 follows a power of the tolerance of at least one half.
+/// No run may be more than ten times worse than that line. Errors near rounding are excluded.
 fn follows_the_tolerance(method: Method, problem: &Problem) {
     let points: Vec<(f64, f64)> = (4..=10)
         .map(|k| -f64::from(k))
@@ -48,9 +48,8 @@ fn bdf_reaches_required_digits() {
     }
 }
 
-/// `auto` must notice stiffness at every tolerance: it never takes the hundreds of
-/// thousands of right-hand sides that Tsit5 alone would, and what is not
-/// stiff it solves by Tsit5 alone.
+/// `auto` must detect stiffness at every tolerance. It never needs the hundreds of thousands of right-hand
+/// sides of Tsit5 alone, and it solves problems that are not stiff with Tsit5 only.
 #[test]
 fn auto_switches_only_for_stiff_problems() {
     for p in stiff::all() {
@@ -102,8 +101,8 @@ fn explicit(method: Method) {
 }
 
 #[test]
-#[ignore = "a table to read"]
-fn table() {
+#[ignore = "a prints_a_table_of_decomposition_times to read"]
+fn prints_a_table_of_decomposition_times() {
     for (methods, problems) in [
         (vec![Method::Radau5, Method::Bdf, Method::Auto], stiff::all()),
         (vec![Method::Tsit5, Method::Dop853], nonstiff::all()),
@@ -133,8 +132,8 @@ fn table() {
 
 #[test]
 fn auto_needs_little_more_than_radau5_for_stiff_problems() {
-    // At tight tolerances accuracy keeps Tsit5's steps well within its stability: the products of step and eigenvalue say
-    // nothing, and a trial has to tell.
+    // At tight tolerances, accuracy keeps the steps of Tsit5 well within its stability limit. The products of
+    // step and eigenvalue then contain no information, and a trial must decide.
     for problem in problems::stiff::all() {
         for rtol in [1e-8, 1e-10] {
             let (_, auto) = problem.run(Method::Auto, rtol);

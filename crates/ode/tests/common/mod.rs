@@ -4,7 +4,7 @@
 use ode::*;
 use std::ops::ControlFlow;
 
-/// Keeps everything the driver says.
+/// Stores all reports of the driver.
 #[derive(Default)]
 pub struct Recorder {
     pub rows: Vec<(f64, Option<usize>, Side, Vec<f64>)>,
@@ -92,7 +92,7 @@ impl HybridSystem for Ball {
     }
 }
 
-/// Bounce times of [`Ball`] in closed form.
+/// Returns the bounce times of [`Ball`] in closed form.
 pub fn bounce_times(v_min: f64, most: usize) -> Vec<f64> {
     let (g, e) = (9.81_f64, 0.7);
     let mut v = (2.0 * g).sqrt();

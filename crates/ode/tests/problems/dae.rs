@@ -1,7 +1,7 @@
-//! Differential-algebraic problems `F(t, x, x') = 0` of the IVP test set (F. Mazzia, C. Magherini, Test Set for Initial
-//! Value Problem Solvers, release 2.4, University of Bari, 2008), with its solutions.
+//! Differential-algebraic problems `F(t, x, x') = 0` of the IVP test set (F. Mazzia, C. Magherini, Test Set
+//! for Initial Value Problem Solvers, release 2.4, University of Bari, 2008), with the published solutions.
 
-/// A problem: residual, start, end, solution there.
+/// A problem: residual, start, end, and the solution at the end.
 #[derive(Clone, Copy)]
 pub(crate) struct Dae {
     pub(crate) name: &'static str,
@@ -9,12 +9,12 @@ pub(crate) struct Dae {
     pub(crate) x0: &'static [f64],
     pub(crate) end: f64,
     pub(crate) reference: &'static [f64],
-    /// Absolute tolerance, as a share of the relative one.
+    /// Absolute tolerance, as a fraction of the relative tolerance.
     pub(crate) atol: f64,
 }
 
 impl Dae {
-    /// Correct digits: minus the logarithm of the largest relative error.
+    /// Returns the number of correct digits: minus the logarithm of the largest relative error.
     pub(crate) fn digits(&self, x: &[f64]) -> f64 {
         let error = |(x, e): (&f64, &f64)| ((x - e) / e).abs();
         -x.iter().zip(self.reference).map(error).fold(0.0, f64::max).log10()
@@ -60,7 +60,7 @@ fn akzo_residual(_: f64, y: &[f64], d: &[f64], out: &mut [f64]) {
     out[5] = 115.83 * y[0] * y[3] - y[5];
 }
 
-/// Chemical Akzo Nobel (II-1): an equilibrium decides the last concentration.
+/// Chemical Akzo Nobel (II-1): an equilibrium determines the last concentration.
 pub(crate) const AKZO: Dae = Dae {
     name: "Akzo Nobel",
     residual: akzo_residual,
@@ -108,7 +108,7 @@ fn amplifier_residual(t: f64, y: &[f64], d: &[f64], r: &mut [f64]) {
     }
 }
 
-/// The transistor amplifier (II-5): no state is algebraic by itself, sums of equations are.
+/// The transistor amplifier (II-5): no single state is algebraic, but sums of equations are.
 pub(crate) const AMPLIFIER: Dae = Dae {
     name: "amplifier",
     residual: amplifier_residual,

@@ -64,7 +64,7 @@ impl HybridSystem for Coulomb {
 /// (sin 2 pi t, cos 2 pi t) as a state; an indicator `sin 2 pi t + 0.99` and any number of others from a function of time.
 pub struct Turning {
     pub also: fn(f64) -> Vec<f64>,
-    /// What crossed, with its time.
+    /// Crossings and their times.
     pub seen: Vec<(f64, Vec<i8>)>,
     /// The next announced time event, once.
     pub announced: Option<f64>,

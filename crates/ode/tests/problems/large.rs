@@ -1,6 +1,6 @@
-//! Larger problems and stiff oscillators: a circuit, a beam, and partial differential equations on a grid, with the pattern of
-//! their Jacobian. Their references were computed with two of our methods at tight tolerances, which agree to all digits
-//! that the tests ask for.
+//! Larger problems and stiff oscillators: a circuit, a beam, and partial differential equations on a grid,
+//! with the pattern of their Jacobian. Their references were computed with two of our methods at tight
+//! tolerances, which agree in all digits that the tests require.
 
 use super::Problem;
 use ode::JacobianPattern;
@@ -166,8 +166,8 @@ pub fn beam() -> Problem {
     }
 }
 
-/// Penetration of radio-labelled antibodies into a tumour (the same test set, problem II-11, Medical Akzo Nobel): 200 cells of a
-/// transformed line, 400 states. What is offered at the border ends at `t = 5`.
+/// Penetration of radio-labelled antibodies into a tumour (the same test set, problem II-11, Medical Akzo
+/// Nobel): 200 cells of a transformed line, 400 states. The supply at the border ends at `t = 5`.
 pub fn medical_akzo() -> Problem {
     const CELLS: usize = 200;
     let near = |j: usize| {

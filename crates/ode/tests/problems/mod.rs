@@ -1,6 +1,6 @@
-//! Test problems with reference values: computed in quadruple precision with Radau IIA of order 19, two tolerances that
-//! agree in all digits shown; they agree with the published values of the test set of Bari and CWI (F. Mazzia,
-//! C. Magherini) in the digits those are good for.
+//! Test problems with reference values. The values were computed in quadruple precision with Radau IIA of
+//! order 19, at two tolerances that agree in all digits shown. They agree with the published values of the
+//! test set of Bari and CWI (F. Mazzia, C. Magherini) within the accuracy of those values.
 #![allow(dead_code, unreachable_pub)]
 
 pub mod hybrid;
@@ -19,14 +19,15 @@ pub struct Problem {
     pub x0: Vec<f64>,
     pub end: f64,
     pub f: fn(f64, &[f64], &mut [f64]),
-    /// Which derivatives depend on which states, where that is known.
+    /// Sparsity pattern of the Jacobian, if known.
     pub pattern: Option<JacobianPattern>,
-    /// Of the states at the end, each `stride`-th.
+    /// Every `stride`-th state at the end.
     pub reference: Vec<f64>,
     pub stride: usize,
-    /// Absolute tolerance per relative tolerance.
+    /// Ratio of absolute to relative tolerance.
     pub atol: f64,
-    /// The error is the largest one over the largest component, not the largest relative one.
+    /// True if the error is the largest error divided by the largest component, instead of the largest
+    /// relative error.
     pub by_largest: bool,
 }
 
@@ -63,7 +64,7 @@ impl HybridSystem for Problem {
     }
 }
 
-/// Keeps the last sample.
+/// Stores the last sample.
 struct Last(Vec<f64>);
 
 impl Observer for Last {
@@ -93,7 +94,7 @@ impl Problem {
             .log10()
     }
 
-    /// Runs it; the state at the end and what it cost.
+    /// Runs the problem. Returns the state at the end and the cost.
     pub fn end_state(&self, options: Options) -> Result<(Vec<f64>, Stats), Box<SimulationError>> {
         let mut last = Last(Vec::new());
         let mut driver = Driver::new(options).unwrap();
@@ -101,7 +102,7 @@ impl Problem {
         Ok((last.0, report.stats))
     }
 
-    /// Runs it; correct digits and what they cost.
+    /// Runs the problem. Returns the correct digits and the cost.
     pub fn solve(&self, options: Options) -> Result<(f64, Stats), Box<SimulationError>> {
         let (x, stats) = self.end_state(options)?;
         Ok((self.digits(&x), stats))
@@ -115,7 +116,7 @@ impl Problem {
     }
 }
 
-/// The problems on which `auto` is held against the best method.
+/// Returns the problems on which `auto` is compared with the best method.
 pub fn judging() -> Vec<Problem> {
     use {large::*, nonstiff::*, stiff::*};
     vec![

@@ -112,7 +112,7 @@ pub fn arenstorf() -> Problem {
     }
 }
 
-/// A planet on an ellipse of eccentricity 0.6, three times around: it returns to where it began.
+/// A planet on an ellipse of eccentricity 0.6 for three orbits. It returns to its start.
 pub fn two_body() -> Problem {
     let x0 = vec![0.4, 0.0, 0.0, 2.0];
     Problem {

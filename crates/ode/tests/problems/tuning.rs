@@ -1,10 +1,11 @@
-//! Problems on which rules and constants of `auto` were tried, with the table of those that judge it in view: the two are no
-//! independent samples. Their references are made when they are asked for, by a run at a tight tolerance.
+//! Problems used to tune the rules and constants of `auto`. The table of the judging problems was visible
+//! during the tuning, so the two sets are not independent samples. The references are computed on request, by
+//! a run at a tight tolerance.
 
 use super::Problem;
 use ode::{JacobianPattern, Method};
 
-/// The problem with the end of a run at rtol 1e-12 as its reference.
+/// Returns the problem with the end of a run at rtol 1e-12 as its reference.
 fn with_reference(mut problem: Problem, method: Method) -> Problem {
     problem.reference = problem.end_state(problem.options(method, 1e-12)).unwrap().0;
     problem
@@ -26,7 +27,7 @@ macro_rules! van_der_pol {
     };
 }
 
-/// A planet on an ellipse, five times around.
+/// A planet on an ellipse for five orbits.
 fn kepler(name: &'static str, e: f64) -> Problem {
     let x0 = vec![1.0 - e, 0.0, 0.0, ((1.0 + e) / (1.0 - e)).sqrt()];
     Problem {
@@ -162,7 +163,8 @@ fn nerve() -> Problem {
     with_reference(plain, Method::Dop853)
 }
 
-/// Diffusion through 60 dense coupled cells: a full matrix of known spectrum, real from 1 to 1e4, that no pattern helps with.
+/// Diffusion through 60 dense coupled cells: a full matrix without a useful pattern. Its spectrum is known:
+/// real, from 1 to 1e4.
 fn dense_diffusion() -> Problem {
     let plain = Problem {
         name: "Dense diffusion",
