@@ -1,4 +1,5 @@
-//! So many evaluations of the cost of an example in this process, for `benches/instructions.py`, which counts their instructions.
+//! Evaluates the cost of an example a given number of times in this process, for `benches/instructions.py`,
+//! which counts the instructions.
 //!
 //!     cargo bench --bench evaluations -- furuta tsit5 20
 #![allow(clippy::unwrap_used, clippy::print_stdout, clippy::panic)]
@@ -12,7 +13,7 @@ use fmufit::ode::Method;
 /// A parameter and its start value.
 type Fitted = (&'static str, f64);
 
-/// An example and how it is compared.
+/// An example and the data it is compared with.
 struct Case {
     model: &'static str,
     kind: ExampleKind,

@@ -1,8 +1,8 @@
-"""Fits an FMU with its own solver (co-simulation) to a recording in other units than the model's: cm and ms.
+"""Fits an FMU with its own solver (co-simulation) to a recording in cm and ms instead of the model's units.
 
-The recording is that of quad_tank.py in the form of a data logger. The columns state their units, and the values are
-converted to the units of the model's variables. The fitted model is then exported: a report, the parameters for other
-tools (`.ssv`), and a copy of the FMU with new start values.
+The recording of quad_tank.py is in the form that a data logger would write. The columns declare their units, and the
+values are converted to the units of the model's variables. The fitted model is then exported: a report, the parameters
+for other tools (`.ssv`), and a copy of the FMU with new start values.
 """
 
 import tempfile

@@ -95,7 +95,7 @@ def of_pydfo(x0: np.ndarray, sigma: float, bounds: list[tuple[float, float]] | N
 
 
 def of_pycma(x0: np.ndarray, sigma: float, bounds: list[tuple[float, float]] | None, seed: int) -> Callable[[Counted], object]:
-    """Returns Hansen's solver, by ask and tell, without its own stopping tests."""
+    """Returns Hansen's solver, driven by ask and tell, without its stopping tests."""
     options = {"seed": seed + 1, "verbose": -9}
     if bounds is not None:
         lower, upper = np.array(bounds).T

@@ -2,7 +2,7 @@
 //! programming.
 //!
 //! [`main`] processes the arguments and returns the exit code, so any program can provide the command line.
-//! FMUs run in separate processes if the program first calls [`calibration::serve_if_worker`], or names
+//! FMUs run in separate processes if the program first calls [`calibration::serve_if_worker`], or specifies
 //! another program that does.
 //!
 //! Modules, from the lowest layer: `error`; `output_paths` (paths that may be written); `console` (output

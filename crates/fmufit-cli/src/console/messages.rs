@@ -32,7 +32,7 @@ pub(super) fn pass_on(is_quiet: bool) {
 /// Prints a message.
 pub(super) fn print(text: &str) {
     let bar = live().clone();
-    // The reader of the stream may be gone.
+    // The reader of the stream may have closed it.
     let write = || _ = writeln!(io::stderr(), "{}", visible(text));
     match bar {
         Some(bar) => bar.suspend(write),

@@ -36,7 +36,7 @@ impl Console {
     pub(crate) fn data(&self, text: &str) {
         let mut out = io::stdout().lock();
         match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
-            // The reader of the stream may be gone.
+            // The reader of the stream may have closed it.
             Err(error) if error.kind() != ErrorKind::BrokenPipe => _ = self.lost.replace(Some(error)),
             _ => {}
         }

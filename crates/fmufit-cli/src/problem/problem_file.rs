@@ -59,7 +59,7 @@ fn parameters_schema(generator: &mut SchemaGenerator) -> Schema {
     json_schema!({ "type": "array", "items": { "allOf": all }, "minItems": 1 })
 }
 
-/// A problem as it was written.
+/// A problem as written.
 pub(crate) struct ProblemFile {
     /// Path of the file; `None` for a problem from the command line.
     path: Option<PathBuf>,

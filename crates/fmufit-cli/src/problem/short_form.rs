@@ -67,7 +67,7 @@ fn parameter(text: &str) -> Result<Value, Error> {
     Ok(Value::Record(record))
 }
 
-/// Returns a variable and its column. A single name stands for both.
+/// Returns a variable and its column. A single name denotes both.
 fn column(text: &str) -> Result<Value, Error> {
     if !text.contains('=') {
         return Ok(Value::Text(text.to_owned()));

@@ -1,4 +1,4 @@
-//! Files and streams that a command reads and writes: none is lost or confused with another.
+//! Files and streams that a command reads and writes are not lost or confused with each other.
 
 use crate::fit::PROBLEM;
 use crate::support::{Folder, Ran, json};
