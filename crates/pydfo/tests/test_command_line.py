@@ -49,7 +49,7 @@ def test_description_limit_can_be_raised_in_every_command(tmp_path: Path) -> Non
     assert run(tmp_path, *short, "max_description_bytes=100").returncode == 2
 
 
-def test_exit_codes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+def test_exit_codes_distinguish_success_and_wrong_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     assert run(tmp_path, "fit", "none.toml").returncode == 2
     assert run(tmp_path, "--help").returncode == 0
     monkeypatch.setattr(sys, "argv", ["fmufit", "report", "none.fit", "a.html"])

@@ -191,9 +191,9 @@ def test_two_stage_fit_is_as_good_as_with_accurate_method(which):
 
 @pytest.mark.parametrize(("solver", "most"), [("auto", 200), ("bdf", 1000)])
 def test_fit_from_nominal_values_ends_despite_noisy_cost(solver, most):
-    """The samples of BDF jump by some of their tolerances.
+    """The samples of BDF jump by a few of their tolerances.
 
-    The cost of 9921 is rough by 10, and models of the residuals always predict too much improvement."""
+    The cost of 9921 is rough by about 10, so models of the residuals always predict too much improvement."""
     nominal = {"C1": 2500.0, "G1": 120.0, "C2": 9000.0, "G2": 80.0}
     fit = Calibration(
         example_fmu("exhaust"),

@@ -10,7 +10,7 @@ TIME = np.linspace(0.0, 3.0, 31)
 
 
 def decay(n=1, **more):
-    """Returns n recordings of x' = -2 x with an error of a thousandth."""
+    """Returns n recordings of x' = -2 x with an error of 0.001."""
     noise = 1e-3 * (-1.0) ** np.arange(31)
     runs = [Experiment({"time": TIME, "x": np.exp(-2.0 * TIME) + noise}, {"x": "x"}, name=f"<run> & {k}") for k in range(n)]
     return Calibration(example_fmu("dahlquist"), runs, Parameter("k", 1.0, 0.1, 10.0), **more)

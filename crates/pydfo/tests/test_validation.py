@@ -31,7 +31,7 @@ def two():
 
 @pytest.mark.skipif("published" not in recordings.at_hand("exhaust_measurements.csv"), reason="the published recording is not at hand")
 def test_exhaust_pipe_is_validated_after_ten_minutes():
-    """Both sets use simulations that start at 0, so that the walls have their history."""
+    """Both sets use simulations that start at 0, so that the wall temperatures include their history."""
     nominal = {"C1": 2500.0, "G1": 120.0, "C2": 9000.0, "G2": 80.0}
     bounds = {"C": (1.0, 5e4), "G": (0.01, 500.0)}
     parameters = [Parameter(name, start, *bounds[name[0]]) for name, start in nominal.items()]

@@ -73,7 +73,7 @@ def test_button_ends_the_fit(capsys):
 
 @pytest.mark.parametrize("settings", [{}, {"solver": "rk4", "step_size": 1e-4}])
 def test_stop_before_any_result_is_an_interrupt(monkeypatch, settings):
-    """While the solver is chosen, and at the first evaluation."""
+    """Ends the fit while the solver is chosen, and at the first evaluation."""
     monkeypatch.setattr("builtins.print", lambda text, **_: asked(text.split()[-1], "POST", "stop"))
     with pytest.raises(Interrupted) as info:
         decay(**settings).fit(rng=1, watch=True)

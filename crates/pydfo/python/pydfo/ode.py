@@ -207,7 +207,7 @@ def solve(
         ``event(t, y) -> float``: an event occurs when the value becomes positive or stops being positive. The
         attributes are those of SciPy. ``terminal`` is True, or the number of occurrences after which the run ends.
         ``direction`` selects upward (positive) or downward (negative) crossings in the direction of the integration,
-        also if it runs backward. Other crossings do not end a step. If a change of the states in `on_event` leaves a
+        even if it runs backward. Other crossings do not end a step. If a change of the states in `on_event` leaves a
         function at zero, its return to its previous sign is not an event. A bouncing ball therefore needs no
         ``direction``.
     on_event : callable, optional

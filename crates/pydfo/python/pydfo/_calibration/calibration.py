@@ -81,11 +81,11 @@ class Calibration(Evaluation):
         variable as long as the times is a column. Fields of structs are named ``rig.x``, and the columns of a matrix
         ``y[1]``, ``y[2]``.
 
-        The times are the column ``time`` in any case, the index of a DataFrame with this name, or an index of dates.
-        The name may include a unit in brackets or parentheses, such as ``time [ms]``. The units are s, ms, us, ns,
-        min, h and d, spelled exactly so. Durations (``timedelta64``, ``datetime.timedelta``) are also times. Dates
-        and times of day (``datetime64``, ``datetime``, strings such as 2024-05-31T13:45:10.5 or 31.05.2024 13:45:10)
-        are converted to seconds since the first one.
+        The times are the column ``time`` (in upper or lower case), the index of a DataFrame with this name, or an index
+        of dates. The name may include a unit in brackets or parentheses, such as ``time [ms]``. The units are s, ms,
+        us, ns, min, h and d, spelled exactly like this. Durations (``timedelta64``, ``datetime.timedelta``) are also
+        times. Dates and times of day (``datetime64``, ``datetime``, strings such as 2024-05-31T13:45:10.5 or 31.05.2024
+        13:45:10) are converted to seconds since the first one.
 
         A column name may include a unit (``phi [deg]``, ``T (degC)``), which may be omitted in arguments (``phi``).
         If the model also declares a unit of the variable, the column is converted. Units of different quantities are

@@ -35,7 +35,8 @@ class CostFields:
 def built(objective: Any, calibration: Calibration) -> CostFields:
     """Converts the argument ``objective``.
 
-    Calls a function once with measurements and slightly changed measurements, to find out if it returns residuals."""
+    Calls a function once with measurements and slightly changed measurements, to find out whether it returns residuals.
+    """
     if not callable(objective):
         return CostFields(_values.choice("objective", objective).strip().lower().replace("_", "-"), None, False)
     measured = calibration._native.measured_series()

@@ -38,7 +38,7 @@ def load_fit(path: PathLike, fmu: Any = None, inputs: Inputs | Mapping[str, Inpu
     Parameters
     ----------
     path : path
-        The file. Unlike a pickle, reading it runs no code from it, so it is suitable for fits of other people.
+        The file. Unlike a pickle, reading it runs no code from it, so it is suitable for fits from other people.
     fmu : path or FMUModel, optional
         The FMU, if it was moved since the fit. It must have the same content.
     inputs : dict of str to callable, optional

@@ -504,7 +504,7 @@ class Fit(OptimizeResult):
         The file is written in one step. It is a CBOR document (RFC 8949) with a hash of its content. It contains the
         recordings by value, the path of the FMU, a hash of the content of the FMU and its model description. The file
         contains no functions and no pickles, and reading it runs no code from it. A pickle of a fit, like any pickle,
-        runs code when it is read. Accept only files of `save` from people you do not trust.
+        runs code when it is read. From people you do not trust, accept only files written by `save`.
 
         Parameters
         ----------

@@ -81,7 +81,7 @@ def _log_level(level: int | str | None) -> int:
 
 
 def _log_request(logging: bool | str | Sequence[str]) -> tuple[bool, tuple[str, ...]]:
-    """Returns True if the FMU shall log, and the categories requested by name."""
+    """Returns True if the FMU should log, and the categories requested by name."""
     names = (logging,) if isinstance(logging, str) else tuple(logging) if isinstance(logging, (list, tuple)) else ()
     if names and all(isinstance(name, str) for name in names):
         return True, names
@@ -210,7 +210,7 @@ class FMUModel:
 
         "reset" calls the function of the FMU, "reinstantiate" creates a new instance and "process" starts a new
         process. It starts with "reset". If a simulation differs from the equal simulation in a fresh process, it
-        switches to the next way."""
+        switches to the next method."""
         return self._fmu.reuse()
 
     @cached_property
@@ -260,10 +260,10 @@ class FMUModel:
 
         Raises
         ------
-        There is no such variable. The message suggests the nearest names.
-            There is no such variable; the message offers the nearest names.
-        The type of the value does not match the variable.
-            The value is not of the type of the variable.
+        KeyError
+            There is no such variable. The message suggests the nearest names.
+        TypeError
+            The type of the value does not match the variable.
         ValueError
             The variable cannot be set (the message states the reason), the value is not finite, or the numbers of
             values and names differ.
@@ -336,11 +336,11 @@ class FMUModel:
             Elements of an array are separate inputs: ``{"time": t, "u[1]": a, "u[2]": b}``.
 
             Tables are linear between rows for continuous inputs of type Real (or Float32), and held constant for all
-            others. A time listed twice is a jump. Jumps are events. A step ends at every row with a change of slope,
-            so no pulse is too short to be seen. A co-simulation therefore also communicates at each such row, even if
+            others. A time listed twice is a jump. Jumps are events. A step ends at every row with a change of slope, so
+            no pulse is too short to be detected. A co-simulation therefore also communicates at each such row, even if
             this is more often than `step_size`; the log reports it once. If the model does not receive derivatives of
-            its inputs, it communicates at every row with a change of an input. A model with a fixed communication
-            step receives the inputs at its steps only.
+            its inputs, it communicates at every row with a change of an input. A model with a fixed communication step
+            receives the inputs at its steps only.
 
             Tunable parameters are driven like inputs. They are held constant between rows. They change at events in
             model exchange and at communication points in co-simulation. Functions can drive continuous inputs of

@@ -1,9 +1,9 @@
 """Evaluation of the objective: by an executor point by point, by a map, or with all points at once.
 
-The functions for a map and for all points at once have three arguments. These are the points of a batch, shape (S,
-n), their cutoffs, shape (S,), and a function that returns True if the run shall end. For each point they return a
-cost, `Above`, the raised exception, or Ellipsis for an omitted point. They may also return a pair of the run time in
-seconds and one of these.
+The functions for a map and for all points at once have three arguments. These are the points of a batch, shape (S, n),
+their cutoffs, shape (S,), and a function that returns True if the run should end. For each point they return a cost,
+`Above`, the raised exception, or Ellipsis for an omitted point. They may also return a pair of the run time in seconds
+and one of these.
 """
 
 from __future__ import annotations
