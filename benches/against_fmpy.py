@@ -98,7 +98,9 @@ def tightest(case: Case, times: np.ndarray) -> np.ndarray:
     model = pydfo.FMUModel(pydfo.example_fmu(case.model))
     for name, value in case.parameters.items():
         model.set(name, value)
-    result = model.simulate(0, case.stop, times=times, input=case.inputs, output=case.outputs, relative_tolerance=1e-12, solver="radau5")
+    result = model.simulate(
+        0, case.stop, times=times, input=case.inputs, output=case.outputs, relative_tolerance=1e-12, solver="radau5"
+    )
     return np.stack([result[name] for name in case.outputs])
 
 
@@ -175,10 +177,7 @@ class Ours:
         for name, value in self.case.parameters.items():
             self.model.set(name, value)
         result = self.model.simulate(
-            final_time=self.case.stop,
-            times=self.times,
-            input=self.case.inputs,
-            output=self.case.outputs,
+            final_time=self.case.stop, times=self.times, input=self.case.inputs, output=self.case.outputs,
             relative_tolerance=rtol,
         )
         return np.stack([result[name] for name in self.case.outputs])

@@ -111,7 +111,9 @@ def consistent(problem):
 
 
 def ours(problem, rtol):
-    res = ode.solve_dae(problem.residual, (0, problem.end), problem.x0, problem.dx0, [problem.end], rtol=rtol, atol=problem.atol * rtol)
+    res = ode.solve_dae(
+        problem.residual, (0, problem.end), problem.x0, problem.dx0, [problem.end], rtol=rtol, atol=problem.atol * rtol
+    )
     if not res.success:
         raise RuntimeError(res.message)
     return problem.digits(res.y[:, -1]), res.nfev, res.njev, res.stats.accepted_steps
@@ -125,7 +127,9 @@ def ida(problem, rtol):
         calls += 1
         r[:] = problem.residual(t, y, dy)
 
-    solver = IDA(residual, rtol=rtol, atol=problem.atol * rtol, algebraic_idx=problem.algebraic, max_num_steps=1_000_000)
+    solver = IDA(
+        residual, rtol=rtol, atol=problem.atol * rtol, algebraic_idx=problem.algebraic, max_num_steps=1_000_000
+    )
     res = solver.solve(np.array([0.0, problem.end]), np.array(problem.x0), problem.dx0)
     if not res.success:
         raise RuntimeError(res.message)
@@ -142,7 +146,9 @@ def main() -> None:
             rows = {rtol: run(problem, rtol) for rtol in [*tolerances, *TABLE] if rtol in tolerances or run is ours}
             digits, calls = zip(*((rows[rtol][0], rows[rtol][1]) for rtol in tolerances))
             line = np.polyfit(digits, np.log(calls), 1)
-            cells = ["{:.2f}/{}/{}/{}".format(*rows[rtol]) if rtol in rows else "not run" for rtol in TABLE]
+            cells = [
+                "{:.2f}/{}/{}/{}".format(*rows[rtol]) if rtol in rows else "not run" for rtol in TABLE
+            ]
             levels = [f"{np.exp(np.polyval(line, level)):7.0f}" for level in LEVELS]
             print(f"{name:11} {solver:10}" + "".join(f"{c:24}" for c in cells) + "-> " + "".join(levels), flush=True)
 

@@ -64,7 +64,6 @@ def function(number: int, n: int, instance: int) -> Callable[[Array], float]:
     if number == 2:
         return lambda x: float(conditioned @ oscillated(x - shift) ** 2)
     if number in (3, 15):
-
         def rastrigin(x: Array) -> float:
             if number == 3:
                 z = lam * asymmetric(oscillated(x - shift), 0.2)
@@ -77,7 +76,6 @@ def function(number: int, n: int, instance: int) -> Callable[[Array], float]:
         optimum, slope = 5.0 * signs, signs * 10.0**i
         return lambda x: float((5.0 * np.abs(slope) - slope * np.where(optimum * x < 25.0, x, optimum)).sum())
     if number == 6:
-
         def sector(x: Array) -> float:
             z = Q @ (lam * (R @ (x - shift)))
             s = np.where(z * shift > 0.0, 100.0, 1.0)
@@ -85,7 +83,6 @@ def function(number: int, n: int, instance: int) -> Callable[[Array], float]:
 
         return sector
     if number == 8:
-
         def rosenbrock(x: Array) -> float:
             z = max(1.0, np.sqrt(n) / 8.0) * (x - 0.75 * shift) + 1.0
             return float((100.0 * (z[:-1] ** 2 - z[1:]) ** 2 + (z[:-1] - 1.0) ** 2).sum())
@@ -94,14 +91,12 @@ def function(number: int, n: int, instance: int) -> Callable[[Array], float]:
     if number == 10:
         return lambda x: float(conditioned @ oscillated(R @ (x - shift)) ** 2)
     if number == 12:
-
         def cigar(x: Array) -> float:
             z = R @ asymmetric(R @ (x - shift), 0.5)
             return float(z[0] ** 2 + 1e6 * (z[1:] ** 2).sum())
 
         return cigar
     if number == 17:
-
         def schaffer(x: Array) -> float:
             z = lam * (Q @ asymmetric(R @ (x - shift), 0.5))
             s = np.sqrt(z[:-1] ** 2 + z[1:] ** 2)

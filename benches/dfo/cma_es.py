@@ -122,7 +122,10 @@ def cma_rows(seeds: int) -> Iterator[str]:
         costs |= {"Rosenbrock": rosenbrock}
         problems += [(f"box: {name}", n, f, np.full(n, -2.0), 0.3, bounds) for name, f in costs.items()]
     for name, n, f, x0, sigma, bounds in problems:
-        both = [[Counted(f, 5000 * n, TARGET).run(solver(x0, sigma, bounds, seed)) for seed in range(seeds)] for solver in (of_pydfo, of_pycma)]
+        both = [
+            [Counted(f, 5000 * n, TARGET).run(solver(x0, sigma, bounds, seed)) for seed in range(seeds)]
+            for solver in (of_pydfo, of_pycma)
+        ]
         ours, theirs = (float(np.median(counts)) for counts in both)
         reached = " / ".join(f"{np.isfinite(counts).mean():.0%}" for counts in both)
         yield f"| {name} | {n} | {ours:.0f} | {theirs:.0f} | {ours / theirs:.2f} | {reached} |"

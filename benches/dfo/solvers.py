@@ -95,7 +95,9 @@ def scipy_de() -> Solver:
             record.batch(len(points))
             return [function(x) for x in points]
 
-        return differential_evolution(record.f, p.bounds, maxiter=10**6, tol=0.0, rng=record.seed, workers=generation, updating="deferred")
+        return differential_evolution(
+            record.f, p.bounds, maxiter=10**6, tol=0.0, rng=record.seed, workers=generation, updating="deferred"
+        )
 
     return Solver(run, module="scipy")
 
@@ -257,7 +259,9 @@ SOLVERS: dict[str, Solver] = {
     "auto, residuals": ours("auto", residuals=True),
     "auto, global": ours("auto", search="global"),
     "SciPy Nelder-Mead": scipy_minimize("Nelder-Mead", xatol=0.0, fatol=0.0, maxfev=10**9, maxiter=10**9),
-    "SciPy Nelder-Mead, adaptive": scipy_minimize("Nelder-Mead", xatol=0.0, fatol=0.0, maxfev=10**9, maxiter=10**9, adaptive=True),
+    "SciPy Nelder-Mead, adaptive": scipy_minimize(
+        "Nelder-Mead", xatol=0.0, fatol=0.0, maxfev=10**9, maxiter=10**9, adaptive=True
+    ),
     "SciPy Powell": scipy_minimize("Powell", xtol=1e-12, ftol=1e-12, maxfev=10**9, maxiter=10**9),
     "SciPy least_squares trf": scipy_least_squares("trf"),
     "SciPy DE": scipy_de(),

@@ -1,6 +1,6 @@
 """Measures the gain from several workers, and the cost of ask and tell from Python.
 
-python benches/dfo/workers.py
+    python benches/dfo/workers.py
 """
 
 import time

@@ -1,7 +1,7 @@
 """Generates furuta.csv: the Furuta pendulum at known frictions with white noise, like a measurement.
 
-python generate_furuta.py            writes furuta.csv next to this file
-python generate_furuta.py --check    compares the file with the generated data
+    python generate_furuta.py            writes furuta.csv next to this file
+    python generate_furuta.py --check    compares the file with the generated data
 """
 
 import csv

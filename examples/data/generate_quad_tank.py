@@ -1,7 +1,7 @@
 """Generates quad_tank.csv: the quadruple tank with known outlets and white noise, like a measurement.
 
-python generate_quad_tank.py            writes quad_tank.csv next to this file
-python generate_quad_tank.py --check    compares the file with the generated data
+    python generate_quad_tank.py            writes quad_tank.csv next to this file
+    python generate_quad_tank.py --check    compares the file with the generated data
 """
 
 import csv

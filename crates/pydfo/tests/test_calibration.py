@@ -537,8 +537,8 @@ def test_groups_of_settings_equal_single_arguments(dahlquist):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"simulation": {"solver": "bdf"}, "solver": "bdf"}, "simulation and solver are both given; put solver into simulation"),
-        ({"simulation": {"sandbox": True}}, "simulation: unknown setting 'sandbox'; expected kind, solver"),
+        ({"simulation": {"solver": "bdf"}, "solver": "bdf"}, "simulation and solver are both specified; put solver into simulation"),
+        ({"simulation": {"sandbox": True}}, "simulation: unknown setting 'sandbox'; expected one of: kind, solver"),
         ({"process": 3}, "process must be a Process or a dict, not 3"),
         ({"max_stp": 1.0}, "no argument 'max_stp'; did you mean max_step?"),
     ],
