@@ -241,11 +241,11 @@ def main() -> None:
     arguments = parser.parse_args()
     warnings.filterwarnings("ignore", module="cma")
     versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("cma", "nlopt", "pygmo", "numpy"))
-    lines = ["# CMA-ES and pattern search beside their peers", "", f"`python benches/dfo/cma_es.py --seeds {arguments.seeds}`; {versions}.", ""]
+    lines = ["# CMA-ES and pattern search: comparison with other implementations", "", f"`python benches/dfo/cma_es.py --seeds {arguments.seeds}`; {versions}.", ""]
     for title, rows in (
         ("## CMA-ES: evaluations to 1e-6, medians", cma_rows(arguments.seeds)),
-        ("## CMA-ES with restarts: share of seeds (median of evaluations)", restart_rows(arguments.seeds)),
-        ("## Pattern search: share solved (median units)", pattern_rows()),
+        ("## CMA-ES with restarts: fraction of seeds that succeed (median of evaluations)", restart_rows(arguments.seeds)),
+        ("## Pattern search: fraction solved (median units)", pattern_rows()),
     ):
         print(title, flush=True)
         lines += [title, ""]

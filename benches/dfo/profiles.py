@@ -78,8 +78,8 @@ class Outcome:
         for odd in (False, True) if half == "all" else (False,):
             taus = self.taus or (0.0,)
             names = [f"tau {tau:g}" for tau in self.taus] or [f"f <= {self.target:g}"]
-            head = ["judging half" if odd else "solved % (median units)"] + names
-            head += [f"rounds, {w} at once" for w in self.workers] if len(self.workers) > 1 else []
+            head = ["assessment half" if odd else "solved % (median units)"] + names
+            head += [f"rounds ({w} in parallel)" for w in self.workers] if len(self.workers) > 1 else []
             rows = []
             for solver in self.runs:
                 row = [solver]

@@ -83,20 +83,20 @@ SETS: dict[str, Set] = {
         VECTOR + VECTOR_PEERS + SCALAR + PEERS,
     ),
     "bounded-active": Set(
-        "16 of the problems in a box that cuts every other coordinate before the minimum", lambda _: more_wild.bounded(True), 200,
+        "16 of the problems in a box that excludes the minimum in every other coordinate", lambda _: more_wild.bounded(True), 200,
         (1e-3, 1e-6), VECTOR + VECTOR_PEERS + SCALAR + PEERS,
     ),
     "failing": Set(
-        "17 problems in boxes of which a part fails (NaN)", lambda _: more_wild.failing(), 200, (1e-3, 1e-6),
+        "17 problems in boxes where some points fail (NaN)", lambda _: more_wild.failing(), 200, (1e-3, 1e-6),
         VECTOR + VECTOR_PEERS + SCALAR + PEERS,
     ),
     "calibration": Set(
-        "28 fits of engineering from three starts each, 1 % noise in the data", lambda _: list(calibration_like.problems(False)),
+        "28 fits of engineering models from three starts each, 1 % noise in the data", lambda _: list(calibration_like.problems(False)),
         200, (1e-3, 1e-5), VECTOR + ("DFO-LS, x / |x0|", *VECTOR_PEERS, "nelder-mead", "quadratic-model", "COBYQA, x / |x0|"),
         workers=ROUNDS,
     ),
     "calibration-bounded": Set(
-        "the same in boxes, a bound active in most", lambda _: list(calibration_like.problems(True)), 200, (1e-3, 1e-5),
+        "the fits of `calibration` in boxes, most with an active bound", lambda _: list(calibration_like.problems(True)), 200, (1e-3, 1e-5),
         VECTOR + (*VECTOR_PEERS, "nelder-mead", "quadratic-model", "COBYQA, x / |x0|"), workers=ROUNDS,
     ),
     **{
@@ -170,7 +170,7 @@ def main() -> None:
         outcome = run(name, arguments.method, arguments.half, seeds, arguments.jobs)
         text = f"# {name}: {chosen.what}\n\n    python benches/dfo/run.py {' '.join(sys.argv[1:])}\n\n"
         text += f"{versions()}; Python {platform.python_version()}. Budget {chosen.factor} (n{'' if chosen.per_n else ' + 1'}) "
-        text += f"evaluations, {seeds} seeds. Even numbers tune, odd ones judge.\n\n"
+        text += f"evaluations, {seeds} seeds. Problems with even numbers are for tuning, those with odd numbers for assessment.\n\n"
         text += outcome.tables(arguments.half)
         if arguments.each:
             text += outcome.each()
