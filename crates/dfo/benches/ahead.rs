@@ -2,7 +2,8 @@
 //! starts, one evaluation in ten takes ten times as long. Prints the time with one worker divided by the time
 //! with more workers (the median over the starts). The number in brackets is the maximum number of calls per
 //! evaluation of the path. Rosenbrock's function and `decay` were used to choose how many speculative
-//! evaluations run at once (`evaluation/speculative_evaluations.rs`); the other functions judge the choice.
+//! evaluations run at once (`evaluation/speculative_evaluations.rs`); the choice is assessed on the other
+//! functions.
 #![allow(clippy::print_stdout, clippy::unwrap_used, unreachable_pub)]
 
 #[path = "../tests/common/clocked.rs"]

@@ -1,7 +1,7 @@
 //! Benchmark for the choice of a method for costs without residuals: `auto` and the methods it can choose, on
-//! smooth, noisy, non-smooth, bounded and calibration-like problems. Prints the share of solved problems and
-//! the median number of evaluations in units of n + 1, in which unsolved problems count as infinite. `ratio`:
-//! the median in units of the smallest number of the single methods.
+//! smooth, noisy, non-smooth, bounded and calibration-like problems. Prints the fraction of solved problems
+//! and the median number of evaluations in units of n + 1, in which unsolved problems count as infinite.
+//! `ratio`: the median in units of the smallest number of the single methods.
 //!
 //! `cargo bench --bench choice -- [seed K] [set PART] [each] [own]`. `seed`: other starts (each parameter
 //! times 1 + u/4, u uniform in (-1, 1)) and other noise. `set`: only sets whose name contains PART. `each`: a
@@ -20,7 +20,7 @@ use problems::{Instance, instances, residuals, start};
 
 type Cost = Box<dyn Fn(&[f64]) -> f64 + Send + Sync>;
 
-/// A problem: the cost that a method evaluates, and the cost that judges its result.
+/// A problem: the cost that a method evaluates, and the cost for the assessment of its result.
 struct Problem {
     name: String,
     start: Vec<f64>,

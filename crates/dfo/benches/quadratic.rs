@@ -1,6 +1,6 @@
-//! Tuning of the constants of quadratic models: share of solved problems and median of the evaluations in
-//! units of n + 1. The even halves of the smooth instances, fits and boxes tune the constants (`cargo bench
-//! --bench quadratic`). The odd halves judge them (`-- judge`).
+//! Tuning of the constants of quadratic models: fraction of solved problems and median of the evaluations in
+//! units of n + 1. The even halves of the smooth instances, fits and boxes tune the constants (`cargo
+//! bench --bench quadratic`). The odd halves are for their assessment (`-- judge`).
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::panic)]
 
 #[path = "../tests/problems/mod.rs"]

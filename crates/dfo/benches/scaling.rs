@@ -1,5 +1,5 @@
 //! Speed-up by many workers, measured with a simulated clock: each evaluation takes one unit of time, and a
-//! fixed share of them ten. Prints the table of benches/scaling.md and writes its plot to the path given
+//! fixed fraction of them ten. Prints the table of benches/scaling.md and writes its plot to the path given
 //! after `--`.
 #![allow(clippy::print_stdout, clippy::unwrap_used, unreachable_pub)]
 

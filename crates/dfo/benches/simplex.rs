@@ -1,6 +1,6 @@
-//! Tuning of the constants of Nelder-Mead: share of solved problems and median of the evaluations. The even
-//! halves of the fits and of the boxes tune the constants (`cargo bench --bench simplex`). The odd halves
-//! (`-- judge`) and the problems of Moré and Wild judge them.
+//! Tuning of the constants of Nelder-Mead: fraction of solved problems and median of the evaluations. The
+//! even halves of the fits and of the boxes tune the constants (`cargo bench --bench simplex`). The odd
+//! halves (`-- judge`) and the problems of Moré and Wild are for their assessment.
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 #[path = "../tests/problems/mod.rs"]

@@ -186,7 +186,7 @@ pub enum Error {
         /// Vertices given.
         got: usize,
     },
-    /// A vertex of an initial simplex has a coordinate that is not finite or is outside of the box.
+    /// A vertex of an initial simplex has a coordinate that is not finite or is outside the box.
     #[error(
         "initial simplex: coordinate x[{index}] = {value} of vertex {vertex} is outside its bounds [{lower}, \
          {upper}]", value = Number(*.value), lower = Number(*.lower), upper = Number(*.upper)

@@ -236,7 +236,7 @@ fn ask_tell_run_resumes_from_its_checkpoint() {
                 break;
             }
         }
-        // The driven run resumes from the same file and is already over.
+        // The driven run resumes from the same file and has already ended.
         let again = boxed(minimize(probe), &method).max_evaluations(150).trace_limit(100);
         let again = again.checkpoint(Checkpoint::new(&path).resume(Resume::Require)).run().unwrap();
         let n = whole.n_evaluations;
@@ -342,7 +342,7 @@ fn warm_start_begins_with_known_points() {
             .unwrap();
         assert_eq!((&flat.x, flat.fun), (&first.x, first.fun), "{method:?}");
     }
-    // Points outside of the box of the new run are not used.
+    // Points outside the box of the new run are not used.
     let elsewhere = minimize(rosenbrock).start(&[5.0, 5.0]).bounds(&[4.0; 2], &[6.0; 2]).unwrap();
     let cold = elsewhere.warm_start(&first.trace).max_evaluations(50).run().unwrap();
     assert_eq!((cold.trace.get(0).unwrap().x, cold.n_cached), (&[5.0, 5.0][..], 0));
@@ -402,8 +402,8 @@ fn generations_allocate_nothing_after_first_rounds() {
     assert_eq!(measure(&Genetic::default()), 0);
 }
 
-/// A run that ended by its budget is over, whatever its plan. When resumed, it evaluates nothing and returns
-/// the same result.
+/// A run that its budget has ended does not continue, whatever its plan. When resumed, it evaluates nothing
+/// and returns the same result.
 #[test]
 fn run_ended_by_budget_stays_over() {
     let folder = tempfile::tempdir().unwrap();

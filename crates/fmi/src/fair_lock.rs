@@ -56,7 +56,7 @@ impl FairLock {
             state.last_number += 1;
             let number = state.last_number;
             state.waiting.push_back(number);
-            // Removes the entry also if `wait` panics.
+            // Removes the entry even if `wait` panics.
             let _waiting = Waiting { lock: self, number };
             loop {
                 let is_next = |state: &State| state.owner.is_none() && state.waiting.front() == Some(&number);

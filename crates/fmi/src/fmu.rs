@@ -194,7 +194,7 @@ impl Fmu {
     /// unit. The units change the description only, not the simulations.
     ///
     /// # Errors
-    /// Returns an error if there is no such variable, or if it has another unit.
+    /// Returns an error if there is no such variable, or if it has a different unit.
     pub fn with_units<'a>(&self, units: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<Fmu> {
         let mut description = self.description().clone();
         for (name, unit) in units {

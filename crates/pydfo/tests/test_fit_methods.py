@@ -64,7 +64,7 @@ def test_least_squares_uses_residuals_of_simulations(dahlquist, scale):
     fit, simplex = fits[0], calibration.fit("nelder-mead")
     assert fit.cost == pytest.approx(simplex.cost, rel=1e-4) and fit.nfev < simplex.nfev
     assert simplex.jac is None and simplex.cov == pytest.approx(fit.cov, rel=1e-3)
-    # x = exp(-k t): derivative with respect to k, also if its logarithm is searched.
+    # x = exp(-k t): derivative with respect to k, even if its logarithm is searched.
     by_k = -TIME * np.exp(-fit.x[0] * TIME)
     np.testing.assert_allclose(fit.jac[:, 0], by_k, atol=2e-3)
     assert fit.cov[0, 0] == pytest.approx(fit.cost / 4 / np.sum(by_k**2), rel=0.01)

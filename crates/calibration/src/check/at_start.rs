@@ -1,5 +1,5 @@
-//! Checks of an evaluation at the start values: measurements that are in another unit, swapped, or far from
-//! the simulation at the start.
+//! Checks of an evaluation at the start values: measurements that are in a different unit, swapped, or far
+//! from the simulation at the start.
 
 use super::experiment_subject::ExperimentSubject;
 use super::simulated_outputs::{Outputs, Place, Series, range, rounded, size, size_of_difference};
@@ -18,8 +18,8 @@ const ZERO_CELSIUS: f64 = 273.15;
 
 /// Returns the findings of all experiments at the start, updated with the result of a fit if there is one.
 /// The fit may have removed an offset of an output or of its initial value. Parameters can also compensate
-/// for another unit or swapped columns, with meaningless values. Such a doubt remains if the parameters have
-/// moved far enough to compensate, or if it also exists at the result.
+/// for a different unit or swapped columns, with meaningless values. Such a doubt remains if the parameters
+/// have moved far enough to compensate, or if it also exists at the result.
 pub(super) fn findings(subjects: &[ExperimentSubject<'_>], outputs: &Outputs<'_>) -> Vec<Finding> {
     let mut findings = Vec::new();
     for (one, last) in outputs.at_start.iter().zip(outputs.last()) {

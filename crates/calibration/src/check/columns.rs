@@ -56,7 +56,7 @@ fn extent(values: impl Iterator<Item = f64>) -> (f64, f64) {
     values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)))
 }
 
-/// Returns a placeholder value far outside of the other values, its count, and the range of the other values.
+/// Returns a placeholder value far outside the other values, its count, and the range of the other values.
 fn placeholder(values: &[f64]) -> Option<(f64, usize, (f64, f64))> {
     let known = || values.iter().copied().filter(|v| !v.is_nan());
     let (lowest, highest) = extent(known());

@@ -31,7 +31,7 @@ impl ExperimentSubject<'_> {
         (asked > 0.0).then(|| (time[time.len() - 1] - time[0], asked))
     }
 
-    /// Returns another unit in which values of a variable may be recorded. Returns `None` if the model
+    /// Returns a different unit in which values of a variable may be recorded. Returns `None` if the model
     /// declares no unit or an unknown one.
     pub(super) fn example_unit(&self, variable: &str) -> Option<String> {
         let variable = declared(self.description, variable)?;

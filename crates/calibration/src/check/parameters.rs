@@ -12,7 +12,7 @@ use base::Number;
 use fmi::description::Variable;
 use fmi::{ModelDescription, Value};
 
-/// Minimum ratio to the model's own value that indicates another unit.
+/// Minimum ratio to the model's own value that indicates a different unit.
 const UNLIKE: f64 = 1e3;
 
 /// A temperature above the first limit is in K, and one below the second is in degC.
@@ -40,7 +40,7 @@ fn conversion(parameter: &Parameter, variable: &Variable, description: &ModelDes
 }
 
 /// Returns findings about parameters whose start and value are far from the model's own start values. The
-/// most likely cause is another unit.
+/// most likely cause is a different unit.
 pub(super) fn far_from_own_start(
     parameters: &[Parameter],
     values: &[f64],
@@ -94,7 +94,7 @@ pub(super) fn beside_the_model(variable: &Variable, given: GivenRange) -> Option
 }
 
 /// Returns findings about start values and constant inputs of an experiment. They are reported if they are
-/// outside of the model's range or far from its own start value.
+/// outside the model's range or far from its own start value.
 pub(super) fn given_values(subject: &ExperimentSubject<'_>, parameters: &[Parameter]) -> Vec<Finding> {
     let ExperimentSubject { prefix, experiment, description, .. } = subject;
     // Start values of local parameters are in the unit of the parameter.
@@ -122,7 +122,7 @@ pub(super) fn given_values(subject: &ExperimentSubject<'_>, parameters: &[Parame
     starts.chain(constants).filter_map(of).collect()
 }
 
-/// Returns findings about parameters whose start or bounds are outside of the range that the model declares.
+/// Returns findings about parameters whose start or bounds are outside the range that the model declares.
 pub(super) fn ranges(parameters: &[Parameter], description: &ModelDescription) -> Vec<Finding> {
     let mut findings = Vec::new();
     for parameter in parameters {

@@ -19,7 +19,7 @@ fn unit_by_duration(subject: &ExperimentSubject<'_>) -> Option<&'static str> {
     unit.filter(|(factor, _)| *factor < 1.0 || interval >= 0.5).map(|(_, unit)| unit)
 }
 
-/// Returns findings about times that are far from the start of the simulation, or in another unit than s.
+/// Returns findings about times that are far from the start of the simulation, or in a different unit than s.
 pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
     let ExperimentSubject { prefix, experiment, start_time, .. } = subject;
     let (data, mut findings) = (&experiment.data, Vec::new());

@@ -242,8 +242,8 @@ impl Observer for Accumulator<'_> {
 /// Returns the weighted sum of squared errors between measured and simulated series, as the tool of the paper
 /// computes it. The simulation has its own time grid and is interpolated linearly at the measured times. If a
 /// time occurs twice in it (an event), the mean of both values counts. `y_*` contain one row per quantity.
-/// `w` (one per quantity, default 1) multiplies the squared errors. Times outside of the simulated span use
-/// its end values.
+/// `w` (one per quantity, default 1) multiplies the squared errors. Times outside the simulated span use its
+/// end values.
 ///
 /// # Errors
 /// Returns an error if lengths differ, simulated times do not ascend, or nothing is simulated. The message

@@ -256,7 +256,7 @@ impl Unit {
         if powers.is_empty() { "a pure number".to_owned() } else { powers.join(".") }
     }
 
-    /// Returns the product with a power of another unit, without offsets.
+    /// Returns the product with a power of a different unit, without offsets.
     fn times(self, other: Self, power: i32) -> Self {
         let mut exponents = self.exponents;
         for (own, others) in exponents.iter_mut().zip(other.exponents) {

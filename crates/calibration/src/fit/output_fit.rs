@@ -122,7 +122,7 @@ pub(crate) struct EndResiduals {
 
 impl Calibration {
     /// Returns the residuals at the start of a fit and at `x`. Simulates the points that are not known,
-    /// unless the run is over.
+    /// unless the run has ended.
     pub(crate) fn end_residuals(
         &self,
         x: &[f64],

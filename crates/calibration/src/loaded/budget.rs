@@ -1,7 +1,7 @@
 //! Budget of the simulations before and after the search of a fit.
 
-/// Maximum share of additional simulations in the evaluations of a search. The share of right-hand sides is
-/// below 0.3 (`benches/whole_fits.md`), because simulations near the result may need more right-hand sides
+/// Maximum share of additional simulations in the evaluations of a search. The fraction of right-hand sides
+/// is below 0.3 (`benches/whole_fits.md`), because simulations near the result may need more right-hand sides
 /// than others.
 const SHARE: f64 = 0.25;
 /// Maximum number of additional simulations.

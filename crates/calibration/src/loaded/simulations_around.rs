@@ -225,7 +225,7 @@ impl Calibration {
         }
     }
 
-    /// Evaluates like [`evaluate_into`](Self::evaluate_into), with another accuracy if one is given.
+    /// Evaluates like [`evaluate_into`](Self::evaluate_into), with a different accuracy if one is given.
     pub(crate) fn evaluate_with(
         &self,
         accuracy: Option<Accuracy>,

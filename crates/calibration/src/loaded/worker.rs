@@ -164,7 +164,7 @@ impl Service for Server {
     }
 }
 
-/// Returns a callback that stops a simulation when the context is over.
+/// Returns a callback that stops a simulation when the context has ended.
 fn until(context: &RunContext<'_>) -> impl FnMut() -> ControlFlow<()> {
     || if context.is_over() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
 }

@@ -78,7 +78,7 @@ impl SimulationSettings {
     /// Returns the model with the units from the settings.
     ///
     /// # Errors
-    /// Returns an error if a unit is invalid, or if a variable is unknown or has another unit.
+    /// Returns an error if a unit is invalid, or if a variable is unknown or has a different unit.
     pub(crate) fn with_units(&self, fmu: fmi::Fmu) -> Result<fmi::Fmu, CalibrationError> {
         if self.units.is_empty() {
             return Ok(fmu);

@@ -88,7 +88,7 @@ impl Calibration {
     ///
     /// # Errors
     /// Returns an error if the fit has a different number of parameters, or if its simulation now fails.
-    /// Returns [`CalibrationError::Cancelled`] if the context is over.
+    /// Returns [`CalibrationError::Cancelled`] if the context has ended.
     pub fn curves(
         &self,
         fit: &Fit,

@@ -180,7 +180,7 @@ impl Calibration {
     ///
     /// # Errors
     /// Returns an error if the number of values is wrong, or if simulations fail at the point or on both
-    /// sides of it. Returns [`CalibrationError::Cancelled`] if the context is over.
+    /// sides of it. Returns [`CalibrationError::Cancelled`] if the context has ended.
     pub fn uncertainty(
         &self,
         x: &[f64],

@@ -117,7 +117,7 @@ impl Calibration {
     ///
     /// # Errors
     /// Returns an error if the number of start values is wrong or the simulation fails at the start. Returns
-    /// [`CalibrationError::Cancelled`] if the context is over.
+    /// [`CalibrationError::Cancelled`] if the context has ended.
     pub fn preflight(
         &self,
         options: &PreflightOptions,

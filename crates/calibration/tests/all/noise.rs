@@ -90,8 +90,8 @@ fn prior_does_not_dominate_when_noise_is_small() {
 }
 
 /// The start of a decay is a linear parameter. For each noise level, the posterior mode is the result of a
-/// linear regression. The noise solves `s^2 (N - h) = r'r`, where h is the share of the measurements in the
-/// parameter.
+/// linear regression. The noise solves `s^2 (N - h) = r'r`, where h is the fraction of the measurements in
+/// the parameter.
 #[test]
 fn linear_parameter_reaches_its_posterior_mode() {
     let (mean, sd, k) = (1.2, 0.05, 1.0);

@@ -13,7 +13,7 @@ use fmi::RunSettings;
 use std::fs::File;
 use tempfile::TempDir;
 
-/// An example model whose description declares another tolerance.
+/// An example model whose description declares a different tolerance.
 fn stating(model: &str, tolerance: &str) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let file = File::open(example_fmu(model).unwrap()).unwrap();

@@ -57,8 +57,8 @@ impl<'a> BatchView<'a> {
         self.queries[k].ended_by(self.signals)
     }
 
-    /// Sets the duration of point `k` in seconds, for the trace. By default, it is an equal share of the time
-    /// of the call.
+    /// Sets the duration of point `k` in seconds, for the trace. By default, it is an equal fraction of the
+    /// time of the call.
     pub fn set_seconds(&self, k: usize, seconds: f64) {
         self.details[k].seconds.set(Some(seconds));
     }

@@ -67,7 +67,7 @@ pub trait Evaluator {
         plan.min(self.width())
     }
 
-    /// True if evaluations ahead of need are worthwhile according to the measurements so far.
+    /// True if evaluations ahead of need are worthwhile according to the previous measurements.
     fn pays_ahead(&self) -> bool {
         self.width() > 1
     }

@@ -465,8 +465,8 @@ pub trait Method {
     /// second `ask` without `tell` returns the same batch.
     fn ask(&mut self, batch: &mut Batch);
 
-    /// Like [`ask`](Self::ask), for methods whose own computations may take long. If the context is over, the
-    /// batch is left empty although the method has not ended, and `ask` can be called again.
+    /// Like [`ask`](Self::ask), for methods whose own computations may take long. If the context has ended,
+    /// the batch is left empty although the method has not ended, and `ask` can be called again.
     fn ask_unless(&mut self, context: &RunContext<'_>, batch: &mut Batch) {
         let _ = context;
         self.ask(batch);
@@ -513,7 +513,7 @@ pub trait Method {
 
     /// Returns the derivatives of the residuals at the best point, for methods that have them (see [`Space`]
     /// for its scales). Called once, at the end of a run. Returns `None` if the computation would take long
-    /// and the context is over.
+    /// and the context has ended.
     fn linear_model(&self, context: &RunContext<'_>) -> Option<LinearModel> {
         let _ = context;
         None

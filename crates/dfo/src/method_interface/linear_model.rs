@@ -83,7 +83,7 @@ impl Covariance {
     /// Wild, Nonlinear Regression, 1989, section 2.1.2). Uses a QR factorisation with column pivoting of J,
     /// with the columns of J scaled to length one.
     ///
-    /// Returns `None` if there are many residuals and the context is over.
+    /// Returns `None` if there are many residuals and the context has ended.
     pub(crate) fn new(
         residuals: &[f64],
         jacobian: &[f64],

@@ -25,7 +25,7 @@ pub enum Termination {
     /// The tolerance tests passed, but the caller of the run has found that another least-squares step lowers
     /// the cost. No run of this crate ends with this reason.
     BeforeMinimum,
-    /// No point of the simplex or population has a cost any more, although earlier points had one.
+    /// The simplex or population no longer contains a point with a cost, although earlier points had one.
     AllFailed,
     /// The fraction of failed evaluations exceeded its limit.
     TooManyFailed,

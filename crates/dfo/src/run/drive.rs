@@ -42,7 +42,7 @@ enum Stage {
     Ask,
     /// Requested points are being evaluated.
     Evaluate,
-    /// The run is over. `None`: all starting points of the method failed.
+    /// The run has ended. `None`: all starting points of the method failed.
     Over(Option<Termination>),
 }
 
@@ -125,7 +125,7 @@ impl<M: Method> Drive<M> {
         self.before + self.start.elapsed().as_secs_f64()
     }
 
-    /// Returns the reason why the run is over; `None` while it is not. `Some(None)`: all starting points of
+    /// Returns the reason why the run has ended; `None` while it is not. `Some(None)`: all starting points of
     /// the method failed.
     pub(crate) fn ended(&self) -> Option<Option<Termination>> {
         match &self.stage {
@@ -205,7 +205,7 @@ impl<M: Method> Drive<M> {
         Ok(Report { method_reason, options, resumed: self.resumed.clone(), ..report })
     }
 
-    /// Advances the run as far as the available answers allow. Returns true if the run is over. Otherwise,
+    /// Advances the run as far as the available answers allow. Returns true if the run has ended. Otherwise,
     /// the run waits for answers that only the caller can supply.
     pub(crate) fn advance(&mut self, around: &mut Around<'_, '_, '_>) -> Result<bool, Error> {
         loop {

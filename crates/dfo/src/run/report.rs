@@ -53,8 +53,8 @@ pub struct Report {
     #[serde(default)]
     pub n_lost: usize,
     /// Number of answers that do not count as evaluations, because the point was already known. If a point
-    /// was only known to be above a lower cutoff, the point is evaluated again outside of budget and trace.
-    /// Therefore cutoffs do not change any count.
+    /// was only known to be above a lower cutoff, the point is evaluated again outside the budget and the
+    /// trace. Therefore cutoffs do not change any count.
     pub n_cached: usize,
     /// Number of additional calls of the objective that were made ahead of need and were not needed. May
     /// depend on the number of workers and on the duration of evaluations.

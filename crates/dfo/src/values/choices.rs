@@ -40,7 +40,7 @@ impl fmt::Display for ParameterKind {
     }
 }
 
-/// Treatment of points outside of the bounds by a search.
+/// Treatment of points outside the bounds by a search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]

@@ -46,8 +46,8 @@ fn budget_truncates_path_without_changing_it() {
                 minimize(probe).start(&[-0.5, 1.0]).method(plan(p)).max_evaluations(budget).run().unwrap();
             for (a, b) in part.trace.iter().zip(whole.trace.iter()) {
                 assert_eq!((a.x, a.id, a.batch), (b.x, b.id, b.batch));
-                // The last batch may be truncated before the point that determines if an earlier point is
-                // needed.
+                // The last batch may be truncated before the point that determines whether an earlier point
+                // is needed.
                 let cut = p == Lookahead::Points(20) && !a.used && a.batch + 1 == part.n_batches as u64;
                 assert!(a.used == b.used || cut, "{p:?} {budget}");
             }

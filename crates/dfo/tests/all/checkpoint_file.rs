@@ -72,7 +72,7 @@ fn checkpoint_follows_links_and_keeps_permissions() {
     let folder = tempfile::tempdir().unwrap();
     let (file, link) = (folder.path().join("store/file"), folder.path().join("link"));
     std::fs::create_dir(file.parent().unwrap()).unwrap();
-    // Also if the file does not exist yet and the path is a link to a link.
+    // This also works if the file does not exist yet and the path is a link to a link.
     symlink("store/file", folder.path().join("between")).unwrap();
     symlink("between", &link).unwrap();
     run(&link, 10);

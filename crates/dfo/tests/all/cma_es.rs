@@ -41,8 +41,8 @@ fn cma_es_needs_no_more_evaluations_than_pycma() {
         ("rosenbrock", rosenbrock, 0.0, 5, PYCMA[2]),
         ("rosenbrock", rosenbrock, 0.0, 10, PYCMA[3]),
     ] {
-        // With a lag, the limit is this many tenths of pycma's evaluations, which is less than the number of
-        // workers that it keeps busy.
+        // With a lag, the limit is given in tenths of pycma's evaluations. It is less than the number of
+        // workers that the lag keeps busy.
         for (lag, most) in [(0, 11), (n, 20), (64, 50)] {
             let ours = median(f, &vec![x0; n], lag);
             assert!(10 * ours <= most * theirs, "{name} {n}, lag {lag}: {ours}, pycma {theirs}");

@@ -89,7 +89,7 @@ fn nelder_mead_claims_success_only_near_minimum_when_neighbours_fail() {
     assert!(wrong.is_empty() && n_found >= 30, "{n_found} found, {wrong:?}");
 }
 
-/// Squared distance from a point at which the cost fails, beyond a slanted plane or outside of a ball. The
+/// Squared distance from a point at which the cost fails, beyond a slanted plane or outside a ball. The
 /// infimum is the squared distance of that point from the border.
 #[test]
 fn local_methods_claim_success_only_at_minimum_when_it_is_on_failure_border() {

@@ -82,7 +82,7 @@ fn budgets_are_exact_within_rounds() {
 
 #[test]
 fn ask_tell_run_is_identical_after_cancelled_ask() {
-    // With this many residuals, the model is built in blocks.
+    // With so large a number of residuals, the model is built in blocks.
     let many = |x: &[f64], out: &mut Vec<f64>| {
         out.extend((0..30_000).map(|i| {
             let t = 1e-4 * f64::from(i);
@@ -285,7 +285,7 @@ fn larger_rounds_reduce_their_number() {
     assert!(solved >= 95.0 && median <= 8.0);
 }
 
-/// The rounds plan uses n + 4 points, also if it is chosen by name.
+/// The rounds plan uses n + 4 points, even if it is chosen by name.
 #[test]
 fn rounds_plan_is_chosen_by_name() {
     let by_name = |plan: &str| {

@@ -62,7 +62,7 @@ fn valleys_need_fewer_evaluations_than_compass_search() {
     }
 }
 
-/// Sums of absolute residuals of the instances of Moré and Wild. Only odd instances are judged, because even
+/// Sums of absolute residuals of the instances of Moré and Wild. Only odd instances are used, because even
 /// ones were used for tuning.
 #[test]
 fn pattern_search_reaches_lower_cost_than_compass_search_on_kinks() {

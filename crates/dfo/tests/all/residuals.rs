@@ -17,7 +17,7 @@ struct StencilsState {
     #[serde(with = "bits")]
     x: Vec<f64>,
     cost: Option<f64>,
-    /// Bits of all values that the method was told.
+    /// Bits of all values that were passed to `tell`.
     seen: Vec<u64>,
     round: u64,
     n_points: u64,
@@ -262,7 +262,7 @@ fn changed_number_of_residuals_is_an_error_for_any_workers() {
     let error = run(1);
     assert_eq!(error.to_string(), "3 residuals at x = [1.1], but 2 at earlier points");
     assert!((2..6).all(|workers| run(workers) == error));
-    // Also with ask/tell: the run is then over.
+    // This also ends a run with ask/tell.
     let mut optimizer = by_hand().start(&[1.0]).method(LeastSquares::default()).optimizer().unwrap();
     let told = loop {
         let points = optimizer.ask(1);

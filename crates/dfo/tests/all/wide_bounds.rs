@@ -81,7 +81,7 @@ fn parameters_with_different_bounds_do_not_affect_each_other() {
     }
 }
 
-/// Also if the best value is at a bound more than 100 times as far as the start.
+/// The best value may also be at a bound more than 100 times as far away as the start.
 #[test]
 fn local_methods_reach_and_respect_far_bound() {
     for method in local() {

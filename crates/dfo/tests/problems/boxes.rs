@@ -1,7 +1,7 @@
 //! Problems with minima on bounds, and some with interior minima. They are quadratics on boxes, Rosenbrock's
 //! function in boxes, and the bound-constrained problems of Hock and Schittkowski (Test Examples for
 //! Nonlinear Programming Codes, Springer, 1981). Even seeds are for tuning (`benches/simplex.rs`), odd seeds
-//! for judging (`tests/all/simplex_quality.rs`).
+//! for assessment (`tests/all/simplex_quality.rs`).
 
 use super::solve::least_squares;
 use super::{residuals, start};
@@ -187,7 +187,7 @@ pub fn hock_schittkowski() -> Vec<Boxed> {
     ]
 }
 
-/// Returns the problems of one half. The problems of Hock and Schittkowski are only for judging.
+/// Returns the problems of one half. The problems of Hock and Schittkowski are only for assessment.
 pub fn boxes(judging: bool) -> Vec<Boxed> {
     let mut all = Vec::new();
     for seed in 0..6 {

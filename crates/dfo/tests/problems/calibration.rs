@@ -1,6 +1,6 @@
 //! Fits of engineering models without bounds and without noise: closed-form curves and ordinary differential
 //! equations. Parameters have sizes from 1e-6 to 1e6, and each fit has three starts. Even numbers are for
-//! tuning the constants of the simplex (`benches/simplex.rs`), odd numbers for judging them
+//! tuning the constants of the simplex (`benches/simplex.rs`), odd numbers for their assessment
 //! (`tests/all/simplex_quality.rs`).
 
 type Model = Box<dyn Fn(&[f64]) -> Vec<f64> + Send + Sync>;

@@ -41,7 +41,7 @@ pub(crate) struct Libraries {
 
 type Loaded = (Arc<OriginalLibrary>, Arc<LoadedLibrary>);
 
-/// Number of library copies of one FMU up to which the settings decide if a copy is reused.
+/// Number of library copies of one FMU up to which the settings decide whether a copy is reused.
 const MOST: usize = 16;
 
 /// Intended use of a library.

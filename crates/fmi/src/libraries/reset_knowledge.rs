@@ -59,7 +59,7 @@ pub enum Reuse {
     Reset,
     /// A new instance for every simulation.
     Reinstantiate,
-    /// A new process for every simulation, because the model keeps state outside of its instances.
+    /// A new process for every simulation, because the model keeps state outside its instances.
     NewProcess,
 }
 

@@ -12,7 +12,7 @@ pub(super) struct Surroundings {
 }
 
 impl Surroundings {
-    /// Returns the present working folder and environment variables of this process.
+    /// Returns the current working folder and environment variables of this process.
     pub(super) fn present() -> Self {
         let folder = std::env::current_dir().ok().map(Into::into);
         Self { folder, variables: std::env::vars_os().collect() }

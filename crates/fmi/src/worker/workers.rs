@@ -32,7 +32,7 @@ const START_CONFINED: Duration = Duration::from_secs(600);
 /// Maximum time to wait for a worker that was started in advance.
 const PREPARED: Duration = Duration::from_secs(10);
 
-/// Maximum number of requests that a worker may ask to repeat. It needs two trials to determine if a
+/// Maximum number of requests that a worker may ask to repeat. It needs two trials to determine whether a
 /// co-simulation should receive its stop time. See [`Fmu::take_repetition`](crate::Fmu::take_repetition).
 const MOST_REPEATED: u32 = 2;
 
@@ -72,7 +72,7 @@ struct Idle {
     n_held: usize,
     /// Calls at the end of a run that have ended a worker. New workers omit them.
     avoided_calls: Vec<String>,
-    /// Quirks that this process has found and not reported so far.
+    /// Quirks that this process has found and not reported yet.
     quirks: Vec<Quirk>,
 }
 
@@ -185,7 +185,7 @@ impl Workers {
         &self.limits
     }
 
-    /// Begins a sequence of calls. During the sequence, workers have the present working folder and
+    /// Begins a sequence of calls. During the sequence, workers have the current working folder and
     /// environment variables of this process. If another sequence is in progress, they keep those from its
     /// start. A single call is also such a sequence.
     pub fn hold(self: &Arc<Self>) -> Held {
@@ -284,7 +284,7 @@ impl Workers {
     }
 
     /// Starts a separate worker process for one user, with `load` loaded. No other user can use it, and it
-    /// keeps its state between calls. It has the present working folder and environment variables.
+    /// keeps its state between calls. It has the current working folder and environment variables.
     /// # Errors
     /// As [`call`](Self::call).
     pub fn pinned(

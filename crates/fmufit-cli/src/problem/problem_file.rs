@@ -274,7 +274,7 @@ impl ProblemFile {
         settings.map_err(|error| self.located("settings", error.into()))
     }
 
-    /// Creates the calibration and reads the recordings, unless the context is over.
+    /// Creates the calibration and reads the recordings, unless the context has ended.
     pub(crate) fn calibration(&self, context: &RunContext<'_>) -> Result<Calibration, Error> {
         let mut builder = Calibration::builder(self.model()?).settings(self.settings()?);
         for (path, fields) in self.tables("parameters")? {

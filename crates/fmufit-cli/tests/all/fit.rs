@@ -76,7 +76,7 @@ fn command_line_options_take_precedence() {
     );
 }
 
-/// Records the decay in another unit: 300 K more.
+/// Records the decay in a different unit: 300 K more.
 fn in_another_unit(folder: &Folder) {
     let rows: Vec<String> = folder.read("run.csv").lines().skip(1).map(str::to_owned).collect();
     let shifted = rows.iter().map(|row| {

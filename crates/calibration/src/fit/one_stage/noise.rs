@@ -397,7 +397,7 @@ mod tests {
 
     #[test]
     fn leverages_are_the_diagonal_of_the_projection() {
-        // A line at t = 0, 1, 2, 3 with its slope in another unit has the leverages 0.7, 0.3, 0.3, 0.7.
+        // A line at t = 0, 1, 2, 3 with its slope in a different unit has the leverages 0.7, 0.3, 0.3, 0.7.
         let line = [1.0, 0.0, 1.0, 1e6, 1.0, 2e6, 1.0, 3e6];
         for (got, expected) in leverages_of(&line, 2).iter().zip([0.7, 0.3, 0.3, 0.7]) {
             assert!((got - expected).abs() < 1e-12, "{got}");

@@ -181,8 +181,8 @@ fn end_early(report: &mut Report, termination: Termination) {
 }
 
 impl Calibration {
-    /// Derives a calibration with other weights or another tolerance. Warnings of this calibration are not
-    /// repeated.
+    /// Derives a calibration with other weights or a different tolerance. Warnings of this calibration are
+    /// not repeated.
     fn derived_for_fit(&self, problem: Problem) -> Result<Self, CalibrationError> {
         let mut own = self.derived(problem)?;
         own.keep_warnings(self);

@@ -310,7 +310,7 @@ impl Uncertainty {
         })
     }
 
-    /// Returns a finding if another accuracy of the simulations changes the cost and the parameters
+    /// Returns a finding if a different accuracy of the simulations changes the cost and the parameters
     /// significantly. A cost that is only simulation error is excluded.
     fn accuracy_finding(&self, f_tol: f64) -> Option<Finding> {
         let accurate = self.accurate_cost?;

@@ -73,7 +73,7 @@ impl Calibration {
     /// state. The steps are about the noise of the measurements. Starts whose simulation fails are omitted.
     ///
     /// # Errors
-    /// Returns [`CalibrationError::Cancelled`] if the context is over.
+    /// Returns [`CalibrationError::Cancelled`] if the context has ended.
     pub(crate) fn find_changes_by_starts(
         &self,
         starts: Vec<MeasuredStart>,

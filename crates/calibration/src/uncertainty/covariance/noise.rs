@@ -131,7 +131,7 @@ impl Noise {
     /// variance `r'r / n_g` times N divided by the degrees of freedom.
     ///
     /// # Errors
-    /// Returns [`CalibrationError::Cancelled`] if the context is over.
+    /// Returns [`CalibrationError::Cancelled`] if the context has ended.
     pub(crate) fn estimate(
         layout: &ResidualLayout,
         plain: &[f64],

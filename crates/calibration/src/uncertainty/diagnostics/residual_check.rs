@@ -64,7 +64,7 @@ impl ResidualCheck {
     /// Checks the residuals of all outputs.
     ///
     /// # Errors
-    /// Returns [`CalibrationError::Cancelled`] if the context is over.
+    /// Returns [`CalibrationError::Cancelled`] if the context has ended.
     pub(crate) fn all(
         layout: &ResidualLayout,
         names: &[String],

@@ -42,7 +42,7 @@ struct Neighbour<'a> {
 
 impl LeastSquaresState {
     /// Returns the derivatives of the residuals with respect to the coordinates in units of their sizes, one
-    /// row per residual. Returns `None` if the points are in a plane, or if the context is over.
+    /// row per residual. Returns `None` if the points are in a plane, or if the context has ended.
     pub(super) fn jacobian(&self, best: usize, context: &RunContext<'_>) -> Option<DMatrix<f64>> {
         let m = self.points[best].residuals.len();
         match self.n() {
@@ -114,7 +114,7 @@ impl LeastSquaresState {
 }
 
 /// Returns the derivatives by regression on differences from a point with these residuals. Returns `None` if
-/// the points are in a plane, or if there are many residuals and the context is over.
+/// the points are in a plane, or if there are many residuals and the context has ended.
 fn regression(
     mut others: Vec<Neighbour<'_>>,
     residuals: &[f64],

@@ -17,7 +17,7 @@
 //! assumption. If one of them ends in another minimum, a cluster contains several minima, and only searches
 //! count from then on.
 //!
-//! For costs without residuals, a part of the budget is first used for differential evolution
+//! For costs without residuals, a fraction of the budget is first used for differential evolution
 //! (`exploration`). Its result is the first start, and its first population is the first sample.
 //!
 //! The path processes the searches in turn, one batch of each at a time. A search whose answers are available

@@ -110,7 +110,7 @@ impl Space {
     /// size of a logarithmic parameter is in units of `ln x`.
     ///
     /// # Errors
-    /// Returns an error if lengths differ, or if the start point is empty, not finite or outside of the box.
+    /// Returns an error if lengths differ, or if the start point is empty, not finite or outside the box.
     /// Also returns an error if a logarithmic parameter is not positive, or if a size is not positive and
     /// finite.
     pub fn new(
@@ -243,7 +243,7 @@ impl Space {
 
     /// Makes parameters discrete; `kinds` has one entry per parameter. Working coordinates of discrete
     /// parameters stay real, and [`to_user`](Self::to_user) rounds them. A linear range is extended by half a
-    /// unit at each end, so each integer has the same share of it.
+    /// unit at each end, so each integer has an equal part of it.
     ///
     /// # Errors
     /// Returns an error if the number of kinds is not the number of parameters. For a discrete parameter,
@@ -402,7 +402,7 @@ impl Space {
         self.size_unknown[k]
     }
 
-    /// Returns the typical size of parameter `k` itself, also if its coordinate is an angle.
+    /// Returns the typical size of parameter `k` itself, even if its coordinate is an angle.
     pub(crate) fn unit(&self, k: usize) -> f64 {
         if self.sine { self.units[k] } else { self.sizes[k] }
     }

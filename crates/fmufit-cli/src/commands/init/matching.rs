@@ -125,7 +125,7 @@ fn candidates<'v>(column: &str, variables: &'v [Variable]) -> Vec<&'v Variable> 
         }];
     for is_match in kinds {
         let found: Vec<&Variable> = all().filter(|variable| is_match(&variable.name)).collect();
-        // Variables for use outside of the model take precedence.
+        // Variables for use outside the model take precedence.
         let outside: Vec<&Variable> = found.iter().copied().filter(is_outside).collect();
         if !outside.is_empty() {
             return outside;

@@ -454,8 +454,8 @@ class Calibration(Evaluation):
         """Checks model, recordings and parameters for mismatches and suggests remedies.
 
         The check covers the times (unit, start) and the recorded values: constant columns, placeholders, units that
-        differ from the model, values far from the simulation at the start, and swapped columns. It reports inputs
-        that are not driven, that end early, or whose column is all zero, missing for long or in another unit. It also
+        differ from the model, values far from the simulation at the start, and swapped columns. It reports inputs that
+        are not driven, that end early, or whose column is all zero, missing for long or in a different unit. It also
         compares values, ranges and start values with those the model declares for its parameters, and checks the
         accuracy of the simulations.
 

@@ -160,11 +160,11 @@ def minimize(
     checkpoint : path, optional
         File for the state of the run, written after batches and at the end.
     resume : {"auto", "never", "require"}
-        "auto": continue from the checkpoint if it exists. "never": start again. "require": fail if it does not exist.
-        A finished run returns its stored result. A file of another run is rejected and left unchanged. The module and
-        the name of `fun` are part of the identity of a run. You decide if the function is unchanged: "never" restarts
-        after a change. "require" continues even if the name has changed. The option ``problem`` replaces the name.
-        The message of a resumed run reports that it was resumed.
+        "auto": continue from the checkpoint if it exists. "never": start again. "require": fail if it does not exist. A
+        finished run returns its stored result. A file of another run is rejected and left unchanged. The module and the
+        name of `fun` are part of the identity of a run. You decide whether the function is unchanged: "never" restarts
+        after a change. "require" continues even if the name has changed. The option ``problem`` replaces the name. The
+        message of a resumed run reports that it was resumed.
     on_error : {"raise", "fail"}
         Action after an exception in `fun`: raise it, or count a failed evaluation. A return value that is not a
         number always raises an error.

@@ -188,7 +188,7 @@ class OptimizeResult:
         workers and on the duration of calls.
     n_cached : int
         Number of results that needed no call because the point was known. If only a lower cutoff was known to be
-        exceeded, the objective is called again, outside of budget and trace.
+        exceeded, the objective is called again, outside the budget and the trace.
     n_batches : int
         Number of batches of calls that could run at once.
     solve_time : float
@@ -240,8 +240,7 @@ class OptimizeResult:
         other methods. They are in the user's units, even if a parameter is searched by its logarithm, and zero for
         fixed parameters.
     active_mask : ndarray of int, shape (n,), or None
-        With ``jac``: -1 if a parameter is at its lower bound (also if it is fixed), 1 at its upper bound, otherwise
-        0.
+        With ``jac``: -1 if a parameter is at its lower bound (even if it is fixed), 1 at its upper bound, otherwise 0.
     cov : ndarray, shape (n, n), or None
         With ``jac``, the covariance of the parameters: ``s**2 * inv(J.T @ J)`` with ``s**2 = sum(r**2) / (m - n)``
         over the parameters that are not at a bound. It is zero for parameters at a bound and infinite for parameters
