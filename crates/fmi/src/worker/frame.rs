@@ -132,8 +132,8 @@ impl Frame {
     /// part has arrived.
     ///
     /// # Errors
-    /// The errors of the reader and of `wait`; `InvalidData` if the data are not a frame, or if the frame is
-    /// larger than `most`.
+    /// Returns the errors of the reader and of `wait`. Returns `InvalidData` if the data are not a frame, or
+    /// if the frame is larger than `most`.
     pub(crate) fn read(
         &mut self,
         from: &mut impl Read,

@@ -60,8 +60,8 @@ pub struct Question<'a> {
     pub is_repetition: bool,
 }
 
-/// Question that is asked again in the process that has answered another question, before any other process
-/// can ask it.
+/// A repeated question. It is sent to the process that has just answered another question, before anything
+/// else can use that process.
 pub struct Repeat<'a> {
     /// Question.
     pub question: Question<'a>,

@@ -10,7 +10,7 @@ pub trait Service {
     /// Answers a message. After the context has ended, the answer is no longer needed.
     ///
     /// # Errors
-    /// Any error is sent to the caller.
+    /// Returns any error that must be sent to the caller.
     fn answer(&mut self, asked: &Frame, context: &RunContext<'_>, answer: &mut Frame)
     -> Result<(), FmiError>;
 

@@ -1,4 +1,4 @@
-//! The working folder and the environment variables of a worker, which are those of its caller.
+//! The working folder and the environment variables that a worker takes from its caller.
 
 use serde::{Deserialize, Serialize};
 use std::ffi::OsString;

@@ -54,7 +54,8 @@ pub struct Workers {
 
 #[derive(Debug, Default)]
 struct Idle {
-    /// Idle processes with the time since when they are idle, the most recently used last.
+    /// Idle processes, each with the time since which it has been idle. The most recently used process is
+    /// last.
     processes: Vec<(Process, Instant)>,
     /// Process that is being started.
     begun: Option<Process>,
@@ -100,7 +101,7 @@ impl Idle {
         self.processes.extract_if(.., |_| is_old.next() == Some(true)).map(|(process, _)| process).collect()
     }
 
-    /// Removes and returns the processes that must not be used any more. They end when they are dropped.
+    /// Removes and returns the processes that must no longer be used. They end when they are dropped.
     fn take_processes(&mut self) -> (Vec<(Process, Instant)>, Option<Process>) {
         (std::mem::take(&mut self.processes), self.begun.take())
     }
@@ -131,8 +132,8 @@ impl PinnedProcess {
     /// found in the model. No request is repeated after a failure.
     ///
     /// # Errors
-    /// [`FmiError::ReportedError`] if the worker reports an error; [`FmiError::WorkerEnded`] if the worker
-    /// has ended; [`FmiError::Cancelled`].
+    /// Returns [`FmiError::ReportedError`] if the worker reports an error, and [`FmiError::WorkerEnded`] if
+    /// the worker has ended. Returns [`FmiError::Cancelled`] after cancellation.
     pub fn call<T>(
         &mut self,
         question: &Question<'_>,
@@ -286,7 +287,7 @@ impl Workers {
     /// Starts a separate worker process for one user, with `load` loaded. No other user can use it, and it
     /// keeps its state between calls. It has the current working folder and environment variables.
     /// # Errors
-    /// As [`call`](Self::call).
+    /// Returns the errors of [`call`](Self::call).
     pub fn pinned(
         self: &Arc<Self>,
         load: &Load,
@@ -308,9 +309,9 @@ impl Workers {
     /// process. If a worker dies at the end of a run, the rows are complete. The request is then always
     /// repeated in a fresh worker that omits that call.
     /// # Errors
-    /// [`FmiError::ReportedError`] if the worker reports an error; [`FmiError::WorkerEnded`] if it ended
-    /// twice, or once by the time limit; [`FmiError::NoWorker`] or [`FmiError::NoSandbox`];
-    /// [`FmiError::Cancelled`].
+    /// Returns [`FmiError::ReportedError`] if the worker reports an error. Returns [`FmiError::WorkerEnded`]
+    /// if the worker ended twice, or once because of the time limit. Returns [`FmiError::NoWorker`] or
+    /// [`FmiError::NoSandbox`] if no worker can be started, and [`FmiError::Cancelled`] after cancellation.
     pub fn call<T>(
         self: &Arc<Self>,
         load: &Load,

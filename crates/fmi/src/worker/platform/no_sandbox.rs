@@ -5,7 +5,7 @@ use crate::error::FmiError;
 /// Returns the error that explains why there is no sandbox.
 ///
 /// # Errors
-/// Always [`FmiError::NoSandbox`].
+/// Always returns [`FmiError::NoSandbox`].
 pub fn check_sandbox() -> Result<(), FmiError> {
     let has_system = cfg!(all(target_os = "linux", any(target_arch = "x86_64", target_arch = "aarch64")));
     let reason = match has_system {

@@ -28,7 +28,7 @@ const READABLE_DEVICES: [&str; 3] = ["/dev/random", "/dev/urandom", "/dev/shm"];
 /// Returns an error if this build or this system has no sandbox for worker processes.
 ///
 /// # Errors
-/// [`FmiError::NoSandbox`] with the reason.
+/// Returns [`FmiError::NoSandbox`] with the reason.
 pub fn check_sandbox() -> Result<(), FmiError> {
     ruleset().map(drop).map_err(|error| FmiError::NoSandbox {
         reason: format!("the kernel does not support Landlock, which requires Linux 5.13 or newer ({error})"),
@@ -82,8 +82,8 @@ fn confine_files(folder: &Path) -> Result<(), RulesetError> {
             allow(&path, read)?;
         }
     }
-    // If `/` can be listed, only these folders have no rule so far, and a rule for the others would grant
-    // access to `/dev`.
+    // If `/` can be listed, only these folders have no rule yet, and a rule for the others would grant access
+    // to `/dev`.
     let working = std::env::current_dir().ok();
     let working = working.filter(|working| working != Path::new("/") && !working.starts_with("/dev"));
     for path in READABLE_DEVICES.iter().map(PathBuf::from).chain(working) {
