@@ -119,7 +119,7 @@ fn truncated_library_is_rejected_with_its_length() {
         let error = end(&folder.open(), 1.0).unwrap_err();
         assert!(matches!(error, FmiError::LoadFailed { .. }), "{share} %: {error}");
         let message = error.to_string();
-        for part in ["evil.so", "cut off", &format!("the file has {length} bytes")] {
+        for part in ["evil.so", "truncated", &format!("the file has {length} bytes")] {
             assert!(message.contains(part), "{share} %: {message}");
         }
     }
@@ -129,7 +129,7 @@ fn truncated_library_is_rejected_with_its_length() {
     let whole = std::fs::read(&sibling).unwrap();
     std::fs::write(&sibling, &whole[..whole.len() / 2]).unwrap();
     let message = end(&folder.open(), 1.0).unwrap_err().to_string();
-    assert!(message.contains("libshort.so") && message.contains("cut off"), "{message}");
+    assert!(message.contains("libshort.so") && message.contains("truncated"), "{message}");
 }
 
 #[test]
@@ -140,7 +140,7 @@ fn invalid_library_file_is_an_error_with_its_type() {
         (b"", "an empty file"),
         (pointer, "git lfs pull"),
         (b"<html>404</html>", "a text file"),
-        (b"\x7fELF\x02", "cut off"),
+        (b"\x7fELF\x02", "truncated"),
         (other_bits, "ELF x86"),
     ];
     for (bytes, part) in cases {
@@ -164,6 +164,9 @@ fn library_replaced_after_opening_is_rejected() {
     std::fs::remove_file(&library).unwrap();
     std::fs::copy(library_of(&other, "evil"), &library).unwrap();
     let message = end(&fmu, 1.0).unwrap_err().to_string();
-    assert!(message.contains("evil.so was written over") && message.contains("open it again"), "{message}");
+    assert!(
+        message.contains("evil.so has been modified or removed") && message.contains("open the folder again"),
+        "{message}"
+    );
     assert!((end(&open(), 1.0).unwrap() - (-1.5f64).exp()).abs() < 1e-7);
 }

@@ -226,12 +226,12 @@ def test_failed_simulations_are_counted(dahlquist):
         ({"window": (1.0,)}, ValueError, "window must be two times"),
         ({"start_time": 0.2}, ValueError, "before the simulation starts at 0.2"),
         ({"weights": {"y": 1.0}}, ValueError, "no output 'y'"),
-        ({"weights": [1.0, 2.0]}, ValueError, "2 weights for 1 outputs"),
+        ({"weights": [1.0, 2.0]}, ValueError, "weights: expected 1 values, one per output; got 2"),
         ({"weights": [-1.0]}, ValueError, "weight -1"),
         ({"weights": ["heavy"]}, ValueError, "no column 'heavy'"),
         ({"start_values": {"z": 1.0}}, KeyError, '"z"'),
-        ({"start_values": {"x": "a"}}, TypeError, "x is of type"),
-        ({"start_values": {"x": None}}, TypeError, "x is of type Real, None"),
+        ({"start_values": {"x": "a"}}, TypeError, "x: expected a value of type Real, got"),
+        ({"start_values": {"x": None}}, TypeError, "x: expected a value of type Real, got None"),
         ({"start_values": {"k": 1.0}}, ValueError, "'k': it is fitted, and start_values gives it the value 1"),
         ({"time": "t"}, ValueError, "no column 't'; there are: 'time', 'x'"),
         ({"data": {"t": TIME, "x": TRUE}}, ValueError, "no column 'time'; there are: 't', 'x'"),
@@ -332,7 +332,7 @@ def test_bad_options_of_a_fit_are_named(dahlquist, changes, error, said):
 
 def test_cost_requires_one_finite_value_per_parameter(dahlquist):
     calibration = decay(dahlquist)
-    with pytest.raises(ValueError, match=r"2 values given for 1 parameters \(k\)"):
+    with pytest.raises(ValueError, match=r"expected 1 values, one per parameter; got 2 \(k\)"):
         calibration.cost([1.0, 2.0])
     with pytest.raises(ValueError, match="k"):
         calibration.cost([np.nan])

@@ -303,7 +303,7 @@ def test_instance_is_accessed_by_value_reference(tmp_path):
     fmu.setupExperiment(startTime=0.0)
     fmu.setReal([references["k"]], [2.0])
     for values in ([], [1.0, 2.0]):
-        with pytest.raises(ValueError, match=f"{len(values)} values for 1 of the variables k"):
+        with pytest.raises(ValueError, match=f"got {len(values)} values for the 1 elements of the variables k"):
             fmu.setReal([references["k"]], values)
     fmu.enterInitializationMode()
     fmu.exitInitializationMode()

@@ -45,7 +45,7 @@ def test_shared_and_local_parameters_are_fitted_to_both():
     np.testing.assert_allclose(fit.start_rms, np.sqrt(fit.start_cost / 17), rtol=1e-14)
     # Values by name; omitted parameters have their start values.
     assert calibration.cost({"x[cold]": 1.4}) == calibration.cost([1.0, 1.4, 2.5])
-    with pytest.raises(ValueError, match=r"no parameter 'x'; there are: k, x\[cold\], x\[run2\]"):
+    with pytest.raises(ValueError, match=r"unknown parameter 'x'; expected one of: k, x\[cold\], x\[run2\]"):
         calibration.cost({"x": 1.4})
 
 

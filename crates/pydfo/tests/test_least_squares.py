@@ -171,7 +171,7 @@ def test_failures_are_counted_and_not_used():
     with pytest.raises(ValueError, match="too fast") as raised:
         least_squares(fails_sometimes, [1.0, 0.85, 0.0], options={"radius": 0.3})
     assert raised.value.partial_result.fun.shape == (12,)
-    for function, reason in [(lambda x: [np.inf, 1], "residual 0 is inf"), (lambda x: [], "there are no residuals")]:
+    for function, reason in [(lambda x: [np.inf, 1], "residual 0 is inf"), (lambda x: [], "the objective returned no residuals")]:
         with pytest.raises(pydfo.AllStartsFailed, match=reason):
             least_squares(function, [1.0])
 
@@ -206,13 +206,13 @@ def test_non_vector_residuals_are_an_error(returned, said):
 @pytest.mark.parametrize(
     ("how", "error", "said"),
     [
-        ({"loss": "arctan"}, ValueError, "loss = 'arctan' is none of 'linear'"),
+        ({"loss": "arctan"}, ValueError, "loss = 'arctan' is invalid; expected one of: 'linear'"),
         ({"loss": None}, TypeError, "loss must be a string"),
         ({"f_scale": 0}, ValueError, "f_scale = 0 must be positive"),
         ({"f_scale": "a"}, TypeError, "f_scale must be a number"),
         ({"ftol": 1e-3}, TypeError, "use the argument f_tol"),
         ({"jac": "2-point"}, TypeError, "the methods do not use derivatives"),
-        ({"x_tol": 1e-3, "options": {"x_tol": 1e-3}}, ValueError, "x_tol is given twice"),
+        ({"x_tol": 1e-3, "options": {"x_tol": 1e-3}}, ValueError, "x_tol is specified twice"),
         ({"options": {"kinds": "integer"}}, ValueError, r"does not support x\[0\]"),
         ({"x0": None}, ValueError, "is missing"),
         ({"bounds": [(0, 1)]}, ValueError, "expected 3 pairs, one per parameter; got 1"),
@@ -273,5 +273,5 @@ def test_rounds_evaluate_several_points():
     assert timeless(least_squares(decay, START, batch=6, workers=3)) == timeless(rounds)
     assert timeless(least_squares(decay, START, batch="workers", workers=6)) == timeless(rounds)
     assert timeless(least_squares(decay, START, batch="workers")) == timeless(least_squares(decay, START, batch=1))
-    with pytest.raises(ValueError, match="'batch' of least-squares must be a whole number"):
+    with pytest.raises(ValueError, match="'batch' of least-squares must be an integer"):
         least_squares(decay, START, batch="many")

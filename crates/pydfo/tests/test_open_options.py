@@ -130,7 +130,7 @@ def test_description_limits_can_be_set(tmp_path):
         for value in (0, -1, 2**64):
             with pytest.raises(ValueError, match="max_elements must be a positive number"):
                 open_it(path, max_elements=value)
-        with pytest.raises(TypeError, match="max_description_bytes must be a whole number"):
+        with pytest.raises(TypeError, match="max_description_bytes must be an integer"):
             open_it(path, max_description_bytes=1.5)
     data = {"time": [0.0, 0.5, 1.0], "x": [1.0, 0.6, 0.4]}
     calibrated = {"outputs": ["x"], "parameters": [pydfo.Parameter("k", 1.0, 0.1, 2.0)]}

@@ -78,7 +78,7 @@ def test_misuse_is_rejected_and_early_ends_are_handled():
     with pytest.raises(KeyError, match="point 0, which is not waiting"):
         opt.tell(0, 1.0)
     ids, _, _ = opt.ask(5)
-    with pytest.raises(ValueError, match="2 values for 5 points"):
+    with pytest.raises(ValueError, match="got 2 values for 5 points"):
         opt.tell(ids, [1.0, 2.0])
     with pytest.raises(TypeError, match="must return one number"):
         opt.tell(ids[0], "one")

@@ -266,7 +266,7 @@ MISTAKES = {
     "window with nothing": (bad(windows=[(5, 6)]), "no time of data lies in the window from 5 to 6; the times run from 0 to 2"),
     "window and windows": (bad(window=(0, 1), windows=[(0, 1)]), "specify either window or windows, not both"),
     "windows a pair": (bad(windows=(0, 1)), "each of windows must be two times"),
-    "no windows": (bad(windows=[]), "leave it out"),
+    "no windows": (bad(windows=[]), "omit it"),
     "warm-up too long": (bad(warm_up=5), "after the warm-up of 5 s.*shorter warm_up"),
     "warm-up negative": (bad(warm_up=-1), "warm_up = -1"),
     "weights too few": (bad(weights={"x": [1.0, 2.0]}), "2 weights of output 'x' for 21 rows"),

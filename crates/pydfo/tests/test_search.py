@@ -46,7 +46,7 @@ def test_automatic_method_depends_on_the_problem():
     assert chosen(pydfo.least_squares, himmelblau).method == "least-squares"
     with pytest.raises(ValueError, match=r"a global search requires finite bounds, but x\[0\]"):
         chosen(search="global")
-    with pytest.raises(ValueError, match="search = 'everywhere' is none of 'local', 'global'"):
+    with pytest.raises(ValueError, match="search = 'everywhere' is invalid; expected one of: 'local', 'global'"):
         chosen(search="everywhere")
     with pytest.raises(ValueError, match="selects the method automatically"):
         chosen(search="global", method="de", bounds=BOX)

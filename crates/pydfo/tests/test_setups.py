@@ -364,7 +364,7 @@ def test_foreign_keywords_are_explained(call, said):
     [
         (lambda c: c().fit(options={"maxiter": 3}), "no option 'maxiter'; use the argument max_iterations"),
         (lambda c: pydfo.fmin(bowl, [0.0], options={"maxiter": 3}), "no option 'maxiter'; use the argument max_iters"),
-        (lambda c: c().fit(x_tol=1e-2, options={"x_tol": 1e-3}), "x_tol is given twice"),
+        (lambda c: c().fit(x_tol=1e-2, options={"x_tol": 1e-3}), "x_tol is specified twice"),
         (lambda c: c().fit(resume="require"), "resume='require' requires a checkpoint"),
         (lambda c: c().fit(options={"checkpoint_interval": 1.0}), "checkpoint_interval = 1.0 requires a checkpoint"),
         (lambda c: c().fit(max_time=0), "max_time = 0 must be a positive number"),
@@ -493,7 +493,7 @@ def test_advice_can_be_followed():
         calibration = Calibration(example_fmu("dahlquist"), {"time": TIME, "x": DECAY}, ["x"], Parameter("k", 1, 0.1, 10), solver="CVode")
     with pytest.raises(ValueError, match="a report is a page in HTML"):
         calibration.fit().report("fit.pdf")
-    with pytest.raises(ValueError, match="the wrong way round"):
+    with pytest.raises(ValueError, match="outputs must map variables of the model to columns"):
         Calibration(example_fmu("dahlquist"), {"time": TIME, "decay": DECAY}, {"decay": "x"}, Parameter("k", 1, 0.1, 10))
 
 

@@ -106,7 +106,7 @@ def test_discrete_parameters_are_fitted_by_suitable_methods():
     for arguments, said in [
         ({"start": 1.5, "lower": 1, "upper": 8, "kind": "integer"}, "'k': is integer, so start 1.5 must be a whole number"),
         ({"start": 1.5, "lower": 1.2, "upper": 1.8, "kind": "categorical"}, "between its bounds 1.2 and 1.8"),
-        ({"start": 1, "kind": "odd"}, "kind = 'odd' is none of 'continuous', 'integer', 'categorical'"),
+        ({"start": 1, "kind": "odd"}, "kind = 'odd' is invalid; expected one of: 'continuous', 'integer', 'categorical'"),
     ]:
         with pytest.raises(ValueError, match=said):
             Parameter("k", **arguments)

@@ -124,7 +124,7 @@ def test_undetermined_parameters_are_reported(furuta):
     assert without.uncertainty is None and without.stderr is None and without.cov is None and without.cov_message == ""
     with pytest.raises(ValueError, match="covariance=None"):
         without.confidence_intervals()
-    with pytest.raises(ValueError, match="'full' is none of 'sandwich', 'pooled'"):
+    with pytest.raises(ValueError, match="'full' is invalid; expected one of: 'sandwich', 'pooled'"):
         calibration.fit(covariance="full")
     with pytest.raises(ValueError, match="unknown parameter 'h0'"):
         calibration.uncertainty(parameters=["h0"])

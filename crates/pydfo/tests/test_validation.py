@@ -104,7 +104,7 @@ def test_each_recording_is_omitted_once(two):
     assert found.rms == pytest.approx(np.sqrt(np.mean([fold.validation.rms**2 for fold in found.folds])))
     assert "held out" in repr(found) and "spread" in repr(found)
     assert two.cross_validate(workers=1, folds=2).rms == found.rms
-    for folds, message in ((1, "1 folds of 2 recordings"), (3, "from 2 to 2"), (1.5, "folds = 1.5 must be a whole number")):
+    for folds, message in ((1, "1 folds of 2 recordings"), (3, "from 2 to 2"), (1.5, "folds = 1.5 must be an integer")):
         with pytest.raises(ValueError, match=message):
             two.cross_validate(folds=folds)
 

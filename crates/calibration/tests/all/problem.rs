@@ -269,14 +269,14 @@ fn experiment_from_record_equals_experiment_from_methods() {
         (r#"{"outputs": ["a"]}"#, "data is missing"),
         (
             r#"{"data": "run.csv", "output": {"x": "a"}}"#,
-            "no field of an experiment 'output'; did you mean 'outputs'?",
+            "unknown field of an experiment 'output'; did you mean 'outputs'?",
         ),
         (r#"{"data": "none.csv", "time": "t"}"#, "cannot read"),
         (r#"{"data": "run.csv", "time": "t", "outputs": 3}"#, "outputs must give a value to each name"),
         (r#"{"data": "run.csv", "outputs": {"x": 3}}"#, "outputs: 'x' must be a string, not 3"),
         (
             r#"{"data": "run.csv", "outputs": ["x"], "weights": {"xx": 3}}"#,
-            "no output for the weight 'xx'; there are x",
+            "unknown output for the weight 'xx'; expected one of: x",
         ),
         (r#"{"data": "run.csv", "outputs": ["x"], "weights": "rnge"}"#, "'range'"),
         (r#"{"data": "run.csv", "inputs": {"u": [1]}}"#, "must be the name of a column, or a number"),

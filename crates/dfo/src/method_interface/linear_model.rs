@@ -231,7 +231,7 @@ mod tests {
         // With b at a bound, this is the variance of a mean.
         let covariance = computed(&residuals, &jacobian, &[0, 1]);
         assert!((covariance.matrix[0] - 0.05 / 4.0).abs() < 1e-15 && covariance.matrix[1..] == [0.0; 3]);
-        assert_eq!(said(&covariance), "at a bound or fixed, taken as known: x[1]");
+        assert_eq!(said(&covariance), "at a bound or fixed, assumed to be known: x[1]");
     }
 
     #[test]

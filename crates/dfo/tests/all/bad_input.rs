@@ -39,7 +39,7 @@ fn bad_start_points_are_errors() {
 fn bad_bounds_are_errors() {
     let (e, text) = error(two().bounds(&[0.0], &[5.0]).unwrap().run());
     assert_eq!(e, Error::Length { what: "bounds", expected: 2, got: 1 });
-    assert_eq!(text, "bounds: 1 values given for 2 parameters");
+    assert_eq!(text, "bounds: expected 2 values, one per parameter; got 1");
     let crossed = two().bounds(&[0.0, 5.0], &[5.0, 0.0]).unwrap_err();
     assert_eq!(crossed.to_string(), "x[1]: the lower bound 5 is above the upper bound 0");
     let tiny = two().bounds(&[0.0, 5e-12], &[5.0, -1e20]).unwrap_err();

@@ -441,7 +441,7 @@ fn stored_identity_can_be_read() {
     assert_eq!(checkpoint().resume(Resume::Never).stored_identity().unwrap(), None);
     std::fs::write(&file, b"something else").unwrap();
     let message = checkpoint().stored_identity().unwrap_err().to_string();
-    assert!(message.contains("no checkpoint"), "{message}");
+    assert!(message.contains("not a checkpoint"), "{message}");
 }
 
 /// A limit of the trace also applies to the file.

@@ -157,7 +157,11 @@ fn errors_name_option_and_value() {
     for (json, message, is_type) in [
         (serde_json::json!({ "x_tol": "small" }), "x_tol must be a number, not 'small'", true),
         (serde_json::json!({ "max_fevals": 0 }), "max_fevals = 0 must be an integer of at least 1", false),
-        (serde_json::json!({ "stop": "both" }), "stop = 'both' is none of 'any', 'all'", false),
+        (
+            serde_json::json!({ "stop": "both" }),
+            "stop = 'both' is invalid; expected one of: 'any', 'all'",
+            false,
+        ),
         (serde_json::json!({ "stop": 1 }), "stop must be a string, not 1", true),
         (serde_json::json!({ "max_time": 0 }), "max_time = 0 must be a positive number of seconds", false),
         (
@@ -170,7 +174,11 @@ fn errors_name_option_and_value() {
             "option 'population' of cma-es must be an integer of at least 0 or None, not true",
             true,
         ),
-        (serde_json::json!({ "kinds": ["integer"] }), "kinds has 1 values for 2 parameters", false),
+        (
+            serde_json::json!({ "kinds": ["integer"] }),
+            "kinds: expected 2 values, one per parameter; got 1",
+            false,
+        ),
     ] {
         let error = asked(json).unwrap_err();
         let Error::Record(refused) = &error else { panic!("{error}") };

@@ -438,10 +438,13 @@ fn inputs_accept_texts_and_bytes() {
         SimulationPlan::new(&fmu, &SimulateOptions::new().inputs(inputs)).unwrap_err().to_string()
     };
     for (inputs, text) in [
-        (Inputs::new().values("word", [0.0], [Value::Binary(vec![1])]), "word is of type String"),
+        (
+            Inputs::new().values("word", [0.0], [Value::Binary(vec![1])]),
+            "word: expected a value of type String",
+        ),
         (Inputs::new().values("word", [0.0], ["a\0b"]), "NUL"),
         (Inputs::new().values("word", [0.0, 1.0], ["a"]), "1 values for 2 times"),
-        (Inputs::new().values("u[1]", [0.0], ["a"]), "is of type Real"),
+        (Inputs::new().values("u[1]", [0.0], ["a"]), "expected a value of type Real"),
         (Inputs::new().table([0.0], [("word", vec![1.0])]), "text and binary"),
     ] {
         let problem = problem(inputs);

@@ -499,7 +499,7 @@ fn unusable_description_is_rejected_with_line() {
     }
     assert!(refusal("<html/>").contains("the root element is <html>"));
     let huge = FULL.replace("numberOfEventIndicators=\"2\"", "numberOfEventIndicators=\"4000000000\"");
-    assert!(refusal(&huge).contains("more than the limit of 2000000"));
+    assert!(refusal(&huge).contains("exceeds the limit of 2000000"));
 }
 
 #[test]

@@ -385,7 +385,7 @@ fn start_values_are_checked_by_name_type_and_settability() {
         set(name, value).unwrap();
     }
     for (name, value, text) in [
-        ("k", "text".into(), "k is of type Real, \"text\" (String) does not fit"),
+        ("k", "text".into(), "k: expected a value of type Real, got \"text\" (String)"),
         ("k", Value::Boolean(true), "Boolean"),
         ("n", Value::Real(1.5), "n: expected a value of type Integer, got 1.5 (Real)"),
         ("b", Value::Integer(1), "b: expected a value of type Boolean"),

@@ -261,7 +261,7 @@ fn errors_name_the_line_of_a_mistake() {
         ("model = ", "modell = ", 1, "unknown problem field 'modell'; did you mean 'model'?"),
         ("model.fmu", "none.fmu", 1, "none.fmu"),
         ("model = ", "units = { x = \"m\" }\nmodel = ", 1, "'units' belongs to the table [settings]"),
-        ("data = ", "date = ", 4, "no field of an experiment 'date'; did you mean 'data'?"),
+        ("data = ", "date = ", 4, "unknown field of an experiment 'date'; did you mean 'data'?"),
         ("run.csv", "none.csv", 4, "none.csv"),
         ("x = \"x\"", "y = \"x\"", 5, "no variable \"y\""),
         ("x = \"x\"", "x = \"y\"", 5, "no column 'y'"),
@@ -274,7 +274,7 @@ fn errors_name_the_line_of_a_mistake() {
             "upper = 10",
             "upper = 10\n[settings]\nsolvr = 1",
             13,
-            "no setting of simulations 'solvr'; did you mean 'solver'?",
+            "unknown setting of simulations 'solvr'; did you mean 'solver'?",
         ),
         ("upper = 10", "upper = 10\n[settings]\nsolver = \"rk5\"", 13, "unknown solver 'rk5'"),
         (
