@@ -58,6 +58,7 @@ pub use dfo::ParameterKind;
 pub use error::CalibrationError;
 pub use export::{FitDocument, FmuExport, SavedFit, Table};
 pub use findings::finding::{Finding, Origin, Severity};
+pub use findings::identifier::FindingId;
 pub use findings::shown_text::{visible, visible_error, visible_line};
 pub use fit::live::LiveFit;
 pub use fit::one_stage::{

@@ -22,7 +22,7 @@ mod core_module {
     #[pymodule_export]
     use super::calibration::calibration_class::PyCalibration;
     #[pymodule_export]
-    use super::calibration::check::check;
+    use super::calibration::check::{check, name_of_finding};
     #[pymodule_export]
     use super::calibration::data_files::{
         PyTable, check_regular, clock_change, date_seconds, find_column, find_time,

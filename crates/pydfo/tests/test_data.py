@@ -242,7 +242,7 @@ def test_arrays_without_names_are_rejected():
 
 
 def test_unconverted_units_are_reported():
-    with pytest.warns(CalibrationWarning, match=r"'x \[mm\]' is taken in the unit of 'x', without conversion: the model states no unit"):
+    with pytest.warns(CalibrationWarning, match=r"'x \[mm\]' is used in the unit of 'x' without conversion: the model states no unit"):
         Calibration(example_fmu("dahlquist"), {"time": TIME, "x [mm]": X}, ["x"], [Parameter("k", 1.0, 0.1, 10.0)])
 
 
@@ -321,7 +321,7 @@ def test_clock_changes_are_reported():
     moved = np.where(night >= np.datetime64("2024-03-31T02:00:00"), night + 3600, night)
     x = np.ones(30)
     for times in (moved, moved.astype("datetime64[us]").tolist(), [str(t) for t in moved]):
-        with pytest.warns(CalibrationWarning, match="between 2024-03-31T01:50:00 and 2024-03-31T03:00:00 an hour is missing, as where clocks"):
+        with pytest.warns(CalibrationWarning, match="between 2024-03-31T01:50:00 and 2024-03-31T03:00:00 an hour is missing, as if the clock"):
             Calibration(example_fmu("dahlquist"), {"time": times, "x": x}, ["x"], [Parameter("k", 1.0, 0.1, 10.0)])
     back = np.where(night >= np.datetime64("2024-03-31T03:00:00"), night - 3600, night)
     with pytest.raises(BadCalibrationError, match="between 2024-03-31T02:50:00 and 2024-03-31T02:00:00 an hour is doubled"):
@@ -363,10 +363,10 @@ def tank(data, **own):
 @pytest.mark.parametrize(
     ("change", "own", "said"),
     [
-        (lambda d: d | {"qt.x1": 1e3 * d["qt.x1"]}, {}, r"'qt.x1'.* the ratio is about .* as of another unit"),
-        (lambda d: d | {"time": 1e3 * d["time"]}, {}, "the times look as if they were in ms"),
-        (lambda d: d | {"time": 100 + d["time"]}, {"start_time": 0.0, "hold_inputs": True}, "first row is at 100 s, the simulation starts at 0 s"),
-        (lambda d: {k: v for k, v in d.items() if k != "u2"}, {"inputs": ["u1"]}, "input 'u2': nothing drives it"),
+        (lambda d: d | {"qt.x1": 1e3 * d["qt.x1"]}, {}, r"'qt.x1'.* differ by a factor of about .* in another unit"),
+        (lambda d: d | {"time": 1e3 * d["time"]}, {}, "The times are probably in ms"),
+        (lambda d: d | {"time": 100 + d["time"]}, {"start_time": 0.0, "hold_inputs": True}, "first row is at 100 s, but the simulation starts"),
+        (lambda d: {k: v for k, v in d.items() if k != "u2"}, {"inputs": ["u1"]}, "input 'u2': the input is not driven"),
     ],
 )
 def test_check_reports_mistakes(change, own, said):

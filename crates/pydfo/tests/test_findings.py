@@ -2,6 +2,8 @@
 files."""
 
 import datetime
+import json
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -28,14 +30,14 @@ def test_causes_come_first_and_fit_worse_than_constant_is_unusable() -> None:
     grave = [finding for finding in off.findings if finding.severity != "note"]
     order = ["problem", "search", "residuals"]
     assert [finding.origin for finding in grave] == sorted((finding.origin for finding in grave), key=order.index)
-    assert grave[0].origin == "problem" and "another unit?" in grave[0].sentence
+    assert grave[0].origin == "problem" and (grave[0].id, grave[0].name) == ("F047", "unit-mismatch")
     assert [finding.subject for finding in grave if finding.severity == "error"] == ["output 'x' (column 'x')"]
     assert str(off).splitlines()[1].startswith("The fit converged, but its result is not to be used: RMS")
 
 
 def test_undeclared_units_can_be_given() -> None:
     columns = decay(**{"x [mm]": 1e3 * np.exp(-2 * TIMES)})
-    with pytest.warns(pydfo.CalibrationWarning, match="the setting units states it"):
+    with pytest.warns(pydfo.CalibrationWarning, match=r"\[F046 unconverted-unit\]. State the unit of 'x' with the setting units"):
         assert fitted(columns).parameters["k"] < 1
     fit = fitted(columns, units={"x": "m"})
     assert fit.parameters["k"] == pytest.approx(2, rel=1e-5) and fit.outputs[0].unit == "m"
@@ -70,8 +72,8 @@ def test_few_noisy_rows_give_no_findings() -> None:
     off = pydfo.Calibration(
         pydfo.example_fmu("dahlquist"), {"time": rows, "x": np.array([2.3, 3.3, 2.1, 3.0, 2.3])}, ["x"], [pydfo.Parameter("k", 1, 0.5, 5)]
     ).fit()
-    [said] = [finding for finding in off.findings if "worse than a constant" in finding.sentence]
-    assert said.severity == "warning" and "in 5 rows that may be chance" in said.sentence and off.usable
+    [said] = [finding for finding in off.findings if finding.id == "F011"]
+    assert said.severity == "warning" and "In 5 rows this may be chance" in said.sentence and off.usable
 
 
 def test_start_values_are_read_from_parameter_set(tmp_path: Path) -> None:
@@ -123,4 +125,21 @@ def test_zero_residuals_give_no_findings() -> None:
 
     fit = calibration(calibration(np.zeros(61)).simulate([1.0, 1.0])["x"]).fit()
     assert fit.cost == 0.0
-    assert not [finding for finding in fit.findings if "the data tell" in finding.sentence]
+    assert not [finding for finding in fit.findings if finding.id == "F007"]
+
+
+def test_findings_have_stable_identifiers() -> None:
+    fit = fitted(decay(x=np.exp(-2 * TIMES)), pydfo.Parameter("k", 1.5, 0.1, 1.8))
+    [bound] = [finding for finding in fit.findings if finding.id == "F001"]
+    assert bound.name == "at-bound" and f"{bound.sentence} [F001 at-bound]" in str(fit)
+    assert {"id": "F001", "severity": "warning"}.items() <= json.loads(fit.to_json())["findings"][0].items()
+    with pytest.raises(ValueError, match="F099"):
+        _ = bound._replace(id="F099").name
+
+
+def test_warnings_are_silenced_by_identifier() -> None:
+    columns = decay(**{"x [mm]": np.exp(-2 * TIMES)})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*F046")
+        fitted(columns)

@@ -323,7 +323,8 @@ def test_input_without_column_is_named(switched, tmp_path):
     path.write_text("time,U,other,enabled\n0,0,7,1\n2,0.6,9,1\n")
     table = {"time": [0.0, 2.0], "u": [0.0, 0.6], "enabled": [True, True]}
     expected = switched.simulate(0, 2, inputs=table, outputs=["x"])
-    with pytest.warns(CalibrationWarning, match=r"input 'gear' has no column: it keeps its start value \d+; columns are 'U', 'other', 'enabled'"):
+    said = r"input 'gear' has no column and keeps its start value \d+ \[F054 .*\]. Assign one of the columns 'U', 'other', 'enabled'"
+    with pytest.warns(CalibrationWarning, match=said):
         found = switched.simulate(0, 2, inputs=path, outputs=["x"])
     assert np.array_equal(found["x"], expected["x"])
     with warnings.catch_warnings():

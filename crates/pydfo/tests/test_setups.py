@@ -103,7 +103,7 @@ def test_mixed_decimal_signs_are_rejected(tmp_path):
 
 def test_column_that_differs_from_input_in_case_is_reported():
     data = {"time": [0.0, 1.0], "x1": [1.0, 1.0], "U1": [4.0, 4.0]}
-    with pytest.warns(CalibrationWarning, match="column 'U1' is not used, but the model has an input 'u1'"):
+    with pytest.warns(CalibrationWarning, match="column 'U1' is not used, but nothing drives the input 'u1'"):
         Calibration(example_fmu("quad_tank"), data, {"qt.x1": "x1"}, [Parameter("qt.a1", 3e-6, 2e-6, 4e-6)])
 
 
@@ -179,7 +179,7 @@ def test_unused_column_with_name_of_input_is_a_warning(tank, on_disk, tmp_path, 
     with caplog.at_level(logging.INFO, "pydfo"), pytest.warns(CalibrationWarning) as warned:
         tank_calibration(data, ["u1"])
     assert len(warned) == 1 and warned[0].filename == __file__
-    assert "column 'u2' is not used, but the model has an input 'u2'" in str(warned[0].message)
+    assert "column 'u2' is not used, but nothing drives the input 'u2'" in str(warned[0].message)
     assert not [record for record in caplog.records if "u2" in record.getMessage()]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -516,7 +516,7 @@ def test_converted_columns_with_units_are_reported():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         calibration = Calibration(example_fmu("bouncing_ball"), ball, {"h": "h (in)"}, Parameter("g", -9, -12, -8))
-    said = "converted by the units that the columns state: 'h (in)' from in to m"
+    said = "columns were converted from the units that they state: 'h (in)' from in to m"
     fit = calibration.fit()
     assert said in str(calibration.check()) and said in str(fit) and fit.x[0] == pytest.approx(-9.81, rel=1e-3)
     assert [f.severity for f in fit.findings if said in f.sentence] == ["note"]

@@ -116,7 +116,7 @@ def test_undetermined_parameters_are_reported(furuta):
     assert copy.findings == fit.uncertainty.findings and repr(copy) == repr(fit.uncertainty) and copy.covariance.tobytes() == fit.cov.tobytes()
     before = calibration.preflight()
     assert [check.has_effect for check in before.parameters] == [False, True] and before.n_simulations == 4
-    assert "e moves no output" in before.findings[0].sentence and "moves no output" in repr(before) and before.cost == calibration.cost()
+    assert before.findings[0].id == "F002" and "changes no output" in repr(before) and before.cost == calibration.cost()
     assert calibration.fit(preflight=True).preflight.findings == before.findings and fit.preflight is None
     conditional = calibration.uncertainty(fit.x, parameters=["g"])
     assert conditional.held == ["e"] and conditional.undetermined == []
@@ -140,5 +140,5 @@ def test_undriven_inputs_are_reported():
     calibration = Calibration(example_fmu("quad_tank"), recording, {"qt.x1": "level"}, [Parameter("qt.a1", 3e-6, 2e-6, 4e-6)])
     fit = calibration.fit()
     (said,) = [finding for finding in fit.findings if finding.subject == "input 'u1'"]
-    assert said.severity == "warning" and "warning  input 'u1': nothing drives it" in repr(fit)
-    assert "nothing drives it" not in fit.message and "nothing drives it" not in repr(calibration.fit(covariance=None))
+    assert said.severity == "warning" and "warning  input 'u1': the input is not driven" in repr(fit)
+    assert "F054" not in fit.message and "F054" not in repr(calibration.fit(covariance=None))

@@ -5,6 +5,7 @@ use super::experiment_subject::ExperimentSubject;
 use super::simulated_outputs::{Outputs, Place, Series, range, rounded, size, size_of_difference};
 use crate::data::{UnitConversion, parts, sampling_interval};
 use crate::findings::finding::Finding;
+use crate::findings::identifier::FindingId;
 use crate::problem::column_units::declared;
 use crate::problem::experiment::InitialState;
 use crate::problem::parameter::Parameter;
@@ -53,13 +54,14 @@ fn unit(series: &Series<'_>, subject: &ExperimentSubject<'_>) -> Option<(Finding
     );
     let remedy = match subject.example_unit(&series.of.variable) {
         Some(example) => format!(
-            "state the unit in the name of the column, as in '{} [{example}]', or convert it to {stated}",
+            "State the unit in the name of the column, as in '{} [{example}]', or convert it to {stated}",
             parts(&series.of.column).0
         ),
-        None => format!("convert it to {stated}"),
+        None => format!("Convert it to {stated}"),
     };
     let finding = |sentence: String, factor: f64| {
-        Some((Finding::warning(series.name(subject), sentence, remedy.clone()), factor))
+        let id = FindingId::UnitMismatch;
+        Some((Finding::warning(id, series.name(subject), sentence, remedy.clone()), factor))
     };
     let off = size_of_difference(measured, simulated.iter().copied());
     let may_be_temperature = unit.is_none_or(|unit| UnitConversion::between("degC", unit).is_ok());
@@ -67,7 +69,8 @@ fn unit(series: &Series<'_>, subject: &ExperimentSubject<'_>) -> Option<(Finding
         let left = size_of_difference(measured, simulated.iter().map(|s| s - zero));
         if may_be_temperature && left < 0.3 * off && off > 0.5 * ZERO_CELSIUS {
             let sentence = format!(
-                "the measurements are {} off the simulation at the start values, about as degC from K: another unit?",
+                "the measurements differ from the simulation at the start values by {}, about as degC from K. They are probably in another \
+                 unit, which the parameters cannot correct",
                 Number(rounded(off))
             );
             return finding(sentence, 1.0);
@@ -85,8 +88,8 @@ fn unit(series: &Series<'_>, subject: &ExperimentSubject<'_>) -> Option<(Finding
         let middle = (ratio.0 * ratio.1).sqrt();
         let numbers = [range_m, range_s].map(|range| Number(rounded(range)));
         let sentence = format!(
-            "the measurements range over {}, the simulation at the start values over {}: the ratio is about {}, as of another unit, \
-             or of parameters that start far off",
+            "the measurements range over {}, the simulation at the start values over {}. Range and size differ by a factor of about {}: the measurements are in another unit, \
+             or the parameters start far from their values",
             numbers[0],
             numbers[1],
             Number(rounded(middle))
@@ -102,13 +105,14 @@ fn held(series: &Series<'_>, subject: &ExperimentSubject<'_>, place: Place) -> O
     let is_held = simulated.len() > 2 && range(simulated) <= 1e-12 * size(simulated.iter().copied());
     (is_held && range(measured) > 0.0).then(|| {
         Finding::warning(
+            FindingId::ConstantSimulation,
             series.name(subject),
             format!(
-                "the simulation {place} holds it at {}, the measurements range over {}",
+                "the simulation {place} is constant at {}, but the measurements range over {}. The fit cannot follow them",
                 Number(rounded(simulated[0])),
                 Number(rounded(range(measured)))
             ),
-            "is an input missing, or an initial value? Is it the right variable?",
+            "Check the inputs, the initial state and the name of the variable",
         )
     })
 }
@@ -138,9 +142,13 @@ fn initial(series: &Series<'_>, subject: &ExperimentSubject<'_>, place: Place) -
     (off > 0.25 * range(measured) && off > 10.0 * noise).then(|| {
         let [first, at_start] = [measured[0], simulated[0]].map(|v| Number(rounded(v)));
         Finding::warning(
+            FindingId::InitialState,
             series.name(subject),
-            format!("the first measurement is {first}, the simulation starts at {at_start}"),
-            "give the initial state (initial_states), or fit it",
+            format!(
+                "the first measurement is {first}, but the simulation starts at {at_start}. The fit compensates for the difference with \
+                 wrong parameters"
+            ),
+            "Set the initial state (initial_states), or fit it",
         )
     })
 }
@@ -170,12 +178,14 @@ fn swapped(series: &[Series<'_>], subjects: &[ExperimentSubject<'_>]) -> Vec<Fin
             {
                 let subject = &subjects[a.of.experiment];
                 findings.push(Finding::warning(
+                    FindingId::SwappedColumns,
                     format!("{}outputs '{}' and '{}'", subject.prefix, a.of.variable, b.of.variable),
                     format!(
-                        "column '{}' is closer to the simulated '{}', and column '{}' to the simulated '{}'",
+                        "column '{}' is closer to the simulated '{}', and column '{}' to the simulated '{}'. The fit compares \
+                         the wrong columns if they are swapped",
                         a.of.column, b.of.variable, b.of.column, a.of.variable
                     ),
-                    "are the two columns swapped?",
+                    "Check which column belongs to which output",
                 ));
             }
         }

@@ -3,6 +3,7 @@
 use super::experiment_subject::ExperimentSubject;
 use super::simulated_outputs::rounded;
 use crate::findings::finding::Finding;
+use crate::findings::identifier::FindingId;
 use base::Number;
 
 /// Values that loggers write when they have no measurement.
@@ -22,9 +23,13 @@ pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
         let (n, (low, high)) = (known().count(), extent(known()));
         if n > 2 && low == high {
             findings.push(Finding::warning(
+                FindingId::ConstantColumn,
                 format!("{prefix}output '{variable}' (column '{column}')"),
-                format!("all {n} measurements are {}", Number(low)),
-                "is it the right column? A constant tells little about parameters",
+                format!(
+                    "all {n} measurements are {}. A constant contains little information about parameters",
+                    Number(low)
+                ),
+                "Check that it is the right column",
             ));
         }
     }
@@ -36,15 +41,16 @@ pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
             let unit = experiment.data.as_given(&column, 0.0).1;
             let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
             findings.push(Finding::warning(
+                FindingId::Placeholder,
                 format!("{prefix}'{variable}' (column '{column}')"),
                 format!(
-                    "{} {}{unit}, the others lie between {} and {}{unit}: a placeholder for a missing value?",
+                    "{} {}{unit}, the others lie between {} and {}{unit}. A placeholder for a missing value counts as a measurement",
                     if n == 1 { "one value is".to_owned() } else { format!("{n} values are") },
                     Number(value),
                     Number(rounded(rest.0)),
                     Number(rounded(rest.1))
                 ),
-                "leave such rows empty (NaN), or mask them",
+                "Leave such cells empty (NaN), or mask their rows",
             ));
         }
     }

@@ -6,6 +6,7 @@ use super::parameters::{GivenRange, beside_the_model};
 use super::simulated_outputs::{rounded, rounded_time};
 use crate::data::sampling_interval;
 use crate::findings::finding::{Finding, Severity};
+use crate::findings::identifier::FindingId;
 use crate::problem::column_units::declared;
 use base::Number;
 use fmi::description::{Variability, Variable};
@@ -37,14 +38,17 @@ pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
             findings.push(zero);
             continue;
         }
-        let mut warn = |(sentence, remedy): (String, &str)| {
-            findings.push(Finding::warning(name.clone(), sentence, remedy));
+        let mut warn = |id, sentence: String, remedy: &str| {
+            findings.push(Finding::warning(id, name.clone(), sentence, remedy));
         };
         if let Some((output, _)) = experiment.outputs().find(|(_, compared)| *compared == column) {
-            warn((
-                format!("its column is compared with the output '{output}', too"),
-                "is it the right column?",
-            ));
+            warn(
+                FindingId::SharedColumn,
+                format!(
+                    "the column is also compared with the output '{output}'. One of both is probably wrong"
+                ),
+                "Check both column names",
+            );
         }
         let beside = rows.extent().and_then(|(lowest, highest)| {
             let noise = NOISE * (highest - lowest);
@@ -55,8 +59,13 @@ pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
             let [low, high] = [rows.lowest(), rows.highest()].map(|value| Number(rounded(value)));
             let unit = variable.unit.as_deref().unwrap_or_default();
             let in_unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
-            let remedy = "give it in the unit of the model, or state its unit in the name of the column";
-            warn((format!("its values lie between {low} and {high}{in_unit}, {beside}"), remedy));
+            warn(
+                FindingId::ValueUnlikeModel,
+                format!(
+                    "the values lie between {low} and {high}{in_unit}, but {beside}. The unit is probably wrong"
+                ),
+                "Convert the values to the unit of the model, or state their unit in the name of the column",
+            );
         }
     }
     findings.extend(gaps(subject));
@@ -79,7 +88,7 @@ pub(super) fn gaps(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
         let is_continuous = variable.variability == Variability::Continuous;
         let (sentence, remedy) = rows.gap(subject.experiment.data.time(), is_continuous)?;
         let name = format!("{}input '{input}' (column '{column}')", subject.prefix);
-        Some(Finding::warning(name, sentence, remedy))
+        Some(Finding::warning(FindingId::InputGap, name, sentence, remedy))
     };
     subject.experiment.driving_columns().filter_map(of).collect()
 }
@@ -106,12 +115,18 @@ impl Rows {
             _ => 0.0,
         };
         let (severity, beside) = match own {
-            0.0 => (Severity::Note, ": it drives nothing".to_owned()),
-            own => (Severity::Warning, format!(", the model's own is {}", Number(rounded(own)))),
+            0.0 => (Severity::Note, ". The input has no effect".to_owned()),
+            own => (
+                Severity::Warning,
+                format!(
+                    ", but the start value in the model is {}. The simulation lacks the effect of the input",
+                    Number(rounded(own))
+                ),
+            ),
         };
         self.values.iter().all(|value| *value == 0.0).then(|| {
             let sentence = format!("all {} values are 0{beside}", self.values.len());
-            Finding::new(severity, name, sentence, "is it the right column?")
+            Finding::new(severity, FindingId::ZeroInput, name, sentence, "Check that it is the right column")
         })
     }
 
@@ -139,21 +154,21 @@ impl Rows {
         let of_all = match gaps.len() {
             1 => String::new(),
             n => format!(
-                ", and in {} more such gaps, {} s in all",
+                ", and {} more such gaps, {} s in total",
                 n - 1,
                 length(gaps.iter().map(|k| of(*k)).sum())
             ),
         };
         let taken = match is_continuous {
-            true => "it is taken as a straight line from value to value there, which nobody measured",
-            false => "its last value is held there, which nobody measured",
+            true => "The simulation uses a straight line there",
+            false => "The simulation holds the last value there",
         };
         Some((
             format!(
-                "it has no value from {from} s to {to} s ({} s), elsewhere one every {interval} s{of_all}: {taken}",
+                "the input has no value from {from} s to {to} s ({} s), elsewhere one every {interval} s{of_all}. {taken}",
                 length(of(largest))
             ),
-            "fill the gap with what the input was, or leave its time out with windows and a start_time",
+            "Fill the gap with the values of the input, or exclude its time with windows and start_time",
         ))
     }
 }
@@ -179,17 +194,13 @@ mod tests {
         };
         let said = without(150..250).gap(&all.times, true).unwrap().0;
         assert!(
-            said.starts_with("it has no value from 7.45 s to 12.5 s (5.05 s), elsewhere one every 0.05 s: "),
+            said.starts_with(
+                "the input has no value from 7.45 s to 12.5 s (5.05 s), elsewhere one every 0.05 s. "
+            ),
             "{said}"
         );
         assert!(without(150..152).gap(&all.times, true).is_none());
-        assert!(
-            without(150..153)
-                .gap(&all.times, false)
-                .unwrap()
-                .0
-                .ends_with("held there, which nobody measured")
-        );
+        assert!(without(150..153).gap(&all.times, false).unwrap().0.ends_with("holds the last value there"));
         // Both ends of a gap may be equal, but the values between them are still unknown.
         let square = |k: usize| f64::from(u8::from((k / 40).is_multiple_of(2)));
         let kept = || (0..400).filter(|k| !(100..260).contains(k) && !(300..310).contains(k));
@@ -197,7 +208,7 @@ mod tests {
             Rows { times: kept().map(|k| all.times[k]).collect(), values: kept().map(square).collect() };
         let said = square.gap(&all.times, true).unwrap().0;
         assert!(
-            said.contains("(8.05 s), elsewhere one every 0.05 s, and in 1 more such gaps, 8.6 s in all"),
+            said.contains("(8.05 s), elsewhere one every 0.05 s, and 1 more such gaps, 8.6 s in total"),
             "{said}"
         );
         // The recording itself has no rows in the gap.

@@ -19,6 +19,7 @@ pub use result::Check;
 use crate::cost::residual::PointResiduals;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity, sort};
+use crate::findings::identifier::FindingId;
 use crate::loaded::calibration::Calibration;
 use base::RunContext;
 use experiment_subject::ExperimentSubject;
@@ -92,9 +93,10 @@ impl Calibration {
             Err(error) => {
                 findings.push(Finding::new(
                     Severity::Error,
+                    FindingId::FailedStart,
                     "start values",
                     error.to_string(),
-                    "start where the model can be simulated; fits try other points, but their first steps are taken from here",
+                    "Choose start values that can be simulated, because the first steps of a fit begin there",
                 ));
                 return Ok(());
             }

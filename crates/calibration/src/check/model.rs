@@ -1,7 +1,8 @@
 //! Checks of the inputs and units in the model description, and warnings of the setup.
 
 use super::experiment_subject::ExperimentSubject;
-use crate::findings::finding::{Finding, Severity};
+use crate::findings::finding::Finding;
+use crate::findings::identifier::FindingId;
 use crate::problem::column_units::declared;
 use crate::problem::definition::Problem;
 use crate::problem::experiment::InitialState;
@@ -11,8 +12,7 @@ use fmi::description::{Causality, Variable};
 
 /// Converts warnings from the construction of the calibration to findings.
 pub(super) fn construction_warnings(warnings: &[SetupWarning]) -> Vec<Finding> {
-    let finding = |warning: &SetupWarning| Finding::new(warning.severity(), "setup", warning.to_string(), "");
-    warnings.iter().map(finding).collect()
+    warnings.iter().map(SetupWarning::finding).collect()
 }
 
 /// Returns findings about start values that had no effect in a simulation. In co-simulation, numbers for
@@ -30,7 +30,8 @@ pub(super) fn start_values(
     let starts = experiment.start_values.iter().filter_map(|(name, value)| Some((name, value.as_number()?)));
     let finding = |(name, value): (&String, f64)| {
         let message = fmu.ineffective_start_value(name, value)?;
-        Some(Finding::warning(format!("{prefix}start value of '{name}'"), message, ""))
+        let id = FindingId::StartValueWithoutEffect;
+        Some(Finding::warning(id, format!("{prefix}start value of '{name}'"), message, ""))
     };
     numbers.chain(starts).filter_map(finding).collect()
 }
@@ -53,13 +54,13 @@ pub(crate) fn unstated_noise(problem: &Problem) -> Option<Finding> {
     }
     let (priors, outputs) = (with_prior.join(", "), unstated.join(", "));
     Some(Finding::note(
+        FindingId::UnstatedNoise,
         format!("prior of {priors}"),
         format!(
-            "it counts in units of its standard deviation, and nothing states the standard deviation of the noise of {outputs}: a fit of \
-             the sum of squares estimates it with the parameters; a fit with a robust loss, or with noise 'stated', takes it for 1 over the \
-             weight, and the prior decides where it is smaller"
+            "the weights do not state the noise of {outputs}, which determines the influence of the prior. A fit of the sum of squares \
+             estimates the noise, and a fit with a robust loss or with noise 'stated' assumes 1 over the weight"
         ),
-        "weights of 1/sigma state it",
+        "Set the weights to 1/sigma",
     ))
 }
 
@@ -75,18 +76,16 @@ pub(super) fn inputs(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
         v.causality == Causality::Input && v.clock.is_none() && !given.contains(&reference(v))
     };
     let finding = |v: &Variable| {
-        let (held, severity) = match &v.start {
-            Some(start) => (format!("it stays at its start value {start}"), Severity::Warning),
-            None => {
-                ("the model states no start value for it, so it stays at 0".to_owned(), Severity::Warning)
-            }
+        let held = match &v.start {
+            Some(start) => format!("It stays at its start value {start}"),
+            None => "It stays at 0, because the model states no start value".to_owned(),
         };
-        Finding::new(
-            severity,
+        Finding::warning(
+            FindingId::UndrivenInput,
             format!("{prefix}input '{}'", v.name),
-            format!("nothing drives it: {held}"),
+            format!("the input is not driven. {held}"),
             format!(
-                "name the column that recorded it (inputs={{\"{0}\": ...}}), or give start_values={{\"{0}\": ...}} if this is meant",
+                "Specify its column (inputs={{\"{0}\": ...}}), or set start_values={{\"{0}\": ...}} if this is intended",
                 v.name
             ),
         )
@@ -106,16 +105,17 @@ pub(super) fn units(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
         let text = format!("'{column}' in {unit}");
         if experiment.data.unit(&column).is_none() && !columns.contains(&text) {
             columns.push(text);
-            example =
-                example.or_else(|| Some(format!(": '{column} [{}]'", subject.example_unit(&variable)?)));
+            example = example
+                .or_else(|| Some(format!(", as in '{column} [{}]'", subject.example_unit(&variable)?)));
         }
     }
     if columns.is_empty() {
         return Vec::new();
     }
     vec![Finding::note(
+        FindingId::MissingUnit,
         format!("{prefix}{}", experiment.data.source()),
-        format!("columns without a unit are taken in those of the model: {}", columns.join(", ")),
-        format!("state units to have them converted{}", example.unwrap_or_default()),
+        format!("columns without a unit are not converted to the units of the model: {}", columns.join(", ")),
+        format!("State the units of the columns to convert them{}", example.unwrap_or_default()),
     )]
 }

@@ -1,6 +1,7 @@
 //! Options of a check.
 
 use crate::findings::finding::Finding;
+use crate::findings::identifier::FindingId;
 use base::Number;
 use std::time::Duration;
 
@@ -25,15 +26,16 @@ impl CheckOptions {
     pub(super) fn out_of_time(&self, is_start_known: bool) -> Finding {
         let limit = Number(self.max_time.unwrap_or_default().as_secs_f64());
         let until = match is_start_known {
-            true => "before all simulations were made",
-            false => "before the simulation at the start values had ended",
+            true => "before the last simulation",
+            false => "during the simulation at the start values",
         };
         Finding::warning(
+            FindingId::IncompleteAssessment,
             "max_time",
             format!(
-                "the check was ended by its time limit of {limit} s {until}: what they show is not known"
+                "the time limit of {limit} s ended the check {until}. Findings of these simulations are missing"
             ),
-            "give a larger max_time, or simulate=False",
+            "Set a larger max_time, or simulate=False",
         )
     }
 }

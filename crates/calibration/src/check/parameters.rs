@@ -4,6 +4,7 @@ use super::experiment_subject::ExperimentSubject;
 use super::simulated_outputs::rounded;
 use crate::data::UnitConversion;
 use crate::findings::finding::{Finding, Severity};
+use crate::findings::identifier::FindingId;
 use crate::problem::column_units::declared;
 use crate::problem::experiment::Experiment;
 use crate::problem::input::InputSource;
@@ -54,13 +55,15 @@ pub(super) fn far_from_own_start(
         let is_far = |value: f64| value * own > 0.0 && factor(value, own) >= UNLIKE;
         (is_far(*value) && is_far(start)).then(|| {
             let sentence = format!(
-                "start {} is {} times the model's own value {}",
+                "start {} is {} times the start value {} of the model. The unit is probably wrong",
                 Number(start),
                 Number(rounded(start / own)),
                 Number(rounded(own))
             );
-            let remedy = "is its unit that of the model? Parameter(..., unit=...) converts it";
-            Finding::warning(format!("parameter '{}'", parameter.name()), sentence, remedy)
+            let remedy =
+                "Check the unit, and state it with Parameter(..., unit=...) if it differs from the model";
+            let id = FindingId::ValueUnlikeModel;
+            Finding::warning(id, format!("parameter '{}'", parameter.name()), sentence, remedy)
         })
     };
     parameters.iter().zip(values).filter_map(of).collect()
@@ -84,13 +87,13 @@ pub(super) fn beside_the_model(variable: &Variable, given: GivenRange) -> Option
     if is_below || is_above {
         let bounds = [("at least ", variable.min), ("at most ", variable.max)];
         let bounds = bounds.into_iter().filter_map(|(word, limit)| Some(format!("{word}{}", Number(limit?))));
-        return Some(format!("the model's range is {}", bounds.collect::<Vec<_>>().join(" and ")));
+        return Some(format!("the range of the model is {}", bounds.collect::<Vec<_>>().join(" and ")));
     }
     let own = own_start(variable)?;
     let is_far = is_constant && highest != 0.0 && highest * own > 0.0 && factor(highest, own) >= UNLIKE;
     let is_celsius = variable.unit.as_deref() == Some("K") && highest < KELVIN.1 && own > KELVIN.0;
-    let hint = if is_celsius { ": degC for K?" } else { "" };
-    (is_far || is_celsius).then(|| format!("the model's own is {}{hint}", Number(own)))
+    let hint = if is_celsius { ", as with degC instead of K" } else { "" };
+    (is_far || is_celsius).then(|| format!("the start value of the model is {}{hint}", Number(own)))
 }
 
 /// Returns findings about start values and constant inputs of an experiment. They are reported if they are
@@ -114,9 +117,10 @@ pub(super) fn given_values(subject: &ExperimentSubject<'_>, parameters: &[Parame
             beside_the_model(variable, GivenRange { lowest: value, highest: value, is_constant: true })?;
         let in_unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
         Some(Finding::warning(
+            FindingId::ValueUnlikeModel,
             format!("{prefix}{what} of '{name}'"),
-            format!("it is {}{in_unit}, {beside}", Number(value)),
-            "give it in the unit of the model",
+            format!("the value is {}{in_unit}, but {beside}. The unit is probably wrong", Number(value)),
+            "Convert the value to the unit of the model",
         ))
     };
     starts.chain(constants).filter_map(of).collect()
@@ -142,9 +146,13 @@ pub(super) fn ranges(parameters: &[Parameter], description: &ModelDescription) -
         let start = parameter.start();
         if start < low || start > high {
             findings.push(Finding::warning(
+                FindingId::OutsideModelRange,
                 subject,
-                format!("start {} is outside of the model's range {range}", Number(start)),
-                "start within it; is its unit that of the model?",
+                format!(
+                    "start {} is outside of the model's range {range}. The simulation may fail or be meaningless there",
+                    Number(start)
+                ),
+                "Start inside the range, and check the unit",
             ));
             continue;
         }
@@ -161,9 +169,10 @@ pub(super) fn ranges(parameters: &[Parameter], description: &ModelDescription) -
             let severity = if bound.is_finite() { Severity::Warning } else { Severity::Note };
             findings.push(Finding::new(
                 severity,
+                FindingId::OutsideModelRange,
                 subject.clone(),
-                format!("{text}, but the model states a range {range}"),
-                "simulations beyond it may fail or mean nothing: give bounds within it",
+                format!("{text}, but the model states a range {range}. Simulations beyond it may fail or be meaningless"),
+                "Set bounds inside the range",
             ));
         }
     }

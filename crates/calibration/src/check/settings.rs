@@ -5,6 +5,7 @@ use crate::cost::accuracy::Accuracy;
 use crate::cost::residual::PointResiduals;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
+use crate::findings::identifier::FindingId;
 use crate::loaded::calibration::Calibration;
 use base::Number;
 use dfo::RobustLoss;
@@ -15,7 +16,7 @@ const STEP_ERROR: f64 = 0.01;
 /// Returns a finding if a simulation requires more than a million steps of equal length.
 pub(super) fn many_steps(calibration: &Calibration) -> Option<Finding> {
     let sentence = calibration.evaluator().simulations.iter().find_map(|s| s.pool.plan().many_steps())?;
-    Some(Finding::warning("step", sentence, "set a larger step_size"))
+    Some(Finding::warning(FindingId::ManySteps, "step", sentence, "Set a larger step_size"))
 }
 
 /// Returns a finding if the fixed step, or the communication step of a co-simulation, is too large. This is
@@ -69,16 +70,15 @@ pub(super) fn large_step(
     Ok(largest.map(|(changed, _, beside, variable)| {
         let (changed, too_large) = (
             Number(rounded(changed)),
-            if is_co_simulation { "the results depend on it" } else { "the step is too large" },
+            if is_co_simulation { "The results depend on the step" } else { "The step is too large" },
         );
         let smaller = Accuracy::smaller_step(calibration.step_in_use());
         let remedy = match is_co_simulation {
             true => smaller,
-            false => format!("{smaller}, or a solver that chooses its steps"),
+            false => format!("{smaller}, or use a solver that chooses its steps"),
         };
-        let sentence = format!(
-            "half {step} changes '{variable}' {place} by {changed} (RMS), where {beside}: {too_large}"
-        );
-        Finding::warning("step", sentence, remedy)
+        let sentence =
+            format!("half {step} changes '{variable}' {place} by {changed} (RMS), and {beside}. {too_large}");
+        Finding::warning(FindingId::InaccurateSimulation, "step", sentence, remedy)
     }))
 }

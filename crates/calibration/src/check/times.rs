@@ -4,6 +4,7 @@ use super::experiment_subject::ExperimentSubject;
 use super::simulated_outputs::{rounded, rounded_time};
 use crate::data::sampling_interval;
 use crate::findings::finding::Finding;
+use crate::findings::identifier::FindingId;
 use base::Number;
 
 /// Returns the unit in which the recording is as long as the default experiment of the model in s.
@@ -27,20 +28,25 @@ pub(super) fn findings(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
     if let Some((unit, (duration, asked))) = unit_by_duration(subject).zip(subject.durations()) {
         let [duration, asked] = [duration, asked].map(|seconds| Number(rounded(seconds)));
         findings.push(Finding::warning(
+            FindingId::TimeUnit,
             name.clone(),
             format!(
-                "it lasts {duration} s, the experiment that the model suggests {asked} s: the times look as if they were in {unit}"
+                "the recording lasts {duration} s, but the default experiment of the model lasts {asked} s. The times are probably in {unit}"
             ),
-            format!("state the unit in the name of the column: 'time [{unit}]'"),
+            format!("State the unit in the name of the column: 'time [{unit}]'"),
         ));
     }
     let is_late = sampling_interval(data.time()).is_some_and(|interval| first - start_time > 1.5 * interval);
     if is_late && experiment.windows.is_empty() {
         let [first, start] = [first, *start_time].map(|time| Number(rounded_time(time)));
         findings.push(Finding::warning(
+            FindingId::LateFirstRow,
             name,
-            format!("its first row is at {first} s, the simulation starts at {start} s"),
-            format!("give start_time={first} if the model's start values are those of the first row"),
+            format!(
+                "the first row is at {first} s, but the simulation starts at {start} s. The state at the first row is then a result of \
+                 the simulation"
+            ),
+            format!("Set start_time={first} if the start values of the model belong to the first row"),
         ));
     }
     findings

@@ -16,8 +16,8 @@ pub(crate) enum Accuracy {
 impl Accuracy {
     /// Returns the remedy for a step that is too large.
     pub(crate) fn smaller_step(step_size: Option<f64>) -> String {
-        let than = step_size.map_or_else(String::new, |step| format!(" than the {} s of now", Number(step)));
-        format!("give a smaller step_size{than}")
+        let than = step_size.map_or_else(String::new, |step| format!(" than {} s", Number(step)));
+        format!("Set a smaller step_size{than}")
     }
 
     /// Returns the name of the setting for messages.

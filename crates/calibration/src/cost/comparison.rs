@@ -28,7 +28,7 @@ pub(crate) enum ProcessChoice {
 
 /// Message about a model whose answers in fresh processes differ.
 pub(crate) const NOT_REPRODUCED: &str =
-    "two runs of the same simulation in fresh processes differ: no result can be reproduced";
+    "two runs of the same simulation in fresh processes differ. No result can be reproduced";
 
 /// The very first question, and the answer of an unused process.
 #[derive(Debug, Clone)]

@@ -35,13 +35,24 @@ pub struct ClockChange {
 
 impl fmt::Display for ClockChange {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}. {}", self.symptom(), self.remedy())
+    }
+}
+
+impl ClockChange {
+    /// Returns the change of the clock as text.
+    pub(crate) fn symptom(&self) -> String {
         let Self { from, to, is_doubled } = self;
         let (what, way) = if *is_doubled { ("is doubled", "from") } else { ("is missing", "to") };
-        write!(
-            f,
-            "between {from} and {to} an hour {what}, as where clocks change {way} summer time, and the times have no zone: if the \
-             clock was changed, write them with their offset ({to}+02:00) or in UTC ({to}Z)"
+        format!(
+            "between {from} and {to} an hour {what}, as if the clock changes {way} summer time, and the times have no zone"
         )
+    }
+
+    /// Returns the remedy if the clock was changed.
+    pub(crate) fn remedy(&self) -> String {
+        let to = &self.to;
+        format!("If the clock was changed, write the times with their offset ({to}+02:00) or in UTC ({to}Z)")
     }
 }
 

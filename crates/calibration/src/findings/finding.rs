@@ -1,5 +1,6 @@
-//! Findings about a setup or a fit: sentences with a subject, a severity and a remedy.
+//! Findings about a setup or a fit: sentences with an identifier, a subject, a severity and a remedy.
 
+use crate::findings::identifier::FindingId;
 use crate::findings::shown_text::visible_line;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -49,13 +50,16 @@ pub enum Origin {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[non_exhaustive]
 pub struct Finding {
+    /// Identifier of the kind of finding.
+    #[cfg_attr(feature = "schema", schemars(with = "String"))]
+    pub id: FindingId,
     /// Severity of the finding.
     pub severity: Severity,
     /// Subject of the finding: a recording, a column, a variable, a parameter.
     pub subject: String,
-    /// Statement of the finding, with its numbers.
+    /// Symptom with its numbers, and its consequence, without a final full stop.
     pub sentence: String,
-    /// Remedy; may be empty.
+    /// Remedy, without a final full stop; may be empty.
     pub remedy: String,
     /// Subject area of the finding.
     #[serde(default)]
@@ -65,6 +69,7 @@ pub struct Finding {
 impl Finding {
     pub(crate) fn new(
         severity: Severity,
+        id: FindingId,
         subject: impl Into<String>,
         sentence: impl Into<String>,
         remedy: impl Into<String>,
@@ -74,7 +79,7 @@ impl Finding {
             Cow::Owned(shown) => shown,
         };
         let (subject, sentence, remedy) = (line(subject.into()), line(sentence.into()), line(remedy.into()));
-        Self { severity, subject, sentence, remedy, origin: Origin::Problem }
+        Self { id, severity, subject, sentence, remedy, origin: Origin::Problem }
     }
 
     /// Returns the finding with another origin.
@@ -83,32 +88,35 @@ impl Finding {
     }
 
     pub(crate) fn warning(
+        id: FindingId,
         subject: impl Into<String>,
         sentence: impl Into<String>,
         remedy: impl Into<String>,
     ) -> Self {
-        Self::new(Severity::Warning, subject, sentence, remedy)
+        Self::new(Severity::Warning, id, subject, sentence, remedy)
     }
 
     pub(crate) fn note(
+        id: FindingId,
         subject: impl Into<String>,
         sentence: impl Into<String>,
         remedy: impl Into<String>,
     ) -> Self {
-        Self::new(Severity::Note, subject, sentence, remedy)
+        Self::new(Severity::Note, id, subject, sentence, remedy)
     }
 
-    /// Returns the sentence, preceded by the subject if the sentence does not contain it.
+    /// Returns the sentence and the identifier, preceded by the subject if the sentence does not contain it:
+    /// `step: ... [F028 inaccurate-simulation]`.
     pub fn text(&self) -> String {
         match self.subject.is_empty() || self.sentence.contains(&self.subject) {
-            true => self.sentence.clone(),
-            false => format!("{}: {}", self.subject, self.sentence),
+            true => format!("{} [{}]", self.sentence, self.id),
+            false => format!("{}: {} [{}]", self.subject, self.sentence, self.id),
         }
     }
 
     /// Returns the text and the remedy.
     pub fn advice(&self) -> String {
-        if self.remedy.is_empty() { self.text() } else { format!("{}; {}", self.text(), self.remedy) }
+        if self.remedy.is_empty() { self.text() } else { format!("{}. {}", self.text(), self.remedy) }
     }
 }
 

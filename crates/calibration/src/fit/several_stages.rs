@@ -3,6 +3,7 @@
 
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
+use crate::findings::identifier::FindingId;
 use crate::fit::one_stage::{
     FinalSearch, Fit, FitObserver, FitOptions, Job, SearchResult, UsedLimits, add_earlier, checkpoint_of,
     ended_by,
@@ -434,8 +435,8 @@ impl Calibration {
         let mut raised = last.setup_findings.clone();
         if !names.is_empty() {
             let names = names.join(", ");
-            let sentence = format!("no stage frees {names}: at the start");
-            raised.push(Finding::note(names, sentence, ""));
+            let sentence = format!("no stage frees {names}, which remain at the start values");
+            raised.push(Finding::note(FindingId::UnusedParameter, names, sentence, ""));
         }
         let searched = SearchResult {
             residuals: KeptResiduals::new(&job.start, at_start).with(&report.x, at_end.as_deref()),

@@ -1,7 +1,8 @@
 //! Warnings about a setup that can be evaluated but may not be intended.
 
 use crate::data::{ClockChange, MOST_LISTED, UnitError, listed, parts};
-use crate::findings::finding::Severity;
+use crate::findings::finding::{Finding, Severity};
+use crate::findings::identifier::FindingId;
 use crate::problem::experiment::{Experiment, Weight};
 use crate::problem::input::InputSource;
 use crate::problem::parameter::{Parameter, Scale};
@@ -82,31 +83,36 @@ impl SetupWarning {
             _ => Severity::Warning,
         }
     }
-}
 
-impl fmt::Display for SetupWarning {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    /// Returns the warning as a finding.
+    pub fn finding(&self) -> Finding {
+        let finding = |id, subject: &str, sentence: String, remedy: String| {
+            Finding::new(self.severity(), id, subject, sentence, remedy)
+        };
         match self {
-            Self::UnusedColumn { data, column, input } => write!(
-                f,
-                "{data}: column '{column}' is not used, but the model has an input '{input}' that nothing drives; name it \
-                 among the inputs, if it is its recording"
+            Self::UnusedColumn { data, column, input } => finding(
+                FindingId::UnusedColumn,
+                data,
+                format!("column '{column}' is not used, but nothing drives the input '{input}' of the model"),
+                "Add the column to the inputs if it is the recording of this input".to_owned(),
             ),
-            Self::NotConverted { data, column, variable, reason } => {
-                write!(
-                    f,
-                    "{data}: column '{column}' is taken in the unit of '{variable}', without conversion: {reason}"
-                )?;
+            Self::NotConverted { data, column, variable, reason } => finding(
+                FindingId::UnconvertedUnit,
+                data,
+                format!("column '{column}' is used in the unit of '{variable}' without conversion: {reason}"),
                 match reason {
-                    UnitError::NotStated { .. } => f.write_str("; the setting units states it"),
-                    _ => Ok(()),
-                }
-            }
+                    UnitError::NotStated { .. } => {
+                        format!("State the unit of '{variable}' with the setting units")
+                    }
+                    _ => "Correct the unit of the column".to_owned(),
+                },
+            ),
             Self::Converted { data, columns } => {
                 let one =
                     |(column, from, to): &(String, String, String)| format!("'{column}' from {from} to {to}");
                 let all = columns.iter().map(one).collect::<Vec<_>>().join(", ");
-                write!(f, "{data}: converted by the units that the columns state: {all}")
+                let sentence = format!("columns were converted from the units that they state: {all}");
+                finding(FindingId::ConvertedUnit, data, sentence, String::new())
             }
             Self::WithoutColumn { data, inputs, columns } => {
                 let value = |(_, start): &(String, Option<Value>)| match start {
@@ -116,17 +122,40 @@ impl fmt::Display for SetupWarning {
                 };
                 let names = listed(inputs.iter().map(|(name, _)| name.as_str()));
                 let values = inputs.iter().take(MOST_LISTED).map(value).collect::<Vec<_>>().join(", ");
-                let (subject, verb) = match inputs.len() {
-                    1 => ("input", "has no column: it keeps its start value"),
-                    _ => ("inputs", "have no column: they keep their start values"),
+                let sentence = match inputs.len() {
+                    1 => format!("input {names} has no column and keeps its start value {values}"),
+                    _ => format!("inputs {names} have no column and keep their start values {values}"),
                 };
                 let columns = listed(columns.iter().map(String::as_str));
-                write!(f, "{data}: {subject} {names} {verb} {values}; columns are {columns}")
+                finding(
+                    FindingId::UndrivenInput,
+                    data,
+                    sentence,
+                    format!("Assign one of the columns {columns}"),
+                )
             }
-            Self::ClockChange { data, change } => write!(f, "{data}: {change}"),
-            Self::NoEffect(sentence) => f.write_str(sentence),
-            Self::Experiment { name, warning } => write!(f, "{name}: {warning}"),
+            Self::ClockChange { data, change } => {
+                finding(FindingId::ClockChange, data, change.symptom(), change.remedy())
+            }
+            Self::NoEffect(sentence) => {
+                finding(FindingId::SettingWithoutEffect, "", sentence.clone(), String::new())
+            }
+            Self::Experiment { name, warning } => {
+                let of_experiment = warning.finding();
+                let subject = match of_experiment.subject.as_str() {
+                    "" => name.clone(),
+                    subject => format!("{name}: {subject}"),
+                };
+                Finding { subject, ..of_experiment }
+            }
         }
+    }
+}
+
+/// Writes the text and the remedy of the finding.
+impl fmt::Display for SetupWarning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.finding().advice())
     }
 }
 

@@ -90,7 +90,9 @@ impl Calibration {
 
 #[cfg(test)]
 mod tests {
-    use crate::{BoundSide, Calibration, Data, Experiment, Finding, Fit, FitOptions, Origin, Parameter};
+    use crate::{
+        BoundSide, Calibration, Data, Experiment, Finding, FindingId, Fit, FitOptions, Origin, Parameter,
+    };
     use base::RunContext;
 
     /// x' = -k x with k = 2, recorded with an error of 0.001.
@@ -237,7 +239,8 @@ mod tests {
         assert!(!text.contains("warning") && !text.contains("note"), "{text}");
         let uncertainty = fit.uncertainty.as_mut().unwrap();
         uncertainty.uncorrected_covariance = Some(vec![25e-8]);
-        uncertainty.findings = vec![Finding::note("residuals", "the residuals are not white", "wait")];
+        uncertainty.findings =
+            vec![Finding::note(FindingId::Outliers, "residuals", "the residuals are not white", "Wait")];
         fit.at_bound = vec![(0, BoundSide::Upper)];
         let text = fit.to_string();
         assert!(
@@ -245,7 +248,8 @@ mod tests {
             "{text}"
         );
         assert!(text.contains("Standard errors: k 0.05 %. 1 warning, 1 note.\n"), "{text}");
-        let said = "\nwarning  k is at its upper bound 10: the best value may lie beyond\nnote     the residuals are not white\n         -> wait\n";
+        let said = "\nwarning  k is at its upper bound 10. The best value may lie beyond [F001 at-bound]\n         -> Widen the bound if larger or \
+                    smaller values are possible\nnote     the residuals are not white [F015 outliers]\n         -> Wait\n";
         assert!(text.contains(said), "{text}");
         fit.uncertainty.as_mut().unwrap().standard_errors = vec![f64::INFINITY];
         fit.uncertainty.as_mut().unwrap().uncorrected_covariance = None;
@@ -266,18 +270,28 @@ mod tests {
         problem.parameters[0] = problem.parameters[0].clone().display_name("rate of decay");
         let calibration = Calibration::from_problem(calibration.fmu().clone(), problem).unwrap();
         let mut fit = calibration.fit(FitOptions::default()).unwrap();
-        let sentence = "the data do not determine k: other values fit as well";
+        let sentence = "the data do not determine k: other values fit equally well";
         let uncertainty = fit.uncertainty.as_mut().unwrap();
         uncertainty.undetermined = vec![0];
         uncertainty.findings = vec![
-            Finding::warning("k", sentence, "").of(Origin::Search),
-            Finding::note("", "all is well", ""),
+            Finding::warning(
+                FindingId::UndeterminedParameter,
+                "k",
+                sentence,
+                "Fix it, add a prior, or record an experiment that determines it",
+            )
+            .of(Origin::Search),
+            Finding::note(FindingId::Outliers, "", "all is well", ""),
         ];
         fit.report.message = "f_tol reached".to_owned();
         let text = fit.to_string();
         assert!(text.contains("rate of decay  1  -> 2.0001"), "{text}");
-        let said = "\nwarning  the data do not determine rate of decay: other values fit as well\nnote     all is well\n";
-        assert!(text.contains(said), "{text}");
+        for said in [
+            "\nwarning  the data do not determine rate of decay: other values fit equally well [F003 undetermined-parameter]\n",
+            "\nnote     all is well [F015 outliers]\n",
+        ] {
+            assert!(text.contains(said), "{text}");
+        }
         assert!(text.contains(": f_tol reached\n"), "{text}");
         assert!(fit.to_html().contains("rate of decay"));
         assert!(fit.to_json(&calibration).unwrap().contains("\"name\": \"k\""));
@@ -310,13 +324,13 @@ mod tests {
         let text = fit.to_string();
         assert!(text.contains("the best point that it met within its limits, below all minima"), "{text}");
         assert!(
-            text.contains("6 local searches have ended at 2 minima, and the result is better than all"),
+            text.contains("6 local searches ended at 2 minima, and the result is below all of them"),
             "{text}"
         );
         fit.report.optima[0] = optimum(fit.report.fun);
         let text = fit.to_string();
         assert!(text.contains("The fit took the lowest minimum that it found within its limits"), "{text}");
-        assert!(text.contains("6 local searches have ended at 2 minima, 3 of them at the lowest"), "{text}");
+        assert!(text.contains("6 local searches ended at 2 minima, 3 of them at the lowest"), "{text}");
     }
 
     #[test]
@@ -324,7 +338,8 @@ mod tests {
         let (calibration, mut fit) = decay();
         let uncertainty = fit.uncertainty.as_mut().unwrap();
         uncertainty.standard_errors = vec![1e-3];
-        uncertainty.findings = vec![Finding::note("<x>", "the residuals are not white", "")];
+        uncertainty.findings =
+            vec![Finding::note(FindingId::Outliers, "<x>", "the residuals are not white", "")];
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("report.html");
         std::fs::write(&path, "an older one").unwrap();
@@ -339,7 +354,7 @@ mod tests {
             "relative tolerance",
             &calibration.problem().model.content_hash,
             "fingerprint of the compared data",
-            "<strong>note</strong> &lt;x&gt;: the residuals are not white",
+            "<strong>note</strong> &lt;x&gt;: the residuals are not white [F015 outliers]</li>",
             "<details>\n<summary>Experiment run1: ",
             "prefers-color-scheme",
         ] {

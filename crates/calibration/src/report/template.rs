@@ -2,6 +2,7 @@
 //! contain any characters.
 
 use super::summary::Summary;
+use crate::findings::identifier::FindingId;
 use crate::findings::shown_text::visible_line;
 use minijinja::value::Serde;
 use minijinja::{Environment, Value, context, escape_formatter};
@@ -47,6 +48,8 @@ fn render(name: &str, values: Value) -> String {
         ("page.html", include_str!("templates/page.html")),
         ("style.html", include_str!("templates/style.html")),
     ];
+    environment
+        .add_filter("name_of_finding", |id: String| FindingId::try_from(id).map_or("", FindingId::name));
     // Strings are single lines. Safe values come from other templates and figures.
     environment.set_formatter(|out, state, value| match value.as_str().filter(|_| !value.is_safe()) {
         Some(text) => escape_formatter(out, state, &Value::from(visible_line(text))),

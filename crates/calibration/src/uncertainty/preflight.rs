@@ -5,6 +5,7 @@ use crate::cost::accuracy::Accuracy;
 use crate::cost::residual::sum_of_squares;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Origin, sort, table};
+use crate::findings::identifier::FindingId;
 use crate::findings::shown_text::{digits, visible_line};
 use crate::loaded::calibration::Calibration;
 use crate::loaded::simulations_around::{Point, Simulations};
@@ -295,13 +296,15 @@ impl Preflight {
             match failure {
                 Some(reason) => {
                     let sentence = format!("the simulation with {name} = {} fails: {reason}", digits(*to));
-                    said.push(Finding::warning(name, sentence, ""));
+                    let remedy = "Choose another start value, or bounds that exclude such values";
+                    said.push(Finding::warning(FindingId::FailedNearStart, name, sentence, remedy));
                 }
                 None if !has_effect => said.push(
                     Finding::warning(
+                        FindingId::ParameterWithoutEffect,
                         name,
-                        format!("{name} moves no output that was measured: a fit cannot find it from here"),
-                        "fix it, or measure what it moves",
+                        format!("{name} changes no measured output at the start. A fit cannot determine it from there"),
+                        "Fix it, or measure an output that it changes",
                     )
                     .of(Origin::Search),
                 ),
@@ -311,12 +314,14 @@ impl Preflight {
         for (i, j, correlation) in &self.confounded {
             let (a, b) = (&self.parameters[*i].name, &self.parameters[*j].name);
             let sentence = format!(
-                "{a} and {b} move the outputs the same way at the start: correlation {correlation:.2}"
+                "{a} and {b} change the outputs in the same way at the start (correlation {correlation:.2}). The data may determine only a \
+                 combination of them"
             );
             let finding = Finding::warning(
+                FindingId::CorrelatedParameters,
                 format!("{a} and {b}"),
                 sentence,
-                "the standard errors of the fit say how well each is told; where that is not enough, fix one, give it a prior, or record what tells them apart",
+                "If their standard errors are too large after the fit, fix one, add a prior, or record an experiment that distinguishes them",
             );
             said.push(finding.of(Origin::Search));
         }
@@ -324,16 +329,16 @@ impl Preflight {
             let remedy = match self.is_step_halved {
                 true => {
                     let smaller = Accuracy::smaller_step(self.step_size);
-                    format!("{smaller}, or a solver that chooses its steps")
+                    format!("{smaller}, or use a solver that chooses its steps")
                 }
-                false => "give a smaller relative_tolerance, or f_tol above that".to_owned(),
+                false => "Set a smaller relative_tolerance, or a larger f_tol".to_owned(),
             };
             let sentence = format!(
-                "the cost at the start changes by {} of its value with {}",
+                "the cost at the start changes by {} of its value with {}. Smaller changes of the cost are simulation errors",
                 digits(self.noise),
                 Accuracy::words(self.is_step_halved)
             );
-            said.push(Finding::warning("cost", sentence, remedy));
+            said.push(Finding::warning(FindingId::InaccurateSimulation, "cost", sentence, remedy));
         }
         sort(&mut said);
         said
@@ -356,7 +361,7 @@ impl fmt::Display for Preflight {
                 (_, _, None) => "fixed".to_owned(),
                 (Some(_), ..) => "the simulation fails".to_owned(),
                 (_, Some(sensitivity), _) if check.has_effect => digits(sensitivity).to_string(),
-                _ => "moves no output".to_owned(),
+                _ => "changes no output".to_owned(),
             };
             writeln!(f, "{:<width$}  {:>12}  {said}", name(&check.name), digits(check.start).to_string())?;
         }
@@ -366,7 +371,7 @@ impl fmt::Display for Preflight {
         }
         writeln!(
             f,
-            "\n{} s per evaluation; a fit by least squares of about {} evaluations takes {} s, one after the other ({} workers)",
+            "\n{} s per evaluation; a least-squares fit of about {} evaluations takes {} s without parallel simulations ({} workers)",
             digits(self.seconds_per_evaluation),
             self.expected_evaluations,
             digits(self.expected_seconds),

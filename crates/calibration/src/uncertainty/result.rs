@@ -284,7 +284,7 @@ impl Uncertainty {
             let names: Vec<&str> = self.held.iter().map(|i| self.names[*i].as_str()).collect();
             said.push(format!("at a bound or fixed, taken as known: {}", names.join(", ")));
         }
-        said.join("; ")
+        said.join(". ")
     }
 
     /// Returns all findings as sentences; empty if there are none.

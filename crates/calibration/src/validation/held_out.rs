@@ -4,6 +4,7 @@
 use crate::cost::residual::PointResiduals;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, table};
+use crate::findings::identifier::FindingId;
 use crate::findings::shown_text::{digits, visible_line};
 use crate::fit::one_stage::{Fit, FitOptions, NoiseRule};
 use crate::fit::output_fit::OutputFit;
@@ -213,12 +214,13 @@ impl Calibration {
             let is_seen = n > 0 && n as f64 >= share * all as f64;
             is_seen.then(|| {
                 Finding::warning(
+                    FindingId::ValidationOverlap,
                     format!("{}: {}", names[output.experiment], output.variable),
                     format!(
-                        "the fit has seen {n} of these {all} measurements: there the RMS says how well they are reproduced, not how well \
-                         new ones are predicted"
+                        "the fit has used {n} of these {all} measurements. Their RMS shows how well they are reproduced, not how well new \
+                         ones are predicted"
                     ),
-                    "fit in one window and validate in another, or on another recording",
+                    "Fit in one window and validate in another, or use another recording",
                 )
             })
         };

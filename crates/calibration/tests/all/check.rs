@@ -113,19 +113,19 @@ fn check_reports_mistakes() {
     };
     for (builder, expected) in [
         (scaled("x1", 1e3, 0.0), "output 'qt.x1' (column 'x1'): the measurements range over"),
-        (scaled("x1", 1e3, 0.0), "the ratio is about"),
-        (scaled("x2", 1e-3, 0.0), "state the unit in the name of the column, as in 'x2 [mm]'"),
+        (scaled("x1", 1e3, 0.0), "Range and size differ by a factor of about"),
+        (scaled("x2", 1e-3, 0.0), "State the unit in the name of the column, as in 'x2 [mm]'"),
         (
             times(1e3, 0.0, with_u2),
-            "times look as if they were in ms; state the unit in the name of the column: 'time [ms]'",
+            "The times are probably in ms [F041 time-unit]. State the unit in the name of the column: 'time [ms]'",
         ),
         (
             times(1.0, 100.0, |e| with_u2(e).start_time(0.0).hold_inputs(true)),
-            "its first row is at 100 s, the simulation starts at 0 s; give start_time=100",
+            "the first row is at 100 s, but the simulation starts at 0 s.",
         ),
         (swapped, "outputs 'qt.x1' and 'qt.x3': column 'x3' is closer to the simulated 'qt.x3'"),
-        (open_input, "input 'u2': nothing drives it"),
-        (unused, "column 'u2' is not used, but the model has an input 'u2'"),
+        (open_input, "input 'u2': the input is not driven"),
+        (unused, "column 'u2' is not used, but nothing drives the input 'u2'"),
         (changed("x1", &|_, _| 0.06), "all 61 measurements are 0.06"),
         (changed("x1", &|_, v| v + 0.04), "the first measurement is 0.1"),
         (changed("u1", &|k, v| if k > 40 { f64::NAN } else { v }), "input 'u1' is recorded from 0 s to 40 s"),
@@ -190,9 +190,9 @@ fn check_returns_only_notes_for_correct_setups() {
     assert!(check.is_ok() && said(&check).is_empty(), "{check}");
     assert_eq!(check.findings.len(), 1, "{check}");
     assert!(
-        check
-            .to_string()
-            .contains("columns without a unit are taken in those of the model: 'x1' in m, 'x2' in m"),
+        check.to_string().contains(
+            "columns without a unit are not converted to the units of the model: 'x1' in m, 'x2' in m"
+        ),
         "{check}"
     );
 
@@ -369,14 +369,17 @@ fn check_reports_mistakes_in_input_columns() {
             .unwrap();
         let check = calibration.check_with(&NO_SIMULATION, &RunContext::new()).unwrap();
         let said = check.findings.iter().map(ToString::to_string);
-        said.filter(|said| said.contains("'u1'") && !said.contains("without a unit")).collect::<Vec<_>>()
+        said.filter(|said| said.contains("'u1'") && !said.contains("F044")).collect::<Vec<_>>()
     };
     let sine = |t: f64| 5.0 + (0.65 * t).sin();
     let near = |t: f64, other: f64| (t - other).abs() < 0.01;
     let mistakes: [(&dyn Fn(f64) -> f64, &str); 3] = [
         (&|_| 0.0, "input 'u1' (column 'u1'): all 601 values are 0"),
         (&|t| if near(t, 20.0) || near(t, 30.0) { -999.0 } else { sine(t) }, "2 values are -999"),
-        (&|t| if t > 10.0 && t < 15.0 { f64::NAN } else { sine(t) }, "it has no value from 10 s to 15 s"),
+        (
+            &|t| if t > 10.0 && t < 15.0 { f64::NAN } else { sine(t) },
+            "the input has no value from 10 s to 15 s",
+        ),
     ];
     for (u1, expected) in mistakes {
         let said = with_u1("u1", u1);
@@ -412,7 +415,7 @@ fn check_reports_an_input_in_degrees_celsius() {
             .build()
             .unwrap();
         let check = calibration.check_with(&NO_SIMULATION, &RunContext::new()).unwrap();
-        let said = "its values lie between 20 and 31.8 K, the model's own is 550: degC for K?";
+        let said = "the values lie between 20 and 31.8 K, but the start value of the model is 550, as with degC instead of K";
         assert_eq!(check.to_string().contains(said), is_said, "{check}");
     }
 }

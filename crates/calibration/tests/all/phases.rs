@@ -60,7 +60,7 @@ fn fit_reports_interrupted_checks() {
     let context = RunContext::new().asking(&is_asked);
     let fit = calibration.fit(FitOptions { context, phase, ..FitOptions::default() }).unwrap();
     let says = |fit: &calibration::Fit| {
-        fit.findings().iter().any(|f| f.sentence.contains("was ended before it was complete"))
+        fit.findings().iter().any(|f| f.sentence.contains("ended during the checks after the search"))
     };
     assert!(fit.is_success() && fit.uncertainty.is_none() && says(&fit), "{fit}");
     assert!(!says(&calibration.fit(FitOptions::default()).unwrap()));
@@ -98,7 +98,9 @@ fn check_respects_time_limit_when_a_simulation_is_endless() {
     let options = CheckOptions { max_time: Some(Duration::from_millis(300)), ..CheckOptions::default() };
     let check = endless().check_with(&options, &RunContext::new()).unwrap();
     assert!(
-        check.to_string().contains("its time limit of 0.3 s before the simulation at the start"),
+        check
+            .to_string()
+            .contains("the time limit of 0.3 s ended the check during the simulation at the start"),
         "{check}"
     );
     assert!(began.elapsed() < Duration::from_secs(10), "{:?}", began.elapsed());

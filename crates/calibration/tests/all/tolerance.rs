@@ -78,7 +78,7 @@ fn chosen_tolerance_keeps_cost_smooth_for_f_tol() {
             assert!(chosen.stated == 1e-4 && chosen.noise.is_some());
             assert!((fit.x[0] - 1.5).abs() < 5.0 * uncertainty.standard_errors[0], "{fit}");
             let text = fit.findings().iter().map(ToString::to_string).collect::<String>();
-            assert!(text.contains("relative_tolerance overrides it") && chosen.used <= 1e-6, "{text}");
+            assert!(text.contains("Set relative_tolerance to override it") && chosen.used <= 1e-6, "{text}");
             used.push(chosen.used);
         }
     }

@@ -148,8 +148,11 @@ fn parameter_of_unreached_event_is_reported() {
         (&[0][..], &[0][..], &[1][..])
     );
     assert!(uncertainty.standard_errors[0].is_infinite() && uncertainty.standard_errors[1] < 0.01);
-    let said = "the data do not determine e: it moves no output that was measured";
-    assert!(uncertainty.verdict()[0] == said && fit.findings()[0].severity == Severity::Warning, "{fit}");
+    let said = "the data do not determine e: it changes no measured output. ";
+    assert!(
+        uncertainty.verdict()[0].starts_with(said) && fit.findings()[0].severity == Severity::Warning,
+        "{fit}"
+    );
     // The message describes the run only.
     assert!(!fit.report.message.contains("determine"), "{fit}");
 }
@@ -177,7 +180,10 @@ fn jointly_determined_parameters_are_reported() {
         for x in [[3e-6, 3e-6, 3e-6, 3e-6, 9.81], [2.1e-6, 3.3e-6, 2.9e-6, 3.7e-6, 12.0]] {
             let found = uncertainty(&calibration, &x, Estimator::Sandwich);
             assert_eq!(found.undetermined, [0, 1, 2, 3, 4], "{scale:?} {found:?}");
-            assert!(found.without_effect.is_empty() && found.verdict()[0].contains("together"));
+            assert!(
+                found.without_effect.is_empty()
+                    && found.verdict()[0].contains("other combinations of their values")
+            );
             // If one of them is held, the data determine the other four.
             assert_eq!(found.identifiable.len(), 4, "{found:?}");
         }
@@ -379,14 +385,14 @@ fn preflight_reports_problems_of_the_start() {
     let effects: Vec<_> = found.parameters.iter().map(|p| (p.has_effect, p.moved_to.is_some())).collect();
     assert_eq!(effects, [(false, true), (true, true), (false, false)]);
     assert!(
-        found.findings.len() == 1 && found.findings[0].sentence.starts_with("e moves no output"),
+        found.findings.len() == 1 && found.findings[0].sentence.starts_with("e changes no measured output"),
         "{found}"
     );
     // h decreases by g t^2 / 2; the size of g is the width of its bounds.
     let by_g = time.iter().map(|t| (0.5 * t * t).powi(2)).sum::<f64>() / 40.0;
     near(found.parameters[1].sensitivity.unwrap(), 10.0 * by_g.sqrt() / (0.5 * 9.81 * 0.39 * 0.39), 1e-3);
     assert_eq!((found.expected_evaluations, found.n_simulations), (36, 4));
-    for said in ["moves no output", "fixed", "sensitivity", "36 evaluations"] {
+    for said in ["changes no output", "fixed", "sensitivity", "36 evaluations"] {
         assert!(found.to_string().contains(said), "{found}");
     }
     let fit = ball.fit(FitOptions { preflight: true, ..FitOptions::default() }).unwrap();
@@ -433,7 +439,7 @@ fn parameter_known_only_from_prior_is_reported() {
         .unwrap();
     let verdict = uncertainty(&ball, &[2.0, 0.7], Estimator::Sandwich).verdict();
     let said: Vec<&String> = verdict.iter().filter(|said| said.contains("prior alone")).collect();
-    assert_eq!(said, ["e is known from its prior alone: the data do not move it"], "{verdict:?}");
+    assert!(said.len() == 1 && said[0].starts_with("e is known from its prior alone."), "{verdict:?}");
 }
 
 #[test]
@@ -459,7 +465,8 @@ fn noise_free_data_cause_one_note_and_no_pairs() {
         uncertainty.verdict()
     );
     assert!(
-        uncertainty.findings.len() == 1 && uncertainty.verdict()[0].contains("say little"),
+        uncertainty.findings.len() == 1
+            && uncertainty.verdict()[0].contains("Standard errors are then meaningless"),
         "{:?}",
         uncertainty.verdict()
     );

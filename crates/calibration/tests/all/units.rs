@@ -43,7 +43,7 @@ fn columns_are_converted_to_the_units_of_the_model() {
         // Only the conversion is reported, and only as a note, because brackets may have another meaning.
         let said: Vec<String> = calibration.warnings().iter().map(ToString::to_string).collect();
         assert!(calibration.warnings().iter().all(|w| w.severity() == Severity::Note), "{said:?}");
-        let converted = "by the units that the columns state: 'x1 [mm]' from mm to m, 'x2 (mm)' from mm to m, 'u [mV]' from mV to V";
+        let converted = "columns were converted from the units that they state: 'x1 [mm]' from mm to m, 'x2 (mm)' from mm to m, 'u [mV]' from mV to V";
         assert_eq!(said.iter().any(|said| said.contains(converted)), names[0] == "x1 [mm]", "{said:?}");
         assert_eq!(said.is_empty(), per_metre == 1.0, "{said:?}");
         let (check, fit) = (calibration.check(), calibration.fit(FitOptions::default()).unwrap());

@@ -64,7 +64,7 @@ fn validation_window_keeps_its_history() {
     // no warning for another window.
     assert!(validation.findings.is_empty() && again.findings[0].severity == Severity::Warning, "{again}");
     assert!(
-        again.to_string().contains("\nwarning  run1: x: the fit has seen 11 of these 11 measurements"),
+        again.to_string().contains("\nwarning  run1: x: the fit has used 11 of these 11 measurements"),
         "{again}"
     );
     let part =

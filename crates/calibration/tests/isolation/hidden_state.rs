@@ -80,7 +80,7 @@ fn fit_is_correct_when_the_model_has_hidden_state() {
     }
 }
 
-const HIDDEN: &str = "the model keeps a state outside of its instances";
+const HIDDEN: &str = "the model keeps state outside of its instances";
 
 /// A calibration is unaffected by runs of another calibration of the same opened model.
 #[test]

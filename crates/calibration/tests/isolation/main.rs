@@ -332,7 +332,7 @@ fn fit_is_not_a_success_when_it_ends_next_to_crashes() {
     assert!(fit.report.n_failed > 0 && fit.x[0] <= 1.5 && !fit.is_success(), "{fit}");
     let text = fit.to_string();
     assert!(text.contains("The fit ended before the minimum"), "{text}");
-    assert!(text.contains("the cost falls towards values that cannot be simulated"), "{text}");
+    assert!(text.contains("the cost decreases towards values that cannot be simulated"), "{text}");
 }
 
 /// A fault of an FMU in one evaluation does not affect the next evaluations.

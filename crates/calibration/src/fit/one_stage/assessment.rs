@@ -7,6 +7,7 @@ use super::result::Fit;
 use super::search::{Job, SearchResult};
 use crate::cost::residual::{CostRule, PointResiduals, sum_of_squares};
 use crate::findings::finding::{Finding, Origin};
+use crate::findings::identifier::FindingId;
 use crate::fit::output_fit::{EndResiduals, KeptResiduals};
 use crate::fit::phase::FitPhase;
 use crate::loaded::budget::{Budget, Extra};
@@ -15,7 +16,6 @@ use crate::loaded::simulations_around::Simulations;
 use crate::problem::objective::{CostKind, NamedCost};
 use crate::problem::parameter::Parameter;
 use crate::problem::residual_layout::ResidualLayout;
-use crate::uncertainty::covariance::identifiability::SEARCH;
 use crate::uncertainty::diagnostics::residual_check::ResidualCheck;
 use crate::uncertainty::estimate::KnownPoint;
 use crate::uncertainty::result::{Uncertainty, UncertaintyOptions};
@@ -29,7 +29,7 @@ const FEW_RIGHT_HAND_SIDES: u64 = 20_000;
 
 /// Finding about a fit that was interrupted after its search had ended normally.
 const ENDED_EARLY: &str =
-    "what follows the search was ended before it was complete: findings and standard errors may be missing";
+    "the fit ended during the checks after the search. Findings and standard errors may be missing";
 
 impl Calibration {
     /// Returns the fit for completed searches. Also returns their residuals with the weights of this
@@ -54,10 +54,9 @@ impl Calibration {
         let uncertainty = own.uncertainty_of_fit(job, &made.searched, &ends, &mut budget, &mut stats);
         // The search ended normally, but the steps after it did not.
         if context.is_cancelled() && report.termination != Termination::Interrupted {
-            findings.push(
-                Finding::warning("fit", ENDED_EARLY, "fit again, or resume from the checkpoint")
-                    .of(Origin::Search),
-            );
+            let remedy = "Resume from the checkpoint, or fit again";
+            let finding = Finding::warning(FindingId::IncompleteAssessment, "fit", ENDED_EARLY, remedy);
+            findings.push(finding.of(Origin::Search));
         }
         if uncertainty.is_none() {
             let found = own.findings_without_uncertainty(job, &made.searched, &ends, &mut budget, &mut stats);
@@ -211,8 +210,9 @@ impl Calibration {
         let mut found = Vec::new();
         let is_requested = job.has_uncertainty();
         if is_requested && searched.report.termination.cause().allows_evaluations() && job.context.is_late() {
-            let sentence = "the time was up before the standard errors were known";
-            found.push(Finding::warning("max_time", sentence, "").of(Origin::Search));
+            let sentence = "the time limit ended the fit before the standard errors were estimated";
+            let (id, remedy) = (FindingId::IncompleteAssessment, "Set a larger max_time");
+            found.push(Finding::warning(id, "max_time", sentence, remedy).of(Origin::Search));
         }
         let end = ends.end.as_ref().filter(|_| self.has_fixed_step() && job.is_checked());
         if let Some(end) = end.filter(|_| budget.allows(Extra::Accuracy, self.price_of_accurate())) {
@@ -311,7 +311,8 @@ impl Calibration {
             Ok(mut uncertainty) => {
                 // A user who sets a target does not request a minimum.
                 if *report.termination.ended() == Termination::Target {
-                    uncertainty.findings.retain(|finding| finding.subject != SEARCH);
+                    let is_early = [FindingId::BeforeMinimum, FindingId::MinimumBeyondFailures];
+                    uncertainty.findings.retain(|finding| !is_early.contains(&finding.id));
                 }
                 if !job.run.method.is_global() {
                     uncertainty.found_by_local_search();

@@ -2,6 +2,7 @@
 
 use crate::cost::residual::sum_of_squares;
 use crate::findings::finding::{Finding, Origin, Severity};
+use crate::findings::identifier::FindingId;
 use crate::findings::shown_text::digits;
 use crate::loaded::calibration::Calibration;
 use crate::problem::residual_layout::OutputResiduals;
@@ -123,22 +124,28 @@ pub(super) fn findings(calibration: &Calibration, residuals: &[f64]) -> Vec<Find
         };
         let prefix = if names.len() == 1 { "" } else { &format!("{}: ", names[output.experiment]) };
         let sentence = format!(
-            "the fit is worse than a constant: its residuals have an RMS of {}, the measurements a standard deviation of {}{}",
+            "the fit is worse than a constant: its residuals have an RMS of {}, the measurements a standard deviation of {}. {}",
             digits((own.differences / own.n).sqrt()),
             digits((own.about_mean / own.n).sqrt()),
-            match (own.is_no_chance(), are_all_worse) {
-                (true, _) => String::new(),
-                (false, true) => format!(
-                    "; in {} rows that may be chance, for {n_outputs} outputs together it is not",
+            match (own.is_no_chance(), are_all_worse, severity) {
+                (true, _, Severity::Error) => "The fitted values are unusable".to_owned(),
+                (true, ..) =>
+                    "The output contributes little to the cost, or is reproduced in other recordings"
+                        .to_owned(),
+                (false, true, _) => format!(
+                    "In {} rows this may be chance, but for {n_outputs} outputs together it is not",
                     own.n
                 ),
-                (false, false) => format!("; in {} rows that may be chance", own.n),
+                (false, false, _) => format!("In {} rows this may be chance", own.n),
             }
         );
         let subject = format!("{prefix}output '{}' (column '{}')", output.variable, output.column);
-        let remedy = "is it the right column, in the right unit and with the right sign, and the initial state that of this recording? If so, other start values, or \
-                      search=\"global\", may lead to a better minimum";
-        Some(Finding::new(severity, subject, sentence, remedy).of(Origin::Residuals))
+        let remedy = "Check the column, its unit and sign, and the initial state. If they are right, try other start values or \
+                      search=\"global\"";
+        Some(
+            Finding::new(severity, FindingId::WorseThanConstant, subject, sentence, remedy)
+                .of(Origin::Residuals),
+        )
     };
     layout.outputs.iter().filter_map(finding).collect()
 }

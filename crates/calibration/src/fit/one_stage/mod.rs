@@ -21,7 +21,8 @@ use crate::cost::comparison::NOT_REPRODUCED;
 use crate::cost::parallel::beside;
 use crate::cost::process::Remote;
 use crate::error::CalibrationError;
-use crate::findings::finding::{Finding, Origin, Severity};
+use crate::findings::finding::{Finding, Origin};
+use crate::findings::identifier::FindingId;
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::FitPhase;
 use crate::loaded::budget::Extra;
@@ -34,15 +35,11 @@ pub(crate) use search::{Job, SearchResult, UsedLimits};
 use std::convert::Infallible;
 
 /// Finding about a model that requires a separate process for each simulation.
-const HIDDEN_STATE: &str = "the model keeps a state outside of its instances, which no variable shows: each evaluation ran in a separate process";
+const HIDDEN_STATE: &str = "the model keeps state outside of its instances, which no variable shows. Each evaluation ran in a separate process, so the result is correct";
 
 /// Finding about a fit that could not restart.
-const NOT_ANEW: &str = "evaluations depended on earlier evaluations, and the time was over before the fit could restart. Its costs may \
-                        be wrong";
-
-fn finding_about_fmu(sentence: &str) -> Finding {
-    Finding::warning("FMU", sentence, "")
-}
+const NOT_ANEW: &str = "evaluations depended on earlier ones, and the time limit ended the fit before it could restart. Its costs may be \
+                        wrong";
 
 impl Calibration {
     /// Fits the parameters.
@@ -83,7 +80,8 @@ impl Calibration {
             let has_processes = self.evaluator().remote.is_ok();
             let is_apart = has_processes && self.fmu().reuse() == Reuse::NewProcess;
             // Evaluations have separate processes now, so no action is needed.
-            let handled = || Finding::new(Severity::Note, "FMU", HIDDEN_STATE, "").of(Origin::Search);
+            let handled =
+                || Finding::note(FindingId::HiddenState, "FMU", HIDDEN_STATE, "").of(Origin::Search);
             made.searched.raised.extend(is_apart.then(handled));
             job.enter(FitPhase::FreshProcess, &stats);
             let own = made.own.take();
@@ -116,12 +114,22 @@ impl Calibration {
             fit.phases = job.phases.borrow_mut().costs(&fit.stats);
             let is_wrong = self.fmu().n_late() > n_late;
             let doubt = match is_wrong {
-                false if own_remote.is_some_and(Remote::is_random) => Some(NOT_REPRODUCED),
-                true if job.context.is_over() => Some(NOT_ANEW),
+                false if own_remote.is_some_and(Remote::is_random) => Some(Finding::warning(
+                    FindingId::NotReproducible,
+                    "FMU",
+                    NOT_REPRODUCED,
+                    "Look for random numbers, clocks and files in the model",
+                )),
+                true if job.context.is_over() => Some(Finding::warning(
+                    FindingId::DependentEvaluations,
+                    "FMU",
+                    NOT_ANEW,
+                    "Set a larger max_time",
+                )),
                 _ => None,
             };
             if doubt.is_some() || !is_wrong {
-                fit.setup_findings.extend(doubt.map(finding_about_fmu));
+                fit.setup_findings.extend(doubt);
                 if !job.is_part {
                     fit.note_end_before_minimum();
                 }
@@ -129,7 +137,7 @@ impl Calibration {
             }
             stats = fit.stats;
             let model = &self.fmu().description().model_name;
-            log::warn!("{model}: evaluations depended on earlier evaluations; the fit restarts");
+            log::warn!("{model}: evaluations depended on earlier ones, so the fit restarts");
             job.begin_anew(run.clone(), wants_preflight);
         }
     }

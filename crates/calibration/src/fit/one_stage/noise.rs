@@ -5,6 +5,7 @@
 
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Severity};
+use crate::findings::identifier::FindingId;
 use crate::findings::shown_text::digits;
 use crate::loaded::calibration::Calibration;
 use crate::problem::definition::Problem;
@@ -247,21 +248,25 @@ impl EstimatedNoise {
         let mut found: Vec<Finding> = open
             .map(|OutputNoise { variable, sd, .. }| {
                 Finding::warning(
+                    FindingId::RoughNoiseEstimate,
                     format!("noise of {variable}"),
                     format!(
-                        "its standard deviation {} is that of the differences between neighbouring measurements: residuals that say more of \
-                         it there are not, for they are too few beside the parameters, or the search was ended",
+                        "the standard deviation {} is estimated from differences between neighbouring measurements, because there are too few \
+                         residuals or the search ended early. The weights of the fit are approximate",
                         digits(*sd)
                     ),
-                    "state it: weights of 1 over the standard deviation",
+                    "Set the weights to 1 over the standard deviation",
                 )
             })
             .collect();
         if !self.is_settled && self.n_rounds >= MOST_ROUNDS {
             found.push(Finding::warning(
+                FindingId::RoughNoiseEstimate,
                 "noise",
-                format!("its estimates had not settled to 1 % after {MOST_ROUNDS} fits"),
-                "state it: weights of 1 over the standard deviation",
+                format!(
+                    "the estimates still changed by more than 1 % after {MOST_ROUNDS} fits. The weights of the fit are approximate"
+                ),
+                "Set the weights to 1 over the standard deviation",
             ));
         }
         found
@@ -295,26 +300,29 @@ pub(super) fn contradictions_of_stated(
         let (severity, meaning, remedy) = match (has_priors, ratio > 1.0) {
             (true, true) => (
                 Severity::Warning,
-                "a prior or the model keeps it off its measurements, or the noise is larger than stated, and priors count too little",
-                "are the priors and the weights (1/sigma) right? noise 'estimated' takes the noise from the residuals",
+                "A prior or the model keeps the fit away from the measurements, or the noise is larger than stated and priors count too little",
+                "Check the priors and the weights (1/sigma), or use noise 'estimated'",
             ),
             (true, false) => (
                 Severity::Warning,
-                "the noise is smaller than stated, and priors count too much",
-                "are the weights 1/sigma, not sigma? noise 'estimated' takes the noise from the residuals",
+                "The noise is smaller than stated, and priors count too much",
+                "Check that the weights are 1/sigma and not sigma, or use noise 'estimated'",
             ),
             (false, is_larger) => (
                 Severity::Note,
                 match is_larger {
-                    true => "the model leaves out something, or the noise is larger than stated",
-                    false => "the noise is smaller than stated",
+                    true => {
+                        "The model lacks an effect, or the noise is larger than stated; standard errors use the residuals"
+                    }
+                    false => "The noise is smaller than stated; standard errors use the residuals",
                 },
-                "are the weights 1/sigma? Standard errors are those of the residuals, whatever is stated",
+                "Check that the weights are 1/sigma",
             ),
         };
         let sentence =
-            format!("its residuals are {} times the noise that its weights state: {meaning}", digits(ratio));
-        Some(Finding::new(severity, format!("noise of {}", output.variable), sentence, remedy))
+            format!("the residuals are {} times the noise that the weights state. {meaning}", digits(ratio));
+        let subject = format!("noise of {}", output.variable);
+        Some(Finding::new(severity, FindingId::ContradictedNoise, subject, sentence, remedy))
     };
     layout.outputs.iter().filter_map(of).collect()
 }

@@ -396,7 +396,9 @@ impl Calibration {
         let unstated = crate::check::unstated_noise(self.problem()).filter(|_| is_unknown)?;
         Some(Finding {
             severity: Severity::Warning,
-            remedy: "give weights of 1/sigma, or leave out the robust loss: then the noise is estimated with the parameters".to_owned(),
+            remedy:
+                "Set the weights to 1/sigma, or omit the robust loss, so that the fit estimates the noise"
+                    .to_owned(),
             ..unstated
         })
     }

@@ -3,6 +3,7 @@
 use super::noise::FitNoise;
 use super::tolerance::ChosenTolerance;
 use crate::findings::finding::{Finding, Origin, Severity, sort};
+use crate::findings::identifier::FindingId;
 use crate::findings::shown_text::digits;
 use crate::fit::output_fit::OutputFit;
 use crate::fit::phase::PhaseCost;
@@ -140,7 +141,7 @@ impl Fit {
         let left = self.left_to_gain();
         if left > 0.0 && matches!(self.report.termination, Termination::Converged | Termination::Noise) {
             self.report.message = format!(
-                "not converged: one more step of least squares takes away {} % of the cost; {}",
+                "not converged: one more least-squares step removes {} % of the cost; {}",
                 digits(100.0 * left),
                 self.report.message
             );
@@ -188,16 +189,19 @@ impl Fit {
                 BoundSide::Upper => self.bounds[*i].1,
             };
             let sentence = format!(
-                "{} is at its {} bound {}: the best value may lie beyond",
+                "{} is at its {} bound {}. The best value may lie beyond",
                 names[*i],
                 side.name(),
                 Number(bound)
             );
-            Finding::warning(&names[*i], sentence, "").of(Origin::Search)
+            let remedy = "Widen the bound if larger or smaller values are possible";
+            Finding::warning(FindingId::AtBound, &names[*i], sentence, remedy).of(Origin::Search)
         };
         let without_effect = |i: &usize| {
-            let sentence = format!("{} did not change the cost: its value says nothing", names[*i]);
-            Finding::warning(&names[*i], sentence, "").of(Origin::Search)
+            let sentence = format!("{} did not change the cost. Its value is meaningless", names[*i]);
+            let remedy = "Fix it, or record an experiment in which it acts";
+            Finding::warning(FindingId::ParameterWithoutEffect, &names[*i], sentence, remedy)
+                .of(Origin::Search)
         };
         let is_said = |i: &&usize| {
             !self.uncertainty.as_ref().is_some_and(|uncertainty| uncertainty.undetermined.contains(i))
@@ -222,26 +226,26 @@ impl Fit {
         let n_minima = optima.len();
         let sentence = match self.report.fun < best.cost {
             true => format!(
-                "{n_searches} local searches have ended at {n_minima} minima, and the result is better than all of them: the search from \
-                 it was cut off, and its minimum is lower"
+                "{n_searches} local searches ended at {n_minima} minima, and the result is below all of them. A limit ended the search from \
+                 it, so its minimum is lower"
             ),
             false => format!(
-                "{n_searches} local searches have ended at {n_minima} minima, {} of them at the lowest: by these numbers there are more, \
-                 and one may be lower",
+                "{n_searches} local searches ended at {n_minima} minima, {} of them at the lowest. These numbers suggest more minima, and one \
+                 may be lower",
                 best.n_starts
             ),
         };
-        let remedy = "compare the minima (optima); a larger max_evaluations lets more searches start";
-        Some(Finding::note("search", sentence, remedy).of(Origin::Search))
+        let remedy = "Compare the minima (optima), and set a larger max_evaluations for more searches";
+        Some(Finding::note(FindingId::OpenMinima, "search", sentence, remedy).of(Origin::Search))
     }
 
     /// Returns a finding about answers that the executor lost.
     fn lost_answers(&self) -> Option<Finding> {
         let n = self.report.n_lost;
         let sentence = format!(
-            "the executor lost {n} answers; their points were evaluated again, which changes no result"
+            "the executor lost {n} answers. Their points were evaluated again, so the result is unaffected"
         );
-        (n > 0).then(|| Finding::note("executor", sentence, "").of(Origin::Search))
+        (n > 0).then(|| Finding::note(FindingId::LostAnswers, "executor", sentence, "").of(Origin::Search))
     }
 
     /// Returns the RMS relative to the RMS at the start, on the same measurements. Returns `None` if the

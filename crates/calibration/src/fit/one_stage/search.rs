@@ -6,6 +6,7 @@ use super::simulation_executor::SimulationExecutor;
 use crate::cost::residual::sum_of_squares;
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
+use crate::findings::identifier::FindingId;
 use crate::findings::shown_text::digits;
 use crate::fit::live::{LiveFit, lock};
 use crate::fit::output_fit::KeptResiduals;
@@ -322,8 +323,11 @@ fn raise_f_tol(tolerances: &mut Tolerances, preflight: &Preflight) -> Option<Fin
     (tolerances.measure == ToleranceMeasure::Relative && is_larger).then(|| {
         tolerances.f_tol = preflight.noise;
         let noise = digits(preflight.noise);
-        let sentence = format!("f_tol was raised to the noise of the simulations, {noise}");
-        Finding::note("f_tol", sentence, "")
+        let sentence = format!(
+            "f_tol was raised to the noise of the simulations, {noise}. Smaller changes of the cost are simulation errors"
+        );
+        let remedy = "Set a smaller relative_tolerance if f_tol must be smaller";
+        Finding::note(FindingId::RaisedFTol, "f_tol", sentence, remedy)
     })
 }
 

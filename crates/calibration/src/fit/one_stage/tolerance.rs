@@ -3,6 +3,7 @@
 use super::noise::{EstimatedNoise, NoiseRule};
 use super::search::Job;
 use crate::findings::finding::Finding;
+use crate::findings::identifier::FindingId;
 use crate::loaded::calibration::Calibration;
 use crate::problem::residual_layout::OutputResiduals;
 use base::Number;
@@ -53,9 +54,10 @@ impl ChosenTolerance {
     pub(crate) fn finding(&self) -> Option<Finding> {
         let [used, stated] = [self.used, self.stated].map(Number);
         let sentence = format!(
-            "simulations have the relative tolerance {used} instead of {stated}, which leaves the cost noisier than f_tol allows"
+            "simulations use the relative tolerance {used} instead of {stated}, with which the cost would be noisier than f_tol allows"
         );
-        let finding = || Finding::note("relative tolerance", sentence, "relative_tolerance overrides it");
+        let remedy = "Set relative_tolerance to override it";
+        let finding = || Finding::note(FindingId::ChosenTolerance, "relative tolerance", sentence, remedy);
         (self.used < self.stated).then(finding)
     }
 }

@@ -4,6 +4,7 @@
 use crate::cost::accuracy::Accuracy;
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Origin, Severity};
+use crate::findings::identifier::FindingId;
 use crate::findings::shown_text::digits;
 use crate::uncertainty::covariance::matrix::{Factors, compressed};
 use crate::uncertainty::covariance::noise::Noise;
@@ -45,12 +46,6 @@ const SHIFTED: f64 = 0.1;
 /// Relative size of residual changes by simulation errors above which the effect of a parameter may be
 /// hidden.
 const ROUGH: f64 = 0.01;
-
-/// Subject of the finding that a search ended early.
-pub(crate) const SEARCH: &str = "search";
-
-/// Subject of the finding that the cost is not smooth.
-const SMOOTHNESS: &str = "the cost";
 
 impl Uncertainty {
     fn n(&self) -> usize {
@@ -237,46 +232,61 @@ impl Uncertainty {
     /// Returns findings about parameters that the data do not determine.
     pub(crate) fn undetermined_findings(&self) -> Vec<Finding> {
         let mut said = Vec::new();
-        let mut find = |names: String, sentence: String, remedy: &str| {
-            said.push(Finding::warning(names, sentence, remedy).of(Origin::Search));
+        let mut find = |id, names: String, sentence: String, remedy: &str| {
+            said.push(Finding::warning(id, names, sentence, remedy).of(Origin::Search));
         };
         if self.degrees_of_freedom == 0.0 && self.held.len() < self.n() {
-            let sentence = "there are no more residuals than parameters: nothing is known of their errors";
-            find("parameters".to_owned(), sentence.to_owned(), "");
+            let sentence =
+                "there are no more residuals than parameters. Their standard errors cannot be estimated";
+            find(
+                FindingId::NoDegreesOfFreedom,
+                "parameters".to_owned(),
+                sentence.to_owned(),
+                "Fit fewer parameters, or record more data",
+            );
         }
         let inert = &self.without_effect;
-        let (below, remedy) = match self.simulation_noise > ROUGH {
+        // Changes below the simulation error do not count.
+        let (limit, remedy) = match self.simulation_noise > ROUGH {
             true => (
                 format!(
-                    ", beyond the error of the simulations, {} % of the residuals",
+                    " within the simulation error of {} % of the residuals",
                     digits(100.0 * self.simulation_noise)
                 ),
-                "give a smaller relative_tolerance (or step): then smaller changes count",
+                Some("Set a smaller relative_tolerance (or step_size), so that smaller changes count"),
             ),
-            false => (String::new(), ""),
+            false => (String::new(), None),
         };
         if !inert.is_empty() {
-            let moves = if inert.len() == 1 { "it moves" } else { "they move" };
+            let (change, values) = match inert.len() {
+                1 => ("it changes", "Its value is"),
+                _ => ("they change", "Their values are"),
+            };
             let names = self.list(inert);
-            let sentence =
-                format!("the data do not determine {names}: {moves} no output that was measured{below}");
-            find(names, sentence, remedy);
+            let beyond = limit.replacen("within", "beyond", 1);
+            let sentence = format!(
+                "the data do not determine {names}: {change} no measured output{beyond}. {values} meaningless"
+            );
+            let remedy = remedy.unwrap_or("Fix such parameters, or record an experiment in which they act");
+            find(FindingId::ParameterWithoutEffect, names, sentence, remedy);
         }
         let together: Vec<usize> = self.undetermined.iter().copied().filter(|i| !inert.contains(i)).collect();
         let names = self.list(&together);
         match together.len() {
             0 => {}
             1 => find(
+                FindingId::UndeterminedParameter,
                 names.clone(),
-                format!("the data do not determine {names}: other values fit as well{below}"),
-                remedy,
+                format!("the data do not determine {names}: other values fit equally well{limit}"),
+                remedy.unwrap_or("Fix it, add a prior, or record an experiment that determines it"),
             ),
             _ => find(
+                FindingId::UndeterminedParameter,
                 names.clone(),
                 format!(
-                    "the data do not determine {names}: other values of them together fit as well{below}"
+                    "the data do not determine {names}: other combinations of their values fit equally well{limit}"
                 ),
-                if remedy.is_empty() { "fix all but one, or combine them" } else { remedy },
+                remedy.unwrap_or("Fix all but one, or combine them"),
             ),
         }
         said
@@ -302,11 +312,11 @@ impl Uncertainty {
             };
             let factor = digits(sum.max(difference) / sum.min(difference));
             let sentence = format!(
-                "{names} move the outputs the same way: correlation {correlation:.2}. Their {worse} is known {factor} times worse than \
-                 their {better}; the standard errors of each take account of it"
+                "{names} change the outputs in the same way (correlation {correlation:.2}), and their {worse} is {factor} times less certain \
+                 than their {better}. Their standard errors include this"
             );
-            let remedy = "where they are too large, fix one, give it a prior, or record what tells them apart";
-            Finding::note(names, sentence, remedy)
+            let remedy = "If the standard errors are too large, fix one, add a prior, or record an experiment that distinguishes them";
+            Finding::note(FindingId::CorrelatedParameters, names, sentence, remedy)
         })
     }
 
@@ -318,16 +328,15 @@ impl Uncertainty {
         let size = self.cost.abs().max(accurate.abs());
         let is_moved = self.shift_by_accuracy > SHIFTED;
         (difference > f_tol * size && is_moved && !self.is_exact).then(|| {
-            let (subject, own, remedy) = match self.is_step_halved {
+            let (subject, remedy) = match self.is_step_halved {
                 true => {
                     let smaller = Accuracy::smaller_step(self.step_size);
-                    ("step", "the step", format!("{smaller}, or a solver that chooses its steps"))
+                    ("step", format!("{smaller}, or use a solver that chooses its steps"))
                 }
-                false => ("relative tolerance", "that", "give a smaller relative_tolerance".to_owned()),
+                false => ("relative tolerance", "Set a smaller relative_tolerance".to_owned()),
             };
             let sentence = format!(
-                "the cost is {} with {own} of the fit, and changes by {} with {}, relative to itself by {}: more than f_tol, {}; \
-                 a parameter moves by {} standard errors",
+                "the cost {} changes by {} with {}, which is {} of its value (f_tol is {}). A parameter changes by {} standard errors",
                 digits(self.cost),
                 digits(accurate - self.cost),
                 Accuracy::words(self.is_step_halved),
@@ -335,7 +344,7 @@ impl Uncertainty {
                 digits(f_tol),
                 digits(self.shift_by_accuracy),
             );
-            Finding::warning(subject, sentence, remedy).of(Origin::Search)
+            Finding::warning(FindingId::InaccurateSimulation, subject, sentence, remedy).of(Origin::Search)
         })
     }
 
@@ -343,55 +352,60 @@ impl Uncertainty {
     fn rough_cost(&self) -> Option<Finding> {
         self.roughness.map(|ResidualBend { bend, bend_of_part }| {
             let sentence = format!(
-                "the cost is not smooth here: over about one standard error the residuals bend by {} % of their change, and over a sixteenth of \
-                 that, where a smooth model bends a sixteenth as much, by {} %. The standard errors are not to be relied on, and a local \
-                 search may have ended at any of many minima, far from the lowest",
+                "the cost is not smooth: the residuals bend by {} % of their change over about one standard error, and by {} % over a sixteenth \
+                 of it, where a smooth model bends a sixteenth as much. The standard errors are unreliable, and a local search may have \
+                 ended at any of many minima",
                 digits((100.0 * bend).round()),
                 digits((100.0 * bend_of_part).round())
             );
-            let remedy = "search=\"global\", or start values nearer to what you know; an RMS no larger than the noise of the sensors tells the right minimum. Does the model switch at times that the parameters move?";
-            Finding::warning(SMOOTHNESS, sentence, remedy).of(Origin::Search)
+            let remedy = "Use search=\"global\" or better start values, and check whether the model switches at times that depend on the \
+                          parameters. At the right minimum the RMS is close to the noise of the sensors";
+            Finding::warning(FindingId::RoughCost, "the cost", sentence, remedy).of(Origin::Search)
         })
     }
 
     /// Returns a finding if a search ended before its minimum.
     fn not_at_minimum(&self) -> Option<Finding> {
         let percent = digits(100.0 * self.left_to_gain);
-        let (sentence, remedy) = match self.is_at_failures {
+        let (id, sentence, remedy) = match self.is_at_failures {
             _ if self.left_to_gain == 0.0 => return None,
             true => (
+                FindingId::MinimumBeyondFailures,
                 format!(
-                    "the cost falls towards values that cannot be simulated (one more step of least squares would take away {percent} % of it): the search ended beside them, before the minimum"
+                    "the cost decreases towards values that cannot be simulated (one more least-squares step would remove {percent} % of it). \
+                     The search ended next to them, before the minimum"
                 ),
-                "look at why the simulations fail (failures), and give bounds that exclude these values if they mean nothing",
+                "Look at the reasons of the failures, and set bounds that exclude these values if they are meaningless",
             ),
             false => (
+                FindingId::BeforeMinimum,
                 format!(
-                    "one more step of least squares takes away {percent} % of the cost: the search ended before the minimum"
+                    "one more least-squares step removes {percent} % of the cost. The search ended before the minimum"
                 ),
-                "give smaller x_tol and f_tol, or larger limits, and start from the result",
+                "Set smaller x_tol and f_tol or larger limits, and start from the result",
             ),
         };
-        Some(Finding::warning(SEARCH, sentence, remedy).of(Origin::Search))
+        Some(Finding::warning(id, "search", sentence, remedy).of(Origin::Search))
     }
 
     /// Raises the severity of the smoothness finding for a local search. If the cost is not smooth, the
     /// result is one of many minima that no measurement distinguishes.
     pub(crate) fn found_by_local_search(&mut self) {
-        let rough = self.findings.iter_mut().filter(|finding| finding.subject == SMOOTHNESS);
+        let rough = self.findings.iter_mut().filter(|finding| finding.id == FindingId::RoughCost);
         rough.for_each(|finding| finding.severity = Severity::Error);
     }
 
     /// Rewrites the finding about an early end for stages that hold parameters that other stages have fitted.
     pub(crate) fn found_in_stages(&mut self) {
         let percent = digits(100.0 * self.left_to_gain);
-        for finding in self.findings.iter_mut().filter(|finding| finding.subject == SEARCH) {
+        for finding in self.findings.iter_mut().filter(|finding| finding.id == FindingId::BeforeMinimum) {
+            finding.id = FindingId::StagesApart;
             finding.sentence = format!(
-                "each stage of the search has ended where the others held it: one step of least squares in all parameters together takes away {percent} % \
-                 of the cost. The values are conditional on what the stages held, and lie off by more than their standard errors"
+                "one least-squares step in all parameters together removes {percent} % of the cost, although each stage ended normally. The \
+                 values depend on what the stages held fixed, and are off by more than their standard errors"
             );
             finding.remedy =
-                "add a last stage with all parameters; smaller tolerances do not help".to_owned();
+                "Add a last stage with all parameters, because smaller tolerances do not help".to_owned();
         }
     }
 
@@ -409,27 +423,32 @@ impl Uncertainty {
         };
         (high > 0.0).then(|| {
             let sentence = format!(
-                "the standard errors are {times} times those of independent residuals: corrected for autocorrelation ({largest:.2} at lag one)"
+                "the standard errors are {times} times the errors of independent residuals. They are corrected for autocorrelation ({largest:.2} \
+                 at lag one)"
             );
-            Finding::note("standard errors", sentence, "")
+            Finding::note(FindingId::CorrectedStandardErrors, "standard errors", sentence, "")
         })
     }
 
     /// Returns all findings.
     pub(crate) fn all_findings(&self, f_tol: f64) -> Vec<Finding> {
         let mut said = self.undetermined_findings();
-        let mut note = |subject: String, sentence: String| {
-            said.push(Finding::note(subject, sentence, ""));
+        let mut note = |id, subject: String, sentence: String, remedy: &str| {
+            said.push(Finding::note(id, subject, sentence, remedy));
         };
         for i in self.known_from_prior() {
             let name = &self.names[i];
-            let sentence = format!("{name} is known from its prior alone: the data do not move it");
-            note(name.clone(), sentence);
+            let sentence =
+                format!("{name} is known from its prior alone. The data contain no information about it");
+            note(FindingId::PriorOnly, name.clone(), sentence, "Record an experiment in which it acts");
         }
         if !self.weakest.is_empty() {
             let names = self.list(&self.weakest);
-            let sentence = format!("{names} together can be moved with little change of the outputs");
-            note(names, sentence);
+            let sentence = format!(
+                "{names} can be changed together with little change of the outputs. Their standard errors include this"
+            );
+            let remedy = "If the standard errors are too large, fix one, or record an experiment that distinguishes them";
+            note(FindingId::WeakCombination, names, sentence, remedy);
         }
         said.extend(self.confounded_findings());
         for i in (0..self.n()).filter(|i| self.standard_errors[*i].is_finite() && self.size(*i) != 0.0) {
@@ -438,31 +457,37 @@ impl Uncertainty {
             if error > RELATIVE_ERROR && !is_about_zero {
                 let (name, percent) = (&self.names[i], digits((100.0 * error).round()));
                 let of = if self.size(i) == self.x[i].abs() { "value" } else { "size" };
-                let sentence = format!("the standard error of {name} is {percent} % of its {of}");
-                said.push(Finding::warning(name, sentence, ""));
+                let sentence = format!(
+                    "the standard error of {name} is {percent} % of its {of}. The data contain little information about it"
+                );
+                let remedy = "Fix it, add a prior, or record more data";
+                said.push(Finding::warning(FindingId::LargeStandardError, name, sentence, remedy));
             }
         }
         let n_free = self.n() - self.held.len();
         // Exact residuals provide no variance that values could be compared with.
         if self.identifiable.len() < n_free && self.degrees_of_freedom > 0.0 && !self.is_exact {
-            let (severity, sentence) = match self.identifiable.is_empty() {
-                true => {
-                    let sentence = "the data tell none of the parameters to half of its value";
-                    (Severity::Warning, sentence.to_owned())
-                }
+            let (severity, sentence, remedy) = match self.identifiable.is_empty() {
+                true => (
+                    Severity::Warning,
+                    "the data determine no parameter to half of its value".to_owned(),
+                    "Record another experiment, or add priors",
+                ),
                 false => (
                     Severity::Note,
                     format!(
-                        "with the others held the data tell {} (standard errors below half of their values, no correlation of 0.9)",
+                        "with the other parameters fixed, the data determine {} (standard errors below half of the values, correlations \
+                         below {CONFOUNDED})",
                         self.list(&self.identifiable)
                     ),
+                    "",
                 ),
             };
-            said.push(Finding::new(severity, "", sentence, ""));
+            said.push(Finding::new(severity, FindingId::IdentifiableParameters, "", sentence, remedy));
         }
         if self.is_exact {
-            let sentence = "the measurements are reproduced to the accuracy of the simulations: standard errors say little";
-            said.push(Finding::note("measurements", sentence, ""));
+            let sentence = "the measurements are reproduced to the accuracy of the simulations. Standard errors are then meaningless";
+            said.push(Finding::note(FindingId::ExactMeasurements, "measurements", sentence, ""));
         }
         if !self.is_exact {
             said.extend(ResidualCheck::all_findings(&self.residual_checks, self.has_loss, true));

@@ -2,6 +2,7 @@
 
 use crate::error::CalibrationError;
 use crate::findings::finding::Finding;
+use crate::findings::identifier::FindingId;
 use crate::findings::shown_text::digits;
 use crate::problem::parameter::{inner, outer};
 use crate::problem::prior::Prior;
@@ -83,11 +84,12 @@ impl PriorConflict {
             }
         };
         let sentence = format!(
-            "the prior of {name} ({known}) contradicts the measurements: these alone give about {}, {} standard deviations away",
+            "the prior of {name} ({known}) contradicts the measurements, which alone give about {}, {} standard deviations away. The result \
+             follows whichever has the larger weight",
             digits(self.without_prior),
             digits(self.deviations)
         );
-        let remedy = "are its value and its unit right? The result follows whichever counts more: widen the prior, or leave it out";
-        Finding::warning(format!("prior of {name}"), sentence, remedy)
+        let remedy = "Check the value and the unit of the prior, and widen or remove it";
+        Finding::warning(FindingId::ContradictedPrior, format!("prior of {name}"), sentence, remedy)
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::error::CalibrationError;
 use crate::findings::finding::{Finding, Origin, Severity};
+use crate::findings::identifier::FindingId;
 use crate::findings::shown_text::digits;
 use crate::problem::residual_layout::{OutputResiduals, ResidualLayout};
 use crate::uncertainty::robust::distances;
@@ -113,29 +114,31 @@ impl ResidualCheck {
             return said;
         }
         let subject = format!("residuals of {name}");
-        let mut find = |severity, sentence: String, remedy: &str| {
-            said.push(Finding::new(severity, subject.clone(), format!("the {subject} {sentence}"), remedy));
+        let mut warn = |id, sentence: String, remedy: &str| {
+            said.push(Finding::warning(id, subject.clone(), format!("the {subject} {sentence}"), remedy));
         };
         if self.is_autocorrelated() {
             let corrected = match has_errors {
-                true => ": standard errors are corrected for that, the values of the parameters are not",
+                true => ". Standard errors are corrected for this, but the values of the parameters are not",
                 false => "",
             };
-            find(
-                Severity::Warning,
+            warn(
+                FindingId::AutocorrelatedResiduals,
                 format!(
-                    "are autocorrelated ({:.2} at lag one): the model leaves out something that lasts, or the noise lasts{corrected}",
+                    "are autocorrelated ({:.2} at lag one): the model lacks an effect, or the noise is slow{corrected}",
                     self.autocorrelation
                 ),
-                "plot the residuals; search=\"global\" tells whether values far from these leave none of that",
+                "Plot the residuals, and try search=\"global\" to find values that remove the pattern",
             );
         }
         if self.has_offset() {
             let mean = digits(self.mean);
-            find(
-                Severity::Warning,
-                format!("have the mean {mean}: simulated minus measured, an offset"),
-                "a Parameter with offset_of fits it, where it is one of the sensor",
+            warn(
+                FindingId::ResidualOffset,
+                format!(
+                    "have the mean {mean} (simulated minus measured). Parameters that compensate for such an offset are wrong"
+                ),
+                "Check the zero of the sensor, and fit its offset with a parameter that has offset_of",
             );
         }
         let share = 100.0 * self.n_outliers as f64 / self.n as f64;
@@ -144,18 +147,26 @@ impl ResidualCheck {
             let (severity, what, remedy) = match (self.are_outliers_together(), has_loss) {
                 (true, _) => (
                     Severity::Warning,
-                    ", most of them beside each other: the model does not follow these measurements",
-                    "look at what happens there, in the recording and in the model",
+                    ", most of them next to each other. The model does not follow these measurements",
+                    "Check what happens there, in the recording and in the model",
                 ),
-                (false, true) => (Severity::Note, ": outliers, which the robust loss counts less", ""),
-                (false, false) if self.is_autocorrelated() => (Severity::Warning, ": outliers", ""),
-                (false, false) => (Severity::Warning, ": outliers", "a robust loss counts them less"),
+                (false, true) => {
+                    (Severity::Note, ". The robust loss reduces the influence of these outliers", "")
+                }
+                (false, false) if self.is_autocorrelated() => {
+                    (Severity::Warning, ". Such outliers affect the parameters", "Check these measurements")
+                }
+                (false, false) => (
+                    Severity::Warning,
+                    ". Such outliers affect the parameters",
+                    "Check these measurements, or use a robust loss",
+                ),
             };
             let sentence = format!(
                 "{} of {} {subject} ({share:.1} %) lie beyond {OUTLIER} robust standard deviations{what}",
                 self.n_outliers, self.n,
             );
-            said.push(Finding::new(severity, subject, sentence, remedy));
+            said.push(Finding::new(severity, FindingId::Outliers, subject, sentence, remedy));
         }
         said
     }

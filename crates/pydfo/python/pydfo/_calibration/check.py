@@ -23,6 +23,13 @@ class Finding(NamedTuple):
     origin: str
     """"problem" (model, recording, units, settings), "search" (end of the parameters and the search) or "residuals"
     (residuals and standard errors). Earlier categories explain later ones and precede them."""
+    id: str
+    """Identifier of the kind of finding, such as "F012". The page Findings of the documentation lists all of them."""
+
+    @property
+    def name(self) -> str:
+        """Name of the kind of finding, such as "autocorrelated-residuals"."""
+        return _core.name_of_finding(self.id)
 
 
 class Check(Sequence[Finding]):
