@@ -2,7 +2,7 @@
 //! the previous stage.
 
 use crate::error::CalibrationError;
-use crate::findings::finding::Finding;
+use crate::findings::finding::{Finding, Origin};
 use crate::findings::identifier::FindingId;
 use crate::fit::one_stage::{
     FinalSearch, Fit, FitObserver, FitOptions, Job, SearchResult, UsedLimits, add_earlier, checkpoint_of,
@@ -10,8 +10,8 @@ use crate::fit::one_stage::{
 };
 use crate::fit::output_fit::KeptResiduals;
 use crate::fit::phase::FitPhase;
+use crate::loaded::budget::Extra;
 use crate::loaded::calibration::Calibration;
-use crate::uncertainty::result::Uncertainty;
 use crate::uncertainty::stuck_parameters::StuckParameters;
 use base::RunContext;
 use dfo::{
@@ -120,6 +120,14 @@ pub struct StageRecord {
     parameters: Vec<String>,
     /// Windows in s, each with its start and end. Only measurements in one of these windows count.
     windows: Vec<(f64, f64)>,
+}
+
+/// Returns the finding about stages without a test of all parameters together.
+fn untested() -> Finding {
+    let sentence = "all parameters together were not tested, because there are no standard errors. The values of each stage depend on \
+                    the parameters that it held fixed";
+    let remedy = "Add a last stage with all parameters";
+    Finding::warning(FindingId::StagesApart, "stages", sentence, remedy).of(Origin::Search)
 }
 
 /// Returns the smaller of two limits.
@@ -257,7 +265,9 @@ impl Calibration {
     /// one of them, the next stage begins.
     ///
     /// The result is the result of the last stage, with the evaluations, simulations and the trace of all
-    /// stages. It is a success if all stages succeeded. [`Fit::stages`] contains the fit of each stage. A
+    /// stages. It is a success if all stages succeeded and all freed parameters together are at a minimum.
+    /// One least-squares step in all of them tests this, with the standard errors. Without standard errors,
+    /// a finding reports that it was not tested. [`Fit::stages`] contains the fit of each stage. A
     /// stage with its own window minimises a different cost. In this case, the costs of the result are
     /// computed again on the measurements of the calibration. The trace then contains only the last stages
     /// that share one window.
@@ -300,14 +310,23 @@ impl Calibration {
         }
         job.phases.borrow_mut().begin(FitPhase::Checks, &stats);
         let own = made.own.take();
-        let budget = made.budget();
+        let last = done.fits.len() - 1;
+        let is_joint =
+            stages[last].windows.is_empty() && freed.iter().flatten().all(|i| freed[last].contains(i));
+        let budget = match is_joint {
+            true => made.budget(),
+            false => made.budget().requiring(Extra::ShorterSteps),
+        };
         let (mut fit, _) = this.judged(own.as_ref().unwrap_or(this), &job, made, stats, budget);
         fit.phases = job.phases.borrow_mut().costs(&fit.stats);
         fit.stages = done.fits;
-        fit.uncertainty
-            .iter_mut()
-            .filter(|found| !found.is_at_failures)
-            .for_each(Uncertainty::found_in_stages);
+        match &mut fit.uncertainty {
+            _ if is_joint => {}
+            Some(uncertainty) => uncertainty.found_in_stages(),
+            None if fit.report.is_success() => fit.setup_findings.push(untested()),
+            None => {}
+        }
+        fit.note_end_before_minimum();
         Ok(fit)
     }
 

@@ -40,12 +40,14 @@ impl Extra {
 pub(crate) struct Budget {
     left: f64,
     skipped: Vec<Extra>,
+    /// Simulations that are never skipped.
+    required: Option<Extra>,
 }
 
 impl Budget {
     /// Creates a budget that skips nothing, for explicit requests of the user.
     pub(crate) fn unlimited() -> Self {
-        Self { left: f64::INFINITY, skipped: Vec::new() }
+        Self { left: f64::INFINITY, skipped: Vec::new(), required: None }
     }
 
     /// True if nothing is skipped.
@@ -55,7 +57,12 @@ impl Budget {
 
     /// Creates the budget after a search with this number of evaluations.
     pub(crate) fn after(n_evaluations: usize) -> Self {
-        Self { left: (SHARE * n_evaluations as f64).min(MOST), skipped: Vec::new() }
+        Self { left: (SHARE * n_evaluations as f64).min(MOST), skipped: Vec::new(), required: None }
+    }
+
+    /// Returns the budget with simulations that are never skipped, because they decide if a fit is a success.
+    pub(crate) fn requiring(self, extra: Extra) -> Self {
+        Self { required: Some(extra), ..self }
     }
 
     /// Deducts this number of simulations from the budget if enough are left; returns true on success.
@@ -68,7 +75,7 @@ impl Budget {
     /// Deducts this number of simulations if enough are left; otherwise records the skipped item. Returns
     /// true on success.
     pub(crate) fn allows(&mut self, extra: Extra, simulations: f64) -> bool {
-        let is_allowed = self.take(simulations);
+        let is_allowed = self.take(simulations) || self.required == Some(extra);
         if !is_allowed {
             self.skip(extra);
         }
@@ -109,6 +116,13 @@ mod tests {
         assert!(budget.take(1.0) && budget.allows(Extra::StuckParameter, 1.0));
         assert!(!budget.take(1.0) && budget.skipped().is_empty());
         assert!(!budget.allows(Extra::Accuracy, 1.6) && !budget.allows(Extra::Accuracy, 1.6));
+        assert_eq!(budget.skipped(), [Extra::Accuracy]);
+    }
+
+    #[test]
+    fn required_simulations_are_never_skipped() {
+        let mut budget = Budget::after(0).requiring(Extra::ShorterSteps);
+        assert!(budget.allows(Extra::ShorterSteps, 2.0) && !budget.allows(Extra::Accuracy, 1.0));
         assert_eq!(budget.skipped(), [Extra::Accuracy]);
     }
 

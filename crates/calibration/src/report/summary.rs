@@ -124,7 +124,7 @@ fn sentence(fit: &Fit) -> String {
         Termination::MaxEvaluations | Termination::MaxTime if are_several => {
             "The fit took the lowest minimum that it found within its limits"
         }
-        _ if fit.report.is_success() && fit.is_conditional() => {
+        Termination::BeforeMinimum if fit.is_conditional() => {
             "Each stage converged, all parameters together did not"
         }
         Termination::BeforeMinimum => "The fit ended before the minimum",

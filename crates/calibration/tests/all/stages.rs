@@ -4,7 +4,7 @@
 
 use calibration::RunContext;
 use calibration::dfo::{Checkpoint, Limits, NelderMead, Resume, RunOptions, Termination};
-use calibration::{Calibration, Data, Experiment, Fit, FitOptions, Parameter, Stage};
+use calibration::{Calibration, Data, Experiment, FindingId, Fit, FitOptions, Parameter, Severity, Stage};
 use example_models::example_fmu;
 use fmi::RunSettings;
 use std::ops::ControlFlow;
@@ -53,7 +53,9 @@ fn stage_starts_from_previous_result_and_holds_other_parameters() {
     assert_eq!((&first.x[2..], &second.x[..2]), (&[3e-6; 2][..], &first.x[..2]));
     assert_eq!((&second.start, &fit.x, fit.cost), (&first.x, &second.x, second.cost));
     assert_eq!((&fit.start, fit.start_cost), (&calibration.start(), first.start_cost));
-    assert!(fit.cost < first.cost && fit.report.is_success(), "{fit}");
+    assert!(fit.cost < first.cost && first.is_success() && second.is_success(), "{fit}");
+    // The minimum in all parameters is lower.
+    assert_eq!(fit.report.termination, Termination::BeforeMinimum, "{fit}");
     assert_eq!(fit.report.n_evaluations, first.report.n_evaluations + second.report.n_evaluations);
     assert_eq!(fit.report.trace.len(), fit.report.n_evaluations);
     let of_costs = (fit.cost / fit.start_cost.unwrap()).sqrt();
@@ -70,23 +72,57 @@ fn stage_starts_from_previous_result_and_holds_other_parameters() {
     assert_eq!(bits(&by_hand), bits(second));
 }
 
-#[test]
-fn stages_with_wrong_held_values_do_not_count_as_converged() {
-    // x' = -k x from x(0): the first stage compensates for the wrong start that is held.
+/// A decay `x' = -k x` from x(0) = 2 with k = 2 and this size of the noise. The fit starts at k = 1 and a wrong
+/// x(0), which a stage that holds it compensates for with k.
+fn two_coupled(noise: f64, start: f64) -> Calibration {
     let t: Vec<f64> = (0..61).map(|i| 0.05 * f64::from(i)).collect();
-    let x = t.iter().enumerate().map(|(i, t)| 2.0 * (-2.0 * t).exp() + if i % 2 == 0 { 1e-3 } else { -1e-3 });
+    let x =
+        t.iter().enumerate().map(|(i, t)| 2.0 * (-2.0 * t).exp() + if i % 2 == 0 { noise } else { -noise });
     let data = Data::from_columns(t.clone(), [("x".to_owned(), x.collect())]).unwrap();
     let fmu = fmi::Fmu::open(example_fmu("dahlquist").unwrap()).unwrap();
-    let calibration = Calibration::builder(fmu)
+    Calibration::builder(fmu)
         .experiment(Experiment::new(data).output("x", "x"))
         .parameter(Parameter::new("k", 1.0).bounds(0.1, 10.0))
-        .parameter(Parameter::new("x", 1.0).bounds(0.1, 10.0))
+        .parameter(Parameter::new("x", start).bounds(0.1, 10.0))
         .build()
-        .unwrap();
+        .unwrap()
+}
+
+/// The joint minimum is a fifth below the cost of the stages.
+#[test]
+fn stages_slightly_above_the_joint_minimum_do_not_count_as_converged() {
+    let calibration = two_coupled(0.1, 1.7);
+    let apart = [Stage::new(["k"]), Stage::new(["x"])];
+    let fit = calibration.fit_stages(&apart, FitOptions::default()).unwrap();
+    let joint = calibration.fit(FitOptions::default()).unwrap();
+    let excess = 1.0 - joint.cost / fit.cost;
+    assert!((excess - 0.197).abs() < 1e-3 && joint.is_success(), "{excess} {fit}");
+    assert!(!fit.is_success() && fit.report.termination == Termination::BeforeMinimum, "{fit}");
+    assert!(fit.findings().iter().any(|f| f.id == FindingId::StagesApart), "{fit}");
+    assert!(fit.skipped.iter().all(|skipped| !skipped.contains("shorter steps")), "{:?}", fit.skipped);
+    assert!(fit.report.message.starts_with("not converged: one more"), "{}", fit.report.message);
+}
+
+#[test]
+fn stages_without_standard_errors_report_the_missing_test() {
+    let calibration = two_coupled(1e-3, 1.0);
+    let is_said = |stages: &[Stage]| {
+        let options = FitOptions { uncertainty: None, ..FitOptions::default() };
+        let fit = calibration.fit_stages(stages, options).unwrap();
+        fit.findings().iter().any(|f| f.id == FindingId::StagesApart && f.severity == Severity::Warning)
+    };
+    assert!(is_said(&[Stage::new(["k"]), Stage::new(["x"])]));
+    assert!(!is_said(&[Stage::new(["k"]), Stage::new(["k", "x"])]));
+}
+
+#[test]
+fn stages_with_wrong_held_values_do_not_count_as_converged() {
+    let calibration = two_coupled(1e-3, 1.0);
     let fitted = |stages: &[Stage]| calibration.fit_stages(stages, FitOptions::default()).unwrap();
     let apart = fitted(&[Stage::new(["k"]), Stage::new(["x"])]);
     let printed = apart.to_string();
     assert!((apart.x[0] - 2.0).abs() > 0.1 && !apart.is_success(), "{apart}");
+    assert_eq!(apart.report.termination, Termination::BeforeMinimum, "{apart}");
     for said in [
         "Each stage converged, all parameters together did not",
         "% of the cost, although each stage ended normally. The values depend on what the stages held fixed",

@@ -17,9 +17,6 @@ use dfo::{Record, Report, Termination};
 use ode::{Method, Stats};
 use serde::{Deserialize, Serialize};
 
-/// Maximum part of the cost that one more step in all parameters may remove after a successful fit in stages.
-const MUCH_OF_COST: f64 = 0.25;
-
 /// Result of a fit. `Display` prints a summary.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -122,11 +119,9 @@ pub struct Fit {
 
 impl Fit {
     /// True if the search succeeded (see [`Report::is_success`](dfo::Report::is_success)) and the uncertainty
-    /// found no step that lowers the cost further. After several stages, returns true if no step removes more
-    /// than a quarter of the cost.
+    /// found no step of all parameters together that lowers the cost further.
     pub fn is_success(&self) -> bool {
-        let most = if self.stages.is_empty() { 0.0 } else { MUCH_OF_COST };
-        self.report.is_success() && self.left_to_gain() <= most
+        self.report.is_success() && self.left_to_gain() == 0.0
     }
 
     /// Returns the part of the cost that one step of least squares from the result removes, if it exceeds the
@@ -135,8 +130,8 @@ impl Fit {
         self.uncertainty.as_ref().map_or(0.0, |uncertainty| uncertainty.left_to_gain)
     }
 
-    /// Marks the report as not converged if the search ended before its minimum. This does not apply to
-    /// stages, because their fixed parameters are free in other stages.
+    /// Marks the report as not converged if the search ended before its minimum. Not for a single stage,
+    /// because its fixed parameters are free in other stages.
     pub(crate) fn note_end_before_minimum(&mut self) {
         let left = self.left_to_gain();
         if left > 0.0 && matches!(self.report.termination, Termination::Converged | Termination::Noise) {
@@ -151,7 +146,8 @@ impl Fit {
 
     /// True if each stage may be at its minimum but all parameters together are not.
     pub(crate) fn is_conditional(&self) -> bool {
-        !self.stages.is_empty() && self.left_to_gain() > 0.0
+        let mut findings = self.uncertainty.iter().flat_map(|uncertainty| &uncertainty.findings);
+        findings.any(|finding| finding.id == FindingId::StagesApart)
     }
 
     /// Returns the meaning of each entry of the residual vector of this fit, with the weights that the fit

@@ -395,7 +395,7 @@ impl Uncertainty {
         rough.for_each(|finding| finding.severity = Severity::Error);
     }
 
-    /// Rewrites the finding about an early end for stages that hold parameters that other stages have fitted.
+    /// Rewrites the finding about an early end for a last stage that holds parameters of other stages.
     pub(crate) fn found_in_stages(&mut self) {
         let percent = digits(100.0 * self.left_to_gain);
         for finding in self.findings.iter_mut().filter(|finding| finding.id == FindingId::BeforeMinimum) {

@@ -165,8 +165,8 @@ class Fit(OptimizeResult):
     stages : list of Fit
         The fit of each stage; empty without stages. Standard errors of a stage are conditional, because the
         parameters held by the stage are assumed known. ``success`` of the whole fit requires success of all its
-        stages. Without stages, ``success`` is also False if one more step of least squares lowers the cost; the first
-        printed line reports it.
+        stages. With or without stages, ``success`` is also False if one more least-squares step of all parameters
+        lowers the cost; the first printed line reports it. This test needs standard errors.
     uncertainty : Uncertainty or None
         Standard errors, correlation and parameters that the data do not determine (``print(fit.uncertainty)``). None
         if it was not requested, if an interrupt, an error or the time limit ended the fit, or if simulations around
