@@ -241,7 +241,8 @@ def main() -> None:
     arguments = parser.parse_args()
     warnings.filterwarnings("ignore", module="cma")
     versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("cma", "nlopt", "pygmo", "numpy"))
-    lines = ["# CMA-ES and pattern search: comparison with other implementations", "", f"`python benches/dfo/cma_es.py --seeds {arguments.seeds}`; {versions}.", ""]
+    title = "# CMA-ES and pattern search: comparison with other implementations"
+    lines = [title, "", f"`python benches/dfo/cma_es.py --seeds {arguments.seeds}`; {versions}.", ""]
     for title, rows in (
         ("## CMA-ES: evaluations to 1e-6, medians", cma_rows(arguments.seeds)),
         ("## CMA-ES with restarts: fraction of seeds that succeed (median of evaluations)", restart_rows(arguments.seeds)),

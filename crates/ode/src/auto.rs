@@ -12,7 +12,7 @@
 
 use crate::error::Undetermined;
 use crate::explicit_rk::{Dop853, ExplicitRk};
-use crate::implicit::{Bdf, Radau5};
+use crate::implicit::{Formula, Multistep, Radau5};
 use crate::lu;
 use crate::stepper::{Attempt, Consistency, Equations, Properties, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
@@ -74,7 +74,7 @@ pub(crate) struct Auto {
     tsit5: ExplicitRk<7, Tsit5>,
     dop853: ExplicitRk<16, Dop853>,
     radau5: Radau5,
-    bdf: Bdf,
+    bdf: Multistep,
     /// The explicit method chosen for the tolerance.
     explicit: Active,
     active: Active,
@@ -133,7 +133,7 @@ impl Auto {
             tsit5: ExplicitRk::new(),
             dop853: ExplicitRk::new(),
             radau5: Radau5::default(),
-            bdf: Bdf::new(false),
+            bdf: Multistep::new(Formula::Bdf, false),
             explicit,
             active: explicit,
             radau5_has_begun: false,

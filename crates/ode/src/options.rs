@@ -24,6 +24,9 @@ pub enum Method {
     Dop853,
     /// Radau IIA of order 5, implicit, adaptive. For stiff systems and systems with a mass matrix.
     Radau5,
+    /// Adams-Moulton of order 1 to 12, adaptive. For systems that are not stiff, with an expensive right-hand
+    /// side and few events.
+    Adams,
     /// Backward differentiation of order 1 to 5, implicit, adaptive. For stiff systems with an expensive
     /// right-hand side and few events.
     Bdf,
@@ -35,8 +38,8 @@ pub enum Method {
 
 impl Method {
     /// All methods.
-    pub const ALL: [Self; 7] =
-        [Self::Auto, Self::Tsit5, Self::Dop853, Self::Radau5, Self::Bdf, Self::Rk4, Self::Euler];
+    pub const ALL: [Self; 8] =
+        [Self::Auto, Self::Tsit5, Self::Dop853, Self::Radau5, Self::Adams, Self::Bdf, Self::Rk4, Self::Euler];
 
     /// Name of the method, as accepted by [`FromStr`].
     pub fn name(self) -> &'static str {
@@ -45,6 +48,7 @@ impl Method {
             Self::Tsit5 => "tsit5",
             Self::Dop853 => "dop853",
             Self::Radau5 => "radau5",
+            Self::Adams => "adams",
             Self::Bdf => "bdf",
             Self::Rk4 => "rk4",
             Self::Euler => "euler",
@@ -70,7 +74,7 @@ impl Method {
 
     /// True if the method may use Jacobians.
     pub fn is_implicit(self) -> bool {
-        matches!(self, Self::Auto | Self::Radau5 | Self::Bdf)
+        matches!(self, Self::Auto | Self::Radau5 | Self::Adams | Self::Bdf)
     }
 }
 
@@ -315,7 +319,7 @@ pub enum OptionsError {
         range: &'static str,
     },
     /// No method has this name.
-    #[error("unknown solver '{0}'; expected one of: auto, tsit5, dop853, radau5, bdf, rk4, euler")]
+    #[error("unknown solver '{0}'; expected one of: auto, tsit5, dop853, radau5, adams, bdf, rk4, euler")]
     UnknownMethod(String),
     /// No chattering policy has this name.
     #[error("unknown chattering policy '{0}'; expected one of: error, warn, slide")]

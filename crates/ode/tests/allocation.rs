@@ -119,6 +119,7 @@ impl HybridSystem for Rod {
 /// The library for sparse matrices allocates 37 times per decomposition and once per solution, and frees
 /// everything. Steps and right-hand sides allocate nothing.
 #[test]
+#[cfg_attr(not(feature = "sparse"), ignore = "requires the feature sparse")]
 fn sparse_run_allocates_only_in_decompositions_and_solutions() {
     let n = 150;
     let places = (0..n).flat_map(|i| (i.max(1) - 1..(i + 2).min(n)).map(move |k| (i, k)));

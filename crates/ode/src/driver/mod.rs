@@ -3,7 +3,7 @@
 use crate::auto::Auto;
 use crate::error::{ErrorKind, Evaluated, NotFinite, Report, SimulationError, Termination};
 use crate::explicit_rk::{Dop853, ExplicitRk};
-use crate::implicit::{Bdf, Radau5};
+use crate::implicit::{Formula, Multistep, Radau5};
 use crate::observer::Observer;
 use crate::options::{AbsoluteTolerance, Method, Options, OptionsError};
 use crate::sampling::Sampler;
@@ -94,7 +94,8 @@ impl Driver {
             Method::Tsit5 => Box::new(ExplicitRk::<7, Tsit5>::new()),
             Method::Radau5 => Box::<Radau5>::default(),
             Method::Dop853 => Box::new(ExplicitRk::<16, Dop853>::new()),
-            Method::Bdf => Box::new(Bdf::new(options.exclude_algebraic)),
+            Method::Adams => Box::new(Multistep::new(Formula::Adams, false)),
+            Method::Bdf => Box::new(Multistep::new(Formula::Bdf, options.exclude_algebraic)),
             Method::Rk4 => Box::new(ExplicitRk::<5, Rk4>::new()),
             Method::Euler => Box::new(ExplicitRk::<2, Euler>::new()),
         };

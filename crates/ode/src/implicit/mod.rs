@@ -2,10 +2,10 @@
 //! matrices.
 
 mod algebraic;
-mod bdf;
 mod kept_jacobian;
+mod multistep;
 mod newton;
 mod radau5;
 
-pub(crate) use bdf::Bdf;
+pub(crate) use multistep::{Formula, Multistep};
 pub(crate) use radau5::Radau5;

@@ -64,18 +64,20 @@ impl Convergence {
     }
 
     /// Iterates until the error is below the tolerance. `change` is the rate of convergence that results from
-    /// the different coefficients of matrix and equations.
+    /// the different coefficients of matrix and equations. At least `least` iterations are made.
     pub(super) fn iterate(
         &mut self,
         equations: &mut Equations<'_>,
         iteration: &mut impl Iteration,
         tolerance: f64,
         change: f64,
+        least: u32,
     ) -> CallResult<Newton> {
         self.error_per_increment = self.error_per_increment.max(U).powf(0.8);
         self.rate = INITIAL_RATE;
         let (mut last_norm, mut last_quotient) = (0.0, 0.0);
         let mut error_per_increment = self.error_per_increment.max(change / (1.0 - change));
+        self.count = self.limit;
         for count in 1..self.limit {
             equations.stats.newton_iterations += 1;
             let norm = iteration.solve(equations, count == 1)?;
@@ -99,7 +101,7 @@ impl Convergence {
             }
             last_norm = norm.max(U);
             iteration.advance();
-            if error_per_increment * norm <= tolerance {
+            if count >= least && error_per_increment * norm <= tolerance {
                 self.count = count;
                 return Ok(Newton::Converged);
             }
@@ -148,7 +150,7 @@ mod tests {
         let (weights, mut stats) = (ErrorWeights::default(), Stats::default());
         let mut equations = Equations { system: &mut Nothing, weights: &weights, stats: &mut stats };
         let mut iteration = Geometric { norm: 1.0, rate };
-        convergence.iterate(&mut equations, &mut iteration, tolerance, change).unwrap()
+        convergence.iterate(&mut equations, &mut iteration, tolerance, change, 1).unwrap()
     }
 
     /// Computed by hand: after the second increment, 1/2, the error is 1/2. After four more iterations, it

@@ -14,6 +14,7 @@ use problems::{Problem, large, nonstiff, stiff};
 /// most 1.3 times the number that the best method needs for the same digits (see the table in
 /// `benches/work_precision.md`).
 #[test]
+#[cfg_attr(not(feature = "sparse"), ignore = "requires the feature sparse")]
 fn auto_needs_about_as_many_right_hand_sides_as_the_best_method() {
     let bars: [(Problem, f64, u64, f64); 14] = [
         (stiff::vdpol(), 1e-4, 2900, 5.0),
@@ -98,6 +99,7 @@ fn auto_allocates_no_matrix_for_large_non_stiff_systems() {
 }
 
 #[test]
+#[cfg_attr(not(feature = "sparse"), ignore = "requires the feature sparse")]
 fn auto_stores_only_pattern_entries_for_large_sparse_systems() {
     const N: usize = 30_000;
     let near = |i: usize| (i.saturating_sub(1)..(i + 2).min(N)).map(move |k| (i, k));

@@ -8,6 +8,7 @@ mod problems;
 
 mod accumulation;
 mod accuracy;
+mod adams;
 mod auto;
 mod backward;
 mod chattering;

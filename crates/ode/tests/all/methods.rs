@@ -10,7 +10,8 @@ use common::*;
 use ode::*;
 use problems::hybrid::*;
 
-const ADAPTIVE: &[Method] = &[Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Bdf];
+const ADAPTIVE: &[Method] =
+    &[Method::Auto, Method::Tsit5, Method::Dop853, Method::Radau5, Method::Adams, Method::Bdf];
 
 fn driver(method: Method, rtol: f64) -> Driver {
     Driver::new(Options { method, relative_tolerance: rtol, ..Options::default() }).unwrap()
@@ -22,7 +23,7 @@ fn bounce_times_match_closed_form_for_every_method() {
     for &method in ADAPTIVE {
         for rtol in [1e-4, 1e-6, 1e-9] {
             let bar = match method {
-                Method::Radau5 | Method::Bdf => 100.0 * rtol,
+                Method::Radau5 | Method::Adams | Method::Bdf => 100.0 * rtol,
                 _ => 1e-12,
             };
             let mut seen = Recorder::default();

@@ -192,8 +192,8 @@ def solve(
         States at the start.
     method : str
         "auto" (Tsit5, below rtol 1e-7 DOP853; switches to Radau5 if an implicit method advances more per right-hand
-        side, or to BDF for nonlinear systems with at least 16 states), "tsit5", "dop853" (for tight tolerances),
-        "radau5" (stiff), "bdf" (stiff, expensive right-hand side, few events); with a fixed `step`, "rk4" and
+        side, or to BDF for nonlinear systems with at least 16 states), "tsit5", "dop853" (for tight tolerances), "radau5" (stiff), "adams" (not stiff, expensive right-hand
+        side, few events), "bdf" (stiff, expensive right-hand side, few events); with a fixed `step`, "rk4" and
         "euler". SciPy's names "RK45", "Radau" and "LSODA" map to "tsit5", "radau5" and "auto". "radau5" and "bdf" use
         dense matrices of n x n entries without `jac_sparsity`. If they are too large, a MemoryError is raised before
         they are allocated.

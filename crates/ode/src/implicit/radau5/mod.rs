@@ -349,7 +349,7 @@ impl Stepper for Radau5 {
             let longer = std::mem::take(&mut self.is_repetition).then_some(&self.trial);
             self.stages.guess(h, self.can_extrapolate.then_some(&self.last), longer);
             let mut iteration = StageEquations { stages: &mut self.stages, trial, inverse: &self.inverse };
-            match self.convergence.iterate(equations, &mut iteration, newton_tolerance, 0.0)? {
+            match self.convergence.iterate(equations, &mut iteration, newton_tolerance, 0.0, 1)? {
                 Newton::Converged => break,
                 Newton::Failed(_) if self.freshness.renew_after_failure(h) => {}
                 Newton::Failed(share) => {

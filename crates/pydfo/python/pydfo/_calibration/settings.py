@@ -24,8 +24,8 @@ class Simulation:
         Interface used to run the model, as in `FMUModel`. It defaults to the kind of the given FMUModel, otherwise
         "auto".
     solver : str
-        "auto", "tsit5", "dop853", "radau5", "bdf", "rk4" or "euler". With "auto", each simulation starts with an
-        explicit method and switches to an implicit one if the model is stiff.
+        "auto", "tsit5", "dop853", "radau5", "adams", "bdf", "rk4" or "euler". With "auto", each simulation
+        starts with an explicit method and switches to an implicit one if the model is stiff.
     relative_tolerance : float, optional
         Relative tolerance of the integration. The default is the tolerance of the model's default experiment, but at
         most 1e-6, because a larger one makes the cost noisy. Without a default experiment, it is 1e-6. A fit uses a

@@ -373,7 +373,7 @@ class FMUModel:
             fraction of counter and resolution.
         relative_tolerance : float, optional
             Relative tolerance; default: the tolerance of the default experiment, or 1e-6.
-        solver : {"auto", "tsit5", "dop853", "radau5", "bdf", "rk4", "euler"}
+        solver : {"auto", "tsit5", "dop853", "radau5", "adams", "bdf", "rk4", "euler"}
             Integration method of model exchange. "rk4" and "euler" have a fixed step. "CVode" and SciPy's "RK45",
             "Radau" and "LSODA" map to "auto", "tsit5", "radau5" and "auto".
         step_size : float, optional

@@ -28,7 +28,8 @@ impl Iterate {
 
 /// The equation of the corrector, `G(e) = 0`.
 pub(super) struct Corrector<'a> {
-    pub(super) lu: &'a Lu<f64>,
+    /// The decomposed matrix; `None`: the increment is the residual.
+    pub(super) lu: Option<&'a Lu<f64>>,
     pub(super) left: &'a LeftSide,
     /// The prediction.
     pub(super) z: &'a [Vec<f64>],
@@ -42,7 +43,7 @@ pub(super) struct Corrector<'a> {
 
 impl Iteration for Corrector<'_> {
     fn solve(&mut self, equations: &mut Equations<'_>, is_first: bool) -> CallResult<f64> {
-        equations.stats.linear_algebra += self.lu.operations().1;
+        equations.stats.linear_algebra += self.lu.map_or(0, |lu| lu.operations().1);
         let Self { gamma, share, .. } = *self;
         let Iterate { correction, x, slopes, rhs, increment } = &mut *self.iterate;
         let is_identity = self.left.is_identity();
@@ -61,7 +62,9 @@ impl Iteration for Corrector<'_> {
                 *b = *b - share * self.z[1][i] - correction[i];
             }
         }
-        self.lu.solve(increment);
+        if let Some(lu) = self.lu {
+            lu.solve(increment);
+        }
         if self.relaxation != 1.0 {
             increment.iter_mut().for_each(|v| *v *= self.relaxation);
         }

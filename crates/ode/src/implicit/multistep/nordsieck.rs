@@ -3,7 +3,7 @@
 //!
 //! The functions take the rows in use, one more than the order. Each row has one number per state.
 
-use super::coefficients::MAX_ORDER;
+use super::coefficients::{MAX_ORDER, integral_through};
 
 /// Changes the unit to a step `ratio` times as long.
 pub(super) fn rescale(z: &mut [Vec<f64>], ratio: f64) {
@@ -33,8 +33,29 @@ pub(super) fn retreat(z: &mut [Vec<f64>], theta: f64) {
     rescale(z, theta / s);
 }
 
-/// Reduces the order by one: removes the term of the oldest point, which is `sum(past)` away.
-pub(super) fn lower(z: &mut [Vec<f64>], h: f64, past: &[f64]) {
+/// Reduces the order of an Adams formula by one: removes the slope at the oldest point.
+pub(super) fn lower_adams(z: &mut [Vec<f64>], h: f64, past: &[f64]) {
+    let q = z.len() - 1;
+    let whole = integral_through(q - 2, h, past);
+    let (low, high) = z.split_at_mut(q);
+    for (z, whole) in low.iter_mut().zip(whole).skip(2) {
+        add_multiple(z, -(q as f64) * whole, &high[0]);
+    }
+}
+
+/// Increases the order of an Adams formula by one. The last row must be allocated. `factor` times the last
+/// correction is the divided difference of the slopes over one more past point.
+pub(super) fn raise_adams(z: &mut [Vec<f64>], h: f64, past: &[f64], factor: f64, last_correction: &[f64]) {
+    let q = z.len() - 2;
+    let whole = integral_through(q - 1, h, past);
+    z[q + 1].fill(0.0);
+    for (z, whole) in z.iter_mut().zip(whole).skip(2) {
+        add_multiple(z, factor * whole, last_correction);
+    }
+}
+
+/// Reduces the order of BDF by one: removes the term of the oldest point, which is `sum(past)` away.
+pub(super) fn lower_bdf(z: &mut [Vec<f64>], h: f64, past: &[f64]) {
     let q = z.len() - 1;
     // The product of s and the distances to the remaining points, as a polynomial in s.
     let mut l = [0.0; MAX_ORDER + 1];
@@ -53,9 +74,9 @@ pub(super) fn lower(z: &mut [Vec<f64>], h: f64, past: &[f64]) {
     }
 }
 
-/// Increases the order by one. The last row must be allocated. The last correction of the corrector gives the
-/// term of one more past point.
-pub(super) fn raise(z: &mut [Vec<f64>], h: f64, past: &[f64], last_correction: &[f64]) {
+/// Increases the order of BDF by one. The last row must be allocated. The last correction of the corrector
+/// gives the term of one more past point.
+pub(super) fn raise_bdf(z: &mut [Vec<f64>], h: f64, past: &[f64], last_correction: &[f64]) {
     let q = z.len() - 2;
     let mut l = [0.0; MAX_ORDER + 1];
     l[2] = 1.0;
@@ -131,10 +152,27 @@ mod tests {
         let at = |t: f64| 1.0 + t * (2.0 + t * (3.0 + 4.0 * t));
         let (h, past) = (0.5, [0.5, 0.3, 0.2]);
         let mut z = [1.0, h * 2.0, h * h * 3.0, h * h * h * 4.0].map(|z| vec![z]);
-        lower(&mut z, h, &past);
+        lower_bdf(&mut z, h, &past);
         assert_eq!((z[0][0], z[1][0]), (1.0, 2.0 * h));
         let mut x = [f64::NAN];
         value(&z[..3], -past[0] / h, &mut x);
         assert!((x[0] - at(-past[0])).abs() < 1e-14);
+    }
+
+    /// With the order of an Adams formula reduced, the slopes at the remaining points are kept. Increased
+    /// again by the divided difference of the slopes, the polynomial is the same.
+    #[test]
+    fn adams_order_changes_drop_or_add_one_slope() {
+        let (h, past) = (0.5, [0.5, 0.3, 0.2]);
+        let mut z = [1.0, h * 2.0, h * h * 3.0, h * h * h * 4.0].map(|z| vec![z]);
+        let whole = z.clone();
+        lower_adams(&mut z, h, &past);
+        let slope = |z: &[Vec<f64>], s: f64| {
+            (1..z.len()).map(|j| j as f64 * z[j][0] * s.powi(j as i32 - 1)).sum::<f64>()
+        };
+        assert_eq!((z[0][0], z[1][0]), (1.0, 2.0 * h));
+        assert!((slope(&z[..3], -past[0] / h) - slope(&whole, -past[0] / h)).abs() < 1e-14);
+        raise_adams(&mut z, h, &past, 3.0, &[whole[3][0]]);
+        assert!(z.iter().zip(&whole).all(|(a, b)| (a[0] - b[0]).abs() < 1e-14), "{z:?}");
     }
 }

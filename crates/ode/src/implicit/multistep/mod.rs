@@ -1,5 +1,9 @@
-//! Backward differentiation formulae of order 1 to 5 with variable step size and order, in
-//! fixed-leading-coefficient form.
+//! Multistep methods with variable step size and order: Adams-Moulton formulae of order 1 to 12, and backward
+//! differentiation formulae of order 1 to 5 in fixed-leading-coefficient form.
+//!
+//! Adams formulae begin without a matrix: the increment of the corrector is its residual. Once the iterations
+//! beyond the first of each step have cost as much as a Jacobian, Newton's method replaces them. It needs one
+//! iteration per step, and only stability limits the steps then, not the convergence of the iterations.
 //!
 //! G. D. Byrne, A. C. Hindmarsh, A polyalgorithm for the numerical solution of ordinary differential
 //! equations, ACM Transactions on Mathematical Software 1 (1975) 71-96; K. R. Jackson, R. Sacks-Davis, An
@@ -19,7 +23,7 @@ use super::newton::{Convergence, Newton};
 use crate::error::Undetermined;
 use crate::error_norm::scaled_norm;
 use crate::jacobian::Jacobian;
-use crate::lu::Lu;
+use crate::lu::{self, Lu};
 use crate::stats::Stats;
 use crate::stepper::{Attempt, Consistency, Equations, Point, PointMut, Properties, Stepper, Trial};
 use crate::system::{CallError, CallResult, HybridSystem};
@@ -31,6 +35,7 @@ mod given_slopes;
 mod left_side;
 mod nordsieck;
 
+pub(crate) use coefficients::Formula;
 use coefficients::{Coefficients, MAX_ORDER};
 use corrector::{Corrector, Iterate};
 use left_side::LeftSide;
@@ -52,14 +57,25 @@ const RULES: Rules =
 /// large at rtol 1e-8. The noise of a cost at rtol 1e-6 is then 2e-5 instead of 5e-9. With all rows kept, 5 %
 /// fewer right-hand sides at rtol 1e-8, but a noise of 1e-7 instead of 6e-9. Order 1: 10 % more.
 const KINK_ORDER: usize = 2;
-/// The step size is changed only if it can grow by this factor.
-const WORTH_IT: f64 = 1.5;
+/// Intervals of stability of the explicit Adams formulae of order 1 to 12 on the negative real axis: `2 /
+/// sum(2^j gamma_j)`, with the coefficients `gamma_j` of Hairer, Norsett and Wanner I, III.1.
+const EXPLICIT_LIMIT: [f64; MAX_ORDER] =
+    [2.0, 1.0, 0.5455, 0.3, 0.1633, 0.08772, 0.04651, 0.02441, 0.0127, 0.006571, 0.003383, 0.001735];
 /// Maximum growth after the first step, and after any other step.
 const FIRST_GROWTH: f64 = 1e4;
 const GROWTH: f64 = 10.0;
 
 #[derive(Debug)]
-pub(crate) struct Bdf {
+pub(crate) struct Multistep {
+    formula: Formula,
+    /// True if the corrector is Newton's method. Adams formulae begin without a matrix.
+    is_newton: bool,
+    /// Right-hand sides per Jacobian. Infinite if memory is insufficient for the matrices.
+    jacobian_cost: f64,
+    /// Iterations beyond the first of each step since the last Jacobian of an Adams formula.
+    extra: f64,
+    /// Last estimate of the Lipschitz constant from iterations without a matrix.
+    lipschitz: f64,
     freshness: KeptJacobian,
     convergence: Convergence,
     lu: Lu<f64>,
@@ -96,10 +112,15 @@ pub(crate) struct Bdf {
     tested: Vec<f64>,
 }
 
-impl Bdf {
+impl Multistep {
     /// Creates the method. `exclude`: states without a derivative in the equations are not in the error test.
-    pub(crate) fn new(exclude: bool) -> Self {
+    pub(crate) fn new(formula: Formula, exclude: bool) -> Self {
         Self {
+            formula,
+            is_newton: formula == Formula::Bdf,
+            jacobian_cost: 0.0,
+            extra: 0.0,
+            lipschitz: 0.0,
             freshness: KeptJacobian::new(RULES),
             convergence: Convergence::new(MAX_NEWTON),
             lu: Lu::default(),
@@ -127,25 +148,42 @@ impl Bdf {
         }
     }
 
-    /// Continues a run of another method that knows the right-hand side at `x` and has a Jacobian.
+    /// The Jacobian, to be transferred to another method.
+    pub(crate) fn freshness_mut(&mut self) -> &mut KeptJacobian {
+        &mut self.freshness
+    }
+
+    /// Continues a run of another method that knows the right-hand side at the current point.
     pub(crate) fn take_over(&mut self, x: &[f64], f: &[f64]) {
         self.forget();
         self.z[0].copy_from_slice(x);
         self.f.copy_from_slice(f);
     }
 
-    /// The Jacobian, to be taken over from another method.
-    pub(crate) fn freshness_mut(&mut self) -> &mut KeptJacobian {
-        &mut self.freshness
+    /// Allocates the matrices of Newton's method.
+    fn begin_matrices(&mut self, system: &dyn HybridSystem) -> CallResult<()> {
+        self.freshness.begin(system)?;
+        self.left.begin(system)?;
+        // The mass matrix has entries outside the pattern.
+        let pattern = self.freshness.jacobian().pattern().filter(|_| system.mass_matrix().is_none());
+        self.lu.begin(system.n_states(), pattern)?;
+        Ok(())
     }
 
     /// Changes to the selected order.
     fn change_order(&mut self) {
         let q = self.order;
-        if self.next_order < q {
-            nordsieck::lower(&mut self.z[..=q], self.h, &self.past);
-        } else if self.next_order > q {
-            nordsieck::raise(&mut self.z[..=q + 1], self.h, &self.past, &self.last_correction);
+        let (h, past) = (self.h, &self.past);
+        match (self.formula, self.next_order > q) {
+            (Formula::Adams, false) => nordsieck::lower_adams(&mut self.z[..=q], h, past),
+            (Formula::Adams, true) => {
+                let factor = 1.0 / self.coefficients.scale;
+                nordsieck::raise_adams(&mut self.z[..=q + 1], h, past, factor, &self.last_correction);
+            }
+            (Formula::Bdf, false) => nordsieck::lower_bdf(&mut self.z[..=q], h, past),
+            (Formula::Bdf, true) => {
+                nordsieck::raise_bdf(&mut self.z[..=q + 1], h, past, &self.last_correction);
+            }
         }
         self.order = self.next_order;
         self.wait = self.order as u32 + 1;
@@ -174,6 +212,7 @@ impl Bdf {
         if self.fresh {
             self.fresh = false;
             self.h = h;
+            self.z[0].copy_from_slice(x);
             self.z[1].iter_mut().zip(&self.f).for_each(|(z, f)| *z = h * f);
             if self.order == 2 {
                 // `z_2` contains half the second derivative. The parabola passes through the previous point.
@@ -198,46 +237,36 @@ impl Bdf {
             new.copy_from_slice(old);
         }
         nordsieck::advance(&mut self.z_new[..=self.order]);
-        self.coefficients = Coefficients::new(self.order, self.h, &self.past);
+        self.coefficients = Coefficients::new(self.formula, self.order, self.h, &self.past);
         let gamma = self.h / self.coefficients.l[1];
         loop {
             self.iterate.slopes.iter_mut().zip(&self.z_new[1]).for_each(|(s, z)| *s = z / self.h);
-            let Self { freshness, lu, left, z_new, iterate: Iterate { slopes, rhs, .. }, .. } = self;
-            let x = &z_new[0][..];
-            left.defect(equations, Point { t: end, x, slopes }, rhs)?;
-            let before = equations.stats.jacobians;
-            let mut decompose = |left: &LeftSide, jacobian: &Jacobian, stats: &mut Stats| {
-                stats.decompositions += 1;
-                stats.linear_algebra += lu.operations().0;
-                lu.decompose(|p, on_diagonal| left.entry(p, on_diagonal) - gamma * jacobian.values[p])
-            };
-            let mut system = left.at_slopes(equations.system, slopes);
-            let mut inner =
-                Equations { system: &mut system, weights: equations.weights, stats: &mut *equations.stats };
-            let mut matrix = freshness.prepare(
-                &mut inner,
-                gamma,
-                Point { t: end, x, slopes: rhs },
-                |jacobian, stats| decompose(left, jacobian, stats),
-            )?;
-            if equations.stats.jacobians > before
-                && left.renew(equations, Point { t: end, x, slopes }, rhs)?
-                && !decompose(left, freshness.jacobian(), equations.stats)
-            {
-                matrix = Matrix::Singular;
-            }
-            match matrix {
-                Matrix::Kept => {}
-                Matrix::New => self.convergence.forget(),
-                Matrix::Singular => return Ok(false),
-            }
+            let Self { left, z_new, iterate: Iterate { slopes, rhs, .. }, .. } = self;
+            left.defect(equations, Point { t: end, x: &z_new[0], slopes }, rhs)?;
             self.iterate.correction.fill(0.0);
-            // Corrects for the change of gamma since the decomposition (by about half of it). `change` is the
-            // remaining error of stiff components.
-            let ratio = gamma / self.freshness.coefficient();
-            let (relaxation, change) = (2.0 / (1.0 + ratio), (1.0 - ratio).abs() / (1.0 + ratio));
+            let had_matrix = self.is_newton;
+            let (mut relaxation, mut change) = (1.0, 0.0);
+            if self.is_newton {
+                let ratio = match self.prepare_matrix(equations, end, gamma) {
+                    Ok(Some(ratio)) => ratio,
+                    Ok(None) => return Ok(false),
+                    Err(CallError::Discard) if self.formula == Formula::Adams => {
+                        // The Jacobian cannot be evaluated here. It is not needed, either.
+                        (self.is_newton, self.jacobian_cost) = (false, f64::INFINITY);
+                        continue;
+                    }
+                    Err(error) => return Err(error),
+                };
+                // Relaxation would leave an error in the components that are not stiff, which Adams formulae
+                // do not damp.
+                if self.formula == Formula::Bdf {
+                    (relaxation, change) = (2.0 / (1.0 + ratio), (1.0 - ratio).abs() / (1.0 + ratio));
+                }
+            }
+            // With one iteration per step, the method is as unstable as the explicit one.
+            let is_unstable = !self.is_newton && self.h * self.lipschitz > EXPLICIT_LIMIT[self.order - 1];
             let mut iteration = Corrector {
-                lu: &self.lu,
+                lu: self.is_newton.then_some(&self.lu),
                 left: &self.left,
                 z: &self.z_new,
                 end,
@@ -249,15 +278,83 @@ impl Bdf {
             };
             let most = if self.left.is_identity() { f64::INFINITY } else { NEWTON_ERROR };
             let tolerance = (NEWTON_SHARE / self.coefficients.here).min(most);
-            let newton = self.convergence.iterate(equations, &mut iteration, tolerance, change)?;
+            let least = 1 + u32::from(is_unstable);
+            let newton = self.convergence.iterate(equations, &mut iteration, tolerance, change, least)?;
+            if self.formula == Formula::Adams {
+                self.count_iterations(equations.system, gamma);
+            }
             if newton == Newton::Converged {
                 self.correction_norm = scaled_norm(&self.iterate.correction, &self.tested);
                 return Ok(true);
             }
-            if !self.freshness.renew_after_failure(gamma) {
+            let may_help =
+                if had_matrix { self.freshness.renew_after_failure(gamma) } else { self.is_newton };
+            if !may_help {
                 return Ok(false);
             }
         }
+    }
+
+    /// Counts the iterations of an Adams formula. Once those beyond the first have cost as much as a
+    /// Jacobian, one is evaluated, because Newton's method then needs one iteration per step. At most twice
+    /// the cost of the better choice is spent.
+    fn count_iterations(&mut self, system: &dyn HybridSystem, gamma: f64) {
+        let count = self.convergence.count();
+        if count > 1 && !self.is_newton {
+            self.lipschitz = self.convergence.rate() / gamma;
+        }
+        self.extra += f64::from(count) - 1.0;
+        if self.extra >= self.jacobian_cost {
+            self.extra = 0.0;
+            if self.is_newton {
+                self.freshness.want_jacobian();
+            } else {
+                self.is_newton = self.begin_matrices(system).is_ok();
+                if !self.is_newton {
+                    self.jacobian_cost = f64::INFINITY;
+                }
+            }
+        }
+    }
+
+    /// Ensures that there is a matrix of Newton's method for `gamma`. Returns the ratio of `gamma` and the
+    /// coefficient of the matrix, or `None` if the matrix is singular.
+    fn prepare_matrix(
+        &mut self,
+        equations: &mut Equations<'_>,
+        end: f64,
+        gamma: f64,
+    ) -> CallResult<Option<f64>> {
+        let Self { freshness, lu, left, z_new, iterate: Iterate { slopes, rhs, .. }, .. } = self;
+        let x = &z_new[0][..];
+        let before = equations.stats.jacobians;
+        let mut decompose = |left: &LeftSide, jacobian: &Jacobian, stats: &mut Stats| {
+            stats.decompositions += 1;
+            stats.linear_algebra += lu.operations().0;
+            lu.decompose(|p, on_diagonal| left.entry(p, on_diagonal) - gamma * jacobian.values[p])
+        };
+        let mut system = left.at_slopes(equations.system, slopes);
+        let mut inner =
+            Equations { system: &mut system, weights: equations.weights, stats: &mut *equations.stats };
+        let mut matrix =
+            freshness.prepare(&mut inner, gamma, Point { t: end, x, slopes: rhs }, |jacobian, stats| {
+                decompose(left, jacobian, stats)
+            })?;
+        if equations.stats.jacobians > before
+            && left.renew(equations, Point { t: end, x, slopes }, rhs)?
+            && !decompose(left, freshness.jacobian(), equations.stats)
+        {
+            matrix = Matrix::Singular;
+        }
+        if matrix == Matrix::Singular {
+            return Ok(None);
+        }
+        if equations.stats.jacobians > before || (self.formula == Formula::Bdf && matrix == Matrix::New) {
+            self.convergence.forget();
+        }
+        // Corrects for the change of gamma since the decomposition (by about half of it). `change` is the
+        // remaining error of stiff components.
+        Ok(Some(gamma / self.freshness.coefficient()))
     }
 
     /// Returns the next step size. Sometimes considers the neighbouring orders.
@@ -281,7 +378,7 @@ impl Bdf {
                 below = 1.0 / ((6.0 * error).powf(1.0 / order) + 1e-6);
             }
             let mut above = 0.0;
-            if q < MAX_ORDER && self.last_scale != 0.0 {
+            if q < self.formula.max_order() && self.last_scale != 0.0 {
                 let quotient =
                     self.coefficients.scale / self.last_scale * (self.h / self.past[1]).powf(order + 1.0);
                 for (d, (e, last)) in self
@@ -296,7 +393,7 @@ impl Bdf {
                 above = 1.0 / ((10.0 * error).powf(1.0 / (order + 2.0)) + 1e-6);
             }
             let largest = best.max(below).max(above);
-            if largest >= WORTH_IT && largest != best {
+            if largest >= self.formula.worth_it() && largest != best {
                 best = largest;
                 if largest == below {
                     self.next_order = q - 1;
@@ -306,36 +403,39 @@ impl Bdf {
                 }
             }
         }
-        if best < WORTH_IT { self.h } else { self.h * best.min(growth) }
+        if best < self.formula.worth_it() { self.h } else { self.h * best.min(growth) }
     }
 }
 
-impl Stepper for Bdf {
+impl Stepper for Multistep {
     fn properties(&self) -> Properties {
         Properties {
             order: 1,
-            takes_mass_matrix: true,
-            takes_residual: true,
+            takes_mass_matrix: self.formula == Formula::Bdf,
+            takes_residual: self.formula == Formula::Bdf,
             only_own_slopes: !self.left.is_identity(),
             interior_samples: 1,
             wants_second_derivative: true,
             evaluates_ends: false,
-            takes_jacobians: true,
+            takes_jacobians: self.formula == Formula::Bdf,
             ..Properties::default()
         }
     }
 
     fn begin(&mut self, system: &dyn HybridSystem) -> CallResult<()> {
         let n = system.n_states();
-        self.freshness.begin(system)?;
-        self.left.begin(system)?;
-        // The mass matrix has entries outside the pattern.
-        let pattern = self.freshness.jacobian().pattern().filter(|_| system.mass_matrix().is_none());
-        self.lu.begin(n, pattern)?;
+        self.is_newton = self.formula == Formula::Bdf;
+        if self.is_newton {
+            self.begin_matrices(system)?;
+        }
+        let pattern = system.jacobian_pattern().filter(|p| p.n_states() == n);
+        self.jacobian_cost = pattern.map_or(n as f64, |p| p.widest_column() as f64 + lu::needless_work(p));
+        (self.extra, self.lipschitz) = (0.0, 0.0);
         self.has_started = false;
+        let rows = self.formula.max_order() + 1;
         let Self { f, iterate, last_correction, inverse, tested, z, z_new, .. } = self;
         let single = [f, last_correction, inverse, tested];
-        for v in single.into_iter().chain(iterate.vectors()).chain(z).chain(z_new) {
+        for v in single.into_iter().chain(iterate.vectors()).chain(&mut z[..rows]).chain(&mut z_new[..rows]) {
             v.clear();
             v.resize(n, 0.0);
         }
@@ -415,6 +515,7 @@ impl Stepper for Bdf {
         if x.is_empty() {
             return Ok(Attempt::Good);
         }
+        // Steps that approach rounding lead to a discontinuity, which only the tolerance of the run can pass.
         equations.weights.inverse_at(x, 1.0, &mut self.inverse);
         self.tested.copy_from_slice(&self.inverse);
         self.left.choose_tested(&mut self.tested);
@@ -481,7 +582,7 @@ impl Stepper for Bdf {
         } else {
             self.wait = self.wait.saturating_sub(1);
             let proposed = self.choose();
-            if self.wait == 1 && self.order < MAX_ORDER && self.next_order == self.order {
+            if self.wait == 1 && self.order < self.formula.max_order() && self.next_order == self.order {
                 self.last_correction.copy_from_slice(&self.iterate.correction);
                 self.last_scale = self.coefficients.scale;
             }
@@ -490,5 +591,28 @@ impl Stepper for Bdf {
         let h = self.h;
         self.f.iter_mut().zip(&self.z[1]).for_each(|(f, z)| *f = z / h);
         proposed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Sums of the coefficients `gamma_j` of Hairer, Norsett and Wanner I, III.1, times `2^j`.
+    fn sums(first: impl Fn(usize) -> f64) -> [f64; MAX_ORDER] {
+        let mut gamma = [0.0; MAX_ORDER];
+        let mut sum = 0.0;
+        std::array::from_fn(|j| {
+            gamma[j] = first(j) - (1..=j).map(|i| gamma[j - i] / (i as f64 + 1.0)).sum::<f64>();
+            sum += gamma[j] * 2f64.powi(j as i32);
+            sum
+        })
+    }
+
+    #[test]
+    fn limits_of_stability_follow_from_coefficients() {
+        for (limit, sum) in EXPLICIT_LIMIT.iter().zip(sums(|_| 1.0)) {
+            assert!((limit * sum / 2.0 - 1.0).abs() < 1e-3, "{limit} {sum}");
+        }
     }
 }
