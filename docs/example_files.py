@@ -1,4 +1,4 @@
-"""Write the models, recordings and set-ups that the guides use into a folder.
+"""Writes the models, recordings and set-ups that the guides use to a folder.
 
     python docs/example_files.py FOLDER
 

@@ -1,4 +1,4 @@
-"""Draw the pictures of the pages. Methods with random numbers use the seed 1.
+"""Draws the pictures of the pages. Methods with random numbers use the seed 1.
 
     python docs/pictures.py [FOLDER]        default: docs/pictures
 """
@@ -17,7 +17,7 @@ SEED = 1
 
 
 def calibration_of(setup):
-    """Calibration of a set-up file in docs/setups. The working folder must contain the example files."""
+    """Returns the calibration of a set-up file in docs/setups. The working folder must contain the example files."""
     return runpy.run_path(f"{setup}.py")["calibration"]
 
 

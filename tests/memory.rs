@@ -16,8 +16,8 @@ fn resident() -> usize {
     line.split_whitespace().nth(1).unwrap().parse::<usize>().unwrap() * 1024
 }
 
-/// Calls `cost` this many times with varying parameters. Returns the growth of the resident memory after the
-/// first tenth.
+/// Evaluates `calls` costs with varying parameters. Returns the growth of the resident memory after the first
+/// tenth.
 fn growth(calls: usize, workers: usize) -> usize {
     let calibration = Calibration::builder(example("furuta"))
         .experiment(

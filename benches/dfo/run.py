@@ -170,7 +170,7 @@ def main() -> None:
         outcome = run(name, arguments.method, arguments.half, seeds, arguments.jobs)
         text = f"# {name}: {chosen.what}\n\n    python benches/dfo/run.py {' '.join(sys.argv[1:])}\n\n"
         text += f"{versions()}; Python {platform.python_version()}. Budget {chosen.factor} (n{'' if chosen.per_n else ' + 1'}) "
-        text += f"evaluations, {seeds} seeds. Problems with even numbers are for tuning, those with odd numbers for assessment.\n\n"
+        text += f"evaluations; seeds: {seeds}. Problems with even numbers are for tuning, those with odd numbers for assessment.\n\n"
         text += outcome.tables(arguments.half)
         if arguments.each:
             text += outcome.each()

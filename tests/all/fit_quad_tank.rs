@@ -18,7 +18,7 @@ fn measurements() -> Data {
     Data::from_csv(Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/data/quad_tank.csv")).unwrap()
 }
 
-/// The first `n` outlets from the first `n` levels.
+/// Returns the calibration of the first `n` outlets with the first `n` levels.
 fn calibration(data: Data, n: usize) -> Calibration {
     let mut experiment = Experiment::new(data).input("u1", "u1").input("u2", "u2");
     for i in 1..=n {

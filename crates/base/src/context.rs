@@ -122,7 +122,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn context_is_over_when_cancelled_or_late() {
+    fn context_ends_when_cancelled_or_late() {
         let flag = AtomicBool::new(false);
         let asked = std::cell::Cell::new(false);
         let ask = || asked.get();

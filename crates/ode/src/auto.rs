@@ -45,9 +45,9 @@ const PATIENCE: f64 = 2.5;
 /// Right-hand sides per Jacobian up to which the first trial starts without waiting. This bounds the loss for
 /// a non-stiff system.
 const AFFORDABLE: f64 = 100.0;
-/// A trial is won if this many more of its steps advanced more per right-hand side than advanced less. It is
-/// lost in the opposite case. The first steps must damp the fast components left by the explicit method, and
-/// then grow.
+/// Difference that decides a trial. The trial is won if the number of steps that advanced more per right-hand
+/// side exceeds the number of steps that advanced less by this value. It is lost in the opposite case. The
+/// first steps must damp the fast components left by the explicit method, and then grow.
 const DECIDED: i32 = 4;
 /// The system is nonlinear if the contraction of Newton's iterations exceeds `LINEAR` in this number of
 /// steps. For a linear system, rounding leaves about 1e-8, the error of a finite-difference Jacobian.

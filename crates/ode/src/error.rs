@@ -264,8 +264,8 @@ pub struct Undetermined {
     /// The states that remain without an equation.
     pub states: Vec<usize>,
     /// Largest pivot that remains for these states in the Jacobian of the equations without derivatives. The
-    /// Jacobian is scaled: 1 is the largest effect on an equation of changing a state by its size. The pivot
-    /// is below 1e-6.
+    /// Jacobian is scaled: an entry is the effect of changing a state by its size, and the largest effect on
+    /// each equation is 1. The pivot is below 1e-6.
     pub pivot: f64,
 }
 

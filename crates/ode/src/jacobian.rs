@@ -369,7 +369,7 @@ mod tests {
 
     #[test]
     fn differences_go_backward_at_refused_points() {
-        // All states increase (f > 0) and are at the limit, so every forward difference is refused.
+        // All states increase (f > 0) and are at the limit, so every forward difference is rejected.
         let x = [0.5; 3];
         let mut chain = Chain { n: 3, pattern: None, limit: 0.5, own: false, directional: false };
         let (result, worst, stats) = evaluated(&mut chain, &x);

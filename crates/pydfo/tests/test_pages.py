@@ -2,7 +2,7 @@
 
 The blocks of a page share their variables and a folder with the files that docs/example_files.py writes. The language of a block decides:
 
-- ``python`` is executed; ``pycon`` is executed and compared like a doctest, in which ``...`` stands for any text;
+- ``python`` is executed; ``pycon`` is executed and compared like a doctest, in which ``...`` matches any text;
 - ``console``: the lines after ``$`` are executed by a shell in which ``fmufit`` is the command line of this module. The output is
   compared in the same way. Only a block that shows ``error:`` may fail;
 - ``toml`` and ``python`` with ``title="NAME"`` are first written to the folder;

@@ -410,7 +410,7 @@ def test_input_is_not_an_output_and_has_one_value():
         Calibration(example_fmu("quad_tank"), data, {"qt.x1": "x"}, [a1], inputs=["u1", "u2"], start_values={"u1": 3.0})
 
 
-def test_settings_without_effect_are_a_warning():
+def test_settings_without_effect_cause_a_warning():
     data, line = {"time": TIME, "x": DECAY}, lambda t, y: [1.0]
     step, largest = "step_size = 0.1 has no effect with the solver 'tsit5'", "max_step = 0.1 has no effect with the solver 'rk4'"
     with pytest.warns(CalibrationWarning, match=step):

@@ -49,8 +49,7 @@ def test_exhaust_pipe_is_fitted_in_stages(method):
 @pytest.mark.parametrize(("n", "outlets", "cost"), [(2, [2.65838, 2.71220], 3.20422e-5), (4, [2.65931, 2.70252, 3.00666, 2.93158], 9.44303e-5)])
 @pytest.mark.skipif("published" not in recordings.at_hand("qt_par_est_data.mat"), reason="the published recording is not at hand")
 def test_tank_outlets_are_fitted_in_stages(method, n, outlets, cost):
-    """Two outlets, then four from the same start. Freeing all in the last of two stages equals a single fit of
-    all."""
+    """Two stages, of which the last frees all outlets, have the same result as a single fit of all."""
     data, names = recordings.quad_tank("published"), [f"qt.a{k + 1}" for k in range(n)]
     parameters = [Parameter(name, 3e-6, 2e-6, 4e-6) for name in names]
     calibration = Calibration(example_fmu("quad_tank"), data, recordings.LEVELS[:n], parameters, inputs=["u1", "u2"])

@@ -35,7 +35,7 @@ impl Calibration {
     ///
     /// - Times: unit and start.
     /// - Recorded values: constants, placeholders, units, initial values, and swapped columns.
-    /// - Inputs: inputs without a source, and columns that are all zero, have long gaps, or have another
+    /// - Inputs: inputs without a source, and columns that are all zero, have long gaps, or have a different
     ///   unit.
     /// - Parameters: values, ranges and start values declared by the model.
     /// - Accuracy of the simulations.

@@ -13,9 +13,9 @@ const STACK_SIZE: usize = 16 << 20;
 const POLL: Duration = Duration::from_millis(20);
 
 /// Returns the results of `task` for the numbers below `n`, in their order. Runs up to `workers` threads, or
-/// the calling thread if one is enough or no thread can be started. The calling thread checks the context.
-/// The context of each task ends with it, and no further task begins after that. The result is `None` if the
-/// task did not begin or panicked.
+/// the calling thread if one is enough or no thread can be started. The calling thread checks the context. If
+/// that context ends, the contexts of all tasks also end, and no further task begins. The result is `None` if
+/// the task did not begin or panicked.
 pub(crate) fn map<T: Send>(
     n: usize,
     workers: usize,

@@ -10,8 +10,8 @@ use ciborium::Value;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
-/// Fields that do not affect any cost. Without `hold_inputs`, a problem that depends on it has no cost at
-/// all. The data are included as a hash instead.
+/// Fields that do not affect any cost. `hold_inputs` is one of them, because a problem that needs this
+/// setting has no cost without it. The data are included as a hash instead.
 const WITHOUT_EFFECT: [&str; 7] =
     ["isolation", "memory_limit", "sandbox", "max_description_bytes", "name", "hold_inputs", "data"];
 

@@ -5,8 +5,8 @@ use crate::error::CalibrationError;
 use crate::problem::experiment::{Experiment, Measured, Weight};
 use base::Number;
 
-/// Without a given start time, a recording may begin at most this many sampling intervals after the start of
-/// the model.
+/// Maximum number of sampling intervals between the start of the model and the start of a recording, if no
+/// start time is given.
 const MOST_BEFORE: f64 = 10.0;
 
 /// The measurements of an output that count, in order of time.

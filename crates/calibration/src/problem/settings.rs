@@ -111,8 +111,8 @@ impl SimulationSettings {
     }
 }
 
-/// Serialises the settings as one record with a known number of fields. Files then have one form, whereas a
-/// flattened field does not report its number of fields.
+/// Serialises the settings as one record with a known number of fields. A flattened field would not report
+/// its number of fields, and files would have several forms.
 impl Serialize for SimulationSettings {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
         let Self { run, isolation, memory_limit, sandbox, max_description_bytes, units } = self;

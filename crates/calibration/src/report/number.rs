@@ -2,7 +2,7 @@
 
 use base::Number;
 
-/// Formats a number with this many significant digits (at least one), without trailing zeros.
+/// Formats a number with `digits` significant digits (at least one), without trailing zeros.
 pub(super) fn rounded(value: f64, digits: usize) -> String {
     if !value.is_finite() {
         return Number(value).to_string();

@@ -385,8 +385,8 @@ impl Calibration {
         Ok(CenterResiduals { residuals, accurate, simulation_error })
     }
 
-    /// Returns the absolute value of a parameter. If zero is between its bounds, it is at least the size of
-    /// the parameter.
+    /// Returns the absolute value of a parameter. If zero is between the bounds, the result is at least the
+    /// size of the parameter.
     fn size_of_either_sign(&self, p: &Parameter, x: f64) -> f64 {
         let is_of_either = p.lower() < 0.0 && p.upper() > 0.0 && p.scale_kind() == Scale::Linear;
         if is_of_either { self.size_of(p, x).max(x.abs()) } else { x.abs() }

@@ -168,7 +168,7 @@ fn stop_button_ends_the_fit_with_the_best_point() {
     let costs = fit.report.trace.iter().filter_map(|entry| Some((entry.outcome.value()?, entry.x)));
     let best = costs.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
     assert_eq!((fit.cost, fit.x.as_slice()), best);
-    // The page now shows the report, which requires no simulation. A context that is over would end a
+    // The page now shows the report, which requires no simulation. A context that has ended would end a
     // simulation.
     let is_over = || true;
     page.show_report(&calibration, &fit, &RunContext::new().asking(&is_over)).unwrap();

@@ -66,7 +66,7 @@ fn stage_starts_from_previous_result_and_holds_other_parameters() {
     }
     assert!(fit.report.jacobian.is_none() && second.report.jacobian.is_some());
     assert!(fit.report.message.contains("stage 1 of 2: converged"), "{}", fit.report.message);
-    // The same stages with fixed parameters, done by hand.
+    // Repeat the second stage by hand, with fixed parameters.
     let fixed: Vec<_> = OUTLETS[..2].iter().copied().zip(first.x.iter().copied()).collect();
     let by_hand = tanks(&fixed, None).fit(FitOptions::default()).unwrap();
     assert_eq!(bits(&by_hand), bits(second));

@@ -242,7 +242,7 @@ impl Store {
         self.n_replays > 0
     }
 
-    /// Removes evaluations from before the run was resumed that the first batch did not need.
+    /// Removes evaluations of the path before the run was resumed, if the first batch did not need them.
     pub(crate) fn forget_replays(&mut self) {
         let replays: Vec<u64> =
             self.early.iter().filter(|(_, early)| early.is_of_path).map(|(number, _)| *number).collect();

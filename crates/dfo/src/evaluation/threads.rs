@@ -13,8 +13,8 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::thread::{Builder, Scope};
 use std::time::{Duration, Instant};
 
-/// Maximum number of workers. Larger numbers are a mistake, because no machine runs this many threads at
-/// once.
+/// Maximum number of workers. A larger number is a mistake, because no machine runs so large a number of
+/// threads at once.
 pub(crate) const MOST_WORKERS: usize = 1 << 15;
 
 /// Stack size of a worker thread in bytes. Compiled models put large arrays on the stack.

@@ -62,10 +62,10 @@ impl RobustLoss {
         Some(MeanScore { slope, correction: (1.0 + p_by_n * variance / (slope * slope)).powi(2) })
     }
 
-    /// Returns the mean slope of the score without the residuals nearest to zero, as many as there are
-    /// parameters. With a narrow loss, a fit passes almost exactly through that many measurements. Their
-    /// residuals do not represent how many of the other residuals are near zero (Schrader and McKean in
-    /// Dodge, ed., Statistical Data Analysis Based on the L1 Norm, 1987).
+    /// Returns the mean slope of the score without the residuals nearest to zero. The number of omitted
+    /// residuals is the number of parameters. With a narrow loss, a fit passes almost exactly through this
+    /// number of measurements. Their residuals do not show how many of the other residuals are near zero
+    /// (Schrader and McKean in Dodge, ed., Statistical Data Analysis Based on the L1 Norm, 1987).
     fn mean_slope(&self, residuals: &[f64], width: f64, p_by_n: f64) -> f64 {
         let mut sorted = residuals.to_vec();
         sorted.sort_by(|a, b| a.abs().total_cmp(&b.abs()));

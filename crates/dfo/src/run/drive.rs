@@ -369,7 +369,7 @@ impl<M: Method> Drive<M> {
 
     /// Submits a lost point again. Returns true if this answer is a loss and the path waits for the point.
     /// Otherwise, a loss becomes [`Outcome::Skipped`]. After [`MOST_LOSSES`] losses of one point, the run
-    /// ends. No decision follows from a loss.
+    /// ends. A loss does not affect any decision.
     fn is_evaluated_again(&mut self, id: u64, answer: &mut Answer, evaluator: &mut dyn Evaluator) -> bool {
         if !answer.outcome.is_lost() {
             return false;

@@ -183,7 +183,7 @@ impl Report {
     }
 
     /// Like [`covariance`](Self::covariance). Also returns `None` if there are many residuals and the context
-    /// is over.
+    /// has ended.
     pub fn covariance_unless(&self, context: &RunContext<'_>) -> Option<Covariance> {
         let (residuals, jacobian) = (self.residuals.as_ref()?, self.jacobian.as_ref()?);
         let n_free = self.active.iter().filter(|active| **active == 0).count();

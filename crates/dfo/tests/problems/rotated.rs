@@ -106,8 +106,9 @@ fn largest(z: &[f64]) -> f64 {
     z.iter().fold(f64::NEG_INFINITY, |most, z| most.max(*z))
 }
 
-/// Returns piecewise linear functions of `n` parameters: sum and maximum of absolute values along rotated
-/// axes with different slopes, both also with more terms than parameters, and the maximum of linear functions.
+/// Returns piecewise linear functions of `n` parameters: the sum and the maximum of absolute values along
+/// rotated axes with different slopes, and the maximum of linear functions. The first two also occur with
+/// more terms than parameters.
 pub fn piecewise_linear(n: usize, seed: u64) -> Vec<Rotated> {
     let sum = |z: &[f64]| z.iter().map(|z| z.abs()).sum();
     let most = |z: &[f64]| z.iter().fold(0.0f64, |most, z| most.max(z.abs()));

@@ -19,8 +19,8 @@ use std::sync::atomic::AtomicBool;
 pub struct LoaderOptions {
     /// Symbols of the library and of its dependencies take precedence over symbols of the process
     /// (`RTLD_DEEPBIND` of glibc). Use this for libraries that call one of their functions and get a function
-    /// of the host program with the same name instead. An error if the system has no such flag. Incompatible
-    /// with the address sanitizer, which rejects the flag.
+    /// of the host program with the same name instead. Loading fails if the system has no such flag. The
+    /// address sanitizer rejects the flag.
     pub deepbind: bool,
     /// Functions are looked up when they are first called (`RTLD_LAZY`). Use this for libraries that lack
     /// functions that are never called. If such a function is called, the process ends.

@@ -149,7 +149,7 @@ fn faults_return_typed_errors_and_keep_library_usable() {
                 let first = simulator.run(&[k], &mut Ignore);
                 check(&what, ends, &first);
                 assert_eq!(simulator.trajectory(&[1.0]).unwrap(), truth, "after {what}");
-                // The same fault again in a new instance, next to a healthy one.
+                // Repeat the fault in a new instance, next to a healthy one.
                 let mut other = Simulator::new(plan(&fmu, kind)).unwrap();
                 let second = other.run(&[k], &mut Ignore);
                 assert_eq!(

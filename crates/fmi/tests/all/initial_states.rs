@@ -90,7 +90,7 @@ fn start_value_without_effect_is_a_quirk_and_not_settable_if_calculated() {
 }
 
 #[test]
-fn initial_state_without_effect_is_refused_in_co_simulation() {
+fn initial_state_without_effect_is_rejected_in_co_simulation() {
     for initial in ["exact", "approx"] {
         let folder = computing(initial, true);
         let fmu = folder.open();

@@ -71,8 +71,8 @@ impl Run<'_> {
         }
         let space = &mut *self.space;
         space.x_mid.copy_from_slice(&space.x);
-        // Of two instants within rounding, the model receives the later one, because its time event would
-        // otherwise not be due.
+        // If two instants are equal within rounding, the model receives the later one. Otherwise its time
+        // event would not be due.
         let announced = self.next_time_event.filter(|_| cause.time).unwrap_or(self.t);
         let time = self.t.max(announced);
         self.t = time.min(self.end);

@@ -12,7 +12,7 @@ use crate::system::{CallError, CallResult, HybridSystem};
 /// Slopes of indicators are distinguished from rounding within this fraction of the span.
 const SLOPE_REACH: f64 = 1e-3;
 
-/// Steps of at least this many time tolerances are long enough to show whether an indicator continues.
+/// Minimum length of a step, in time tolerances, that shows whether an indicator continues.
 const RESOLVED: f64 = 100.0;
 
 impl Run<'_> {
@@ -112,7 +112,7 @@ impl Run<'_> {
                 self.make_ready(end, h, ready)?;
                 let Space { x, x_mid, domains, .. } = &mut *self.space;
                 let at = self.t + turn;
-                // The same expression as in later evaluations of this point, so that rounding is equal.
+                // Later evaluations of this point use the same expression, so rounding is equal.
                 self.stepper.interpolate(Trial { t: self.t, end, h, x }, (at - self.t) / h, x_mid);
                 self.stats.event_indicators += 1;
                 let z = domains.value_at(i, |z| read_indicators(self.system, at, x_mid, z))?;

@@ -211,7 +211,7 @@ fn steps_longer_than_indicator_period_locate_only_true_crossings() {
     }
 }
 
-/// An event function that is below zero for 0.12 of each period.
+/// An event function that is below zero for 12 % of each period.
 #[test]
 fn crossing_and_return_are_located_when_step_resolves_them() {
     for method in [Method::Dop853, Method::Radau5, Method::Bdf] {

@@ -192,8 +192,8 @@ pub(crate) struct InterruptGuard<'py> {
 }
 
 impl<'py> InterruptGuard<'py> {
-    /// Keeps the current SIGINT handler. For work on the calling thread that calls no Python function: it
-    /// checks for signals itself and otherwise leaves them to later code.
+    /// Keeps the current SIGINT handler. This is for work on the calling thread that calls no Python
+    /// function. Such work checks for signals itself; later code handles signals that it does not notice.
     pub(crate) fn without_handler(py: Python<'py>) -> Self {
         let parent = AROUND.with_borrow(|around| around.last().cloned());
         let stop = Arc::new(EndRequest { parent, ..EndRequest::default() });

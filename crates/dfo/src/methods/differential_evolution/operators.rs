@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn repaired_points_lie_in_the_box() {
+    fn repaired_points_are_in_the_box() {
         let target = [1.0, 9.0];
         for (how, expected) in
             [(Repair::Midpoint, [0.5, 9.5]), (Repair::Mirror, [3.0, 8.0]), (Repair::Clamp, [0.0, 10.0])]

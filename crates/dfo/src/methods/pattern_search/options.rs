@@ -29,7 +29,7 @@ pub struct PatternSearch {
     /// Number of consecutive restarts without a gain (above the limit of the f test) after which the run
     /// ends; default 1. After the tests have passed and discrete gradients show no descent direction, the
     /// search restarts. Each restart uses the first frame and new directions. Restarts find lower costs
-    /// behind a step, which gradients cannot show. 0 disables restarts.
+    /// beyond a step, which gradients cannot show. 0 disables restarts.
     pub restarts: usize,
 }
 

@@ -48,7 +48,7 @@ impl PendingGeneration {
         self.waiting = !self.roles.is_empty();
     }
 
-    /// Records outcomes. Returns true if all candidates have a cost now.
+    /// Records outcomes. Returns true if all candidates now have a cost.
     pub(crate) fn tell(&mut self, answers: &Answers, candidates: &mut RankedPoints) -> Result<bool, Error> {
         let (asked, outcomes) = (self.roles.len(), answers.outcomes());
         if !self.waiting {

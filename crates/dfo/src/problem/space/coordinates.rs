@@ -31,7 +31,7 @@ pub struct Space {
     /// [`without_far_bounds`](Self::without_far_bounds).
     #[serde(default)]
     pub(super) is_local: Local,
-    /// True for each of the lower and upper bound that is ignored, see
+    /// For the lower and the upper bound: true if the bound is ignored, see
     /// [`without_far_bounds`](Self::without_far_bounds).
     pub(super) far: Vec<[bool; 2]>,
 }

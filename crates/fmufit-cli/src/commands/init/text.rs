@@ -7,7 +7,7 @@ use calibration::{CostKind, FitOptions, SimulationSettings};
 use dfo::AnyMethod;
 use fmi::Fmu;
 
-/// Maximum number of names to list for one reason to leave out parameters.
+/// Maximum number of omitted parameters to list for each reason.
 const LISTED: usize = 12;
 
 /// Returns the text. `model` and `data` are the paths as written in the file.

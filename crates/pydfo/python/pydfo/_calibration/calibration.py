@@ -596,7 +596,7 @@ class Calibration(Evaluation):
         Parameters
         ----------
         folds : int, optional
-            Number of groups of recordings. The recordings are dealt to the groups in turn. One group at a time is
+            Number of groups of recordings. The recordings are assigned to the groups in turn. One group at a time is
             omitted. By default, each recording is its own group.
         method, x_tol, f_tol, max_evaluations, max_iterations, loss, f_scale, rng, options, noise : optional
             Settings of each fit, as in `fit`.

@@ -70,7 +70,7 @@ def load_fit(path: PathLike, fmu: Any = None, inputs: Inputs | Mapping[str, Inpu
 
 
 def _functions(path: str, given: Inputs | Mapping[str, Inputs]) -> list[tuple[int, str, Any]]:
-    """Returns the functions of time of a file from the given ones."""
+    """Returns the given functions of time that the fit in a file needs."""
     if not isinstance(given, Mapping):
         raise TypeError(f"inputs must be a dict of input names and functions, not {show(given)}")
     wanted = _core.functions_of_fit(path)

@@ -406,9 +406,9 @@ class Instance:
         """Advances the instance by `step` s with the current inputs.
 
         In co-simulation, the model performs the step. If a clock ticks within the step, its events are handled at the
-        tick. In model exchange, the step is integrated with a method of `FMUModel.simulate`, and events are handled
-        on the way. From event mode, in which discrete inputs are set, the instance first enters continuous time. Each
-        step restarts its method, so many small steps take longer than one simulation.
+        tick. In model exchange, the step is integrated with a method of `FMUModel.simulate`, and events are
+        handled when they occur. From event mode, in which discrete inputs are set, the instance first enters continuous
+        time. Each step restarts its method, so many small steps take longer than one simulation.
 
         Parameters
         ----------
