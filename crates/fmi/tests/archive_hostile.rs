@@ -460,7 +460,7 @@ fn archive_rejects_uncounted_directory_entries() {
     let end = bytes.len() - 22;
     bytes[end + 8..end + 12].copy_from_slice(&[1, 0, 1, 0]);
     let message = open(&bytes).unwrap_err().to_string();
-    assert!(message.contains("more than the 1 entries"), "{message}");
+    assert!(message.contains("more entries than the 1 that it declares"), "{message}");
 }
 
 /// Returns the archives above that are only rejected when they are unpacked.

@@ -91,11 +91,11 @@ def test_mismatched_checkpoint_is_rejected_and_unchanged(tmp_path):
     minimize(rosenbrock, [-1.2, 1.0], bounds=[(-2, 2)] * 2, checkpoint=path)
     before = path.read_bytes()
     for changes, said in [
-        ({"x0": [-1.0, 1.0]}, "start: .* in the file, .* here"),
-        ({"bounds": [(-3, 2), (-2, 2)]}, r"lower bounds: \[-2.0, -2.0\] in the file, \[-3.0, -2.0\] here"),
-        ({"method": "barrier"}, "method: quadratic-model in the file, barrier here"),
-        ({"options": {"restarts": 0}}, "option restarts: 3 in the file, 0 here"),
-        ({"options": {"x_tol": 1e-3}}, "x_tol: .* in the file, 0.001 here"),
+        ({"x0": [-1.0, 1.0]}, "start: .* in the file, .* in this run"),
+        ({"bounds": [(-3, 2), (-2, 2)]}, r"lower bounds: \[-2.0, -2.0\] in the file, \[-3.0, -2.0\] in this run"),
+        ({"method": "barrier"}, "method: quadratic-model in the file, barrier in this run"),
+        ({"options": {"restarts": 0}}, "option restarts: 3 in the file, 0 in this run"),
+        ({"options": {"x_tol": 1e-3}}, "x_tol: .* in the file, 0.001 in this run"),
     ]:
         arguments = {"x0": [-1.2, 1.0], "bounds": [(-2, 2)] * 2, **changes}
         with pytest.raises(pydfo.CheckpointError, match=said):
@@ -108,7 +108,7 @@ def test_mismatched_checkpoint_is_rejected_and_unchanged(tmp_path):
         minimize(rosenbrock, [-1.2, 1.0], checkpoint=tmp_path / "nowhere" / "run")
     other = {"bounds": [(-2, 2)] * 2, "method": "de", "max_evaluations": 50, "checkpoint": tmp_path / "seeded"}
     minimize(rosenbrock, **other, rng=1)
-    with pytest.raises(pydfo.CheckpointError, match="seed: 1 in the file, 2 here"):
+    with pytest.raises(pydfo.CheckpointError, match="seed: 1 in the file, 2 in this run"):
         minimize(rosenbrock, **other, rng=2)
     assert minimize(rosenbrock, **other).seed == 1
 
@@ -200,7 +200,7 @@ def test_checkpoint_is_bound_to_function_name(tmp_path):
     assert f"continued from {path}, which contains the first {first.nfev} evaluations" in again.message
     assert "continued" not in first.message
     before = path.read_bytes()
-    with pytest.raises(pydfo.CheckpointError, match=r'another function, \S*test_checkpoint.shifted instead of .*<lambda>; give resume="require"'):
+    with pytest.raises(pydfo.CheckpointError, match=r'another function, \S*test_checkpoint.shifted instead of .*<lambda>\. Set resume="require"'):
         run(lambda x: float((x[0] - 4.0) ** 2))
     assert path.read_bytes() == before
     assert "continued from" in run(lambda x: float((x[0] - 4.0) ** 2), resume="require").message

@@ -50,7 +50,7 @@ def test_fit_resumes_from_checkpoint(dahlquist, method, tmp_path):
     before = path.read_bytes()
     with pytest.raises(pydfo.CheckpointError, match="data of experiment 0"):
         other.fit(**run, max_evaluations=200, checkpoint=path)
-    with pytest.raises(pydfo.CheckpointError, match="relative_tolerance of the simulations: 1e-10 in the file, 1e-9 here"):
+    with pytest.raises(pydfo.CheckpointError, match="relative_tolerance of the simulations: 1e-10 in the file, 1e-9 in this run"):
         decay(dahlquist, parameters=BOXED, relative_tolerance=1e-9).fit(**run, max_evaluations=200, checkpoint=path)
     assert path.read_bytes() == before
 

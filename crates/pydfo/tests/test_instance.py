@@ -72,7 +72,7 @@ def test_co_simulation_steps_match_reference():
         for k in range(1, 11):
             assert instance.do_step(0.1).time == pytest.approx(0.1 * k)
         assert instance.get("x") == pytest.approx(np.exp(-1), abs=1e-3)
-        with pytest.raises(ValueError, match="phase continuous; the instance is in the phase step"):
+        with pytest.raises(ValueError, match="phase continuous, but the instance is in the phase step"):
             instance.linearize()
 
 
@@ -405,7 +405,7 @@ def test_results_convert_to_files_and_other_libraries(tmp_path, monkeypatch):
     assert lines[1].split(",")[2:] == ["0", "False"]
     monkeypatch.setitem(__import__("sys").modules, "polars", None)
     monkeypatch.setitem(__import__("sys").modules, "xarray", None)
-    with pytest.raises(ImportError, match=r"to_polars\(\) needs polars: pip install polars"):
+    with pytest.raises(ImportError, match=r"to_polars\(\) requires polars; install it with pip install polars"):
         result.to_polars()
-    with pytest.raises(ImportError, match=r"to_xarray\(\) needs xarray: pip install xarray"):
+    with pytest.raises(ImportError, match=r"to_xarray\(\) requires xarray; install it with pip install xarray"):
         result.to_xarray()

@@ -119,7 +119,7 @@ def test_tuple_of_two_pairs_is_resolved_by_the_start():
         reach(((0, 2), (1, 20)), [0.5, 5.0])
     # A list contains pairs.
     assert reach([(0, 2), (1, 20)], [0.5, 5.0])[:, 1].min() < 2
-    with pytest.raises(ValueError, match="outside of its bounds"):
+    with pytest.raises(ValueError, match="outside its bounds"):
         reach(([0, 0], [1, 1]), [5.0, 5.0])
 
 

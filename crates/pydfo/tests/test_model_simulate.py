@@ -518,7 +518,7 @@ def test_rows_between_fixed_steps_are_interpolated_or_rejected(caplog, tmp_path)
         assert model.simulate(0, 1, times=times, step_size=size)["x"] == pytest.approx(times, abs=1e-14)
     said = [record.getMessage() for record in caplog.records if "interpolated" in record.getMessage()]
     assert len(said) == 1 and "t = 0.25" in said[0] and "0.2 and 0.3" in said[0]
-    with pytest.raises(ValueError, match="t = 0.25 lies between two steps"):
+    with pytest.raises(ValueError, match="t = 0.25 is between two communication points"):
         model.simulate(0, 1, times=times, between_steps="error")
     with pytest.raises(ValueError, match="between_steps = 'no' is invalid; expected one of: 'interpolate', 'error'"):
         model.simulate(0, 1, times=times, between_steps="no")

@@ -353,7 +353,7 @@ def test_lists_of_values_are_set(switched):
     switched.set(["T"], 8.0)
     assert switched.get(["K", "T"]) == [7.0, 8.0]
     for values in ([1.0], [1.0, 2.0, 3.0], 1.0, "ab"):
-        with pytest.raises(ValueError, match="2 names"):
+        with pytest.raises(ValueError, match="2 values, one per name"):
             switched.set(["K", "T"], values)
 
 

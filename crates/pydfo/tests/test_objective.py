@@ -102,7 +102,7 @@ def test_function_exception_ends_the_fit():
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
-        ({"objective": "maximum"}, ValueError, "objective = 'maximum' is invalid; expected one of 'sum-of-squares', 'mae', .*'likelihood', or"),
+        ({"objective": "maximum"}, ValueError, "objective = 'maximum' is invalid; expected one of 'sum-of-squares', 'mae', 'rmse'"),
         ({"objective": 3}, TypeError, "objective"),
         ({"objective": "mae", "method": "least-squares"}, ValueError, "least-squares minimises sums of squares, and the objective 'mae' is none"),
         ({"objective": "mae", "loss": "huber"}, ValueError, "a robust loss belongs to the sum of squares"),

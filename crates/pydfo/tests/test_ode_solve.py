@@ -399,7 +399,7 @@ def test_chattering_can_be_a_warning(caplog):
         chattering="warn",
     )
     assert "limit of 250 events" in res.message and res.stats.chattering == 2
-    assert "2 times a hundred events hardly advanced time" in caplog.text
+    assert "time hardly advanced during 2 sequences of 100 events" in caplog.text
 
 
 def test_time_limit_ends_the_integration():

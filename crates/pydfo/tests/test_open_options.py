@@ -134,7 +134,7 @@ def test_description_limits_can_be_set(tmp_path):
             open_it(path, max_description_bytes=1.5)
     data = {"time": [0.0, 0.5, 1.0], "x": [1.0, 0.6, 0.4]}
     calibrated = {"outputs": ["x"], "parameters": [pydfo.Parameter("k", 1.0, 0.1, 2.0)]}
-    with pytest.raises(FmuError, match="limit of 100; raise it with max_description_bytes"):
+    with pytest.raises(FmuError, match="limit of 100; increase the limit with max_description_bytes"):
         pydfo.Calibration(path, data, **calibrated, max_description_bytes=100)
     calibration = pydfo.Calibration(path, data, **calibrated, max_description_bytes=100_000)
     assert pickle.loads(pickle.dumps(calibration)).cost([1.0]) == calibration.cost([1.0])

@@ -75,7 +75,7 @@ def test_misuse_is_rejected_and_early_ends_are_handled():
     assert opt.best is None and "no cost yet" in repr(opt) and not opt.done
     with pytest.raises(pydfo.NoResult):
         opt.report()
-    with pytest.raises(KeyError, match="point 0, which is not waiting"):
+    with pytest.raises(KeyError, match="point 0 is not waiting"):
         opt.tell(0, 1.0)
     ids, _, _ = opt.ask(5)
     with pytest.raises(ValueError, match="got 2 values for 5 points"):

@@ -174,7 +174,7 @@ def test_model_accepts_fitted_values(furuta, fit):
     assert fit.parameters_of("hot") == {"k": fit.parameters["k"], "x": fit.parameters["x[hot]"]}
     with pytest.raises(ValueError, match="its own value of x.*'cold', 'hot'"):
         fit.parameters_of()
-    with pytest.raises(ValueError, match="unknown experiment 'warm'; expected one of: cold, hot"):
+    with pytest.raises(ValueError, match="there is no experiment 'warm'; there are: cold, hot"):
         fit.parameters_of("warm")
     for arguments in [({"armFriction": 1.0}, 2.0), ("armFriction",)]:
         with pytest.raises(TypeError, match="dict of names and values"):

@@ -185,7 +185,10 @@ def test_executor_times_are_recorded_per_call():
 
 @pytest.mark.parametrize(
     ("isolation", "message"),
-    [("none", "a result of 10000001 rows and 23 columns requires 1840 MB of memory"), ("process", "part of the result of the worker process")],
+    [
+        ("none", "a result of 10000001 rows and 23 columns requires 1840 MB of memory"),
+        ("process", "the received part of the result of the worker process"),
+    ],
 )
 def test_result_without_memory_is_an_error(isolation, message):
     """Runs in a process that may use 1 GiB more; 1e7 rows of 23 variables require 1.8 GB."""

@@ -22,7 +22,7 @@ mod tests {
         assert_eq!(check("a simplex", &[1000, 1000]), Ok(()));
         for factors in [&[1 << 20, 1 << 30][..], &[usize::MAX, 3]] {
             let message = check("a simplex", factors).unwrap_err().to_string();
-            assert!(message.starts_with("not enough memory for a simplex: "), "{message}");
+            assert!(message.starts_with("not enough memory for a simplex, which requires "), "{message}");
         }
         assert!(check("x", &[1 << 22, 1 << 30]).unwrap_err().to_string().contains("36028.8 TB"));
     }

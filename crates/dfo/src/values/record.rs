@@ -243,7 +243,7 @@ impl RecordError {
                 Value::Number(number) => !number.is_finite() || number.fract() == 0.0,
                 _ => false,
             };
-            *is_type &= !(is_number && what.contains("number"));
+            *is_type &= !(is_number && (what.contains("number") || what.contains("integer")));
         }
         self
     }

@@ -213,9 +213,9 @@ fn rejects_file_of_other_run_and_leaves_it_unchanged() {
     }
     // In words, without program syntax.
     let other = run(1, 2.0, 1e-6, "de", tagged()).unwrap_err().to_string();
-    assert!(other.ends_with("belongs to another run: method: ga in the file, de here"), "{other}");
+    assert!(other.ends_with("belongs to another run (method: ga in the file, de in this run)"), "{other}");
     let other = run(1, 2.5, 1e-6, "ga", tagged()).unwrap_err().to_string();
-    assert!(other.ends_with("upper bounds: [2.0, 2.0] in the file, [2.0, 2.5] here"), "{other}");
+    assert!(other.ends_with("(upper bounds: [2.0, 2.0] in the file, [2.0, 2.5] in this run)"), "{other}");
     // If the file is damaged in any byte or truncated anywhere, the run returns an error. It never panics or
     // returns another result.
     for k in (0..bytes.len()).step_by(11) {

@@ -186,7 +186,8 @@ fn errors_name_option_and_value() {
     }
     let error = asked(serde_json::json!({ "method": "nm", "batsch": 2 })).unwrap_err().to_string();
     assert!(
-        error.starts_with("nelder-mead has no option 'batsch'; did you mean 'batch'? it has batch, "),
+        error
+            .starts_with("nelder-mead has no option 'batsch'; did you mean 'batch'? its options are batch, "),
         "{error}"
     );
     let error = asked(serde_json::json!({ "method": "de", "search": "global" })).unwrap_err().to_string();

@@ -260,7 +260,7 @@ fn changed_number_of_residuals_is_an_error_for_any_workers() {
         run.workers(workers).run().unwrap_err()
     };
     let error = run(1);
-    assert_eq!(error.to_string(), "3 residuals at x = [1.1], but 2 at earlier points");
+    assert_eq!(error.to_string(), "the objective returned 3 residuals at x = [1.1], but 2 at earlier points");
     assert!((2..6).all(|workers| run(workers) == error));
     // This also ends a run with ask/tell.
     let mut optimizer = by_hand().start(&[1.0]).method(LeastSquares::default()).optimizer().unwrap();

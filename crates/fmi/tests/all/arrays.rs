@@ -102,7 +102,9 @@ fn array_elements_work_as_start_values_parameters_and_inputs() {
     assert!(problem(new().parameters(["k"])).contains("specify its elements"));
     assert!(problem(new().parameters(["k[1]", "k[1]"])).contains("specified twice"));
     assert!(problem(new().start_value("k[4]", 1.0)).contains("k[4]"));
-    assert!(problem(new().start_value("n", 2).start_value("k[1]", 1.0)).contains("3 for 2 elements"));
+    assert!(
+        problem(new().start_value("n", 2).start_value("k[1]", 1.0)).contains("3 start values for 2 elements")
+    );
     assert!(problem(new().start_value("k[1]", "one")).contains("Real"));
     assert!(problem(new().inputs(Inputs::new().series("u", vec![0.0], vec![1.0]))).contains("u[...]"));
     let twice =

@@ -190,7 +190,7 @@ fn unsupported_clock_uses_are_reported() {
     let one = |name: &str, value: f64| Inputs::new().series(name, vec![0.0], vec![value]);
     assert!(problem(one("sample", 1.0)).contains("constant intervals"), "{}", problem(one("sample", 1.0)));
     assert!(problem(one("button", 0.5)).contains("0.5 in row 0 is not 0 or 1"));
-    assert!(problem(one("alarm", 1.0)).contains("causality output"));
+    assert!(problem(one("alarm", 1.0)).contains("causality is output"));
 
     // A changing clock whose interval is always 0 prevents time from advancing.
     for kind in KINDS {

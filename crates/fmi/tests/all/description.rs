@@ -258,7 +258,7 @@ fn fmi_version_is_parsed_from_its_numbers() {
     assert!(
         refusal("<fmiModelDescription fmiVersion='new'/>").contains("fmiVersion=\"new\" is not a version")
     );
-    assert!(refusal("<fmiModelDescription/>").contains("no fmiVersion"));
+    assert!(refusal("<fmiModelDescription/>").contains("missing attribute fmiVersion"));
 }
 
 #[test]
@@ -488,8 +488,8 @@ fn wrong_structure_is_tolerated_when_safe() {
 #[test]
 fn unusable_description_is_rejected_with_line() {
     for (variable, part) in [
-        ("<ScalarVariable valueReference='1'><Real/></ScalarVariable>", "no name"),
-        ("<ScalarVariable name='a'><Real/></ScalarVariable>", "no valueReference"),
+        ("<ScalarVariable valueReference='1'><Real/></ScalarVariable>", "missing attribute name"),
+        ("<ScalarVariable name='a'><Real/></ScalarVariable>", "missing attribute valueReference"),
         ("<ScalarVariable name='a' valueReference='-1'><Real/></ScalarVariable>", "valueReference=\"-1\""),
         ("<ScalarVariable name='a' valueReference='4294967296'><Real/></ScalarVariable>", "valueReference="),
         ("<ScalarVariable name='a' valueReference='1'/>", "\"a\" has no type"),

@@ -42,7 +42,7 @@ fn permanent_discard_is_an_error_with_time() {
     // Also at the start.
     let error = fails(&["FAILING_ALWAYS=fmi2Discard"]).to_string();
     assert!(
-        error.contains("its own state at t = 0: fmi2GetDerivatives returned discard at t = 0"),
+        error.contains("its current state at t = 0: fmi2GetDerivatives returned discard at t = 0"),
         "{error}"
     );
 }
@@ -270,7 +270,7 @@ fn nan_outputs_are_recorded() {
 /// have a different value.
 #[test]
 fn state_contradicting_its_variable_is_reported() {
-    let said = "x differs from the continuous state that it represents";
+    let said = "x differs from the continuous state that it represents according to the model description";
     let options = SimulateOptions::new().ncp(10).outputs(["x", "y"]);
     let simulate = |value: &str| {
         let folder = evil(&[&format!("STATE_VALUE={value}")]);
@@ -282,14 +282,14 @@ fn state_contradicting_its_variable_is_reported() {
     let (result, quirks) = simulate("2*m->x");
     let result = result.unwrap();
     assert!(result.get("x").unwrap().iter().zip(result.get("y").unwrap()).all(|(x, y)| *x == 2.0 * y));
-    assert_eq!(quirks, [format!("{said}: the variable is recorded")]);
+    assert_eq!(quirks, [format!("{said}; the variable is recorded")]);
     let (result, _) = simulate("NAN");
     assert!(result.unwrap().get("x").unwrap().iter().all(|x| x.is_nan()));
     // Later: the rows are already recorded.
     let (result, quirks) = simulate("m->time>0.5?2*m->x:m->x");
     let result = result.unwrap();
     assert_eq!(result.get("x").unwrap(), result.get("y").unwrap());
-    assert_eq!(quirks, [format!("at the end of a simulation {said}: the state is recorded")]);
+    assert_eq!(quirks, [format!("at the end of a simulation, {said}; the state is recorded")]);
     for (value, shown) in [("m->time>0.5?NAN:m->x", "NaN"), ("m->time>0.5?INFINITY:m->x", "inf")] {
         let error = simulate(value).0.unwrap_err().to_string();
         let expected = format!("at t = 1: x is {shown}, although the continuous state that it represents");
@@ -391,8 +391,8 @@ fn start_values_are_checked_by_name_type_and_settability() {
         ("b", Value::Integer(1), "b: expected a value of type Boolean"),
         ("label", Value::Real(1.0), "String"),
         ("label", "a\0b".into(), "NUL"),
-        ("k", Value::Real(f64::NAN), "k = NaN"),
-        ("k", Value::Real(f64::INFINITY), "k = inf"),
+        ("k", Value::Real(f64::NAN), "k: expected a finite number, got NaN"),
+        ("k", Value::Real(f64::INFINITY), "k: expected a finite number, got inf"),
         ("c", Value::Real(1.0), "c cannot be set: it is a constant"),
         ("y", Value::Real(1.0), "y cannot be set: the model calculates it"),
         ("twice_k", Value::Real(1.0), "twice_k cannot be set: it is a calculated parameter"),

@@ -144,7 +144,7 @@ fn restore_state_rejects_states_of_another_phase() {
     let saved = instance.save_state().unwrap();
     let mut instance = instance.reset().unwrap();
     let error = instance.restore_state(&saved).unwrap_err().to_string();
-    assert_eq!(error, "the state was saved in ContinuousTime, the instance is in Instantiated");
+    assert_eq!(error, "the state was saved in ContinuousTime, but the instance is in Instantiated");
     instance.set("k", 2.0).unwrap();
     instance.enter_initialization(0.0, None, None).unwrap();
 }

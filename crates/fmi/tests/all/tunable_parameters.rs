@@ -55,7 +55,7 @@ fn inputs_reject_a_parameter_that_is_not_tunable() {
         .simulate(&SimulateOptions::new().final_time(1.0).inputs(inputs))
         .unwrap_err();
     assert!(
-        matches!(&error, FmiError::BadInput { name, problem } if name == "T" && problem.contains("variability fixed")),
+        matches!(&error, FmiError::BadInput { name, problem } if name == "T" && problem.contains("variability is fixed")),
         "{error}"
     );
 }

@@ -105,7 +105,8 @@ fn fit_worse_than_a_constant_exits_with_3_and_reports_the_reason() {
             .unwrap_or_else(|| panic!("{result}"))
     };
     // Causes first: the unit, then the parameter, then the residuals.
-    let [unit, bound, worse] = ["another unit?", "bound", "the fit is worse than a constant"].map(place);
+    let [unit, bound, worse] =
+        ["probably in another unit", "bound", "the fit is worse than a constant"].map(place);
     assert!(unit < bound && bound < worse && findings[worse]["severity"] == "error", "{result}");
     assert_eq!(
         [unit, bound, worse].map(|k| findings[k]["origin"].as_str().unwrap()),
@@ -118,7 +119,9 @@ fn fit_worse_than_a_constant_exits_with_3_and_reports_the_reason() {
         "{ran:?}"
     );
     assert!(
-        lines.len() == 2 && lines[1].starts_with("probable cause: ") && lines[1].contains("another unit?"),
+        lines.len() == 2
+            && lines[1].starts_with("probable cause: ")
+            && lines[1].contains("probably in another unit"),
         "{ran:?}"
     );
     let shown = folder.run("fit problem.toml").out;
@@ -158,7 +161,7 @@ fn units_missing_in_the_model_can_be_given() {
         .collect();
     folder.write("run.csv", &format!("time,x [mm]\n{milli}"));
     let ran = folder.run("check problem.toml");
-    assert!(ran.err.contains("the model states no unit for 'x'; the setting units states it"), "{ran:?}");
+    assert!(ran.err.contains("State the unit of 'x' with the setting units"), "{ran:?}");
     let by_argument = json(&folder.run("fit problem.toml --unit x=m --json").good());
     assert!((by_argument["parameters"][0]["value"].as_f64().unwrap() - 2.0).abs() < 1e-4, "{by_argument}");
     assert_eq!(by_argument["outputs"][0]["unit"], "m");
@@ -169,7 +172,7 @@ fn units_missing_in_the_model_can_be_given() {
     let both = json(&folder.run("fit problem.toml --unit k=1/s --json").good());
     assert_eq!(both["parameters"], by_argument["parameters"]);
     for (unit, expected) in
-        [("x=K", "'x'"), ("x=mx", "mx"), ("z=m", "no variable \"z\""), ("x", "must be VARIABLE=UNIT")]
+        [("x=K", "'x'"), ("x=mx", "mx"), ("z=m", "no variable \"z\""), ("x", "expected VARIABLE=UNIT")]
     {
         let message = folder.run(&format!("fit problem.toml --unit {unit}")).wrong_input();
         assert!(message.contains(expected), "{unit}: {message}");
@@ -281,7 +284,7 @@ fn errors_name_the_line_of_a_mistake() {
             "upper = 10",
             "upper = 10\n[fit]\nmax_tiem = 1",
             13,
-            "no option of a fit 'max_tiem'; did you mean 'max_time'?",
+            "unknown fit option 'max_tiem'; did you mean 'max_time'?",
         ),
         (
             "upper = 10",
@@ -294,7 +297,7 @@ fn errors_name_the_line_of_a_mistake() {
             "upper = 10",
             "upper = 10\n[fit]\nobjective = \"rms\"",
             13,
-            "no objective 'rms'; did you mean 'rmse'?",
+            "unknown objective 'rms'; did you mean 'rmse'?",
         ),
         ("upper = 10", "upper = 10\n[[stages]]\nparametres = [\"k\"]", 13, "did you mean 'parameters'?"),
         (

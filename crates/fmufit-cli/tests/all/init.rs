@@ -86,7 +86,7 @@ fn parameters_without_effect_are_listed_in_one_comment() {
             && text.contains("\n# Left out (no effect on any output at the start values): "),
         "{text}"
     );
-    assert!(!text.contains("name = \"e\"") && text.contains("start: e, v_min\n"), "{text}");
+    assert!(!text.contains("name = \"e\"") && text.contains("start values): e, v_min\n"), "{text}");
 }
 
 #[test]

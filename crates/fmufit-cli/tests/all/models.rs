@@ -156,8 +156,8 @@ fn warning_names_inputs_without_a_column() {
     assert_eq!((column(&table, "u1"), column(&table, "u2")), (vec![2.0; 3], vec![3.0; 3]));
     let ran = run("time,u1,v2\n", "");
     assert!(
-        ran.err.contains("in.csv: input 'u2' has no column: it keeps its start value")
-            && ran.err.contains("columns are 'u1', 'v2'"),
+        ran.err.contains("in.csv: input 'u2' has no column and keeps its start value")
+            && ran.err.contains("one of the columns 'u1', 'v2'"),
         "{ran:?}"
     );
     ran.good();

@@ -44,6 +44,7 @@ __all__ = [
     "example_names",
     "find_column",
     "find_time",
+    "name_of_finding",
     "serve_worker",
     "set_launcher",
     "start_worker_ahead",

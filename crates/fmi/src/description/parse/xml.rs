@@ -247,7 +247,7 @@ mod tests {
             ("<a>\n<b>\n", 3, "2 unclosed elements"),
             ("<a>\n</b>\n", 2, "b"),
             ("<a>\n<b", 2, ""),
-            ("<a>\n<b c='1' c='2'/></a>", 2, "attribute c twice"),
+            ("<a>\n<b c='1' c='2'/></a>", 2, "duplicate attribute c"),
             ("<a>\n<b c=1/></a>", 2, "<b>"),
             ("<a>\n\0</a>", 2, "NUL"),
         ] {

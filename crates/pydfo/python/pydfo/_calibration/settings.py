@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import TYPE_CHECKING, Any, Literal, SupportsFloat, SupportsIndex, TypeVar
+from typing import Any, Literal, SupportsFloat, SupportsIndex, TypedDict, TypeVar
 
 from .._args import text as _text
-
-if TYPE_CHECKING:
-    from typing_extensions import TypedDict
 
 R = TypeVar("R", "Simulation", "Process", "Limits")
 
@@ -112,32 +109,31 @@ class Limits:
     target: SupportsFloat | None = None
 
 
-if TYPE_CHECKING:
+class SimulationKeywords(TypedDict, total=False):
+    """Fields of `Simulation` and `Process` as arguments of `Calibration`."""
 
-    class SimulationKeywords(TypedDict, total=False):
-        """Fields of `Simulation` and `Process` as arguments of `Calibration`."""
+    kind: str | None
+    solver: str
+    relative_tolerance: SupportsFloat | None
+    step_size: SupportsFloat | None
+    max_step: SupportsFloat | None
+    timeout: SupportsFloat | None
+    interior_samples: SupportsIndex | None
+    chattering: Literal["error", "warn", "slide"]
+    input_derivatives: bool
+    isolation: Literal["process", "none"]
+    memory_limit: SupportsFloat | None
+    sandbox: bool
+    max_description_bytes: int | None
 
-        kind: str | None
-        solver: str
-        relative_tolerance: SupportsFloat | None
-        step_size: SupportsFloat | None
-        max_step: SupportsFloat | None
-        timeout: SupportsFloat | None
-        interior_samples: SupportsIndex | None
-        chattering: Literal["error", "warn", "slide"]
-        input_derivatives: bool
-        isolation: Literal["process", "none"]
-        memory_limit: SupportsFloat | None
-        sandbox: bool
-        max_description_bytes: int | None
 
-    class LimitKeywords(TypedDict, total=False):
-        """Fields of `Limits` as arguments of `Calibration.fit`."""
+class LimitKeywords(TypedDict, total=False):
+    """Fields of `Limits` as arguments of `Calibration.fit`."""
 
-        max_evaluations: SupportsFloat | None
-        max_iterations: SupportsFloat | None
-        max_time: SupportsFloat | None
-        target: SupportsFloat | None
+    max_evaluations: SupportsFloat | None
+    max_iterations: SupportsFloat | None
+    max_time: SupportsFloat | None
+    target: SupportsFloat | None
 
 
 def names_of(*records: type) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """The simulations of a fit on an executor: the data sent, and their handling in the receiving process.
 
 A task contains a point and the key of its problem. A process that lacks the problem reports this. The point is then
-sent again together with the problem. Meanwhile, other points that the process returns are sent again without it. A
+sent again together with the problem. Other points that the process returns wait until this point is evaluated. A
 process that cannot find the model at its path receives the file and stores it for all processes of its machine.
 """
 
@@ -154,8 +154,8 @@ class Simulations(_evaluate.Futures):
         self._end = None if max_time is None else time.time() + max_time
         self._calibration = calibration
         self._tasks: dict[int, tuple[Any, ...]] = {}
-        #: The data under way to a process, and the point with which they travel.
-        self._under_way: dict[Missing, int] = {}
+        #: The data under way to a process: the point with which they travel, and the points that wait for them.
+        self._under_way: dict[Missing, tuple[int, list[int]]] = {}
 
     def begin(self, state: bytes, loss: bytes) -> None:
         """Sets the problem of all following points."""
@@ -181,12 +181,16 @@ class Simulations(_evaluate.Futures):
         if polled is None:
             return None
         number, took, value, fault = polled
-        self._under_way = {missing: carrier for missing, carrier in self._under_way.items() if carrier != number}
+        for missing, (carrier, waiting) in list(self._under_way.items()):
+            if carrier == number:
+                del self._under_way[missing]
+                for point in waiting:
+                    self._send(point, None)
         if not isinstance(value, Missing):
             self._tasks.pop(number, None)
             return polled
         if value in self._under_way:
-            self._send(number, None)
+            self._under_way[value][1].append(number)
             return None
         problem = self._problem
         if value.what == "model":
@@ -198,9 +202,17 @@ class Simulations(_evaluate.Futures):
                 )
                 return number, took, why, "broken"
             problem = problem._replace(model=Path(path).read_bytes())
-        self._under_way[value] = number
+        self._under_way[value] = number, []
         self._send(number, problem)
         return None
+
+    def cancel(self, number: int) -> None:
+        """Abandons a point; a running evaluation continues."""
+        for _, waiting in self._under_way.values():
+            if number in waiting:
+                waiting.remove(number)
+                self._began(number, concurrent.futures.Future())
+        super().cancel(number)
 
 
 def _no_function(x: Any) -> Any:
