@@ -49,7 +49,7 @@ def main():
     for name, start in (("nominal", NOMINAL), ("the result above", fit.parameters), ("swapped volumes", SWAPPED)):
         at_once[name] = calibration.fit(start=start)
         show(f"all four, from {name}", at_once[name])
-    said = [sentence for one in at_once.values() for sentence in one.uncertainty.verdict if "move the outputs the same way" in sentence]
+    said = [sentence for one in at_once.values() for sentence in one.uncertainty.verdict if "change the outputs in the same way" in sentence]
     print("\nThree starts, three minima. Findings of the fits:")
     for sentence in dict.fromkeys(said):
         print(f"- {sentence}")
