@@ -28,10 +28,10 @@ fn setup_errors_name_missing_and_unknown_items() {
     let e = || Experiment::new(d.clone());
     let k = || Parameter::new("k", 1.0).bounds(0.1, 10.0);
     for (b, expected) in [
-        (builder().experiment(e().output("x", "x")), "no parameter"),
-        (builder().parameter(k()), "no experiment"),
+        (builder().experiment(e().output("x", "x")), "parameters is empty"),
+        (builder().parameter(k()), "experiments is empty"),
         (builder().parameter(k()).experiment(e()), "no output"),
-        (builder().parameter(k()).experiment(e().output("x", "y")), "no column 'y'"),
+        (builder().parameter(k()).experiment(e().output("x", "y")), "column 'y' not found"),
         (builder().parameter(k()).experiment(e().output("x", "gaps")), "missing"),
         (builder().parameter(k()).experiment(e().output("y", "x")), "y"),
         (builder().parameter(Parameter::new("kk", 1.0)).experiment(e().output("x", "x")), "kk"),

@@ -70,7 +70,7 @@ pub enum CalibrationError {
         source: Box<CalibrationError>,
     },
     /// The model of a stored problem has changed.
-    #[error("the FMU {} has changed: the problem was made with content {expected}, now it is {found}", path.display())]
+    #[error("the FMU {} has changed since the problem was created; expected content {expected}, found {found}", path.display())]
     OtherModel {
         /// Path of the model.
         path: PathBuf,

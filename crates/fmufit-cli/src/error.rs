@@ -115,11 +115,11 @@ impl Error {
             .replace("time=\"...\"", "--time COLUMN")
             .replace("start_time = ", "--start-time ")
             .replace(
-                "a window or a start_time of the experiment",
-                "a problem file with windows, or --start-time SECONDS",
+                "a window or start_time inside",
+                "windows in a problem file or --start-time SECONDS inside",
             )
             .replace(
-                "there is no parameter to fit",
+                "parameters is empty. Add a parameter to fit",
                 "there is no parameter to fit: give --parameter NAME=START:LOWER:UPPER",
             );
         Self { exit, message }

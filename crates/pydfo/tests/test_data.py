@@ -105,17 +105,17 @@ def test_matlab_files_are_read(tmp_path, write):
     path = write(tmp_path)
     for column in ("x", "Y[1]", "rig.x"):
         assert cost(path, column) == COST
-    with pytest.raises(BadCalibrationError, match=r"no column 'y'; there are: .*rig.*") as error:
+    with pytest.raises(BadCalibrationError, match=r"column 'y' not found; available: .*rig.*") as error:
         cost(path, "y")
     assert "'Y[2]'" in str(error.value) and "note" not in str(error.value)
-    with pytest.raises(BadCalibrationError, match="no column 't'"):
+    with pytest.raises(BadCalibrationError, match="column 't' not found"):
         cost(path, time="t")
 
 
 def test_columns_of_other_lengths_are_listed(tmp_path):
     with pytest.raises(
         BadCalibrationError,
-        match=r"no column 'gain'.*Ignored, because their length differs from the times: rig \(a struct: rig.field\), gain \(1 x 1\)",
+        match=r"column 'gain' not found.*Ignored, because their length differs from the times: rig \(a struct: rig.field\), gain \(1 x 1\)",
     ):
         cost(write_mat(tmp_path), "gain")
 
@@ -211,23 +211,23 @@ def test_missing_library_is_named(tmp_path, monkeypatch, file, module, package):
 @pytest.mark.parametrize(
     ("data", "own", "message"),
     [
-        ({"t": TIME, "x": X}, {}, r"no column 'time'; there are: 't', 'x'\. Name the one that holds the times"),
-        ({"time": TIME, "X": X}, {}, r"no column 'x'; there are: 'time', 'X'; 'X'\?"),
-        ({"time": TIME, "x": X[:5]}, {}, "column 'x' has 5 values, 'time' has 41"),
+        ({"t": TIME, "x": X}, {}, r"column 'time' not found; available: 't', 'x'\. Specify the column of the times"),
+        ({"time": TIME, "X": X}, {}, r"column 'x' not found; available: 'time', 'X'. Did you mean 'X'\?"),
+        ({"time": TIME, "x": X[:5]}, {}, "column 'x' has 5 values, but 'time' has 41"),
         ({"time": TIME[::-1], "x": X}, {}, "times must ascend"),
         ({"time": np.zeros(41), "x": X}, {}, "third time"),
         ({"time": TIME, "x": np.full(41, np.nan)}, {}, "all 41 values of column 'x'"),
-        ({"time": TIME, "x": np.where(TIME < 1, X, np.inf)}, {}, "column 'x' is infinite, or beyond the largest number 1.8e308, at time 1"),
+        ({"time": TIME, "x": np.where(TIME < 1, X, np.inf)}, {}, "column 'x' is infinite or above 1.8e308 at time 1"),
         ({"time": TIME, "x": [10**400] * 41}, {}, "a number in column 'x', row 0, exceeds the largest number 1.8e308"),
         ({"time": TIME, "x": ["1,5" * 10**6] * 41}, {}, "^.{1,300}$"),
         ({"time": TIME, "x": ["1,5"] * 41}, {}, "'1,5' in column 'x', row 0, is not a number"),
         ({"time": ["soon"] * 41, "x": X}, {}, "row 0: 'soon' is neither a number nor a date"),
         ({"time": TIME, "x": dates()}, {}, "column 'x' contains dates or durations, not measurements"),
-        ({"time [kg]": TIME, "x": X}, {}, "the unit 'kg' is none of s, ms"),
+        ({"time [kg]": TIME, "x": X}, {}, "unit 'kg' is not a unit of time; expected s, ms"),
         ({"time [ms]": dates(), "x": X}, {}, "remove the unit from its name"),
-        ({"time": TIME, "x [1]": X, "x [%]": X}, {}, r"several columns are called 'x': 'x \[1\]', 'x \[%\]'"),
+        ({"time": TIME, "x [1]": X, "x [%]": X}, {}, r"several columns are named 'x': 'x \[1\]', 'x \[%\]'"),
         ({"time": TIME, "x": np.stack((X, X))}, {}, r"column 'x' must be one-dimensional, not of shape \(2, 41\)"),
-        ({"time": TIME, "x": X}, {"window": (5, 6)}, "no time of data lies in the window from 5 to 6; the times run from 0 to 2"),
+        ({"time": TIME, "x": X}, {"window": (5, 6)}, "no time of data is in the window from 5 to 6. The times range from 0 to 2"),
         ("run.h5", {}, r"run\.h5: \.h5 files are not supported; expected CSV, \.mat, \.parquet or \.xlsx"),
     ],
 )
@@ -334,22 +334,22 @@ def test_mask_selects_rows():
     assert cost({"time": TIME, "x": X}, mask=keep) == expected
     assert cost({"time": TIME, "x": X, "valid": keep}, mask="valid") == expected
     assert cost({"time": TIME, "x": X}, mask=keep.tolist()) == expected
-    with pytest.raises(BadCalibrationError, match="the mask has 3 entries, the table 41 rows"):
+    with pytest.raises(BadCalibrationError, match="the mask has 3 entries, but the table has 41 rows"):
         cost({"time": TIME, "x": X}, mask=[True] * 3)
-    with pytest.raises(BadCalibrationError, match="the mask keeps no row"):
+    with pytest.raises(BadCalibrationError, match="the mask excludes all rows"):
         cost({"time": TIME, "x": X}, mask=np.zeros(41, dtype=bool))
     with pytest.raises(TypeError, match="mask must be one True or False per row"):
         cost({"time": TIME, "x": X}, mask=[0, 1])
-    with pytest.raises(BadCalibrationError, match="no column 'good'"):
+    with pytest.raises(BadCalibrationError, match="column 'good' not found"):
         cost({"time": TIME, "x": X}, mask="good")
 
 
 def test_resampling_averages_rows():
     by_hand = {"time": TIME[:40].reshape(-1, 4).mean(axis=1), "x": X[:40].reshape(-1, 4).mean(axis=1)}
     assert cost({"time": TIME[:40], "x": X[:40]}, resample=0.2) == pytest.approx(cost(by_hand), rel=1e-9)
-    with pytest.raises(BadCalibrationError, match="rows every 0.01 s cannot be made of rows every 0.05"):
+    with pytest.raises(BadCalibrationError, match="resample = 0.01 s is shorter than the row spacing of 0.05"):
         cost({"time": TIME, "x": X}, resample=0.01)
-    with pytest.raises(BadCalibrationError, match="11 weights of output 'x' for 41 rows of data before resample takes means"):
+    with pytest.raises(BadCalibrationError, match="output 'x' has 11 weights for 41 rows of data before resample takes means"):
         cost({"time": TIME, "x": X}, resample=0.2, weights={"x": np.full(11, 2.0)})
 
 

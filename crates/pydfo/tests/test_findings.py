@@ -32,7 +32,7 @@ def test_causes_come_first_and_fit_worse_than_constant_is_unusable() -> None:
     assert [finding.origin for finding in grave] == sorted((finding.origin for finding in grave), key=order.index)
     assert grave[0].origin == "problem" and (grave[0].id, grave[0].name) == ("F047", "unit-mismatch")
     assert [finding.subject for finding in grave if finding.severity == "error"] == ["output 'x' (column 'x')"]
-    assert str(off).splitlines()[1].startswith("The fit converged, but its result is not to be used: RMS")
+    assert str(off).splitlines()[1].startswith("The fit converged, but its result should not be used: RMS")
 
 
 def test_undeclared_units_can_be_given() -> None:

@@ -41,7 +41,7 @@ def test_stated_noise_is_kept() -> None:
     assert Calibration(example_fmu("dahlquist"), {"time": T, "x": np.exp(-T)}, "x", [Parameter("k", 2, 0, 9)]).fit().noise is None
     with pytest.raises(ValueError, match="noise = 'known' is invalid; expected one of: 'auto', 'stated', 'estimated'"):
         decay(1e-3, Normal(1.0, 0.3)).fit(noise="known")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="noise 'estimated' belongs to the sum of squares"):
+    with pytest.raises(ValueError, match="noise 'estimated' requires the sum of squares"):
         decay(1e-3, Normal(1.0, 0.3)).fit(noise="estimated", loss="huber")
 
 

@@ -104,9 +104,9 @@ def test_function_exception_ends_the_fit():
     [
         ({"objective": "maximum"}, ValueError, "objective = 'maximum' is invalid; expected one of 'sum-of-squares', 'mae', 'rmse'"),
         ({"objective": 3}, TypeError, "objective"),
-        ({"objective": "mae", "method": "least-squares"}, ValueError, "least-squares minimises sums of squares, and the objective 'mae' is none"),
-        ({"objective": "mae", "loss": "huber"}, ValueError, "a robust loss belongs to the sum of squares"),
-        ({"objective": mean_absolute, "method": "least-squares"}, ValueError, "is none: leave the method to the fit"),
+        ({"objective": "mae", "method": "least-squares"}, ValueError, "least-squares requires a sum of squares, and the objective 'mae' is not one"),
+        ({"objective": "mae", "loss": "huber"}, ValueError, "a robust loss requires the sum of squares"),
+        ({"objective": mean_absolute, "method": "least-squares"}, ValueError, "is not one. Use method auto"),
         ({"objective": lambda measured: 1.0}, TypeError, "positional argument"),
         ({"objective": lambda measured, simulated: None}, TypeError, "None; is a return statement missing?"),
     ],
@@ -127,5 +127,5 @@ def test_outputs_are_weighted_by_measured_scale():
     plain = problem(None).cost()
     for weights, scale in (("range", 3.0), ("mean", 2.0), ("sd", np.sqrt(3.0))):
         assert problem(weights).cost() == pytest.approx(plain / scale**2, rel=1e-12)
-    with pytest.raises(ValueError, match="weights = 'variance' is none of 'range', 'mean', 'sd'"):
+    with pytest.raises(ValueError, match="weights = 'variance' is unknown; expected 'range', 'mean', 'sd'"):
         problem("variance")

@@ -52,10 +52,10 @@ def test_any_array_layout_and_type_is_accepted():
 @pytest.mark.parametrize(
     ("arguments", "error", "said"),
     [
-        (([0.0], [0.0], [0.0], [[0.0], [0.0]]), ValueError, "1 measured quantities against 2"),
-        (([0.0, 1.0], [0.0], T, Y), ValueError, "measured quantity 0 has 1 values for 2 times"),
+        (([0.0], [0.0], [0.0], [[0.0], [0.0]]), ValueError, "1 measured quantities, but 2"),
+        (([0.0, 1.0], [0.0], T, Y), ValueError, "measured quantity 0 has 1 values, but there are 2 times"),
         (([0.0], [0.0], [1.0, 0.0], [0.0, 0.0]), ValueError, "simulated time 0 at position 1 comes after 1"),
-        (([0.0], [0.0], [], []), ValueError, "no simulated times"),
+        (([0.0], [0.0], [], []), ValueError, "the simulation has no times"),
         (([0.0], [0.0], T, Y, [1.0, 2.0]), ValueError, "2 weights for 1"),
         (([0.0], [[[0.0]]], T, Y), ValueError, "y_meas must be a matrix with one row per quantity"),
         (([[0.0]], [0.0], T, Y), ValueError, "t_meas must be one-dimensional"),

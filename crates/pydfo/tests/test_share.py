@@ -98,14 +98,14 @@ def test_fit_without_its_model_shows_its_numbers(fit, place, tmp_path):
     try:
         for loaded in (load_fit(path), pickle.loads(dump)):
             assert_same(loaded, fit)
-            with pytest.raises(FileNotFoundError, match=r"decay\.fmu.*SHA-256 [0-9a-f]{64}.*not there any more"):
+            with pytest.raises(FileNotFoundError, match=r"decay\.fmu.*SHA-256 [0-9a-f]{64}.*no longer exists"):
                 loaded.simulate()
             with pytest.raises(FileNotFoundError, match="decay.fmu"):
                 loaded.residuals()
             with pytest.raises((FileNotFoundError, pydfo.FmuError), match="decay.fmu"):
                 loaded._calibration.fit()
         shutil.copy(example_fmu("van_der_pol"), place)
-        with pytest.raises(FileNotFoundError, match="what is there now has the content"):
+        with pytest.raises(FileNotFoundError, match="the file has changed and now has the content"):
             load_fit(path).simulate()
         with pytest.raises(pydfo.BadCalibrationError, match="has changed"):
             load_fit(path, model=place)
@@ -123,12 +123,12 @@ def test_files_that_are_not_fits_are_rejected(fit, tmp_path):
     path = tmp_path / "a.fit"
     fit.save(path)
     whole = path.read_bytes()
-    for content, message in [(b"", "no saved fit"), (b"k,2", "no saved fit"), (whole[:500], "cut off"), (whole[:-40], "cut off")]:
+    for content, message in [(b"", "not a saved fit"), (b"k,2", "not a saved fit"), (whole[:500], "truncated"), (whole[:-40], "truncated")]:
         path.write_bytes(content)
         with pytest.raises(pydfo.BadCalibrationError, match=message) as raised:
             load_fit(path)
         assert str(path) in str(raised.value)
-    with pytest.raises(pydfo.BadCalibrationError, match="this is no saved fit"):
+    with pytest.raises(pydfo.BadCalibrationError, match="is not a saved fit"):
         load_fit(example_fmu("dahlquist"))
     with pytest.raises(FileNotFoundError, match="none.fit"):
         load_fit(tmp_path / "none.fit")
@@ -172,9 +172,9 @@ def test_model_accepts_fitted_values(furuta, fit):
     np.testing.assert_allclose(result["pendulumJoint.phi"], furuta.simulate()["pendulumJoint.phi"], rtol=1e-6)
     assert furuta.parameters_of() == furuta.parameters
     assert fit.parameters_of("hot") == {"k": fit.parameters["k"], "x": fit.parameters["x[hot]"]}
-    with pytest.raises(ValueError, match="its own value of x.*'cold', 'hot'"):
+    with pytest.raises(ValueError, match="a separate value of x.*'cold', 'hot'"):
         fit.parameters_of()
-    with pytest.raises(ValueError, match="there is no experiment 'warm'; there are: cold, hot"):
+    with pytest.raises(ValueError, match="experiment 'warm' not found; available: cold, hot"):
         fit.parameters_of("warm")
     for arguments in [({"armFriction": 1.0}, 2.0), ("armFriction",)]:
         with pytest.raises(TypeError, match="dict of names and values"):
@@ -235,7 +235,7 @@ def test_parameter_files_are_written(furuta, fit, tmp_path):
     assert base.attrib == {"kg": "1", "m": "2", "s": "-2"}
     fit.export_ssv(path, experiment="cold")
     assert values_of(path) == fit.parameters_of("cold")
-    with pytest.raises(ValueError, match="its own value of x"):
+    with pytest.raises(ValueError, match="a separate value of x"):
         fit.export_ssv(path)
     with pytest.raises(ValueError, match=r"ends in \.ssv, for example .*fitted\.ssv"):
         furuta.export_ssv(tmp_path / "fitted.xml")
@@ -256,7 +256,7 @@ def test_parameter_file_is_valid_ssv(furuta, tmp_path):
 
 def test_parameter_file_is_written_when_library_ignores_description(furuta, tmp_path):
     path = tmp_path / "fitted.fmu"
-    with pytest.warns(pydfo.CalibrationWarning, match=r"not as fitted \('.*' by .* at t = .*fitted\.fmu is not written"):
+    with pytest.warns(pydfo.CalibrationWarning, match=r"differs from the fit \('.*' by .* at t = .*fitted\.fmu is not written"):
         written = furuta.export_fmu(path)
     assert written == path.with_suffix(".ssv") and not path.exists()
     assert values_of(written) == furuta.parameters
@@ -267,14 +267,14 @@ def test_parameter_file_is_written_when_library_ignores_description(furuta, tmp_
 
 def test_exported_fmu_has_fitted_start_values(furuta, fit, tmp_path):
     path = tmp_path / "fitted.fmu"
-    with pytest.warns(pydfo.CalibrationWarning, match="right only in tools that set the start values"):
+    with pytest.warns(pydfo.CalibrationWarning, match="correct only in tools that set the start values"):
         assert furuta.export_fmu(path, keep=True) == path
     description = FMUModel(path).description
     assert {name: description.variables[name].start for name in furuta.parameters} == furuta.parameters
     with pytest.warns(pydfo.CalibrationWarning):
         fit.export_fmu(path, experiment="hot", keep=True)
     assert FMUModel(path).description.variables["x"].start == fit.parameters["x[hot]"]
-    with pytest.raises(ValueError, match="its own value of x"):
+    with pytest.raises(ValueError, match="a separate value of x"):
         fit.export_fmu(path)
 
 

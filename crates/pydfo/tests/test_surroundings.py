@@ -131,5 +131,5 @@ def test_failure_without_message_is_repeated_with_log(tmp_path, caplog):
     assert len([message for message in caplog.messages if "k is too large" in message]) == 1, caplog.messages
     always = evil(tmp_path / "always.fmu", silent.replace("K(m) > 2", "1"))
     calibration = Calibration(always, data, {"y": "y"}, [Parameter("k", 1, 0.1, 5)])
-    with pytest.raises(pydfo.AllStartsFailed, match="returned error .repeated with the log of the model switched on: .*k is too large"):
+    with pytest.raises(pydfo.AllStartsFailed, match="returned error .repeated with logging of the model: .*k is too large"):
         calibration.fit()

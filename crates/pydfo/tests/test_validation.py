@@ -104,13 +104,13 @@ def test_each_recording_is_omitted_once(two):
     assert found.rms == pytest.approx(np.sqrt(np.mean([fold.validation.rms**2 for fold in found.folds])))
     assert "held out" in repr(found) and "spread" in repr(found)
     assert two.cross_validate(workers=1, folds=2).rms == found.rms
-    for folds, message in ((1, "1 folds of 2 recordings"), (3, "from 2 to 2"), (1.5, "folds = 1.5 must be an integer")):
+    for folds, message in ((1, "folds = 1 must be from 2"), (3, "number of recordings, 2"), (1.5, "folds = 1.5 must be an integer")):
         with pytest.raises(ValueError, match=message):
             two.cross_validate(folds=folds)
 
 
 def test_single_recording_is_rejected(one):
-    with pytest.raises(ValueError, match="two or more experiments; there is one"):
+    with pytest.raises(ValueError, match="at least two experiments, but there is one"):
         one._calibration.cross_validate()
 
 
@@ -128,7 +128,7 @@ def test_prediction_bands_match_reference(one):
     assert len(one.prediction_band()["x"].time) == 21
     wrong = (
         ({"level": 95}, "between 0 and 1"),
-        ({"outputs": ["y"]}, "no output 'y'"),
+        ({"outputs": ["y"]}, "output 'y' not found"),
         ({"times": [1.0, 0.5]}, "times must ascend"),
         ({"times": [3, 1]}, "comes after 3"),
     )

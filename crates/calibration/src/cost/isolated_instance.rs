@@ -9,10 +9,10 @@ use fmi::{DrivenInstance, FmiError, Fmu, InstanceAnswer, InstanceCall, InstanceO
 use std::sync::Arc;
 use std::time::Duration;
 
-const LOST: &str = "the instance was lost with its process: make another one";
-const INTERRUPTED: &str = "the instance was freed when a call into it was interrupted: make another one";
+const LOST: &str = "the instance was lost with its process. Create a new instance";
+const INTERRUPTED: &str = "the instance was freed because a call was interrupted. Create a new instance";
 const FORKED: &str =
-    "the instance belongs to the process that this one was forked from: make one in each process";
+    "the instance belongs to the process from which this one was forked. Create one instance in each process";
 
 /// Maximum wait for an unused instance to be freed.
 const LONGEST_END: Duration = Duration::from_secs(1);

@@ -42,7 +42,7 @@ pub(crate) struct BestPoint {
 }
 
 /// Introduction of the messages that a model logs when a failed request is repeated with logging.
-const LOG_ON: &str = "repeated with the log of the model switched on";
+const LOG_ON: &str = "repeated with logging of the model";
 
 /// Worker processes that have loaded one problem or model.
 #[derive(Debug)]
@@ -514,4 +514,5 @@ pub(crate) fn workers_of(fmu: &Fmu, limits: WorkerLimits) -> Result<Arc<Workers>
     })
 }
 
-const NO_LAUNCHER: &str = "this program cannot start processes for it (worker::serve_if_worker)";
+const NO_LAUNCHER: &str =
+    "this program cannot start worker processes (worker::serve_if_worker is not called)";

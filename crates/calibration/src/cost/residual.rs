@@ -256,7 +256,7 @@ pub fn quad_err(
     w: Option<&[f64]>,
 ) -> Result<f64, String> {
     if y_meas.len() != y_sim.len() {
-        return Err(format!("{} measured quantities against {} simulated ones", y_meas.len(), y_sim.len()));
+        return Err(format!("{} measured quantities, but {} simulated ones", y_meas.len(), y_sim.len()));
     }
     if let Some(w) = w
         && w.len() != y_meas.len()
@@ -265,11 +265,15 @@ pub fn quad_err(
     }
     for (name, t, rows) in [("measured", t_meas, y_meas), ("simulated", t_sim, y_sim)] {
         if let Some((i, row)) = rows.iter().enumerate().find(|(_, row)| row.len() != t.len()) {
-            return Err(format!("{name} quantity {i} has {} values for {} times", row.len(), t.len()));
+            return Err(format!(
+                "{name} quantity {i} has {} values, but there are {} times",
+                row.len(),
+                t.len()
+            ));
         }
     }
     if t_sim.is_empty() {
-        return Err("there are no simulated times".to_owned());
+        return Err("the simulation has no times".to_owned());
     }
     if let Some(i) = (1..t_sim.len()).find(|&i| t_sim[i].is_nan() || t_sim[i] < t_sim[i - 1]) {
         return Err(format!("simulated time {} at position {i} comes after {}", t_sim[i], t_sim[i - 1]));
@@ -389,11 +393,11 @@ mod tests {
     #[test]
     fn quad_err_reports_inconsistent_lengths() {
         for (e, expected) in [
-            (quad_err(&[0.0], &[&[0.0]], &[0.0], &[], None), "1 measured quantities against 0"),
-            (quad_err(&[0.0], &[&[0.0]], &[], &[&[]], None), "no simulated times"),
+            (quad_err(&[0.0], &[&[0.0]], &[0.0], &[], None), "1 measured quantities, but 0"),
+            (quad_err(&[0.0], &[&[0.0]], &[], &[&[]], None), "the simulation has no times"),
             (
                 quad_err(&[0.0, 1.0], &[&[0.0]], &[0.0], &[&[0.0]], None),
-                "measured quantity 0 has 1 values for 2",
+                "measured quantity 0 has 1 values, but there are 2",
             ),
             (
                 quad_err(&[0.0], &[&[0.0]], &[1.0, 0.0], &[&[0.0, 0.0]], None),

@@ -111,14 +111,16 @@ impl Data {
     ) -> Result<Self, CalibrationError> {
         let bad = |message: String| CalibrationError::Data { source_name: source_name.to_owned(), message };
         if text.starts_with(b"PK\x03\x04") {
-            return Err(bad("this is a zip archive (an FMU, a workbook), no CSV file".to_owned()));
+            return Err(bad(
+                "the file is a zip archive (such as an FMU or a workbook), not a CSV file".to_owned()
+            ));
         }
         let text = decode(text);
         let (mut records, delimiter) = Records::new(&text);
         let (names, expected) = names_of(&mut records, delimiter).map_err(bad)?;
         let mut time_column =
             TimeColumn::find(names.iter().map(String::as_str), request.time).map_err(|message| {
-                let hint = "; there is one column only: columns are separated by commas, semicolons or tabs";
+                let hint = ". The file has only one column; separate columns with commas, semicolons or tabs";
                 bad(if expected == 1 { message + hint } else { message })
             })?;
         let at = time_column.index;
@@ -168,7 +170,7 @@ impl Data {
             dates.extend(date.filter(|date| number(date, delimiter).is_none()).map(std::mem::take));
         }
         if n_rows == 0 {
-            return Err(bad("there are no rows".to_owned()));
+            return Err(bad("the file has no rows".to_owned()));
         }
         // Explicitly requested columns are used later, so check them now.
         let is_used = |k: &usize| *k == at || (is_kept[*k] && request.columns.is_some());
@@ -191,7 +193,7 @@ impl Data {
         if let Some((line, text)) = &time.text {
             if dates.len() != n_rows {
                 return Err(bad(format!(
-                    "time '{text}' in line {line} is not a number, as those of other lines are, or there is none in them"
+                    "time '{text}' in line {line} is not a number, but the times in other lines are numbers or empty"
                 )));
             }
             let stated = time.unit.as_deref().and_then(PairUnit::named);
@@ -216,14 +218,14 @@ impl Data {
 fn names_of(records: &mut Records<'_>, delimiter: u8) -> Result<(Vec<String>, usize), String> {
     let (names, expected, line) = header(records)?;
     match names.iter().all(|name| number(name, delimiter).is_some()) {
-        _ if expected == 0 => Err("there are no rows".to_owned()),
-        true => Err(format!("there is no header: line {line} holds numbers only")),
+        _ if expected == 0 => Err("the file has no rows".to_owned()),
+        true => Err(format!("the header is missing: line {line} contains only numbers")),
         false => Ok((names, expected)),
     }
 }
 
 fn no_memory(source_name: &str) -> CalibrationError {
-    let source = io::Error::new(io::ErrorKind::OutOfMemory, "there is no memory for its columns");
+    let source = io::Error::new(io::ErrorKind::OutOfMemory, "there is not enough memory for its columns");
     CalibrationError::DataFile { path: PathBuf::from(source_name), source }
 }
 
@@ -244,11 +246,11 @@ fn kept(names: &[String], at: usize, asked: Option<&[String]>) -> Vec<bool> {
 fn uneven(line: usize, len: usize, expected: usize, delimiter: u8) -> String {
     let hint = match delimiter {
         b',' if len == 2 * expected => {
-            "; numbers with decimal commas need semicolons or tabs between the columns"
+            ". Separate columns with semicolons or tabs if numbers have decimal commas"
         }
         _ => "",
     };
-    format!("line {line} has {len} cells, the header has {expected}{hint}")
+    format!("line {line} has {len} cells, but the header has {expected}{hint}")
 }
 
 /// Returns the names of the columns up to the last named one, the number of cells of the header, and its
@@ -352,7 +354,7 @@ mod tests {
         let named = |time| Data::from_csv_text(b"k,t,y\n7,0,1\n8,1,2\n", "test.csv", time);
         assert_eq!(named(Some("t")).unwrap().time(), [0.0, 1.0]);
         let e = named(None).unwrap_err().to_string();
-        assert!(e.contains("test.csv: there is no column 'time'; there are: 'k', 't', 'y'"), "{e}");
+        assert!(e.contains("test.csv: column 'time' not found; available: 'k', 't', 'y'"), "{e}");
         let d = csv("# rig A, run 3\n\ntime;\"a,b,c\";y\n0;1;2\n").unwrap();
         assert_eq!(d.names().collect::<Vec<_>>(), ["a,b,c", "y"]);
     }
@@ -365,10 +367,10 @@ mod tests {
             ("time;y;z\n0;1,234;1\n1;2,5;2.5\n", "z"),
         ] {
             let e = csv(text).unwrap().column(column).unwrap_err().to_string();
-            assert!(e.contains("'1,234' in column 'y', line 2, has a comma and '2."), "{e}");
+            assert!(e.contains("'1,234' in column 'y', line 2, has a comma, but '2."), "{e}");
         }
         let e = csv("time;y\n0.5;1,234\n1;2\n").unwrap_err().to_string();
-        assert!(e.contains("'0.5' in column 'time', line 2, a point"), "{e}");
+        assert!(e.contains("'0.5' in column 'time', line 2, has a point"), "{e}");
         // Integers, text, and columns without any sign do not decide about the decimal sign.
         let d = csv("time;y;n;note\n0;1,5;7;v1.2\n1;2;8;a.b\n").unwrap();
         assert_eq!((d.column("y").unwrap(), d.column("n").unwrap()), (&[1.5, 2.0][..], &[7.0, 8.0][..]));
@@ -390,7 +392,7 @@ mod tests {
     fn csv_reads_spreadsheet_files() {
         let d = csv("time,y,,\r\n0,1,,\r\n1,2,,\r\n").unwrap();
         assert_eq!(d.column("y").unwrap(), [1.0, 2.0]);
-        assert!(d.column("").unwrap_err().to_string().contains("there is no column ''; there are: 'y'"));
+        assert!(d.column("").unwrap_err().to_string().contains("column '' not found; available: 'y'"));
         let d = Data::from_csv_text(b"time,\xb0C\n0,20\n", "latin.csv", None).unwrap();
         assert_eq!(d.column("\u{b0}C").unwrap(), [20.0]);
         let utf16: Vec<u8> = "\u{feff}time,y\n0,1\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
@@ -423,7 +425,7 @@ mod tests {
         let message = csv("time [min],y\nms,K\n0,1\n1,2\n").unwrap_err().to_string();
         assert!(
             message.contains("test.csv")
-                && message.contains("'time [min]' has two units: 'min' in its name and 'ms' in line 2"),
+                && message.contains("'time [min]' has two units, 'min' in its name and 'ms' in line 2"),
             "{message}"
         );
         let d = csv("# one\ntime,T [degC],x (mm),p [bar]\ns,K,Pa,bar\n0,1,2,3\n").unwrap();
@@ -472,7 +474,7 @@ mod tests {
         let d = csv(&format!("time,y{}\n{rows}", ",".repeat(200_000))).unwrap();
         assert_eq!((d.names().collect::<Vec<_>>(), d.time().len()), (vec!["y"], 20_000));
         let d = csv(&format!("time,y,,\n0,1,{}\n", "2,".repeat(3))).unwrap_err().to_string();
-        assert!(d.contains("line 2 has 6 cells, the header has 4"), "{d}");
+        assert!(d.contains("line 2 has 6 cells, but the header has 4"), "{d}");
         let e = csv(&format!("time{}\n0\n", ",a".repeat(MOST_COLUMNS))).unwrap_err().to_string();
         assert!(e.contains("more than 65536 columns with a name"), "{e}");
     }
@@ -486,16 +488,16 @@ mod tests {
         );
         let message = |name| d.column(name).unwrap_err().to_string();
         assert!(
-            message("b").contains("there is no column 'b'; there are: 'y [mm]', 'a', 'y [m]'"),
+            message("b").contains("column 'b' not found; available: 'y [mm]', 'a', 'y [m]'"),
             "{}",
             message("b")
         );
-        assert!(message("a").contains("column 'a' was left out"));
-        assert!(message("y").contains("several columns are called 'y'"));
+        assert!(message("a").contains("column 'a' was omitted"));
+        assert!(message("y").contains("several columns are named 'y'"));
         // Another column may show the meaning of a comma.
         let text = "time;y;z\n0;1,234;1\n1;2,5;2.5\n";
         let e = some(text, &["y"]).unwrap_err().to_string();
-        assert!(e.contains("has a comma and '2.5' in column 'z', line 3, a point"), "{e}");
+        assert!(e.contains("has a comma, but '2.5' in column 'z', line 3, has a point"), "{e}");
         assert!(some("time;y;z\n0;1,234;1\n1;2,5;2\n", &["y"]).is_ok());
     }
 
@@ -537,27 +539,30 @@ mod tests {
         for (text, expected) in [
             ("", "no rows"),
             ("time,y\n", "no rows"),
-            ("time,y\n0,1\n2,1\n1,1\n", "time 1 at line 4 comes after 2"),
+            ("time,y\n0,1\n2,1\n1,1\n", "time 1 at line 4 follows 2"),
             ("time,y\n0,1\n0,1\n0,1\n", "third time"),
             ("time,y\nzero,1\n", "line 2: 'zero' is neither a number nor a date"),
-            ("time,y\n0,1\nlater,1\n", "time 'later' in line 3 is not a number, as those of other lines are"),
-            ("time,y\n05/31/2024 10:00,1\n", "which of them is the month cannot be told"),
+            (
+                "time,y\n0,1\nlater,1\n",
+                "time 'later' in line 3 is not a number, but the times in other lines are",
+            ),
+            ("time,y\n05/31/2024 10:00,1\n", "day and month are ambiguous"),
             ("time,y\n10:00:00,1\n09:00:00,1\n", "times must ascend"),
             ("time,y\n23:59:00,1\n00:00:00,1\n", "a clock passed midnight, write the date"),
             ("time,y\n00:00,1\n00:01,1\n", "'00:00' may be hours and minutes or minutes and seconds"),
             ("time,y\nkg,m\n0,1\n", "time 'kg' in line 2 is not a number"),
             ("time,y\n,1\n", "not finite"),
             ("time,y\ninf,1\n", "not finite"),
-            ("time,y\n0,1\n1\n", "line 3 has 1 cells, the header has 2"),
-            ("0,1\n1,2\n", "no header: line 1"),
-            ("# time,y\n0,1\n1,2\n", "no header: line 2"),
+            ("time,y\n0,1\n1\n", "line 3 has 1 cells, but the header has 2"),
+            ("0,1\n1,2\n", "the header is missing: line 1"),
+            ("# time,y\n0,1\n1,2\n", "the header is missing: line 2"),
             ("time,y\n# c\n\nzero,1\n", "in line 4: 'zero'"),
         ] {
             let e = csv(text).unwrap_err().to_string();
             assert!(e.contains(expected) && e.contains("test.csv"), "{text:?}: {e}");
         }
         let e = Data::from_columns(vec![0.0, 1.0], [("y".to_owned(), vec![1.0])]).unwrap_err().to_string();
-        assert!(e.contains("'y' has 1 values, 'time' has 2"), "{e}");
+        assert!(e.contains("'y' has 1 values, but 'time' has 2"), "{e}");
     }
 
     #[test]
@@ -568,15 +573,12 @@ mod tests {
         let e = d.measured("u", 0..4).unwrap_err().to_string();
         assert!(e.ends_with("two measurements at time 1: 1 and 2"), "{e}");
         let e = csv("time,y\n0,1\n0,1\n1,2\n1,2\n").unwrap().measured("y", 0..4).unwrap_err().to_string();
-        assert!(e.contains("at time 0: 1 and 1; 2 times stand twice: are rows there twice?"), "{e}");
+        assert!(e.contains("at time 0: 1 and 1. 2 times occur twice; remove duplicate rows"), "{e}");
         let d = csv("time,y\n0,\n1,nan\n").unwrap();
         assert!(d.measured("y", 0..2).unwrap_err().to_string().contains("all 2 values"));
         let d = csv("time,y\n0,inf\n1,2\n").unwrap();
         assert!(
-            d.measured("y", 0..2)
-                .unwrap_err()
-                .to_string()
-                .contains("beyond the largest number 1.8e308, at time 0")
+            d.measured("y", 0..2).unwrap_err().to_string().contains("infinite or above 1.8e308 at time 0")
         );
     }
 }

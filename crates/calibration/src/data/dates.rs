@@ -72,12 +72,14 @@ pub fn date_seconds(
         let shown = shortened(cell);
         if form != known {
             let other = shortened(cells[0].as_ref());
-            return Err(DateError::Cell(row, format!("'{shown}' is not written like the first, '{other}'")));
+            return Err(DateError::Cell(
+                row,
+                format!("'{shown}' has another form than the first date, '{other}'"),
+            ));
         }
         if form == Form::Pair && pair.is_none() {
             let text = format!(
-                "'{shown}' may be hours and minutes or minutes and seconds: say so in the name of the column, 'time [hh:mm]' or \
-                 'time [mm:ss]'"
+                "'{shown}' may be hours and minutes or minutes and seconds. Name the column 'time [hh:mm]' or 'time [mm:ss]'"
             );
             return Err(DateError::Cell(row, text));
         }
@@ -141,15 +143,15 @@ fn nanoseconds(date: DateTime) -> Option<i128> {
 
 fn complaint(cell: &str) -> String {
     let hint = if cell.matches('/').count() == 2 {
-        " (which of them is the month cannot be told)"
+        " (day and month are ambiguous)"
     } else if cell.to_lowercase().ends_with('m') && cell.contains(':') {
         " (write hours from 0 to 23)"
     } else {
         ""
     };
     format!(
-        "'{}' is neither a number nor a date{hint}: dates are written as 2024-05-31T13:45:10.5 or 31.05.2024 13:45:10.5, \
-         times of day as 13:45:10.5",
+        "'{}' is neither a number nor a date{hint}. Write dates as 2024-05-31T13:45:10.5 or 31.05.2024 13:45:10.5, and times of day \
+         as 13:45:10.5",
         shortened(cell)
     )
 }
@@ -216,11 +218,14 @@ mod tests {
     #[test]
     fn date_seconds_reports_invalid_cells() {
         for (cells, expected) in [
-            (&["2024-05-31", "soon"][..], (1, "'soon' is neither a number nor a date: dates are")),
-            (&["05/31/2024 10:00:00"], (0, "which of them is the month")),
+            (&["2024-05-31", "soon"][..], (1, "'soon' is neither a number nor a date. Write dates")),
+            (&["05/31/2024 10:00:00"], (0, "day and month are ambiguous")),
             (&["10:00:00 PM"], (0, "hours from 0 to 23")),
             (&["2024-13-31"], (0, "neither")),
-            (&["2024-05-31", "10:00:00"], (1, "'10:00:00' is not written like the first, '2024-05-31'")),
+            (
+                &["2024-05-31", "10:00:00"],
+                (1, "'10:00:00' has another form than the first date, '2024-05-31'"),
+            ),
         ] {
             let (row, message) = of(cells).unwrap_err();
             assert_eq!(row, expected.0);

@@ -55,11 +55,11 @@ impl ParameterSet {
     pub fn parse(text: &[u8], source: &str) -> Result<Self, CalibrationError> {
         let bad = |message: String| CalibrationError::Data { source_name: source.to_owned(), message };
         if text.starts_with(b"PK\x03\x04") {
-            let message = "this is a zip archive (.ssp, .fmu), no parameter set: give an .ssv that is in it";
+            let message = "the file is a zip archive (.ssp, .fmu), not a parameter set. Specify an .ssv file from the archive";
             return Err(bad(message.to_owned()));
         }
         let text = std::str::from_utf8(text)
-            .map_err(|_| bad("this is no text in UTF-8, so no parameter set (.ssv)".to_owned()))?;
+            .map_err(|_| bad("the file is not UTF-8 text, so it is not a parameter set (.ssv)".to_owned()))?;
         let (parameters, units) = content(text).map_err(bad)?;
         Ok(Self { source: source.to_owned(), parameters, units })
     }
@@ -81,11 +81,11 @@ impl ParameterSet {
         let variable = model.variable(name).or_else(array).ok_or_else(|| {
             let nearest = model.nearest_names(name, 3).into_iter().map(str::to_owned).collect();
             let unknown = FmiError::UnknownVariable { name: name.clone(), nearest };
-            bad(format!("{unknown}; names of components are no part of those of a model"))
+            bad(format!("{unknown}. Names in a parameter set of one model must not contain component names"))
         })?;
         match (value, unit) {
             (Value::String(item), _) if own.is_item => item_of(model, variable, item)
-                .ok_or_else(|| bad(format!("'{name}' = '{item}' is no item of its enumeration"))),
+                .ok_or_else(|| bad(format!("'{name}' = '{item}' is not an item of its enumeration"))),
             (Value::Real(number), Some(unit)) => {
                 let own = self.units.get(unit.trim());
                 match UnitConversion::from_defined(unit, own, variable, model) {
@@ -132,13 +132,13 @@ fn content(text: &str) -> Result<(Vec<SetParameter>, HashMap<String, Unit>), Str
                 let name: &str = name.as_ref();
                 match depth {
                     1 if name == "SystemStructureDescription" => {
-                        return Err("this describes a system of models (.ssd): a simulation or a fit is of one of its FMUs; give the .ssv of its \
-                                    parameters"
+                        return Err("the file describes a system of models (.ssd), which is not supported. Specify the .ssv file of \
+                                    one FMU"
                             .to_owned());
                     }
                     1 if name != "ParameterSet" => {
                         return Err(format!(
-                            "<{name}> is its outermost element, not <ParameterSet>: this is no .ssv file"
+                            "the outermost element is <{name}>, not <ParameterSet>, so the file is not an .ssv file"
                         ));
                     }
                     3 if name == "Parameter" => {
@@ -162,7 +162,7 @@ fn content(text: &str) -> Result<(Vec<SetParameter>, HashMap<String, Unit>), Str
                             found.push(one.map_err(|message| format!("line {}: {message}", line(at)))?);
                         }
                     }
-                    DEEPEST => return Err("its elements are too deep inside each other".to_owned()),
+                    DEEPEST => return Err("its elements are nested too deeply".to_owned()),
                     _ => {}
                 }
             }
@@ -173,10 +173,10 @@ fn content(text: &str) -> Result<(Vec<SetParameter>, HashMap<String, Unit>), Str
                 }
             }
             Ok(Event::DocType(_)) => {
-                return Err("it has a document type definition, which is not accepted".to_owned());
+                return Err("it has a document type definition, which is not supported".to_owned());
             }
             Ok(Event::Eof) if depth == 0 && at > 0 && !text.trim().is_empty() => break,
-            Ok(Event::Eof) => return Err("it ends before its outermost element does".to_owned()),
+            Ok(Event::Eof) => return Err("it ends before its outermost element is closed".to_owned()),
             Ok(_) => {}
             Err(error) => return Err(format!("line {}: {error}", line(reader.error_position() as usize))),
         }
@@ -186,7 +186,7 @@ fn content(text: &str) -> Result<(Vec<SetParameter>, HashMap<String, Unit>), Str
         return Err(format!("'{}' is given twice", twice.name));
     }
     match found.is_empty() {
-        true => Err("there is no parameter in it".to_owned()),
+        true => Err("it contains no parameter".to_owned()),
         false => Ok((found, units)),
     }
 }
@@ -208,23 +208,23 @@ fn defined_unit(start: &BytesStart<'_>) -> Result<Unit, String> {
             "cd" => &mut base.cd,
             "rad" => &mut base.rad,
             "factor" | "offset" => {
-                let number = text.trim().parse().map_err(|_| format!("{name} = '{text}' is no number"))?;
+                let number = text.trim().parse().map_err(|_| format!("{name} = '{text}' is not a number"))?;
                 *(if name == "factor" { &mut base.factor } else { &mut base.offset }) = number;
                 continue;
             }
-            _ => return Err(format!("'{name}' is no base unit of the SI")),
+            _ => return Err(format!("'{name}' is not a base unit of the SI")),
         };
         *exponent =
-            text.trim().parse().map_err(|_| format!("the exponent {name} = '{text}' is no whole number"))?;
+            text.trim().parse().map_err(|_| format!("the exponent {name} = '{text}' is not an integer"))?;
     }
     Unit::defined(&base)
-        .ok_or_else(|| format!("factor {}, offset {} are not those of a unit", base.factor, base.offset))
+        .ok_or_else(|| format!("factor {} and offset {} do not define a unit", base.factor, base.offset))
 }
 
 /// Returns a parameter from the element of its type, including the types of version 2.0.
 fn one(name: String, kind: &str, start: &BytesStart<'_>) -> Result<SetParameter, String> {
     let text = attribute(start, "value")?.ok_or_else(|| format!("'{name}' has no value"))?;
-    let bad = || format!("'{name}' = '{text}' is no {kind}");
+    let bad = || format!("'{name}' = '{text}' is not a valid {kind}");
     let value = match kind {
         "Real" | "Float64" | "Float32" => {
             Value::Real(text.trim().parse().ok().filter(|number: &f64| number.is_finite()).ok_or_else(bad)?)
@@ -238,7 +238,7 @@ fn one(name: String, kind: &str, start: &BytesStart<'_>) -> Result<SetParameter,
         kind if kind.trim_start_matches('U').starts_with("Int") => {
             Value::Integer(text.trim().parse().map_err(|_| bad())?)
         }
-        other => return Err(format!("'{name}' is of type {other}, which is not read")),
+        other => return Err(format!("'{name}' has the type {other}, which is not supported")),
     };
     Ok(SetParameter { name, value, is_item: kind == "Enumeration", unit: attribute(start, "unit")? })
 }
@@ -324,16 +324,16 @@ mod tests {
         for (name, defined, of_variable, expected) in [
             ("furlong", &furlong, None, "the model states no unit for 'k'"),
             ("furlong", &furlong, Some("s"), "'furlong' (m) cannot be converted to 's' (s)"),
-            ("furlong", &String::new(), Some("m"), "'furlong' is no unit"),
-            ("a", &unit("a", "m=\"x\""), Some("m"), "unit 'a': the exponent m = 'x' is no whole number"),
+            ("furlong", &String::new(), Some("m"), "'furlong' is not a known unit"),
+            ("a", &unit("a", "m=\"x\""), Some("m"), "unit 'a': the exponent m = 'x' is not an integer"),
             (
                 "a",
                 &unit("a", "factor=\"0\""),
                 Some("m"),
-                "unit 'a': factor 0, offset 0 are not those of a unit",
+                "unit 'a': factor 0 and offset 0 do not define a unit",
             ),
-            ("a", &unit("a", "factor=\"two\""), Some("m"), "factor = 'two' is no number"),
-            ("a", &unit("a", "bit=\"1\""), Some("m"), "'bit' is no base unit"),
+            ("a", &unit("a", "factor=\"two\""), Some("m"), "factor = 'two' is not a number"),
+            ("a", &unit("a", "bit=\"1\""), Some("m"), "'bit' is not a base unit"),
             ("a", &unit("a", "m=\"1\"").repeat(2), Some("m"), "unit 'a' is defined twice"),
         ] {
             let message = read(name, defined, of_variable).unwrap_err();
@@ -347,15 +347,18 @@ mod tests {
             |inside: &str| format!("<ParameterSet>\n<Parameters>\n{inside}</Parameters></ParameterSet>");
         for (text, expected) in [
             ("", "ends before"),
-            ("<a/>", "<a> is its outermost element"),
+            ("<a/>", "the outermost element is <a>"),
             ("<ssd:SystemStructureDescription xmlns:ssd=\"x\"/>", "a system of models"),
             ("<!DOCTYPE a><ParameterSet/>", "document type"),
             ("<ParameterSet>", "ends before"),
-            (&set(""), "no parameter in it"),
-            (&set("<Parameter name=\"k\"><Real value=\"x\"/></Parameter>"), "line 3: 'k' = 'x' is no Real"),
-            (&set("<Parameter name=\"k\"><Real value=\"1e999\"/></Parameter>"), "is no Real"),
+            (&set(""), "it contains no parameter"),
+            (
+                &set("<Parameter name=\"k\"><Real value=\"x\"/></Parameter>"),
+                "line 3: 'k' = 'x' is not a valid Real",
+            ),
+            (&set("<Parameter name=\"k\"><Real value=\"1e999\"/></Parameter>"), "is not a valid Real"),
             (&set("<Parameter><Real value=\"1\"/></Parameter>"), "without a name"),
-            (&set("<Parameter name=\"k\"><Binary value=\"1\"/></Parameter>"), "of type Binary"),
+            (&set("<Parameter name=\"k\"><Binary value=\"1\"/></Parameter>"), "has the type Binary"),
             (&set(&"<Parameter name=\"k\"><Real value=\"1\"/></Parameter>".repeat(2)), "'k' is given twice"),
         ] {
             let message = read(text).unwrap_err();

@@ -222,12 +222,12 @@ impl Data {
         let time = time.into();
         let bad = |message: String| Err(CalibrationError::Data { source_name: source.clone(), message });
         if time.is_empty() {
-            return bad("there are no rows".to_owned());
+            return bad("the recording has no rows".to_owned());
         }
         for column in &columns {
             if column.values.len() != time.len() {
                 return bad(format!(
-                    "column '{}' has {} values, '{time_name}' has {}",
+                    "column '{}' has {} values, but '{time_name}' has {}",
                     column.name,
                     column.values.len(),
                     time.len()
@@ -242,19 +242,19 @@ impl Data {
                 // The time goes back by nearly a day.
                 let hint = match time[i - 1] - t {
                     back if (0.5..=1.0).contains(&(back / DAY)) => {
-                        ". Where a clock passed midnight, write the date with each time, or add 24 h from there on"
+                        ". If a clock passed midnight, write the date with each time, or add 24 h after it"
                     }
                     _ => "",
                 };
                 return bad(format!(
-                    "time {} at {} comes after {}: times must ascend{hint}",
+                    "time {} at {} follows {}, but times must ascend{hint}",
                     Number(*t),
                     place(i),
                     Number(time[i - 1])
                 ));
             }
             if i > 1 && *t == time[i - 2] {
-                return bad(format!("time {} at {} stands there for the third time", Number(*t), place(i)));
+                return bad(format!("time {} at {} occurs for the third time", Number(*t), place(i)));
             }
         }
         Ok(Self {
@@ -341,8 +341,7 @@ impl Data {
         let name = &column.name;
         if let Some((line, text)) = &column.text {
             return Err(bad(format!(
-                "'{text}' in column '{name}', line {line}, is not a number; missing values are empty cells, NaN, NA, N/A \
-                 or null"
+                "'{text}' in column '{name}', line {line}, is not a number. Write missing values as empty cells, NaN, NA, N/A or null"
             )));
         }
         if let Some(message) = mixed_decimal_signs(&self.columns, column) {
@@ -350,7 +349,7 @@ impl Data {
         }
         if let Some(row) = column.values.iter().position(|v| v.is_infinite()) {
             return Err(bad(format!(
-                "column '{name}' is infinite, or beyond the largest number 1.8e308, at time {}",
+                "column '{name}' is infinite or above 1.8e308 at time {}",
                 self.time[row]
             )));
         }
@@ -364,7 +363,7 @@ impl Data {
         }
         let message = match find_column(self.all_names(), name) {
             Ok(index) if index < self.columns.len() => return Ok(Some(index)),
-            Ok(_) => format!("column '{name}' was left out"),
+            Ok(_) => format!("column '{name}' was omitted"),
             Err(message) => message,
         };
         Err(CalibrationError::Data { source_name: self.source.clone(), message })
@@ -408,13 +407,15 @@ impl Data {
         let bad = |message: String| CalibrationError::Data { source_name: self.source.clone(), message };
         if keep.len() != self.time.len() {
             return Err(bad(format!(
-                "the mask has {} entries, the table {} rows",
+                "the mask has {} entries, but the table has {} rows",
                 keep.len(),
                 self.time.len()
             )));
         }
         if !keep.contains(&true) {
-            return Err(bad("the mask keeps no row: it is true in the rows that count".to_owned()));
+            return Err(
+                bad("the mask excludes all rows. It must be true for the rows that count".to_owned()),
+            );
         }
         for name in columns {
             let Some(index) = self.position(name)? else { continue };
@@ -489,15 +490,15 @@ impl Data {
         }
         let after = known.partition_point(|(t, _)| *t <= time);
         if after == 0 {
-            return bad(format!(", the first one is at {} s", Number(first.0)));
+            return bad(format!(". The first value is at {} s", Number(first.0)));
         }
         let (Some((t0, v0)), Some((t1, v1))) = (known.get(after - 1), known.get(after)) else {
-            return bad(format!(", the last one is at {} s", Number(last.0)));
+            return bad(format!(". The last value is at {} s", Number(last.0)));
         };
         let times: Vec<f64> = known.iter().map(|(t, _)| *t).collect();
         let rounding = (WIDEST_GAP + 1.0) * tolerance;
         if sampling_interval(&times).is_some_and(|usual| t1 - t0 > WIDEST_GAP * usual + rounding) {
-            return bad(format!(", there are none from {} s to {} s", Number(*t0), Number(*t1)));
+            return bad(format!(". Values are missing from {} s to {} s", Number(*t0), Number(*t1)));
         }
         Ok(v0 + (v1 - v0) * (time - t0) / (t1 - t0))
     }
@@ -528,7 +529,7 @@ impl Data {
         if let Some(i) = twice.next() {
             let more = match 1 + twice.count() {
                 1 => String::new(),
-                n => format!("; {n} times stand twice: are rows there twice?"),
+                n => format!(". {n} times occur twice; remove duplicate rows"),
             };
             return bad(format!(
                 "column '{name}' has two measurements at time {}: {} and {}{more}",
@@ -568,7 +569,7 @@ impl Column {
     pub(super) fn contradiction(&self) -> Option<String> {
         let ((line, below), named) = (self.contradicting.as_ref()?, parts(&self.name).1?);
         Some(format!(
-            "column '{}' has two units: '{named}' in its name and '{below}' in line {line}; correct or remove one of them",
+            "column '{}' has two units, '{named}' in its name and '{below}' in line {line}. Correct or remove one of them",
             self.name
         ))
     }
@@ -585,8 +586,8 @@ pub(super) fn mixed_decimal_signs(all: &[Column], column: &Column) -> Option<Str
     let (points, (other, point)) = first(|c| c.point.as_ref())?;
     (column.comma.is_some() || column.point.is_some()).then(|| {
         format!(
-            "'{comma}' in column '{commas}', line {line}, has a comma and '{point}' in column '{points}', line {other}, a \
-             point: write all numbers with one decimal sign and without separators of thousands"
+            "'{comma}' in column '{commas}', line {line}, has a comma, but '{point}' in column '{points}', line {other}, has a \
+             point. Write all numbers with one decimal sign and without thousands separators"
         )
     })
 }
@@ -612,9 +613,9 @@ mod tests {
         assert_eq!(bits(one.column("y").unwrap()), bits(&expected));
         assert_eq!(bits(other.column("y").unwrap()), bits(&expected));
         for (result, expected) in [
-            (table().masked(&["y"], &keep[1..]), "the mask has 6 entries, the table 7 rows"),
-            (table().masked(&["y"], &[false; 7]), "keeps no row"),
-            (table().masked_by(&["y"], "z"), "no column 'z'"),
+            (table().masked(&["y"], &keep[1..]), "the mask has 6 entries, but the table has 7 rows"),
+            (table().masked(&["y"], &[false; 7]), "excludes all rows"),
+            (table().masked_by(&["y"], "z"), "column 'z' not found"),
         ] {
             assert!(result.unwrap_err().to_string().contains(expected), "{expected}");
         }

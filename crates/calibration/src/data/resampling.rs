@@ -25,16 +25,13 @@ impl Data {
     ) -> Result<(Self, Vec<Vec<f64>>), CalibrationError> {
         let bad = |message: String| CalibrationError::Data { source_name: self.source.clone(), message };
         if !(interval.is_finite() && interval > 0.0) {
-            return Err(bad(format!(
-                "the interval of resampling must be positive and finite, not {}",
-                Number(interval)
-            )));
+            return Err(bad(format!("resample = {} must be positive and finite", Number(interval))));
         }
         let (start, end) = (self.time[0], self.time[self.time.len() - 1]);
         let tolerance = base::time_tolerance(start, end);
         if let Some(own) = self.sampling_interval().filter(|own| interval < own - tolerance) {
             return Err(bad(format!(
-                "rows every {} s cannot be made of rows every {} s: values between them are not invented",
+                "resample = {} s is shorter than the row spacing of {} s. Set a larger interval",
                 Number(interval),
                 Number(own)
             )));
@@ -252,8 +249,8 @@ mod tests {
         let (times, values) = known("y");
         assert!(near(&times, &[0.1, 0.4, 0.6]) && near(&values, &[1.0, 4.0, 6.0]), "{times:?} {values:?}");
         for (interval, expected) in [
-            (0.05, "rows every 0.05 s cannot be made of rows every 0.1"),
-            (f64::NAN, "positive and finite, not NaN"),
+            (0.05, "resample = 0.05 s is shorter than the row spacing of 0.1"),
+            (f64::NAN, "resample = NaN must be positive"),
         ] {
             assert!(plain(table(), interval).unwrap_err().to_string().contains(expected));
         }

@@ -43,17 +43,17 @@ impl TimeColumn {
         match candidates[..] {
             [(index, name)] => Ok(Self { index, unit: unit(name)? }),
             [] if named.is_some() => {
-                Err(format!("there is no column '{wanted}'; there are: {}", listed(names)))
+                Err(format!("column '{wanted}' not found; available: {}", listed(names)))
             }
             [] => Err(format!(
-                "there is no column 'time'; there are: {}. Name the one that holds the times (time=\"...\"), or call it \
-                 'time'; a unit may follow, as in 'time [ms]'",
+                "column 'time' not found; available: {}. Specify the column of the times (time=\"...\"), or rename it to 'time' or \
+                 'time [ms]'",
                 listed(names)
             )),
             _ => {
                 let several = listed(candidates.iter().map(|(_, name)| *name));
                 Err(format!(
-                    "several columns could hold the times: {several}; name one of them (time=\"...\")"
+                    "several columns may contain the times: {several}. Specify one of them (time=\"...\")"
                 ))
             }
         }
@@ -131,14 +131,16 @@ pub fn find_column<'a>(names: impl Iterator<Item = &'a str> + Clone, wanted: &st
         ([], []) => {
             let cases = found(&|name| parts(name).0.eq_ignore_ascii_case(parts(wanted).0));
             let hint = match &cases[..] {
-                [(_, name)] => format!("; '{name}'?"),
+                [(_, name)] => format!(". Did you mean '{name}'?"),
                 _ => String::new(),
             };
-            Err(format!("there is no column '{wanted}'; there are: {}{hint}", listed(names)))
+            Err(format!("column '{wanted}' not found; available: {}{hint}", listed(names)))
         }
         ([], several) => {
             let several = listed(several.iter().map(|(_, name)| *name));
-            Err(format!("several columns are called '{wanted}': {several}; give the name of one in full"))
+            Err(format!(
+                "several columns are named '{wanted}': {several}. Write the full name of one of them"
+            ))
         }
         _ => Err(format!("two columns are named '{wanted}'")),
     }
@@ -158,8 +160,14 @@ pub(super) fn time_unit(name: &str, given: &str) -> Result<(f64, f64), String> {
     length(given).ok_or_else(|| {
         let case = given.to_lowercase();
         let is_known = length(&case).is_some();
-        let hint = if is_known { format!("; units are case-sensitive: '{case}'?") } else { String::new() };
-        format!("column '{name}': the unit '{given}' is none of s, ms, us, ns, min, h, d{hint}")
+        let hint = if is_known {
+            format!(". Units are case-sensitive; did you mean '{case}'?")
+        } else {
+            String::new()
+        };
+        format!(
+            "column '{name}': unit '{given}' is not a unit of time; expected s, ms, us, ns, min, h or d{hint}"
+        )
     })
 }
 
@@ -207,17 +215,17 @@ mod tests {
         assert_eq!(find(&["time", "t [ms]"], Some("t")), Ok((1, 3.0 / 1e3)));
         assert_eq!(find(&["t [h]"], Some("t [h]")), Ok((0, 3.0 * 3600.0)));
         for (names, named, expected) in [
-            (&["", "phi"][..], None, "there is no column 'time'; there are: '', 'phi'. Name"),
-            (&["time", "y"], Some("t"), "there is no column 't'; there are: 'time', 'y'"),
-            (&["Time", "TIME"], None, "several columns could hold the times: 'Time', 'TIME'"),
-            (&["time", "Time [ms]"], None, "several columns could hold the times: 'time', 'Time [ms]'"),
-            (&["time [furlong]"], None, "the unit 'furlong' is none of s, ms"),
+            (&["", "phi"][..], None, "column 'time' not found; available: '', 'phi'. Specify"),
+            (&["time", "y"], Some("t"), "column 't' not found; available: 'time', 'y'"),
+            (&["Time", "TIME"], None, "several columns may contain the times: 'Time', 'TIME'"),
+            (&["time", "Time [ms]"], None, "several columns may contain the times: 'time', 'Time [ms]'"),
+            (&["time [furlong]"], None, "unit 'furlong' is not a unit of time; expected s, ms"),
             (
                 &["time [MS]"],
                 None,
-                "the unit 'MS' is none of s, ms, us, ns, min, h, d; units are case-sensitive: 'ms'?",
+                "unit 'MS' is not a unit of time; expected s, ms, us, ns, min, h or d. Units are case-sensitive; did you mean 'ms'?",
             ),
-            (&["time (S)"], None, "the unit 'S' is none of"),
+            (&["time (S)"], None, "unit 'S' is not a unit of time"),
         ] {
             let message = find(names, named).unwrap_err();
             assert!(message.contains(expected), "{message}");
@@ -269,7 +277,7 @@ mod tests {
         let names = ["time", "phi [deg]", "x", "x [mm]", "y [mm]", "y [m]"];
         let find = |wanted| find_column(names.into_iter(), wanted);
         assert_eq!((find("phi"), find("phi [deg]"), find("x")), (Ok(1), Ok(1), Ok(2)));
-        assert!(find("y").unwrap_err().contains("several columns are called 'y': 'y [mm]', 'y [m]'"));
-        assert!(find("Phi").unwrap_err().contains("; 'phi [deg]'?"));
+        assert!(find("y").unwrap_err().contains("several columns are named 'y': 'y [mm]', 'y [m]'"));
+        assert!(find("Phi").unwrap_err().contains("Did you mean 'phi [deg]'?"));
     }
 }

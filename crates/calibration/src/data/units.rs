@@ -36,7 +36,7 @@ pub struct UnitConversion {
 #[non_exhaustive]
 pub enum UnitError {
     /// The name is not a known unit.
-    #[error("'{name}' is no unit that is known here{hint}")]
+    #[error("'{name}' is not a known unit{hint}")]
     Unknown {
         /// Unknown name.
         name: String,
@@ -185,7 +185,7 @@ impl Unit {
             }
             Some(unit) if parser.rest.is_empty() && unit.is_usable() => Ok(unit),
             _ if parser.rest.starts_with(PRODUCT) || parser.rest.starts_with(' ') => {
-                Err(unknown("; put what it is divided by in parentheses, as in 'J/(kg.K)'"))
+                Err(unknown("; write the divisor in parentheses, as in 'J/(kg.K)'"))
             }
             _ => Err(unknown(&hint(name))),
         }
@@ -287,12 +287,12 @@ fn known(name: &str) -> Option<Unit> {
 fn hint(name: &str) -> String {
     match name.to_lowercase().as_str() {
         "barg" | "bar(g)" | "bar g" | "psig" => {
-            "; a gauge pressure must be made absolute, in 'bar' or 'psi'".to_owned()
+            "; convert a gauge pressure to an absolute pressure in 'bar' or 'psi'".to_owned()
         }
-        "db" => "; decibels are no linear unit".to_owned(),
+        "db" => "; decibels are not a linear unit".to_owned(),
         _ => {
             let nearest = unit_symbols::nearest(name).map_or_else(String::new, |near| format!("; '{near}'?"));
-            format!("{nearest}; units are written as 'mm', 'degC', 'rpm', 'kW/K', 'J/(kg.K)', 'm^3/h'")
+            format!("{nearest}; write units as 'mm', 'degC', 'rpm', 'kW/K', 'J/(kg.K)', 'm^3/h'")
         }
     }
 }
@@ -505,11 +505,11 @@ mod tests {
             ("1", "m", "'1' (a pure number) cannot be converted to 'm' (m)"),
             ("C", "K", "degrees Celsius are 'degC'"),
             ("1/s", "rad/s", "write rev/s, Hz, rpm or rad/s"),
-            ("furlong", "m", "'furlong' is no unit that is known here"),
-            ("m", "MW/QQ", "'MW/QQ' is no unit"),
+            ("furlong", "m", "'furlong' is not a known unit"),
+            ("m", "MW/QQ", "'MW/QQ' is not a known unit"),
             ("W/m2.K", "W/(m2.K)", "in parentheses, as in 'J/(kg.K)'"),
-            ("barg", "Pa", "must be made absolute"),
-            ("dB", "1", "decibels are no linear unit"),
+            ("barg", "Pa", "to an absolute pressure"),
+            ("dB", "1", "decibels are not a linear unit"),
         ] {
             let message = UnitConversion::between(from, to).unwrap_err().to_string();
             assert!(message.contains(expected), "{message}");

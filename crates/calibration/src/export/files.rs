@@ -14,7 +14,9 @@ pub(super) fn check_belongs(fit: &Fit, calibration: &Calibration) -> Result<(), 
     let lists = [names.join(", "), fit.names.join(", ")];
     if names != fit.names {
         let [own, other] = lists;
-        return Err(CalibrationError::Setup(format!("it is a fit of {other}, the calibration has {own}")));
+        return Err(CalibrationError::Setup(format!(
+            "the fit has the parameters {other}, but the calibration has {own}"
+        )));
     }
     Ok(())
 }
@@ -34,9 +36,7 @@ pub(super) fn check_path(path: &Path, calibration: &Calibration) -> Result<(), C
     match (path.canonicalize(), model.canonicalize()) {
         (Ok(one), Ok(two)) if one == two => {
             let place = path.display();
-            Err(CalibrationError::Setup(format!(
-                "{place} is the model itself: give another path to write to"
-            )))
+            Err(CalibrationError::Setup(format!("{place} is the model itself. Specify another path")))
         }
         _ => Ok(()),
     }
@@ -51,7 +51,7 @@ pub(super) fn check_suffix(path: &Path, suffix: &str) -> Result<(), CalibrationE
     let what = if path.is_dir() { "is a folder" } else { "has another suffix" };
     let meant = path.with_extension(suffix);
     Err(CalibrationError::Setup(format!(
-        "{} {what}: give the path of a file that ends in .{suffix}, for example {}",
+        "{} {what}. Specify a path that ends in .{suffix}, for example {}",
         path.display(),
         if path.is_dir() {
             path.join(format!("fitted.{suffix}")).display().to_string()

@@ -76,8 +76,7 @@ impl Fit {
         check_path(path, calibration)?;
         let values = calibration.variable_values(&self.x, experiment)?;
         if values.is_empty() {
-            let message =
-                "no parameter of the fit sets a variable of the model: there is nothing to write into a copy";
+            let message = "no parameter of the fit sets a variable of the model, so a copy of the FMU would contain no fitted value";
             return Err(CalibrationError::Setup(message.to_owned()));
         }
         let experiments = match experiment {
@@ -112,14 +111,14 @@ impl Fit {
         let (model, place) = (&calibration.fmu().description().model_name, ssv.display());
         let what = match written {
             true => format!(
-                "{} is right only in tools that set the start values of the description",
+                "{} is correct only in tools that set the start values of the description",
                 path.display()
             ),
             false => format!("{} is not written", path.display()),
         };
         let warning = format!(
-            "the library of {model} does not take its start values from the description, as FMI allows: simulated as it is, a \
-             copy with the fitted values there is not as fitted ({difference}); {what}, the values are in {place}"
+            "the library of {model} ignores the start values in the description, which FMI allows, so a copy with the fitted values \
+             differs from the fit ({difference}). {what}, the values are in {place}"
         );
         Ok(FmuExport { fmu, ssv: Some(ssv), warning: Some(warning) })
     }

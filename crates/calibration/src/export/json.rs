@@ -28,7 +28,9 @@ impl Fit {
     /// Returns [`CalibrationError::Setup`] if the fit does not belong to this calibration.
     pub fn to_json(&self, calibration: &Calibration) -> Result<String, CalibrationError> {
         check_belongs(self, calibration)?;
-        let failed = |e: serde_json::Error| CalibrationError::Setup(format!("no JSON can be made: {e}"));
+        let failed = |e: serde_json::Error| {
+            CalibrationError::Setup(format!("the result cannot be written as JSON: {e}"))
+        };
         serde_json::to_string_pretty(&self.json(calibration).map_err(failed)?).map_err(failed)
     }
 

@@ -29,7 +29,7 @@ fn check_fit(fit: &Fit, place: &str) -> Result<(), String> {
         same(place, &format!("report.optima[{k}].x"), optimum.x.len(), n)?;
     }
     if !report.is_sound() {
-        return Err(format!("the parts of {place}.report (trace, residuals, jacobian) do not fit together"));
+        return Err(format!("the parts of {place}.report (trace, residuals, jacobian) are inconsistent"));
     }
     preflight
         .iter()
@@ -38,7 +38,7 @@ fn check_fit(fit: &Fit, place: &str) -> Result<(), String> {
         .iter()
         .try_for_each(|uncertainty| check_uncertainty(uncertainty, n, &format!("{place}.uncertainty")))?;
     if fit.uncertainty.as_ref().is_some_and(|uncertainty| uncertainty.names != *names) {
-        return Err(format!("{place}.uncertainty.names are not {place}.names: they do not fit together"));
+        return Err(format!("{place}.uncertainty.names differ from {place}.names"));
     }
     let stage = |(k, stage): (usize, &Fit)| check_fit(stage, &format!("{place}.stages[{k}]"));
     stages.iter().enumerate().try_for_each(stage)
@@ -80,7 +80,7 @@ fn check_uncertainty(uncertainty: &Uncertainty, n: usize, place: &str) -> Result
         ("uncorrected_joint", uncertainty.uncorrected_joint.as_ref()),
     ] {
         if joint.is_some_and(|joint| !joint.is_sound(n, n_outputs)) {
-            return Err(format!("the parts of {place}.{field} do not fit together"));
+            return Err(format!("the parts of {place}.{field} are inconsistent"));
         }
     }
     let lists = [
@@ -107,7 +107,7 @@ fn same(place: &str, field: &str, found: usize, wanted: usize) -> Result<(), Str
     match found == wanted {
         true => Ok(()),
         false => Err(format!(
-            "{place}.{field} has {found} entries where there should be {wanted}: the parts of its result do not fit together"
+            "{place}.{field} has {found} entries; expected {wanted}. The parts of the result are inconsistent"
         )),
     }
 }
@@ -116,7 +116,7 @@ fn below(place: &str, field: &str, indices: &[usize], n: usize) -> Result<(), St
     match indices.iter().find(|index| **index >= n) {
         None => Ok(()),
         Some(index) => Err(format!(
-            "{place}.{field} names parameter {index}, of {n} counted from 0: the parts of its result do not fit together"
+            "{place}.{field} contains the parameter index {index}; expected less than {n}. The parts of the result are inconsistent"
         )),
     }
 }

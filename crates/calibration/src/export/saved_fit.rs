@@ -114,14 +114,13 @@ impl SavedFit {
             let (Header { written_by, .. }, mut rest) = header(bytes)?;
             let (fit, problem, open_options) = item(&mut rest)?;
             let description = item::<Value>(&mut rest)?.into_bytes();
-            let description =
-                description.map_err(|_| "its model description is something else".to_owned())?;
+            let description = description.map_err(|_| "its model description is invalid".to_owned())?;
             let saved = Self { fit, problem, written_by, open_options, description };
             saved.check()?;
             let parts = (&saved.fit, &saved.problem, &saved.open_options);
             match to_bytes(&saved.written_by, &parts, saved.description.clone())? == bytes {
                 true => Ok(saved),
-                false => Err("it holds something that this version does not read".to_owned()),
+                false => Err("it contains data that this version does not support".to_owned()),
             }
         };
         read().map_err(bad)
@@ -153,14 +152,14 @@ impl SavedFit {
         let present = opened.and_then(|fmu| fmu.content_hash().map(str::to_owned).map(|hash| (fmu, hash)));
         let why_not = match present {
             Ok((fmu, hash)) if hash == *content_hash => return self.calibration_with(fmu),
-            Ok((_, hash)) => format!("what is there now has the content {hash}"),
+            Ok((_, hash)) => format!("the file has changed and now has the content {hash}"),
             Err(FmiError::Io { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => {
-                "it is not there any more".to_owned()
+                "the file no longer exists".to_owned()
             }
             Err(FmiError::Cancelled) => return Err(CalibrationError::Cancelled),
             Err(error) => error.to_string(),
         };
-        let reason = format!("{why_not}; load the fit with the place of a file that has it");
+        let reason = format!("{why_not}. Load the fit with the path of the original file");
         let (description, hash) = (self.description.clone(), content_hash.clone());
         self.calibration_with(Fmu::absent(path, description, hash, reason, &self.open_options)?)
     }
@@ -197,18 +196,18 @@ fn to_bytes<T: Serialize>(written_by: &str, parts: &T, description: Vec<u8>) -> 
 /// format, or is damaged.
 fn header(mut bytes: &[u8]) -> Result<(Header, &[u8]), String> {
     let found = item::<Header>(&mut bytes).ok().filter(|header| header.format == FORMAT);
-    let header = found.ok_or("this is no saved fit")?;
+    let header = found.ok_or("the file is not a saved fit")?;
     if header.format_version != FORMAT_VERSION {
         let (by, own) = (&header.written_by, env!("CARGO_PKG_VERSION"));
         return Err(format!(
-            "it was written by version {by} in format {}; this is version {own}, which reads format {FORMAT_VERSION}: use \
-             version {by}, or make the fit again",
+            "the file was written by version {by} in format {}, but version {own} reads format {FORMAT_VERSION}. Use version {by}, \
+             or fit again",
             header.format_version
         ));
     }
     match header.hash == hash_of_bytes(bytes) {
         true => Ok((header, bytes)),
-        false => Err("the file is cut off or damaged".to_owned()),
+        false => Err("the file is truncated or damaged".to_owned()),
     }
 }
 

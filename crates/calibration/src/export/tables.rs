@@ -50,7 +50,7 @@ impl Fit {
         };
         let mut writer = csv::Writer::from_writer(Vec::new());
         let failed =
-            |e: &dyn std::fmt::Display| CalibrationError::Setup(format!("no table can be made: {e}"));
+            |e: &dyn std::fmt::Display| CalibrationError::Setup(format!("the table cannot be written: {e}"));
         rows.into_iter().try_for_each(|row| writer.write_record(row)).map_err(|e| failed(&e))?;
         let bytes = writer.into_inner().map_err(|e| failed(&e))?;
         String::from_utf8(bytes).map_err(|e| failed(&e))

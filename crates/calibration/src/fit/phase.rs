@@ -33,7 +33,7 @@ impl FitPhase {
     /// active.
     const ALL: [(Self, &'static str, &'static str); 6] = [
         (Self::ModelTest, "model_test", "testing the model"),
-        (Self::Preflight, "preflight", "looking at the start"),
+        (Self::Preflight, "preflight", "checking the start"),
         (Self::Search, "search", "searching"),
         (Self::Checks, "checks", "checking the result"),
         (Self::FreshProcess, "fresh_process", "comparing with a fresh process"),

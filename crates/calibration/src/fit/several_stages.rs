@@ -489,7 +489,7 @@ impl Calibration {
     /// Returns the entries of `x` that each stage frees.
     fn all_checked(&self, stages: &[Stage], job: &Job<'_>) -> Result<Vec<Vec<usize>>, CalibrationError> {
         if stages.is_empty() {
-            return Err(CalibrationError::Setup("stages: there are none".to_owned()));
+            return Err(CalibrationError::Setup("stages is empty. Specify at least one stage".to_owned()));
         }
         let freed = stages.iter().enumerate();
         freed.map(|(k, stage)| self.checked(stage, job).map_err(in_stage(k))).collect()
@@ -509,7 +509,7 @@ impl Calibration {
     fn freed(&self, stage: &Stage, held: &[usize]) -> Result<Vec<usize>, CalibrationError> {
         let setup = |message: String| Err(CalibrationError::Setup(message));
         if stage.parameters.is_empty() {
-            return setup("it frees no parameter".to_owned());
+            return setup("the stage frees no parameter".to_owned());
         }
         let mut freed: Vec<usize> = Vec::new();
         for name in &stage.parameters {
@@ -517,13 +517,13 @@ impl Calibration {
             if entries.is_empty() {
                 let names = self.parameters().iter().map(|p| p.name());
                 let names = names.collect::<Vec<_>>().join(", ");
-                return setup(format!("there is no parameter '{name}'; there are: {names}"));
+                return setup(format!("parameter '{name}' not found; available: {names}"));
             }
             if entries.iter().all(|&i| self.parameters()[i].is_fixed() || held.contains(&i)) {
-                return setup(format!("parameter '{name}' is fixed, a stage cannot free it"));
+                return setup(format!("parameter '{name}' is fixed, so a stage cannot free it"));
             }
             if entries.iter().any(|i| freed.contains(i)) {
-                return setup(format!("parameter '{name}' is named twice"));
+                return setup(format!("parameter '{name}' is listed twice"));
             }
             freed.extend(entries.iter().filter(|i| !held.contains(i)));
         }

@@ -137,27 +137,28 @@ fn usable_uncertainty(fit: &Fit, is_corrected: bool) -> Result<Uncertainty, Cali
     let setup = |message: String| Err(CalibrationError::Setup(message));
     let Some(uncertainty) = &fit.uncertainty else {
         return setup(
-            "a prediction band needs the covariance of the parameters: this fit has none, for it was ended early, made without \
-             its uncertainty, or minimised neither a sum of squares nor the likelihood"
+            "a prediction band requires the covariance of the parameters. This fit has none because it ended early, was made without \
+             it, or minimised neither a sum of squares nor the likelihood"
                 .to_owned(),
         );
     };
     if !uncertainty.undetermined.is_empty() {
         let names: Vec<&str> = uncertainty.undetermined.iter().map(|i| fit.names[*i].as_str()).collect();
         return setup(format!(
-            "there is no prediction band: the data do not determine {}; fix it, or give it a prior",
+            "the prediction band is unbounded because the data do not determine {}. Fix it, or add a prior",
             names.join(", ")
         ));
     }
     if uncertainty.joint.is_empty() {
         return setup(
-            "there is no prediction band: the file of this fit is of an older version; fit again".to_owned(),
+            "the file of this fit is from an older version without the data of a prediction band. Fit again"
+                .to_owned(),
         );
     }
     if uncertainty.degrees_of_freedom == 0.0 {
         return setup(format!(
-            "there is no prediction band: {} residuals are no more than the parameters that were fitted, and say nothing of the \
-             noise; fit fewer parameters, or give more measurements",
+            "the prediction band requires an estimate of the noise, but the {} residuals are not more than the fitted parameters. \
+             Fit fewer parameters, or add measurements",
             uncertainty.residuals.len()
         ));
     }
@@ -197,7 +198,7 @@ impl Calibration {
         let chosen = options.outputs.as_deref();
         if let Some(name) = chosen.unwrap_or_default().iter().find(|name| !known.contains(&name.as_str())) {
             let known = known.join(", ");
-            return Err(CalibrationError::Setup(format!("there is no output '{name}'; there are: {known}")));
+            return Err(CalibrationError::Setup(format!("output '{name}' not found; available: {known}")));
         }
         self.prepare()?;
         // Short simulations may end before the next check for cancellation.
@@ -276,7 +277,7 @@ impl Calibration {
             let is_own = |start: &&MeasuredStart| (start.experiment, &start.state) == (*experiment, state);
             let Some(start) = known.iter().find(is_own) else {
                 return Err(CalibrationError::Setup(format!(
-                    "there is no prediction band: '{state}' is not measured any more at the start of the simulation"
+                    "the prediction band requires a measurement of '{state}' at the start of the simulation, which no longer exists"
                 )));
             };
             let step = joint.of(n + k).value.sqrt().max(SHORTEST * start.value.abs());
@@ -326,7 +327,8 @@ impl Calibration {
         if let Some(i) = (0..found.len()).find(|i| found[*i].time.len() != found[i % n].time.len()) {
             let end = Number(found[i].time.last().copied().unwrap_or(f64::NAN));
             return Err(CalibrationError::Setup(format!(
-                "there is no prediction band: with parameters one standard error away the model ended the simulation at t = {end}"
+                "the prediction band cannot be computed: with parameters one standard error away, the model ended the simulation at \
+                 t = {end}"
             )));
         }
         Ok(found)

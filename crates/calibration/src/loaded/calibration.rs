@@ -149,7 +149,7 @@ impl Calibration {
     /// and in the same state as the simulations of this calibration.
     pub(crate) fn windowed(&self, windows: &[(f64, f64)]) -> Result<Self, CalibrationError> {
         if windows.is_empty() {
-            return Err(CalibrationError::Setup("windows: there are none".to_owned()));
+            return Err(CalibrationError::Setup("windows is empty. Specify at least one window".to_owned()));
         }
         let mut problem = self.problem().clone();
         for (experiment, simulation) in problem.experiments.iter_mut().zip(&self.evaluator.simulations) {

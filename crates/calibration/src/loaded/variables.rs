@@ -78,7 +78,7 @@ impl Calibration {
         let names = self.problem().experiment_names();
         names.iter().position(|known| known == name).ok_or_else(|| {
             let known = names.join(", ");
-            CalibrationError::Setup(format!("there is no experiment '{name}'; there are: {known}"))
+            CalibrationError::Setup(format!("experiment '{name}' not found; available: {known}"))
         })
     }
 
@@ -93,7 +93,7 @@ impl Calibration {
                     self.problem().parameters.iter().filter(|p| p.is_local()).map(|p| p.name()).collect();
                 let (local, names) = (local.join(", "), names.join("', '"));
                 Err(CalibrationError::Setup(format!(
-                    "each experiment has its own value of {local}: say of which experiment, experiment = '{names}'"
+                    "each experiment has a separate value of {local}. Specify one, experiment = '{names}'"
                 )))
             }
         }

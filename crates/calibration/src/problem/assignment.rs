@@ -37,7 +37,9 @@ fn conversion(
         },
     };
     found.map_err(|reason| {
-        let message = format!("its unit '{unit}' cannot be used: {reason}; leave unit out to give values in the unit of the model");
+        let message = format!(
+            "its unit '{unit}' cannot be used: {reason}. Omit unit for values in the unit of the model"
+        );
         CalibrationError::Parameter { name: parameter.name().to_owned(), message }
     })
 }
@@ -213,21 +215,21 @@ pub(crate) fn initial_values(
             InitialState::Fitted(_) => continue,
             InitialState::Value(value) if value.is_finite() => *value,
             InitialState::Value(value) => {
-                return setup(format!("initial state '{state}' = {}: it must be finite", Number(*value)));
+                return setup(format!("initial state '{state}' = {} must be finite", Number(*value)));
             }
             InitialState::Measured => {
                 let Some(output) = experiment.outputs.iter().position(|output| output.variable == *state)
                 else {
                     return setup(format!(
-                        "initial state '{state}' is to be measured, but no column is compared with '{state}': name its column \
-                         among the outputs, or give a number or a parameter"
+                        "initial state '{state}' is 'measured', but no column is compared with '{state}'. Add its column to the \
+                         outputs, or use a number or a parameter"
                     ));
                 };
                 let (delay, offset) = assigned.outputs[output];
                 if !delay.is_constant() {
                     return setup(format!(
-                        "initial state '{state}' is to be measured, but the delay of its output is fitted, so that the row of the \
-                         start is not known: give a number or a parameter"
+                        "initial state '{state}' is 'measured', but the delay of its output is fitted, so the row of the start is \
+                         unknown. Use a number or a parameter"
                     ));
                 }
                 let column = &experiment.outputs[output].column;
@@ -236,8 +238,8 @@ pub(crate) fn initial_values(
                     CalibrationError::Data { source_name, message } => CalibrationError::Data {
                         source_name,
                         message: format!(
-                            "initial state '{state}' is to be measured, but {message}: start where there is a measurement \
-                             (start_time), or give a number or a parameter"
+                            "initial state '{state}' is 'measured', but {message}. Start at a measurement (start_time), or use a \
+                             number or a parameter"
                         ),
                     },
                     other => other,

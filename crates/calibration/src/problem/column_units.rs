@@ -60,8 +60,7 @@ fn convert(
                 let unit = variable.unit.clone().unwrap_or_default();
                 if let Some(other) = earlier {
                     return Err(bad(format!(
-                        "column '{full}' belongs to '{other}' (in {given}) and to '{variable_name}' (in {unit}): give each a column \
-                         of its own"
+                        "column '{full}' belongs to '{other}' (in {given}) and to '{variable_name}' (in {unit}). Use separate columns"
                     )));
                 }
                 convert_weights(experiment, &full, conversion)?;
@@ -70,8 +69,8 @@ fn convert(
             }
             Err(reason @ UnitError::Dimension { .. }) => {
                 return Err(bad(format!(
-                    "column '{full}' belongs to '{variable_name}', but {reason}: correct the unit of the column, or choose the variable \
-                     that it measures or drives"
+                    "column '{full}' belongs to '{variable_name}', but {reason}. Correct the unit of the column, or choose another \
+                     variable"
                 )));
             }
             // Models without declared units mostly use SI units.
@@ -80,8 +79,8 @@ fn convert(
             Err(reason @ UnitError::Unknown { .. }) if Unit::parse(&given).is_err() => {
                 let unit = variable.unit.as_deref().unwrap_or_default();
                 return Err(bad(format!(
-                    "column '{full}' belongs to '{variable_name}' (in {unit}), but {reason}: correct the unit of the column, or rename the \
-                     column if this is none"
+                    "column '{full}' belongs to '{variable_name}' (in {unit}), but {reason}. Correct the unit of the column, or \
+                     rename the column if this is not a unit"
                 )));
             }
             Err(reason) => warnings.push(SetupWarning::NotConverted {
@@ -147,8 +146,8 @@ pub fn recorded_inputs(
             Some(_) => format!("the inputs are {}", listed(inputs().map(|v| v.name.as_str()))),
         };
         return Err(bad(format!(
-            "no column has the name of an input of the model; the columns are {}, and {inputs}: give the columns these names, \
-             units may follow in brackets",
+            "no column has the name of an input of the model; the columns are {}, and {inputs}. Rename the columns to the inputs, \
+             optionally with units in brackets",
             listed(data.all_names())
         )));
     }

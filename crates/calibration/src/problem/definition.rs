@@ -147,7 +147,7 @@ impl Problem {
             _ if to == parameter.name() => bad("it is tied to itself".to_owned()),
             Some(number) => match self.parameters[number].tie() {
                 Some(next) => bad(format!(
-                    "it is tied to '{to}', which is tied to '{}': tie both to one that is not tied",
+                    "it is tied to '{to}', which is tied to '{}'. Tie both to a parameter that is not tied",
                     next.to
                 )),
                 None => Ok(number),
@@ -155,7 +155,7 @@ impl Problem {
             None => {
                 let free = self.parameters.iter().filter(|p| !p.is_tied()).map(Parameter::name);
                 let free = free.collect::<Vec<_>>().join(", ");
-                bad(format!("it is tied to '{to}', and there is no such parameter; there are: {free}"))
+                bad(format!("it is tied to '{to}', which does not exist; available: {free}"))
             }
         }
     }
@@ -166,10 +166,10 @@ impl Problem {
         description: &ModelDescription,
     ) -> Result<Vec<SetupWarning>, CalibrationError> {
         if self.parameters.is_empty() {
-            return Err(CalibrationError::Setup("there is no parameter to fit".to_owned()));
+            return Err(CalibrationError::Setup("parameters is empty. Add a parameter to fit".to_owned()));
         }
         if self.experiments.is_empty() {
-            return Err(CalibrationError::Setup("there is no experiment to fit to".to_owned()));
+            return Err(CalibrationError::Setup("experiments is empty. Add an experiment".to_owned()));
         }
         // Every tied parameter follows an untied one, so at least one entry is fitted.
         for parameter in &self.parameters {
@@ -187,7 +187,7 @@ impl Problem {
         };
         if let Some(name) = names.iter().find(is_bad) {
             return Err(CalibrationError::Setup(format!(
-                "the name of an experiment must not be empty, nor hold brackets or line breaks: {name:?}"
+                "experiment {name:?}: a name must not be empty or contain brackets or line breaks"
             )));
         }
         if let Some(twice) = (1..names.len()).find(|&k| names[..k].contains(&names[k])) {
@@ -234,7 +234,8 @@ fn check_units_of_tie(
     }
     let (name, to) = (parameter.name().to_owned(), &tie.to);
     let message = format!(
-        "is in '{own}', and '{to}', which it is tied to, in '{of_other}': give across_units = true if the factor {} turns one into the other",
+        "is in '{own}', but '{to}', to which it is tied, is in '{of_other}'. Set across_units = true if the factor {} converts one \
+         to the other",
         Number(tie.factor)
     );
     Err(CalibrationError::Parameter { name, message })

@@ -116,7 +116,7 @@ impl OutputScale {
         known.into_iter().find(|scale| scale.name().eq_ignore_ascii_case(name)).ok_or_else(|| {
             let known = known.map(|scale| format!("'{}'", scale.name())).join(", ");
             CalibrationError::Setup(format!(
-                "weights = '{name}' is none of {known}; give one of them, or numbers for the outputs"
+                "weights = '{name}' is unknown; expected {known}, or numbers for the outputs"
             ))
         })
     }
@@ -419,9 +419,8 @@ impl Experiment {
             if let Some(parameter) = parameters.iter().find(is_it) {
                 let name = parameter.name().to_owned();
                 let alias = if *given == name { String::new() } else { format!(" (as '{given}')") };
-                let message = format!(
-                    "it is fitted, and start_values gives it the value {value}{alias}: one of both counts"
-                );
+                let message =
+                    format!("it is fitted, but start_values sets it to {value}{alias}. Remove one of them");
                 return Err(CalibrationError::Parameter { name, message });
             }
             let is_driven = |(input, _): &&(String, InputSource)| {
@@ -429,7 +428,7 @@ impl Experiment {
             };
             if let Some((input, source)) = self.inputs.iter().find(is_driven) {
                 return Err(CalibrationError::Setup(format!(
-                    "input '{input}' is driven by {source}, and start_values gives it the value {value}: one of both counts"
+                    "input '{input}' is driven by {source}, but start_values sets it to {value}. Remove one of them"
                 )));
             }
         }
@@ -446,7 +445,7 @@ impl Experiment {
         for (index, Measured { variable, column, .. }) in self.outputs.iter().enumerate() {
             if self.outputs[..index].iter().any(|o| (&o.variable, &o.column) == (variable, column)) {
                 return Err(CalibrationError::Setup(format!(
-                    "output '{variable}' is compared with column '{column}' twice; a weight makes it count more"
+                    "output '{variable}' is compared with column '{column}' twice. Set a weight to increase its influence"
                 )));
             }
             let Some(declared) = description.variable(variable) else {
@@ -455,7 +454,7 @@ impl Experiment {
                     // Any other name that is not declared is an element of an array.
                     name if name.contains(['*', '?']) => {
                         return Err(CalibrationError::Setup(format!(
-                            "output '{name}': a measured column is compared with one variable; patterns name several"
+                            "output '{name}' is a pattern, but a measured column is compared with one variable. Specify one variable"
                         )));
                     }
                     _ => continue,

@@ -105,7 +105,7 @@ impl Experiment {
             .collect();
         let path = record
             .data
-            .ok_or_else(|| RecordError::message("data is missing: give the path of a CSV file"))?;
+            .ok_or_else(|| RecordError::message("data is missing. Specify the path of a CSV file"))?;
         let request = CsvRequest { time: record.time.as_deref(), columns: Some(&columns), context: *context };
         let mut data = Data::read_csv(folder.join(path), request)?;
         if let Some(by) = &record.mask {
@@ -216,7 +216,7 @@ fn model_value(value: &Value, variable: &str) -> Result<fmi::Value, RecordError>
             fmi::Value::Array(items.iter().map(|item| model_value(item, variable)).collect::<Result<_, _>>()?)
         }
         other => {
-            let message = format!("start_values: '{variable}' = {other} is no value of a variable");
+            let message = format!("start_values: '{variable}' = {other} is not a value of a variable");
             return Err(RecordError::message(message));
         }
     })
@@ -240,7 +240,7 @@ fn pairs(given: &Value, name: &str) -> Result<Vec<(String, Value)>, RecordError>
     };
     found.ok_or_else(|| {
         RecordError::message(format!(
-            "{name} must give a value to each name, {{name = value, ...}}, not {given}"
+            "{name} must assign a value to each name, {{name = value, ...}}, not {given}"
         ))
     })
 }

@@ -90,15 +90,12 @@ impl Signal {
                 }
             }
             InputSource::Constant(value) if !value.is_finite() => {
-                return setup(format!(
-                    "input '{variable}' is the constant {}: it must be finite",
-                    Number(*value)
-                ));
+                return setup(format!("input '{variable}' = {} must be finite", Number(*value)));
             }
             InputSource::Constant(value) => SignalSource::Constant(*value),
             InputSource::Function(SignalFunction { function: None }) => {
                 return setup(format!(
-                    "input '{variable}' is a function of time, which is not stored with a problem: give it again"
+                    "input '{variable}' is a function of time, which a problem does not store. Specify it again"
                 ));
             }
             InputSource::Function(function) => SignalSource::Function(function.clone()),
@@ -137,8 +134,8 @@ impl Signal {
         }
         let [r0, r1, s0, s1] = [recorded.0, recorded.1, span.0, span.1].map(Number);
         Err(CalibrationError::Setup(format!(
-            "{}: input '{}' is recorded from {r0} s to {r1} s, and the simulation needs it from {s0} s to {s1} s: give \
-             hold_inputs to hold its first and last values there, or a window or a start_time of the experiment within its recording",
+            "{}: input '{}' is recorded from {r0} s to {r1} s, but the simulation needs it from {s0} s to {s1} s. Set hold_inputs to \
+             hold its first and last values, or a window or start_time inside its recording",
             data.source(),
             self.variable
         )))

@@ -52,7 +52,7 @@ impl Measurements {
         let last = outputs.iter().filter_map(|o| o.times.last()).copied().fold(f64::NEG_INFINITY, f64::max);
         let warm_up = experiment.warm_up.unwrap_or(0.0);
         if !(warm_up.is_finite() && warm_up >= 0.0) {
-            return setup(format!("warm_up = {} must be a number of seconds, not negative", Number(warm_up)));
+            return setup(format!("warm_up = {} must be a number of seconds of at least 0", Number(warm_up)));
         }
         let before_windows = experiment.warm_up.filter(|_| !experiment.windows.is_empty());
         let before_windows = before_windows.map(|warm_up| first(&outputs) - warm_up);
@@ -64,8 +64,8 @@ impl Measurements {
                 if measured.times.is_empty() {
                     let [start, warm_up, last] = [start_time, warm_up, last].map(Number);
                     return setup(format!(
-                        "{source}: no measurement of '{variable}' (column '{column}') is left after the warm-up of {warm_up} s from \
-                         {start} s; the last one that would count is at {last} s: give a shorter warm_up"
+                        "{source}: no measurement of '{variable}' (column '{column}') remains after the warm-up of {warm_up} s from \
+                         {start} s; the last one is at {last} s. Set a shorter warm_up"
                     ));
                 }
             }
@@ -74,8 +74,8 @@ impl Measurements {
         if first < start_time - tolerance {
             let [first, start] = [first, start_time].map(Number);
             return setup(format!(
-                "{source}: the first measurement is at {first} s, before the simulation starts at {start} s; give \
-                 start_time = {first}, or a window that begins later"
+                "{source}: the first measurement is at {first} s, before the simulation starts at {start} s. Set start_time = \
+                 {first}, or a window that begins later"
             ));
         }
         let measurements = Self { start_time, outputs };
@@ -94,8 +94,8 @@ impl Measurements {
             Some(interval) if begin - start_time > MOST_BEFORE * interval + tolerance => {
                 let [begin, start, before] = [begin, start_time, begin - start_time].map(Number);
                 setup(format!(
-                    "{}: the recording begins at {begin} s, the simulation at {start} s. Give start_time = {begin} to start \
-                     with the recording, or start_time = {start} to simulate the {before} s before it as well",
+                    "{}: the recording begins at {begin} s, but the simulation begins at {start} s. Set start_time = {begin} to \
+                     start with the recording, or start_time = {start} to also simulate the {before} s before it",
                     experiment.data.source()
                 ))
             }
@@ -115,7 +115,7 @@ fn in_windows(experiment: &Experiment) -> Result<Vec<Counted>, CalibrationError>
     for (from, to) in &experiment.windows {
         if from.is_nan() || to.is_nan() || from > to {
             let [from, to] = [*from, *to].map(Number);
-            return setup(format!("window from {from} to {to}: the end must not lie before the start"));
+            return setup(format!("window from {from} to {to} ends before its start"));
         }
     }
     let tolerance = base::time_tolerance(time[0], time[time.len() - 1]);
@@ -128,7 +128,7 @@ fn in_windows(experiment: &Experiment) -> Result<Vec<Counted>, CalibrationError>
         let windows = experiment.windows.iter().map(list).collect::<Vec<_>>().join(", ");
         let several = if experiment.windows.len() > 1 { "windows" } else { "window" };
         return setup(format!(
-            "no time of {} lies in the {several} from {windows}; the times run from {} to {}",
+            "no time of {} is in the {several} from {windows}. The times range from {} to {}",
             data.source(),
             time[0],
             time[time.len() - 1]
@@ -144,7 +144,8 @@ fn in_windows(experiment: &Experiment) -> Result<Vec<Counted>, CalibrationError>
         });
         if counted.times.is_empty() {
             return setup(format!(
-                "{}: no measurement of '{variable}' (column '{column}') counts: all in the windows are missing, or have the weight 0",
+                "{}: no measurement of '{variable}' (column '{column}') counts, because all in the windows are missing or have the \
+                 weight 0",
                 data.source()
             ));
         }
@@ -168,7 +169,7 @@ pub(crate) fn weights_of_rows(
     let (data, n) = (&experiment.data, experiment.data.time().len());
     let (weights, place) = match weight {
         Weight::Constant(weight) if !(weight.is_finite() && *weight > 0.0) => {
-            let hint = if *weight == 0.0 { ": leave the output out" } else { "" };
+            let hint = if *weight == 0.0 { ". Remove the output instead" } else { "" };
             let weight = Number(*weight);
             return setup(format!(
                 "weight {weight} of output '{variable}' must be positive and finite{hint}"
@@ -182,22 +183,22 @@ pub(crate) fn weights_of_rows(
             }
             let (scale, value) = (scale.name(), Number(1.0 / weight));
             return setup(format!(
-                "the measurements of '{variable}' (column '{column}') have the {scale} {value}, by which they cannot be weighed: give a \
-                 number"
+                "the measurements of '{variable}' (column '{column}') have the {scale} {value}, which cannot be used as a weight. \
+                 Specify a number"
             ));
         }
         // The problem was stored with means of its weights.
         Weight::Column(column) if data.resampled.is_some() => {
             return setup(format!(
-                "the weights of output '{variable}' in column '{column}' are means, which are no weights: resample the recording again, \
-                 from its file, with this column"
+                "the weights of output '{variable}' in column '{column}' were averaged by an earlier resampling. Resample the \
+                 original recording with this column"
             ));
         }
         Weight::Column(column) => (data.series(column)?, format!(" in column '{column}'")),
         Weight::Rows(weights) if weights.len() != n => {
             let when = if experiment.resample.is_some() { " before resample takes means" } else { "" };
             return setup(format!(
-                "{} weights of output '{variable}' for {n} rows of {}{when}: give a number, or one weight per row",
+                "output '{variable}' has {} weights for {n} rows of {}{when}. Specify a number, or one weight per row",
                 weights.len(),
                 data.source()
             ));
@@ -206,7 +207,7 @@ pub(crate) fn weights_of_rows(
     };
     match weights.iter().position(|w| !(w.is_finite() && *w >= 0.0)) {
         Some(row) => setup(format!(
-            "the weight {} of output '{variable}'{place} at time {} must be finite and not negative; 0 leaves a measurement out",
+            "the weight {} of output '{variable}'{place} at time {} must be finite and at least 0. A weight of 0 excludes a measurement",
             Number(weights[row]),
             Number(data.time()[row])
         )),

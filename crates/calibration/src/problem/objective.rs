@@ -180,18 +180,18 @@ impl CostKind {
         let name = self.name();
         if is_robust {
             return setup(format!(
-                "a robust loss belongs to the sum of squares: with the objective '{name}' leave it out"
+                "a robust loss requires the sum of squares. Remove it with the objective '{name}'"
             ));
         }
         if !layout.priors.is_empty() && !matches!(self, Self::Named(NamedCost::Likelihood)) {
             return setup(format!(
-                "priors belong to the sum of squares and the likelihood: with the objective '{name}' give bounds instead"
+                "priors require the sum of squares or the likelihood. Use bounds with the objective '{name}'"
             ));
         }
         let is_constant = |o: &&OutputResiduals| o.measured.iter().all(|m| *m == o.measured[0]);
         match (self, layout.outputs.iter().find(is_constant)) {
             (Self::Named(NamedCost::Nrmse), Some(output)) => setup(format!(
-                "the measurements of '{}' are all {}: there is no range for the objective 'nrmse'",
+                "all measurements of '{}' are {}, so the objective 'nrmse' has no range to divide by",
                 output.variable,
                 base::Number(output.measured[0])
             )),

@@ -348,7 +348,7 @@ impl Parameter {
         }
         if matches!(&self.target, Target::Variables(names) if names.is_empty()) {
             return bad(
-                "variables is empty: name what it sets in the model, or leave variables out".to_owned()
+                "variables is empty. Specify the variables that it sets, or omit variables".to_owned()
             );
         }
         if let Some(tie) = &self.tie {
@@ -358,7 +358,7 @@ impl Parameter {
             return bad(format!("start {first} is not finite"));
         }
         if lower.is_nan() || upper.is_nan() {
-            return bad(format!("bounds {low} and {high}: neither may be NaN"));
+            return bad(format!("bounds {low} and {high} must not be NaN"));
         }
         if lower > upper {
             return bad(format!("lower bound {low} is above upper bound {high}"));
@@ -369,17 +369,17 @@ impl Parameter {
         if self.kind != ParameterKind::Continuous && !self.fixed {
             if lower.ceil() > upper.floor() {
                 let kind = self.kind;
-                return bad(format!(
-                    "is {kind}, but between its bounds {low} and {high} there is no whole number"
-                ));
+                return bad(format!("is {kind}, but its bounds {low} and {high} contain no integer"));
             }
             if start.fract() != 0.0 {
-                return bad(format!("is {}, so start {first} must be a whole number", self.kind));
+                return bad(format!("is {}, so start {first} must be an integer", self.kind));
             }
         }
         if self.scale == Scale::Log && !self.fixed && (*start <= 0.0 || (lower.is_finite() && *lower <= 0.0))
         {
-            return bad(format!("a log scale needs values above 0; start {first}, lower bound {low}"));
+            return bad(format!(
+                "a log scale requires values above 0, but the start is {first} and the lower bound {low}"
+            ));
         }
         if let Some(nominal) = self.nominal
             && !(nominal.is_finite() && nominal > 0.0)
@@ -398,7 +398,7 @@ impl Parameter {
         {
             let value = Number(value);
             return bad(format!(
-                "the {what} of its prior, {value}, is outside of its bounds {low} and {high}: widen the bounds, or correct the prior"
+                "the {what} of its prior, {value}, is outside of its bounds {low} and {high}. Widen the bounds, or correct the prior"
             ));
         }
         if matches!(self.prior, Some(Prior::LogNormal { .. }))
@@ -407,13 +407,12 @@ impl Parameter {
             && *lower <= 0.0
         {
             return bad(format!(
-                "its log-normal prior needs values above 0, and its lower bound is {low}: give a lower bound above 0, or \
-                 scale = log"
+                "its log-normal prior requires values above 0, but its lower bound is {low}. Set a lower bound above 0, or scale = log"
             ));
         }
         if matches!(self.target, Target::Delay(_)) && !self.lower().is_finite() {
             return bad(format!(
-                "a delay needs a finite lower bound, and it is {low}: give lower = 0, for example"
+                "a delay requires a finite lower bound, not {low}. Set lower = 0, for example"
             ));
         }
         Ok(())
@@ -425,7 +424,7 @@ impl Parameter {
         if !factor.is_finite() || *factor == 0.0 || !offset.is_finite() {
             let [factor, offset] = [*factor, *offset].map(Number);
             return bad(format!(
-                "it is tied to '{to}' with factor {factor} and offset {offset}: both must be finite, the factor not 0"
+                "it is tied to '{to}' with factor {factor} and offset {offset}. Both must be finite, and the factor must not be 0"
             ));
         }
         // The other parameter determines all other fields.
@@ -437,8 +436,7 @@ impl Parameter {
         };
         if *self != bare {
             return bad(format!(
-                "it is tied to '{to}', so start, bounds, scale, nominal, kind, fixed, local and prior are those of '{to}': \
-                 leave them out here"
+                "it is tied to '{to}', which determines start, bounds, scale, nominal, kind, fixed, local and prior. Omit them here"
             ));
         }
         Ok(())
@@ -473,18 +471,12 @@ mod tests {
             (p(0.5, 2.0, 1.0), "lower bound 2 is above upper bound 1"),
             (p(3.0, 0.0, 1.0), "start 3 is outside of the bounds 0 and 1"),
             (p(0.5, f64::NAN, 1.0), "NaN"),
-            (p(0.0, f64::NEG_INFINITY, 1.0).scale(Scale::Log), "above 0; start 0"),
-            (p(0.5, 0.0, 1.0).scale(Scale::Log), "above 0; start 0.5, lower bound 0"),
+            (p(0.0, f64::NEG_INFINITY, 1.0).scale(Scale::Log), "above 0, but the start is 0"),
+            (p(0.5, 0.0, 1.0).scale(Scale::Log), "above 0, but the start is 0.5 and the lower bound 0"),
             (p(0.5, 0.0, 1.0).nominal(0.0), "nominal 0"),
             (p(0.5, 0.0, 1.0).nominal(-3.0), "nominal -3 must be positive"),
-            (
-                p(0.5, 0.0, 1.0).kind(ParameterKind::Integer),
-                "is integer, so start 0.5 must be a whole number",
-            ),
-            (
-                p(0.5, 0.1, 0.9).kind(ParameterKind::Categorical),
-                "is categorical, but between its bounds 0.1 and 0.9",
-            ),
+            (p(0.5, 0.0, 1.0).kind(ParameterKind::Integer), "is integer, so start 0.5 must be an integer"),
+            (p(0.5, 0.1, 0.9).kind(ParameterKind::Categorical), "is categorical, but its bounds 0.1 and 0.9"),
         ] {
             let e = parameter.check().unwrap_err().to_string();
             assert!(e.contains("'k'") && e.contains(expected), "{e}");
@@ -495,18 +487,18 @@ mod tests {
             (normal(f64::NAN, 1.0), "mean NaN and sd 1"),
             (normal(0.5, 0.0), "mean 0.5 and sd 0"),
             (relative(0.1, -1.0), "median 1 and sigma -1"),
-            (relative(0.0, 0.1), "give a lower bound above 0"),
+            (relative(0.0, 0.1), "Set a lower bound above 0"),
             (normal(1.5, 1.0), "the mean of its prior, 1.5, is outside of its bounds 0 and 1"),
             (
                 p(0.5, 0.2, 0.9).prior(Prior::LogNormal { median: 0.1, sigma: 1.0 }),
                 "the median of its prior, 0.1, is outside",
             ),
-            (p(0.5, f64::NEG_INFINITY, 1.0).delay_of("y"), "a delay needs a finite lower bound"),
+            (p(0.5, f64::NEG_INFINITY, 1.0).delay_of("y"), "a delay requires a finite lower bound"),
             (p(0.5, 0.0, 1.0).variables([""; 0]), "variables is empty"),
             (Parameter::tied("k", "c", 0.0, 1.0), "factor 0 and offset 1"),
             (Parameter::tied("k", "c", 1.0, f64::INFINITY), "offset inf"),
-            (Parameter::tied("k", "c", 1.0, 0.0).bounds(0.0, 1.0), "are those of 'c'"),
-            (Parameter::tied("k", "c", 1.0, 0.0).local(true), "leave them out here"),
+            (Parameter::tied("k", "c", 1.0, 0.0).bounds(0.0, 1.0), "which determines start"),
+            (Parameter::tied("k", "c", 1.0, 0.0).local(true), "Omit them here"),
         ] {
             let e = parameter.check().unwrap_err().to_string();
             assert!(e.contains("'k'") && e.contains(expected), "{e}");

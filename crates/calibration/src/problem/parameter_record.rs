@@ -99,12 +99,12 @@ impl Parameter {
                 Self::tied(&name, to, asked.factor, asked.offset).across_units(asked.across_units)
             }
             (Some(_), Some(_)) => {
-                return bad("it is tied to another one, whose start counts: leave start out");
+                return bad("it is tied to another parameter, which determines the start. Omit start");
             }
-            (None, None) => return bad("start is missing: give a number to start from"),
+            (None, None) => return bad("start is missing. Specify a start value"),
             (None, Some(_)) if !is_plain => {
                 return bad(
-                    "factor, offset and across_units are those of tied_to: name the parameter that it follows",
+                    "factor, offset and across_units require tied_to. Specify the parameter to which it is tied",
                 );
             }
             (None, Some(start)) => Self::new(&name, start),
@@ -120,8 +120,8 @@ impl Parameter {
             Value::Text(variable) => Some(variable),
             Value::List(_) => {
                 return bad(
-                    "delay_of names one output or input: of several that are late alike give each a parameter, all but one of them with \
-                     tied_to; delays that are known stand in delays of the recording",
+                    "delay_of names one output or input. For a common delay of several, tie the parameters of the others with \
+                     tied_to; write known delays in delays of the recording",
                 );
             }
             other => return bad(&format!("delay_of must be the name of an output or input, not {other}")),
@@ -131,7 +131,11 @@ impl Parameter {
             (Some(variables), None, None) => parameter.variables(variables),
             (None, Some(variable), None) => parameter.delay_of(variable),
             (None, None, Some(variable)) => parameter.offset_of(variable),
-            _ => return bad("at most one of variables, delay_of and offset_of can be given"),
+            _ => {
+                return bad(
+                    "variables, delay_of and offset_of exclude each other. Specify at most one of them",
+                );
+            }
         };
         if let Some(nominal) = asked.nominal {
             parameter = parameter.nominal(nominal);

@@ -54,13 +54,13 @@ impl Prior {
             Self::Normal { mean, sd } if !mean.is_finite() || !is_positive(sd) => {
                 let [mean, sd] = [mean, sd].map(Number);
                 Some(format!(
-                    "its normal prior has mean {mean} and sd {sd}; the mean must be finite, sd positive"
+                    "its normal prior has mean {mean} and sd {sd}. The mean must be finite, and sd must be positive"
                 ))
             }
             Self::LogNormal { median, sigma } if !is_positive(median) || !is_positive(sigma) => {
                 let [median, sigma] = [median, sigma].map(Number);
                 Some(format!(
-                    "its log-normal prior has median {median} and sigma {sigma}; both must be positive"
+                    "its log-normal prior has median {median} and sigma {sigma}. Both must be positive"
                 ))
             }
             _ => None,

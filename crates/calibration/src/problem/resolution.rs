@@ -48,14 +48,14 @@ pub(crate) fn check_targets(
                             if twice == variable { String::new() } else { format!(", as '{twice}' too") };
                         return bad(
                             parameter,
-                            format!("names the variable '{variable}' twice{alias}: once is enough"),
+                            format!("lists the variable '{variable}' twice{alias}. Remove one of them"),
                         );
                     }
                     let sets =
                         |p: &&Parameter| p.variable_names().iter().any(|v| is_same(description, v, variable));
                     if let Some(other) = earlier.iter().find(sets) {
                         let message = format!(
-                            "sets the variable '{variable}', which parameter '{}' sets too: leave one out",
+                            "sets the variable '{variable}', which parameter '{}' also sets. Remove one of them",
                             other.name()
                         );
                         return bad(parameter, message);
@@ -68,7 +68,7 @@ pub(crate) fn check_targets(
                     return bad(
                         parameter,
                         format!(
-                            "is the {what} of '{variable}', as parameter '{}' is: leave one out",
+                            "is the {what} of '{variable}', as is parameter '{}'. Remove one of them",
                             other.name()
                         ),
                     );
@@ -81,7 +81,7 @@ pub(crate) fn check_targets(
                     return bad(
                         parameter,
                         format!(
-                            "is the {what} of '{variable}', which is no output or input{of} that has a column; there are: {known}"
+                            "is the {what} of '{variable}', which is not an output or input{of} with a column; available: {known}"
                         ),
                     );
                 }
@@ -90,9 +90,7 @@ pub(crate) fn check_targets(
                 if experiments.iter().any(is_given) {
                     return bad(
                         parameter,
-                        format!(
-                            "is the delay of '{variable}', and delays gives it a value: one of both counts"
-                        ),
+                        format!("is the delay of '{variable}', but delays also sets it. Remove one of them"),
                     );
                 }
             }
@@ -119,8 +117,8 @@ pub(crate) fn check_names(
             && description.variable(variable).is_none()
         {
             return setup(format!(
-                "output '{variable}' with the column '{named}' is the wrong way round: '{named}' is a variable of the model and '{variable}' a \
-                 column; outputs map variables to columns, {{\"{named}\": \"{variable}\"}}"
+                "output '{variable}' with the column '{named}' is reversed: '{named}' is a variable of the model, and '{variable}' \
+                 is a column. Map variables to columns, {{\"{named}\": \"{variable}\"}}"
             ));
         }
         // Another check reports variables that do not exist.
@@ -133,7 +131,7 @@ pub(crate) fn check_names(
         };
         if let Some(other) = experiment.outputs[..i].iter().find(same) {
             return setup(format!(
-                "column '{}' is compared with two outputs, '{}' and '{}': give each the column that measured it",
+                "column '{}' is compared with two outputs, '{}' and '{}'. Specify a separate column for each",
                 output.column, other.variable, output.variable
             ));
         }
@@ -142,7 +140,7 @@ pub(crate) fn check_names(
         if !experiment.shifts(variable) {
             let known = experiment.shifted_names().collect::<Vec<_>>().join(", ");
             return setup(format!(
-                "delays: '{variable}' is no output or input that has a column; there are: {known}"
+                "delays: '{variable}' is not an output or input with a column; available: {known}"
             ));
         }
         if !delay.is_finite() {
@@ -152,23 +150,21 @@ pub(crate) fn check_names(
             ));
         }
         if experiment.delays[..i].iter().any(|(name, _)| name == variable) {
-            return setup(format!("the delay of '{variable}' is given twice"));
+            return setup(format!("the delay of '{variable}' is set twice"));
         }
     }
     for (i, (state, initial)) in experiment.initial_states.iter().enumerate() {
         check_state(state, description)?;
         let same = |name: &String| is_same(description, name, state);
         if experiment.initial_states[..i].iter().any(|(name, _)| same(name)) {
-            return setup(format!("initial state '{state}' is given twice"));
+            return setup(format!("initial state '{state}' is set twice"));
         }
         if experiment.start_values.iter().any(|(name, _)| same(name)) {
-            return setup(format!(
-                "'{state}' is given among initial_states and among start_values: one of both counts"
-            ));
+            return setup(format!("'{state}' is in initial_states and in start_values. Remove one of them"));
         }
         if let Some(parameter) = parameters.iter().find(|p| p.variable_names().iter().any(same)) {
             return setup(format!(
-                "initial state '{state}' is given, and parameter '{}' sets it: one of both counts",
+                "initial state '{state}' is set, but parameter '{}' also sets it. Remove one of them",
                 parameter.name()
             ));
         }
@@ -176,7 +172,7 @@ pub(crate) fn check_names(
             && (parameter.is_tied() || parameter.variable_names().is_empty())
         {
             return setup(format!(
-                "initial state '{state}' is fitted by a parameter that is tied, a delay or an offset: give one with a start and bounds"
+                "initial state '{state}' is fitted by a parameter that is tied, a delay or an offset. Use one with a start and bounds"
             ));
         }
     }
@@ -205,6 +201,6 @@ fn check_state(name: &str, description: &ModelDescription) -> Result<(), Calibra
     let shown = states.iter().take(10).map(|state| state.as_str()).collect::<Vec<_>>().join(", ");
     let more = if states.len() > 10 { ", ..." } else { "" };
     Err(CalibrationError::Setup(format!(
-        "initial state '{name}': it is no state of the model, give it among start_values; its states are: {shown}{more}"
+        "initial state '{name}' is not a state of the model; available: {shown}{more}. Set other variables with start_values"
     )))
 }

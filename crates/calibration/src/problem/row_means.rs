@@ -34,8 +34,8 @@ pub(crate) fn take_means(
         let Some(place) = place(column) else { continue };
         if weighted[place].as_ref().is_some_and(|other| *other != weights) {
             return Err(CalibrationError::Setup(format!(
-                "resample: column '{column}' is compared with two outputs that have different weights, so its means differ; give each \
-                 output its own column"
+                "resample: column '{column}' is compared with two outputs that have different weights, so its means differ. Use a \
+                 separate column for each output"
             )));
         }
         weighted[place] = Some(weights);

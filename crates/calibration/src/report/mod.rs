@@ -59,7 +59,7 @@ impl Calibration {
         let suffix = path.extension().map(|suffix| suffix.to_string_lossy().to_lowercase());
         if let Some(other) = suffix.filter(|suffix| suffix != "html" && suffix != "htm") {
             return Err(CalibrationError::Setup(format!(
-                "{}: a report is a page in HTML, which no '.{other}' holds: give a name that ends in .html",
+                "{}: a report is an HTML page, not a '.{other}' file. Specify a name that ends in .html",
                 path.display()
             )));
         }
@@ -322,14 +322,17 @@ mod tests {
         fit.report.termination = dfo::Termination::MaxEvaluations;
         fit.report.optima = vec![optimum(2.0 * fit.report.fun), optimum(3.0 * fit.report.fun)];
         let text = fit.to_string();
-        assert!(text.contains("the best point that it met within its limits, below all minima"), "{text}");
+        assert!(text.contains("the best point within its limits, below all minima"), "{text}");
         assert!(
             text.contains("6 local searches ended at 2 minima, and the result is below all of them"),
             "{text}"
         );
         fit.report.optima[0] = optimum(fit.report.fun);
         let text = fit.to_string();
-        assert!(text.contains("The fit took the lowest minimum that it found within its limits"), "{text}");
+        assert!(
+            text.contains("The fit returned the lowest minimum that it found within its limits"),
+            "{text}"
+        );
         assert!(text.contains("6 local searches ended at 2 minima, 3 of them at the lowest"), "{text}");
     }
 
@@ -384,7 +387,7 @@ mod tests {
             .report(&fit, folder.path().join("x.pdf"), &RunContext::new())
             .unwrap_err()
             .to_string();
-        assert!(error.contains("x.pdf: a report is a page in HTML"), "{error}");
+        assert!(error.contains("x.pdf: a report is an HTML page"), "{error}");
         fit.x.push(1.0);
         assert!(calibration.report(&fit, folder.path().join("x.html"), &RunContext::new()).is_err());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);

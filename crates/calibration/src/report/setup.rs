@@ -69,7 +69,7 @@ pub(super) fn experiment(experiment: &Experiment) -> Vec<Described> {
         ),
         (
             "hold inputs",
-            experiment.hold_inputs.then(|| "yes: where the simulation goes on beyond them".to_owned()),
+            experiment.hold_inputs.then(|| "yes, where the simulation continues beyond them".to_owned()),
         ),
         ("rows", Some(format!("{}{times}{begins}", data.n_rows))),
         ("column of times", (data.time != "time").then(|| data.time.to_owned())),

@@ -119,13 +119,13 @@ fn sentence(fit: &Fit) -> String {
     let is_below_minima = fit.report.optima.first().is_some_and(|lowest| fit.report.fun < lowest.cost);
     let ended = match fit.report.termination.ended() {
         Termination::MaxEvaluations | Termination::MaxTime if is_below_minima => {
-            "The fit took the best point that it met within its limits, below all minima that it found"
+            "The fit returned the best point within its limits, below all minima that it found"
         }
         Termination::MaxEvaluations | Termination::MaxTime if are_several => {
-            "The fit took the lowest minimum that it found within its limits"
+            "The fit returned the lowest minimum that it found within its limits"
         }
         Termination::BeforeMinimum if fit.is_conditional() => {
-            "Each stage converged, all parameters together did not"
+            "Each stage converged, but all parameters together did not"
         }
         Termination::BeforeMinimum => "The fit ended before the minimum",
         Termination::Converged => "The fit converged",
@@ -157,8 +157,8 @@ fn sentence(fit: &Fit) -> String {
     };
     let doubt = match (fit.is_usable(), fit.is_success()) {
         (true, _) => "",
-        (false, true) => ", but its result is not to be used",
-        (false, false) => ", and its result is not to be used",
+        (false, true) => ", but its result should not be used",
+        (false, false) => ", and its result should not be used",
     };
     format!(
         "{ended}{doubt}: RMS {rms} ({before}) over {} measurements.{errors}{resumed}{counts}",
@@ -182,7 +182,7 @@ fn with_few_degrees(fit: &Fit, errors: String) -> String {
 fn relative_errors(fit: &Fit) -> String {
     let Some(uncertainty) = &fit.uncertainty else { return String::new() };
     if uncertainty.roughness.is_some() {
-        return " Standard errors: none that can be relied on.".to_owned();
+        return " Standard errors: unreliable.".to_owned();
     }
     let errors = &uncertainty.standard_errors;
     let free = (0..fit.x.len()).filter(|i| !uncertainty.held.contains(i));

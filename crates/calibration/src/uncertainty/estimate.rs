@@ -193,7 +193,7 @@ impl Calibration {
         if let Some(index) = options.held.iter().find(|i| **i >= x.len()) {
             let n = x.len();
             return Err(CalibrationError::Setup(format!(
-                "parameter {index} is held, but there are only {n}"
+                "held: parameter index {index} is not below the number of parameters, {n}"
             )));
         }
         let (held, criterion) = (options.held.clone(), options.criterion());

@@ -282,7 +282,7 @@ impl Uncertainty {
         let mut said: Vec<String> = self.undetermined_findings().iter().map(Finding::advice).collect();
         if !self.held.is_empty() {
             let names: Vec<&str> = self.held.iter().map(|i| self.names[*i].as_str()).collect();
-            said.push(format!("at a bound or fixed, taken as known: {}", names.join(", ")));
+            said.push(format!("at a bound or fixed, treated as known: {}", names.join(", ")));
         }
         said.join(". ")
     }
@@ -321,7 +321,7 @@ impl fmt::Display for Uncertainty {
             let (x, error) = (self.x[i], self.standard_errors[i]);
             write!(f, "{name:>width$}: {}", Number(x))?;
             if self.held.contains(&i) {
-                f.write_str(", taken as known (fixed, held or at a bound)")?;
+                f.write_str(", treated as known (fixed, held or at a bound)")?;
             } else if error.is_infinite() {
                 f.write_str(if self.has_unknown_error(i) { ", error unknown" } else { ", not determined" })?;
             } else {
@@ -363,7 +363,7 @@ pub(crate) fn check_level(level: f64, degrees_of_freedom: f64) -> Result<f64, Ca
     if !(level > 0.0 && level < 1.0) {
         let level = Number(level);
         return Err(CalibrationError::Setup(format!(
-            "the level of a confidence interval lies between 0 and 1, for example 0.95, not {level}"
+            "level = {level} must be between 0 and 1, for example 0.95"
         )));
     }
     Ok(student_quantile(0.5 + 0.5 * level, degrees_of_freedom))

@@ -134,7 +134,7 @@ impl Calibration {
             let outcome = kind.outcome(self.residual_layout(), sum, &residuals, &mut Vec::new());
             outcome
                 .value()
-                .ok_or_else(|| CostFailure::failed(FailureKind::Error, "there is no cost".to_owned()))
+                .ok_or_else(|| CostFailure::failed(FailureKind::Error, "the cost is not a number".to_owned()))
         };
         // The evaluation limit of the search does not apply here, but no simulation is spent on
         // what an evaluation has already shown.

@@ -105,14 +105,13 @@ impl Calibration {
         let n = self.problem().experiments.len();
         if n < 2 {
             return setup(
-                "a cross-validation leaves recordings out, so it needs two or more experiments; there is one: hold a part of it back \
-                 with a window, and validate on the rest"
+                "a cross-validation requires at least two experiments, but there is one. Fit in a window, and validate on the rest"
                     .to_owned(),
             );
         }
         let k = options.folds.unwrap_or(n);
         if !(2..=n).contains(&k) {
-            return setup(format!("{k} folds of {n} recordings: there must be from 2 to {n}"));
+            return setup(format!("folds = {k} must be from 2 to the number of recordings, {n}"));
         }
         if context.is_cancelled() {
             return Err(CalibrationError::Cancelled);
@@ -142,7 +141,7 @@ impl Calibration {
         if folds.is_empty() {
             let limit = Number(options.run.limits.max_time.map_or(f64::NAN, |limit| limit.as_secs_f64()));
             return setup(format!(
-                "the time limit of {limit} s was over before one of {k} folds was done: give more time"
+                "the time limit of {limit} s ended the cross-validation before one of {k} folds was complete. Set a larger limit"
             ));
         }
         let counted: usize = folds.iter().map(|fold| fold.validation.n).sum();
@@ -247,7 +246,7 @@ impl fmt::Display for CrossValidation {
             write!(f, "  {:>column$}", digits(*spread).to_string())?;
         }
         for held_out in &self.unfinished {
-            write!(f, "\n{}: not done in time", line(&held_out.join(", ")))?;
+            write!(f, "\n{}: not complete in time", line(&held_out.join(", ")))?;
         }
         Ok(())
     }

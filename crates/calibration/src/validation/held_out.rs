@@ -168,8 +168,8 @@ impl Calibration {
                     let Some(objective) = CostKind::of_name(&fit.objective) else {
                         let names: Vec<&str> = local.iter().map(|&i| other.parameters()[i].name()).collect();
                         return Err(CalibrationError::Setup(format!(
-                            "{} would be fitted to these recordings, and the fit minimised a function that it does not hold ('{}'): \
-                             give them as fixed parameters, or fit with an objective that has a name",
+                            "{} would be fitted to these recordings, but the fit minimised a function that is not stored ('{}'). Fix \
+                             these parameters, or fit with a named objective",
                             names.join(", "),
                             fit.objective
                         )));

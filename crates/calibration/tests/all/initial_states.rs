@@ -78,7 +78,7 @@ fn measured_state_is_rejected_when_no_measurement_exists() {
     let masked = recording(|t| (-K * t).exp()).masked(&["x"], &keep).unwrap();
     let message = fitted(Experiment::new(masked).output("x", "x"), &[k()]).unwrap_err().to_string();
     assert!(
-        message.contains("column 'x' has no value at 0 s, the first one is at 1 s: start where")
+        message.contains("column 'x' has no value at 0 s. The first value is at 1 s. Start at")
             && message.contains("start_time"),
         "{message}"
     );
@@ -86,7 +86,7 @@ fn measured_state_is_rejected_when_no_measurement_exists() {
     let gap = recording(|t| (-K * t).exp()).masked(&["x"], &gap).unwrap();
     let experiment = Experiment::new(gap).output("x", "x").start_time(2.0).window(4.0, 5.0);
     let message = fitted(experiment, &[k()]).unwrap_err().to_string();
-    assert!(message.contains("there are none from 0.4 s to 4 s"), "{message}");
+    assert!(message.contains("Values are missing from 0.4 s to 4 s"), "{message}");
     let decay = recording(|t| (-K * t).exp());
     let late = Parameter::new("late", 0.1).delay_of("x").bounds(0.0, 0.5);
     let message = fitted(Experiment::new(decay).output("x", "x"), &[k(), late]).unwrap_err().to_string();

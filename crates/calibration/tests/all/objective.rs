@@ -121,12 +121,12 @@ fn incompatible_cost_options_are_rejected() {
     let mae = || CostKind::Named(NamedCost::Mae);
     let said = error(mae(), RobustLoss::default(), LeastSquares::default().into());
     assert!(
-        said.contains("least-squares minimises sums of squares, and the objective 'mae' is none"),
+        said.contains("least-squares requires a sum of squares, and the objective 'mae' is not one"),
         "{said}"
     );
     let huber = RobustLoss::new(Loss::Huber, 1.0).unwrap();
     let said = error(mae(), huber, NelderMead::default().into());
-    assert!(said.contains("with the objective 'mae' leave it out"), "{said}");
+    assert!(said.contains("Remove it with the objective 'mae'"), "{said}");
     // A checkpoint of one objective cannot be used for another.
     let folder = tempfile::tempdir().unwrap();
     let with = |objective: CostKind| {
@@ -160,7 +160,7 @@ fn outputs_are_weighted_by_the_scale_of_measurements() {
         assert_eq!(calibration.residual_layout().outputs[0].weights[..], [1.0 / size; 2]);
         let said = make(vec![0.0; 4], scale).unwrap_err().to_string();
         assert!(
-            said.contains(&format!("have the {} 0, by which they cannot be weighed", scale.name())),
+            said.contains(&format!("have the {} 0, which cannot be used as a weight", scale.name())),
             "{said}"
         );
     }

@@ -121,12 +121,12 @@ fn fit_returns_start_when_a_simulation_is_endless() {
     let fit = calibration.fit(options).unwrap();
     assert_eq!((&fit.x[..], &fit.report.termination), (&[1.0][..], &Termination::MaxTime));
     assert!(fit.cost.is_nan() && fit.uncertainty.is_none() && !fit.report.is_success());
-    assert!(fit.report.message.contains("the result is the start"), "{}", fit.report.message);
+    assert!(fit.report.message.contains("The result is the start"), "{}", fit.report.message);
     assert_eq!(phase.get(), FitPhase::Uncertainty);
     let stages = [Stage::new(["k"])];
     let fit = calibration.fit_stages(&stages, limited(NelderMead::default(), limits)).unwrap();
     assert_eq!((&fit.x[..], &fit.report.termination), (&[1.0][..], &Termination::MaxTime));
-    assert!(fit.report.message.contains("the result is the start"), "{}", fit.report.message);
+    assert!(fit.report.message.contains("The result is the start"), "{}", fit.report.message);
 }
 
 /// If the limit ends a search, its best point is the result, and nothing is simulated afterwards.

@@ -96,7 +96,7 @@ fn band_is_rejected_without_degrees_of_freedom() {
     let fit = calibration.fit(FitOptions::default()).unwrap();
     assert_eq!(fit.uncertainty.as_ref().unwrap().degrees_of_freedom, 0.0);
     let error = calibration.prediction_bands(&fit, &BandOptions::default(), &RunContext::new()).unwrap_err();
-    assert!(error.to_string().contains("2 residuals are no more than the parameters"), "{error}");
+    assert!(error.to_string().contains("2 residuals are not more than the fitted parameters"), "{error}");
 }
 
 #[test]
@@ -135,9 +135,9 @@ fn band_error_reports_the_reason() {
         (
             &fit,
             BandOptions { outputs: Some(vec!["y".to_owned()]), ..options.clone() },
-            "no output 'y'; there are: x",
+            "output 'y' not found; available: x",
         ),
-        (&without, options.clone(), "needs the covariance"),
+        (&without, options.clone(), "requires the covariance"),
     ] {
         let error = calibration.prediction_bands(fit, &options, &RunContext::new()).unwrap_err().to_string();
         assert!(error.contains(expected), "{error}");
@@ -177,13 +177,13 @@ fn cross_validation_rejects_invalid_folds() {
     let one = calibration(vec![recording(2.0, 1.0)], false);
     let error =
         one.cross_validate(&CrossValidationOptions::default(), &RunContext::new()).unwrap_err().to_string();
-    assert!(error.contains("two or more experiments; there is one"), "{error}");
+    assert!(error.contains("at least two experiments, but there is one"), "{error}");
     let two = calibration(vec![recording(2.0, 1.0), recording(2.0, 2.0)], true);
     for folds in [0, 1, 3] {
         let options = CrossValidationOptions { folds: Some(folds), ..CrossValidationOptions::default() };
         let error = two.cross_validate(&options, &RunContext::new()).unwrap_err().to_string();
         assert!(
-            error.contains(&format!("{folds} folds of 2 recordings: there must be from 2 to 2")),
+            error.contains(&format!("folds = {folds} must be from 2 to the number of recordings, 2")),
             "{error}"
         );
     }

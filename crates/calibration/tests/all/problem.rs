@@ -272,7 +272,7 @@ fn experiment_from_record_equals_experiment_from_methods() {
             "unknown field of an experiment 'output'; did you mean 'outputs'?",
         ),
         (r#"{"data": "none.csv", "time": "t"}"#, "cannot read"),
-        (r#"{"data": "run.csv", "time": "t", "outputs": 3}"#, "outputs must give a value to each name"),
+        (r#"{"data": "run.csv", "time": "t", "outputs": 3}"#, "outputs must assign a value to each name"),
         (r#"{"data": "run.csv", "outputs": {"x": 3}}"#, "outputs: 'x' must be a string, not 3"),
         (
             r#"{"data": "run.csv", "outputs": ["x"], "weights": {"xx": 3}}"#,

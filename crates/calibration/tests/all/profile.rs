@@ -290,12 +290,15 @@ fn profile_is_unchanged_by_workers_interrupts_and_files() {
     let said = refused(ProfileOptions { level: 0.9, ..with(1, Some(&file)) });
     assert!(said.contains("another fit") && said.contains("profile.json"), "{said}");
     std::fs::write(&file, "x").unwrap();
-    assert!(refused(with(1, Some(&file))).contains("no file of profiles"));
+    assert!(refused(with(1, Some(&file))).contains("not a file of profiles"));
     assert!(refused(with(1, Some(&folder.path().join("none/p.json")))).contains("none"));
     assert!(refused(ProfileOptions { level: 95.0, ..with(1, None) }).contains("between 0 and 1"));
-    assert!(refused(ProfileOptions { parameters: Some(vec![2]), ..with(1, None) }).contains("only 2"));
+    assert!(
+        refused(ProfileOptions { parameters: Some(vec![2]), ..with(1, None) })
+            .contains("number of parameters, 2")
+    );
     assert!(refused(ProfileOptions { parameters: Some(vec![1, 1]), ..with(1, None) }).contains("twice"));
-    assert!(refused(ProfileOptions { max_points: 0, ..with(1, None) }).contains("one point or more"));
+    assert!(refused(ProfileOptions { max_points: 0, ..with(1, None) }).contains("at least one point"));
 }
 
 #[test]
@@ -305,11 +308,11 @@ fn profile_rejects_unsupported_fits() {
     let fit = fitted(&calibration, FitOptions::default());
     let fixed = ProfileOptions { parameters: Some(vec![1]), ..ProfileOptions::default() };
     let said = calibration.profile(&fit, &fixed, &RunContext::new()).unwrap_err().to_string();
-    assert!(said.contains("'x' was not fitted"), "{said}");
+    assert!(said.contains("'x' has no profile because it was not fitted"), "{said}");
     assert_eq!(profile(&calibration, &fit, &ProfileOptions::default()).parameters.len(), 1);
     let mae = FitOptions { objective: CostKind::Named(NamedCost::Mae), ..FitOptions::default() };
     let fit = fitted(&calibration, mae);
     let said =
         calibration.profile(&fit, &ProfileOptions::default(), &RunContext::new()).unwrap_err().to_string();
-    assert!(said.contains("that of a sum of squares") && said.contains("mae"), "{said}");
+    assert!(said.contains("requires a sum of squares") && said.contains("mae"), "{said}");
 }

@@ -50,7 +50,10 @@ fn tank_builder(u1_until: f64, inputs: &[&str], hold: bool) -> CalibrationBuilde
 fn late_recording_requires_start_time() {
     let parameter = || Parameter::new("k", 1.0).bounds(0.1, 10.0);
     let message = decay(100.0, parameter()).build().unwrap_err().to_string();
-    assert!(message.contains("begins at 100 s, the simulation at 0 s. Give start_time = 100"), "{message}");
+    assert!(
+        message.contains("begins at 100 s, but the simulation begins at 0 s. Set start_time = 100"),
+        "{message}"
+    );
     assert!(decay(1.0, parameter()).build().is_ok());
     assert!(decay(1.2, parameter()).build().is_err());
 }
@@ -67,7 +70,7 @@ fn unused_input_columns_cause_warnings() {
 #[test]
 fn inputs_are_held_beyond_recording_only_with_hold_inputs() {
     let message = tank_builder(20.0, &["u1", "u2"], false).build().unwrap_err().to_string();
-    let expected = "input 'u1' is recorded from 0 s to 20 s, and the simulation needs it from 0 s to 30 s: give hold_inputs";
+    let expected = "input 'u1' is recorded from 0 s to 20 s, but the simulation needs it from 0 s to 30 s. Set hold_inputs";
     assert!(message.contains(expected), "{message}");
     assert!(tank_builder(20.0, &["u1", "u2"], true).build().unwrap().warnings().is_empty());
     // One sampling interval is not a gap.
@@ -120,7 +123,7 @@ fn outputs_that_are_not_single_results_are_rejected() {
     let text = std::fs::read_to_string(&description).unwrap();
     std::fs::write(&description, text.replace("name=\"time\"", "name=\"clock\"")).unwrap();
     let fmu = fmi::Fmu::open(folder.path()).unwrap();
-    for (output, expected) in [("time", "it is the time, not a result"), ("y*", "patterns name several")] {
+    for (output, expected) in [("time", "it is the time, not a result"), ("y*", "is a pattern")] {
         let data = Data::from_columns(vec![0.0, 0.5], [("y".to_owned(), vec![1.0, 0.5])]).unwrap();
         let built = Calibration::builder(fmu.clone())
             .experiment(Experiment::new(data).output(output, "y"))
@@ -144,10 +147,10 @@ fn shared_column_and_tie_of_different_units_are_rejected() {
         tied.into_iter().fold(builder, CalibrationBuilder::parameter).build()
     };
     let error = ball(Experiment::new(data.clone()).output("hight", "h"), None).unwrap_err().to_string();
-    assert!(!error.contains("wrong way round"), "{error}");
+    assert!(!error.contains("is reversed"), "{error}");
     let recorded = Data::from_columns(t, [("height".to_owned(), vec![1.0; 20])]).unwrap();
     let error = ball(Experiment::new(recorded).output("height", "h"), None).unwrap_err().to_string();
-    assert!(error.contains("the wrong way round") && error.contains("{\"h\": \"height\"}"), "{error}");
+    assert!(error.contains("is reversed") && error.contains("{\"h\": \"height\"}"), "{error}");
     let one = || Experiment::new(data.clone()).output("h", "h");
     let error = ball(one().output("v", "h"), None).unwrap_err().to_string();
     assert!(error.contains("column 'h' is compared with two outputs, 'h' and 'v'"), "{error}");
@@ -155,7 +158,7 @@ fn shared_column_and_tie_of_different_units_are_rejected() {
     let tied = |across| Parameter::tied("h", "g", -0.1, 0.0).across_units(across);
     let error = ball(one(), Some(tied(false))).unwrap_err().to_string();
     assert!(
-        error.contains("is in 'm', and 'g', which it is tied to, in 'm/s2': give across_units"),
+        error.contains("is in 'm', but 'g', to which it is tied, is in 'm/s2'. Set across_units"),
         "{error}"
     );
     ball(one(), Some(tied(true))).unwrap();

@@ -124,7 +124,7 @@ fn stages_with_wrong_held_values_do_not_count_as_converged() {
     assert!((apart.x[0] - 2.0).abs() > 0.1 && !apart.is_success(), "{apart}");
     assert_eq!(apart.report.termination, Termination::BeforeMinimum, "{apart}");
     for said in [
-        "Each stage converged, all parameters together did not",
+        "Each stage converged, but all parameters together did not",
         "% of the cost, although each stage ended normally. The values depend on what the stages held fixed",
         "Add a last stage with all parameters, because smaller tolerances do not help",
     ] {
@@ -232,11 +232,11 @@ fn stage_errors_name_the_stage_and_reason() {
     let calibration = tanks(&[("qt.a4", 3e-6)], None);
     let stage = |names: &[&str]| Stage::new(names.iter().copied());
     for (stages, expected) in [
-        (vec![], "there are none"),
-        (vec![stage(&["qt.a1"]), stage(&[])], "stage 2: it frees no parameter"),
-        (vec![stage(&["qt.a1", "a2"])], "stage 1: there is no parameter 'a2'; there are: qt.a1, qt.a2"),
+        (vec![], "stages is empty"),
+        (vec![stage(&["qt.a1"]), stage(&[])], "stage 2: the stage frees no parameter"),
+        (vec![stage(&["qt.a1", "a2"])], "stage 1: parameter 'a2' not found; available: qt.a1, qt.a2"),
         (vec![stage(&["qt.a4"])], "stage 1: parameter 'qt.a4' is fixed"),
-        (vec![stage(&["qt.a1", "qt.a1"])], "'qt.a1' is named twice"),
+        (vec![stage(&["qt.a1", "qt.a1"])], "'qt.a1' is listed twice"),
         (vec![stage(&["qt.a1"]).window(70.0, 80.0)], "stage 1: "),
         (vec![stage(&["qt.a1"]).window(5.0, 1.0)], "stage 1: window from 5 to 1"),
     ] {

@@ -96,7 +96,7 @@ fn held_parameters_are_reported_as_known() {
         free.uncertainty(&[1.5, 1.0], &wrong, &RunContext::new())
             .unwrap_err()
             .to_string()
-            .contains("there are only 2")
+            .contains("not below the number of parameters, 2")
     );
 }
 

@@ -67,7 +67,7 @@ fn units_of_other_quantities_are_rejected_and_unknown_units_reported() {
     for (names, expected) in [
         (
             ["x1 [bar]", "x2"],
-            "data: column 'x1 [bar]' belongs to 'qt.x1', but 'bar' (kg.m-1.s-2) cannot be converted to 'm' (m): correct",
+            "data: column 'x1 [bar]' belongs to 'qt.x1', but 'bar' (kg.m-1.s-2) cannot be converted to 'm' (m). Correct",
         ),
         (
             ["x1", "x2 [degC]"],
@@ -79,9 +79,8 @@ fn units_of_other_quantities_are_rejected_and_unknown_units_reported() {
     }
     let message = tank(["x1 (raw)", "x2"], 1.0, ("u", 5.0)).unwrap_err().to_string();
     assert!(
-        message
-            .contains("column 'x1 (raw)' belongs to 'qt.x1' (in m), but 'raw' is no unit that is known here")
-            && message.contains("rename the column if this is none")
+        message.contains("column 'x1 (raw)' belongs to 'qt.x1' (in m), but 'raw' is not a known unit")
+            && message.contains("rename the column if this is not a unit")
             && !message.contains("parse"),
         "{message}"
     );

@@ -106,8 +106,8 @@ fn validation_rejects_invalid_sets() {
     for (set, expected) in [
         (ValidationSet::Windows(vec![(5.0, 6.0)]), "5"),
         (ValidationSet::Windows(vec![(1.0, 0.0)]), "window from 1 to 0"),
-        (ValidationSet::Windows(vec![]), "windows: there are none"),
-        (ValidationSet::Experiments(vec![]), "there is no experiment"),
+        (ValidationSet::Windows(vec![]), "windows is empty"),
+        (ValidationSet::Experiments(vec![]), "experiments is empty"),
         (experiments(experiment(1.0, 1.0).output("y", "x")), "\"y\""),
         (experiments(Experiment::new(decay(1.0, 1.0)).output("x", "z")), "z"),
     ] {
@@ -128,7 +128,7 @@ fn cross_validation_ends_at_time_limit() {
     let mut options = CrossValidationOptions::default();
     options.run.limits = Limits { max_time: Some(Duration::from_nanos(1)), ..Limits::default() };
     let error = calibration.cross_validate(&options, &RunContext::new()).unwrap_err().to_string();
-    assert!(error.contains("before one of 2 folds was done"), "{error}");
+    assert!(error.contains("before one of 2 folds was complete"), "{error}");
     options.run.limits.max_time = Some(Duration::from_secs(600));
     let found = calibration.cross_validate(&options, &RunContext::new()).unwrap();
     assert!(found.folds.len() == 2 && found.unfinished.is_empty());

@@ -86,7 +86,7 @@ fn short_form_supports_time_column_and_inputs() {
     ] {
         let message = folder.run(command).wrong_input();
         assert!(
-            message.contains("--time COLUMN") && message.contains("no column 'time'"),
+            message.contains("--time COLUMN") && message.contains("column 'time' not found"),
             "{command}: {message}"
         );
     }
@@ -105,7 +105,7 @@ fn short_form_supports_time_column_and_inputs() {
     let later: String = (0..6).map(|k| format!("{},5.5,5.5,{k}\n", 1_700_000_000 + 10 * k)).collect();
     folder.write("run.csv", &format!("time,u1,u2,qt.x1\n{later}"));
     let message = folder.run(&format!("{fit} --quiet")).wrong_input();
-    assert!(message.contains("Give --start-time 1.7e9 to start with the recording"), "{message}");
+    assert!(message.contains("Set --start-time 1.7e9 to start with the recording"), "{message}");
     folder.run(&format!("{fit} --start-time 1.7e9")).good();
 }
 

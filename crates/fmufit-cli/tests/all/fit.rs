@@ -125,7 +125,7 @@ fn fit_worse_than_a_constant_exits_with_3_and_reports_the_reason() {
         "{ran:?}"
     );
     let shown = folder.run("fit problem.toml").out;
-    assert!(shown.contains("The fit converged, but its result is not to be used: RMS"), "{shown}");
+    assert!(shown.contains("The fit converged, but its result should not be used: RMS"), "{shown}");
     // A fit that was ended early is never a success. A good fit has no reason against it.
     assert_eq!(folder.run("fit problem.toml -O method=nelder-mead -O max_evaluations=2 --json").code, 1);
     let good = decay("");
@@ -267,7 +267,7 @@ fn errors_name_the_line_of_a_mistake() {
         ("data = ", "date = ", 4, "unknown field of an experiment 'date'; did you mean 'data'?"),
         ("run.csv", "none.csv", 4, "none.csv"),
         ("x = \"x\"", "y = \"x\"", 5, "no variable \"y\""),
-        ("x = \"x\"", "x = \"y\"", 5, "no column 'y'"),
+        ("x = \"x\"", "x = \"y\"", 5, "column 'y' not found"),
         ("start = 1.0", "strat = 1.0", 9, "did you mean 'start'?"),
         ("start = 1.0", "start = \"one\"", 9, "start must be a number, not 'one'"),
         ("start = 1.0", "start = ", 9, ""),
@@ -394,7 +394,7 @@ fn report_rejects_files_that_are_not_saved_fits() {
     folder.run("fit problem.toml --save decay.fit --quiet").good();
     for (arguments, expected) in [
         ("none.fit a.html", "none.fit"),
-        ("run.csv a.html", "this is no saved fit"),
+        ("run.csv a.html", "is not a saved fit"),
         ("decay.fit a.pdf", "a.pdf: unknown report format; expected a name that ends in .html"),
         ("decay.fit no/such/a.html", "no/such/a.html"),
         ("decay.fit a.html --model none.fmu", "none.fmu"),

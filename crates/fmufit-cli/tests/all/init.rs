@@ -54,10 +54,10 @@ fn init_reports_unmatched_columns_and_variables() {
     assert!(text.contains("outputs = { \"armJoint.phi\" = \"armJoint phi\" }"), "{text}");
     for (arguments, expected) in [
         ("--output armJoint.fi=PHI", "did you mean"),
-        ("--output armJoint.phi=none", "no column 'none'"),
+        ("--output armJoint.phi=none", "column 'none' not found"),
         ("--parameter none", "no variable \"none\""),
         ("--parameter time", "--parameter time: expected a scalar real variable"),
-        ("--time t", "there is no column 't'"),
+        ("--time t", "column 't' not found"),
     ] {
         let message = folder.run(&format!("init model.fmu run.csv other.toml {arguments}")).wrong_input();
         assert!(message.contains(expected) && !folder.path("other.toml").exists(), "{message}");

@@ -98,7 +98,7 @@ fn systems_of_models_are_rejected() {
     let message = folder.run("fit system.ssd run.csv --output x --parameter k=1").wrong_input();
     assert!(message.contains("an .ssd file describes a system of models"), "{message}");
     let message = folder.run("simulate model.fmu --set @system.ssd").wrong_input();
-    assert!(message.contains("this describes a system of models (.ssd)"), "{message}");
+    assert!(message.contains("the file describes a system of models (.ssd)"), "{message}");
 }
 
 #[test]

@@ -122,7 +122,7 @@ impl Turns {
             let report = &mut searched.report;
             if report.termination == Termination::MaxEvaluations {
                 report.message += &format!(
-                    "; the searches before it, with other weights, took {} evaluations",
+                    "; the earlier searches with other weights used {} evaluations",
                     before.report.n_evaluations
                 );
             }
@@ -176,7 +176,7 @@ impl Job<'_> {
 
 /// Records that a fit ended before its noise was known.
 fn end_early(report: &mut Report, termination: Termination) {
-    report.message += &format!("; the fit ended before its noise was known to 1 %: {termination}");
+    report.message += &format!("; the fit ended before the noise was estimated to 1 %: {termination}");
     report.termination = termination;
 }
 

@@ -239,7 +239,7 @@ impl<'a> Job<'a> {
             && !(options.objective.is_sum_of_squares() && options.loss.is_linear())
         {
             return Err(CalibrationError::Setup(
-                "noise 'estimated' belongs to the sum of squares without a robust loss; the objective 'likelihood' estimates the noise by itself"
+                "noise 'estimated' requires the sum of squares without a robust loss. The objective 'likelihood' also estimates the noise"
                     .to_owned(),
             ));
         }
@@ -249,7 +249,7 @@ impl<'a> Job<'a> {
         if let Some(index) = options.held.iter().find(|&&i| i >= start.len()) {
             let n = start.len();
             return Err(CalibrationError::Setup(format!(
-                "parameter {index} is held, but there are only {n}"
+                "held: parameter index {index} is not below the number of parameters, {n}"
             )));
         }
         Ok(Self {
@@ -475,8 +475,7 @@ impl Calibration {
         }
         let outcome = search.context(*context).run().map_err(|error| match error {
             dfo::Error::NeedsResiduals { method } => CalibrationError::Setup(format!(
-                "{method} minimises sums of squares, and the objective '{}' is none: leave the method to the fit \
-                 (method auto), or take nelder-mead",
+                "{method} requires a sum of squares, and the objective '{}' is not one. Use method auto or nelder-mead",
                 objective.name()
             )),
             error => self.name_parameter(error),
@@ -523,7 +522,7 @@ impl Calibration {
             report.fun = outcome.value().unwrap_or(f64::NAN);
         }
         report.message = format!(
-            "stopped at the time limit of {} s before the search had found anything: the result is the start",
+            "stopped at the time limit of {} s before the first evaluation of the search. The result is the start",
             Number(job.run.limits.max_time.unwrap_or_default().as_secs_f64())
         );
         report.workers = job.run.workers.unwrap_or(1);
@@ -590,7 +589,7 @@ impl Calibration {
                 let is_fixed = lower == upper;
                 let [lower, upper, value] = [lower, upper, *value].map(Number);
                 let message = if is_fixed {
-                    format!("is fixed at {lower}, it cannot start at {value}")
+                    format!("is fixed at {lower} and cannot start at {value}")
                 } else {
                     format!("start {value} is outside of the bounds {lower} and {upper}")
                 };

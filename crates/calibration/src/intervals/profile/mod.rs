@@ -121,7 +121,8 @@ impl Calibration {
         let n_residuals = self.n_residuals();
         let without_noise = || {
             CalibrationError::Setup(format!(
-                "{n_residuals} residuals say nothing of the noise of a fit of {n_free} parameters: there is no profile without more of them"
+                "a profile requires more residuals ({n_residuals}) than fitted parameters ({n_free}). Fit fewer parameters, or add \
+                 measurements"
             ))
         };
         if n_residuals <= n_free {
@@ -250,7 +251,7 @@ fn profiled(fit: &Fit, held: &[usize], options: &ProfileOptions) -> Result<Vec<u
     if fit.objective != CostKind::default().name() {
         let what = &fit.objective;
         return setup(format!(
-            "a profile likelihood is that of a sum of squares, and the fit minimised another cost ({what})"
+            "a profile likelihood requires a sum of squares, but the fit minimised another cost ({what})"
         ));
     }
     let (n, is_free) = (fit.x.len(), |i: &usize| !held.contains(i));
@@ -259,22 +260,22 @@ fn profiled(fit: &Fit, held: &[usize], options: &ProfileOptions) -> Result<Vec<u
         Some(asked) => asked.clone(),
     };
     if let Some(index) = asked.iter().find(|i| **i >= n) {
-        return setup(format!("there is no parameter {index}, there are only {n}"));
+        return setup(format!("parameter index {index} is not below the number of parameters, {n}"));
     }
     if let Some(index) = asked.iter().find(|i| !is_free(i)) {
         return setup(format!(
-            "parameter '{}' was not fitted (it is fixed, held or no continuous number), and has no profile",
+            "parameter '{}' has no profile because it was not fitted (fixed, held or not continuous)",
             fit.names[*index]
         ));
     }
     if let Some(k) = (1..asked.len()).find(|k| asked[..*k].contains(&asked[*k])) {
-        return setup(format!("parameter '{}' is named twice", fit.names[asked[k]]));
+        return setup(format!("parameter '{}' is listed twice", fit.names[asked[k]]));
     }
     if asked.is_empty() {
-        return setup("no parameter is free, so there is no profile".to_owned());
+        return setup("a profile requires a free parameter, but none is free".to_owned());
     }
     if options.max_points == 0 {
-        return setup("a profile needs one point or more on each side of the optimum, not 0".to_owned());
+        return setup("a profile requires at least one point on each side of the optimum, not 0".to_owned());
     }
     Ok(asked)
 }

@@ -79,11 +79,11 @@ impl Refits<'_> {
         match self.refit(start, None, n_simulations, context) {
             Ok(optimum) if optimum.cost > 0.0 && optimum.cost.is_finite() => Ok(optimum),
             Ok(_) => Err(CalibrationError::Setup(
-                "the residuals are all zero: without noise there is no profile likelihood".to_owned(),
+                "all residuals are zero, so there is no noise for a profile likelihood".to_owned(),
             )),
             Err(NoFit::Cancelled) => Err(CalibrationError::Cancelled),
             Err(NoFit::Failed(message)) => {
-                Err(CalibrationError::Setup(format!("the optimum of the cost is not found: {message}")))
+                Err(CalibrationError::Setup(format!("the optimum of the cost was not found: {message}")))
             }
         }
     }

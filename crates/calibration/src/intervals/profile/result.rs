@@ -61,11 +61,11 @@ impl ProfileEnd {
             Self::Crossed(_) => return None,
             Self::AtBound(value) => format!("reaches its {bound} bound, {}", Number(*value)),
             Self::PointLimit(value) => {
-                format!("the points are used up at {}, the threshold is not reached", digits(*value))
+                format!("the maximum number of points was reached at {} before the threshold", digits(*value))
             }
             Self::Failed { at, message } => format!("no cost at {}: {message}", digits(*at)),
             Self::LowerCost(at) => {
-                format!("the cost is lower at {} than at the optimum: fit again from there", digits(*at))
+                format!("the cost is lower at {} than at the optimum. Fit again from there", digits(*at))
             }
             Self::Interrupted => "interrupted".to_owned(),
         };
@@ -156,7 +156,7 @@ impl fmt::Display for Profile {
             write!(f, "\n- {}: {}", shown(profile), visible_line(&profile.message()))?;
         }
         if self.is_autocorrelated {
-            f.write_str("\n- the residuals are autocorrelated: the intervals are corrected for that")?;
+            f.write_str("\n- the residuals are autocorrelated, and the intervals are corrected for this")?;
         }
         if self.is_interrupted { f.write_str("\n- interrupted: not all sides are complete") } else { Ok(()) }
     }

@@ -50,7 +50,7 @@ impl SavedSides {
         let Some(path) = path else { return Ok(own) };
         let refused = |why: &str| {
             let place = path.display();
-            Err(CalibrationError::Setup(format!("{place} {why}: give another file, or remove this one")))
+            Err(CalibrationError::Setup(format!("{place} {why}. Specify another file, or remove this one")))
         };
         match base::files::read_regular(path) {
             Ok(bytes) => match serde_json::from_slice::<Self>(&bytes) {
@@ -65,10 +65,10 @@ impl SavedSides {
                 }
                 Ok(found) if found.format == FORMAT => {
                     return refused(
-                        "holds profiles of another fit, problem, level or number of points per side",
+                        "contains profiles of another fit, problem, level or number of points per side",
                     );
                 }
-                _ => return refused("is no file of profiles of this version"),
+                _ => return refused("is not a file of profiles of this version"),
             },
             Err(source) if source.kind() == ErrorKind::NotFound => {}
             Err(source) => return Err(CalibrationError::DataFile { path: path.to_owned(), source }),
@@ -86,7 +86,7 @@ impl SavedSides {
     pub(super) fn add(&mut self, side: Side) {
         self.sides.push(side);
         if let Err(error) = self.write() {
-            log::warn!("the profile is not saved: {error}");
+            log::warn!("the profile was not saved: {error}");
         }
     }
 

@@ -160,7 +160,7 @@ class Experiment:
             try:
                 table = _data.read_recording(data, columns + ([] if by is None else [by]), named)
             except BadCalibrationError as e:
-                turned = [pair for pair in pairs if f"no column '{pair[1]}'" in str(e) and f"'{pair[0]}'" in str(e).partition("there are")[2]]
+                turned = [pair for pair in pairs if f"column '{pair[1]}' not" in str(e) and f"'{pair[0]}'" in str(e).partition("available")[2]]
                 if not turned:
                     raise
                 variable, column = turned[0]
