@@ -18,7 +18,7 @@ import layers
 import rewrap
 
 ROOT = Path(__file__).resolve().parent.parent
-UNSAFE_ROOM = ROOT / "crates" / "fmi" / "src" / "sys"
+UNSAFE_FOLDER = ROOT / "crates" / "fmi" / "src" / "sys"
 FORBIDDEN = {
     "unfinished": re.compile(r"\b(todo|unimplemented)!"),
     "unwrap outside tests": re.compile(r"\.unwrap\(\)|\.expect\("),
@@ -26,11 +26,6 @@ FORBIDDEN = {
 }
 # Excludes keywords of a Content-Security-Policy.
 UNSAFE = re.compile(r"\bunsafe\b(?!-)")
-DOC = re.compile(r"^\s*//[/!]")
-# A doc comment starts with what the item is or does. Only this fraction of a crate's doc comments may start like a
-# question.
-QUESTION = re.compile(r"^\s*//[/!] (What|Whether|Which|How)\b")
-MOST_QUESTIONS = 0.03
 
 
 def code_lines(text: str) -> list[tuple[int, str]]:
@@ -54,8 +49,8 @@ def findings(path: Path) -> list[str]:
         for what, pattern in FORBIDDEN.items():
             if pattern.search(line):
                 found.append(f"{where}: {what}: {line.strip()}")
-        if UNSAFE.search(line) and "unsafe_" not in line and UNSAFE_ROOM not in path.parents:
-            found.append(f"{where}: unsafe outside {UNSAFE_ROOM.relative_to(ROOT)}: {line.strip()}")
+        if UNSAFE.search(line) and "unsafe_" not in line and UNSAFE_FOLDER not in path.parents:
+            found.append(f"{where}: unsafe outside {UNSAFE_FOLDER.relative_to(ROOT)}: {line.strip()}")
     return found
 
 
@@ -67,19 +62,6 @@ def tests_left_out() -> list[str]:
         files = sorted(path for path in main.parent.glob("*.rs") if path != main and path.stem not in named)
         found += [f"{path.relative_to(ROOT)}: not named in main.rs" for path in files]
     return found
-
-
-def questions(crate: Path) -> list[str]:
-    """Reports a crate if too many of its doc comments start like questions."""
-    n, asked = 0, []
-    for path in sorted(crate.glob("src/**/*.rs")):
-        is_inside = False
-        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
-            is_first, is_inside = bool(DOC.match(line)) and not is_inside, bool(DOC.match(line))
-            n += is_first
-            if is_first and QUESTION.match(line):
-                asked.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()}")
-    return asked if len(asked) > MOST_QUESTIONS * n else []
 
 
 NAMED_FILE = re.compile(r"`((?:[\w.-]+/)*[\w-]+\.(?:rs|py))(?: [^`]*)?`")
@@ -107,7 +89,6 @@ def main() -> int:
     """Prints every finding; the exit status is 1 if there are any."""
     sources = sorted([*ROOT.glob("src/**/*.rs"), *ROOT.glob("crates/*/src/**/*.rs")])
     found = [line for path in sources for line in findings(path)] + layers.findings()
-    found += [line for crate in sorted(ROOT.glob("crates/*")) for line in questions(crate)]
     found += tests_left_out() + rewrap.findings() + files_that_are_gone()
     print("\n".join(found) if found else f"gate: {len(sources)} files are clean")
     return 1 if found else 0

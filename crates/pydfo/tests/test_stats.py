@@ -105,7 +105,7 @@ def test_discrete_parameters_are_fitted_by_suitable_methods():
     assert Calibration(example_fmu("dahlquist"), data, outputs=["x"], parameters=[held]).fit().method == "least-squares"
     for arguments, said in [
         ({"start": 1.5, "lower": 1, "upper": 8, "kind": "integer"}, "'k': is integer, so start 1.5 must be an integer"),
-        ({"start": 1.5, "lower": 1.2, "upper": 1.8, "kind": "categorical"}, "between its bounds 1.2 and 1.8"),
+        ({"start": 1.5, "lower": 1.2, "upper": 1.8, "kind": "categorical"}, "its bounds 1.2 and 1.8 contain no integer"),
         ({"start": 1, "kind": "odd"}, "kind = 'odd' is invalid; expected one of: 'continuous', 'integer', 'categorical'"),
     ]:
         with pytest.raises(ValueError, match=said):

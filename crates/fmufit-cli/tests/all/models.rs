@@ -78,7 +78,7 @@ fn simulate_reads_start_values_from_ssp_parameter_sets() {
     assert_eq!(both, folder.run(&format!("simulate model.fmu --set k=1 --set x=3 {options}")).good());
     for (text, expected) in [
         (SET.replace("\"k\"", "\"kk\""), "set.ssv: the model has no variable \"kk\""),
-        (SET.replace("value=\"2\"", "value=\"two\""), "set.ssv: line 4: 'k' = 'two' is no Real"),
+        (SET.replace("value=\"2\"", "value=\"two\""), "set.ssv: line 4: 'k' = 'two' is not a valid Real"),
         (SET.replace("value=\"2\"", "value=\"2\" unit=\"m\""), "'k'"),
         ("k = 2".to_owned(), "set.ssv: "),
     ] {
@@ -169,7 +169,7 @@ fn warning_names_inputs_without_a_column() {
     // Two units.
     let message = run("time,u1 [V],u2\ns,mV,V\n", "").wrong_input();
     assert!(
-        message.contains("in.csv: column 'u1 [V]' has two units: 'V' in its name and 'mV' in line 2"),
+        message.contains("in.csv: column 'u1 [V]' has two units, 'V' in its name and 'mV' in line 2"),
         "{message}"
     );
 }
