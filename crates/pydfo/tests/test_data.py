@@ -349,7 +349,7 @@ def test_resampling_averages_rows():
     assert cost({"time": TIME[:40], "x": X[:40]}, resample=0.2) == pytest.approx(cost(by_hand), rel=1e-9)
     with pytest.raises(BadCalibrationError, match="resample = 0.01 s is shorter than the row spacing of 0.05"):
         cost({"time": TIME, "x": X}, resample=0.01)
-    with pytest.raises(BadCalibrationError, match="output 'x' has 11 weights for 41 rows of data before resample takes means"):
+    with pytest.raises(BadCalibrationError, match="output 'x' has 11 weights for 41 rows of data before resampling"):
         cost({"time": TIME, "x": X}, resample=0.2, weights={"x": np.full(11, 2.0)})
 
 

@@ -114,7 +114,7 @@ def test_limits_and_callbacks_cover_all_stages(tmp_path):
         (Stage(["qt.a1"]), TypeError, "stages must be a list of stages"),
         ({"qt.a1": 1}, TypeError, "stages must be a list of stages"),
         ([], ValueError, "stages is empty"),
-        ([[]], ValueError, "stage 1: the stage frees no parameter"),
+        ([[]], ValueError, "stage 1: the stage has no parameters. Specify at least one"),
         ([["qt.a1"], ["qt.a9"]], ValueError, "stage 2: parameter 'qt.a9' not found; available: qt.a1, qt.a2"),
         ([["qt.a1"], [3]], TypeError, "stage 2 requires parameter names, not 3"),
         ([["qt.a1", "qt.a1"]], ValueError, "stage 1: parameter 'qt.a1' is listed twice"),

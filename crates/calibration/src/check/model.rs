@@ -78,7 +78,7 @@ pub(super) fn inputs(subject: &ExperimentSubject<'_>) -> Vec<Finding> {
     let finding = |v: &Variable| {
         let held = match &v.start {
             Some(start) => format!("It stays at its start value {start}"),
-            None => "It stays at 0, because the model states no start value".to_owned(),
+            None => "It stays at 0, because the model declares no start value".to_owned(),
         };
         Finding::warning(
             FindingId::UndrivenInput,

@@ -509,7 +509,7 @@ impl Calibration {
     fn freed(&self, stage: &Stage, held: &[usize]) -> Result<Vec<usize>, CalibrationError> {
         let setup = |message: String| Err(CalibrationError::Setup(message));
         if stage.parameters.is_empty() {
-            return setup("the stage frees no parameter".to_owned());
+            return setup("the stage has no parameters. Specify at least one".to_owned());
         }
         let mut freed: Vec<usize> = Vec::new();
         for name in &stage.parameters {

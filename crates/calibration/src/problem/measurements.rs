@@ -196,7 +196,7 @@ pub(crate) fn weights_of_rows(
         }
         Weight::Column(column) => (data.series(column)?, format!(" in column '{column}'")),
         Weight::Rows(weights) if weights.len() != n => {
-            let when = if experiment.resample.is_some() { " before resample takes means" } else { "" };
+            let when = if experiment.resample.is_some() { " before resampling" } else { "" };
             return setup(format!(
                 "output '{variable}' has {} weights for {n} rows of {}{when}. Specify a number, or one weight per row",
                 weights.len(),

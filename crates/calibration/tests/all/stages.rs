@@ -233,7 +233,7 @@ fn stage_errors_name_the_stage_and_reason() {
     let stage = |names: &[&str]| Stage::new(names.iter().copied());
     for (stages, expected) in [
         (vec![], "stages is empty"),
-        (vec![stage(&["qt.a1"]), stage(&[])], "stage 2: the stage frees no parameter"),
+        (vec![stage(&["qt.a1"]), stage(&[])], "stage 2: the stage has no parameters. Specify at least one"),
         (vec![stage(&["qt.a1", "a2"])], "stage 1: parameter 'a2' not found; available: qt.a1, qt.a2"),
         (vec![stage(&["qt.a4"])], "stage 1: parameter 'qt.a4' is fixed"),
         (vec![stage(&["qt.a1", "qt.a1"])], "'qt.a1' is listed twice"),
